@@ -1,0 +1,5 @@
+"""Command line (in work)."""
+
+
+def main() -> None:
+    """Entry point."""

@@ -1,0 +1,156 @@
+"""The station and the job as frozen dataclasses; YAML only here, validated.
+
+    from toolee_robot.config import StationConfig, load_station
+    config = StationConfig()                 # the simulated station of this repository
+    config = load_station(Path("lab.yaml"))  # a lab's own: any subset of the fields
+
+Everything a lab measures once stands here: where the camera, the base, the stand and the nail are, what the limits
+are, and how the hand holds a tool nominally. Lengths [m], angles [rad].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import yaml
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from toolee_robot.errors import ConfigError
+from toolee_robot.frames import Array, frame_from_axes, transform
+from toolee_robot.types import CameraIntrinsics
+
+_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+@dataclass(frozen=True)
+class CameraConfig:
+    """The fixed camera (eye-to-hand). Intrinsics: a Kinect v2's depth camera, colour registered to it.
+
+    position: camera centre in `base`. target: the point it looks at. The image's up is the base's z.
+    """
+
+    __pydantic_config__ = _STRICT
+    position: tuple[float, float, float] = (0.95, -0.62, 0.85)
+    target: tuple[float, float, float] = (0.60, -0.15, 0.72)
+    fx: float = 365.5
+    fy: float = 365.5
+    cx: float = 254.9
+    cy: float = 205.4
+    width: int = 512
+    height: int = 424
+
+    @property
+    def intrinsics(self) -> CameraIntrinsics:
+        return CameraIntrinsics(self.fx, self.fy, self.cx, self.cy, self.width, self.height)
+
+    @property
+    def X_base_camera(self) -> Array:
+        """4x4, OpenCV axes."""
+        z = np.subtract(self.target, self.position)
+        x = np.cross(z, [0.0, 0.0, 1.0])
+        return frame_from_axes(z=z, x=x, p=self.position)
+
+
+@dataclass(frozen=True)
+class WorkConfig:
+    """The block on its stand, and the nail. Heights are over the base plane, which is the table's top.
+
+    nail_xy: the nail in `base`. block_size: wood, x, y, z. stand_height: what lifts the block. nail_protrusion: how
+    far the head's top stands over the wood before the first blow; nail_diameter and nail_length of the shank.
+    nail_head_diameter. The nail stands upright: X_base_nail's z points down, into the wood.
+    """
+
+    __pydantic_config__ = _STRICT
+    nail_xy: tuple[float, float] = (0.75, 0.10)
+    stand_height: float = 0.20
+    stand_size: tuple[float, float] = (0.09, 0.09)
+    block_size: tuple[float, float, float] = (0.10, 0.10, 0.06)
+    nail_diameter: float = 0.0025
+    nail_length: float = 0.050
+    nail_head_diameter: float = 0.006
+    nail_protrusion: float = 0.020
+
+    @property
+    def wood_height(self) -> float:
+        """Height of the block's top over the base plane."""
+        return self.stand_height + self.block_size[2]
+
+    def X_base_nail(self, protrusion: float | None = None) -> Array:
+        """Pose of the nail at a protrusion [m] (the initial one if None)."""
+        z = self.wood_height + (self.nail_protrusion if protrusion is None else protrusion)
+        return transform(np.diag([1.0, -1.0, -1.0]), [*self.nail_xy, z])
+
+
+@dataclass(frozen=True)
+class ArmLimits:
+    """What the planner may use: per joint velocity [rad/s], acceleration [rad/s^2] and jerk [rad/s^3].
+
+    UR10 data sheet: base and shoulder 120 deg/s, the others 180 deg/s. Accelerations are not public: 8 for blows is
+    a common choice, lower elsewhere.
+    """
+
+    __pydantic_config__ = _STRICT
+    velocity: tuple[float, ...] = (2.09, 2.09, 3.14, 3.14, 3.14, 3.14)
+    acceleration: float = 8.0
+    jerk: float = 150.0
+    transfer_velocity_scale: float = 0.35
+    transfer_acceleration: float = 3.0
+
+
+@dataclass(frozen=True)
+class StrikeConfig:
+    """How to hit. speed: wanted speed of the face at contact [m/s]; run_up: length of the straight run to the nail
+    [m]. touch_speed [m/s] and touch_force [N]: the slow guarded approach that measures where the face meets the
+    nail. clearance: least distance of anything to anything but face and nail [m]."""
+
+    __pydantic_config__ = _STRICT
+    speed: float = 1.5
+    run_up: float = 0.20
+    touch_speed: float = 0.03
+    touch_force: float = 12.0
+    contact_force: float = 60.0
+    clearance: float = 0.008
+
+
+@dataclass(frozen=True)
+class TaskConfig:
+    """When to go on, to look again and to end (HAMMER: limits as measured; see docs)."""
+
+    __pydantic_config__ = _STRICT
+    max_blows: int = 40
+    flush_protrusion: float = 0.001
+    min_progress: float = 0.0002
+    replan_slip: float = 0.005
+    replan_slip_angle: float = np.deg2rad(5.0)
+    abort_slip: float = 0.015
+    abort_slip_angle: float = np.deg2rad(15.0)
+    views: int = 5
+    blows_between_looks: int = 4
+    handover_timeout: float = 30.0
+
+
+@dataclass(frozen=True)
+class StationConfig:
+    """A whole station."""
+
+    __pydantic_config__ = _STRICT
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    work: WorkConfig = field(default_factory=WorkConfig)
+    arm: ArmLimits = field(default_factory=ArmLimits)
+    strike: StrikeConfig = field(default_factory=StrikeConfig)
+    task: TaskConfig = field(default_factory=TaskConfig)
+
+
+def load_station(path: Path) -> StationConfig:
+    """Read a station from YAML. Raises ConfigError naming every wrong field."""
+    try:
+        data = yaml.safe_load(path.read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError(f"cannot read the station file {path}: {error}") from error
+    try:
+        return TypeAdapter(StationConfig).validate_python(data or {})
+    except ValidationError as error:
+        lines = [f"  {'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()]
+        raise ConfigError(f"{path} is not a valid station:\n" + "\n".join(lines)) from error

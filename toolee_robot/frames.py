@@ -1,0 +1,127 @@
+"""Named frames, poses that check their frames when composed, and the few SE(3) functions everything uses.
+
+Monogram notation: `X_AB` is the pose of frame B in frame A, so inner letters cancel:
+`X_base_ee = X_base_camera @ X_camera_ee`. Inside an algorithm a pose is a 4x4 float64 array named that way;
+across module borders where a mix-up would hurt it is a `Pose`, which knows its frames.
+SI units, radians, quaternions xyzw.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.errors import FrameMismatchError
+
+Array = NDArray[np.float64]
+"""Any float64 array; the docstring at the use gives shape and units."""
+
+
+class Frame(StrEnum):
+    """The frames of the house.
+
+    `base`: the UR base. `flange`: UR tool0. `hand`: the palm. `tool`: the handle (grip centre, z from the butt
+    to the head, x to the working side). `ee`: the tool's end effector, coincident with its counterpart at
+    contact. `camera`: OpenCV (x right, y down, z forward). `nail`: centre of the head's top, z into the wood.
+    """
+
+    WORLD = "world"
+    BASE = "base"
+    FLANGE = "flange"
+    HAND = "hand"
+    TOOL = "tool"
+    EE = "ee"
+    CAMERA = "camera"
+    NAIL = "nail"
+
+
+@dataclass(frozen=True)
+class Pose:
+    """The pose of frame `child` in frame `parent`; `matrix` is 4x4 and rigid (checked to 1e-6)."""
+
+    parent: Frame
+    child: Frame
+    matrix: Array
+
+    def __post_init__(self) -> None:
+        X = np.array(self.matrix, dtype=np.float64)
+        if X.shape != (4, 4) or not is_rigid(X):
+            raise ValueError(f"X_{self.parent}_{self.child} is not a rigid 4x4 transform:\n{X}")
+        X.setflags(write=False)
+        object.__setattr__(self, "matrix", X)
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """X_AC = X_AB @ X_BC. Raises FrameMismatchError when the inner frames differ."""
+        if self.child != other.parent:
+            raise FrameMismatchError(
+                f"X_{self.parent}_{self.child} @ X_{other.parent}_{other.child}: inner frames differ; "
+                "invert one of them or fetch the missing transform"
+            )
+        return Pose(self.parent, other.child, self.matrix @ other.matrix)
+
+    def inv(self) -> Pose:
+        """X_BA from X_AB."""
+        return Pose(self.child, self.parent, inverse(self.matrix))
+
+
+def is_rigid(X: Array, tolerance: float = 1e-6) -> bool:
+    """Whether the 4x4 array is finite, orthonormal, right-handed and has the last row 0 0 0 1."""
+    if not np.all(np.isfinite(X)):
+        return False
+    R = X[:3, :3]
+    return bool(
+        np.allclose(R @ R.T, np.eye(3), atol=tolerance)
+        and np.linalg.det(R) > 0
+        and np.allclose(X[3], [0, 0, 0, 1], atol=tolerance)
+    )
+
+
+def transform(R: Any = None, p: Any = None) -> Array:
+    """4x4 pose from a rotation (3x3 array or scipy Rotation; identity if None) and a position [m] (zero if None)."""
+    X = np.eye(4)
+    if R is not None:
+        X[:3, :3] = R.as_matrix() if isinstance(R, Rotation) else np.asarray(R, dtype=np.float64)
+    if p is not None:
+        X[:3, 3] = np.asarray(p, dtype=np.float64)
+    return X
+
+
+def inverse(X: Array) -> Array:
+    """Inverse of rigid transforms, (..., 4, 4)."""
+    R_t = np.swapaxes(X[..., :3, :3], -1, -2)
+    Y = np.zeros_like(X)
+    Y[..., :3, :3] = R_t
+    Y[..., :3, 3] = -np.einsum("...ij,...j->...i", R_t, X[..., :3, 3])
+    Y[..., 3, 3] = 1.0
+    return Y
+
+
+def transform_points(X: Array, points: Array) -> Array:
+    """Points (..., N, 3) given in B, expressed in A, for X_AB (..., 4, 4)."""
+    return points @ np.swapaxes(X[..., :3, :3], -1, -2) + X[..., None, :3, 3]
+
+
+def rotation_angle(R: Array) -> float:
+    """Angle [rad] of a 3x3 rotation, accurate near 0 and pi."""
+    return float(np.linalg.norm(Rotation.from_matrix(R).as_rotvec()))
+
+
+def angle_between(a: Array, b: Array) -> float:
+    """Angle [rad] between two vectors (3,), accurate near 0 and pi."""
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), np.dot(a, b)))
+
+
+def frame_from_axes(*, z: Array, x: Array, p: Any = None) -> Array:
+    """Pose whose z is along `z` and whose x is the part of `x` orthogonal to it (both (3,), any length)."""
+    e_z = np.asarray(z, dtype=np.float64) / np.linalg.norm(z)
+    e_x = np.asarray(x, dtype=np.float64) - np.dot(x, e_z) * e_z
+    norm = np.linalg.norm(e_x)
+    if norm < 1e-9:
+        raise ValueError("x and z are parallel: they do not define a frame")
+    e_x = e_x / norm
+    return transform(np.column_stack([e_x, np.cross(e_z, e_x), e_z]), p)

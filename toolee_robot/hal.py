@@ -1,0 +1,173 @@
+"""The hardware abstraction: what an arm, a hand, a camera, a person and a clock promise to a task.
+
+The same Protocols stand for the simulation, for controller stand-ins and for real devices. They carry no ground
+truth. SI units, radians. All stamps are seconds on the station's clock. Devices are context managers; leaving the
+context brings the device to a safe standstill. A device that is unsure stands still and raises `DeviceError`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from types import TracebackType
+from typing import Protocol, Self, runtime_checkable
+
+from toolee_robot.frames import Array
+from toolee_robot.types import CameraIntrinsics, JointState, Payload, RgbdFrame, Trajectory
+
+
+class Device(Protocol):
+    """Anything that is opened, used and left in a safe state."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+@dataclass(frozen=True)
+class ArmState:
+    """joints: 6 joints. wrench: (6,) force [N] and torque [Nm] that the environment puts on the flange, base axes,
+    payload's weight and inertia compensated as well as the arm can."""
+
+    joints: JointState
+    wrench: Array
+
+
+@dataclass(frozen=True)
+class ContactGuard:
+    """Watch for contact during a motion.
+
+    force: sensed force [N] at the flange (payload-compensated) that counts as contact. after: time [s] on the
+    trajectory before which nothing counts (starting transients). On contact the arm brakes along the path from its
+    last commanded state as fast as its limits allow, and the motion ends.
+    """
+
+    force: float
+    after: float = 0.0
+
+
+class MotionOutcome(StrEnum):
+    """How a motion ended: as planned, at a contact, or stopped (a fault, a person, `stop()`)."""
+
+    COMPLETED = "completed"
+    CONTACT = "contact"
+    STOPPED = "stopped"
+
+
+@dataclass(frozen=True)
+class MotionReport:
+    """What really happened. stamps (N,) [s]; q_commanded, q_measured (N, 6); wrenches (N, 6).
+
+    contact: the arm's measured state at the first sample over the guard's force, or None.
+    """
+
+    outcome: MotionOutcome
+    stamps: Array
+    q_commanded: Array
+    q_measured: Array
+    wrenches: Array
+    contact: JointState | None = None
+
+
+@runtime_checkable
+class Arm(Device, Protocol):
+    """A six-joint position-controlled arm.
+
+    `execute` blocks until standstill and returns what was really sent and measured; the first sample must equal the
+    present commanded position within 0.01 rad or nothing moves (`LimitError`). Commands go out at `rate` [Hz] on an
+    absolute schedule. `stop` brings the arm to a standstill as fast as its limits allow, from the last commanded
+    state, and may be called at any time. `state(max_age)` raises `StaleDataError` when the newest reading is older
+    than max_age [s].
+    """
+
+    @property
+    def rate(self) -> float: ...
+
+    def state(self, max_age: float = 0.1) -> ArmState: ...
+
+    def execute(self, trajectory: Trajectory, guard: ContactGuard | None = None) -> MotionReport: ...
+
+    def set_payload(self, payload: Payload) -> None: ...
+
+    def stop(self) -> None: ...
+
+
+@dataclass(frozen=True)
+class HandState:
+    """joints: the hand's joints in the order of `joint_names` (wrist included).
+
+    contact_forces: finger -> force [N] on its pads (0 where nothing is touched); names are "thumb", "index",
+    "middle", "ring", "little", and "palm" where it can be felt. holding: the hand's own judgement that something is
+    held. assisted: the hold is the simulation's assisted grip, not friction alone.
+    """
+
+    joints: JointState
+    contact_forces: dict[str, float]
+    holding: bool
+    assisted: bool = False
+
+
+@runtime_checkable
+class Hand(Device, Protocol):
+    """A dexterous hand. Motions block until done or timed out [s]; a time-out raises `DeviceError` and keeps the grip.
+
+    `open` spreads the fingers, `close` closes until the fingers hold or are
+    shut. `stop` freezes the fingers and keeps the grip: it never lets go.
+    """
+
+    @property
+    def joint_names(self) -> tuple[str, ...]: ...
+
+    def state(self, max_age: float = 0.1) -> HandState: ...
+
+    def open(self, timeout: float = 5.0) -> None: ...
+
+    def close(self, timeout: float = 5.0) -> None: ...
+
+    def stop(self) -> None: ...
+
+
+@runtime_checkable
+class RgbdCamera(Device, Protocol):
+    """A calibrated RGB-D camera. `read` returns a frame exposed after the call began, at most max_age [s] old, or
+    raises `StaleDataError`; repeated stamps never pass as new frames."""
+
+    @property
+    def intrinsics(self) -> CameraIntrinsics: ...
+
+    def read(self, max_age: float = 0.5) -> RgbdFrame: ...
+
+
+@runtime_checkable
+class Person(Protocol):
+    """The person at the station: hands the tool over and confirms what software must not decide."""
+
+    def request_handover(self, prompt: str, timeout: float) -> bool:
+        """Ask for the tool; True once the person says that it lies in the open hand, False on time-out [s]."""
+        ...
+
+    def release(self, prompt: str, timeout: float) -> bool:
+        """Ask the person to let go and step back; True once they confirm that they are out of reach."""
+        ...
+
+
+@runtime_checkable
+class Clock(Protocol):
+    """The station's time [s]; a simulation advances it only by moving or sleeping."""
+
+    def now(self) -> float: ...
+
+    def sleep(self, duration: float) -> None: ...
+
+
+@dataclass(frozen=True)
+class Station:
+    """Everything a task may touch."""
+
+    arm: Arm
+    hand: Hand
+    camera: RgbdCamera
+    person: Person
+    clock: Clock
