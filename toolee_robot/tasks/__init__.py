@@ -1,1 +1,1 @@
-"""PLACEHOLDER"""
+"""Tasks: state machines that see a station only through the hardware abstraction."""

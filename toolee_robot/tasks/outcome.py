@@ -1,0 +1,69 @@
+"""How a hammering job can end, and the record of one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from toolee_robot.types import InHandEstimate
+
+
+class Outcome(StrEnum):
+    """Every ending has a name. Only FLUSH is success; all of them leave the arm at a standstill."""
+
+    FLUSH = "flush"
+    BENT = "bent"
+    STUCK = "stuck"
+    OUT_OF_BLOWS = "out_of_blows"
+    NO_HANDOVER = "no_handover"
+    NO_GRIP = "no_grip"
+    TOOL_LOST = "tool_lost"
+    TOOL_SLIPPED = "tool_slipped"
+    POSE_UNKNOWN = "pose_unknown"
+    NO_PLAN = "no_plan"
+    NAIL_MISSED = "nail_missed"
+    PERSON_NEAR = "person_near"
+    DEVICE_FAULT = "device_fault"
+    INTERRUPTED = "interrupted"
+    INTERNAL_ERROR = "internal_error"
+
+
+class Stage(StrEnum):
+    """The stages of the job, in the order in which they first come."""
+
+    HANDOVER = "handover"
+    GRIP = "grip"
+    VIEW = "view"
+    PERCEIVE = "perceive"
+    PLAN = "plan"
+    TOUCH = "touch"
+    STRIKE = "strike"
+    PARK = "park"
+
+
+@dataclass(frozen=True)
+class Blow:
+    """One blow as the robot knows it: stamp [s], planned face speed [m/s], peak sensed force [N], and the protrusion
+    [m] of the head over the wood that the touch after it measured."""
+
+    number: int
+    stamp: float
+    speed: float
+    peak_force: float
+    protrusion: float
+
+
+@dataclass(frozen=True)
+class HammerResult:
+    """The whole job. protrusion [m] is what the robot measured last; stage_seconds are wall-clock."""
+
+    outcome: Outcome
+    reason: str
+    blows: tuple[Blow, ...]
+    protrusion: float | None
+    estimates: tuple[tuple[float, InHandEstimate], ...] = ()
+    stage_seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def success(self) -> bool:
+        return self.outcome is Outcome.FLUSH
