@@ -59,7 +59,8 @@ class WorkConfig:
 
     nail_xy: the nail in `base`. block_size: wood, x, y, z. stand_height: what lifts the block. nail_protrusion: how
     far the head's top stands over the wood before the first blow; nail_diameter and nail_length of the shank.
-    nail_head_diameter. The nail stands upright: X_base_nail's z points down, into the wood.
+    nail_head_diameter. The nail stands upright: X_base_nail's z points down, into the wood. wood_specific_gravity:
+    pine 0.42. pilot_hole_diameter: drilled before, 0 for none.
     """
 
     __pydantic_config__ = _STRICT
@@ -68,9 +69,11 @@ class WorkConfig:
     stand_size: tuple[float, float] = (0.09, 0.09)
     block_size: tuple[float, float, float] = (0.10, 0.10, 0.06)
     nail_diameter: float = 0.0025
-    nail_length: float = 0.050
+    nail_length: float = 0.030
     nail_head_diameter: float = 0.006
     nail_protrusion: float = 0.020
+    wood_specific_gravity: float = 0.42
+    pilot_hole_diameter: float = 0.0015
 
     @property
     def wood_height(self) -> float:
