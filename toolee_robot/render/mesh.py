@@ -1,0 +1,148 @@
+"""Triangle meshes as the renderer wants them: float32, with a normal per corner that respects creases."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolee_robot.frames import Array
+
+FloatArray = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """vertices (V, 3) [m] in the body's frame; faces (F, 3) int32, counter-clockwise seen from outside;
+    corner_normals (F, 3, 3) unit."""
+
+    vertices: FloatArray
+    faces: NDArray[np.int32]
+    corner_normals: FloatArray
+
+    @staticmethod
+    def build(vertices: object, faces: object, crease_deg: float = 35.0) -> Mesh:
+        """Mesh with normals smoothed across edges flatter than `crease_deg`; corners that coincide to 1 um share
+        their normals even where the file stores them as separate vertices (STL)."""
+        v = np.ascontiguousarray(np.asarray(vertices, dtype=np.float32).reshape(-1, 3))
+        f = np.ascontiguousarray(np.asarray(faces, dtype=np.int32).reshape(-1, 3))
+        if not np.all(np.isfinite(v)) or (f.size and (f.min() < 0 or f.max() >= len(v))):
+            raise ValueError("mesh has non-finite vertices or faces that point outside of them")
+        return Mesh(v, f, corner_normals(v, f, crease_deg))
+
+    def mirrored(self) -> Mesh:
+        """The mesh reflected in x = 0 (a right hand's link as a left hand's), winding kept outward."""
+        flip = np.array([-1.0, 1.0, 1.0], np.float32)
+        order = [0, 2, 1]
+        return Mesh(
+            np.ascontiguousarray(self.vertices * flip),
+            np.ascontiguousarray(self.faces[:, order]),
+            np.ascontiguousarray(self.corner_normals[:, order] * flip),
+        )
+
+    def scaled(self, factor: float) -> Mesh:
+        """The mesh scaled uniformly about its origin."""
+        return Mesh(np.ascontiguousarray(self.vertices * np.float32(factor)), self.faces, self.corner_normals)
+
+
+def corner_normals(vertices: FloatArray, faces: NDArray[np.int32], crease_deg: float) -> FloatArray:
+    """(F, 3, 3) area-weighted means over the faces around a vertex that lie within `crease_deg` of the corner's."""
+    if len(faces) == 0:
+        return np.zeros((0, 3, 3), np.float32)
+    corners = vertices[faces]
+    area_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(area_normals, axis=1, keepdims=True)
+    unit = area_normals / np.maximum(area, 1e-20)
+    keys = np.round(vertices.astype(np.float64) * 1e6).astype(np.int64)
+    merged = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)[faces].reshape(-1)  # vertex of each corner
+    order = np.argsort(merged, kind="stable")
+    counts = np.bincount(merged)
+    # Pairs of corners that share a vertex: k-th partner of each corner, for the vertex valences that occur.
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    sorted_face = order // 3
+    valence = counts[merged[order]]
+    start = starts[merged[order]]
+    total = np.zeros((len(order), 3), np.float32)
+    cos_crease = np.cos(np.deg2rad(crease_deg))
+    alive = np.arange(len(order))
+    for k in range(min(int(counts.max()), 48)):  # a fan tip's 49th neighbour changes nothing visible
+        alive = alive[valence[alive] > k]
+        partner = sorted_face[start[alive] + k]
+        close = np.einsum("ij,ij->i", unit[partner], unit[sorted_face[alive]]) > cos_crease
+        total[alive[close]] += area_normals[partner[close]]
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    normals = np.where(length > 1e-20, total / np.maximum(length, 1e-20), unit[sorted_face])
+    out = np.empty((len(faces) * 3, 3), np.float32)
+    out[order] = normals
+    return out.reshape(-1, 3, 3)
+
+
+def box(size: tuple[float, float, float] | Array) -> Mesh:
+    """Axis-aligned box of the given side lengths [m], centred on the origin."""
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+    faces = [
+        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+    ]  # fmt: skip
+    return Mesh.build(signs * (np.asarray(size, np.float32) / 2), faces)
+
+
+def plane(size: float) -> Mesh:
+    """Square in z = 0 facing +z, side `size` [m]."""
+    h = size / 2
+    return Mesh.build([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]], [[0, 1, 2], [0, 2, 3]])
+
+
+def cylinder(radius: float, length: float, sections: int = 24, top_radius: float | None = None) -> Mesh:
+    """Cylinder (or cone frustum) along z, centred [m]."""
+    top = radius if top_radius is None else top_radius
+    angle = 2 * np.pi * np.arange(sections) / sections
+    ring = np.column_stack([np.cos(angle), np.sin(angle)])
+    low = np.column_stack([ring * radius, np.full(sections, -length / 2)])
+    high = np.column_stack([ring * top, np.full(sections, length / 2)])
+    vertices = np.vstack([low, high, [[0, 0, -length / 2], [0, 0, length / 2]]])
+    i = np.arange(sections)
+    j = (i + 1) % sections
+    n = sections
+    faces = np.vstack(
+        [
+            np.column_stack([i, j, j + n]),
+            np.column_stack([i, j + n, i + n]),
+            np.column_stack([np.full(n, 2 * n), j, i]),
+            np.column_stack([np.full(n, 2 * n + 1), i + n, j + n]),
+        ]
+    )
+    return Mesh.build(vertices, faces)
+
+
+def sphere(radius: float, subdivisions: int = 3) -> Mesh:
+    """Icosphere [m]; its vertices lie on the sphere."""
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
+    return Mesh.build(ball.vertices, ball.faces, crease_deg=80.0)
+
+
+def tube(points: Array, radius: float, sections: int = 10) -> Mesh:
+    """A cable: a round tube of `radius` [m] swept along the polyline `points` (N, 3) [m], ends open."""
+    p = np.asarray(points, dtype=np.float64)
+    tangent = np.gradient(p, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    reference = np.eye(3)[np.argmin(np.abs(tangent[0]))]
+    rings = []
+    for t, c in zip(tangent, p, strict=True):
+        reference = reference - np.dot(reference, t) * t
+        reference /= np.linalg.norm(reference)
+        angle = 2 * np.pi * np.arange(sections) / sections
+        rings.append(
+            c + radius * (np.outer(np.cos(angle), reference) + np.outer(np.sin(angle), np.cross(t, reference)))
+        )
+    i = np.arange(sections)
+    j = (i + 1) % sections
+    base = (np.arange(len(p) - 1) * sections)[:, None]
+    quads = [
+        np.stack([base + i, base + j, base + sections + j], -1),
+        np.stack([base + i, base + sections + j, base + sections + i], -1),
+    ]
+    return Mesh.build(np.vstack(rings), np.vstack([q.reshape(-1, 3) for q in quads]), crease_deg=80.0)
