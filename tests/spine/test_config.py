@@ -1,0 +1,74 @@
+"""A station file is read strictly: what is not understood is named, with the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from toolee_robot.config import StationConfig, load_station
+from toolee_robot.errors import ConfigError, UserError
+from toolee_robot.frames import is_rigid
+
+
+def _write(folder: Path, text: str) -> Path:
+    path = folder / "lab.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_a_subset_of_the_fields_is_enough(tmp_path: Path) -> None:
+    config = load_station(_write(tmp_path, "work: {nail_xy: [0.6, 0.2], nail_diameter: 0.003}\ntask: {max_blows: 7}\n"))
+    assert config.work.nail_xy == (0.6, 0.2)
+    assert config.task.max_blows == 7
+    assert config.camera == StationConfig().camera
+
+
+def test_an_empty_file_is_the_default_station(tmp_path: Path) -> None:
+    assert load_station(_write(tmp_path, "")) == StationConfig()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("work: {nail_xz: [0.6, 0.2]}", "work.nail_xz"),
+        ("task: {max_blows: many}", "task.max_blows"),
+        ("work: {nail_xy: [0.6]}", "work.nail_xy"),
+        ("strike: {speed: .nan}", "strike.speed"),
+        ("robot: ur5", "robot"),
+        ("- a\n- list", "lab.yaml"),
+        ("work: {nail_xy: [0.6, 0.2", "lab.yaml"),
+        ("just words", "lab.yaml"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path: Path, text: str, says: str) -> None:
+    with pytest.raises(ConfigError, match=says.replace(".", r"\.")) as caught:
+        load_station(_write(tmp_path, text))
+    assert isinstance(caught.value, UserError)
+
+
+def test_a_missing_file_and_a_binary_one_are_the_users_fault(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot read"):
+        load_station(tmp_path / "none.yaml")
+    (tmp_path / "image.yaml").write_bytes(b"\x89PNG\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="cannot read"):
+        load_station(tmp_path / "image.yaml")
+
+
+def test_the_cameras_pose_looks_at_its_target_with_the_image_upright() -> None:
+    camera = StationConfig().camera
+    X = camera.X_base_camera
+    assert is_rigid(X)
+    away = np.subtract(camera.target, camera.position)
+    np.testing.assert_allclose(X[:3, 2], away / np.linalg.norm(away), atol=1e-12)
+    assert X[2, 0] == pytest.approx(0.0), "the image's rows are level"
+    assert X[2, 1] < 0, "down in the image is down in the world"
+
+
+def test_the_nails_frame_points_into_the_wood_and_sinks_with_it() -> None:
+    work = StationConfig().work
+    X0, X1 = work.X_base_nail(), work.X_base_nail(0.0)
+    np.testing.assert_allclose(X0[:3, 2], [0, 0, -1])
+    assert X0[2, 3] - X1[2, 3] == pytest.approx(work.nail_protrusion)
+    assert X1[2, 3] == pytest.approx(work.wood_height)
