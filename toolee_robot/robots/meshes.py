@@ -1,0 +1,43 @@
+"""Link meshes in metres, thinned for rendering."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+
+from toolee_robot.errors import AssetError
+from toolee_robot.robots.tree import Link
+
+
+def cluster_vertices(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
+    """Merge the vertices of each cube of edge `cell` [m] into their mean and drop faces that vanish."""
+    keys = np.floor(mesh.vertices / cell).astype(np.int64)
+    _, index = np.unique(keys, axis=0, return_inverse=True)
+    index = index.reshape(-1)
+    count = np.bincount(index)
+    vertices = np.column_stack([np.bincount(index, weights=mesh.vertices[:, k]) / count for k in range(3)])
+    faces = index[mesh.faces]
+    keep = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    faces = faces[keep]
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    return trimesh.Trimesh(vertices, faces[np.sort(first)], process=False)
+
+
+def link_mesh(link: Link, cell: float | None) -> trimesh.Trimesh | None:
+    """The link's visual in the link's frame [m], thinned to `cell` [m] (None: as it is); None without a visual."""
+    parts = []
+    for shape in link.visuals:
+        try:
+            mesh: trimesh.Trimesh = trimesh.load_mesh(shape.mesh)
+        except (OSError, ValueError) as error:
+            raise AssetError(f"cannot read the mesh {shape.mesh}: {error}; reinstall the model packages") from error
+        mesh.vertices *= shape.scale
+        mesh.merge_vertices()
+        mesh.apply_transform(shape.X_link_shape)
+        parts.append(mesh if cell is None else cluster_vertices(mesh, cell))
+    if not parts:
+        return None
+    vertices = np.concatenate([part.vertices for part in parts])
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+    faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)])
+    return trimesh.Trimesh(vertices, faces, process=False)

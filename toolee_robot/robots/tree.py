@@ -1,0 +1,91 @@
+"""A kinematic tree of links with shapes and inertia, and its forward kinematics in plain numpy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.frames import Array, transform
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A shape on a link. kind: "box" (size: full extents), "cylinder" (radius, length; along z), "sphere" (radius)
+    or "mesh" (size: empty; `mesh` names an STL file, `scale` turns it into metres). X_link_shape: 4x4."""
+
+    kind: str
+    size: tuple[float, ...]
+    X_link_shape: Array
+    mesh: Path | None = None
+    scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """mass [kg], centre of mass and principal axes X_link_com, principal moments (3,) [kg m^2]."""
+
+    mass: float
+    X_link_com: Array
+    moments: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Link:
+    """A link and the joint that carries it.
+
+    X_parent_joint: the joint's frame in the parent, which is the link's frame at q = 0. axis: (3,) unit vector of a
+    revolute joint, or None for a fixed one. lower, upper [rad], effort [Nm], velocity [rad/s]: the joint's limits.
+    """
+
+    name: str
+    parent: str | None
+    X_parent_joint: Array
+    joint: str
+    axis: Array | None = None
+    lower: float = 0.0
+    upper: float = 0.0
+    effort: float = 0.0
+    velocity: float = 0.0
+    inertial: Inertial | None = None
+    visuals: tuple[Shape, ...] = ()
+    collisions: tuple[Shape, ...] = ()
+
+
+@dataclass(frozen=True)
+class Tree:
+    """Links, parents before children."""
+
+    links: tuple[Link, ...]
+    by_name: Mapping[str, Link] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "by_name", {link.name: link for link in self.links})
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the movable joints, in tree order."""
+        return tuple(link.joint for link in self.links if link.axis is not None)
+
+    def limits(self) -> tuple[Array, Array]:
+        """Lower and upper position limits [rad] of the movable joints, (n,) each."""
+        movable = [link for link in self.links if link.axis is not None]
+        return np.array([link.lower for link in movable]), np.array([link.upper for link in movable])
+
+    def link_poses(self, q: Array) -> dict[str, Array]:
+        """Pose (4x4) of every link in the root's frame at joint positions q (n,) [rad], in the order of `joints`."""
+        q = np.asarray(q, dtype=np.float64)
+        if q.shape != (len(self.joints),):
+            raise ValueError(f"q must have shape ({len(self.joints)},), got {q.shape}")
+        poses: dict[str, Array] = {}
+        i = 0
+        for link in self.links:
+            X = link.X_parent_joint
+            if link.axis is not None:
+                X = X @ transform(Rotation.from_rotvec(q[i] * link.axis))
+                i += 1
+            poses[link.name] = X if link.parent is None else poses[link.parent] @ X
+        return poses
