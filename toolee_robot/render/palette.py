@@ -1,0 +1,68 @@
+"""From a plain description (what it is called, its sRGB colour) to a material with the right texture."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from toolee_robot.render.material import Material, Pattern
+
+Color = tuple[float, float, float]
+
+
+def linear(srgb: Color) -> Color:
+    """Linear RGB of an sRGB colour in [0, 1]."""
+    c = np.clip(np.asarray(srgb, dtype=np.float64), 0.0, 1.0)
+    r, g, b = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+    return float(r), float(g), float(b)
+
+
+def finish(
+    name: str, srgb: Color, roughness: float, metallic: float, rng: np.random.Generator, axis: int = 2
+) -> Material:
+    """The material of a surface called `name` (as in `toolee_robot.tools.materials`, or "wood_block", "skin",
+    "concrete", "steel", "plastic", ...): wood gets a grain along `axis`, steel scratches, rubber and skin mottling.
+
+    srgb in [0, 1]; roughness, metallic in [0, 1]. The generator places the pattern and ages the surface.
+    """
+    base = np.asarray(linear(srgb))
+    offset = tuple(float(o) for o in rng.uniform(-1.0, 1.0, 3))
+    age = float(rng.uniform(0.0, 0.5))
+    factor, pattern, scale, wear = 1.0, Pattern.SOLID, 0.02, 0.3 * age
+    if name.startswith("wood"):
+        factor, pattern, scale = float(rng.uniform(0.5, 0.75)), Pattern.WOOD, float(rng.uniform(0.006, 0.014))
+    elif name.startswith("steel") or name in ("brass", "aluminium"):
+        factor, pattern, scale = 1.0 - 0.7 * age, Pattern.SCRATCHES, float(rng.uniform(0.002, 0.006))
+        wear = age
+    elif name.startswith("rubber") or name == "skin":
+        factor, pattern, scale = float(rng.uniform(0.75, 0.95)), Pattern.CLOUD, float(rng.uniform(0.004, 0.02))
+    elif name == "concrete":
+        factor, pattern, scale = 0.75, Pattern.CLOUD, 0.05
+    second = np.clip(base * factor, 0.0, 1.0)
+    return Material(
+        color=(float(base[0]), float(base[1]), float(base[2])),
+        color2=(float(second[0]), float(second[1]), float(second[2])),
+        pattern=pattern,
+        scale=scale,
+        axis=axis,
+        roughness=float(np.clip(roughness + 0.25 * age * metallic, 0.05, 1.0)),
+        metallic=metallic,
+        wear=wear,
+        offset=(offset[0], offset[1], offset[2]),
+    )
+
+
+def skin_tone(rng: np.random.Generator) -> Color:
+    """An sRGB skin colour, light to dark."""
+    light, dark = np.array([0.92, 0.74, 0.64]), np.array([0.28, 0.17, 0.12])
+    c = np.clip(dark + rng.uniform() * (light - dark) + rng.normal(0.0, 0.02, 3), 0.0, 1.0)
+    return float(c[0]), float(c[1]), float(c[2])
+
+
+def any_color(rng: np.random.Generator) -> Color:
+    """An sRGB colour: half of the time nearly grey, as most things in a workshop are."""
+    value = rng.uniform(0.03, 0.95)
+    saturation = rng.uniform(0.0, 0.12) if rng.random() < 0.5 else rng.uniform(0.2, 0.9)
+    hue = rng.uniform(0.0, 6.0)
+    tint = np.clip(np.abs((hue + np.array([0.0, 4.0, 2.0])) % 6.0 - 3.0) - 1.0, 0.0, 1.0)
+    c = value * (1.0 - saturation * (1.0 - tint))
+    return float(c[0]), float(c[1]), float(c[2])
