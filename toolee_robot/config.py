@@ -12,16 +12,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import yaml
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array, frame_from_axes, transform
 from toolee_robot.types import CameraIntrinsics
 
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=1)]
 
 
 @dataclass(frozen=True)
@@ -34,12 +39,12 @@ class CameraConfig:
     __pydantic_config__ = _STRICT
     position: tuple[float, float, float] = (0.95, -0.62, 0.85)
     target: tuple[float, float, float] = (0.60, -0.15, 0.72)
-    fx: float = 365.5
-    fy: float = 365.5
+    fx: Positive = 365.5
+    fy: Positive = 365.5
     cx: float = 254.9
     cy: float = 205.4
-    width: int = 512
-    height: int = 424
+    width: Count = 512
+    height: Count = 424
 
     @property
     def intrinsics(self) -> CameraIntrinsics:
@@ -65,15 +70,23 @@ class WorkConfig:
 
     __pydantic_config__ = _STRICT
     nail_xy: tuple[float, float] = (0.75, 0.10)
-    stand_height: float = 0.20
-    stand_size: tuple[float, float] = (0.09, 0.09)
-    block_size: tuple[float, float, float] = (0.10, 0.10, 0.06)
-    nail_diameter: float = 0.0025
-    nail_length: float = 0.030
-    nail_head_diameter: float = 0.006
-    nail_protrusion: float = 0.020
-    wood_specific_gravity: float = 0.42
-    pilot_hole_diameter: float = 0.0015
+    stand_height: Positive = 0.20
+    stand_size: tuple[Positive, Positive] = (0.09, 0.09)
+    block_size: tuple[Positive, Positive, Positive] = (0.10, 0.10, 0.06)
+    nail_diameter: Positive = 0.0025
+    nail_length: Positive = 0.030
+    nail_head_diameter: Positive = 0.006
+    nail_protrusion: Positive = 0.020
+    wood_specific_gravity: Annotated[float, Field(gt=0, lt=1.5)] = 0.42
+    pilot_hole_diameter: NotNegative = 0.0015
+
+    def __post_init__(self) -> None:
+        if self.nail_protrusion > self.nail_length:
+            raise ValueError(f"nail_protrusion {self.nail_protrusion} is more than nail_length {self.nail_length}")
+        if self.pilot_hole_diameter >= self.nail_diameter:
+            raise ValueError(
+                f"pilot_hole_diameter {self.pilot_hole_diameter} leaves nail_diameter {self.nail_diameter} no hold"
+            )
 
     @property
     def wood_height(self) -> float:
@@ -95,11 +108,11 @@ class ArmLimits:
     """
 
     __pydantic_config__ = _STRICT
-    velocity: tuple[float, ...] = (2.09, 2.09, 3.14, 3.14, 3.14, 3.14)
-    acceleration: float = 8.0
-    jerk: float = 150.0
-    transfer_velocity_scale: float = 0.35
-    transfer_acceleration: float = 3.0
+    velocity: tuple[Positive, Positive, Positive, Positive, Positive, Positive] = (2.09, 2.09, 3.14, 3.14, 3.14, 3.14)
+    acceleration: Positive = 8.0
+    jerk: Positive = 150.0
+    transfer_velocity_scale: Annotated[float, Field(gt=0, le=1)] = 0.35
+    transfer_acceleration: Positive = 3.0
 
 
 @dataclass(frozen=True)
@@ -109,12 +122,12 @@ class StrikeConfig:
     nail. clearance: least distance of anything to anything but face and nail [m]."""
 
     __pydantic_config__ = _STRICT
-    speed: float = 1.5
-    run_up: float = 0.20
-    touch_speed: float = 0.03
-    touch_force: float = 12.0
-    contact_force: float = 60.0
-    clearance: float = 0.008
+    speed: Positive = 1.5
+    run_up: Positive = 0.20
+    touch_speed: Positive = 0.03
+    touch_force: Positive = 12.0
+    contact_force: Positive = 60.0
+    clearance: NotNegative = 0.008
 
 
 @dataclass(frozen=True)
@@ -122,16 +135,16 @@ class TaskConfig:
     """When to go on, to look again and to end (HAMMER: limits as measured; see docs)."""
 
     __pydantic_config__ = _STRICT
-    max_blows: int = 40
-    flush_protrusion: float = 0.001
-    min_progress: float = 0.0002
-    replan_slip: float = 0.005
-    replan_slip_angle: float = np.deg2rad(5.0)
-    abort_slip: float = 0.015
-    abort_slip_angle: float = np.deg2rad(15.0)
-    views: int = 5
-    blows_between_looks: int = 4
-    handover_timeout: float = 30.0
+    max_blows: Count = 40
+    flush_protrusion: Positive = 0.001
+    min_progress: NotNegative = 0.0002
+    replan_slip: Positive = 0.005
+    replan_slip_angle: Positive = np.pi / 36
+    abort_slip: Positive = 0.015
+    abort_slip_angle: Positive = np.pi / 12
+    views: Count = 5
+    blows_between_looks: Count = 4
+    handover_timeout: Positive = 30.0
 
 
 @dataclass(frozen=True)
