@@ -4,7 +4,7 @@ The nail slides along its axis on a prismatic joint whose motor holds velocity 0
 resistance at the present depth: the solver's own Coulomb law, stable where an explicit force diverges. Two hinges
 at the wood's surface hold with the shank's plastic moment: a lateral or eccentric blow beyond it bends the nail for
 good. The nail's 20 g is more than a real nail's (about 2 g): the solver needs the mass ratio. Call `before_step`
-before every step, and step at IMPACT_TIME_STEP with IMPACT_ITERATIONS while `impact_near(body)`.
+before every step, and step with `impact.IMPACT` while `impact_near(body)`.
 """
 
 from __future__ import annotations
@@ -18,11 +18,9 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend.wood import NailSpec, resistance
 
-IMPACT_TIME_STEP = 1 / 4000  # [s]
-IMPACT_ITERATIONS = 100
 IMPACT_DISTANCE = 0.015  # [m] between a body and the nail's head at which the impact window opens
 LUMPED_MASS = 0.020  # [kg]
-STOP_FORCE = 20e3  # [N] once the head's top is level with the wood
+STOP_FORCE = 1e6  # [N] once the head's top is level with the wood
 BENT_ANGLE = np.deg2rad(10.0)
 HINGE_MASS, HINGE_INERTIA = 1e-3, 1e-7  # [kg], [kg m^2]: what the hinges' massless frames weigh
 HINGE_X, HINGE_Y, SLIDE = 0, 1, 2
@@ -59,8 +57,6 @@ class Nail:
         if wood is not None:
             for link in range(-1, 3):
                 pb.setCollisionFilterPair(self.body, wood, link, -1, 0, physicsClientId=client)
-        for hinge in (HINGE_X, HINGE_Y):
-            self._hold(hinge, spec.plastic_moment)
         self.before_step(0.0)
 
     def _create(self) -> int:
@@ -118,12 +114,19 @@ class Nail:
             self.body, joint, pb.VELOCITY_CONTROL, targetVelocity=0.0, force=limit, physicsClientId=self._client
         )
 
-    def before_step(self, dt: float) -> None:  # noqa: ARG002 - the signature of the world's step callbacks
-        """Set the wood's resistance at the present depth; the world calls it before each step."""
-        self._hold(SLIDE, STOP_FORCE if self.protrusion <= 0.0 else resistance(self.spec, self.protrusion))
+    def before_step(self, dt: float) -> None:
+        """Set the motors' limits for the step of `dt` [s] to come: the wood's resistance at the present depth and
+        the plastic moment. The world calls it before each step, once the engine has that step's length (pybullet
+        stores a motor's limit as an impulse). The step that would end below the wood's surface is not made."""
+        travel, speed = pb.getJointState(self.body, SLIDE, physicsClientId=self._client)[:2]
+        protrusion = self.spec.protrusion - travel
+        down = protrusion - max(speed, 0.0) * dt <= 0.0
+        self._hold(SLIDE, STOP_FORCE if down else resistance(self.spec, protrusion))
+        for hinge in (HINGE_X, HINGE_Y):
+            self._hold(hinge, self.spec.plastic_moment)
 
     def impact_near(self, body: int, link: int = -1) -> bool:
-        """Whether `body` is so close to the nail's head that steps must be IMPACT_TIME_STEP long."""
+        """Whether `body` is so close to the nail's head that steps must be those of `impact.IMPACT`."""
         near = pb.getClosestPoints(
             body, self.body, IMPACT_DISTANCE, linkIndexA=link, linkIndexB=SLIDE, physicsClientId=self._client
         )

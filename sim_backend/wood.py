@@ -52,7 +52,7 @@ class NailSpec:
         if not self.diameter < self.head_diameter <= 0.03:
             raise ConfigError(f"nail head {self.head_diameter} m: it must be wider than the shank, at most 0.03 m")
         if not 0 <= self.pilot_diameter < self.diameter:
-            raise ConfigError(f"pilot hole {self.pilot_diameter} m: it must be narrower than the nail ({self.diameter})")
+            raise ConfigError(f"pilot hole {self.pilot_diameter} m: must be narrower than the nail ({self.diameter})")
         if not 0.1 <= self.specific_gravity <= 1.2:
             raise ConfigError(f"specific gravity {self.specific_gravity}: woods lie between 0.1 and 1.2 (pine 0.42)")
         if not 0 < self.head_thickness < self.protrusion < self.length:
