@@ -22,6 +22,7 @@ from toolee_robot.robots.description import (
     load_robot,
 )
 from toolee_robot.robots.grasp import FINGERS, finger_of, hand_posture, nominal_X_hand_tool
+from toolee_robot.robots.wrap import wrap_fingers
 
 __all__ = [
     "ARM_JOINTS",
@@ -39,4 +40,5 @@ __all__ = [
     "hand_posture",
     "load_robot",
     "nominal_X_hand_tool",
+    "wrap_fingers",
 ]

@@ -94,11 +94,16 @@ class RobotDescription:
 
 
 @lru_cache(maxsize=1)
+def hand_tree() -> Tree:
+    """The Shadow Hand's links, rooted in its forearm (parent: the flange). Needs gymnasium-robotics' files only, found
+    on the import path without importing them."""
+    return read_shadow_hand(shadow_hand_folder(), FLANGE_FRAME, X_FLANGE_FOREARM)
+
+
+@lru_cache(maxsize=1)
 def robot_tree() -> Tree:
     """The merged kinematic tree. Raises AssetError naming the pip package when a model is missing."""
-    arm = read_ur10(ur10_urdf())
-    hand = read_shadow_hand(shadow_hand_folder(), FLANGE_FRAME, X_FLANGE_FOREARM)
-    tree = Tree((*arm.links, *hand.links))
+    tree = Tree((*read_ur10(ur10_urdf()).links, *hand_tree().links))
     if tree.joints != (*ARM_JOINTS, *HAND_JOINTS):
         raise AssetError(
             f"the model packages changed their joints: {tree.joints}; install the versions in pyproject.toml"
@@ -164,9 +169,9 @@ def load_robot() -> RobotDescription:
 
 def hand_link_poses(q_hand: Array) -> dict[str, Array]:
     """X_hand_link (4x4) of every link of the hand, forearm included, at q_hand (24,) [rad] in the order HAND_JOINTS."""
-    poses = robot_tree().link_poses(np.concatenate([np.zeros(len(ARM_JOINTS)), q_hand]))
-    X_hand_base = inverse(poses[HAND_FRAME])
-    return {name: X_hand_base @ X for name, X in poses.items() if name.startswith("rh_")}
+    poses = hand_tree().link_poses(q_hand)
+    X_hand_flange = inverse(poses[HAND_FRAME])
+    return {name: X_hand_flange @ X for name, X in poses.items()}
 
 
 def arm_link_poses(q_arm: Array) -> dict[str, Array]:
@@ -177,18 +182,18 @@ def arm_link_poses(q_arm: Array) -> dict[str, Array]:
 
 @lru_cache(maxsize=2)
 def _meshes(hand: bool) -> dict[str, trimesh.Trimesh]:
+    links = hand_tree().links if hand else read_ur10(ur10_urdf()).links
     found = {}
-    for link in robot_tree().links:
-        if link.name.startswith("rh_") == hand:
-            cell = _FOREARM_CELL if link.name == "rh_forearm" else _HAND_CELL if hand else _ARM_CELL
-            mesh = link_mesh(link, cell)
-            if mesh is not None:
-                found[link.name] = mesh
+    for link in links:
+        cell = _FOREARM_CELL if link.name == "rh_forearm" else _HAND_CELL if hand else _ARM_CELL
+        mesh = link_mesh(link, cell)
+        if mesh is not None:
+            found[link.name] = mesh
     return found
 
 
 def hand_meshes() -> dict[str, trimesh.Trimesh]:
-    """Link -> mesh in the link's frame [m], the hand with its forearm, at most 8000 faces in all."""
+    """Link -> mesh in the link's frame [m], the hand with its forearm, about 8000 faces in all."""
     return _meshes(True)
 
 

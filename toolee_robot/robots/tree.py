@@ -7,9 +7,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from toolee_robot.frames import Array, transform
+from toolee_robot.frames import Array
+
+
+def _rotation(axis: Array, angle: float) -> Array:
+    """Rodrigues' formula, 3x3; scipy's Rotation costs ten times as much a call."""
+    x, y, z = axis
+    c, s = np.cos(angle), np.sin(angle)
+    t = 1.0 - c
+    return np.array(
+        [
+            [t * x * x + c, t * x * y - s * z, t * x * z + s * y],
+            [t * x * y + s * z, t * y * y + c, t * y * z - s * x],
+            [t * x * z - s * y, t * y * z + s * x, t * z * z + c],
+        ]
+    )
 
 
 @dataclass(frozen=True)
@@ -76,7 +89,7 @@ class Tree:
         return np.array([link.lower for link in movable]), np.array([link.upper for link in movable])
 
     def link_poses(self, q: Array) -> dict[str, Array]:
-        """Pose (4x4) of every link in the root's frame at joint positions q (n,) [rad], in the order of `joints`."""
+        """Pose (4x4) of every link in the root's parent frame at joint positions q (n,) [rad], in the order of `joints`."""
         q = np.asarray(q, dtype=np.float64)
         if q.shape != (len(self.joints),):
             raise ValueError(f"q must have shape ({len(self.joints)},), got {q.shape}")
@@ -85,7 +98,8 @@ class Tree:
         for link in self.links:
             X = link.X_parent_joint
             if link.axis is not None:
-                X = X @ transform(Rotation.from_rotvec(q[i] * link.axis))
+                X = X.copy()
+                X[:3, :3] = X[:3, :3] @ _rotation(link.axis, q[i])
                 i += 1
-            poses[link.name] = X if link.parent is None else poses[link.parent] @ X
+            poses[link.name] = poses[link.parent] @ X if link.parent in poses else X
         return poses

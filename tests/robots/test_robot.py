@@ -1,0 +1,149 @@
+"""One robot, three readers: our numpy kinematics, Pinocchio and pybullet agree."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+from collections.abc import Iterator
+
+import numpy as np
+import pinocchio as pin
+import pybullet as p
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from toolee_robot.errors import AssetError
+from toolee_robot.frames import Array, inverse, transform_points
+from toolee_robot.robots import (
+    HAND_FRAME,
+    arm_meshes,
+    hand_link_poses,
+    hand_meshes,
+    load_robot,
+    nominal_X_hand_tool,
+    wrap_fingers,
+)
+from toolee_robot.robots.assets import shadow_hand_folder, ur10_urdf
+
+
+def _configurations(n: int) -> Array:
+    robot = load_robot()
+    rng = np.random.default_rng(7)
+    return rng.uniform(robot.lower, robot.upper, (n, len(robot.lower)))
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[int]:
+    client = p.connect(p.DIRECT)
+    yield client
+    p.disconnect(client)
+
+
+def test_forward_kinematics_agree_with_pinocchio() -> None:
+    robot = load_robot()
+    model = pin.buildModelFromUrdf(str(robot.urdf_path))
+    data = model.createData()
+    names = (*robot.arm_joints, *robot.hand_joints)
+    index = [model.joints[model.getJointId(name)].idx_q for name in names]
+    for q in _configurations(20):
+        q_pin = np.zeros(model.nq)
+        q_pin[index] = q
+        pin.framesForwardKinematics(model, data, q_pin)
+        for name, X in robot.link_poses(q[:6], q[6:]).items():
+            np.testing.assert_allclose(data.oMf[model.getFrameId(name)].homogeneous, X, atol=1e-9)
+
+
+def test_forward_kinematics_agree_with_pybullet(client: int) -> None:
+    robot = load_robot()
+    body = p.loadURDF(
+        str(robot.urdf_path), useFixedBase=True, flags=p.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client
+    )
+    infos = [
+        p.getJointInfo(body, i, physicsClientId=client) for i in range(p.getNumJoints(body, physicsClientId=client))
+    ]
+    movable = [i for i, info in enumerate(infos) if info[2] == p.JOINT_REVOLUTE]
+    assert [infos[i][1].decode() for i in movable] == [*robot.arm_joints, *robot.hand_joints]
+    for q in _configurations(20):
+        for i, value in zip(movable, q, strict=True):
+            p.resetJointState(body, i, value, physicsClientId=client)
+        poses = robot.link_poses(q[:6], q[6:])
+        for i, info in enumerate(infos):
+            state = p.getLinkState(body, i, computeForwardKinematics=True, physicsClientId=client)
+            X = poses[info[12].decode()]
+            np.testing.assert_allclose(state[4], X[:3, 3], atol=1e-6)
+            R = np.array(p.getMatrixFromQuaternion(state[5])).reshape(3, 3)
+            np.testing.assert_allclose(R, X[:3, :3], atol=1e-6)
+
+
+def test_masses_agree(client: int) -> None:
+    robot = load_robot()
+    model = pin.buildModelFromUrdf(str(robot.urdf_path))
+    body = p.loadURDF(
+        str(robot.urdf_path), useFixedBase=True, flags=p.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client
+    )
+    links = range(p.getNumJoints(body, physicsClientId=client))
+    inertial = {link.name: link.inertial.mass if link.inertial else 0.0 for link in robot.tree.links}
+    for i in links:
+        name = p.getJointInfo(body, i, physicsClientId=client)[12].decode()
+        assert p.getDynamicsInfo(body, i, physicsClientId=client)[0] == pytest.approx(inertial[name], rel=1e-6)
+    assert pin.computeTotalMass(model) == pytest.approx(sum(inertial.values()), rel=1e-9)
+
+
+def test_every_collision_shape_reaches_pinocchio() -> None:
+    robot = load_robot()
+    model = pin.buildModelFromUrdf(str(robot.urdf_path))
+    geometry = pin.buildGeomFromUrdf(
+        model, str(robot.urdf_path), pin.GeometryType.COLLISION, package_dirs=[str(d) for d in robot.package_dirs]
+    )
+    assert len(geometry.geometryObjects) == sum(len(link.collisions) for link in robot.tree.links)
+
+
+def test_hand_poses_are_relative_to_the_palm() -> None:
+    robot = load_robot()
+    q = _configurations(1)[0]
+    base = robot.link_poses(q[:6], q[6:])
+    hand = hand_link_poses(q[6:])
+    np.testing.assert_allclose(hand[HAND_FRAME], np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(base[HAND_FRAME] @ hand["rh_thdistal"], base["rh_thdistal"], atol=1e-9)
+    X_flange_hand = inverse(base["tool0"]) @ base[HAND_FRAME]
+    np.testing.assert_allclose(robot.X_flange_hand(q[6:]), X_flange_hand, atol=1e-9)
+
+
+def test_meshes_are_metric_and_light() -> None:
+    for meshes, limit in ((hand_meshes(), 8500), (arm_meshes(), 8500)):
+        assert sum(len(mesh.faces) for mesh in meshes.values()) < limit
+        for mesh in meshes.values():
+            assert 0.005 < mesh.extents.max() < 1.0
+    poses = hand_link_poses(load_robot().hand_open)
+    tips = max(float(transform_points(poses[n], np.asarray(m.vertices))[:, 2].max()) for n, m in hand_meshes().items())
+    assert 0.17 < tips < 0.22  # an adult's hand
+
+
+@given(radius=st.floats(0.010, 0.018))
+@settings(max_examples=10, deadline=None)
+def test_fingers_wrap_without_sinking_into_the_handle(radius: float) -> None:
+    X = nominal_X_hand_tool(radius)
+    q = wrap_fingers(X, radius, press=0.0005)
+    robot = load_robot()
+    assert np.all(q >= robot.lower[6:] - 1e-9)
+    assert np.all(q <= robot.upper[6:] + 1e-9)
+    poses = hand_link_poses(q)
+    fingertips = [poses[f"rh_{f}distal"] @ [0.0, 0.0, 0.024, 1.0] for f in ("ff", "mf", "rf", "lf")]
+    for tip in fingertips:
+        in_tool = inverse(X) @ tip
+        assert np.hypot(in_tool[0], in_tool[1]) > radius + 0.006  # the axis of a capsule of 7 mm radius, outside
+        assert np.hypot(in_tool[0], in_tool[1]) < radius + 0.035
+        assert in_tool[1] > 0  # around the far side: palmar is tool y
+
+
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_package(name: str) -> None:
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr("toolee_robot.robots.assets.metadata.files", no_package)
+    with pytest.raises(AssetError, match="pip install example-robot-data"):
+        ur10_urdf()
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
+    with pytest.raises(AssetError, match="pip install gymnasium-robotics"):
+        shadow_hand_folder()
