@@ -1,0 +1,191 @@
+"""The records of a generated tool: parts, end effectors, handle, mass properties.
+
+`tool` frame: origin at the grip centre of the handle (where a hand nominally holds it), z along the handle from the
+butt to the working end, x to the working side (a hammer's: along the striking face's normal; a wrench's y is the
+normal of its flat sides).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from toolee_robot.errors import UserError
+from toolee_robot.frames import Array
+from toolee_robot.tools.materials import Material
+from toolee_robot.types import Category
+
+
+class Family(StrEnum):
+    HAMMERS = "hammers"
+    SCREWDRIVERS = "screwdrivers"
+    WRENCHES = "wrenches"
+
+
+class ToolKind(StrEnum):
+    """What `make_tool` can make."""
+
+    CLAW_HAMMER = "claw_hammer"
+    BALL_PEEN_HAMMER = "ball_peen_hammer"
+    CROSS_PEEN_HAMMER = "cross_peen_hammer"
+    CLUB_HAMMER = "club_hammer"
+    MALLET = "mallet"
+    SLOTTED_SCREWDRIVER = "slotted_screwdriver"
+    PHILLIPS_SCREWDRIVER = "phillips_screwdriver"
+    NUT_DRIVER = "nut_driver"
+    OPEN_END_WRENCH = "open_end_wrench"
+    COMBINATION_WRENCH = "combination_wrench"
+    ADJUSTABLE_WRENCH = "adjustable_wrench"
+    BOX_WRENCH = "box_wrench"
+    SOCKET_WRENCH = "socket_wrench"
+
+    @property
+    def family(self) -> Family:
+        return next(family for family, kinds in KINDS_BY_FAMILY.items() if self in kinds)
+
+
+KINDS_BY_FAMILY: dict[Family, tuple[ToolKind, ...]] = {
+    Family.HAMMERS: tuple(ToolKind)[:5],
+    Family.SCREWDRIVERS: tuple(ToolKind)[5:8],
+    Family.WRENCHES: tuple(ToolKind)[8:],
+}
+
+_EE_RADIUS = {
+    Category.HAMMER_HEAD: 0.050,
+    Category.HAMMER_GRIP: 0.040,
+    Category.SCREWDRIVER_HEAD: 0.050,
+    Category.WRENCH_HEAD: 0.060,
+}
+
+
+def ee_radius(category: Category) -> float:
+    """Radius [m] of the sphere about the EE's origin that, cut with the tool, is the EE's mask."""
+    return _EE_RADIUS[category]
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One labelled piece of one material. Parts do not overlap: a handle's eye is a hole in the head.
+
+    mesh: watertight, `tool` frame [m].
+    """
+
+    label: str
+    mesh: trimesh.Trimesh
+    material: Material
+
+    @property
+    def density(self) -> float:
+        """[kg/m^3]"""
+        return self.material.density
+
+
+@dataclass(frozen=True, eq=False)
+class EndEffector:
+    """X_tool_ee: 4x4, as the category defines the frame. A tool with two like ends has two of one category."""
+
+    category: Category
+    X_tool_ee: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Handle:
+    """What a hand can close around: from z_min (the butt) to z_max on the tool's z axis [m].
+
+    z, radii_x, radii_y: (N,) half-widths [m] of the section along the handle, z increasing.
+    """
+
+    z: Array
+    radii_x: Array
+    radii_y: Array
+
+    @property
+    def z_min(self) -> float:
+        return float(self.z[0])
+
+    @property
+    def z_max(self) -> float:
+        return float(self.z[-1])
+
+    def radii_at(self, z: float = 0.0) -> tuple[float, float]:
+        """Half-widths [m] along tool x and y at height z; the grip centre is z = 0."""
+        return float(np.interp(z, self.z, self.radii_x)), float(np.interp(z, self.z, self.radii_y))
+
+
+@dataclass(frozen=True, eq=False)
+class Tool:
+    """A rigid tool, all in the `tool` frame, SI units.
+
+    mesh: the union of all parts, watertight, without inner surfaces. face_parts: (F,) index into `parts` of each of
+    the mesh's faces. ees[0] is the working end. center_of_mass (3,) [m]; inertia 3x3 [kg m^2] about it, tool axes.
+    """
+
+    kind: ToolKind
+    seed: int
+    parts: tuple[Part, ...]
+    mesh: trimesh.Trimesh
+    face_parts: NDArray[np.int64]
+    ees: tuple[EndEffector, ...]
+    handle: Handle
+    mass: float
+    center_of_mass: Array
+    inertia: Array
+    _convex_points: tuple[Array, ...]
+
+    @property
+    def name(self) -> str:
+        return f"{self.kind}-{self.seed:04d}"
+
+    @property
+    def categories(self) -> tuple[Category, ...]:
+        return tuple(dict.fromkeys(ee.category for ee in self.ees))
+
+    def ee(self, category: Category) -> EndEffector:
+        """The first (working) EE of that category. Raises UserError if the tool has none."""
+        for ee in self.ees:
+            if ee.category == category:
+                return ee
+        raise UserError(f"{self.name} has no {category}; it has {', '.join(self.categories)}")
+
+    def sample_surface(self, n: int, rng: np.random.Generator) -> tuple[Array, Array, NDArray[np.int64]]:
+        """n points uniform on the outer surface: points (n, 3), outward unit normals (n, 3), part indices (n,)."""
+        cumulative = self._cumulative_area
+        faces = np.searchsorted(cumulative, rng.uniform(0.0, cumulative[-1], n), side="right")
+        faces = np.minimum(faces, len(cumulative) - 1)
+        triangles = self.mesh.vertices.view(np.ndarray)[self.mesh.faces.view(np.ndarray)[faces]]
+        r = np.sqrt(rng.uniform(size=(n, 1)))
+        s = rng.uniform(size=(n, 1))
+        points = (1 - r) * triangles[:, 0] + r * (1 - s) * triangles[:, 1] + r * s * triangles[:, 2]
+        return points, self._face_normals[faces], self.face_parts[faces]
+
+    @cached_property
+    def _cross_products(self) -> Array:
+        a, b, c = np.moveaxis(self.mesh.vertices.view(np.ndarray)[self.mesh.faces.view(np.ndarray)], 1, 0)
+        return np.cross(b - a, c - a)
+
+    @cached_property
+    def _cumulative_area(self) -> Array:
+        return np.cumsum(np.linalg.norm(self._cross_products, axis=1))
+
+    @cached_property
+    def _face_normals(self) -> Array:
+        norms = np.linalg.norm(self._cross_products, axis=1, keepdims=True)
+        return self._cross_products / np.maximum(norms, 1e-300)
+
+    def collision_parts(self) -> list[trimesh.Trimesh]:
+        """Convex meshes whose union covers the tool (holes in the handle's eye are filled), `tool` frame."""
+        return list(self._collision_parts)
+
+    @cached_property
+    def _collision_parts(self) -> tuple[trimesh.Trimesh, ...]:
+        return tuple(_hull(points) for points in self._convex_points)
+
+
+
+def _hull(points: Array) -> trimesh.Trimesh:
+    return trimesh.convex.convex_hull(points)

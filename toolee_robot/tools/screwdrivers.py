@@ -1,0 +1,162 @@
+"""Slotted and Phillips screwdrivers, and nut drivers: a shaft, its tip, and a handle of many profiles."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from toolee_robot.frames import Array, transform
+from toolee_robot.tools.assembly import assemble
+from toolee_robot.tools.materials import (
+    PLASTIC,
+    RUBBER,
+    RUBBER_COLORED,
+    STEEL_BRIGHT,
+    STEEL_DARK,
+    WOOD,
+    Material,
+    varied,
+)
+from toolee_robot.tools.model import EndEffector, Handle, Tool, ToolKind
+from toolee_robot.tools.solids import (
+    Piece,
+    convex_runs,
+    extrude,
+    lobes,
+    loft,
+    prism_points,
+    regular_polygon,
+    stack,
+    superellipse,
+)
+from toolee_robot.types import Category
+
+
+def make_screwdriver(kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
+    radius = rng.uniform(0.0015, 0.005)
+    length = float(np.clip(rng.uniform(15, 50) * radius * 2, 0.060, 0.250))
+    handle_length = rng.uniform(0.080, 0.125)
+    pieces, handle = _handle(rng, handle_length, radius)
+    z_tip = handle.z_max + length
+    shaft_material = varied(STEEL_BRIGHT if rng.uniform() < 0.75 else STEEL_DARK, rng)
+    tip_material = varied(STEEL_DARK, rng) if rng.uniform() < 0.4 else shaft_material
+    tip, tip_length = _TIPS[kind](rng, radius, z_tip, tip_material)
+    section = [superellipse(2.0, 24), regular_polygon(6, 24), superellipse(6.0, 24)][rng.choice(3, p=[0.75, 0.13, 0.12])]
+    z = np.array([handle.z_min + 0.25 * handle_length, z_tip - tip_length + 0.0005])
+    shaft = Piece("shaft", loft(stack(z, radius, None, section)), shaft_material, _convex(stack(z, radius, None, section)))
+    bolster = _bolster(rng, handle, radius, shaft_material)
+    ee = EndEffector(Category.SCREWDRIVER_HEAD, transform(None, [0.0, 0.0, z_tip]))
+    return assemble(kind, seed, [*pieces, *bolster, shaft, tip], (ee,), handle)
+
+
+def _convex(rings: Array) -> tuple[Array, ...]:
+    return (rings.reshape(-1, 3),)
+
+
+def _handle(rng: np.random.Generator, length: float, shaft_radius: float) -> tuple[list[Piece], Handle]:
+    """The gripped part, centred on the origin: a profile of stations times a section, perhaps with a rubber sleeve."""
+    radius = max(rng.uniform(0.0085, 0.0185), 2.2 * shaft_radius)
+    profile = {
+        "bulb": ([0.0, 0.03, 0.12, 0.35, 0.6, 0.8, 0.93, 1.0], [0.55, 0.82, 1.0, 1.0, 0.9, 0.66, 0.72, 0.62]),
+        "straight": ([0.0, 0.04, 0.2, 0.8, 0.95, 1.0], [0.75, 0.98, 1.0, 1.0, 0.85, 0.6]),
+        "waisted": ([0.0, 0.05, 0.2, 0.55, 0.72, 0.88, 1.0], [0.6, 0.95, 1.0, 0.88, 0.62, 0.85, 0.6]),
+        "taper": ([0.0, 0.06, 0.3, 1.0], [0.7, 1.0, 1.0, 0.55]),
+        "ball": ([0.0, 0.03, 0.15, 0.4, 0.6, 0.85, 1.0], [0.4, 0.75, 1.1, 1.05, 0.75, 0.5, 0.45]),
+    }
+    knots, widths = profile[str(rng.choice(list(profile)))]
+    u = np.unique(np.concatenate([np.linspace(0.0, 1.0, 20), [0.015, 0.985]]))
+    widths_drawn = np.array(widths) * rng.uniform(0.93, 1.07, len(widths))
+    scale = PchipInterpolator(knots, widths_drawn)(u)
+    z = length * (u - 0.5)
+    n = 48
+    section = [
+        superellipse(2.0, n),
+        regular_polygon(6, n, rng.uniform(0.1, 0.5)),
+        regular_polygon(3, n, rng.uniform(0.6, 0.8)),
+        superellipse(rng.uniform(3.0, 5.0), n),
+        lobes(int(rng.integers(5, 9)), rng.uniform(0.06, 0.16), n),
+    ][rng.choice(5, p=[0.2, 0.25, 0.1, 0.15, 0.3])]
+    section = section / np.linalg.norm(section, axis=1).max()
+    # Flutes and flats fade out towards both ends.
+    fade = np.clip(np.minimum(u / 0.12, (1 - u) / 0.2), 0.0, 1.0)[:, None, None]
+    sections = fade * section + (1 - fade) * superellipse(2.0, n)
+    rings = stack(z, radius * scale, None, sections)
+    base = varied(WOOD if rng.uniform() < 0.12 else PLASTIC, rng)
+    pieces = [Piece("handle", loft(rings), base, convex_runs(rings, 0.1))]
+    if base.name != "wood" and rng.uniform() < 0.4:
+        # A soft sleeve over the middle of the handle, a fraction of a millimetre proud.
+        low, high = sorted(rng.choice(np.arange(2, len(z) - 3), 2, replace=False))
+        high = max(high, low + 4)
+        sleeve = stack(z[low:high], radius * scale[low:high] + 0.0005, None, sections[low:high])
+        soft = varied(RUBBER if rng.uniform() < 0.5 else RUBBER_COLORED, rng)
+        pieces.append(Piece("grip", loft(sleeve), soft, ()))
+        pieces.reverse()
+        pieces = [Piece("grip", pieces[0].solid - pieces[1].solid, soft, ()), pieces[1]]
+    return pieces, Handle(z, radius * scale, radius * scale)
+
+
+def _bolster(rng: np.random.Generator, handle: Handle, radius: float, material: Material) -> list[Piece]:
+    if rng.uniform() > 0.3:
+        return []
+    z = handle.z_max + np.array([-0.004, rng.uniform(0.003, 0.008)])
+    rings = stack(z, radius * rng.uniform(1.4, 1.9), None, regular_polygon(6, 24) if rng.uniform() < 0.6 else None)
+    return [Piece("bolster", loft(rings), material, _convex(rings))]
+
+
+def _slotted_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
+    """The shaft flattens into a blade: flared wider than the shaft, or ground down from it (cabinet tip)."""
+    width = radius * (rng.uniform(1.05, 1.5) if rng.uniform() < 0.6 else rng.uniform(0.85, 1.0))
+    thickness = rng.uniform(0.10, 0.22) * radius + 0.0001
+    length = rng.uniform(3.5, 6.0) * radius
+    z = z_tip - length * np.array([1.0, 0.75, 0.45, 0.2, 0.0])
+    a = np.array([radius, radius, max(width, 0.9 * radius), width, width * rng.uniform(0.85, 1.0)])
+    b = np.array([radius, 0.95 * radius, 0.5 * radius, 1.6 * thickness, thickness])
+    circle, square = superellipse(2.0, 24), superellipse(10.0, 24)
+    rings = stack(z, a, b, np.stack([circle, 0.6 * circle + 0.4 * square, square, square, square]))
+    return Piece("tip", loft(rings), material, convex_runs(rings, 0.3)), length
+
+
+def _phillips_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
+    """A blunted cone with four tapering flutes, their walls at right angles."""
+    blunt = rng.uniform(0.12, 0.25) * radius
+    length = (radius - blunt) / np.tan(np.deg2rad(rng.uniform(24.0, 28.0)))
+    z = z_tip - np.array([length + 0.002, length, 0.12 * blunt, 0.0])
+    rings = stack(z, np.array([radius, radius, blunt, 0.75 * blunt]), None, superellipse(2.0, 24))
+    solid = loft(rings)
+    wing = rng.uniform(0.16, 0.24) * radius
+    flute = np.array([[wing, wing], [3 * radius, wing], [3 * radius, 3 * radius], [wing, 3 * radius]])
+    low = z_tip - length * rng.uniform(0.95, 1.05)
+    stations = np.array([low, z_tip + 0.001])
+    for k in range(4):
+        c, s = np.cos(k * np.pi / 2), np.sin(k * np.pi / 2)
+        turned = flute @ np.array([[c, s], [-s, c]])
+        outward = np.array([c - s, s + c]) * radius * 0.6
+        prism = np.stack([
+            np.column_stack([turned + outward, np.full(4, stations[0])]),
+            np.column_stack([turned, np.full(4, stations[1])]),
+        ])
+        solid = solid - loft(prism)
+    return Piece("tip", solid, material, convex_runs(rings)), length
+
+
+def _nut_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
+    """A cup with a hexagonal hole: the EE's origin is the hole's centre in the mouth's plane."""
+    flats = rng.uniform(0.0035, 0.0075)
+    outer = max(flats / np.cos(np.pi / 6) * rng.uniform(1.15, 1.3), radius + 0.0005)
+    length = rng.uniform(0.014, 0.026)
+    z = z_tip - np.array([length, length - 0.004, 0.0006, 0.0])
+    rings = stack(z, np.array([radius, outer, outer, outer - 0.0006]), None, superellipse(2.0, 32))
+    hexagon = flats / np.cos(np.pi / 6) * np.column_stack(
+        [np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3)]
+    )
+    depth = rng.uniform(0.5, 0.75) * length
+    solid = loft(rings) - extrude(hexagon, z_tip - depth, z_tip + 0.001)
+    circle = superellipse(2.0, 24)
+    return Piece("tip", solid, material, (prism_points(outer * circle, z_tip - length, z_tip),)), length
+
+
+_TIPS = {
+    ToolKind.SLOTTED_SCREWDRIVER: _slotted_tip,
+    ToolKind.PHILLIPS_SCREWDRIVER: _phillips_tip,
+    ToolKind.NUT_DRIVER: _nut_tip,
+}

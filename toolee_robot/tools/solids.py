@@ -1,0 +1,186 @@
+"""Solid modelling: lofts through rings, extrusions, booleans with labelled faces.
+
+A loft is a stack of rings, (N, M, 3): N closed sections of M points. Every shape is made along its local z and then
+placed with a 4x4 pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import manifold3d
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from toolee_robot.frames import Array, transform_points
+from toolee_robot.tools.materials import Material
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A labelled solid before assembly. convex: point sets (K, 3) whose hulls stand for it in collisions."""
+
+    label: str
+    solid: Any
+    material: Material
+    convex: tuple[Array, ...]
+
+
+def superellipse(exponent: float, points: int = 32) -> Array:
+    """Unit section (M, 2): 2 is a circle, 4 and more a rounded square."""
+    t = 2 * np.pi * np.arange(points) / points
+    c, s = np.cos(t), np.sin(t)
+    return np.column_stack(
+        [np.sign(c) * np.abs(c) ** (2 / exponent), np.sign(s) * np.abs(s) ** (2 / exponent)]
+    )
+
+
+def regular_polygon(sides: int, points: int = 32, corner: float = 0.0) -> Array:
+    """Unit section (M, 2) with flats at distance 1 on the x axis' side; `corner` in [0, 1) rounds towards a circle."""
+    t = 2 * np.pi * np.arange(points) / points
+    half = np.pi / sides
+    r = 1.0 / np.cos((t + half) % (2 * half) - half)
+    r = (1 - corner) * r + corner
+    return r[:, None] * np.column_stack([np.cos(t), np.sin(t)])
+
+
+def lobes(count: int, depth: float, points: int = 48) -> Array:
+    """Unit section (M, 2) with `count` flutes of the given relative depth."""
+    t = 2 * np.pi * np.arange(points) / points
+    r = 1.0 - depth * (0.5 - 0.5 * np.cos(count * t)) ** 2
+    return r[:, None] * np.column_stack([np.cos(t), np.sin(t)])
+
+
+def stack(z: Any, a: Any, b: Any = None, section: Array | None = None, x: Any = 0.0) -> Array:
+    """Rings (N, M, 3) at heights z (N,), half-widths a (along x) and b (along y; a if None), centred at x.
+
+    section: unit sections, (M, 2) or (N, M, 2); a circle if None.
+    """
+    z = np.asarray(z, dtype=np.float64)
+    a = np.broadcast_to(np.asarray(a, dtype=np.float64), z.shape)
+    b = a if b is None else np.broadcast_to(np.asarray(b, dtype=np.float64), z.shape)
+    x = np.broadcast_to(np.asarray(x, dtype=np.float64), z.shape)
+    unit = superellipse(2.0) if section is None else section
+    unit = np.broadcast_to(unit, (len(z), *unit.shape[-2:]))
+    return np.stack(
+        [x[:, None] + a[:, None] * unit[..., 0], b[:, None] * unit[..., 1], np.repeat(z[:, None], unit.shape[1], 1)],
+        axis=-1,
+    )
+
+
+def loft(rings: Array) -> Any:
+    """The solid through the rings, closed by flat fans; rings may turn either way."""
+    n, m, _ = rings.shape
+    j = np.arange(m)
+    k = (j + 1) % m
+    base = (np.arange(n - 1) * m)[:, None]
+    lower, upper = (base + j, base + k), (base + m + j, base + m + k)
+    sides = np.concatenate(
+        [np.stack([lower[0], lower[1], upper[1]], -1), np.stack([lower[0], upper[1], upper[0]], -1)]
+    ).reshape(-1, 3)
+    bottom, top = n * m, n * m + 1
+    caps = [
+        np.column_stack([np.full(m, bottom), k, j]),
+        np.column_stack([np.full(m, top), (n - 1) * m + j, (n - 1) * m + k]),
+    ]
+    vertices = np.concatenate([rings.reshape(-1, 3), rings[0].mean(0)[None], rings[-1].mean(0)[None]])
+    faces = np.concatenate([sides, *caps])
+    if signed_volume(vertices, faces) < 0:
+        faces = faces[:, ::-1]
+    return solid_from(vertices, faces)
+
+
+def solid_from(vertices: Array, faces: NDArray[np.int64]) -> Any:
+    """A manifold from a closed mesh. Raises ValueError if it is not one."""
+    solid = manifold3d.Manifold(
+        manifold3d.Mesh(np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.uint32))
+    )
+    if solid.status() != manifold3d.Error.NoError or solid.is_empty():
+        raise ValueError(f"not a closed surface: {solid.status()}")
+    return solid
+
+
+def signed_volume(vertices: Array, faces: NDArray[np.int64]) -> float:
+    """[m^3], positive when the faces turn outwards."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def extrude(polygons: Any, z_min: float, z_max: float) -> Any:
+    """A CrossSection, or one polygon (M, 2), as a prism between two heights."""
+    if not isinstance(polygons, manifold3d.CrossSection):
+        polygons = cross_section(polygons)
+    return polygons.extrude(z_max - z_min).translate((0.0, 0.0, z_min))
+
+
+def cross_section(polygon: Any) -> Any:
+    """A planar region from one closed polygon (M, 2), whichever way it turns."""
+    return manifold3d.CrossSection([np.asarray(polygon, dtype=np.float64)], manifold3d.FillRule.NonZero)
+
+
+def prism_points(polygon: Any, z_min: float, z_max: float) -> Array:
+    """The corners (2M, 3) of a prism."""
+    p = np.asarray(polygon, dtype=np.float64)
+    return np.concatenate([np.column_stack([p, np.full(len(p), z)]) for z in (z_min, z_max)])
+
+
+def place(solid: Any, X: Array) -> Any:
+    """The solid moved by a 4x4 pose."""
+    return solid.transform(X[:3].tolist())
+
+
+def move(points: Array, X: Array) -> Array:
+    """Points (..., 3) moved by a 4x4 pose."""
+    return transform_points(X, points.reshape(-1, 3)).reshape(points.shape)
+
+
+def convex_runs(rings: Array, tolerance: float = 0.04) -> tuple[Array, ...]:
+    """Split a loft into few runs of rings that are nearly convex: a ring may lie inside the run's hull by at most
+    `tolerance` of its own size. Runs share their border ring."""
+    sizes = np.linalg.norm(rings - rings.mean(1, keepdims=True), axis=2).max(1)
+    runs, start = [], 0
+    while start < len(rings) - 1:
+        end = start + 1
+        while end + 1 < len(rings) and _bulges(rings[start : end + 2], sizes[start : end + 2], tolerance):
+            end += 1
+        runs.append(rings[start : end + 1].reshape(-1, 3))
+        start = end
+    return tuple(runs)
+
+
+def _bulges(rings: Array, sizes: Array, tolerance: float) -> bool:
+    """Whether every inner ring reaches out to the straight line between any two others, point by point."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rings.mean(1), axis=0), axis=1) + 1e-12)])
+    center = rings.mean(1, keepdims=True)
+    for i in range(len(rings)):
+        for k in range(i + 2, len(rings)):
+            s = ((along[i + 1 : k] - along[i]) / (along[k] - along[i]))[:, None, None]
+            chord = (1 - s) * rings[i] + s * rings[k]
+            outward = rings[i + 1 : k] - center[i + 1 : k]
+            outward = outward / np.maximum(np.linalg.norm(outward, axis=2, keepdims=True), 1e-9)
+            inside = np.einsum("nmc,nmc->nm", chord - rings[i + 1 : k], outward)
+            if np.any(inside > tolerance * sizes[i + 1 : k, None]):
+                return False
+    return True
+
+
+def to_trimesh(solid: Any) -> trimesh.Trimesh:
+    mesh = solid.to_mesh()
+    return trimesh.Trimesh(
+        np.asarray(mesh.vert_properties[:, :3], dtype=np.float64), np.asarray(mesh.tri_verts), process=False
+    )
+
+
+def unite(pieces: list[Any]) -> tuple[trimesh.Trimesh, NDArray[np.int64]]:
+    """The union of the solids and, for each of its faces, the index of the solid it comes from."""
+    originals = [piece.as_original() for piece in pieces]
+    index = {original.original_id(): i for i, original in enumerate(originals)}
+    mesh = manifold3d.Manifold.batch_boolean(originals, manifold3d.OpType.Add).to_mesh()
+    faces = np.asarray(mesh.tri_verts)
+    owner = np.zeros(len(faces), dtype=np.int64)
+    runs = np.asarray(mesh.run_index) // 3
+    for run, original_id in enumerate(mesh.run_original_id):
+        owner[runs[run] : runs[run + 1]] = index[int(original_id)]
+    return trimesh.Trimesh(np.asarray(mesh.vert_properties[:, :3], np.float64), faces, process=False), owner
