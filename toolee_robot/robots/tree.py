@@ -89,7 +89,7 @@ class Tree:
         return np.array([link.lower for link in movable]), np.array([link.upper for link in movable])
 
     def link_poses(self, q: Array) -> dict[str, Array]:
-        """Pose (4x4) of every link in the root's parent frame at joint positions q (n,) [rad], in the order of `joints`."""
+        """Pose (4x4) of every link in the root's parent frame at q (n,) [rad], in the order of `joints`."""
         q = np.asarray(q, dtype=np.float64)
         if q.shape != (len(self.joints),):
             raise ValueError(f"q must have shape ({len(self.joints)},), got {q.shape}")
