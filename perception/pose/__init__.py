@@ -1,0 +1,12 @@
+"""From an EE's partial cloud to its 6D pose: network, flow-matching sampler, pooling, spin fix, confidence, fusion.
+
+    from toolee_robot.perception.pose import PoseEstimator
+    result = PoseEstimator.load().estimate(points, category, direction_to_rest)
+
+Only numpy, scipy, torch and safetensors are needed here, so that training runs on a bare GPU machine.
+"""
+
+from toolee_robot.perception.pose.estimator import PoseEstimator, PoseResult
+from toolee_robot.perception.pose.fusion import fuse_in_hand
+
+__all__ = ["PoseEstimator", "PoseResult", "fuse_in_hand"]

@@ -1,0 +1,101 @@
+"""The canonical view of a cloud: outliers trimmed, centred, turned so that the ray to its centre is z, 512 points.
+
+Centring keeps the working distance out of the network, turning makes the result independent of where in the image the
+EE stands. One implementation for training (batches on the GPU) and inference (a batch of one).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+POINTS = 512
+"""Points the network sees; fewer are repeated. 1024 measured no better."""
+PATCHES = 64
+"""The first this many points are farthest-point samples: the patches' centres."""
+MIN_POINTS = 50
+"""Fewer visible points give no estimate."""
+
+
+@dataclass(frozen=True)
+class CanonicalCloud:
+    """points: (B, 512, 3) [m], canonical frame. centre: (B, 3) [m] and R: (B, 3, 3) with
+    p_canonical = R @ (p_camera - centre). count: (B,) points that survived the trimming."""
+
+    points: Tensor
+    centre: Tensor
+    R: Tensor
+    count: Tensor
+
+
+def canonicalize(
+    points: Tensor, valid: Tensor, radius: Tensor, generator: torch.Generator | None = None
+) -> CanonicalCloud:
+    """Clouds (B, N, 3) [m] in the camera frame with a mask (B, N) of real points -> canonical clouds.
+
+    radius: (B,) [m] of the EE's area. A dilated mask on a thin tool is mostly background, so the centre starts at the
+    30 % quantile of the depth, then is the median of what lies near, then outliers are cut. The generator draws the
+    points; it lives on the same device as the points.
+    """
+    radius = radius[:, None]
+    z = points[..., 2]
+    z30 = _masked_quantile(z, valid, 0.3)[:, None]
+    near = valid & ((z - z30).abs() < 1.6 * radius)
+    centre = _masked_median(points, near)
+    kept = valid & ((points - centre[:, None]).norm(dim=-1) < 1.8 * radius)
+    centre = _masked_median(points, kept)
+    kept = valid & ((points - centre[:, None]).norm(dim=-1) < 1.6 * radius)
+    count = kept.sum(1)
+    R = ray_rotation(centre)
+    # Random order with the real points first; then repeat them up to POINTS.
+    key = torch.rand(valid.shape, device=points.device, generator=generator) + (~kept).float() * 2
+    order = key.argsort(1)
+    pick = torch.arange(POINTS, device=points.device)[None] % count.clamp(1, POINTS)[:, None]
+    chosen = _rows(points, order.gather(1, pick))
+    # A cloud that lost everything becomes its centre: it is refused later, but must stay finite.
+    chosen = torch.where((count > 0)[:, None, None], chosen, centre[:, None])
+    local = torch.einsum("bij,bnj->bni", R, chosen - centre[:, None])
+    return CanonicalCloud(farthest_points_first(local, PATCHES), centre, R, count)
+
+
+def ray_rotation(centre: Tensor) -> Tensor:
+    """The smallest rotation (B, 3, 3) that turns the ray to `centre` (B, 3), in front of the camera, onto z."""
+    d = centre / centre.norm(dim=-1, keepdim=True).clamp_min(1e-9)
+    x, y, c = d[:, 0], d[:, 1], d[:, 2]
+    k = 1 / (1 + c).clamp_min(1e-6)
+    rows = [1 - k * x * x, -k * x * y, -x, -k * x * y, 1 - k * y * y, -y, x, y, c]
+    return torch.stack(rows, dim=-1).reshape(-1, 3, 3)
+
+
+def farthest_points_first(points: Tensor, count: int) -> Tensor:
+    """The same points (B, N, 3), reordered: `count` farthest-point samples first, from the point farthest from 0."""
+    B, N, _ = points.shape
+    distance = torch.full((B, N), torch.inf, device=points.device)
+    index = points.square().sum(-1).argmax(1)
+    taken = torch.zeros(B, N, device=points.device)
+    batch = torch.arange(B, device=points.device)
+    for i in range(count):
+        taken[batch, index] = float(count - i)
+        distance = torch.minimum(distance, (points - points[batch, index][:, None]).square().sum(-1))
+        # Repeated points have distance 0; prefer any point not taken yet over one that is.
+        index = (distance - taken).argmax(1)
+    return _rows(points, taken.argsort(dim=1, descending=True, stable=True))
+
+
+def _rows(x: Tensor, index: Tensor) -> Tensor:
+    return x.gather(1, index[..., None].expand(-1, -1, x.shape[-1]))
+
+
+def _masked_quantile(x: Tensor, mask: Tensor, q: float) -> Tensor:
+    """(B,) quantile of x (B, N) where mask; 0 where the mask is empty."""
+    ordered = torch.where(mask, x, torch.inf).sort(1).values
+    n = mask.sum(1)
+    value = ordered.gather(1, ((n - 1).clamp_min(0) * q).long()[:, None])[:, 0]
+    return torch.where(n > 0, value, 0.0)
+
+
+def _masked_median(x: Tensor, mask: Tensor) -> Tensor:
+    """(B, 3) median per coordinate of x (B, N, 3) where mask."""
+    return torch.stack([_masked_quantile(x[..., k], mask, 0.5) for k in range(3)], dim=-1)

@@ -1,0 +1,51 @@
+"""The pose as the network sees it: u = [Rz | Rx | S | T] in R^12.
+
+ToolEENet writes a pose as [Rx | Ry | S | T]: two columns of the rotation (the continuous 6D representation of Zhou et
+al., "On the Continuity of Rotation Representations in Neural Networks", CVPR 2019, eq. 15-16), S in R^3 whose k-th
+entry says that the pose is ambiguous about axis k, and the translation. Here the first column is the *action axis* z
+(the face's normal, the shaft, the nut's axis): Gram-Schmidt keeps the first column's direction and bends the second,
+and on tools that are symmetric about z, x is the ambiguous one. S is per view, not per class: it is 1 about the symmetry axis
+only where nothing visible tells the spin.
+
+T is in units of `T_SCALE`; rotations and T are in the canonical frame of `canonical.py`.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+DIM = 12
+T_SCALE = 0.02
+"""[m] one unit of T, about the standard deviation of the EE about the visible cloud's centre."""
+
+AXIS_Z = slice(0, 3)
+AXIS_X = slice(3, 6)
+AMBIGUOUS = slice(6, 9)
+POSITION = slice(9, 12)
+
+
+def encode(R: Tensor, p: Tensor, ambiguous: Tensor) -> Tensor:
+    """u (..., 12) from rotations (..., 3, 3), positions (..., 3) [m] and ambiguity flags (..., 3) in {0, 1}."""
+    return torch.cat([R[..., :, 2], R[..., :, 0], ambiguous, p / T_SCALE], dim=-1)
+
+
+def decode(u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """R (..., 3, 3), p (..., 3) [m], ambiguity (..., 3) from u (..., 12), by Gram-Schmidt with z first.
+
+    Works for any u: degenerate columns fall back to an arbitrary but fixed direction.
+    """
+    z = _unit(u[..., AXIS_Z], u.new_tensor([0.0, 0.0, 1.0]))
+    b = u[..., AXIS_X]
+    x = b - (b * z).sum(-1, keepdim=True) * z
+    # An arbitrary vector that is not along z, for a second column that is.
+    spare = torch.nn.functional.one_hot(z.abs().argmin(-1), 3).to(z.dtype)
+    spare = spare - (spare * z).sum(-1, keepdim=True) * z
+    x = _unit(x, spare / spare.norm(dim=-1, keepdim=True))
+    y = torch.cross(z, x, dim=-1)
+    return torch.stack([x, y, z], dim=-1), u[..., POSITION] * T_SCALE, u[..., AMBIGUOUS]
+
+
+def _unit(v: Tensor, fallback: Tensor) -> Tensor:
+    norm = v.norm(dim=-1, keepdim=True)
+    return torch.where(norm > 1e-6, v / norm.clamp_min(1e-6), fallback.expand_as(v))
