@@ -39,6 +39,7 @@ class Nail:
 
     X_world_nail: 4x4, the head's top before the first blow, z into the wood. wood: body the nail is driven into, which
     then does not collide with the nail; None if there is none. flush_protrusion [m]: of the outcome.
+    X_world_surface: where the nail enters the wood, z into it.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class Nail:
         self.spec = spec = spec or NailSpec()
         self.flush_protrusion = flush_protrusion
         self._client = client
-        self._X_world_surface = X_world_nail @ transform(p=[0.0, 0.0, spec.protrusion])
+        self.X_world_surface = X_world_nail @ transform(p=[0.0, 0.0, spec.protrusion])
         self.body = self._create()
         if wood is not None:
             for link in range(-1, 3):
@@ -78,7 +79,7 @@ class Nail:
             rgbaColors=[grey, grey],
             physicsClientId=client,
         )
-        X = self._X_world_surface
+        X = self.X_world_surface
         body = pb.createMultiBody(
             baseMass=0.0,
             basePosition=X[:3, 3],
@@ -158,7 +159,7 @@ class Nail:
     def head_pose(self) -> Array:
         """X_world_nail now, 4x4."""
         R = Rotation.from_euler("XY", [self._joint(HINGE_X), self._joint(HINGE_Y)])
-        return self._X_world_surface @ transform(R) @ transform(p=[0.0, 0.0, -self.protrusion])
+        return self.X_world_surface @ transform(R) @ transform(p=[0.0, 0.0, -self.protrusion])
 
     @property
     def outcome(self) -> NailOutcome:

@@ -107,9 +107,17 @@ def resistance(spec: NailSpec, protrusion: float) -> float:
 
 
 def driving_work(spec: NailSpec, start: float, end: float) -> float:
-    """Energy [J] to drive from protrusion `start` to `end` [m]."""
-    protrusions = np.linspace(end, start, 400)
-    return float(np.trapezoid([resistance(spec, p) for p in protrusions], protrusions))
+    """Energy [J] to drive from protrusion `start` to `end` [m]: the integral of `resistance`."""
+
+    def head(protrusion: float) -> float:
+        """Integral of the head's bearing down to `protrusion`."""
+        indentation = max((spec.head_thickness - protrusion) / HEAD_CRUSH_DEPTH, 0.0)
+        crushed = indentation**2 / 2 if indentation < 1 else indentation - 0.5
+        return head_force(spec, -np.inf) * HEAD_CRUSH_DEPTH * crushed
+
+    tip = tip_force(spec) * (start - end)
+    shank = shank_friction(spec) * ((spec.length - end) ** 2 - (spec.length - start) ** 2) / 2
+    return float(tip + shank + head(end) - head(start))
 
 
 def driven_by(spec: NailSpec, start: float, energy: float) -> float:

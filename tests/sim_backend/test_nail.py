@@ -192,6 +192,13 @@ def test_resistance_has_the_size_of_the_reference_law() -> None:
         assert resistance(spec, 0.020) == pytest.approx(reference, rel=0.25)
 
 
+def test_driving_work_is_the_integral_of_the_resistance() -> None:
+    protrusions = np.linspace(-0.0005, 0.018, 20001)
+    numeric = np.trapezoid([resistance(SPEC, p) for p in protrusions], protrusions)
+    assert driving_work(SPEC, 0.018, -0.0005) == pytest.approx(numeric, rel=1e-6)
+    assert driven_by(SPEC, 0.018, driving_work(SPEC, 0.018, 0.005)) == pytest.approx(0.013, abs=1e-5)
+
+
 def test_denser_wood_resists_more_and_a_pilot_hole_less() -> None:
     pine = resistance(NailSpec(pilot_diameter=0.0), 0.01)
     oak = resistance(NailSpec(pilot_diameter=0.0, specific_gravity=0.68), 0.01)
