@@ -1,4 +1,32 @@
-"""PLACEHOLDER"""
+"""Seeing the tool: an RGB-D frame in, the 6D poses of the end effectors in it out.
+
+    from toolee_robot.perception import ToolPerception
+    estimates = ToolPerception.load().estimate(frame, X_camera_hand=None)
+
+The ways in: `pipeline` (the whole), `segmentation` (colour -> masks), `cloud` (masks and depth -> points), `pose`
+(points -> pose, fusion), `io` (files -> frames), `dataset` and `train_*` (data, training).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 if __name__ != "toolee_robot.perception":
     raise ImportError("import toolee_robot.perception: the short name would make a second copy of every module")
+
+if TYPE_CHECKING:
+    from toolee_robot.perception.pipeline import StageTimes, ToolPerception
+    from toolee_robot.perception.segmentation import Segmenter
+
+__all__ = ["Segmenter", "StageTimes", "ToolPerception"]
+
+_HOME = {"Segmenter": "segmentation", "StageTimes": "pipeline", "ToolPerception": "pipeline"}
+
+
+def __getattr__(name: str) -> Any:
+    """Loaded on first use: training and data generation import this package without the inference's libraries."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -1,0 +1,138 @@
+"""From a mask and a depth image to the clean partial cloud of an end effector, in the camera frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolee_robot.errors import UserError
+from toolee_robot.frames import Array
+from toolee_robot.tools.model import ee_radius
+from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
+
+LEAST_POINTS = 50
+"""Fewer points and there is no estimate."""
+NEAREST, FARTHEST = 0.05, 20.0
+"""Depths [m] outside are not a tool in a hand before a depth camera."""
+TRIM_RADII = 1.8
+"""The visible points' median lies off the EE's origin, on its near side, so the cut is wider than the EE's area."""
+LEAST_TOOL_DISTANCE = 0.015
+"""The rest of the tool must lie this far [m] from the EE's centroid to give a direction."""
+
+
+@dataclass(frozen=True)
+class EeCloud:
+    """points (N, 3) [m], camera frame, or the reason why there are none.
+
+    direction: unit vector (3,), camera frame, from the points' centroid to the visible rest of the tool; None where
+    that is not seen.
+    """
+
+    points: Array
+    direction: Array | None
+    reason: str = "ok"
+
+    @property
+    def usable(self) -> bool:
+        return self.reason == "ok"
+
+
+def check_depth_unit(depth: NDArray[np.floating]) -> None:
+    """Raise UserError when the depth cannot be in metres. Frames without any depth pass: they give no cloud."""
+    known = depth[np.isfinite(depth) & (depth != 0)]
+    if known.size == 0:
+        return
+    if (known < 0).any():
+        raise UserError("depth holds negative values: it must be the distance along the optical axis in metres")
+    median = float(np.median(known[:: max(1, known.size // 20000)]))
+    if median > FARTHEST:
+        raise UserError(f"median depth is {median:.0f} m: it looks like millimetres, pass --depth-scale 0.001")
+    if median < 0.01:
+        raise UserError(
+            f"median depth is {1000 * median:.3g} mm: the depth scale is too small, pass the metres of one unit "
+            "(--depth-scale 1 for metres, 0.001 for millimetres)"
+        )
+
+
+def back_project(depth: NDArray[np.floating], mask: NDArray[np.bool_], intrinsics: CameraIntrinsics) -> Array:
+    """Points (N, 3) [m], camera frame, of the mask's pixels whose depth (H, W) [m] is finite and positive."""
+    v, u = np.nonzero(mask)
+    z = depth[v, u].astype(np.float64)
+    good = np.isfinite(z) & (z > 0)
+    u, v, z = u[good], v[good], z[good]
+    x = (u - intrinsics.cx) / intrinsics.fx * z
+    y = (v - intrinsics.cy) / intrinsics.fy * z
+    return np.column_stack([x, y, z])
+
+
+def without_flying_pixels(
+    depth: NDArray[np.floating], mask: NDArray[np.bool_], tolerance: float = 0.012, least: int = 2
+) -> NDArray[np.bool_]:
+    """The mask less pixels that hang between surfaces: fewer than `least` of the eight neighbours, anywhere in the
+    image, have a depth within `tolerance` [m] + 1 % of theirs."""
+    rows, columns = np.nonzero(mask)
+    if rows.size == 0:
+        return mask
+    r0, r1 = max(rows.min() - 1, 0), rows.max() + 2
+    c0, c1 = max(columns.min() - 1, 0), columns.max() + 2
+    z = np.nan_to_num(depth[r0:r1, c0:c1].astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+    padded = np.pad(z, 1)
+    near = np.zeros(z.shape, dtype=np.int32)
+    limit = tolerance + 0.01 * z
+    height, width = z.shape
+    for dy in (0, 1, 2):
+        for dx in (0, 1, 2):
+            if (dy, dx) != (1, 1):
+                near += np.abs(padded[dy : dy + height, dx : dx + width] - z) < limit
+    out = np.zeros_like(mask)
+    out[r0:r1, c0:c1] = mask[r0:r1, c0:c1] & (z > 0) & (near >= least)
+    return out
+
+
+def trim(points: Array, radius: float) -> Array:
+    """Points within `radius` [m] of the EE: centred first on the 30 % quantile of depth (a thin tool's mask is mostly
+    the background behind it), then on the median, then cut."""
+    if len(points) == 0:
+        return points
+    near = points[points[:, 2] <= np.quantile(points[:, 2], 0.3) + 0.5 * radius]
+    centre = np.array([*np.median(near[:, :2], axis=0), np.quantile(points[:, 2], 0.3)])
+    for _ in range(2):
+        inside = np.linalg.norm(points - centre, axis=1) < radius
+        if not inside.any():
+            return points[:0]
+        centre = np.median(points[inside], axis=0)
+    return points[np.linalg.norm(points - centre, axis=1) < radius]
+
+
+def ee_cloud(frame: RgbdFrame, detection: Detection) -> EeCloud:
+    """The EE's cleaned cloud, or the reason why there is none."""
+    mask = without_flying_pixels(frame.depth, detection.mask)
+    points = trim(back_project(frame.depth, mask, frame.intrinsics), TRIM_RADII * ee_radius(detection.category))
+    if len(points) < LEAST_POINTS:
+        seen = int(np.count_nonzero(detection.mask))
+        reason = (
+            f"only {len(points)} of {seen} mask pixels have usable depth, {LEAST_POINTS} are needed: look from nearer"
+        )
+        return EeCloud(np.empty((0, 3)), None, reason)
+    return EeCloud(points, direction_to_tool(frame, detection, points.mean(axis=0)))
+
+
+def direction_to_tool(frame: RgbdFrame, detection: Detection, centroid: Array) -> Array | None:
+    """Unit vector (3,), camera frame, from the EE's centroid to the visible rest of its tool; None where unseen."""
+    if detection.tool_mask is None:
+        return None
+    rest = without_flying_pixels(frame.depth, detection.tool_mask & ~detection.mask)
+    points = back_project(frame.depth, rest, frame.intrinsics)
+    # No tool of these is longer than 0.5 m: farther points are background that the mask caught.
+    distance = np.linalg.norm(points - centroid, axis=1)
+    points = points[(distance > LEAST_TOOL_DISTANCE) & (distance < 0.5)]
+    if len(points) < 20:
+        return None
+    return _unit(np.median(points, axis=0) - centroid)
+
+
+def _unit(v: Array) -> Array | None:
+    norm = float(np.linalg.norm(v))
+    return v / norm if norm > LEAST_TOOL_DISTANCE else None

@@ -1,0 +1,148 @@
+"""From a frame to the poses of the end effectors in it, and from several frames to the pose in the hand.
+
+perception = ToolPerception.load()
+estimates = perception.estimate(frame, X_camera_hand)      # one frame
+in_hand = perception.fuse([estimates_1, estimates_2], [X_camera_hand_1, X_camera_hand_2])
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolee_robot.errors import PerceptionError
+from toolee_robot.frames import Array
+from toolee_robot.perception.cloud import check_depth_unit, ee_cloud
+from toolee_robot.perception.pose import PoseEstimator, fuse_in_hand
+from toolee_robot.perception.segmentation import Segmenter
+from toolee_robot.types import Category, Detection, InHandEstimate, RgbdFrame, ToolEstimate
+
+
+class EeDetector(Protocol):
+    """What finds end effectors in an image; `Segmenter` does."""
+
+    def detect(self, rgb: NDArray[np.uint8]) -> list[Detection]: ...
+
+
+@dataclass(frozen=True)
+class StageTimes:
+    """Wall-clock time of one frame's stages [ms]; cloud and pose over all of its detections."""
+
+    segmentation_ms: float
+    cloud_ms: float
+    pose_ms: float
+
+    @property
+    def total_ms(self) -> float:
+        return self.segmentation_ms + self.cloud_ms + self.pose_ms
+
+
+class ToolPerception:
+    """Detector, cloud and pose estimator in one. Calls keep no state: the same frame gives the same estimates."""
+
+    def __init__(self, detector: EeDetector, pose: PoseEstimator) -> None:
+        self.detector = detector
+        self.pose = pose
+
+    @classmethod
+    def load(cls, weights_dir: Path | None = None, device: str = "cpu") -> ToolPerception:
+        """With the shipped weights, or those in a folder. Raises AssetError that names a missing file."""
+        return cls(Segmenter.load(weights_dir, device), PoseEstimator.load(weights_dir, device))
+
+    def estimate(
+        self, frame: RgbdFrame, X_camera_hand: Array | None = None, categories: Sequence[Category] = tuple(Category)
+    ) -> list[ToolEstimate]:
+        """The pose of every detected EE of `categories`, the most trustworthy first; an empty list if there is none.
+
+        X_camera_hand: 4x4 pose of the hand that holds the tool; it fixes the spin of symmetric EEs. A detection
+        without enough depth is listed as not usable, with the reason, and a pose that is all NaN.
+        Raises UserError when the depth is not in metres.
+        """
+        return self.estimate_timed(frame, X_camera_hand, categories)[0]
+
+    def estimate_timed(
+        self, frame: RgbdFrame, X_camera_hand: Array | None = None, categories: Sequence[Category] = tuple(Category)
+    ) -> tuple[list[ToolEstimate], StageTimes]:
+        """`estimate`, and how long its stages took."""
+        check_depth_unit(frame.depth)
+        start = time.perf_counter()
+        detections = [d for d in self.detector.detect(frame.rgb) if d.category in categories]
+        segmentation = time.perf_counter() - start
+        cloud_time = pose_time = 0.0
+        estimates = []
+        for detection in detections:
+            start = time.perf_counter()
+            cloud = ee_cloud(frame, detection)
+            cloud_time += time.perf_counter() - start
+            if not cloud.usable:
+                estimates.append(_without_pose(detection, cloud.reason))
+                continue
+            start = time.perf_counter()
+            try:
+                result = self.pose.estimate(cloud.points, detection.category, cloud.direction, X_camera_hand)
+            except PerceptionError as error:
+                estimates.append(_without_pose(detection, str(error)))
+                continue
+            finally:
+                pose_time += time.perf_counter() - start
+            estimates.append(
+                ToolEstimate(
+                    detection,
+                    result.X_camera_ee,
+                    result.covariance,
+                    result.confidence,
+                    result.usable,
+                    result.reason,
+                    result.hypotheses,
+                )
+            )
+        estimates.sort(key=_trust, reverse=True)
+        return estimates, StageTimes(1000 * segmentation, 1000 * cloud_time, 1000 * pose_time)
+
+    def fuse(
+        self,
+        estimates_per_frame: Sequence[Sequence[ToolEstimate]],
+        Xs_camera_hand: Sequence[Array],
+        category: Category | None = None,
+    ) -> InHandEstimate:
+        """One EE's pose in the hand from several frames' estimates.
+
+        Xs_camera_hand[i]: 4x4, the hand when frame i was exposed. category: the EE wanted (the one seen with the most
+        confidence over all frames if None). Of each frame its most trustworthy estimate of that category counts.
+        Raises PerceptionError when no frame has a pose of it.
+        """
+        if len(estimates_per_frame) != len(Xs_camera_hand):
+            raise ValueError(f"{len(estimates_per_frame)} frames but {len(Xs_camera_hand)} hand poses")
+        posed = [[e for e in frame if np.isfinite(e.X_camera_ee).all()] for frame in estimates_per_frame]
+        if category is None:
+            weights = {c: sum(e.confidence for f in posed for e in f if e.category == c) for c in Category}
+            category = max(weights, key=lambda c: weights[c])
+        chosen, hands = [], []
+        for estimates, X_camera_hand in zip(posed, Xs_camera_hand, strict=True):
+            of_category = [e for e in estimates if e.category == category]
+            if of_category:
+                chosen.append(max(of_category, key=_trust))
+                hands.append(X_camera_hand)
+        if not chosen:
+            reasons = {e.reason for f in estimates_per_frame for e in f if e.category == category}
+            detail = f" ({'; '.join(sorted(reasons))})" if reasons else ""
+            raise PerceptionError(
+                f"none of {len(estimates_per_frame)} frames shows the {category}{detail}: move it into the camera's "
+                "view, nearer and unhidden"
+            )
+        return replace(fuse_in_hand(chosen, hands), frames_seen=len(estimates_per_frame))
+
+
+def _trust(estimate: ToolEstimate) -> tuple[bool, float]:
+    return estimate.usable, estimate.confidence * estimate.detection.score
+
+
+def _without_pose(detection: Detection, reason: str) -> ToolEstimate:
+    nothing = np.full((4, 4), np.nan)
+    return ToolEstimate(detection, nothing, np.full((6, 6), np.nan), 0.0, False, reason)

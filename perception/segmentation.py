@@ -1,0 +1,135 @@
+"""The tool's end effectors found in a colour image: instance masks by a Mask R-CNN."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from toolee_robot.errors import AssetError, UserError
+from toolee_robot.perception.assets import load_weights
+from toolee_robot.perception.segmentation_model import (
+    CLASSES,
+    STRIDE,
+    TOOL,
+    WEIGHTS_NAME,
+    Detector,
+    DetectorConfig,
+    RawDetections,
+    normalise,
+)
+from toolee_robot.types import Category, Detection
+
+LEAST_TOOL_OVERLAP = 0.5
+"""Share of an EE's mask that a tool's mask must cover for the EE to belong to that tool."""
+
+
+class Segmenter:
+    """A trained detector, ready for images of any size. Thread-safe once loaded: inference keeps no state."""
+
+    def __init__(self, detector: Detector, device: torch.device | str = "cpu") -> None:
+        self._device = torch.device(device)
+        self._detector = detector.fuse().to(self._device, memory_format=torch.channels_last)
+        self.config: DetectorConfig = detector.config
+
+    @classmethod
+    def load(cls, weights_dir: Path | None = None, device: torch.device | str = "cpu") -> Segmenter:
+        """The shipped detector, or the one a training run left in `weights_dir`.
+
+        Raises AssetError that names the missing or unreadable file.
+        """
+        tensors, description = load_weights(weights_dir, WEIGHTS_NAME)
+        try:
+            if list(description["classes"]) != list(CLASSES):
+                raise AssetError(f"the detector knows {description['classes']}, not {list(CLASSES)}: train it again")
+            detector = Detector(DetectorConfig.from_json(description["model"]))
+            missing, unexpected = detector.load_state_dict(tensors, strict=False)
+        except (KeyError, TypeError, RuntimeError) as error:
+            raise AssetError(f"the detector's weights do not fit its description, fetch them again: {error}") from error
+        missing = [name for name in missing if not name.endswith("num_batches_tracked")]
+        if missing or unexpected:
+            raise AssetError(f"the detector's weights are incomplete, fetch them again: {(missing + unexpected)[:5]}")
+        return cls(detector, device)
+
+    def detect(self, rgb: NDArray[np.uint8]) -> list[Detection]:
+        """End effectors in an image (H, W, 3) uint8 RGB, best score first, each with its tool's mask where seen."""
+        if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
+            raise UserError(f"rgb must be (H, W, 3) uint8, got {rgb.shape} {rgb.dtype}: convert grey or RGBA images")
+        height, width = rgb.shape[:2]
+        images, scale = self._prepare(rgb)
+        raw = self._detector.detect(images)[0]
+        return associate(*paste(raw, scale, height, width))
+
+    def _prepare(self, rgb: NDArray[np.uint8]) -> tuple[torch.Tensor, tuple[float, float]]:
+        """Network input and the factors (x, y) from its pixels to the image's."""
+        height, width = rgb.shape[:2]
+        factor = min(1.0, (self.config.working_pixels / (height * width)) ** 0.5)
+        h, w = max(1, round(height * factor)), max(1, round(width * factor))
+        if (h, w) != (height, width):
+            rgb = cv2.resize(rgb, (w, h), interpolation=cv2.INTER_AREA).astype(np.uint8)
+        pixels = torch.from_numpy(np.ascontiguousarray(rgb)).to(self._device)
+        images = normalise(pixels.permute(2, 0, 1)[None])
+        images = torch.nn.functional.pad(images, (0, -w % STRIDE, 0, -h % STRIDE))
+        return images.contiguous(memory_format=torch.channels_last), (width / w, height / h)
+
+
+Pasted = tuple[list[NDArray[np.bool_]], list[int], list[float], list[tuple[float, float, float, float]]]
+
+
+def paste(raw: RawDetections, scale: tuple[float, float], height: int, width: int) -> Pasted:
+    """Full-size masks (H, W), labels, scores and boxes [px of the image] from the network's output."""
+    masks, labels, scores, boxes = [], [], [], []
+    factors = np.array([*scale, *scale])
+    limits = np.array([width, height, width, height], dtype=np.float64)
+    for box, score, label, patch in zip(
+        raw.boxes.cpu().numpy(), raw.scores.tolist(), raw.labels.tolist(), raw.masks.cpu().numpy(), strict=True
+    ):
+        x0, y0, x1, y1 = np.clip(box * factors, 0.0, limits)
+        mask = _paste_one(patch, (x0, y0, x1, y1), height, width)
+        if mask.any():
+            masks.append(mask)
+            labels.append(int(label))
+            scores.append(float(score))
+            boxes.append((float(x0), float(y0), float(x1), float(y1)))
+    return masks, labels, scores, boxes
+
+
+def associate(
+    masks: list[NDArray[np.bool_]],
+    labels: list[int],
+    scores: list[float],
+    boxes: list[tuple[float, float, float, float]],
+) -> list[Detection]:
+    """EE detections, best first, each with the mask of the tool that covers most of it."""
+    tools = [m for m, label in zip(masks, labels, strict=True) if label == TOOL]
+    found = []
+    for mask, label, score, box in zip(masks, labels, scores, boxes, strict=True):
+        if label == TOOL:
+            continue
+        overlaps = [float((mask & tool).sum()) / float(mask.sum()) for tool in tools]
+        best = int(np.argmax(overlaps)) if overlaps else -1
+        tool_mask = (tools[best] | mask) if overlaps and overlaps[best] >= LEAST_TOOL_OVERLAP else None
+        found.append(Detection(Category(CLASSES[label]), score, mask, box, tool_mask))
+    return sorted(found, key=lambda d: -d.score)
+
+
+def _paste_one(
+    patch: NDArray[np.float32], box: tuple[float, float, float, float], height: int, width: int
+) -> NDArray[np.bool_]:
+    """Bilinear resampling of a mask's probabilities (S, S) from its box to the image's pixel centres, over 0.5."""
+    x0, y0, x1, y1 = box
+    mask = np.zeros((height, width), dtype=np.bool_)
+    c0, c1 = int(np.floor(x0)), min(int(np.ceil(x1)), width)
+    r0, r1 = int(np.floor(y0)), min(int(np.ceil(y1)), height)
+    if c1 <= c0 or r1 <= r0 or x1 - x0 < 0.5 or y1 - y0 < 0.5:
+        return mask
+    size = patch.shape[0]
+    u = (np.arange(c0, c1) + 0.5 - x0) / (x1 - x0) * size - 0.5
+    v = (np.arange(r0, r1) + 0.5 - y0) / (y1 - y0) * size - 0.5
+    grid_u, grid_v = np.meshgrid(u.astype(np.float32), v.astype(np.float32))
+    values = cv2.remap(patch, grid_u, grid_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    mask[r0:r1, c0:c1] = values > 0.5
+    return mask

@@ -1,0 +1,176 @@
+"""Training images on the device: a data set held as bytes, and augmentation in whole batches."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolee_robot.perception.segmentation_model import STRIDE, normalise
+
+
+class SegmentationImages(Protocol):
+    """What the trainer needs of a data set, arrays of N images of one size.
+
+    rgb (N, H, W, 3) uint8. ee (N, H, W) uint8: id of the end effector seen at the pixel, 0 for none. tool
+    (N, H, W) uint8: id of the tool, likewise. categories (N, E) uint8: class index (1..4, the order of `Category`)
+    of EE id 1..E, 0 where there is none.
+    """
+
+    @property
+    def rgb(self) -> NDArray[np.uint8]: ...
+
+    @property
+    def ee(self) -> NDArray[np.uint8]: ...
+
+    @property
+    def tool(self) -> NDArray[np.uint8]: ...
+
+    @property
+    def categories(self) -> NDArray[np.uint8]: ...
+
+
+@dataclass(frozen=True)
+class ArrayImages:
+    """`SegmentationImages` in memory."""
+
+    rgb: NDArray[np.uint8]
+    ee: NDArray[np.uint8]
+    tool: NDArray[np.uint8]
+    categories: NDArray[np.uint8]
+
+
+class DeviceImages:
+    """A data set (or one rank's share of it) as uint8 tensors on the device, sampled in shuffled epochs."""
+
+    def __init__(self, images: SegmentationImages, device: torch.device, rank: int = 0, world: int = 1) -> None:
+        part = slice(rank, None, world)
+        self.rgb = torch.from_numpy(np.ascontiguousarray(images.rgb[part])).to(device)
+        maps = np.stack([images.ee[part], images.tool[part]], 1)
+        self.maps = torch.from_numpy(maps).to(device)
+        self.categories = torch.from_numpy(np.ascontiguousarray(images.categories[part])).to(device)
+        self.tools = max(1, int(images.tool.max()))
+        self._order = torch.empty(0, dtype=torch.long, device=device)
+
+    def __len__(self) -> int:
+        return len(self.rgb)
+
+    def sample(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
+        """rgb (B, H, W, 3) uint8, maps (B, 2, H, W) uint8, categories (B, E) of the next `count` images."""
+        while len(self._order) < count:
+            fresh = torch.randperm(len(self.rgb), device=self.rgb.device)
+            self._order = torch.cat([self._order, fresh])
+        index, self._order = self._order[:count], self._order[count:]
+        return self.rgb[index], self.maps[index], self.categories[index]
+
+
+@torch.no_grad()
+def augment(rgb: Tensor, maps: Tensor, strength: float = 1.0) -> tuple[Tensor, Tensor]:
+    """Warped and recoloured images (B, 3, H', W'), normalised, and their maps (B, 2, H', W'), sizes padded to STRIDE.
+
+    Geometry: mirror, scale 0.65 to 1.5, shift, roll (any angle for a third). Mirrored tools are as good for masks.
+    Colour: gain and offset a channel, contrast, saturation, grey, channel order, gamma; blur, noise, rectangles that
+    hide. strength 0 only normalises and pads.
+    """
+    n, height, width, _ = rgb.shape
+    images = rgb.permute(0, 3, 1, 2).float()
+    if strength > 0:
+        images, maps = _warp(images, maps, strength)
+        images = _recolour(images, strength)
+        images = _blur(images, strength)
+        images, maps = _hide(images, maps, strength)
+        sigma = torch.rand((n, 1, 1, 1), device=rgb.device) ** 2 * 14 * strength
+        images = images + torch.randn_like(images) * sigma
+        images = images.clamp(0, 255)
+    pad = (0, -width % STRIDE, 0, -height % STRIDE)
+    return F.pad(normalise(images), pad), F.pad(maps, pad)
+
+
+def _uniform(n: int, low: float, high: float, device: torch.device) -> Tensor:
+    return torch.rand((n, 1, 1, 1), device=device) * (high - low) + low
+
+
+def _warp(images: Tensor, maps: Tensor, strength: float) -> tuple[Tensor, Tensor]:
+    n, _, height, width = images.shape
+    device = images.device
+    scale = torch.exp(_uniform(n, -0.43, 0.4, device).view(n) * strength)
+    angle = torch.randn(n, device=device) * 0.08 * strength
+    angle = torch.where(torch.rand(n, device=device) < 0.33, torch.rand(n, device=device) * 2 * math.pi, angle)
+    mirror = torch.where(torch.rand(n, device=device) < 0.5, -1.0, 1.0)
+    shift = (torch.rand((n, 2), device=device) - 0.5) * 0.5 * strength
+    cos, sin = torch.cos(angle) / scale, torch.sin(angle) / scale
+    aspect = height / width
+    # affine_grid's coordinates are normalised by each side: the aspect keeps the rotation rigid.
+    theta = torch.stack(
+        [
+            torch.stack([cos * mirror, -sin * aspect, shift[:, 0]], 1),
+            torch.stack([sin * mirror / aspect, cos, shift[:, 1]], 1),
+        ],
+        1,
+    )
+    grid = F.affine_grid(theta, [n, 1, height, width], align_corners=False)
+    warped = F.grid_sample(images, grid, mode="bilinear", padding_mode="reflection", align_corners=False)
+    # Reflected copies must not be unlabelled tools: their pixels become plain.
+    outside = (grid.abs() > 1.0).any(-1)[:, None]
+    fill = _uniform(n, 0, 255, device).expand(-1, 3, -1, -1)
+    warped = torch.where(outside, fill, warped)
+    ids = F.grid_sample(maps.float(), grid, mode="nearest", padding_mode="zeros", align_corners=False)
+    return warped, ids.to(torch.uint8)
+
+
+def _recolour(images: Tensor, strength: float) -> Tensor:
+    n, device = len(images), images.device
+    grey = images.mean(1, keepdim=True)
+    saturation = 1 + _uniform(n, -0.6, 0.6, device) * strength
+    saturation = torch.where(torch.rand_like(saturation) < 0.1 * strength, 0.0, saturation)
+    images = grey + (images - grey) * saturation
+    order = torch.rand((n, 3), device=device).argsort(1)
+    shuffled = torch.gather(images, 1, order[:, :, None, None].expand_as(images))
+    images = torch.where(torch.rand((n, 1, 1, 1), device=device) < 0.2 * strength, shuffled, images)
+    gain = 1 + (torch.rand((n, 3, 1, 1), device=device) - 0.5) * 0.3 * strength
+    contrast = torch.exp(_uniform(n, -0.35, 0.35, device) * strength)
+    mean = images.mean((1, 2, 3), keepdim=True)
+    offset = _uniform(n, -40, 40, device) * strength
+    images = ((images - mean) * contrast + mean) * gain + offset
+    gamma = torch.exp(_uniform(n, -0.4, 0.4, device) * strength)
+    return 255 * (images.clamp(0, 255) / 255 + 1e-6) ** gamma
+
+
+def _blur(images: Tensor, strength: float) -> Tensor:
+    n, device = len(images), images.device
+    sigma = 0.2 + torch.rand((n, 1), device=device) * 1.5 * strength
+    offsets = torch.arange(-3, 4, device=device)
+    kernel = torch.exp(-0.5 * (offsets / sigma) ** 2)
+    kernel = (kernel / kernel.sum(1, keepdim=True)).repeat_interleave(3, 0)
+    flat = images.reshape(1, n * 3, *images.shape[2:])
+    flat = F.conv2d(F.pad(flat, (3, 3, 0, 0), mode="replicate"), kernel[:, None, None, :], groups=3 * n)
+    flat = F.conv2d(F.pad(flat, (0, 0, 3, 3), mode="replicate"), kernel[:, None, :, None], groups=3 * n)
+    chosen = torch.rand((n, 1, 1, 1), device=device) < 0.4 * strength
+    return torch.where(chosen, flat.view_as(images), images)
+
+
+def _hide(images: Tensor, maps: Tensor, strength: float, count: int = 2) -> tuple[Tensor, Tensor]:
+    """Rectangles of one colour in front of the scene; what they hide is not seen and so no target."""
+    n, _, height, width = images.shape
+    device = images.device
+    y = torch.arange(height, device=device)[None, :, None]
+    x = torch.arange(width, device=device)[None, None, :]
+    for _ in range(count):
+        centre = torch.rand((n, 2, 1, 1), device=device) * images.new_tensor([height, width])[None, :, None, None]
+        half = (0.01 + torch.rand((n, 2, 1, 1), device=device) ** 2 * 0.1) * height
+        inside = ((y - centre[:, 0]).abs() < half[:, 0]) & ((x - centre[:, 1]).abs() < half[:, 1])
+        inside = (inside & (torch.rand((n, 1, 1), device=device) < 0.4 * strength))[:, None]
+        colour = torch.rand((n, 3, 1, 1), device=device) * 255
+        images = torch.where(inside, colour, images)
+        maps = torch.where(inside, torch.zeros_like(maps), maps)
+    return images, maps
+
+
+def load_images(directory: object) -> SegmentationImages:
+    raise NotImplementedError(directory)

@@ -1,0 +1,309 @@
+"""Mask R-CNN (He et al. 2017) on a ResNet-18-like FPN backbone, trained from scratch, whole batches at a time.
+
+Built from torchvision's blocks and operators. torchvision's own `MaskRCNN` loops over images in Python for anchors,
+matching, sampling and resizing, which bounds training by kernel launches; here every step is batched over padded
+arrays, so the same weights train several times faster and the inference path stays small.
+Boxes are x0, y0, x1, y1 [px] of the network's input; pixel edges are at integer coordinates.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+from torchvision.models.resnet import BasicBlock
+from torchvision.ops import batched_nms, roi_align
+
+from toolee_robot.types import Category
+
+CLASSES: tuple[str, ...] = ("background", *(c.value for c in Category), "tool")
+"""Class index -> name. Index 5 is the whole visible tool."""
+TOOL = len(CLASSES) - 1
+WEIGHTS_NAME = "segmentation"
+STRIDE = 32
+"""Input sizes must be multiples of this."""
+
+_RPN_STRIDES = (8, 16, 32, 64)
+_ROI_STRIDES = (4, 8, 16, 32)
+_RATIOS = (0.5, 1.0, 2.0)
+ROI_DELTA_WEIGHTS = (10.0, 10.0, 5.0, 5.0)
+_LOG_LIMIT = math.log(1000.0 / 16.0)
+
+
+@dataclass(frozen=True)
+class DetectorConfig:
+    """Architecture and inference settings; stored beside the weights.
+
+    anchor_sizes: square root of the anchors' areas [px], two a pyramid level (strides 8 to 64).
+    working_pixels: images are scaled to about this area (never up). pre_nms a level, post_nms an image.
+    """
+
+    widths: tuple[int, int, int, int] = (64, 128, 256, 384)
+    fpn_channels: int = 128
+    box_features: int = 512
+    mask_layers: int = 4
+    anchor_sizes: tuple[tuple[float, float], ...] = ((16, 26), (40, 64), (100, 160), (230, 350))
+    working_pixels: int = 512 * 424
+    pre_nms: int = 100
+    post_nms: int = 30
+    rpn_nms: float = 0.7
+    score_threshold: float = 0.3
+    box_nms: float = 0.5
+    max_detections: int = 12
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> DetectorConfig:
+        sizes = tuple((float(a), float(b)) for a, b in data["anchor_sizes"])
+        return cls(**{**data, "widths": tuple(data["widths"]), "anchor_sizes": sizes})
+
+
+@dataclass(frozen=True)
+class RawDetections:
+    """One image's detections. boxes (N, 4), scores (N,), labels (N,), masks (N, 28, 28) probabilities in the box."""
+
+    boxes: Tensor
+    scores: Tensor
+    labels: Tensor
+    masks: Tensor
+
+
+class Backbone(nn.Module):
+    """ResNet-18 with a narrower last stage, and a feature pyramid at strides 4, 8, 16, 32, 64."""
+
+    def __init__(self, config: DetectorConfig) -> None:
+        super().__init__()
+        w, c = config.widths, config.fpn_channels
+        self.stem = nn.Sequential(
+            nn.Conv2d(3, w[0], 7, 2, 3, bias=False), nn.BatchNorm2d(w[0]), nn.ReLU(), nn.MaxPool2d(3, 2, 1)
+        )
+        self.stages = nn.ModuleList()
+        for i, n in enumerate(w):
+            n_in, stride = (w[0], 1) if i == 0 else (w[i - 1], 2)
+            shortcut = None
+            if stride != 1 or n_in != n:
+                shortcut = nn.Sequential(nn.Conv2d(n_in, n, 1, stride, bias=False), nn.BatchNorm2d(n))
+            self.stages.append(nn.Sequential(BasicBlock(n_in, n, stride, shortcut), BasicBlock(n, n)))
+        self.lateral = nn.ModuleList(_conv_bn(n, c, 1) for n in w)
+        self.output = nn.ModuleList(_conv_bn(c, c, 3) for _ in w)
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        x = self.stem(x)
+        stages = []
+        for stage in self.stages:
+            x = stage(x)
+            stages.append(x)
+        top = self.lateral[3](stages[3])
+        pyramid = [self.output[3](top)]
+        for i in (2, 1, 0):
+            side = self.lateral[i](stages[i])
+            top = side + F.interpolate(top, size=side.shape[-2:], mode="nearest")
+            pyramid.insert(0, self.output[i](top))
+        pyramid.append(F.max_pool2d(pyramid[-1], 1, 2))
+        return pyramid
+
+
+class Detector(nn.Module):
+    """Backbone, region proposals, box head and mask head."""
+
+    def __init__(self, config: DetectorConfig | None = None) -> None:
+        super().__init__()
+        self.config = config = config or DetectorConfig()
+        c, n_anchors, n_classes = config.fpn_channels, 2 * len(_RATIOS), len(CLASSES)
+        self.backbone = Backbone(config)
+        self.rpn_conv = nn.Conv2d(c, c, 3, padding=1)
+        self.rpn_score = nn.Conv2d(c, n_anchors, 1)
+        self.rpn_delta = nn.Conv2d(c, 4 * n_anchors, 1)
+        self.box_head = nn.Sequential(
+            nn.Flatten(),
+            nn.Linear(c * 49, config.box_features),
+            nn.LayerNorm(config.box_features),
+            nn.ReLU(),
+            nn.Linear(config.box_features, config.box_features),
+            nn.LayerNorm(config.box_features),
+            nn.ReLU(),
+        )
+        self.box_score = nn.Linear(config.box_features, n_classes)
+        self.box_delta = nn.Linear(config.box_features, 4 * n_classes)
+        mask: list[nn.Module] = []
+        for _ in range(config.mask_layers):
+            mask += [nn.Conv2d(c, c, 3, padding=1, bias=False), nn.GroupNorm(16, c), nn.ReLU()]
+        self.mask_head = nn.Sequential(*mask, nn.ConvTranspose2d(c, c, 2, 2), nn.ReLU(), nn.Conv2d(c, n_classes, 1))
+        for layer in (self.rpn_conv, self.rpn_score, self.rpn_delta, self.box_score, self.box_delta):
+            nn.init.normal_(layer.weight, std=0.001 if layer is self.box_delta else 0.01)
+            assert layer.bias is not None
+            nn.init.zeros_(layer.bias)
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d) and module.bias is None:
+                nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
+
+    def rpn(self, pyramid: list[Tensor]) -> tuple[list[Tensor], list[Tensor]]:
+        """Per level: objectness (B, A_l) and deltas (B, A_l, 4)."""
+        scores, deltas = [], []
+        for level in pyramid[1:]:
+            x = F.relu(self.rpn_conv(level))
+            n = x.shape[0]
+            scores.append(self.rpn_score(x).permute(0, 2, 3, 1).reshape(n, -1))
+            deltas.append(self.rpn_delta(x).permute(0, 2, 3, 1).reshape(n, -1, 4))
+        return scores, deltas
+
+    def anchors(self, height: int, width: int, device: torch.device) -> list[Tensor]:
+        """Per level: anchor boxes (A_l, 4) of an input of this size."""
+        return _anchors(self.config.anchor_sizes, height, width, device)
+
+    @torch.no_grad()
+    def proposals(
+        self, scores: list[Tensor], deltas: list[Tensor], height: int, width: int, pre: int, post: int
+    ) -> tuple[Tensor, Tensor]:
+        """The best regions after suppression: boxes (B, post, 4) and which of them are real (B, post) bool."""
+        level_scores, level_boxes = [], []
+        for s, d, a in zip(scores, deltas, self.anchors(height, width, scores[0].device), strict=True):
+            top, index = s.float().topk(min(pre, s.shape[1]), dim=1)
+            level_scores.append(top)
+            level_boxes.append(decode(torch.gather(d.float(), 1, index[..., None].expand(-1, -1, 4)), a[index]))
+        score, boxes = torch.cat(level_scores, 1), clip(torch.cat(level_boxes, 1), height, width)
+        large = ((boxes[..., 2:] - boxes[..., :2]) >= 2.0).all(-1)
+        score = torch.where(large, score, -torch.inf)
+        score, order = score.sort(dim=1, descending=True)
+        boxes = torch.gather(boxes, 1, order[..., None].expand(-1, -1, 4))
+        keep = greedy_suppression(boxes, self.config.rpn_nms) & torch.isfinite(score)
+        chosen = torch.where(keep, score, -torch.inf).topk(min(post, score.shape[1]), dim=1)
+        return torch.gather(boxes, 1, chosen.indices[..., None].expand(-1, -1, 4)), torch.isfinite(chosen.values)
+
+    def box_outputs(self, pyramid: list[Tensor], rois: Tensor) -> tuple[Tensor, Tensor]:
+        """Class logits (R, C) and deltas (R, C, 4) of rois (R, 5): image index, box."""
+        x = self.box_head(pyramid_roi_align(pyramid[:4], rois, 7))
+        return self.box_score(x), self.box_delta(x).unflatten(1, (len(CLASSES), 4))
+
+    def mask_outputs(self, pyramid: list[Tensor], rois: Tensor) -> Tensor:
+        """Mask logits (R, C, 28, 28) of rois (R, 5)."""
+        return self.mask_head(pyramid_roi_align(pyramid[:4], rois, 14))
+
+    @torch.inference_mode()
+    def detect(self, images: Tensor) -> list[RawDetections]:
+        """Detections of images (B, 3, H, W), normalised by `normalise`, H and W multiples of STRIDE."""
+        height, width = images.shape[-2:]
+        pyramid = self.backbone(images)
+        boxes, valid = self.proposals(*self.rpn(pyramid), height, width, self.config.pre_nms, self.config.post_nms)
+        results = []
+        for i in range(len(images)):
+            proposals = boxes[i][valid[i]]
+            index = torch.full((len(proposals), 1), float(i), device=images.device)
+            logits, deltas = self.box_outputs(pyramid, torch.cat([index, proposals], 1))
+            probability = logits.float().softmax(1)[:, 1:]
+            roi, label = torch.nonzero(probability > self.config.score_threshold, as_tuple=True)
+            score, label = probability[roi, label], label + 1
+            box = clip(decode(deltas[roi, label].float(), proposals[roi], ROI_DELTA_WEIGHTS), height, width)
+            keep = batched_nms(box, score, label, self.config.box_nms)[: self.config.max_detections]
+            box, score, label = box[keep], score[keep], label[keep]
+            masks = torch.zeros((0, 28, 28), device=images.device)
+            if len(keep):
+                rois = torch.cat([index[:1].expand(len(box), 1), box], 1)
+                logits = self.mask_outputs(pyramid, rois)
+                masks = logits[torch.arange(len(box), device=images.device), label].float().sigmoid()
+            results.append(RawDetections(box, score, label, masks))
+        return results
+
+    def fuse(self) -> Detector:
+        """Fold batch normalisation into the convolutions, in place, for inference only."""
+        self.eval()
+        for module in list(self.modules()):
+            if isinstance(module, BasicBlock):
+                module.conv1, module.bn1 = fuse_conv_bn_eval(module.conv1, module.bn1), nn.Identity()
+                module.conv2, module.bn2 = fuse_conv_bn_eval(module.conv2, module.bn2), nn.Identity()
+            elif isinstance(module, nn.Sequential):
+                for i in range(len(module) - 1):
+                    conv, norm = module[i], module[i + 1]
+                    if isinstance(conv, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
+                        module[i], module[i + 1] = fuse_conv_bn_eval(conv, norm), nn.Identity()
+        return self
+
+
+def normalise(images: Tensor) -> Tensor:
+    """uint8 or float RGB in 0..255 to the network's range (fixed mean and deviation)."""
+    return (images.float() - 110.0) / 60.0
+
+
+def encode(boxes: Tensor, anchors: Tensor, weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)) -> Tensor:
+    """Deltas (..., 4) that turn `anchors` into `boxes`."""
+    size_a, size_b = (anchors[..., 2:] - anchors[..., :2]).clamp(min=1e-3), (boxes[..., 2:] - boxes[..., :2])
+    shift = (boxes[..., 2:] + boxes[..., :2] - anchors[..., 2:] - anchors[..., :2]) / 2 / size_a
+    scale = torch.log(size_b.clamp(min=1e-3) / size_a)
+    return torch.cat([shift, scale], -1) * shift.new_tensor(weights)
+
+
+def decode(deltas: Tensor, anchors: Tensor, weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)) -> Tensor:
+    """Boxes (..., 4) from deltas; the inverse of `encode`."""
+    deltas = deltas / deltas.new_tensor(weights)
+    size = anchors[..., 2:] - anchors[..., :2]
+    centre = (anchors[..., 2:] + anchors[..., :2]) / 2 + deltas[..., :2] * size
+    half = deltas[..., 2:].clamp(max=_LOG_LIMIT).exp() * size / 2
+    return torch.cat([centre - half, centre + half], -1)
+
+
+def clip(boxes: Tensor, height: int, width: int) -> Tensor:
+    """Boxes cut at the image's border."""
+    limit = boxes.new_tensor([width, height, width, height])
+    return torch.minimum(boxes.clamp(min=0.0), limit)
+
+
+def pairwise_iou(a: Tensor, b: Tensor) -> Tensor:
+    """Intersection over union (..., N, M) of boxes (..., N, 4) and (..., M, 4)."""
+    a, b = a[..., :, None, :], b[..., None, :, :]
+    overlap = (torch.minimum(a[..., 2:], b[..., 2:]) - torch.maximum(a[..., :2], b[..., :2])).clamp(min=0).prod(-1)
+    area_a, area_b = (a[..., 2:] - a[..., :2]).prod(-1), (b[..., 2:] - b[..., :2]).prod(-1)
+    return overlap / (area_a + area_b - overlap).clamp(min=1e-6)
+
+
+def greedy_suppression(boxes: Tensor, threshold: float, iterations: int = 8) -> Tensor:
+    """Which of boxes (B, N, 4), sorted by falling score, survive greedy non-maximum suppression, (B, N) bool.
+
+    Fixed-point iteration (Zheng et al. 2021, cluster NMS): exact once it has run as often as the longest chain of
+    suppressions, batched and free of host synchronisation.
+    """
+    n = boxes.shape[1]
+    above = torch.ones((n, n), dtype=torch.bool, device=boxes.device).triu(1)
+    overlaps = (pairwise_iou(boxes, boxes) > threshold) & above
+    keep = torch.ones(boxes.shape[:2], dtype=torch.bool, device=boxes.device)
+    for _ in range(iterations):
+        keep = ~(overlaps & keep[:, :, None]).any(1)
+    return keep
+
+
+def pyramid_roi_align(pyramid: list[Tensor], rois: Tensor, size: int) -> Tensor:
+    """Features (R, C, size, size) of rois (R, 5), each from the level that fits its area (FPN, 224 px -> stride 16)."""
+    side = (rois[:, 3:] - rois[:, 1:3]).clamp(min=1.0).prod(1).sqrt()
+    level = (torch.log2(side / 224.0 + 1e-6).floor() + 2).clamp(0, len(pyramid) - 1).long()
+    out = pyramid[0].new_zeros((len(rois), pyramid[0].shape[1], size, size), dtype=torch.float32)
+    for i, features in enumerate(pyramid):
+        index = torch.nonzero(level == i)[:, 0]
+        values = roi_align(features.float(), rois[index], size, 1.0 / _ROI_STRIDES[i], 2, aligned=True)
+        out = out.index_copy(0, index, values)
+    return out
+
+
+def _conv_bn(n_in: int, n_out: int, size: int) -> nn.Sequential:
+    return nn.Sequential(nn.Conv2d(n_in, n_out, size, padding=size // 2, bias=False), nn.BatchNorm2d(n_out))
+
+
+@lru_cache(maxsize=8)
+def _anchors(sizes: tuple[tuple[float, float], ...], height: int, width: int, device: torch.device) -> list[Tensor]:
+    levels = []
+    for stride, scales in zip(_RPN_STRIDES, sizes, strict=True):
+        ratio = torch.tensor(_RATIOS).repeat(len(scales))
+        scale = torch.tensor(scales).repeat_interleave(len(_RATIOS))
+        half = torch.stack([scale / ratio.sqrt(), scale * ratio.sqrt()], 1) / 2
+        ys = (torch.arange(-(-height // stride)) + 0.5) * stride
+        xs = (torch.arange(-(-width // stride)) + 0.5) * stride
+        y, x = torch.meshgrid(ys, xs, indexing="ij")
+        centre = torch.stack([x, y], -1)[:, :, None]
+        levels.append(torch.cat([centre - half, centre + half], -1).reshape(-1, 4).to(device))
+    return levels

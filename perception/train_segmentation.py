@@ -1,0 +1,301 @@
+"""Train the detector from scratch within a budget of minutes, on one GPU, several, or (small) on a CPU.
+
+    python -m toolee_robot.perception.train_segmentation --data data/train --out runs/segmentation --minutes 12
+    torchrun --nproc-per-node 4 -m toolee_robot.perception.train_segmentation --data data/train --out runs/seg --minutes 12
+
+The whole data set is held on the device as bytes (each rank its share); targets and augmentation are made there. The
+learning rate follows the clock, so a run ends annealed whatever the machine's speed. A run that is interrupted
+continues from its last checkpoint with `--resume`. The last act writes the averaged weights in half precision.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.distributed as dist
+from torch import Tensor, nn
+
+from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.perception.assets import save_weights
+from toolee_robot.perception.segmentation_data import DeviceImages, SegmentationImages, augment, load_images
+from toolee_robot.perception.segmentation_losses import DetectorLoss, instances_from_maps
+from toolee_robot.perception.segmentation_model import CLASSES, WEIGHTS_NAME, Detector, DetectorConfig
+
+
+@dataclass(frozen=True)
+class SegmentationTraining:
+    """A training run. minutes: wall-clock budget of the optimisation, loading excluded. batch: images a rank."""
+
+    data: Path
+    out: Path
+    minutes: float = 12.0
+    batch: int = 32
+    lr: float = 1e-3
+    weight_decay: float = 0.05
+    warmup_steps: int = 200
+    clip_norm: float = 10.0
+    ema: float = 0.999
+    augmentation: float = 1.0
+    seed: int = 0
+    max_steps: int | None = None
+    checkpoint_minutes: float = 2.0
+    log_every: int = 20
+    resume: bool = False
+    device: str = "auto"
+    model: DetectorConfig = field(default_factory=DetectorConfig)
+
+    def __post_init__(self) -> None:
+        if not (self.minutes > 0 and self.batch > 0 and self.lr > 0 and 0 < self.ema < 1):
+            raise UserError("minutes, batch and lr must be positive, ema between 0 and 1")
+
+    def to_json(self) -> dict[str, Any]:
+        return {**asdict(self), "data": str(self.data), "out": str(self.out)}
+
+
+@dataclass(frozen=True)
+class _Ranks:
+    rank: int
+    world: int
+    device: torch.device
+
+    @property
+    def first(self) -> bool:
+        return self.rank == 0
+
+    def agreed(self, value: float) -> float:
+        """Rank 0's value, everywhere."""
+        if self.world == 1:
+            return value
+        tensor = torch.tensor([value], dtype=torch.float64, device=self.device)
+        dist.broadcast(tensor, 0)
+        return float(tensor.item())
+
+
+@contextmanager
+def _ranks(device: str) -> Iterator[_Ranks]:
+    """This process's place among those that torchrun started (alone without torchrun)."""
+    world = int(os.environ.get("WORLD_SIZE", "1"))
+    local = int(os.environ.get("LOCAL_RANK", "0"))
+    if device == "auto":
+        device = f"cuda:{local}" if torch.cuda.is_available() else "cpu"
+    chosen = torch.device(device)
+    if chosen.type == "cuda":
+        torch.cuda.set_device(chosen)
+    if world > 1:
+        dist.init_process_group("nccl" if chosen.type == "cuda" else "gloo")
+    try:
+        yield _Ranks(int(os.environ.get("RANK", "0")), world, chosen)
+    finally:
+        if world > 1:
+            dist.destroy_process_group()
+
+
+def train(config: SegmentationTraining, images: SegmentationImages | None = None) -> Path:
+    """Run the training and return the folder with the exported weights, their configuration and log.
+
+    images: the data, if not to be read from `config.data`. Raises TooleeError when a loss is not finite.
+    """
+    with _ranks(config.device) as ranks:
+        torch.manual_seed(config.seed + 1000 * ranks.rank)
+        torch.backends.cudnn.benchmark = True
+        data = DeviceImages(
+            load_images(config.data) if images is None else images, ranks.device, ranks.rank, ranks.world
+        )
+        if len(data) == 0:
+            raise UserError(f"{config.data} holds no training images: generate the data set first")
+        run = _Run(config, ranks, data)
+        run.loop()
+        if ranks.first:
+            run.export()
+    return config.out
+
+
+class _Run:
+    """The state of one run: network, average, optimiser, clock and log."""
+
+    def __init__(self, config: SegmentationTraining, ranks: _Ranks, data: DeviceImages) -> None:
+        self.config, self.ranks, self.data = config, ranks, data
+        detector = Detector(config.model).to(ranks.device, memory_format=torch.channels_last)
+        self.loss = DetectorLoss(detector)
+        self.average = {k: v.detach().clone().float() for k, v in detector.state_dict().items()}
+        decayed = [p for p in detector.parameters() if p.ndim > 1]
+        plain = [p for p in detector.parameters() if p.ndim <= 1]
+        self.optimizer = torch.optim.AdamW(
+            [{"params": decayed, "weight_decay": config.weight_decay}, {"params": plain, "weight_decay": 0.0}],
+            lr=config.lr,
+        )
+        self.step, self.elapsed = 0, 0.0
+        self.log: list[dict[str, float]] = []
+        self.checkpoint_path = config.out / "checkpoint.pt"
+        if config.resume:
+            self._restore()
+        self.module: nn.Module = self.loss
+        if ranks.world > 1:
+            ids = [ranks.device.index] if ranks.device.type == "cuda" else None
+            self.module = nn.parallel.DistributedDataParallel(self.loss, device_ids=ids, broadcast_buffers=False)
+
+    @property
+    def detector(self) -> Detector:
+        return self.loss.detector
+
+    def loop(self) -> None:
+        config, ranks = self.config, self.ranks
+        if ranks.first:
+            config.out.mkdir(parents=True, exist_ok=True)
+            size = sum(p.numel() for p in self.detector.parameters()) / 1e6
+            print(
+                f"segmentation: {size:.2f} M parameters, {len(self.data)} images a rank, {ranks.world} x {ranks.device}"
+            )
+        self.module.train()
+        began = time.monotonic() - self.elapsed
+        last_checkpoint, last_log, last_step = self.elapsed, self.elapsed, self.step
+        progress = self._progress()
+        while progress < 1.0:
+            for group in self.optimizer.param_groups:
+                group["lr"] = config.lr * self._schedule(progress)
+            losses, norm = self._optimise()
+            self.step += 1
+            if self.step % config.log_every == 0 or self.step == config.max_steps:
+                self.elapsed = ranks.agreed(time.monotonic() - began)
+                progress = self._progress()
+                values = {name: float(value) for name, value in losses.items()} | {"gradient_norm": float(norm)}
+                self._stop_unless_finite(values)
+                rate = (self.step - last_step) * config.batch * ranks.world / max(self.elapsed - last_log, 1e-9)
+                last_log, last_step = self.elapsed, self.step
+                self._record({"step": self.step, "minutes": self.elapsed / 60, "images_per_second": rate, **values})
+                if self.elapsed - last_checkpoint > 60 * config.checkpoint_minutes:
+                    last_checkpoint = self.elapsed
+                    self._checkpoint()
+            elif config.max_steps is not None:
+                progress = self._progress()
+        self._checkpoint()
+
+    def export(self) -> None:
+        """Averaged weights as safetensors, configuration and log as JSON, into `config.out`."""
+        description = {
+            "kind": "mask_rcnn_resnet18_fpn",
+            "classes": list(CLASSES),
+            "model": self.config.model.to_json(),
+            "training": self.config.to_json(),
+            "steps": self.step,
+            "minutes": self.elapsed / 60,
+            "device": _device_name(self.ranks),
+            "torch": torch.__version__,
+            "log": _thinned(self.log),
+        }
+        tensors = {k: v for k, v in self.average.items() if not k.endswith("num_batches_tracked")}
+        save_weights(self.config.out, WEIGHTS_NAME, tensors, description)
+        print(f"segmentation: wrote {self.config.out / WEIGHTS_NAME}*.safetensors after {self.step} steps")
+
+    def _optimise(self) -> tuple[dict[str, Tensor], Tensor]:
+        config, device = self.config, self.ranks.device
+        rgb, maps, categories = self.data.sample(config.batch)
+        images, maps = augment(rgb, maps, config.augmentation)
+        instances = instances_from_maps(maps, categories, self.data.tools)
+        images = images.contiguous(memory_format=torch.channels_last)
+        with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
+            losses: dict[str, Tensor] = self.module(images, instances)
+        total = sum(losses.values(), torch.zeros((), device=device))
+        self.optimizer.zero_grad(set_to_none=True)
+        total.backward()
+        norm = nn.utils.clip_grad_norm_(self.detector.parameters(), config.clip_norm)
+        self.optimizer.step()
+        self._update_average()
+        return {"loss": total.detach(), **{k: v.detach() for k, v in losses.items()}}, norm
+
+    @torch.no_grad()
+    def _update_average(self) -> None:
+        decay = min(self.config.ema, (1 + self.step) / (10 + self.step))
+        state = self.detector.state_dict()
+        averaged = [k for k in self.average if state[k].is_floating_point()]
+        torch._foreach_lerp_([self.average[k] for k in averaged], [state[k].float() for k in averaged], 1 - decay)
+
+    def _progress(self) -> float:
+        by_clock = self.elapsed / (60 * self.config.minutes)
+        by_steps = self.step / self.config.max_steps if self.config.max_steps else 0.0
+        return max(by_clock, by_steps)
+
+    def _schedule(self, progress: float) -> float:
+        warm = min(1.0, (self.step + 1) / self.config.warmup_steps)
+        return warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0))))
+
+    def _stop_unless_finite(self, values: dict[str, float]) -> None:
+        bad = [name for name, value in values.items() if not math.isfinite(value)]
+        if bad:
+            raise TooleeError(
+                f"training stopped at step {self.step}: {', '.join(bad)} not finite. The last good state is "
+                f"{self.checkpoint_path}; lower --lr or --clip-norm and use --resume"
+            )
+
+    def _record(self, entry: dict[str, float]) -> None:
+        self.log.append(entry)
+        if self.ranks.first:
+            print(" ".join(f"{k} {v:.4g}" for k, v in entry.items()), flush=True)
+            (self.config.out / "training_log.json").write_text(json.dumps(self.log))
+
+    def _checkpoint(self) -> None:
+        if not self.ranks.first:
+            return
+        state = {
+            "model": self.detector.state_dict(),
+            "average": self.average,
+            "optimizer": self.optimizer.state_dict(),
+            "step": self.step,
+            "elapsed": self.elapsed,
+            "log": self.log,
+        }
+        partial = self.checkpoint_path.with_suffix(".partial")
+        torch.save(state, partial)
+        partial.replace(self.checkpoint_path)
+
+    def _restore(self) -> None:
+        if not self.checkpoint_path.is_file():
+            raise UserError(f"nothing to resume: {self.checkpoint_path} does not exist; start without --resume")
+        state = torch.load(self.checkpoint_path, map_location=self.ranks.device, weights_only=True)
+        self.detector.load_state_dict(state["model"])
+        self.average = state["average"]
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.step, self.elapsed, self.log = state["step"], state["elapsed"], state["log"]
+
+
+def _device_name(ranks: _Ranks) -> str:
+    name = torch.cuda.get_device_name(ranks.device) if ranks.device.type == "cuda" else "CPU"
+    return f"{ranks.world} x {name}"
+
+
+def _thinned(log: list[dict[str, float]], count: int = 200) -> list[dict[str, float]]:
+    step = max(1, len(log) // count)
+    return log[::step]
+
+
+def _parse() -> SegmentationTraining:
+    """The command line, with argparse: a GPU machine needs torch and safetensors for this file and no more."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--data", type=Path, required=True, help="data set, as `toolee_robot.perception.dataset` writes it"
+    )
+    parser.add_argument("--out", type=Path, required=True, help="folder for checkpoints, log and weights")
+    parser.add_argument("--minutes", type=float, default=SegmentationTraining.minutes)
+    parser.add_argument("--batch", type=int, default=SegmentationTraining.batch, help="images a rank")
+    parser.add_argument("--lr", type=float, default=SegmentationTraining.lr)
+    parser.add_argument("--clip-norm", type=float, default=SegmentationTraining.clip_norm)
+    parser.add_argument("--ema", type=float, default=SegmentationTraining.ema)
+    parser.add_argument("--max-steps", type=int)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--resume", action="store_true")
+    return SegmentationTraining(**vars(parser.parse_args()))
+
+
+if __name__ == "__main__":
+    train(_parse())
