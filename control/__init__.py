@@ -1,4 +1,36 @@
-"""PLACEHOLDER"""
+"""Robot model, inverse kinematics, in-hand correction, collision check and strike planning.
 
-if __name__ != "toolee_robot.control":
-    raise ImportError("import toolee_robot.control: the short name would make a second copy of every module")
+    robot = RobotModel.load()
+    world = CollisionWorld(robot, config, q_hand, X_hand_ee)
+    plan = plan_strike(robot, config, world, q_arm, q_hand, X_hand_ee, X_base_nail)
+    arm.execute(plan.approach); arm.execute(plan.strike, ContactGuard(...)); arm.execute(plan.retract)
+
+Import it as `toolee_robot.control`.
+"""
+
+if __name__ == "control":
+    raise ImportError("import toolee_robot.control: the short name collides with a published package")
+
+from toolee_robot.control.collision import Clearance, CollisionWorld
+from toolee_robot.control.collision_shapes import ToolEnvelope
+from toolee_robot.control.limits import check_trajectory
+from toolee_robot.control.records import StrikePlan, TouchPlan, View, ViewPlan
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.control.strike import plan_retract, plan_strike, plan_touch
+from toolee_robot.control.transfer import plan_transfer
+
+__all__ = [
+    "Clearance",
+    "CollisionWorld",
+    "RobotModel",
+    "StrikePlan",
+    "ToolEnvelope",
+    "TouchPlan",
+    "View",
+    "ViewPlan",
+    "check_trajectory",
+    "plan_retract",
+    "plan_strike",
+    "plan_touch",
+    "plan_transfer",
+]

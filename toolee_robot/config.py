@@ -148,12 +148,35 @@ class TaskConfig:
 
 
 @dataclass(frozen=True)
+class SceneConfig:
+    """What else stands in the station, and where the arm waits and takes a tool. Boxes are axis-aligned in `base`.
+
+    table_size: x, y; its top is the base plane. camera_size: box around the camera's centre. person_center and
+    person_size: the place of the person who hands over; the arm never enters it. home: joints [rad] where the arm waits
+    and is put away. handover_position: the palm's origin when a tool is handed over; handover_facing: the direction that
+    the palm faces then, towards the person. workspace_lower, workspace_upper: the box that the flange may not leave.
+    """
+
+    __pydantic_config__ = _STRICT
+    table_size: tuple[Positive, Positive] = (2.0, 2.0)
+    camera_size: tuple[Positive, Positive, Positive] = (0.16, 0.16, 0.12)
+    person_center: tuple[float, float, float] = (0.10, -1.15, 0.85)
+    person_size: tuple[Positive, Positive, Positive] = (0.80, 0.40, 1.70)
+    home: tuple[float, ...] = (0.0, -1.9, 1.9, -1.57, -1.57, 0.0)
+    handover_position: tuple[float, float, float] = (0.40, -0.45, 0.65)
+    handover_facing: tuple[float, float, float] = (-0.4, -1.0, 0.0)
+    workspace_lower: tuple[float, float, float] = (-1.0, -1.2, 0.05)
+    workspace_upper: tuple[float, float, float] = (1.2, 1.2, 1.6)
+
+
+@dataclass(frozen=True)
 class StationConfig:
     """A whole station."""
 
     __pydantic_config__ = _STRICT
     camera: CameraConfig = field(default_factory=CameraConfig)
     work: WorkConfig = field(default_factory=WorkConfig)
+    scene: SceneConfig = field(default_factory=SceneConfig)
     arm: ArmLimits = field(default_factory=ArmLimits)
     strike: StrikeConfig = field(default_factory=StrikeConfig)
     task: TaskConfig = field(default_factory=TaskConfig)

@@ -1,0 +1,169 @@
+"""The bodies that may touch: arm links, hand, held tool and the station's furniture, as convex shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+import trimesh
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.frames import Array, frame_from_axes, transform, transform_points
+from toolee_robot.robots import finger_of, hand_link_poses, hand_meshes
+
+WORLD_JOINT = 0
+TOOL_JOINT = 6
+
+
+@dataclass(frozen=True)
+class Body:
+    """A convex shape that moves with one arm joint (1..6) or stands still (0).
+
+    group: what it belongs to ("arm", "hand", "tool", "block", ...); geometry: coal shape; X_joint_shape: 4x4, in the
+    frame of its joint (in `base` for joint 0). spheres: (m, 4) centres in the joint's frame and radii [m] that
+    together cover the shape, for a fast lower bound of a distance.
+    """
+
+    name: str
+    group: str
+    joint: int
+    geometry: Any = field(repr=False)
+    X_joint_shape: Array = field(repr=False)
+    spheres: Array = field(repr=False)
+
+
+@dataclass(frozen=True)
+class ToolEnvelope:
+    """A shape that encloses the hammer, in its EE frame (face centre, z the face's normal, x towards the butt).
+
+    The striking head is a cylinder of head_radius around z from the face back to -head_length; the handle a capsule of
+    handle_radius, parallel to x at depth handle_depth behind the face, from handle_start to handle_length past the
+    face's centre. Defaults enclose the hammers of `toolee_robot.tools`. [m]
+    """
+
+    head_radius: float = 0.024
+    head_length: float = 0.135
+    handle_radius: float = 0.020
+    handle_depth: float = 0.055
+    handle_length: float = 0.36
+
+    def bodies(self, X_flange_ee: Array, X_joint6_flange: Array) -> list[Body]:
+        """Head and handle, carried by the arm's last joint."""
+        X = X_joint6_flange @ X_flange_ee
+        x, z = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
+        head = X @ transform(p=-0.5 * self.head_length * z)
+        middle = 0.5 * self.handle_length * x - self.handle_depth * z
+        handle = X @ frame_from_axes(z=x, x=z, p=middle)
+        return [
+            _cylinder("tool head", "tool head", TOOL_JOINT, self.head_radius, self.head_length, head),
+            _cylinder("tool handle", "tool handle", TOOL_JOINT, self.handle_radius, self.handle_length, handle),
+        ]
+
+
+@lru_cache(maxsize=2)
+def arm_bodies(robot: RobotModel) -> tuple[Body, ...]:
+    """Convex hulls of the arm's collision meshes."""
+    description = robot.description
+    geometry = pin.buildGeomFromUrdf(robot.model, str(description.urdf_path), pin.GeometryType.COLLISION)
+    bodies = []
+    for item in geometry.geometryObjects:
+        link = robot.model.frames[item.parentFrame].name
+        if link.startswith("rh_"):
+            continue
+        vertices = transform_points(item.placement.homogeneous, np.asarray(item.geometry.vertices()))
+        name = link.removesuffix("_link").replace("_", " ")
+        bodies.append(_hull(name, "arm", item.parentJoint, vertices))
+    return tuple(bodies)
+
+
+_HAND_CACHE: dict[bytes, tuple[Body, ...]] = {}
+
+
+def hand_bodies(robot: RobotModel, q_hand: Array) -> tuple[Body, ...]:
+    """Convex hulls of the hand's parts (forearm, palm, each finger) with its joints locked at q_hand (24,)."""
+    key = np.round(q_hand, 3).tobytes()
+    if key not in _HAND_CACHE:
+        X_hand_to_joint = robot.arm.X_joint6_flange @ robot.X_flange_hand(q_hand)
+        parts: dict[str, list[Array]] = {}
+        poses = hand_link_poses(q_hand)
+        for link, mesh in hand_meshes().items():
+            part = "forearm of the hand" if link in ("rh_forearm", "rh_wrist") else finger_of(link)
+            parts.setdefault(part, []).append(transform_points(X_hand_to_joint @ poses[link], mesh.vertices))
+        bodies = tuple(_hull(name, "hand", TOOL_JOINT, np.concatenate(points)) for name, points in parts.items())
+        if len(_HAND_CACHE) > 32:
+            _HAND_CACHE.clear()
+        _HAND_CACHE[key] = bodies
+    return _HAND_CACHE[key]
+
+
+def station_bodies(config: StationConfig) -> list[Body]:
+    """Table, stand, block, camera and the person's place, as boxes in `base`."""
+    work, scene = config.work, config.scene
+    x, y = work.nail_xy
+    block, top = work.block_size, work.wood_height
+    boxes = [
+        box_body("table", (0.4, 0.0, -0.05), (*scene.table_size, 0.1)),
+        box_body("stand", (x, y, work.stand_height / 2), (*work.stand_size, work.stand_height)),
+        box_body("block", (x, y, top - block[2] / 2), block),
+        box_body("camera", config.camera.position, scene.camera_size),
+        box_body("person", scene.person_center, scene.person_size),
+    ]
+    return boxes
+
+
+def box_body(name: str, center: tuple[float, ...], size: tuple[float, ...]) -> Body:
+    """An axis-aligned box that stands in `base`, center and size (3,) [m]."""
+    radius = 0.5 * float(np.linalg.norm(size))
+    return Body(
+        name, name, WORLD_JOINT, coal.Box(*size), transform(p=center), np.array([[*center, radius]], dtype=np.float64)
+    )
+
+
+def capsule_between(name: str, group: str, a: Array, b: Array, radius: float) -> Body:
+    """A capsule around the segment from a to b (3,) [m] that stands in `base`."""
+    length = float(np.linalg.norm(b - a))
+    side = np.array([1.0, 0, 0]) if abs(b[0] - a[0]) < 0.9 * length else np.array([0, 1.0, 0])
+    X = frame_from_axes(z=b - a, x=side, p=(a + b) / 2)
+    spheres = _cover(X, length, radius, 6, capped=True)
+    return Body(name, group, WORLD_JOINT, coal.Capsule(radius, length), X, spheres)
+
+
+def _cylinder(name: str, group: str, joint: int, radius: float, length: float, X: Array) -> Body:
+    return Body(name, group, joint, coal.Cylinder(radius, length), X, _cover(X, length, radius, 5, capped=False))
+
+
+def _cover(X: Array, length: float, radius: float, count: int, *, capped: bool) -> Array:
+    """Spheres along the z axis of X that cover a cylinder (or, capped, a capsule)."""
+    half = length / (2 * count)
+    z = np.linspace(-0.5, 0.5, 2 * count + 1)[1::2] * length
+    r = np.full(count, np.hypot(radius, half))
+    if capped:
+        r[[0, -1]] = radius + half
+    return np.column_stack([transform_points(X, z[:, None] * np.array([[0, 0, 1.0]])), r])
+
+
+def _hull(name: str, group: str, joint: int, vertices: Array) -> Body:
+    hull = trimesh.convex.convex_hull(vertices)
+    points = coal.StdVec_Vec3s()
+    for v in np.asarray(hull.vertices, dtype=np.float64):
+        points.append(v)
+    faces = coal.StdVec_Triangle()
+    for f in hull.faces:
+        faces.append(coal.Triangle(int(f[0]), int(f[1]), int(f[2])))
+    # Spheres along the hull's longest axis: every slice of its bounding cylinder in one.
+    center = hull.vertices.mean(axis=0)
+    axis = np.linalg.svd(hull.vertices - center, full_matrices=False)[2][0]
+    along = (hull.vertices - center) @ axis
+    radius = float(np.max(np.linalg.norm(hull.vertices - center - along[:, None] * axis, axis=1)))
+    length = float(np.ptp(along))
+    other = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    X = frame_from_axes(z=axis, x=other, p=center + axis * (along.min() + length / 2))
+    count = max(1, round(length / radius))
+    return Body(
+        name, group, joint, coal.Convex(points, faces), np.eye(4), _cover(X, length, radius, count, capped=False)
+    )

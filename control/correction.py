@@ -1,0 +1,92 @@
+"""Correction of the in-hand offset: where the flange must be so that the tool's end effector meets the nail.
+
+    X_base_flange(theta) = X_base_nail . Rz(theta) . X_flange_ee^-1,    X_flange_ee = X_flange_hand . X_hand_ee
+
+The face and the nail's head are round, so the spin theta about the nail's axis is free. It is swept together with
+the inverse kinematics' branches; what ranks the candidates is written at `rank`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from toolee_robot.config import ArmLimits
+from toolee_robot.control.inverse_kinematics import InverseKinematics
+from toolee_robot.control.kinematics import solve
+from toolee_robot.errors import UnreachableError
+from toolee_robot.frames import Array, inverse
+
+SPIN_STEP = np.deg2rad(7.5)
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Configurations that put the end effector on the nail: theta (C,) [rad], branch (C,), q (C, 6) [rad].
+
+    attainable_speed (C,) [m/s]: min_i qdot_max_i / |[J^-1 (n, 0)]_i| for the driving direction n. margin (C,) [rad]:
+    least distance to a joint's limit. manipulability (C,): smallest singular value of J (rotations in rad, metres).
+    """
+
+    theta: Array
+    branch: Array
+    q: Array
+    attainable_speed: Array
+    margin: Array
+    manipulability: Array
+
+    def take(self, rows: Array) -> Candidates:
+        return Candidates(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+def flange_targets(X_base_nail: Array, X_flange_ee: Array, theta: Array) -> Array:
+    """X_base_flange (..., 4, 4) for the spins theta (...) [rad]."""
+    spin = np.zeros((*np.shape(theta), 4, 4))
+    spin[..., 0, 0] = spin[..., 1, 1] = np.cos(theta)
+    spin[..., 1, 0] = np.sin(theta)
+    spin[..., 0, 1] = -spin[..., 1, 0]
+    spin[..., 2, 2] = spin[..., 3, 3] = 1.0
+    return X_base_nail @ spin @ inverse(X_flange_ee)
+
+
+def candidates(
+    ik: InverseKinematics, X_base_nail: Array, X_flange_ee: Array, limits: ArmLimits, near: Array
+) -> Candidates:
+    """Every spin (in steps of SPIN_STEP) and branch that reaches the nail, whole turns nearest to `near` (6,).
+
+    Raises UnreachableError when no spin does.
+    """
+    theta = np.arange(-np.pi, np.pi - 1e-9, SPIN_STEP)
+    q = ik.branches(flange_targets(X_base_nail, X_flange_ee, theta), newton_steps=1)
+    found = np.all(np.isfinite(q), axis=-1)
+    rows, branch = np.nonzero(found)
+    q = ik.unwrap(q[found], near)
+    margin = np.min(np.minimum(q - ik.arm.lower, ik.arm.upper - q), axis=-1)
+    inside = margin > 0
+    if not np.any(inside):
+        p = X_base_nail[:3, 3]
+        raise UnreachableError(
+            f"no spin and no branch brings the tool onto the nail at {np.round(p, 3).tolist()} m "
+            f"({np.linalg.norm(p):.2f} m from the base): move the block, or put it on a higher stand"
+        )
+    q, rows, branch, margin = q[inside], rows[inside], branch[inside], margin[inside]
+    _, J = ik.arm.fk_jacobian(q)
+    direction = np.concatenate([X_base_nail[:3, 2], np.zeros(3)])
+    rates = np.abs(solve(J, np.broadcast_to(direction, (len(q), 6))))
+    attainable = np.min(np.asarray(limits.velocity) / np.maximum(rates, 1e-9), axis=-1)
+    sigma = np.linalg.svd(J, compute_uv=False)[:, -1]
+    return Candidates(theta[rows], branch, q, attainable, margin, sigma)
+
+
+def rank(found: Candidates, wanted_speed: float, near: Array) -> Array:
+    """Kinematic score (C,), higher is better; clearance joins once it is known (`toolee_robot.control.strike`).
+
+    Speed counts fully up to 1.5 x the wanted one (the reserve is what the joints' accelerations need), margin up to
+    0.6 rad, manipulability up to 0.1; the way from `near` (6,) breaks ties, so that successive blows keep one posture.
+    """
+    speed = np.minimum(found.attainable_speed / wanted_speed, 1.5)
+    margin = np.minimum(found.margin / 0.6, 1.0)
+    dexterity = np.minimum(found.manipulability / 0.1, 1.0)
+    travel = np.max(np.abs(found.q - near), axis=-1) / np.pi
+    return speed + 0.3 * margin + 0.3 * dexterity - 0.15 * travel

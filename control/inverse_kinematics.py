@@ -1,0 +1,173 @@
+"""Every joint configuration of a UR arm that brings the flange to a pose.
+
+The closed form of the nominal UR geometry gives up to eight branches (shoulder left or right, wrist flipped or not,
+elbow up or down); Newton steps on the model's own kinematics then remove what the closed form leaves (a URDF's
+rounded angles; a factory calibration's millimetre). Hawkins, "Analytic inverse kinematics for the Universal Robots
+UR-5/UR-10 arms", Georgia Tech, 2013.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from toolee_robot.control.kinematics import ArmKinematics, solve
+from toolee_robot.errors import UnreachableError
+from toolee_robot.frames import Array, inverse
+
+BRANCHES = 8
+
+
+class InverseKinematics:
+    """Inverse kinematics of a UR-like `ArmKinematics`: joints 2, 3, 4 parallel, 5 and 6 orthogonal."""
+
+    def __init__(self, arm: ArmKinematics) -> None:
+        self.arm = arm
+        # In a UR's URDF at q = 0 the arm lies stretched out; the Denavit-Hartenberg lengths are sums along it.
+        offset = arm.placements[:, :3, 3]
+        self.d1 = offset[0, 2]
+        self.d4 = offset[1, 1] + offset[2, 1] + offset[4, 1]
+        self.a2, self.a3 = -offset[2, 2], -offset[3, 2]
+        self.d5 = offset[5, 2]
+        self.d6 = float(np.linalg.norm(arm.X_joint6_flange[:3, 3]))
+        # The constant turn between the model's base and the controller's (a UR's URDF has half a turn).
+        probe = np.array([0.3, -1.1, 0.9, -0.4, 0.7, 0.2])
+        turn = arm.fk(probe) @ inverse(self._dh_fk(probe))
+        if not np.allclose(turn, arm.fk(-probe) @ inverse(self._dh_fk(-probe)), atol=5e-3):
+            raise ValueError("the model's kinematics are not those of a UR arm: no closed form")
+        self._X_dh_base = inverse(turn)
+
+    def branches(self, Xs_base_flange: Array, newton_steps: int = 2) -> Array:
+        """All solutions (..., 8, 6) [rad] in (-pi, pi] for poses (..., 4, 4); NaN where a branch does not exist.
+
+        Branch order: shoulder (2) x wrist (2) x elbow (2), the same along any path without a singularity.
+        """
+        shape = Xs_base_flange.shape[:-2]
+        X = np.broadcast_to(Xs_base_flange[..., None, :, :], (*shape, BRANCHES, 4, 4)).reshape(-1, 4, 4)
+        q = self._closed_form(Xs_base_flange.reshape(-1, 4, 4)).reshape(-1, 6)
+        ok = np.all(np.isfinite(q), axis=-1)
+        q[ok] = self.polish(q[ok], X[ok], newton_steps)
+        q[~ok] = np.nan
+        return (np.mod(q + np.pi, 2 * np.pi) - np.pi).reshape(*shape, BRANCHES, 6)
+
+    def solve(self, X_base_flange: Array, near: Array | None = None) -> list[Array]:
+        """The solutions for one pose within the limits, nearest to `near` (6,) first (zero if None).
+
+        Raises UnreachableError when there is none.
+        """
+        reference = np.zeros(6) if near is None else near
+        q = self.branches(X_base_flange)
+        q = self.unwrap(q[np.all(np.isfinite(q), axis=-1)], reference)
+        X, _ = self.arm.fk_jacobian(q)
+        exact = np.all(np.abs(X - X_base_flange) < 1e-6, axis=(-2, -1))
+        q = q[exact & np.all((q >= self.arm.lower) & (q <= self.arm.upper), axis=-1)]
+        if len(q) == 0:
+            p = X_base_flange[:3, 3]
+            raise UnreachableError(
+                f"no joint configuration brings the flange to {np.round(p, 3).tolist()} m with that orientation "
+                f"({np.linalg.norm(p):.2f} m from the base): move the target or the base"
+            )
+        return sorted(q, key=lambda c: float(np.sum(np.abs(c - reference))))
+
+    def branches_along(self, Xs_base_flange: Array, branch: Array, near: Array) -> Array:
+        """One branch each along C paths of M poses (C, M, 4, 4): (C, M, 6) [rad], continuous along each path.
+
+        branch: (C,). near: (C, 6), whole turns are such that each path's first configuration is nearest to it. NaN
+        where the branch does not exist.
+        """
+        count, length = Xs_base_flange.shape[:2]
+        X = Xs_base_flange.reshape(-1, 4, 4)
+        q = self._closed_form(X)[np.arange(len(X)), np.repeat(branch, length)]
+        ok = np.all(np.isfinite(q), axis=-1)
+        q[ok] = self.polish(q[ok], X[ok], 2)
+        q = q.reshape(count, length, 6)
+        whole = ok.reshape(count, length).all(axis=1)
+        turned = np.unwrap(q[whole], axis=1)
+        q[whole] = turned + 2 * np.pi * np.round((near[whole, None] - turned[:, :1]) / (2 * np.pi))
+        return q
+
+    def branch_of(self, q: Array) -> int:
+        """The branch that the configuration q (6,) lies on. Raises UnreachableError at a singularity of the model."""
+        candidates = self.branches(self.arm.fk(q))
+        error = np.abs(np.mod(candidates - q + np.pi, 2 * np.pi) - np.pi).max(axis=-1)
+        error = np.where(np.isfinite(error), error, np.inf)
+        best = int(np.argmin(error))
+        if error[best] > 1e-3:
+            raise UnreachableError("the configuration is at a singularity: move the arm by some degrees first")
+        return best
+
+    def unwrap(self, q: Array, near: Array) -> Array:
+        """Add whole turns to q (..., 6) so that every joint comes closest to `near` (broadcast) inside the limits."""
+        turn = 2 * np.pi
+        q = near + np.mod(q - near + np.pi, turn) - np.pi
+        q = np.where(q > self.arm.upper, q - turn, q)
+        return np.where(q < self.arm.lower, q + turn, q)
+
+    def polish(self, q: Array, Xs_base_flange: Array, steps: int) -> Array:
+        """Newton steps from q (N, 6) towards the poses (N, 4, 4)."""
+        for _ in range(steps):
+            X, J = self.arm.fk_jacobian(q)
+            error = np.empty((len(q), 6))
+            error[:, :3] = Xs_base_flange[:, :3, 3] - X[:, :3, 3]
+            # Half the sum of the axes' cross products: the rotation vector for small errors.
+            error[:, 3:] = 0.5 * np.sum(np.cross(X[:, :3, :3], Xs_base_flange[:, :3, :3], axis=1), axis=2)
+            q = q + np.clip(solve(J, error), -0.2, 0.2)
+        return q
+
+    def _dh_fk(self, q: Array) -> Array:
+        d = [self.d1, 0, 0, self.d4, self.d5, self.d6]
+        a = [0, self.a2, self.a3, 0, 0, 0]
+        alpha = [np.pi / 2, 0, 0, np.pi / 2, -np.pi / 2, 0]
+        X = np.eye(4)
+        for i in range(6):
+            X = X @ _dh(q[i], d[i], a[i], alpha[i])
+        return X
+
+    def _closed_form(self, Xs_base_flange: Array) -> Array:
+        """(N, 8, 6), NaN where there is none; in the Denavit-Hartenberg base."""
+        X = self._X_dh_base @ Xs_base_flange
+        n = len(X)
+        R, p = X[:, :3, :3], X[:, :3, 3]
+        q = np.empty((n, 2, 2, 2, 6))
+        sign = np.array([1.0, -1.0])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            p5 = p - self.d6 * R[:, :, 2]
+            reach = np.hypot(p5[:, 0], p5[:, 1])
+            q1 = (np.arctan2(p5[:, 1], p5[:, 0]) + np.pi / 2)[:, None] + sign * np.arccos(self.d4 / reach)[:, None]
+            s1, c1 = np.sin(q1), np.cos(q1)
+            c5 = (p[:, :1] * s1 - p[:, 1:2] * c1 - self.d4) / self.d6
+            c5 = np.where(np.abs(c5) < 1 + 1e-9, np.clip(c5, -1, 1), np.nan)
+            q5 = sign * np.arccos(c5)[:, :, None]  # (N, 2, 2)
+            s5 = np.sin(q5)
+            s1, c1, shape = s1[:, :, None], c1[:, :, None], (n, 1, 1)
+            # At a wrist singularity the sixth joint is free; zero is as good as any.
+            sgn = np.where(np.abs(s5) < 1e-9, 0.0, np.sign(s5))
+            y = (-R[:, 0, 1].reshape(shape) * s1 + R[:, 1, 1].reshape(shape) * c1) * sgn
+            x = (R[:, 0, 0].reshape(shape) * s1 - R[:, 1, 0].reshape(shape) * c1) * sgn
+            q6 = np.arctan2(y, x)
+            X01 = _dh(q1[:, :, None] + 0 * q5, self.d1, 0.0, np.pi / 2)
+            X46 = _dh(q5, self.d5, 0.0, -np.pi / 2) @ _dh(q6, self.d6, 0.0, 0.0)
+            X14 = inverse(X01) @ X[:, None, None] @ inverse(X46)
+            # Joints 2 and 3 as a planar two-link arm to the origin of frame 3.
+            p3 = X14[..., :3, 3] - self.d4 * X14[..., :3, 1]
+            squared = p3[..., 0] ** 2 + p3[..., 1] ** 2
+            c3 = (squared - self.a2**2 - self.a3**2) / (2 * self.a2 * self.a3)
+            q3 = sign * np.arccos(np.where(np.abs(c3) <= 1, c3, np.nan))[..., None]  # (N, 2, 2, 2)
+            direction = np.arctan2(p3[..., 1], p3[..., 0])[..., None]
+            q2 = direction - np.arctan2(self.a3 * np.sin(q3), self.a2 + self.a3 * np.cos(q3))
+            # The pitch of frame 4 in frame 1 is the sum of the three parallel joints.
+            q4 = np.arctan2(X14[..., 1, 0], X14[..., 0, 0])[..., None] - q2 - q3
+        q[..., 0], q[..., 4], q[..., 5] = q1[:, :, None, None], q5[..., None], q6[..., None]
+        q[..., 1], q[..., 2], q[..., 3] = q2, q3, q4
+        return q.reshape(n, BRANCHES, 6)
+
+
+def _dh(theta: Array | float, d: float, a: float, alpha: float) -> Array:
+    """Denavit-Hartenberg transforms (..., 4, 4)."""
+    theta = np.asarray(theta, dtype=np.float64)
+    c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+    X = np.zeros((*theta.shape, 4, 4))
+    X[..., 0, 0], X[..., 0, 1], X[..., 0, 2], X[..., 0, 3] = c, -s * ca, s * sa, a * c
+    X[..., 1, 0], X[..., 1, 1], X[..., 1, 2], X[..., 1, 3] = s, c * ca, -c * sa, a * s
+    X[..., 2, 1], X[..., 2, 2], X[..., 2, 3] = sa, ca, d
+    X[..., 3, 3] = 1.0
+    return X

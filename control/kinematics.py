@@ -1,0 +1,93 @@
+"""Forward kinematics and Jacobians of a six-joint arm, for many configurations at once.
+
+A Pinocchio model answers for one configuration in microseconds, but a strike plan asks about thousands: the spin
+sweep, eight branches, every point of the run-up. This class reads the joints' placements and axes out of the
+Pinocchio model once and does the same arithmetic in batches of NumPy.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from toolee_robot.frames import Array
+
+
+class ArmKinematics:
+    """Six revolute joints in a chain, from `base` to `flange`.
+
+    placements: (6, 4, 4) pose of each joint in the one before it, the first in `base`; axes: (6, 3) unit vectors in
+    the joint's own frame; X_joint6_flange: 4x4; lower, upper: (6,) position limits [rad].
+    """
+
+    def __init__(self, placements: Array, axes: Array, X_joint6_flange: Array, lower: Array, upper: Array) -> None:
+        self.placements = placements
+        self.axes = axes
+        self.X_joint6_flange = X_joint6_flange
+        self.lower = lower
+        self.upper = upper
+        # Rodrigues' formula, R = I + sin(q) K + (1 - cos(q)) K^2, with the placement already multiplied in.
+        K = np.zeros((6, 3, 3))
+        K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -axes[:, 2], axes[:, 1], -axes[:, 0]
+        K -= np.swapaxes(K, 1, 2)
+        R = placements[:, :3, :3]
+        self._constant, self._sine, self._cosine = R + R @ K @ K, R @ K, -R @ K @ K
+        self._offset = placements[:, :3, 3]
+
+    @classmethod
+    def from_pinocchio(cls, model: Any, flange: str, X_base_root: Array) -> ArmKinematics:
+        """Read the chain out of a Pinocchio model whose first six joints are the arm.
+
+        flange: frame name. X_base_root: 4x4, the model's root in `base`.
+        """
+        placements = np.stack([model.jointPlacements[j].homogeneous for j in range(1, 7)])
+        placements[0] = X_base_root @ placements[0]
+        named = {"JointModelRX": [1.0, 0, 0], "JointModelRY": [0, 1.0, 0], "JointModelRZ": [0, 0, 1.0]}
+        axes = np.array([named[model.joints[j].shortname()] for j in range(1, 7)])
+        frame = model.frames[model.getFrameId(flange)]
+        if frame.parentJoint != 6:
+            raise ValueError(f"frame {flange!r} hangs on joint {frame.parentJoint}, not on the arm's last joint")
+        lower, upper = model.lowerPositionLimit[:6].copy(), model.upperPositionLimit[:6].copy()
+        return cls(placements, axes, frame.placement.homogeneous, lower, upper)
+
+    def joints(self, q: Array) -> tuple[Array, Array]:
+        """Pose of every joint's frame: rotations (..., 6, 3, 3) and origins (..., 6, 3) in `base`, for q (..., 6)."""
+        c, s = np.cos(q)[..., None, None], np.sin(q)[..., None, None]
+        local = self._constant + s * self._sine + c * self._cosine
+        R = np.empty_like(local)
+        p = np.empty(local.shape[:-1])
+        R[..., 0, :, :], p[..., 0, :] = local[..., 0, :, :], self._offset[0]
+        for i in range(1, 6):
+            p[..., i, :] = p[..., i - 1, :] + R[..., i - 1, :, :] @ self._offset[i]
+            R[..., i, :, :] = R[..., i - 1, :, :] @ local[..., i, :, :]
+        return R, p
+
+    def fk(self, q: Array) -> Array:
+        """X_base_flange (..., 4, 4) for q (..., 6) [rad]."""
+        R, p = self.joints(q)
+        return self._flange(R[..., 5, :, :], p[..., 5, :])
+
+    def fk_jacobian(self, q: Array) -> tuple[Array, Array]:
+        """X_base_flange (..., 4, 4) and J (..., 6, 6): the flange origin's velocity [m/s] over the angular velocity
+        [rad/s], both in `base` axes."""
+        R, p = self.joints(q)
+        X = self._flange(R[..., 5, :, :], p[..., 5, :])
+        axes = np.einsum("...ijk,ik->...ij", R, self.axes)
+        arm = X[..., None, :3, 3] - p
+        J = np.concatenate([np.cross(axes, arm), axes], axis=-1)
+        return X, np.swapaxes(J, -1, -2)
+
+    def _flange(self, R: Array, p: Array) -> Array:
+        X = np.zeros((*p.shape[:-1], 4, 4))
+        X[..., :3, :3] = R @ self.X_joint6_flange[:3, :3]
+        X[..., :3, 3] = p + R @ self.X_joint6_flange[:3, 3]
+        X[..., 3, 3] = 1.0
+        return X
+
+
+def solve(J: Array, v: Array) -> Array:
+    """J^-1 v for J (..., 6, 6) and v (..., 6), slightly damped so that a singular pose gives large, finite rates."""
+    Jt = np.swapaxes(J, -1, -2)
+    A = Jt @ J + 1e-12 * np.eye(6)
+    return np.linalg.solve(A, Jt @ v[..., None])[..., 0]

@@ -1,0 +1,247 @@
+"""Planning a blow: choose spin and branch, then one straight, timed, checked motion through the nail.
+
+The run-up is a straight line along the nail's axis with the face square to it, timed by Ruckig over its length, every
+sample solved by inverse kinematics. The face arrives at the expected contact at full speed and with no acceleration;
+there braking begins, so a missed nail ends in the block rather than in the table.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control.collision import BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Clearance, CollisionWorld
+from toolee_robot.control.correction import Candidates, candidates, flange_targets, rank
+from toolee_robot.control.limits import check_trajectory
+from toolee_robot.control.line import Line, PathLimits, path_limits
+from toolee_robot.control.records import StrikePlan, TouchPlan
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.control.timing import (
+    brake_profile,
+    concatenate,
+    ramp_length,
+    run_up_profile,
+    travel_profile,
+)
+from toolee_robot.control.transfer import plan_transfer
+from toolee_robot.errors import CollisionError, LimitError, UnreachableError, UserError
+from toolee_robot.frames import Array, is_rigid
+from toolee_robot.types import Trajectory
+
+SHORTLIST = 24
+"""Candidates whose whole line is solved and measured."""
+MIN_SPEED = 0.3
+"""[m/s]; a slower blow drives nothing."""
+
+
+def plan_strike(
+    robot: RobotModel,
+    config: StationConfig,
+    world: CollisionWorld,
+    q_start: Array,
+    q_hand: Array,
+    X_hand_ee: Array,
+    X_base_nail: Array,
+    *,
+    speed: float | None = None,
+) -> StrikePlan:
+    """Plan one blow from rest at q_start (6,).
+
+    world: built with the same q_hand (24,) and X_hand_ee (4x4); X_hand_ee: the estimate (or the nominal pose for the
+    uncorrected baseline). X_base_nail: 4x4, z into the wood. speed: wanted [m/s], config.strike.speed if None; it is
+    lowered rather than any limit broken, and the plan says what it attained.
+    Raises UnreachableError, CollisionError or LimitError; nothing moves.
+    """
+    began = time.perf_counter()
+    if not (is_rigid(X_hand_ee) and is_rigid(X_base_nail)):
+        raise UserError("X_hand_ee and X_base_nail must be finite rigid 4x4 transforms")
+    wanted = config.strike.speed if speed is None else speed
+    X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
+    found = candidates(robot.ik, X_base_nail, X_flange_ee, config.arm, q_start)
+    score = rank(found, wanted, q_start)
+    order = np.argsort(-score)[:SHORTLIST]
+    lines = _solve_lines(robot, config, world, found.take(order), score[order], X_base_nail, X_flange_ee, wanted)
+    failure: Exception | None = None
+    for line, candidate, limits, clearance, margin in lines:
+        try:
+            strike, contact_time, brake = _time(line, limits, config.strike.run_up)
+            before, after = np.split(strike.q, [int(np.searchsorted(strike.times, contact_time + 1e-9))])
+            world.check(before[::4], config.strike.clearance, "the run-up", RUN_UP_EXEMPT)
+            world.check(after[::4], config.strike.clearance, "braking after the blow", BRAKE_EXEMPT)
+            check_trajectory(strike, robot.arm, config.arm, config.scene)
+            approach = plan_transfer(robot, config, world, q_start, strike.q[0])
+            retract = _travel(line, config, brake, -config.strike.run_up)
+            check_trajectory(retract, robot.arm, config.arm, config.scene)
+        except (UnreachableError, LimitError, CollisionError) as error:
+            failure = failure or error
+            continue
+        index = int(np.searchsorted(strike.times, contact_time - 1e-9))
+        X_contact = line.X_base_flange @ X_flange_ee
+        return StrikePlan(
+            theta=float(candidate.theta[0]),
+            q_standoff=strike.q[0],
+            q_contact=strike.q[index],
+            approach=approach,
+            strike=strike,
+            retract=retract,
+            contact_time=contact_time,
+            speed=limits.speed,
+            wanted_speed=wanted,
+            attainable_speed=float(candidate.attainable_speed[0]),
+            run_up=config.strike.run_up,
+            brake_length=brake,
+            clearance=clearance,
+            margin=margin,
+            X_base_ee_contact=X_contact,
+            planning_time=time.perf_counter() - began,
+        )
+    raise failure or CollisionError("no candidate blow is free of collisions")
+
+
+def plan_touch(
+    robot: RobotModel,
+    config: StationConfig,
+    world: CollisionWorld,
+    q_start: Array,
+    plan: StrikePlan,
+    *,
+    before: float = 0.030,
+    past: float = 0.012,
+) -> TouchPlan:
+    """The slow guarded approach along the blow's own line: from `before` [m] above the expected contact to `past` below.
+
+    Run it with a ContactGuard of config.strike.touch_force; where it ends, `toolee_robot.control.protrusion` tells how
+    far the nail stands out.
+    """
+    line = _line_of(robot, plan)
+    touch = _travel(line, config, -before, past, speed=config.strike.touch_speed)
+    world.check(touch.q[:: max(1, len(touch.q) // 20)], config.strike.clearance, "the touch", RUN_UP_EXEMPT)
+    lower = _travel(line, config, -plan.run_up, -before)
+    approach = plan_transfer(robot, config, world, q_start, plan.q_standoff)
+    approach = concatenate(approach, lower)
+    for trajectory in (approach, touch):
+        check_trajectory(trajectory, robot.arm, config.arm, config.scene)
+    return TouchPlan(approach, touch, before, past)
+
+
+def plan_retract(
+    robot: RobotModel,
+    config: StationConfig,
+    world: CollisionWorld,
+    q_start: Array,
+    height: float,
+    direction: tuple[float, float, float] = (0.0, 0.0, 1.0),
+) -> Trajectory:
+    """Straight along `direction` (base axes, up by default) by `height` [m] from rest at q_start, orientation kept.
+
+    The tool may be as near to the block as it is at the start. Raises CollisionError, LimitError, UnreachableError.
+    """
+    line = Line.through(robot.ik, q_start, np.asarray(direction, dtype=np.float64))
+    retract = _travel(line, config, 0.0, height)
+    world.check(retract.q[:: max(1, len(retract.q) // 20)], 0.0, "the retract", BRAKE_EXEMPT)
+    check_trajectory(retract, robot.arm, config.arm, config.scene)
+    return retract
+
+
+def _solve_lines(
+    robot: RobotModel,
+    config: StationConfig,
+    world: CollisionWorld,
+    short: Candidates,
+    score: Array,
+    X_base_nail: Array,
+    X_flange_ee: Array,
+    wanted: float,
+) -> list[tuple[Line, Candidates, PathLimits, Clearance, float]]:
+    """The shortlist's lines, best first: reachable, fast enough and clear of everything on a coarse grid.
+
+    Raises UnreachableError, LimitError or CollisionError when none is left.
+    """
+    normal = X_base_nail[:3, 2]
+    run_up = config.strike.run_up
+    # As far down as braking from the wanted speed may take.
+    deepest = float(ramp_length(wanted, 0.8 * config.arm.acceleration, 0.6 * config.arm.jerk))
+    s = np.concatenate([np.linspace(-run_up, 0.0, 9), np.linspace(0.0, deepest, 6)[1:]])
+    targets = flange_targets(X_base_nail, X_flange_ee, short.theta)
+    Xs = np.repeat(targets[:, None], len(s), axis=1)
+    Xs[:, :, :3, 3] += s[:, None] * normal
+    q = robot.ik.branches_along(Xs, short.branch, short.q)
+    arm = robot.arm
+    velocity = np.asarray(config.arm.velocity)
+    usable, failure = [], "leaves the arm's reach"
+    for i in range(len(q)):
+        reachable = np.all(np.isfinite(q[i]), axis=-1) & np.all((q[i] > arm.lower) & (q[i] < arm.upper), axis=-1)
+        if not np.all(reachable):
+            continue
+        line = Line(robot.ik, targets[i], normal, int(short.branch[i]), short.q[i])
+        limits = path_limits(
+            *line.derivatives(q[i]), velocity, config.arm.acceleration, config.arm.jerk, wanted, run_up
+        )
+        if limits.speed < MIN_SPEED:
+            failure = f"reaches no more than {limits.speed:.2f} m/s"
+            continue
+        margin = float(np.min(np.minimum(q[i] - arm.lower, arm.upper - q[i])))
+        value = score[i] + limits.speed / wanted + 0.3 * min(margin / 0.6, 1.0)
+        usable.append((value, i, line, limits, margin))
+    if not usable:
+        raise UnreachableError(
+            f"the straight run-up of {run_up:.2f} m to the nail {failure} for every spin: move the block nearer to the "
+            "middle of the arm's reach, or shorten config.strike.run_up"
+        )
+    usable.sort(key=lambda item: -item[0])
+    clear, nearest = [], None
+    for value, i, line, limits, margin in usable:
+        run_up_clearance = world.closest(q[i][s <= 0], FAR, RUN_UP_EXEMPT)
+        brake_clearance = world.closest(q[i][s > 0], FAR, BRAKE_EXEMPT)
+        clearance = min(run_up_clearance, brake_clearance, key=lambda c: c.distance)
+        nearest = nearest or clearance
+        if clearance.distance < config.strike.clearance:
+            continue
+        row = short.take(np.array([i]))
+        clear.append((value + 0.4 * clearance.distance / FAR, line, row, limits, clearance, margin))
+        if len(clear) == 6:
+            break
+    if not clear:
+        raise CollisionError(
+            f"every blow at this nail would bring bodies together, the best one {nearest}: clear the way, move the block, "
+            "or use a higher stand"
+        )
+    clear.sort(key=lambda item: -item[0])
+    return [item[1:] for item in clear]
+
+
+def _time(line: Line, limits: PathLimits, run_up: float) -> tuple[Trajectory, float, float]:
+    """The timed blow, the time of contact [s] and the braking length [m]."""
+    up = run_up_profile(run_up, limits.speed, limits.acceleration, limits.jerk)
+    down = brake_profile(limits.speed, limits.acceleration, limits.jerk)
+    whole = replace(
+        up,
+        times=np.concatenate([up.times, up.times[-1] + down.times[1:]]),
+        s=np.concatenate([up.s, down.s[1:]]),
+        v=np.concatenate([up.v, down.v[1:]]),
+        a=np.concatenate([up.a, down.a[1:]]),
+    )
+    return line.timed(whole), float(up.times[-1]), float(down.s[-1])
+
+
+def _travel(line: Line, config: StationConfig, start: float, end: float, speed: float = 0.25) -> Trajectory:
+    """Along the line at transfer limits, from rest to rest."""
+    q = line.q(np.linspace(start, end, 9))
+    limits = line.limits(
+        q,
+        config.arm.transfer_velocity_scale * np.asarray(config.arm.velocity),
+        config.arm.transfer_acceleration,
+        config.arm.jerk,
+        speed,
+    )
+    return line.timed(travel_profile(start, end, limits.speed, limits.acceleration, limits.jerk))
+
+
+def _line_of(robot: RobotModel, plan: StrikePlan) -> Line:
+    X_base_flange = robot.arm.fk(plan.q_contact)
+    return Line(
+        robot.ik, X_base_flange, plan.X_base_ee_contact[:3, 2], robot.ik.branch_of(plan.q_contact), plan.q_contact
+    )

@@ -1,0 +1,128 @@
+"""Time parametrisation with Ruckig: jerk-limited motion of the joints, and of one path length along a line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from ruckig import ControlInterface, InputParameter, Result, Ruckig
+from ruckig import Trajectory as RuckigTrajectory
+
+from toolee_robot.errors import LimitError
+from toolee_robot.frames import Array
+from toolee_robot.types import Trajectory
+
+SAMPLE_PERIOD = 0.004  # [s], 250 Hz: twice the rate of a CB3 arm, half of an e-Series'
+
+
+@dataclass(frozen=True)
+class PathProfile:
+    """Motion along one path length: times (N,) [s], s [m], v [m/s], a [m/s^2], each (N,)."""
+
+    times: Array
+    s: Array
+    v: Array
+    a: Array
+
+
+def ramp_length(speed: Array | float, acceleration: Array | float, jerk: Array | float) -> Array:
+    """Length [m] of the jerk-limited ramp between rest and `speed` [m/s], which is also the braking length."""
+    speed, acceleration, jerk = np.asarray(speed), np.asarray(acceleration), np.asarray(jerk)
+    trapezoid = speed / acceleration + acceleration / jerk
+    triangle = 2 * np.sqrt(speed / jerk)
+    return 0.5 * speed * np.where(speed * jerk >= acceleration**2, trapezoid, triangle)
+
+
+def run_up_profile(length: float, speed: float, acceleration: float, jerk: float) -> PathProfile:
+    """From rest at s = -length to exactly `speed` and no acceleration at s = 0, never backing up.
+
+    Raises LimitError when the length is too short for the speed.
+    """
+    parameters = _parameters(1, [speed], [acceleration], [jerk])
+    parameters.current_position, parameters.target_position = [-length], [0.0]
+    parameters.target_velocity = [speed]
+    trajectory = _calculate(parameters)
+    extrema = trajectory.position_extrema[0]
+    if extrema.min < -length - 1e-6 or extrema.max > 1e-6:
+        raise LimitError(
+            f"a run-up of {length:.3f} m is too short for {speed:.2f} m/s at {acceleration:.1f} m/s^2 and "
+            f"{jerk:.0f} m/s^3: the ramp alone takes {float(ramp_length(speed, acceleration, jerk)):.3f} m"
+        )
+    return _path_samples(trajectory)
+
+
+def brake_profile(speed: float, acceleration: float, jerk: float, s: float = 0.0) -> PathProfile:
+    """From `speed` at `s` to rest, as fast as the limits allow."""
+    parameters = _parameters(1, [speed + 1e-6], [acceleration], [jerk])
+    parameters.control_interface = ControlInterface.Velocity
+    parameters.current_position, parameters.current_velocity = [s], [speed]
+    parameters.target_velocity = [0.0]
+    return _path_samples(_calculate(parameters))
+
+
+def travel_profile(start: float, end: float, speed: float, acceleration: float, jerk: float) -> PathProfile:
+    """From rest at `start` to rest at `end`."""
+    parameters = _parameters(1, [speed], [acceleration], [jerk])
+    parameters.current_position, parameters.target_position = [start], [end]
+    return _path_samples(_calculate(parameters))
+
+
+def joint_move(q_start: Array, q_end: Array, velocity: Array, acceleration: Array, jerk: Array) -> Trajectory:
+    """Synchronised motion of all joints from rest to rest, straight in joint space.
+
+    The joints keep one ratio (Ruckig over one common path length), so the path that was checked for collisions is
+    the path that is driven. velocity, acceleration, jerk: (n,) limits.
+    """
+    change = q_end - q_start
+    span = np.maximum(np.abs(change), 1e-12)
+    limits = [float(np.min(limit / span)) for limit in (velocity, acceleration, jerk)]
+    if np.max(np.abs(change)) < 1e-9:
+        still = np.zeros((2, len(q_start)))
+        return Trajectory(np.array([0.0, SAMPLE_PERIOD]), np.stack([q_start, q_start]), still, still.copy())
+    path = travel_profile(0.0, 1.0, *limits)
+    return Trajectory(
+        path.times,
+        q_start + path.s[:, None] * change,
+        path.v[:, None] * change,
+        path.a[:, None] * change,
+    )
+
+
+def concatenate(*trajectories: Trajectory) -> Trajectory:
+    """One after the other; each must begin where the one before ends (to 1e-6 rad)."""
+    for before, after in zip(trajectories, trajectories[1:], strict=False):
+        if np.max(np.abs(before.q[-1] - after.q[0])) > 1e-6:
+            raise ValueError("trajectories do not join: the second does not begin where the first ends")
+    start, times = 0.0, []
+    for i, trajectory in enumerate(trajectories):
+        times.append(start + (trajectory.times if i == 0 else trajectory.times[1:]))
+        start += trajectory.duration
+
+    def join(name: str) -> Array:
+        return np.concatenate([getattr(t, name)[min(i, 1) :] for i, t in enumerate(trajectories)])
+
+    return Trajectory(np.concatenate(times), join("q"), join("qd"), join("qdd"))
+
+
+def _parameters(n: int, velocity: list[float], acceleration: list[float], jerk: list[float]) -> InputParameter:
+    parameters = InputParameter(n)
+    parameters.max_velocity, parameters.max_acceleration, parameters.max_jerk = velocity, acceleration, jerk
+    parameters.current_position = parameters.current_velocity = parameters.current_acceleration = [0.0] * n
+    parameters.target_position = parameters.target_velocity = parameters.target_acceleration = [0.0] * n
+    return parameters
+
+
+def _calculate(parameters: InputParameter) -> RuckigTrajectory:
+    trajectory = RuckigTrajectory(parameters.degrees_of_freedom)
+    result = Ruckig(parameters.degrees_of_freedom).calculate(parameters, trajectory)
+    if result not in (Result.Working, Result.Finished):
+        raise LimitError(f"no time parametrisation within the limits: ruckig says {result}")
+    return trajectory
+
+
+def _path_samples(trajectory: RuckigTrajectory) -> PathProfile:
+    """On the sample grid, the last sample exactly at the end."""
+    count = max(2, int(np.ceil(trajectory.duration / SAMPLE_PERIOD)) + 1)
+    times = np.linspace(0.0, trajectory.duration, count)
+    s, v, a = (np.array(column)[:, 0] for column in zip(*(trajectory.at_time(t) for t in times), strict=True))
+    return PathProfile(times, s, v, a)
