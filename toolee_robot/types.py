@@ -74,6 +74,8 @@ class RgbdFrame:
             raise UserError(
                 f"depth {self.depth.shape} and rgb {self.rgb.shape[:2]} differ in size: register depth to colour"
             )
+        if not np.issubdtype(self.depth.dtype, np.floating):
+            raise UserError(f"depth must be float [m], got {self.depth.dtype}: multiply it by the camera's depth scale")
         size = (self.intrinsics.height, self.intrinsics.width)
         if self.rgb.shape[:2] != size:
             raise UserError(f"image is {self.rgb.shape[:2]} but the intrinsics are for {size} (height, width)")
@@ -186,7 +188,7 @@ class Trajectory:
         if n < 2 or not (self.q.shape == self.qd.shape == self.qdd.shape) or self.q.shape[0] != n:
             shapes = (self.times.shape, self.q.shape, self.qd.shape, self.qdd.shape)
             raise ValueError(f"inconsistent trajectory shapes (times, q, qd, qdd): {shapes}")
-        if self.times[0] != 0.0 or np.any(np.diff(self.times) <= 0):
+        if self.times[0] != 0.0 or not np.all(np.diff(self.times) > 0):
             raise ValueError("trajectory times must start at 0 and increase")
 
     @property

@@ -37,7 +37,7 @@ def test_a_trajectory_holds_its_ends_and_knows_its_duration() -> None:
     np.testing.assert_allclose(trajectory.sample(9.0)[0], trajectory.q[-1])
 
 
-@pytest.mark.parametrize("times", [[0.1, 0.2], [0.0, 0.0], [0.0, -1.0], [0.0]])
+@pytest.mark.parametrize("times", [[0.1, 0.2], [0.0, 0.0], [0.0, -1.0], [0.0, float("nan")], [0.0]])
 def test_times_that_do_not_run_forward_from_zero_are_refused(times: list[float]) -> None:
     n = len(times)
     with pytest.raises(ValueError, match="traject"):
@@ -55,6 +55,7 @@ def test_joint_arrays_of_different_shapes_are_refused() -> None:
         (np.zeros((6, 8), np.uint8), np.zeros((6, 8), np.float32), "convert grey"),
         (np.zeros((6, 8, 3), np.float32), np.zeros((6, 8), np.float32), "uint8"),
         (np.zeros((6, 8, 3), np.uint8), np.zeros((3, 4), np.float32), "register depth"),
+        (np.zeros((6, 8, 3), np.uint8), np.zeros((6, 8), np.uint16), "depth scale"),
         (np.zeros((5, 8, 3), np.uint8), np.zeros((5, 8), np.float32), "intrinsics are for"),
     ],
 )
