@@ -73,7 +73,8 @@ def parse_intrinsics(text: str, width: int, height: int) -> CameraIntrinsics:
         raise UserError(f"--intrinsics {text!r}: give four numbers, fx,fy,cx,cy, in pixels") from error
     if len(values) != 4:
         raise UserError(f"--intrinsics {text!r} has {len(values)} numbers: give four, fx,fy,cx,cy, in pixels")
-    return make_intrinsics(*values, width, height)
+    fx, fy, cx, cy = values
+    return make_intrinsics(fx, fy, cx, cy, width, height)
 
 
 def make_intrinsics(fx: float, fy: float, cx: float, cy: float, width: int, height: int) -> CameraIntrinsics:

@@ -26,13 +26,20 @@ from toolee_robot.types import Category, Detection
 LEAST_TOOL_OVERLAP = 0.5
 """Share of an EE's mask that a tool's mask must cover for the EE to belong to that tool."""
 
+EVERYTHING = 0.02
+"""Score threshold for evaluation: AP ranks the weak detections too."""
+
+Box = tuple[float, float, float, float]
+Instances = tuple[list[NDArray[np.bool_]], list[int], list[float], list[Box]]
+"""Masks (H, W), labels, scores and boxes [px] of one image, in the image's own size."""
+
 
 class Segmenter:
     """A trained detector, ready for images of any size. Thread-safe once loaded: inference keeps no state."""
 
     def __init__(self, detector: Detector, device: torch.device | str = "cpu") -> None:
         self._device = torch.device(device)
-        self._detector = detector.fuse().to(self._device, memory_format=torch.channels_last)
+        self._detector = detector.fuse().to(self._device).to(memory_format=torch.channels_last)
         self.config: DetectorConfig = detector.config
 
     @classmethod
@@ -58,10 +65,13 @@ class Segmenter:
         """End effectors in an image (H, W, 3) uint8 RGB, best score first, each with its tool's mask where seen."""
         if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
             raise UserError(f"rgb must be (H, W, 3) uint8, got {rgb.shape} {rgb.dtype}: convert grey or RGBA images")
+        return associate(*self.instances(rgb))
+
+    def instances(self, rgb: NDArray[np.uint8], score_threshold: float | None = None) -> Instances:
+        """Every instance, whole tools among them, over `score_threshold` (the configured one if None)."""
         height, width = rgb.shape[:2]
         images, scale = self._prepare(rgb)
-        raw = self._detector.detect(images)[0]
-        return associate(*paste(raw, scale, height, width))
+        return paste(self._detector.detect(images, score_threshold)[0], scale, height, width)
 
     def _prepare(self, rgb: NDArray[np.uint8]) -> tuple[torch.Tensor, tuple[float, float]]:
         """Network input and the factors (x, y) from its pixels to the image's."""
@@ -76,10 +86,7 @@ class Segmenter:
         return images.contiguous(memory_format=torch.channels_last), (width / w, height / h)
 
 
-Pasted = tuple[list[NDArray[np.bool_]], list[int], list[float], list[tuple[float, float, float, float]]]
-
-
-def paste(raw: RawDetections, scale: tuple[float, float], height: int, width: int) -> Pasted:
+def paste(raw: RawDetections, scale: tuple[float, float], height: int, width: int) -> Instances:
     """Full-size masks (H, W), labels, scores and boxes [px of the image] from the network's output."""
     masks, labels, scores, boxes = [], [], [], []
     factors = np.array([*scale, *scale])
@@ -101,7 +108,7 @@ def associate(
     masks: list[NDArray[np.bool_]],
     labels: list[int],
     scores: list[float],
-    boxes: list[tuple[float, float, float, float]],
+    boxes: list[Box],
 ) -> list[Detection]:
     """EE detections, best first, each with the mask of the tool that covers most of it."""
     tools = [m for m, label in zip(masks, labels, strict=True) if label == TOOL]
@@ -116,9 +123,7 @@ def associate(
     return sorted(found, key=lambda d: -d.score)
 
 
-def _paste_one(
-    patch: NDArray[np.float32], box: tuple[float, float, float, float], height: int, width: int
-) -> NDArray[np.bool_]:
+def _paste_one(patch: NDArray[np.float32], box: Box, height: int, width: int) -> NDArray[np.bool_]:
     """Bilinear resampling of a mask's probabilities (S, S) from its box to the image's pixel centres, over 0.5."""
     x0, y0, x1, y1 = box
     mask = np.zeros((height, width), dtype=np.bool_)

@@ -188,8 +188,9 @@ class Detector(nn.Module):
         return self.mask_head(pyramid_roi_align(pyramid[:4], rois, 14))
 
     @torch.inference_mode()
-    def detect(self, images: Tensor) -> list[RawDetections]:
+    def detect(self, images: Tensor, score_threshold: float | None = None) -> list[RawDetections]:
         """Detections of images (B, 3, H, W), normalised by `normalise`, H and W multiples of STRIDE."""
+        threshold = self.config.score_threshold if score_threshold is None else score_threshold
         height, width = images.shape[-2:]
         pyramid = self.backbone(images)
         boxes, valid = self.proposals(*self.rpn(pyramid), height, width, self.config.pre_nms, self.config.post_nms)
@@ -199,7 +200,7 @@ class Detector(nn.Module):
             index = torch.full((len(proposals), 1), float(i), device=images.device)
             logits, deltas = self.box_outputs(pyramid, torch.cat([index, proposals], 1))
             probability = logits.float().softmax(1)[:, 1:]
-            roi, label = torch.nonzero(probability > self.config.score_threshold, as_tuple=True)
+            roi, label = torch.nonzero(probability > threshold, as_tuple=True)
             score, label = probability[roi, label], label + 1
             box = clip(decode(deltas[roi, label].float(), proposals[roi], ROI_DELTA_WEIGHTS), height, width)
             keep = batched_nms(box, score, label, self.config.box_nms)[: self.config.max_detections]

@@ -1,7 +1,7 @@
 """Train the detector from scratch within a budget of minutes, on one GPU, several, or (small) on a CPU.
 
     python -m toolee_robot.perception.train_segmentation --data data/train --out runs/segmentation --minutes 12
-    torchrun --nproc-per-node 4 -m toolee_robot.perception.train_segmentation --data data/train --out runs/seg --minutes 12
+    torchrun --nproc-per-node 4 -m toolee_robot.perception.train_segmentation --data data/train --out runs/seg
 
 The whole data set is held on the device as bytes (each rank its share); targets and augmentation are made there. The
 learning rate follows the clock, so a run ends annealed whatever the machine's speed. A run that is interrupted
@@ -125,7 +125,7 @@ class _Run:
 
     def __init__(self, config: SegmentationTraining, ranks: _Ranks, data: DeviceImages) -> None:
         self.config, self.ranks, self.data = config, ranks, data
-        detector = Detector(config.model).to(ranks.device, memory_format=torch.channels_last)
+        detector = Detector(config.model).to(ranks.device).to(memory_format=torch.channels_last)
         self.loss = DetectorLoss(detector)
         self.average = {k: v.detach().clone().float() for k, v in detector.state_dict().items()}
         decayed = [p for p in detector.parameters() if p.ndim > 1]
@@ -153,9 +153,7 @@ class _Run:
         if ranks.first:
             config.out.mkdir(parents=True, exist_ok=True)
             size = sum(p.numel() for p in self.detector.parameters()) / 1e6
-            print(
-                f"segmentation: {size:.2f} M parameters, {len(self.data)} images a rank, {ranks.world} x {ranks.device}"
-            )
+            print(f"segmentation: {size:.2f} M parameters, {len(self.data)} images a rank, {_device_name(ranks)}")
         self.module.train()
         began = time.monotonic() - self.elapsed
         last_checkpoint, last_log, last_step = self.elapsed, self.elapsed, self.step
@@ -207,7 +205,7 @@ class _Run:
             losses: dict[str, Tensor] = self.module(images, instances)
         total = sum(losses.values(), torch.zeros((), device=device))
         self.optimizer.zero_grad(set_to_none=True)
-        total.backward()
+        torch.autograd.backward(total)
         norm = nn.utils.clip_grad_norm_(self.detector.parameters(), config.clip_norm)
         self.optimizer.step()
         self._update_average()

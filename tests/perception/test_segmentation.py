@@ -1,0 +1,201 @@
+"""The detector: its pieces against plain definitions, and the whole on toy pictures: trained, exported, reloaded."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torchvision.ops import nms
+
+from tests.perception.toy_scenes import toy_scenes
+from toolee_robot.errors import AssetError, TooleeError, UserError
+from toolee_robot.perception.segmentation import Segmenter, associate
+from toolee_robot.perception.segmentation_data import augment
+from toolee_robot.perception.segmentation_evaluation import evaluate_masks
+from toolee_robot.perception.segmentation_losses import instances_from_maps
+from toolee_robot.perception.segmentation_model import (
+    CLASSES,
+    TOOL,
+    Detector,
+    DetectorConfig,
+    decode,
+    encode,
+    greedy_suppression,
+    pairwise_iou,
+)
+from toolee_robot.perception.train_segmentation import SegmentationTraining, train
+from toolee_robot.types import Category
+
+TINY = DetectorConfig(widths=(16, 24, 32, 48), fpn_channels=32, box_features=64, mask_layers=2)
+
+
+def random_boxes(n: int, seed: int = 0) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    corner = torch.rand((n, 2), generator=generator) * 80
+    return torch.cat([corner, corner + 5 + torch.rand((n, 2), generator=generator) * 40], 1)
+
+
+def test_boxes_decode_to_what_was_encoded() -> None:
+    boxes, anchors = random_boxes(50, 1), random_boxes(50, 2)
+    torch.testing.assert_close(decode(encode(boxes, anchors), anchors), boxes, atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_batched_suppression_equals_greedy_suppression(seed: int) -> None:
+    boxes = random_boxes(200, seed)
+    expected = nms(boxes, torch.arange(200, 0, -1).float(), 0.5)
+    keep = greedy_suppression(boxes[None], 0.5, iterations=60)[0]
+    assert torch.nonzero(keep)[:, 0].tolist() == sorted(expected.tolist())
+
+
+def test_instances_have_the_boxes_and_labels_of_their_pixels() -> None:
+    maps = torch.zeros((1, 2, 64, 96), dtype=torch.uint8)
+    maps[0, 0, 10:20, 30:50] = 1
+    maps[0, 0, 40:42, 5:8] = 2
+    maps[0, 1, 10:60, 30:50] = 1
+    instances = instances_from_maps(maps, torch.tensor([[3, 1, 2]]), tools=1)
+    assert instances.labels.tolist() == [[3, 1, 0, TOOL]]
+    assert instances.boxes[0, 0].tolist() == [30, 10, 50, 20]
+    assert instances.boxes[0, 3].tolist() == [30, 10, 50, 60]
+    assert instances.ignored.tolist() == [[False, True, False, False]], "six pixels are too few to learn from"
+
+
+def test_augmentation_moves_image_and_maps_together() -> None:
+    scenes = toy_scenes(8, seed=3)
+    torch.manual_seed(0)
+    # The image is the map itself, so after any warp they must still agree where neither was painted over.
+    as_image = np.repeat((scenes.tool > 0)[..., None] * np.uint8(255), 3, axis=3)
+    maps = torch.from_numpy(np.stack([scenes.ee, scenes.tool], 1))
+    from toolee_robot.perception import segmentation_data
+
+    images, warped = segmentation_data._warp(torch.from_numpy(as_image).permute(0, 3, 1, 2).float(), maps, 1.0)
+    tool = warped[:, 1] > 0
+    assert tool.sum() > 500
+    assert (images[:, 0][tool] > 100).float().mean() > 0.97
+
+
+def test_augmented_batches_are_finite_and_padded() -> None:
+    scenes = toy_scenes(4)
+    torch.manual_seed(1)
+    images, maps = augment(torch.from_numpy(scenes.rgb), torch.from_numpy(np.stack([scenes.ee, scenes.tool], 1)))
+    assert images.shape == (4, 3, 96, 128)
+    assert maps.shape == (4, 2, 96, 128)
+    assert torch.isfinite(images).all()
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tiny detector, overfit on twelve toy pictures."""
+    out = tmp_path_factory.mktemp("run")
+    torch.manual_seed(0)
+    config = SegmentationTraining(
+        Path("toy"), out, max_steps=120, batch=8, lr=3e-3, warmup_steps=10, ema=0.9, augmentation=0, model=TINY
+    )
+    return train(config, toy_scenes(12))
+
+
+def test_training_lowers_the_loss_and_logs_it(trained: Path) -> None:
+    log = json.loads((trained / "training_log.json").read_text())
+    assert log[-1]["loss"] < 0.75 * log[0]["loss"]
+    description = json.loads((trained / "segmentation.json").read_text())
+    assert description["classes"] == list(CLASSES)
+    assert description["steps"] == 120
+
+
+def test_overfit_detector_finds_the_tools_of_its_pictures(trained: Path) -> None:
+    scenes = toy_scenes(12)
+    report = evaluate_masks(Segmenter.load(trained), scenes)
+    assert report["average"]["AP50"] > 0.8, report
+    detections = Segmenter.load(trained).detect(scenes.rgb[0])
+    best = detections[0]
+    assert best.category == list(Category)[int(scenes.categories[0, 0]) - 1]
+    truth = scenes.ee[0] > 0
+    assert (best.mask & truth).sum() / (best.mask | truth).sum() > 0.6
+    assert best.tool_mask is not None
+    assert best.tool_mask.sum() > best.mask.sum()
+
+
+def test_exported_weights_give_the_average_s_output(trained: Path) -> None:
+    """What is shipped (half precision, fused) answers as the averaged network of the checkpoint does."""
+    state = torch.load(trained / "checkpoint.pt", weights_only=True)
+    reference = Detector(TINY)
+    reference.load_state_dict(state["average"], strict=False)
+    rgb = toy_scenes(1, seed=9).rgb[0]
+    expected, found = Segmenter(reference).detect(rgb), Segmenter.load(trained).detect(rgb)
+    assert [d.category for d in expected] == [d.category for d in found]
+    for a, b in zip(expected, found, strict=True):
+        assert a.score == pytest.approx(b.score, abs=0.02)
+        np.testing.assert_allclose(a.box, b.box, atol=0.5)
+
+
+def test_detections_follow_the_image_s_size(trained: Path) -> None:
+    """A picture with more pixels than the network's is scaled down, and masks and boxes come back at its size."""
+    import cv2
+
+    rgb = toy_scenes(1).rgb[0]
+    small = Segmenter.load(trained)
+    large = cv2.resize(rgb, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR).astype(np.uint8)
+    object.__setattr__(small.config, "working_pixels", rgb.shape[0] * rgb.shape[1])
+    a, b = small.detect(rgb)[0], small.detect(large)[0]
+    assert b.mask.shape == large.shape[:2]
+    assert a.category == b.category
+    np.testing.assert_allclose(np.array(b.box) / 2, a.box, atol=3)
+
+
+def test_a_run_resumes_where_it_stopped(tmp_path: Path) -> None:
+    scenes = toy_scenes(4)
+    common = {"batch": 2, "warmup_steps": 2, "log_every": 1, "model": TINY, "augmentation": 0.0}
+    train(SegmentationTraining(Path("toy"), tmp_path, max_steps=3, **common), scenes)  # type: ignore[arg-type]
+    train(SegmentationTraining(Path("toy"), tmp_path, max_steps=5, resume=True, **common), scenes)  # type: ignore[arg-type]
+    log = json.loads((tmp_path / "training_log.json").read_text())
+    assert [entry["step"] for entry in log] == [1, 2, 3, 4, 5]
+
+
+def test_resuming_nothing_is_the_user_s_error(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="resume"):
+        train(SegmentationTraining(Path("toy"), tmp_path, resume=True, model=TINY), toy_scenes(2))
+
+
+def test_a_loss_that_is_not_finite_stops_the_run(tmp_path: Path) -> None:
+    config = SegmentationTraining(
+        Path("toy"), tmp_path, max_steps=30, batch=2, lr=1e12, warmup_steps=1, log_every=1, model=TINY, augmentation=0.0
+    )
+    with pytest.raises(TooleeError, match="not finite"):
+        train(config, toy_scenes(4))
+    assert not (tmp_path / "segmentation.json").exists()
+
+
+def test_missing_weights_are_named(tmp_path: Path, trained: Path) -> None:
+    with pytest.raises(AssetError, match=r"segmentation\.json"):
+        Segmenter.load(tmp_path)
+    (tmp_path / "segmentation.json").write_text((trained / "segmentation.json").read_text())
+    with pytest.raises(AssetError, match=r"segmentation-00001-of-00001\.safetensors"):
+        Segmenter.load(tmp_path)
+    (tmp_path / "segmentation-00001-of-00001.safetensors").write_bytes(b"not a tensor file")
+    with pytest.raises(AssetError, match="unreadable"):
+        Segmenter.load(tmp_path)
+
+
+def test_an_end_effector_belongs_to_the_tool_that_covers_it() -> None:
+    left, right, ee = (np.zeros((20, 40), dtype=bool) for _ in range(3))
+    left[:, :15], right[:, 20:], ee[5:10, 18:28] = True, True, True
+    box = (0.0, 0.0, 1.0, 1.0)
+    found = associate([left, right, ee], [TOOL, TOOL, 1], [0.9, 0.9, 0.8], [box] * 3)
+    assert len(found) == 1
+    assert found[0].tool_mask is not None
+    assert found[0].tool_mask[0, 30]
+    assert not found[0].tool_mask[0, 0]
+
+
+def test_the_shipped_architecture_fits_its_budget() -> None:
+    """All weights together must stay under 40 MB, of which the detector may take 28, stored as half precision."""
+    assert 2 * sum(p.numel() for p in Detector().parameters()) < 28e6
+
+
+def test_iou_of_known_boxes() -> None:
+    a = torch.tensor([[0.0, 0.0, 10.0, 10.0]])
+    b = torch.tensor([[5.0, 0.0, 15.0, 10.0], [20.0, 20.0, 30.0, 30.0]])
+    torch.testing.assert_close(pairwise_iou(a, b), torch.tensor([[1 / 3, 0.0]]))
