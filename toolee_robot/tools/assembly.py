@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import trimesh
 
@@ -10,36 +12,37 @@ from toolee_robot.tools.model import EndEffector, Handle, Part, Tool, ToolKind
 from toolee_robot.tools.solids import Piece, to_trimesh, unite
 
 
-def assemble(
-    kind: ToolKind, seed: int, pieces: list[Piece], ees: tuple[EndEffector, ...], handle: Handle
-) -> Tool:
+def assemble(kind: ToolKind, seed: int, pieces: list[Piece], ees: tuple[EndEffector, ...], handle: Handle) -> Tool:
     """Where two pieces overlap, the later one keeps the volume (a handle fills the eye of its head)."""
-    parts = []
+    kept, parts = [], []
     for i, piece in enumerate(pieces):
         solid = piece.solid
         for later in pieces[i + 1 :]:
-            solid = solid - later.solid
+            if _boxes_meet(solid, later.solid):
+                solid = solid - later.solid
         if not solid.is_empty():
-            parts.append((i, Part(piece.label, to_trimesh(solid), piece.material)))
+            kept.append(i)
+            parts.append(Part(piece.label, to_trimesh(solid), piece.material))
     mesh, owner = unite([piece.solid for piece in pieces])
-    position = {piece_index: part_index for part_index, (piece_index, _) in enumerate(parts)}
-    face_parts = np.array([position[i] for i in range(len(pieces)) if i in position], dtype=np.int64)[
-        np.searchsorted([i for i in range(len(pieces)) if i in position], owner)
-    ]
-    mass, com, inertia = mass_properties(tuple(part for _, part in parts))
+    mass, com, inertia = mass_properties(tuple(parts))
     return Tool(
         kind=kind,
         seed=seed,
-        parts=tuple(part for _, part in parts),
+        parts=tuple(parts),
         mesh=mesh,
-        face_parts=face_parts,
+        face_parts=np.searchsorted(kept, owner),
         ees=ees,
         handle=handle,
         mass=mass,
         center_of_mass=com,
         inertia=inertia,
-        _convex_points=tuple(points for piece in pieces for points in piece.convex),
+        _convex=tuple(convex for piece in pieces for convex in piece.convex),
     )
+
+
+def _boxes_meet(a: Any, b: Any) -> bool:
+    box_a, box_b = np.array(a.bounding_box()), np.array(b.bounding_box())
+    return bool(np.all(box_a[:3] <= box_b[3:]) and np.all(box_b[:3] <= box_a[3:]))
 
 
 def mass_properties(parts: tuple[Part, ...]) -> tuple[float, Array, Array]:

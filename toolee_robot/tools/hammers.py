@@ -16,11 +16,10 @@ from toolee_robot.tools.handles import hammer_handle
 from toolee_robot.tools.materials import BRASS, PLASTIC, RUBBER, WOOD, Material, steel, varied
 from toolee_robot.tools.model import EndEffector, Tool, ToolKind
 from toolee_robot.tools.solids import (
+    Convex,
     Piece,
-    convex_runs,
     loft,
-    move,
-    place,
+    loft_piece,
     regular_polygon,
     stack,
     superellipse,
@@ -62,10 +61,7 @@ def _draw(kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
     X_tool_head = frame_from_axes(
         z=np.array([np.cos(tilt), 0.0, np.sin(tilt)]), x=np.array([0.0, 0.0, -1.0]), p=[shaft.x_head, 0.0, z_head]
     )
-    pieces = [
-        Piece(p.label, place(p.solid, X_tool_head), p.material, tuple(move(c, X_tool_head) for c in p.convex))
-        for p in head.pieces
-    ]
+    pieces = [piece.placed(X_tool_head) for piece in head.pieces]
     ees = tuple(EndEffector(category, X_tool_head @ X) for category, X in head.ees)
     return assemble(kind, seed, [*pieces, *shaft.pieces], ees, shaft.handle)
 
@@ -86,7 +82,7 @@ def _body(rng: np.random.Generator, half: float, height: float, width: float, ma
     z = np.array([-half, -half + bevel, half - bevel, half])
     inset = np.array([bevel, 0.0, 0.0, bevel])
     rings = stack(z, height - inset, width - inset, superellipse(rng.uniform(2.5, 7.0)))
-    return Piece("body", loft(rings), material, convex_runs(rings))
+    return loft_piece("body", rings, material)
 
 
 def _poll(
@@ -98,13 +94,15 @@ def _poll(
     chamfer = rng.uniform(0.04, 0.16) * radius
     face_thickness = min(rng.uniform(0.25, 0.6) * length, length - 0.006)
     neck = rng.uniform(0.62, 0.92) * radius if necked else radius * rng.uniform(0.92, 1.0)
-    z = np.array([start - 0.004, start, start + 0.4 * (length - face_thickness), end - face_thickness, end - chamfer, end])
+    z = np.array(
+        [start - 0.004, start, start + 0.4 * (length - face_thickness), end - face_thickness, end - chamfer, end]
+    )
     z[3] = min(z[3], end - chamfer - 0.001)
     a = np.array([root[0], root[0], neck, radius, radius, radius - chamfer])
     b = np.array([root[1], root[1], neck, radius, radius, radius - chamfer])
     circle = superellipse(2.0, 32)
     rings = stack(z, a, b, np.stack([circle, circle, 0.5 * (circle + section), section, section, section]))
-    return Piece(label, loft(rings), material, convex_runs(rings))
+    return loft_piece(label, rings, material)
 
 
 def _claw_hammer(rng: np.random.Generator) -> Head:
@@ -143,12 +141,13 @@ def _claw(
     steps = 0.5 * (tangent[1:] + tangent[:-1]) / (n - 1)
     curve = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, 0)])
     arc = (reach + 0.004) / -curve[:, 2].min()
-    curve = curve * arc + [-(1 - 0.5) * 0.5 * height, 0.0, -half + 0.004]
+    root_thickness = height * rng.uniform(0.5, 0.95)
+    # The claw's back is about flush with the body's top (x is towards the handle).
+    curve = curve * arc + [-(height - root_thickness) * rng.uniform(0.4, 1.0), 0.0, -half + 0.004]
     away = np.column_stack([-np.cos(phi), np.zeros(n), -np.sin(phi)])
-    root_thickness = height * rng.uniform(0.5, 0.75)
     tip_thickness = rng.uniform(0.0008, 0.0018)
     thickness = tip_thickness + (root_thickness - tip_thickness) * (1 - u) ** rng.uniform(0.7, 1.3)
-    tip_width = rng.uniform(0.010, 0.0165)
+    tip_width = rng.uniform(0.0105, 0.0175)
     across = 0.85 * width + (tip_width - 0.85 * width) * np.sqrt(u)
     section = superellipse(rng.uniform(4.0, 9.0))
 
@@ -158,7 +157,7 @@ def _claw(
 
     rings = np.stack([ring(i, -across[i], across[i]) for i in range(n)])
     first = int(np.clip(round(n * rng.uniform(0.28, 0.55)), 5, n - 8))
-    root_gap, tip_gap = rng.uniform(0.0010, 0.0020), rng.uniform(0.0035, 0.0065)
+    root_gap, tip_gap = rng.uniform(0.0010, 0.0020), min(rng.uniform(0.0035, 0.0080), tip_width - 0.0055)
     slot_u = (u[first:] - u[first]) / (1 - u[first])
     gap = root_gap + (tip_gap - root_gap) * slot_u
     tall = 2.5 * root_thickness
@@ -173,7 +172,7 @@ def _claw(
         np.stack([ring(i, *sorted((side * g, side * across[i]))) for i, g in zip(range(first, n), gap, strict=True)])
         for side in (-1.0, 1.0)
     ]
-    convex = (*convex_runs(rings[: first + 1], 0.2), *convex_runs(tines[0], 0.25), *convex_runs(tines[1], 0.25))
+    convex = (Convex(rings[: first + 1], 0.2), Convex(tines[0], 0.25), Convex(tines[1], 0.25))
     middle = 0.5 * (u[first] + 1.0)
     p = np.array([np.interp(middle, u, curve[:, k]) for k in range(3)])
     angle = float(np.interp(middle, u, phi))
@@ -202,7 +201,7 @@ def _ball_peen_hammer(rng: np.random.Generator) -> Head:
     a = np.concatenate([ball * np.sin(polar), [neck, neck]])
     z[-2] = max(z[-2], z[-3] + 1e-3)
     rings = stack(z, a)
-    peen = Piece("peen", loft(rings), material, convex_runs(rings, 0.08))
+    peen = loft_piece("peen", rings, material, 0.08)
     return _one_faced([body, poll, peen], front, height, half, width, rng)
 
 
@@ -225,9 +224,10 @@ def _cross_peen_hammer(rng: np.random.Generator) -> Head:
     narrow = np.array([0.6 * edge, edge, 0.85 * height, 0.85 * height])
     broad = np.array([0.85, 0.92, 0.9, 0.9]) * width
     a, b = (narrow, broad) if rng.uniform() < 0.75 else (broad, narrow)
-    drop = rng.uniform(0.0, 0.5) * np.array([height, height, 0.0, 0.0]) * (rng.uniform() < 0.3)
+    # Some wedges have one straight side: their edge stands high or low.
+    drop = rng.uniform(-0.95, 0.5) * np.array([height, height, 0.0, 0.0]) * (rng.uniform() < 0.5) * (a is narrow)
     rings = stack(z, a, b, superellipse(rng.uniform(4.0, 8.0)), drop)
-    peen = Piece("peen", loft(rings), material, convex_runs(rings))
+    peen = loft_piece("peen", rings, material)
     return _one_faced([body, poll, peen], front, height, half, width, rng)
 
 
@@ -239,9 +239,7 @@ def _one_faced(
     return Head(pieces, ((Category.HAMMER_HEAD, face),), height, eye)
 
 
-def _double_faced(
-    pieces: list[Piece], front: float, back: float, height: float, eye: tuple[float, float]
-) -> Head:
+def _double_faced(pieces: list[Piece], front: float, back: float, height: float, eye: tuple[float, float]) -> Head:
     """Both faces strike; the second one's frame is the first's turned half round the handle."""
     turned = transform(np.diag([1.0, -1.0, -1.0]), [0.0, 0.0, -back])
     faces = ((Category.HAMMER_HEAD, transform(None, [0.0, 0.0, front])), (Category.HAMMER_HEAD, turned))
@@ -260,7 +258,7 @@ def _club_hammer(rng: np.random.Generator) -> Head:
     a = radius * np.array([1.0, 1.0, 0.5 + 0.5 * waist, waist, 0.5 + 0.5 * waist, 1.0, 1.0])
     a[[0, -1]] -= chamfer
     rings = stack(z, a, a, section)
-    block = Piece("face", loft(rings), material, convex_runs(rings))
+    block = loft_piece("face", rings, material)
     eye = (rng.uniform(0.009, 0.0125), min(0.55 * radius * waist, 0.010))
     return _double_faced([block], half, half, radius * waist, eye)
 
@@ -271,15 +269,18 @@ def _mallet(rng: np.random.Generator) -> Head:
     half = length / 2
     if rng.uniform() < 0.65:
         material = varied(RUBBER if rng.uniform() < 0.7 else WOOD, rng)
-        radius = rng.uniform(0.022, 0.0275) if material.name == "rubber" else rng.uniform(0.026, 0.034)
-        section = _face_section(rng, ("round", "round", "octagon") if material.name == "rubber" else ("round", "square"))
+        radius = rng.uniform(0.019, 0.0265) if material.name == "rubber" else rng.uniform(0.026, 0.034)
+        section = _face_section(
+            rng, ("round", "round", "octagon") if material.name == "rubber" else ("round", "square")
+        )
         chamfer = rng.uniform(0.05, 0.18) * radius
-        bulge = rng.uniform(0.9, 1.08)
-        z = np.array([-half, -half + chamfer, -0.4 * half, 0.4 * half, half - chamfer, half])
-        a = radius * np.array([1.0, 1.0, bulge, bulge, 1.0, 1.0])
+        bulge = rng.uniform(0.92, 1.2) if material.name == "rubber" else rng.uniform(0.92, 1.05)
+        u = np.linspace(-1.0, 1.0, 9)
+        z = np.concatenate([[-half], u * (half - chamfer), [half]])
+        a = radius * np.array([1.0, *(1.0 + (bulge - 1.0) * (1 - u**2)), 1.0])
         a[[0, -1]] -= chamfer
         rings = stack(z, a, a, section)
-        pieces = [Piece("face", loft(rings), material, convex_runs(rings))]
+        pieces = [loft_piece("face", rings, material)]
         height = radius * bulge
     else:
         radius = rng.uniform(0.014, 0.0225)
@@ -292,7 +293,7 @@ def _mallet(rng: np.random.Generator) -> Head:
             chamfer = rng.uniform(0.05, 0.15) * radius
             z = side * np.array([core - 0.002, half - chamfer, half])
             rings = stack(z, np.array([radius, radius, radius - chamfer]))
-            pieces.append(Piece("face", loft(rings), cap_material, convex_runs(rings)))
+            pieces.append(loft_piece("face", rings, cap_material))
     eye = (rng.uniform(0.010, 0.0135), min(0.6 * height, rng.uniform(0.008, 0.012)))
     return _double_faced(pieces, half, half, height, eye)
 

@@ -8,14 +8,14 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from toolee_robot.frames import Array
-from toolee_robot.tools.materials import FIBERGLASS, RUBBER, RUBBER_COLORED, WOOD, steel, varied
+from toolee_robot.tools.materials import FIBERGLASS, RUBBER, RUBBER_COLORED, WOOD, Material, steel, varied
 from toolee_robot.tools.model import Handle
-from toolee_robot.tools.solids import Piece, convex_runs, loft, stack, superellipse
+from toolee_robot.tools.solids import Piece, loft_piece, stack, superellipse
 
 
 @dataclass(frozen=True, eq=False)
 class HammerHandle:
-    """pieces: overlapping, in the tool frame. x_head: the centre line's x where it enters the head. slope: its dx/dz."""
+    """pieces: overlapping, in the tool frame. x_head: the centre line's x [m] at the head; slope: its dx/dz there."""
 
     pieces: list[Piece]
     handle: Handle
@@ -44,30 +44,31 @@ def hammer_handle(
         knots = [-butt, -butt + 0.02, 0.0, 0.45 * entry, entry - 0.02, entry + 0.004, top]
         a = [grip_a * swell, grip_a * swell, grip_a, grip_a * waist, 0.5 * (grip_a * waist + eye[0]), *[eye[0]] * 2]
         b = [grip_b * swell, grip_b * swell, grip_b, grip_b * waist, 0.5 * (grip_b * waist + eye[1]), *[eye[1]] * 2]
-        pieces, z, wa, wb = _shaft("handle", varied(WOOD, rng), knots, a, b, bend, exponent, rng.uniform(0.002, 0.006))
+        rounding = rng.uniform(0.002, 0.006)
+        shaft, z, wa, wb = _shaft("handle", varied(WOOD, rng), knots, a, b, bend, exponent, rounding)
         handle = Handle(z, wa, wb)
-        solids = [pieces]
+        pieces = [shaft]
     else:
-        thin_b = grip_b * rng.uniform(0.5, 0.75)
-        thin_a = thin_b * rng.uniform(1.0, 1.8)
+        thin_b = grip_b * rng.uniform(0.5, 0.72)
+        thin_a = min(thin_b * rng.uniform(1.0, 1.8), 0.72 * grip_a)
         knots = [-butt + 0.006, 0.0, 0.5 * entry, entry - 0.02, entry + 0.004, top]
         a = [thin_a, thin_a, thin_a, 0.5 * (thin_a + eye[0]), eye[0], eye[0]]
         b = [thin_b, thin_b, thin_b, 0.5 * (thin_b + eye[1]), eye[1], eye[1]]
         material = steel(rng) if style == "steel" else varied(FIBERGLASS, rng)
         shaft, z, wa, wb = _shaft("shaft", material, knots, a, b, bend, exponent, 0.001)
-        grip, gz, ga, gb = _grip(rng, butt, entry, grip_a, grip_b, bend)
+        grip, gz, ga, gb = _grip(rng, butt, entry, grip_a, grip_b, bend, exponent)
         above = z > gz[-1]
         handle = Handle(
             np.concatenate([gz, z[above]]), np.concatenate([ga, wa[above]]), np.concatenate([gb, wb[above]])
         )
-        solids = [grip, shaft]
+        pieces = [grip, shaft]
     inside = handle.z <= entry
     handle = Handle(handle.z[inside], handle.radii_x[inside], handle.radii_y[inside])
-    return HammerHandle(solids, handle, bend * z_head**2, 2 * bend * z_head)
+    return HammerHandle(pieces, handle, bend * z_head**2, 2 * bend * z_head)
 
 
 def _shaft(
-    label: str, material: object, knots: list[float], a: list[float], b: list[float], bend: float, exponent: float,
+    label: str, material: Material, knots: list[float], a: list[float], b: list[float], bend: float, exponent: float,
     rounding: float,
 ) -> tuple[Piece, Array, Array, Array]:  # fmt: skip
     z = np.unique(np.concatenate([np.linspace(knots[0], knots[-1], 22), [knots[0] + rounding]]))
@@ -75,11 +76,11 @@ def _shaft(
     wa[0] -= rounding * 0.8
     wb[0] -= rounding * 0.8
     rings = stack(z, wa, wb, superellipse(exponent), bend * z * np.abs(z))
-    return Piece(label, loft(rings), material, convex_runs(rings)), z, wa, wb  # type: ignore[arg-type]
+    return loft_piece(label, rings, material), z, wa, wb
 
 
 def _grip(
-    rng: np.random.Generator, butt: float, entry: float, a: float, b: float, bend: float
+    rng: np.random.Generator, butt: float, entry: float, a: float, b: float, bend: float, exponent: float
 ) -> tuple[Piece, Array, Array, Array]:
     """A rubber sleeve from the butt, with a flared end, a waist or swell, rings, and a flared or tapered front."""
     end = min(rng.uniform(0.045, 0.085), entry - 0.03)
@@ -91,9 +92,12 @@ def _grip(
     z = np.unique(np.concatenate([np.linspace(-butt, end, 30), [-butt + 0.003, end - 0.003]]))
     scale = PchipInterpolator(knots, ka)(z)
     if rng.uniform() < 0.5:
-        rings_count = rng.integers(4, 12)
-        scale = scale - rng.uniform(0.02, 0.06) * np.maximum(0, np.sin(2 * np.pi * rings_count * (z + butt) / (end + butt)))
+        waves = np.sin(2 * np.pi * rng.integers(4, 9) * (z + butt) / (end + butt))
+        scale = scale - rng.uniform(0.02, 0.06) * np.maximum(0.0, waves)
     scale[[0, -1]] -= rng.uniform(0.1, 0.25)
-    rings = stack(z, a * scale, b * scale, superellipse(float(rng.choice([2.0, 2.4, 3.0]))), bend * z * np.abs(z))
+    # Never less than an ellipse around the shaft: a squarer shaft must stay inside.
+    rings = stack(
+        z, a * scale, b * scale, superellipse(max(exponent, float(rng.choice([2.0, 2.4, 3.0])))), bend * z * np.abs(z)
+    )
     material = varied(RUBBER if rng.uniform() < 0.6 else RUBBER_COLORED, rng)
-    return Piece("grip", loft(rings), material, convex_runs(rings, 0.12)), z, a * scale, b * scale
+    return loft_piece("grip", rings, material, 0.12), z, a * scale, b * scale

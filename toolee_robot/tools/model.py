@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.tools.materials import Material
+from toolee_robot.tools.solids import Convex
 from toolee_robot.types import Category
 
 
@@ -135,7 +136,7 @@ class Tool:
     mass: float
     center_of_mass: Array
     inertia: Array
-    _convex_points: tuple[Array, ...]
+    _convex: tuple[Convex, ...]
 
     @property
     def name(self) -> str:
@@ -183,9 +184,4 @@ class Tool:
 
     @cached_property
     def _collision_parts(self) -> tuple[trimesh.Trimesh, ...]:
-        return tuple(_hull(points) for points in self._convex_points)
-
-
-
-def _hull(points: Array) -> trimesh.Trimesh:
-    return trimesh.convex.convex_hull(points)
+        return tuple(trimesh.convex.convex_hull(points) for convex in self._convex for points in convex.hulls())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from toolee_robot.frames import Array, transform
+from toolee_robot.frames import transform
 from toolee_robot.tools.assembly import assemble
 from toolee_robot.tools.materials import (
     PLASTIC,
@@ -19,11 +19,12 @@ from toolee_robot.tools.materials import (
 )
 from toolee_robot.tools.model import EndEffector, Handle, Tool, ToolKind
 from toolee_robot.tools.solids import (
+    Convex,
     Piece,
-    convex_runs,
     extrude,
     lobes,
     loft,
+    loft_piece,
     prism_points,
     regular_polygon,
     stack,
@@ -41,16 +42,14 @@ def make_screwdriver(kind: ToolKind, seed: int, rng: np.random.Generator) -> Too
     shaft_material = varied(STEEL_BRIGHT if rng.uniform() < 0.75 else STEEL_DARK, rng)
     tip_material = varied(STEEL_DARK, rng) if rng.uniform() < 0.4 else shaft_material
     tip, tip_length = _TIPS[kind](rng, radius, z_tip, tip_material)
-    section = [superellipse(2.0, 24), regular_polygon(6, 24), superellipse(6.0, 24)][rng.choice(3, p=[0.75, 0.13, 0.12])]
+    section = [superellipse(2.0, 24), regular_polygon(6, 24), superellipse(6.0, 24)][
+        rng.choice(3, p=[0.75, 0.13, 0.12])
+    ]
     z = np.array([handle.z_min + 0.25 * handle_length, z_tip - tip_length + 0.0005])
-    shaft = Piece("shaft", loft(stack(z, radius, None, section)), shaft_material, _convex(stack(z, radius, None, section)))
+    shaft = loft_piece("shaft", stack(z, radius, None, section), shaft_material)
     bolster = _bolster(rng, handle, radius, shaft_material)
     ee = EndEffector(Category.SCREWDRIVER_HEAD, transform(None, [0.0, 0.0, z_tip]))
     return assemble(kind, seed, [*pieces, *bolster, shaft, tip], (ee,), handle)
-
-
-def _convex(rings: Array) -> tuple[Array, ...]:
-    return (rings.reshape(-1, 3),)
 
 
 def _handle(rng: np.random.Generator, length: float, shaft_radius: float) -> tuple[list[Piece], Handle]:
@@ -61,6 +60,10 @@ def _handle(rng: np.random.Generator, length: float, shaft_radius: float) -> tup
         "straight": ([0.0, 0.04, 0.2, 0.8, 0.95, 1.0], [0.75, 0.98, 1.0, 1.0, 0.85, 0.6]),
         "waisted": ([0.0, 0.05, 0.2, 0.55, 0.72, 0.88, 1.0], [0.6, 0.95, 1.0, 0.88, 0.62, 0.85, 0.6]),
         "taper": ([0.0, 0.06, 0.3, 1.0], [0.7, 1.0, 1.0, 0.55]),
+        "collar": (
+            [0.0, 0.03, 0.1, 0.7, 0.74, 0.86, 0.92, 0.97, 1.0],
+            [0.85, 1.0, 1.0, 1.0, 0.78, 0.8, 1.05, 1.02, 0.85],
+        ),
         "ball": ([0.0, 0.03, 0.15, 0.4, 0.6, 0.85, 1.0], [0.4, 0.75, 1.1, 1.05, 0.75, 0.5, 0.45]),
     }
     knots, widths = profile[str(rng.choice(list(profile)))]
@@ -82,16 +85,14 @@ def _handle(rng: np.random.Generator, length: float, shaft_radius: float) -> tup
     sections = fade * section + (1 - fade) * superellipse(2.0, n)
     rings = stack(z, radius * scale, None, sections)
     base = varied(WOOD if rng.uniform() < 0.12 else PLASTIC, rng)
-    pieces = [Piece("handle", loft(rings), base, convex_runs(rings, 0.1))]
+    pieces = [loft_piece("handle", rings, base, 0.1)]
     if base.name != "wood" and rng.uniform() < 0.4:
         # A soft sleeve over the middle of the handle, a fraction of a millimetre proud.
         low, high = sorted(rng.choice(np.arange(2, len(z) - 3), 2, replace=False))
         high = max(high, low + 4)
         sleeve = stack(z[low:high], radius * scale[low:high] + 0.0005, None, sections[low:high])
         soft = varied(RUBBER if rng.uniform() < 0.5 else RUBBER_COLORED, rng)
-        pieces.append(Piece("grip", loft(sleeve), soft, ()))
-        pieces.reverse()
-        pieces = [Piece("grip", pieces[0].solid - pieces[1].solid, soft, ()), pieces[1]]
+        pieces.insert(0, Piece("grip", loft(sleeve), soft, ()))
     return pieces, Handle(z, radius * scale, radius * scale)
 
 
@@ -100,7 +101,7 @@ def _bolster(rng: np.random.Generator, handle: Handle, radius: float, material: 
         return []
     z = handle.z_max + np.array([-0.004, rng.uniform(0.003, 0.008)])
     rings = stack(z, radius * rng.uniform(1.4, 1.9), None, regular_polygon(6, 24) if rng.uniform() < 0.6 else None)
-    return [Piece("bolster", loft(rings), material, _convex(rings))]
+    return [loft_piece("bolster", rings, material)]
 
 
 def _slotted_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
@@ -113,46 +114,49 @@ def _slotted_tip(rng: np.random.Generator, radius: float, z_tip: float, material
     b = np.array([radius, 0.95 * radius, 0.5 * radius, 1.6 * thickness, thickness])
     circle, square = superellipse(2.0, 24), superellipse(10.0, 24)
     rings = stack(z, a, b, np.stack([circle, 0.6 * circle + 0.4 * square, square, square, square]))
-    return Piece("tip", loft(rings), material, convex_runs(rings, 0.3)), length
+    return loft_piece("tip", rings, material, 0.3), length
 
 
 def _phillips_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
-    """A blunted cone with four tapering flutes, their walls at right angles."""
-    blunt = rng.uniform(0.12, 0.25) * radius
-    length = (radius - blunt) / np.tan(np.deg2rad(rng.uniform(24.0, 28.0)))
-    z = z_tip - np.array([length + 0.002, length, 0.12 * blunt, 0.0])
-    rings = stack(z, np.array([radius, radius, blunt, 0.75 * blunt]), None, superellipse(2.0, 24))
+    """A blunted cone with four flutes at right angles that run out on the shaft behind it."""
+    blunt = rng.uniform(0.2, 0.32) * radius
+    cone = (radius - blunt) / np.tan(np.deg2rad(rng.uniform(24.0, 28.0)))
+    length = cone * rng.uniform(1.7, 2.3)
+    z = z_tip - np.array([length + 0.001, cone, 0.15 * blunt, 0.0])
+    rings = stack(z, np.array([radius, radius, blunt, 0.8 * blunt]))
     solid = loft(rings)
-    wing = rng.uniform(0.16, 0.24) * radius
-    flute = np.array([[wing, wing], [3 * radius, wing], [3 * radius, 3 * radius], [wing, 3 * radius]])
-    low = z_tip - length * rng.uniform(0.95, 1.05)
-    stations = np.array([low, z_tip + 0.001])
+    # One flute's section: a quadrant whose corner moves outwards from the wings' thickness to the shaft's surface.
+    tip_corner, end_corner = rng.uniform(0.09, 0.14) * radius, 0.75 * radius
+    quadrant = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]) * radius
+    beyond = 0.001
+    slope = (tip_corner - end_corner) / length
     for k in range(4):
         c, s = np.cos(k * np.pi / 2), np.sin(k * np.pi / 2)
-        turned = flute @ np.array([[c, s], [-s, c]])
-        outward = np.array([c - s, s + c]) * radius * 0.6
-        prism = np.stack([
-            np.column_stack([turned + outward, np.full(4, stations[0])]),
-            np.column_stack([turned, np.full(4, stations[1])]),
-        ])
-        solid = solid - loft(prism)
-    return Piece("tip", solid, material, convex_runs(rings)), length
+        turn = np.array([[c, s], [-s, c]])
+        flute = [
+            np.column_stack([(quadrant + corner) @ turn, np.full(4, height)])
+            for corner, height in ((end_corner, z_tip - length), (tip_corner + slope * beyond, z_tip + beyond))
+        ]
+        solid = solid - loft(np.stack(flute))
+    return Piece("tip", solid, material, (Convex(rings, 0.04),)), length
 
 
 def _nut_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
     """A cup with a hexagonal hole: the EE's origin is the hole's centre in the mouth's plane."""
     flats = rng.uniform(0.0035, 0.0075)
-    outer = max(flats / np.cos(np.pi / 6) * rng.uniform(1.15, 1.3), radius + 0.0005)
-    length = rng.uniform(0.014, 0.026)
-    z = z_tip - np.array([length, length - 0.004, 0.0006, 0.0])
+    outer = max(flats / np.cos(np.pi / 6) * rng.uniform(1.12, 1.3), radius + 0.0005)
+    length = rng.uniform(0.014, 0.036)
+    z = z_tip - np.array([length, length - rng.uniform(0.001, 0.008), 0.0006, 0.0])
     rings = stack(z, np.array([radius, outer, outer, outer - 0.0006]), None, superellipse(2.0, 32))
-    hexagon = flats / np.cos(np.pi / 6) * np.column_stack(
-        [np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3)]
+    hexagon = (
+        flats
+        / np.cos(np.pi / 6)
+        * np.column_stack([np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3)])
     )
     depth = rng.uniform(0.5, 0.75) * length
     solid = loft(rings) - extrude(hexagon, z_tip - depth, z_tip + 0.001)
     circle = superellipse(2.0, 24)
-    return Piece("tip", solid, material, (prism_points(outer * circle, z_tip - length, z_tip),)), length
+    return Piece("tip", solid, material, (Convex(prism_points(outer * circle, z_tip - length, z_tip)),)), length
 
 
 _TIPS = {

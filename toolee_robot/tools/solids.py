@@ -6,7 +6,7 @@ placed with a 4x4 pose.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import manifold3d
@@ -19,22 +19,41 @@ from toolee_robot.tools.materials import Material
 
 
 @dataclass(frozen=True, eq=False)
+class Convex:
+    """Points (K, 3) standing for their hull or, with a tolerance, the rings (N, M, 3) of a loft standing for a few
+    hulls: an inner ring may lie inside its hull by at most `tolerance` of its own size."""
+
+    points: Array
+    tolerance: float | None = None
+
+    def placed(self, X: Array) -> Convex:
+        """The same moved by a 4x4 pose."""
+        return replace(self, points=move(self.points, X))
+
+    def hulls(self) -> list[Array]:
+        """Point sets (K, 3)."""
+        return [self.points] if self.tolerance is None else _convex_runs(self.points, self.tolerance)
+
+
+@dataclass(frozen=True, eq=False)
 class Piece:
-    """A labelled solid before assembly. convex: point sets (K, 3) whose hulls stand for it in collisions."""
+    """A labelled solid before assembly. convex: what stands for it in collisions."""
 
     label: str
     solid: Any
     material: Material
-    convex: tuple[Array, ...]
+    convex: tuple[Convex, ...]
+
+    def placed(self, X: Array) -> Piece:
+        """The piece moved by a 4x4 pose."""
+        return replace(self, solid=place(self.solid, X), convex=tuple(c.placed(X) for c in self.convex))
 
 
 def superellipse(exponent: float, points: int = 32) -> Array:
     """Unit section (M, 2): 2 is a circle, 4 and more a rounded square."""
     t = 2 * np.pi * np.arange(points) / points
     c, s = np.cos(t), np.sin(t)
-    return np.column_stack(
-        [np.sign(c) * np.abs(c) ** (2 / exponent), np.sign(s) * np.abs(s) ** (2 / exponent)]
-    )
+    return np.column_stack([np.sign(c) * np.abs(c) ** (2 / exponent), np.sign(s) * np.abs(s) ** (2 / exponent)])
 
 
 def regular_polygon(sides: int, points: int = 32, corner: float = 0.0) -> Array:
@@ -68,6 +87,11 @@ def stack(z: Any, a: Any, b: Any = None, section: Array | None = None, x: Any = 
         [x[:, None] + a[:, None] * unit[..., 0], b[:, None] * unit[..., 1], np.repeat(z[:, None], unit.shape[1], 1)],
         axis=-1,
     )
+
+
+def loft_piece(label: str, rings: Array, material: Material, tolerance: float = 0.04) -> Piece:
+    """The loft as a piece; tolerance as in `Convex`."""
+    return Piece(label, loft(rings), material, (Convex(rings, tolerance),))
 
 
 def loft(rings: Array) -> Any:
@@ -136,34 +160,30 @@ def move(points: Array, X: Array) -> Array:
     return transform_points(X, points.reshape(-1, 3)).reshape(points.shape)
 
 
-def convex_runs(rings: Array, tolerance: float = 0.04) -> tuple[Array, ...]:
-    """Split a loft into few runs of rings that are nearly convex: a ring may lie inside the run's hull by at most
-    `tolerance` of its own size. Runs share their border ring."""
+def _convex_runs(rings: Array, tolerance: float) -> list[Array]:
+    """Split a loft into few runs of rings that are nearly convex; runs share their border ring."""
     sizes = np.linalg.norm(rings - rings.mean(1, keepdims=True), axis=2).max(1)
     runs, start = [], 0
     while start < len(rings) - 1:
         end = start + 1
-        while end + 1 < len(rings) and _bulges(rings[start : end + 2], sizes[start : end + 2], tolerance):
+        while end + 1 < len(rings) and _stays_convex(rings[start : end + 2], sizes[start : end + 2], tolerance):
             end += 1
         runs.append(rings[start : end + 1].reshape(-1, 3))
         start = end
-    return tuple(runs)
+    return runs
 
 
-def _bulges(rings: Array, sizes: Array, tolerance: float) -> bool:
-    """Whether every inner ring reaches out to the straight line between any two others, point by point."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rings.mean(1), axis=0), axis=1) + 1e-12)])
-    center = rings.mean(1, keepdims=True)
-    for i in range(len(rings)):
-        for k in range(i + 2, len(rings)):
-            s = ((along[i + 1 : k] - along[i]) / (along[k] - along[i]))[:, None, None]
-            chord = (1 - s) * rings[i] + s * rings[k]
-            outward = rings[i + 1 : k] - center[i + 1 : k]
-            outward = outward / np.maximum(np.linalg.norm(outward, axis=2, keepdims=True), 1e-9)
-            inside = np.einsum("nmc,nmc->nm", chord - rings[i + 1 : k], outward)
-            if np.any(inside > tolerance * sizes[i + 1 : k, None]):
-                return False
-    return True
+def _stays_convex(rings: Array, sizes: Array, tolerance: float) -> bool:
+    """Whether every inner ring reaches out to the straight lines between the last ring and each ring before it."""
+    centers = rings.mean(1)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centers, axis=0), axis=1) + 1e-12)])
+    i, j = np.triu_indices(len(rings) - 1, 1)
+    s = ((along[j] - along[i]) / (along[-1] - along[i]))[:, None, None]
+    points = rings[:, ::3]
+    outward = points[j] - centers[j][:, None]
+    outward = outward / np.maximum(np.linalg.norm(outward, axis=2, keepdims=True), 1e-9)
+    inside = ((1 - s) * points[i] + s * points[-1] - points[j]) * outward
+    return bool(np.all(inside.sum(2) <= tolerance * sizes[j, None]))
 
 
 def to_trimesh(solid: Any) -> trimesh.Trimesh:
