@@ -8,8 +8,8 @@
 Import it as `toolee_robot.control`.
 """
 
-if __name__ == "control":
-    raise ImportError("import toolee_robot.control: the short name collides with a published package")
+if __name__ != "toolee_robot.control":
+    raise ImportError("import toolee_robot.control: the short name would make a second copy of every module")
 
 from toolee_robot.control.collision import Clearance, CollisionWorld
 from toolee_robot.control.collision_shapes import ToolEnvelope

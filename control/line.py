@@ -12,7 +12,7 @@ import numpy as np
 
 from toolee_robot.control.inverse_kinematics import InverseKinematics
 from toolee_robot.control.kinematics import solve
-from toolee_robot.control.timing import PathProfile, ramp_length
+from toolee_robot.control.timing import PathProfile
 from toolee_robot.errors import UnreachableError
 from toolee_robot.frames import Array
 from toolee_robot.types import Trajectory
@@ -22,11 +22,12 @@ _STEP = 1e-4  # [m], for the second derivative
 
 @dataclass(frozen=True)
 class PathLimits:
-    """Limits on the path length: speed [m/s], acceleration [m/s^2], jerk [m/s^3], that keep every joint inside its
-    own limits."""
+    """Limits on the path length that keep every joint inside its own: speed [m/s], acceleration and braking [m/s^2],
+    jerk [m/s^3]."""
 
     speed: float
     acceleration: float
+    brake: float
     jerk: float
 
 
@@ -86,31 +87,45 @@ class Line:
         qdd = first * profile.a[:, None] + second * (profile.v**2)[:, None]
         return Trajectory(profile.times, q, first * profile.v[:, None], qdd)
 
-    def limits(self, q: Array, velocity: Array, acceleration: float, jerk: float, wanted: float) -> PathLimits:
-        """The fastest motion through the configurations q (M, 6) up to `wanted` [m/s] whatever the run-up's length."""
-        return path_limits(*self.derivatives(q), velocity, acceleration, jerk, wanted, np.inf)
+    def travel_limits(self, q: Array, velocity: Array, acceleration: float, jerk: float, wanted: float) -> PathLimits:
+        """Limits for a slow motion through the configurations q (M, 6): up to `wanted` [m/s]."""
+        first, second = (np.maximum(np.abs(d), 1e-9) for d in self.derivatives(q))
+        speed = min(wanted, float(np.min(velocity / first)), float(np.sqrt(np.min(0.5 * acceleration / second))))
+        top = float(np.min(0.5 * acceleration / first))
+        return PathLimits(speed, top, top, 0.5 * jerk / float(np.max(first)))
 
 
-def path_limits(
-    first: Array, second: Array, velocity: Array, acceleration: float, jerk: float, wanted: float, run_up: float
+def blow_limits(
+    s: Array, first: Array, second: Array, velocity: Array, acceleration: float, jerk: float, wanted: float
 ) -> PathLimits:
-    """Highest speed [m/s] up to `wanted` that a path with these derivatives (M, 6) can reach within `run_up` [m].
+    """The highest speed at s = 0, up to `wanted` [m/s], that the joints allow for a blow along s (M,) [m].
 
-    Velocity: |q'| v <= velocity. Acceleration: |q'| a + |q''| v^2 <= acceleration. Jerk: |q'| j + 3 |q''| v a <= jerk
-    (the third derivative is neglected, a tenth is held back for it). Speed 0 when there is none.
+    first, second (M, 6): the line's derivatives at s, which runs from the start of the run-up (negative) to the deepest
+    point of braking. The ramp fills the whole run-up, so v^2 grows about linearly along it; it falls linearly while
+    braking. Joint acceleration is q' a + q'' v^2 with the signs it has; the jerk keeps 40 % back for the terms in q''
+    and q'''. Speed 0 when there is none.
     """
-    first, second = np.abs(first), np.abs(second)
-    fastest = min(wanted, float(np.min(velocity / np.maximum(first, 1e-9))))
-    speeds = fastest * np.linspace(1.0, 0.05, 40)
-    left = acceleration * 0.98 - second * (speeds**2)[:, None, None]
-    a = np.min(left / np.maximum(first, 1e-9), axis=(1, 2))
-    a = np.where(a > 0.2, a, np.nan)
-    left = jerk * 0.9 - 3 * second * (speeds * a)[:, None, None]
-    j = np.min(left / np.maximum(first, 1e-9), axis=(1, 2))
-    with np.errstate(invalid="ignore"):
-        j = np.where(j > 2.0, j, np.nan)
-        good = ramp_length(speeds, a, j) <= run_up
-    if not np.any(good):
-        return PathLimits(0.0, 0.2, 2.0)
-    best = int(np.argmax(good))
-    return PathLimits(float(speeds[best]), float(a[best]), float(j[best]))
+    run_up, deepest = -float(s[0]), float(s[-1])
+    up = s <= 0
+    acceleration = 0.97 * acceleration
+    slope = np.maximum(np.abs(first), 1e-9)
+    j = 0.6 * jerk / float(np.max(slope))
+    fastest = min(wanted, float(np.min(velocity / slope)))
+    v = fastest * np.linspace(1.0, 0.1, 46)
+    # The acceleration whose ramp is as long as the run-up: v / a + a / j = 2 L / v.
+    duration = 2 * run_up / v
+    inside = (j * duration) ** 2 - 4 * j * v
+    a = 1.01 * 0.5 * (j * duration - np.sqrt(np.maximum(inside, 0.0)))
+    share = np.where(up, (s + run_up) / run_up, 1 - s / max(deepest, 1e-9))
+    centripetal = second * (v**2)[:, None, None] * np.clip(1.05 * share, 0, 1)[:, None]
+    driven = first * a[:, None, None]
+    worst = np.maximum(np.abs(driven + centripetal), np.maximum(np.abs(driven), np.abs(centripetal)))
+    possible = (inside > 0) & np.all(worst[:, up] <= acceleration, axis=(1, 2))
+    # Braking: q'' v^2 adds to -q' a where they have opposite signs.
+    against = np.where(first * centripetal < 0, np.abs(centripetal), 0.0)
+    brake = np.min((acceleration - against[:, ~up]) / slope[~up], axis=(1, 2))
+    possible &= brake > 0.5
+    if not np.any(possible):
+        return PathLimits(0.0, 0.5, 0.5, j)
+    best = int(np.argmax(possible))
+    return PathLimits(float(v[best]), float(a[best]), float(brake[best]), j)

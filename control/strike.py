@@ -16,7 +16,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Clearance, CollisionWorld
 from toolee_robot.control.correction import Candidates, candidates, flange_targets, rank
 from toolee_robot.control.limits import check_trajectory
-from toolee_robot.control.line import Line, PathLimits, path_limits
+from toolee_robot.control.line import Line, PathLimits, blow_limits
 from toolee_robot.control.records import StrikePlan, TouchPlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.timing import (
@@ -177,8 +177,8 @@ def _solve_lines(
         if not np.all(reachable):
             continue
         line = Line(robot.ik, targets[i], normal, int(short.branch[i]), short.q[i])
-        limits = path_limits(
-            *line.derivatives(q[i]), velocity, config.arm.acceleration, config.arm.jerk, wanted, run_up
+        limits = blow_limits(
+            s, *line.derivatives(q[i]), velocity, config.arm.acceleration, config.arm.jerk, wanted
         )
         if limits.speed < MIN_SPEED:
             failure = f"reaches no more than {limits.speed:.2f} m/s"
@@ -216,7 +216,7 @@ def _solve_lines(
 def _time(line: Line, limits: PathLimits, run_up: float) -> tuple[Trajectory, float, float]:
     """The timed blow, the time of contact [s] and the braking length [m]."""
     up = run_up_profile(run_up, limits.speed, limits.acceleration, limits.jerk)
-    down = brake_profile(limits.speed, limits.acceleration, limits.jerk)
+    down = brake_profile(limits.speed, limits.brake, limits.jerk)
     whole = replace(
         up,
         times=np.concatenate([up.times, up.times[-1] + down.times[1:]]),
@@ -230,7 +230,7 @@ def _time(line: Line, limits: PathLimits, run_up: float) -> tuple[Trajectory, fl
 def _travel(line: Line, config: StationConfig, start: float, end: float, speed: float = 0.25) -> Trajectory:
     """Along the line at transfer limits, from rest to rest."""
     q = line.q(np.linspace(start, end, 9))
-    limits = line.limits(
+    limits = line.travel_limits(
         q,
         config.arm.transfer_velocity_scale * np.asarray(config.arm.velocity),
         config.arm.transfer_acceleration,
