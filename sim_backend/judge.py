@@ -234,7 +234,8 @@ class Judge:
     def verdict(self, estimates: Sequence[tuple[float, InHandEstimate]] = ()) -> Verdict:
         """The figures of the run so far; estimates: (stamp, estimate) in the order in which they were made."""
         first_blow = self._blows[0].stamp if self._blows else np.inf
-        candidates = [e for e in estimates if e[0] <= first_blow] or list(estimates)
+        known = [e for e in estimates if np.all(np.isfinite(e[1].X_hand_ee))]
+        candidates = [e for e in known if e[0] <= first_blow] or known
         candidates = [e for e in candidates if e[1].usable] or candidates
         error = self.estimate_error(*candidates[-1]) if candidates else None
         blows = self._blows

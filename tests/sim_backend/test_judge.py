@@ -143,6 +143,7 @@ def test_verdict_judges_the_last_usable_estimate_before_the_first_blow(world: Th
         (0.0, estimate(world.X_hand_ee @ transform(p=[0.009, 0, 0]))),
         (0.001, estimate(world.X_hand_ee @ transform(p=[0.002, 0, 0]))),
         (0.002, estimate(world.X_hand_ee @ transform(p=[0.050, 0, 0]), usable=False)),
+        (0.003, estimate(np.full((4, 4), np.nan), usable=False)),
         (late, estimate(world.X_hand_ee)),
     ]
     verdict = world.judge.verdict(estimates)
