@@ -112,6 +112,8 @@ class ArmLimits:
     velocity: tuple[Positive, Positive, Positive, Positive, Positive, Positive] = (2.09, 2.09, 3.14, 3.14, 3.14, 3.14)
     acceleration: Positive = 15.0
     jerk: Positive = 500.0
+    stop_acceleration: Positive = 20.0
+    stop_jerk: Positive = 1500.0
     transfer_velocity_scale: Annotated[float, Field(gt=0, le=1)] = 0.35
     transfer_acceleration: Positive = 3.0
 
