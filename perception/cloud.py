@@ -18,6 +18,8 @@ NEAREST, FARTHEST = 0.05, 20.0
 """Depths [m] outside are not a tool in a hand before a depth camera."""
 TRIM_RADII = 1.8
 """The visible points' median lies off the EE's origin, on its near side, so the cut is wider than the EE's area."""
+NEAR_QUANTILE = 0.2
+"""At least this share of a mask's depth is taken to be the tool, the rest may be background."""
 LEAST_TOOL_DISTANCE = 0.015
 """The rest of the tool must lie this far [m] from the EE's centroid to give a direction."""
 
@@ -92,12 +94,12 @@ def without_flying_pixels(
 
 
 def trim(points: Array, radius: float) -> Array:
-    """Points within `radius` [m] of the EE: centred first on the 30 % quantile of depth (a thin tool's mask is mostly
+    """Points within `radius` [m] of the EE: centred first on the near part of the depths (a thin tool's mask is mostly
     the background behind it), then on the median, then cut."""
     if len(points) == 0:
         return points
-    near = points[points[:, 2] <= np.quantile(points[:, 2], 0.3) + 0.5 * radius]
-    centre = np.array([*np.median(near[:, :2], axis=0), np.quantile(points[:, 2], 0.3)])
+    near = points[points[:, 2] <= np.quantile(points[:, 2], NEAR_QUANTILE) + 0.5 * radius]
+    centre = np.array([*np.median(near[:, :2], axis=0), np.quantile(points[:, 2], NEAR_QUANTILE)])
     for _ in range(2):
         inside = np.linalg.norm(points - centre, axis=1) < radius
         if not inside.any():

@@ -20,7 +20,7 @@ from toolee_robot.perception.segmentation_model import (
     pairwise_iou,
 )
 
-EE_PIXELS, TOOL_PIXELS = 20, 60
+EE_PIXELS, TOOL_PIXELS = 30, 60
 """Fewer visible pixels [of the network's input] and an instance is neither a target nor background."""
 ROIS_PER_IMAGE, POSITIVE_ROIS = 64, 24
 RPN_SAMPLES, RPN_POSITIVES = 256, 96
@@ -45,10 +45,10 @@ def instances_from_maps(maps: Tensor, categories: Tensor, tools: int) -> Instanc
     n, _, height, width = maps.shape
     ees = categories.shape[1]
     device = maps.device
-    ids = torch.cat([torch.arange(1, ees + 1, device=device), torch.arange(1, tools + 1, device=device)])
-    plane = torch.cat([torch.zeros(ees, device=device), torch.ones(tools, device=device)]).long()
+    id_list = [*range(1, ees + 1), *range(1, tools + 1)]
+    plane_list = [0] * ees + [1] * tools
     counts, boxes = [], []
-    for i, p in zip(ids.tolist(), plane.tolist(), strict=True):
+    for i, p in zip(id_list, plane_list, strict=True):
         seen = maps[:, p] == i
         columns, rows = seen.any(1), seen.any(2)
         counts.append(seen.sum((1, 2)))
@@ -58,6 +58,7 @@ def instances_from_maps(maps: Tensor, categories: Tensor, tools: int) -> Instanc
     count = torch.stack(counts, 1)
     labels = torch.cat([categories.long(), torch.full((n, tools), TOOL, device=device)], 1)
     labels = torch.where(count > 0, labels, 0)
+    ids, plane = torch.tensor(id_list, device=device), torch.tensor(plane_list, device=device)
     least = torch.where(plane == 0, EE_PIXELS, TOOL_PIXELS)
     box = torch.stack(boxes, 1) * (labels > 0)[..., None]
     ids, plane = ids.expand(n, -1), plane.expand(n, -1)

@@ -1,0 +1,113 @@
+"""The front door: stages in order, reasons instead of silence, fusion of the right end effector."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from toolee_robot.errors import AssetError, PerceptionError, UserError
+from toolee_robot.frames import transform
+from toolee_robot.perception import ToolPerception
+from toolee_robot.perception.pose import PoseEstimator
+from toolee_robot.perception.pose.network import NetworkConfig, PoseNet
+from toolee_robot.types import CameraIntrinsics, Category, Detection, RgbdFrame, ToolEstimate
+
+CAMERA = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)
+
+
+class ColourDetector:
+    """Finds what is painted in one colour a category: a real, if simple, detector."""
+
+    def detect(self, rgb: NDArray[np.uint8]) -> list[Detection]:
+        found = []
+        for k, category in enumerate(Category):
+            mask = rgb[:, :, 0] == 50 * (k + 1)
+            if mask.any():
+                found.append(Detection(category, 0.9, mask, (0.0, 0.0, 1.0, 1.0), None))
+        return found
+
+
+@pytest.fixture(scope="module")
+def perception() -> ToolPerception:
+    torch.manual_seed(0)
+    return ToolPerception(ColourDetector(), PoseEstimator(PoseNet(NetworkConfig())))
+
+
+def frame(*discs: tuple[int, int, int], depth: float = 0.8) -> RgbdFrame:
+    """Discs (category index, column, radius) at row 200."""
+    rgb, z = np.zeros((424, 512, 3), np.uint8), np.full((424, 512), 2.0, np.float32)
+    v, u = np.mgrid[:424, :512]
+    for k, column, radius in discs:
+        inside = (v - 200) ** 2 + (u - column) ** 2 <= radius**2
+        rgb[inside], z[inside] = 50 * (k + 1), depth
+    return RgbdFrame(rgb, z, CAMERA)
+
+
+def test_every_detection_gets_a_pose_near_its_cloud(perception: ToolPerception) -> None:
+    estimates, times = perception.estimate_timed(frame((0, 150, 14), (2, 350, 14)))
+    assert {e.category for e in estimates} == {Category.HAMMER_HEAD, Category.SCREWDRIVER_HEAD}
+    for e in estimates:
+        np.testing.assert_allclose(e.X_camera_ee[2, 3], 0.8, atol=0.15)
+        assert e.hypotheses is not None
+    assert times.total_ms >= times.segmentation_ms + times.pose_ms > 0
+
+
+def test_the_same_frame_gives_the_same_estimates(perception: ToolPerception) -> None:
+    a, b = perception.estimate(frame((0, 150, 14))), perception.estimate(frame((0, 150, 14)))
+    np.testing.assert_array_equal(a[0].X_camera_ee, b[0].X_camera_ee)
+
+
+def test_only_the_wanted_categories_are_estimated(perception: ToolPerception) -> None:
+    estimates = perception.estimate(frame((0, 150, 14), (2, 350, 14)), categories=[Category.HAMMER_HEAD])
+    assert [e.category for e in estimates] == [Category.HAMMER_HEAD]
+
+
+def test_a_mask_without_depth_is_listed_with_its_reason(perception: ToolPerception) -> None:
+    seen = frame((0, 150, 14))
+    depth = np.where(seen.rgb[:, :, 0] > 0, np.float32(np.nan), seen.depth)
+    (estimate,) = perception.estimate(RgbdFrame(seen.rgb, depth, CAMERA))
+    assert not estimate.usable
+    assert "depth" in estimate.reason
+    assert np.isnan(estimate.X_camera_ee).all()
+
+
+def test_an_empty_view_and_millimetres(perception: ToolPerception) -> None:
+    assert perception.estimate(frame()) == []
+    seen = frame((0, 150, 14))
+    with pytest.raises(UserError, match="millimetres"):
+        perception.estimate(RgbdFrame(seen.rgb, seen.depth * 1000, CAMERA))
+
+
+def estimate(category: Category, x: float, usable: bool = True) -> ToolEstimate:
+    found = Detection(category, 0.9, np.zeros((2, 2), bool), (0, 0, 1, 1))
+    X = transform(None, [x, 0.0, 0.7])
+    return ToolEstimate(found, X, np.eye(6) * 1e-5, 0.9 if usable else 0.2, usable, "ok" if usable else "spread")
+
+
+def test_fusion_takes_the_wanted_end_effector_of_each_frame(perception: ToolPerception) -> None:
+    head, claw = Category.HAMMER_HEAD, Category.HAMMER_GRIP
+    frames = [
+        [estimate(claw, 0.3), estimate(head, 0.10)],
+        [estimate(head, 0.5, usable=False), estimate(head, 0.10)],
+        [],
+    ]
+    fused = perception.fuse(frames, [np.eye(4)] * 3, head)
+    assert fused.category == head
+    assert fused.usable
+    assert (fused.frames_used, fused.frames_seen) == (2, 3)
+    np.testing.assert_allclose(fused.X_hand_ee[:3, 3], [0.10, 0, 0.7], atol=1e-6)
+    assert perception.fuse(frames, [np.eye(4)] * 3).category == head, "seen with the most confidence"
+
+
+def test_fusing_frames_without_the_tool_says_so(perception: ToolPerception) -> None:
+    with pytest.raises(PerceptionError, match="none of 2 frames"):
+        perception.fuse([[], []], [np.eye(4)] * 2)
+
+
+def test_missing_weights_name_the_file(tmp_path: Path) -> None:
+    with pytest.raises(AssetError, match=r"segmentation\.json"):
+        ToolPerception.load(tmp_path)
