@@ -47,9 +47,9 @@ class ToolEnvelope:
     """
 
     head_radius: float = 0.024
-    head_length: float = 0.135
-    handle_radius: float = 0.020
-    handle_depth: float = 0.055
+    head_length: float = 0.14
+    handle_radius: float = 0.028
+    handle_depth: float = 0.050
     handle_length: float = 0.36
 
     def bodies(self, X_flange_ee: Array, X_joint6_flange: Array) -> list[Body]:

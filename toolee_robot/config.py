@@ -71,8 +71,8 @@ class WorkConfig:
     __pydantic_config__ = _STRICT
     nail_xy: tuple[float, float] = (0.75, 0.10)
     stand_height: Positive = 0.20
-    stand_size: tuple[Positive, Positive] = (0.09, 0.09)
-    block_size: tuple[Positive, Positive, Positive] = (0.10, 0.10, 0.06)
+    stand_size: tuple[Positive, Positive] = (0.07, 0.07)
+    block_size: tuple[Positive, Positive, Positive] = (0.08, 0.08, 0.06)
     nail_diameter: Positive = 0.0025
     nail_length: Positive = 0.030
     nail_head_diameter: Positive = 0.006
