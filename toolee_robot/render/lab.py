@@ -38,7 +38,11 @@ def laboratory(rng: np.random.Generator, body_id: int) -> Surroundings:
         for _ in range(rng.integers(2, 6)):
             bodies.append(_furniture(rng, yaw, distance, body_id))
     top = Material(
-        linear((0.75, 0.73, 0.70)), linear((0.62, 0.60, 0.58)), Pattern.CLOUD, 0.15, roughness=float(rng.uniform(0.3, 0.7))
+        linear((0.75, 0.73, 0.70)),
+        linear((0.62, 0.60, 0.58)),
+        Pattern.CLOUD,
+        0.15,
+        roughness=float(rng.uniform(0.3, 0.7)),
     )
     if rng.random() < 0.4:
         top = finish("wood", (0.70, 0.56, 0.40), 0.5, 0.0, rng, axis=0)
@@ -79,7 +83,11 @@ def environment(rng: np.random.Generator) -> Environment:
         direction /= np.linalg.norm(direction)
         value = float(rng.uniform(0.8, 4.0))
         lobes.append(
-            Lobe((float(direction[0]), float(direction[1]), float(direction[2])), float(rng.uniform(0.1, 0.4)), (value,) * 3)
+            Lobe(
+                (float(direction[0]), float(direction[1]), float(direction[2])),
+                float(rng.uniform(0.1, 0.4)),
+                (value,) * 3,
+            )
         )
 
     def grey(low: float, high: float) -> tuple[float, float, float]:

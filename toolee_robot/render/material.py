@@ -63,7 +63,7 @@ class Material:
         if self.pattern is Pattern.CLOUD:
             return fractal(q)
         if self.pattern is Pattern.WOOD:
-            slow = np.stack([0.12 * along, u, v], axis=1)
+            slow = np.stack([np.float32(0.12) * along, u, v], axis=1)
             rings = np.sin(6.3 * (u + 0.35 * v) + 7.0 * noise(0.4 * slow))
             return np.clip(0.45 + 0.3 * rings + 0.5 * (noise(4.0 * slow) - 0.5), 0.0, 1.0).astype(np.float32)
         if self.pattern is Pattern.STRIPES:

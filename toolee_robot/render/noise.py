@@ -9,14 +9,14 @@ from scipy.ndimage import gaussian_filter
 
 from toolee_robot.render.mesh import FloatArray
 
-_SIZE = 96
-_FEATURE = 8.0
+_SIZE = 128
+_FEATURE = 16.0
 """Table cells a unit of noise coordinates: features are about one unit large."""
 
 
 @lru_cache(maxsize=1)
 def _table() -> FloatArray:
-    """(96^3,) tileable noise, uniform in [0, 1] by rank, the same in every process."""
+    """(128^3,) tileable noise, uniform in [0, 1] by rank, the same in every process."""
     rng = np.random.Generator(np.random.PCG64(20240717))
     smooth = gaussian_filter(rng.standard_normal((_SIZE,) * 3).astype(np.float32), _FEATURE / 3, mode="wrap")
     smooth /= smooth.std()
@@ -25,7 +25,7 @@ def _table() -> FloatArray:
 
 
 def noise(points: FloatArray) -> FloatArray:
-    """(N,) in [0, 1] at points (N, 3) in noise units; features about one unit large, period 12 units."""
+    """(N,) in [0, 1] at points (N, 3) in noise units; features about one unit large, period 8 units."""
     cells = np.floor(points * np.float32(_FEATURE)).astype(np.int32) % _SIZE
     index = (cells[:, 0] * _SIZE + cells[:, 1]) * _SIZE + cells[:, 2]
     return _table()[index]

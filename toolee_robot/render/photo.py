@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from io import BytesIO
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
+
+from toolee_robot.render.filters import gaussian
 
 
 @dataclass(frozen=True)
 class Photo:
     """gain: (3,) factor on the 8-bit sRGB channels. gamma: exponent. contrast: factor about mid-grey. blur: Gaussian
-    sigma [px]. motion: length [px] of a straight motion blur, motion_angle [rad]. vignette: darkening in the corners
-    [share]. grain: standard deviation of noise [8-bit steps]. jpeg: quality 1-100, 0 for none."""
+    sigma [px]. motion: length [px, at most 8] of a straight motion blur, motion_angle [rad]. vignette: darkening in the
+    corners [share]. grain: standard deviation of noise [8-bit steps]. jpeg: quality 1-100, 0 for none."""
 
     gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
     gamma: float = 1.0
@@ -28,8 +31,9 @@ class Photo:
     @staticmethod
     def random(rng: np.random.Generator) -> Photo:
         """Some camera in some light."""
+        gain = rng.uniform(0.7, 1.15) * np.exp(rng.normal(0.0, 0.06, 3))
         return Photo(
-            gain=tuple(float(g) for g in rng.uniform(0.7, 1.15) * np.exp(rng.normal(0.0, 0.06, 3))),
+            gain=(float(gain[0]), float(gain[1]), float(gain[2])),
             gamma=float(np.exp(rng.normal(0.0, 0.15))),
             contrast=float(np.exp(rng.normal(0.0, 0.12))),
             blur=float(rng.uniform(0.2, 1.1)),
@@ -49,15 +53,14 @@ def photograph(rgb: NDArray[np.uint8], photo: Photo, rng: np.random.Generator) -
     table = np.clip(255.0 * curve[:, None] * np.asarray(photo.gain), 0, 255).astype(np.float32)
     image = np.stack([table[:, c][rgb[..., c]] for c in range(3)], axis=-1)
     if photo.blur > 0:
-        image = cv2.GaussianBlur(image, (0, 0), photo.blur)
+        image = gaussian(image, photo.blur)
     if photo.motion > 1:
-        size = 2 * int(np.ceil(photo.motion / 2)) + 1
-        kernel = np.zeros((size, size), np.float32)
-        half = photo.motion / 2 * np.array([np.cos(photo.motion_angle), np.sin(photo.motion_angle)])
-        for t in np.linspace(-1, 1, 4 * size):
-            c = np.round(size // 2 + t * half).astype(int)
-            kernel[c[1], c[0]] += 1
-        image = cv2.filter2D(image, -1, kernel / kernel.sum())
+        # The mean of copies shifted along the stroke; whole pixels are enough.
+        half = photo.motion / 2 * np.array([np.sin(photo.motion_angle), np.cos(photo.motion_angle)])
+        count = 2 * int(np.ceil(photo.motion))
+        shifts = [np.round(t * half).astype(int) for t in np.linspace(-1, 1, count)]
+        padded = np.pad(image, ((4, 4), (4, 4), (0, 0)), mode="edge")
+        image = sum(padded[4 + a : 4 + a + height, 4 + b : 4 + b + width] for a, b in shifts) / np.float32(count)
     if photo.vignette > 0:
         y = (np.arange(height, dtype=np.float32) / height * 2 - 1)[:, None]
         x = np.arange(width, dtype=np.float32) / width * 2 - 1
@@ -66,8 +69,7 @@ def photograph(rgb: NDArray[np.uint8], photo: Photo, rng: np.random.Generator) -
         image = image + np.float32(photo.grain) * rng.standard_normal(image.shape, dtype=np.float32)
     out = np.clip(np.round(image), 0, 255).astype(np.uint8)
     if photo.jpeg > 0:
-        done, data = cv2.imencode(".jpg", out[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, photo.jpeg])
-        if not done:
-            raise RuntimeError("OpenCV could not encode a JPEG")
-        out = np.ascontiguousarray(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)[..., ::-1])
+        buffer = BytesIO()
+        Image.fromarray(out).save(buffer, "JPEG", quality=photo.jpeg)
+        out = np.array(Image.open(buffer))
     return out

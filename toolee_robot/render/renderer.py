@@ -8,9 +8,9 @@ ray parameter of a hit is its depth.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from toolee_robot.frames import Array, inverse
 from toolee_robot.render.environment import EnvironmentMap
+from toolee_robot.render.filters import box_blur
 from toolee_robot.render.mesh import FloatArray
-from toolee_robot.render.scene import Light, Rendering, Scene
+from toolee_robot.render.scene import Body, Light, Rendering, Scene
 from toolee_robot.types import CameraIntrinsics
 
 _SHADOW_OFFSET = 4e-4
@@ -97,7 +98,7 @@ class _Caster:
             part = slice(bounds[i], bounds[i + 1])
             if part.start < part.stop:
                 R, p = self.poses[i]
-                albedo[part] = body.material.albedo((hits.points[part] - p) @ R)
+                albedo[part] = body.material.albedo(((hits.points[part] - p) @ R).astype(np.float32, copy=False))
         roughness = np.array([b.material.roughness for b in self.scene.bodies], np.float32)[hits.body]
         metallic = np.array([b.material.metallic for b in self.scene.bodies], np.float32)[hits.body]
         return albedo, roughness, metallic
@@ -187,9 +188,8 @@ class _Caster:
             image = np.zeros(shadow_grid[0] * shadow_grid[1], np.float32)
             weight = np.zeros_like(image)
             image[hits.ray[index]], weight[hits.ray[index]] = seen[index], 1.0
-            blurred = cv2.blur(image.reshape(shadow_grid), (5, 5)) / np.maximum(
-                cv2.blur(weight.reshape(shadow_grid), (5, 5)), 1e-3
-            )
+            weight_blurred = box_blur(weight.reshape(shadow_grid), 2)
+            blurred = box_blur(image.reshape(shadow_grid), 2) / np.maximum(weight_blurred, np.float32(1e-3))
             seen[index] = blurred.reshape(-1)[hits.ray[index]]
         return seen
 
@@ -228,6 +228,20 @@ def render(
         cos_incidence=cos.reshape(grid),
         shininess=shininess.reshape(grid),
     )
+
+
+def cast(
+    bodies: Sequence[Body],
+    intrinsics: CameraIntrinsics,
+    X_world_camera: Array,
+    region: tuple[int, int, int, int] | None = None,
+) -> tuple[FloatArray, NDArray[np.int16]]:
+    """depth [m] and body_ids as in `Rendering`, without colours, of the pixels x0 <= x < x1, y0 <= y < y1."""
+    x0, y0, x1, y1 = region if region is not None else (0, 0, intrinsics.width, intrinsics.height)
+    directions = np.ascontiguousarray(pixel_rays(intrinsics)[y0:y1, x0:x1]).reshape(-1, 3)
+    depth, body, _ = _Caster(Scene(bodies), X_world_camera).cast(directions)
+    ids = np.array([b.body_id for b in bodies] + [-1], np.int16)[body]
+    return depth.reshape(y1 - y0, x1 - x0), ids.reshape(y1 - y0, x1 - x0)
 
 
 def pixel_rays(intrinsics: CameraIntrinsics) -> FloatArray:

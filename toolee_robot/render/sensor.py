@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from toolee_robot.frames import Array
+from toolee_robot.render.filters import gaussian, local_range
 from toolee_robot.render.mesh import FloatArray
 from toolee_robot.types import CameraIntrinsics
 
@@ -96,8 +95,8 @@ def measure_depth(
     out = seen * np.float32(1 + noise.scale) + np.float32(noise.bias) * (seen > 0)
     if noise.axial > 0:
         own = rng.standard_normal(shape, dtype=np.float32)
-        common = cv2.GaussianBlur(rng.standard_normal(shape, dtype=np.float32), (0, 0), 1.2)
-        common *= np.float32(2.0 * np.sqrt(np.pi) * 1.2)  # back to unit variance
+        common = gaussian(rng.standard_normal(shape, dtype=np.float32), 1.2)
+        common = common * np.float32(2.0 * np.sqrt(np.pi) * 1.2)  # back to unit variance
         share = np.float32(noise.correlation)
         unit = np.sqrt(1 - share) * own + np.sqrt(share) * common
         out += np.float32(noise.axial) * axial_sigma(seen, incidence) * unit * (seen > 0)
@@ -145,6 +144,5 @@ def _displaced(
 
 def _neighbourhood(depth: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Smallest and largest depth in the 3x3 neighbourhood; pixels without depth count as 10 m."""
-    filled: NDArray[np.float32] = np.where(depth > 0, depth, np.float32(10.0))
-    kernel = np.ones((3, 3), np.uint8)
-    return np.asarray(cv2.erode(filled, kernel), np.float32), np.asarray(cv2.dilate(filled, kernel), np.float32)
+    filled: FloatArray = np.where(depth > 0, depth, np.float32(10.0))
+    return local_range(filled)

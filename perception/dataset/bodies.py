@@ -1,0 +1,192 @@
+"""Tools, hands and arms as bodies the renderer can draw. Meshes are built once a process and kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from toolee_robot.frames import Array, frame_from_axes
+from toolee_robot.render import Body, Material, Mesh
+from toolee_robot.render.palette import any_color, finish, skin_tone
+from toolee_robot.render.robot_look import LookPart, arm_link_parts
+from toolee_robot.robots import (
+    HAND_JOINTS,
+    arm_link_poses,
+    arm_meshes,
+    hand_link_poses,
+    hand_meshes,
+    hand_posture,
+    nominal_X_hand_tool,
+    wrap_fingers,
+)
+from toolee_robot.robots.description import HAND_FRAME, robot_tree
+from toolee_robot.tools import Tool, ToolKind, make_tool
+
+_MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
+
+
+@lru_cache(maxsize=128)
+def tool_meshes(kind: ToolKind, seed: int) -> tuple[Mesh, ...]:
+    """One mesh for each part of the tool: its share of the outer surface, `tool` frame."""
+    tool = make_tool(kind, seed)
+    faces = np.asarray(tool.mesh.faces)
+    return tuple(
+        Mesh.build(tool.mesh.vertices, faces[tool.face_parts == part])
+        for part in range(len(tool.parts))
+        if np.any(tool.face_parts == part)
+    )
+
+
+def tool_bodies(tool: Tool, X_world_tool: Array, body_id: int, rng: np.random.Generator) -> list[Body]:
+    """The tool in its own colours or, half of the time, in others."""
+    repaint = rng.random() < 0.5
+    bodies = []
+    present = [part for part in range(len(tool.parts)) if np.any(tool.face_parts == part)]
+    finishes: dict[str, Material] = {}
+    for part, mesh in zip(present, tool_meshes(tool.kind, tool.seed), strict=True):
+        m = tool.parts[part].material
+        material = finishes.get(m.name)
+        if material is None:
+            color, roughness = m.color, m.roughness
+            if repaint:
+                steel = m.metallic > 0.5
+                color = _steel_color(rng) if steel else any_color(rng)
+                roughness = float(np.clip(rng.uniform(0.15, 0.7) if steel else rng.uniform(0.25, 0.9), 0.0, 1.0))
+            material = finish(m.name, color, roughness, m.metallic, rng)
+            finishes[m.name] = material
+        bodies.append(Body(mesh, X_world_tool, material, body_id))
+    return bodies
+
+
+def _steel_color(rng: np.random.Generator) -> tuple[float, float, float]:
+    value = rng.uniform(0.2, 0.85)
+    c = np.clip(value * np.exp(rng.normal(0.0, 0.04, 3)), 0.0, 1.0)
+    return float(c[0]), float(c[1]), float(c[2])
+
+
+@dataclass(frozen=True, eq=False)
+class Grasp:
+    """How a right hand holds a handle: X_hand_tool (4x4) and q_hand (24,) [rad]. radius [m] it was made for."""
+
+    X_hand_tool: Array
+    q_hand: Array
+    radius: float
+
+
+def random_grasp(radius: float, rng: np.random.Generator) -> Grasp:
+    """A hand closed around a handle of that radius [m]: shifted, turned and tilted in the hand, seldom half open."""
+    p = rng.normal(0.0, [0.006, 0.002, 0.006])
+    p[0] += rng.uniform(-0.03, 0.03)
+    spin = rng.normal(0.0, 0.25)
+    kind = rng.random()
+    if kind < 0.25:
+        spin = rng.uniform(-np.pi, np.pi)
+    elif kind < 0.35:
+        spin += np.pi
+    tilt = rng.normal(0.0, 0.15, 2)
+    axis = np.array([1.0, tilt[0], tilt[1]])
+    X = nominal_X_hand_tool(radius)
+    reference = np.array([0.0, -np.sin(spin), np.cos(spin)])
+    X = frame_from_axes(z=axis * (1.0 if rng.random() < 0.9 else -1.0), x=reference, p=X[:3, 3] + p)
+    q = wrap_fingers(X, radius)
+    wrist = [HAND_JOINTS.index("rh_WRJ2"), HAND_JOINTS.index("rh_WRJ1")]
+    if rng.random() < 0.08:
+        # The open hand, the tool lying in it: as during the handover.
+        posture = hand_posture("open" if rng.random() < 0.5 else "preshape")
+        q = np.array([posture.get(joint, 0.0) for joint in HAND_JOINTS])
+    q[2:] += rng.normal(0.0, 0.04, len(q) - 2)
+    q[wrist] = rng.uniform([-0.45, -0.6], [0.12, 0.4])
+    return Grasp(X, q, radius)
+
+
+@dataclass(frozen=True, eq=False)
+class HandStyle:
+    """mirrored: a left hand. materials by part: "skin" of the fingers and palm, "tips" of the finger ends, "sleeve"
+    of the wrist and forearm."""
+
+    mirrored: bool
+    palm: Material
+    tips: Material
+    sleeve: Material
+
+    @staticmethod
+    def random(rng: np.random.Generator) -> HandStyle:
+        """A robot's hand (black, grey, metal or coloured) or one with skin and a sleeve or a glove."""
+        kind = rng.random()
+        if kind < 0.4:  # as the Shadow hand is: dark shells, grey or light finger pads
+            palm = finish("plastic", (0.10, 0.10, 0.11), float(rng.uniform(0.3, 0.6)), 0.0, rng)
+            tips = finish("rubber", tuple_of(rng.uniform(0.1, 0.8)), 0.7, 0.0, rng)
+            sleeve = finish("aluminium", tuple_of(rng.uniform(0.05, 0.7)), 0.4, float(rng.random() < 0.5), rng)
+        elif kind < 0.7:
+            palm = finish("skin", skin_tone(rng), float(rng.uniform(0.4, 0.7)), 0.0, rng)
+            tips = palm
+            bare = rng.random() < 0.4
+            sleeve = palm if bare else finish("rubber", any_color(rng), 0.9, 0.0, rng)
+        else:
+            palm = finish("rubber", any_color(rng), float(rng.uniform(0.3, 0.9)), float(rng.random() < 0.25), rng)
+            tips = palm if rng.random() < 0.5 else finish("rubber", any_color(rng), 0.7, 0.0, rng)
+            sleeve = finish("rubber", any_color(rng), 0.8, 0.0, rng)
+        return HandStyle(rng.random() < 0.4, palm, tips, sleeve)
+
+
+def tuple_of(grey: float) -> tuple[float, float, float]:
+    """The grey of that sRGB value."""
+    return (float(grey), float(grey), float(grey))
+
+
+@lru_cache(maxsize=2)
+def _hand_render_meshes(mirrored: bool) -> dict[str, Mesh]:
+    right = {name: Mesh.build(m.vertices, m.faces, crease_deg=50.0) for name, m in hand_meshes().items()}
+    return {name: mesh.mirrored() for name, mesh in right.items()} if mirrored else right
+
+
+def hand_bodies(grasp: Grasp, style: HandStyle, X_world_hand: Array, body_id: int, forearm: bool = True) -> list[Body]:
+    """Hand (and forearm) at the pose of its palm; for a mirrored style, `X_world_hand` is the left palm's."""
+    bodies = []
+    meshes = _hand_render_meshes(style.mirrored)
+    for name, X in hand_link_poses(grasp.q_hand).items():
+        if name not in meshes or (name == "rh_forearm" and not forearm):
+            continue
+        X_hand_link = _MIRROR @ X @ _MIRROR if style.mirrored else X
+        material = style.palm
+        if name.endswith("distal"):
+            material = style.tips
+        elif name in ("rh_forearm", "rh_wrist"):
+            material = style.sleeve
+        bodies.append(Body(meshes[name], X_world_hand @ X_hand_link, material, body_id))
+    return bodies
+
+
+def X_hand_tool_of(grasp: Grasp, mirrored: bool) -> Array:
+    """Pose of the tool in the palm's frame; a left hand holds the mirror image of the handle's axis."""
+    if not mirrored:
+        return grasp.X_hand_tool
+    # Mirrored on both sides, in y on the tool's: a proper rotation that keeps the tool's z and x on the handle.
+    X = _MIRROR @ grasp.X_hand_tool @ np.diag([1.0, -1.0, 1.0, 1.0])
+    return np.asarray(X)
+
+
+def X_base_hand_of(q_arm: Array, q_hand: Array) -> Array:
+    """Pose of the palm in the arm's base at q_arm (6,), q_hand (24,) [rad]."""
+    return robot_tree().link_poses(np.concatenate([q_arm, q_hand]))[HAND_FRAME]
+
+
+@lru_cache(maxsize=1)
+def _arm_parts() -> dict[str, tuple[LookPart, ...]]:
+    return {name: arm_link_parts(name, m.vertices, m.faces) for name, m in arm_meshes().items()}
+
+
+def arm_bodies(q_arm: Array, X_world_base: Array, body_id: int, rng: np.random.Generator) -> list[Body]:
+    """The UR10 in its own colours, somewhat varied, or (one in five) in others."""
+    own = rng.random() < 0.8
+    bodies = []
+    paint = any_color(rng)
+    poses = arm_link_poses(q_arm)
+    for link, parts in _arm_parts().items():
+        for part in parts:
+            color = part.color if own or part.finish != "painted_metal" else paint
+            material = finish(part.finish, color, part.roughness, part.metallic, rng)
+            bodies.append(Body(part.mesh, X_world_base @ poses[link], replace(material, wear=0.1), body_id))
+    return bodies

@@ -1,0 +1,118 @@
+"""Things that are not tools: boxes, cans, balls, cables, rods and brackets, as background, distractor and occluder."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.frames import Array, transform
+from toolee_robot.render import Body, Material, Mesh, Pattern
+from toolee_robot.render.mesh import FloatArray, box, cylinder, plane, sphere, tube
+from toolee_robot.render.palette import any_color, finish, linear
+
+_FINISHES = ("plastic", "wood", "steel_bright", "rubber", "concrete", "skin")
+
+
+def any_material(rng: np.random.Generator, scale: float = 0.03) -> Material:
+    """Any plain or patterned surface; `scale` [m] is the middle of its pattern's sizes."""
+    if rng.random() < 0.4:
+        name = str(rng.choice(_FINISHES))
+        metallic = float(name.startswith("steel"))
+        return finish(name, any_color(rng), float(rng.uniform(0.2, 0.9)), metallic, rng, axis=int(rng.integers(3)))
+    pattern = list(Pattern)[rng.integers(len(Pattern))]
+    return Material(
+        linear(any_color(rng)),
+        linear(any_color(rng)),
+        pattern,
+        float(scale * np.exp(rng.normal(0.0, 0.7))),
+        int(rng.integers(3)),
+        float(rng.uniform(0.15, 0.95)),
+        float(rng.random() < 0.12),
+        float(rng.uniform(0.0, 0.5)),
+        (float(rng.uniform(-1, 1)), float(rng.uniform(-1, 1)), float(rng.uniform(-1, 1))),
+    )
+
+
+def any_object(rng: np.random.Generator, X: Array, body_id: int, size: float) -> list[Body]:
+    """One object of about `size` [m] at X: a single shape, or a bracket, T or can of several."""
+    kind = rng.random()
+    material = any_material(rng)
+    if kind < 0.3:
+        return [Body(box(size * rng.uniform(0.15, 1.0, 3)), X, material, body_id)]
+    if kind < 0.5:
+        top = float(rng.uniform(0.5, 1.0))
+        radius = float(size * rng.uniform(0.1, 0.5))
+        return [Body(cylinder(radius, float(size * rng.uniform(0.2, 1.2)), 24, top * radius), X, material, body_id)]
+    if kind < 0.6:
+        return [Body(sphere(float(size * rng.uniform(0.2, 0.5))), X, material, body_id)]
+    if kind < 0.75:
+        return [Body(cable(rng, 2.0 * size, float(rng.uniform(0.002, 0.009))), X, material, body_id)]
+    # A rod with something on it: like a tool in outline, and none.
+    length = float(size * rng.uniform(0.8, 1.8))
+    radius = float(length * rng.uniform(0.02, 0.07))
+    parts = [Body(cylinder(radius, length, 16), X, material, body_id)]
+    for _ in range(rng.integers(1, 3)):
+        other = any_material(rng)
+        place = transform(
+            Rotation.random(rng=rng) if rng.random() < 0.3 else None, (0.0, 0.0, length * float(rng.uniform(-0.5, 0.5)))
+        )
+        if rng.random() < 0.5:
+            mesh = box(length * rng.uniform(0.05, 0.35, 3))
+        else:
+            mesh = cylinder(float(length * rng.uniform(0.05, 0.16)), float(length * rng.uniform(0.02, 0.3)), 20)
+        parts.append(Body(mesh, X @ place, other, body_id))
+    return parts
+
+
+def cable(rng: np.random.Generator, length: float, radius: float) -> Mesh:
+    """A smooth random cable [m] through the origin."""
+    t = np.linspace(-1.0, 1.0, 32)[:, None]
+    bends = rng.normal(0.0, 0.25, (3, 3))
+    phases = rng.uniform(0.0, 2 * np.pi, 3)
+    waves = sum(bends[k] * np.sin((k + 1) * 1.8 * t + phases[k]) for k in range(3))
+    points = length / 2 * (t * np.array([[1.0, 0.0, 0.0]]) + waves)
+    return tube(np.asarray(points - points[16]), radius)
+
+
+def walls(rng: np.random.Generator, body_id: int, floor_height: float) -> list[Body]:
+    """A room of random surfaces around the origin: floor at `floor_height` [m], four walls, a ceiling, things."""
+    bodies = [Body(plane(14.0), transform(p=(0.0, 0.0, floor_height)), any_material(rng, 0.2), body_id)]
+    bodies.append(
+        Body(
+            plane(14.0),
+            transform(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, floor_height + 3.5)),
+            any_material(rng, 0.5),
+            body_id,
+        )
+    )
+    wall = any_material(rng, 0.2)
+    turn = rng.uniform(0.0, np.pi)
+    for k in range(4):
+        yaw = turn + k * np.pi / 2
+        distance = float(rng.uniform(1.0, 3.5))
+        R = Rotation.from_euler("z", yaw) * Rotation.from_euler("y", -np.pi / 2)
+        if rng.random() < 0.4:
+            wall = any_material(rng, 0.2)
+        bodies.append(
+            Body(plane(14.0), transform(R, Rotation.from_euler("z", yaw).apply([distance, 0, 0])), wall, body_id)
+        )
+        for _ in range(rng.integers(0, 5)):
+            p = Rotation.from_euler("z", yaw).apply([distance - rng.uniform(0.1, 0.5), *rng.uniform(-1.2, 1.2, 2)])
+            R_object = Rotation.from_euler("z", yaw) if rng.random() < 0.7 else Rotation.random(rng=rng)
+            bodies += any_object(rng, transform(R_object, p), body_id, float(rng.uniform(0.1, 0.9)))
+    return bodies
+
+
+def picture(rng: np.random.Generator, height: int, width: int) -> FloatArray:
+    """(H, W, 3) linear RGB: a flat backdrop without depth, of gradients and random shapes."""
+    y, x = np.mgrid[0:height, 0:width].astype(np.float32) / np.float32(width)
+    corners = rng.uniform(0.0, 0.7, (3, 3)).astype(np.float32)
+    image = corners[0] + x[..., None] * (corners[1] - corners[0]) + y[..., None] * (corners[2] - corners[0])
+    for _ in range(rng.integers(3, 25)):
+        cx, cy = rng.uniform(0.0, 1.0, 2)
+        a, b = 0.3 * rng.uniform(0.05, 1.0, 2) ** 1.5
+        c, s = np.cos(t := rng.uniform(0, np.pi)), np.sin(t)
+        u, v = c * (x - cx) + s * (y - cy), c * (y - cy) - s * (x - cx)
+        inside = (u / a) ** 2 + (v / b) ** 2 < 1 if rng.random() < 0.5 else (np.abs(u) < a) & (np.abs(v) < b)
+        image[inside] = np.asarray(linear(any_color(rng)), np.float32) * np.float32(rng.uniform(0.5, 1.0))
+    return np.asarray(image, np.float32)
