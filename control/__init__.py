@@ -16,8 +16,10 @@ from toolee_robot.control.collision_shapes import ToolEnvelope
 from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.records import StrikePlan, TouchPlan, View, ViewPlan
 from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.control.slip import protrusion, slip
 from toolee_robot.control.strike import plan_retract, plan_strike, plan_touch
 from toolee_robot.control.transfer import plan_transfer
+from toolee_robot.control.views import plan_handover, plan_views
 
 __all__ = [
     "Clearance",
@@ -29,8 +31,12 @@ __all__ = [
     "View",
     "ViewPlan",
     "check_trajectory",
+    "plan_handover",
     "plan_retract",
     "plan_strike",
     "plan_touch",
     "plan_transfer",
+    "plan_views",
+    "protrusion",
+    "slip",
 ]

@@ -177,9 +177,7 @@ def _solve_lines(
         if not np.all(reachable):
             continue
         line = Line(robot.ik, targets[i], normal, int(short.branch[i]), short.q[i])
-        limits = blow_limits(
-            s, *line.derivatives(q[i]), velocity, config.arm.acceleration, config.arm.jerk, wanted
-        )
+        limits = blow_limits(s, *line.derivatives(q[i]), velocity, config.arm.acceleration, config.arm.jerk, wanted)
         if limits.speed < MIN_SPEED:
             failure = f"reaches no more than {limits.speed:.2f} m/s"
             continue
