@@ -18,7 +18,8 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend.wood import NailSpec, resistance
 
-IMPACT_DISTANCE = 0.015  # [m] between a body and the nail's head at which the impact window opens
+IMPACT_DISTANCE = 0.006  # [m] between a body and the nail's head at which the impact window opens
+HEAD_HEIGHT = 0.006  # [m] of the head's collision shape: pybullet's contacts with a 1 mm disc are off by up to 0.6 mm
 LUMPED_MASS = 0.020  # [kg]
 STOP_FORCE = 1e6  # [N] once the head's top is level with the wood
 BENT_ANGLE = np.deg2rad(10.0)
@@ -67,8 +68,8 @@ class Nail:
         head = pb.createCollisionShape(
             pb.GEOM_CYLINDER,
             radius=spec.head_diameter / 2,
-            height=spec.head_thickness,
-            collisionFramePosition=[0, 0, -spec.protrusion + spec.head_thickness / 2],
+            height=HEAD_HEIGHT,
+            collisionFramePosition=[0, 0, -spec.protrusion + HEAD_HEIGHT / 2],
             physicsClientId=client,
         )
         visual = pb.createVisualShapeArray(

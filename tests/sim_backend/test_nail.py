@@ -8,13 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 import pybullet as pb
 import pytest
+from scipy.spatial.transform import Rotation
 
 from toolee_robot.config import WorkConfig
 from toolee_robot.errors import ConfigError
-from toolee_robot.frames import Array, is_rigid, transform
+from toolee_robot.frames import Array, inverse, is_rigid, transform
+from toolee_robot.sim_backend.bodies import ToolBody
 from toolee_robot.sim_backend.impact import IMPACT, StepSettings
 from toolee_robot.sim_backend.nail import LUMPED_MASS, Nail, NailOutcome
 from toolee_robot.sim_backend.wood import NailSpec, driven_by, driving_work, resistance, tip_force
+from toolee_robot.tools import ToolKind, make_tool
+from toolee_robot.tools import test_seeds as held_out_seeds
+from toolee_robot.types import Category
 
 SPEC = NailSpec.from_config(WorkConfig())
 UPRIGHT = np.diag([1.0, -1.0, -1.0])
@@ -176,11 +181,24 @@ def test_reported_head_pose_is_the_bodys(bench: Bench) -> None:
     np.testing.assert_allclose(bench.nail.head_pose(), expected, atol=1e-5)
 
 
+@pytest.mark.parametrize("seed", held_out_seeds(3))
+@pytest.mark.parametrize("kind", [ToolKind.CLAW_HAMMER, ToolKind.BALL_PEEN_HAMMER, ToolKind.CLUB_HAMMER])
+def test_a_hammers_face_meets_the_head_where_it_is(bench: Bench, kind: ToolKind, seed: int) -> None:
+    hammer = make_tool(kind, seed)
+    X_tool_ee = hammer.ee(Category.HAMMER_HEAD).X_tool_ee
+    body = ToolBody(bench.client, hammer, np.eye(4))
+    for spin in (0.0, 0.4, 1.9):
+        X_nail_ee = transform(Rotation.from_rotvec([0.0, 0.0, spin]), [0.0, 0.0, -0.004])
+        body.place(bench.nail.head_pose() @ X_nail_ee @ inverse(X_tool_ee))
+        points = pb.getClosestPoints(body.body, bench.nail.body, 0.05, linkIndexB=2, physicsClientId=bench.client)
+        assert min(p[8] for p in points) == pytest.approx(0.004, abs=5e-5)
+
+
 def test_impact_window_opens_near_the_head_only(bench: Bench) -> None:
     shape = pb.createCollisionShape(pb.GEOM_SPHERE, radius=0.01, physicsClientId=bench.client)
     ball = pb.createMultiBody(1.0, shape, -1, [0, 0, 0.1], physicsClientId=bench.client)
     assert not bench.nail.impact_near(ball)
-    pb.resetBasePositionAndOrientation(ball, [0, 0, 0.04], [0, 0, 0, 1], physicsClientId=bench.client)
+    pb.resetBasePositionAndOrientation(ball, [0, 0, 0.034], [0, 0, 0, 1], physicsClientId=bench.client)
     assert bench.nail.impact_near(ball)
 
 
