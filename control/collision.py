@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import coal
 import numpy as np
+from numpy.typing import NDArray
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control.collision_shapes import (
@@ -80,10 +81,12 @@ class CollisionWorld:
         ends = np.cumsum([len(b.spheres) for b in self.bodies])
         self._slices = [slice(e - len(b.spheres), e) for e, b in zip(ends, self.bodies, strict=True)]
         # Every pair of spheres of every pair of bodies, flat, with the start of each body pair's run.
-        first, second, starts = [], [], []
+        first: list[NDArray[np.intp]] = []
+        second: list[NDArray[np.intp]] = []
+        starts: list[int] = []
         for i, j in self.pairs:
             a, b = np.arange(ends[-1])[self._slices[i]], np.arange(ends[-1])[self._slices[j]]
-            starts.append(sum(map(len, first)))
+            starts.append(sum(len(f) for f in first))
             first.append(np.repeat(a, len(b)))
             second.append(np.tile(b, len(a)))
         self._first, self._second, self._starts = np.concatenate(first), np.concatenate(second), np.array(starts)

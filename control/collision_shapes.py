@@ -106,14 +106,13 @@ def station_bodies(config: StationConfig) -> list[Body]:
     work, scene = config.work, config.scene
     x, y = work.nail_xy
     block, top = work.block_size, work.wood_height
-    boxes = [
+    return [
         box_body("table", (0.4, 0.0, -0.05), (*scene.table_size, 0.1)),
         box_body("stand", (x, y, work.stand_height / 2), (*work.stand_size, work.stand_height)),
         box_body("block", (x, y, top - block[2] / 2), block),
         box_body("camera", config.camera.position, scene.camera_size),
         box_body("person", scene.person_center, scene.person_size),
     ]
-    return boxes
 
 
 def box_body(name: str, center: tuple[float, ...], size: tuple[float, ...]) -> Body:

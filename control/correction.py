@@ -11,10 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toolee_robot.config import ArmLimits
 from toolee_robot.control.inverse_kinematics import InverseKinematics
-from toolee_robot.control.kinematics import solve
+from toolee_robot.control.kinematics import smallest_singular_value, solve
 from toolee_robot.errors import UnreachableError
 from toolee_robot.frames import Array, inverse
 
@@ -30,13 +31,13 @@ class Candidates:
     """
 
     theta: Array
-    branch: Array
+    branch: NDArray[np.intp]
     q: Array
     attainable_speed: Array
     margin: Array
     manipulability: Array
 
-    def take(self, rows: Array) -> Candidates:
+    def take(self, rows: NDArray[np.intp]) -> Candidates:
         return Candidates(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
@@ -75,7 +76,7 @@ def candidates(
     direction = np.concatenate([X_base_nail[:3, 2], np.zeros(3)])
     rates = np.abs(solve(J, np.broadcast_to(direction, (len(q), 6))))
     attainable = np.min(np.asarray(limits.velocity) / np.maximum(rates, 1e-9), axis=-1)
-    sigma = np.linalg.svd(J, compute_uv=False)[:, -1]
+    sigma = smallest_singular_value(J)
     return Candidates(theta[rows], branch, q, attainable, margin, sigma)
 
 

@@ -9,6 +9,7 @@ UR-5/UR-10 arms", Georgia Tech, 2013.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toolee_robot.control.kinematics import ArmKinematics, solve
 from toolee_robot.errors import UnreachableError
@@ -68,7 +69,7 @@ class InverseKinematics:
             )
         return sorted(q, key=lambda c: float(np.sum(np.abs(c - reference))))
 
-    def branches_along(self, Xs_base_flange: Array, branch: Array, near: Array) -> Array:
+    def branches_along(self, Xs_base_flange: Array, branch: NDArray[np.intp], near: Array) -> Array:
         """One branch each along C paths of M poses (C, M, 4, 4): (C, M, 6) [rad], continuous along each path.
 
         branch: (C,). near: (C, 6), whole turns are such that each path's first configuration is nearest to it. NaN

@@ -90,4 +90,9 @@ def solve(J: Array, v: Array) -> Array:
     """J^-1 v for J (..., 6, 6) and v (..., 6), slightly damped so that a singular pose gives large, finite rates."""
     Jt = np.swapaxes(J, -1, -2)
     A = Jt @ J + 1e-12 * np.eye(6)
-    return np.linalg.solve(A, Jt @ v[..., None])[..., 0]
+    return np.asarray(np.linalg.solve(A, Jt @ v[..., None])[..., 0], dtype=np.float64)
+
+
+def smallest_singular_value(J: Array) -> Array:
+    """(...) of J (..., 6, 6), metres and radians: 0 at a singularity."""
+    return np.asarray(np.linalg.svd(J, compute_uv=False)[..., -1], dtype=np.float64)

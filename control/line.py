@@ -50,7 +50,7 @@ class Line:
         return cls(ik, ik.arm.fk(q), direction / np.linalg.norm(direction), ik.branch_of(q), q)
 
     def q(self, s: Array) -> Array:
-        """Configurations (M, 6) at s (M,) [m], ascending or descending. Raises UnreachableError where the line leaves the
+        """Configurations (M, 6) at s (M,) [m] in any order. Raises UnreachableError where the line leaves the
         branch, passes a singularity or a joint's limit."""
         # The chain of whole turns starts at s = 0, where the configuration is known.
         order = np.argsort(s)

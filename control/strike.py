@@ -111,7 +111,7 @@ def plan_touch(
     before: float = 0.030,
     past: float = 0.012,
 ) -> TouchPlan:
-    """The slow guarded approach along the blow's own line: from `before` [m] above the expected contact to `past` below.
+    """The slow guarded approach along the blow's own line: from `before` [m] above the expected contact to `past` under.
 
     Run it with a ContactGuard of config.strike.touch_force; where it ends, `toolee_robot.control.protrusion` tells how
     far the nail stands out.
@@ -204,8 +204,8 @@ def _solve_lines(
             break
     if not clear:
         raise CollisionError(
-            f"every blow at this nail would bring bodies together, the best one {nearest}: clear the way, move the block, "
-            "or use a higher stand"
+            f"every blow at this nail would bring bodies together, the best one {nearest}: clear the way, move the "
+            "block, or use a higher stand"
         )
     clear.sort(key=lambda item: -item[0])
     return [item[1:] for item in clear]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,7 +91,7 @@ def joint_move(q_start: Array, q_end: Array, velocity: Array, acceleration: Arra
 
 def concatenate(*trajectories: Trajectory) -> Trajectory:
     """One after the other; each must begin where the one before ends (to 1e-6 rad)."""
-    for before, after in zip(trajectories, trajectories[1:], strict=False):
+    for before, after in itertools.pairwise(trajectories):
         if np.max(np.abs(before.q[-1] - after.q[0])) > 1e-6:
             raise ValueError("trajectories do not join: the second does not begin where the first ends")
     start, times = 0.0, []

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.config import CameraConfig, StationConfig
 from toolee_robot.control.collision import CollisionWorld
+from toolee_robot.control.kinematics import smallest_singular_value
 from toolee_robot.control.records import View, ViewPlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.transfer import NEED, plan_transfer
@@ -23,9 +24,9 @@ from toolee_robot.robots import nominal_X_hand_tool
 from toolee_robot.types import Trajectory
 
 DISTANCE = (0.40, 0.55)  # [m] camera to EE
-NORMAL_ANGLE = np.deg2rad((30.0, 50.0))  # between the EE's normal and the line of sight
+NORMAL_ANGLE = (np.deg2rad(30.0), np.deg2rad(50.0))  # between the EE's normal and the line of sight
 AZIMUTH = np.deg2rad(30.0)  # of the line of sight, off the plane of handle and normal
-SPREAD = np.deg2rad((14.0, 70.0))  # between the orientations of two views, as the camera sees them
+SPREAD = (np.deg2rad(14.0), np.deg2rad(70.0))  # between the orientations of two views, as the camera sees them
 IMAGE_MARGIN = 25.0  # [px]
 _SAMPLES = 1500
 _HEAD_HALF = 0.10  # [m] from the EE along the handle: the middle of what must be seen
@@ -56,9 +57,10 @@ def plan_handover(
             f"the handover at {scene.handover_position} m is out of reach: change config.scene.handover_position"
         )
     # The hand must come away from there with a tool in it, too.
-    X_hand_ee = nominal_X_hand_tool(0.016) @ frame_from_axes(z=[1.0, 0, 0], x=[0, 0, -1.0], p=[0.05, 0, 0.20])
+    X_tool_ee = frame_from_axes(z=np.array([1.0, 0, 0]), x=np.array([0, 0, -1.0]), p=[0.05, 0, 0.20])
+    X_hand_ee = nominal_X_hand_tool(0.016) @ X_tool_ee
     with_tool = CollisionWorld(robot, config, q_hand, X_hand_ee)
-    sigma = np.linalg.svd(robot.arm.fk_jacobian(q)[1], compute_uv=False)[:, -1]
+    sigma = smallest_singular_value(robot.arm.fk_jacobian(q)[1])
     cost = np.max(np.abs(q - home), axis=-1) + 0.5 * np.abs(turns[turn]) - 2 * np.minimum(sigma, 0.15)
     failure: PlanningError | None = None
     for i in np.argsort(cost)[:40]:
@@ -140,7 +142,7 @@ def _sample(
     q = robot.ik.branches(Xs @ inverse(X_flange_ee), newton_steps=1)
     row, branch = np.nonzero(np.all(np.isfinite(q), axis=-1))
     q = robot.ik.unwrap(q[row, branch], near)
-    sigma = np.linalg.svd(robot.arm.fk_jacobian(q)[1], compute_uv=False)[:, -1]
+    sigma = smallest_singular_value(robot.arm.fk_jacobian(q)[1])
     good = np.all((q > robot.arm.lower + 0.1) & (q < robot.arm.upper - 0.1), axis=-1) & (sigma > 0.04)
     return Xs[row[good]], q[good]
 
@@ -195,7 +197,7 @@ def _choices(
 ) -> Iterator[tuple[list[int], float]]:
     """Sets of views, best first: distinct as the camera sees them, near to each other for the arm, free."""
     angle = np.array([_nominal(camera, X)[1] for X in Xs_base_ee])
-    sigma = np.linalg.svd(robot.arm.fk_jacobian(q)[1], compute_uv=False)[:, -1]
+    sigma = smallest_singular_value(robot.arm.fk_jacobian(q)[1])
     travel = np.max(np.abs(q - near), axis=-1)
     cost = travel / np.pi + np.abs(angle - np.deg2rad(40.0)) - 2 * np.minimum(sigma, 0.15)
     order = np.argsort(cost)
