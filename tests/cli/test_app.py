@@ -1,0 +1,141 @@
+"""The command line as a person meets it: bad input is answered with what to do, never with a traceback."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from toolee_robot.cli.app import run
+
+_INTRINSICS = "365.5,365.5,254.9,205.4"
+
+
+def _toolee(*args: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", "from toolee_robot.cli import main; main()", *args],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        cwd=folder,
+    )
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    """rgb.png and depth.png (millimetres) of an empty table, 512x424, and what is wrong in other ways."""
+    cv2.imwrite(str(tmp_path / "rgb.png"), np.full((424, 512, 3), 128, np.uint8))
+    cv2.imwrite(str(tmp_path / "depth.png"), np.full((424, 512), 800, np.uint16))
+    cv2.imwrite(str(tmp_path / "small.png"), np.full((100, 100), 800, np.uint16))
+    np.save(tmp_path / "nan.npy", np.full((424, 512), np.nan, np.float32))
+    (tmp_path / "text.png").write_text("not an image")
+    (tmp_path / "pose.txt").write_text("1 0 0 0  0 1 0 0  0 0 1 0.7")
+    (tmp_path / "no_pose.txt").write_text("1 2 3")
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "lab.yaml").write_text("work: {nail_diametre: 0.002}")
+    return tmp_path
+
+
+def _frame_args(
+    rgb: str = "rgb.png", depth: str = "depth.png", scale: str = "0.001", k: str = _INTRINSICS
+) -> list[str]:
+    return ["estimate", "--rgb", rgb, "--depth", depth, "--depth-scale", scale, "--intrinsics", k]
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        ([], "hammer, estimate, bench"),
+        (["hamer"], "hamer"),
+        (["hammer", "--sed", "3"], "--seed"),
+        (["hammer", "--seed", "three"], "--seed"),
+        (["hammer", "--seed", "-1"], "--seed -1"),
+        (["hammer", "--config", "none.yaml"], "none.yaml"),
+        (["hammer", "--config", "lab.yaml"], "work.nail_diametre"),
+        (["hammer", "--out", "rgb.png"], "--out"),
+        (["hammer", "--perfect-perception", "--no-correction"], "leave one out"),
+        (["bench", "--repeats", "0"], "--repeats"),
+        (["estimate"], "--rgb"),
+        (["estimate", "--rgb", "rgb.png", "--depth", "depth.png"], "--depth-scale, --intrinsics"),
+        (_frame_args(rgb="none.png"), "none.png does not exist"),
+        (_frame_args(rgb="text.png"), "text.png is not a readable image"),
+        (_frame_args(depth="small.png"), "register the depth"),
+        (_frame_args(depth="nan.npy"), "no known distance"),
+        (_frame_args(depth="rgb.png"), "one channel"),
+        (_frame_args(scale="1"), "millimetres"),
+        (_frame_args(scale="1e-6"), "depth scale"),
+        (_frame_args(scale="-1"), "--depth-scale"),
+        (_frame_args(k="365.5,365.5"), "four"),
+        (_frame_args(k="a,b,c,d"), "four numbers"),
+        (_frame_args(k="365.5,365.5,5000,205"), "outside"),
+        ([*_frame_args(), "--hand-pose", "no_pose.txt"], "16"),
+        (["estimate", "--bop", "nowhere"], "nowhere is not a folder"),
+        (["estimate", "--bop", "scene"], "scene_camera.json"),
+        (["estimate", "--bop", "scene", "--rgb", "rgb.png"], "leave out --rgb"),
+    ],
+)
+def test_bad_input_is_exit_2_with_a_remedy(
+    args: list[str], says: str, files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(files)
+    monkeypatch.setenv("COLUMNS", "200")
+    before = sorted(files.rglob("*"))
+    try:
+        code = run(args)
+    except SystemExit as stop:  # the parser's own
+        code = int(str(stop.code))
+    captured = capsys.readouterr()
+    assert code == 2, captured
+    assert says in captured.err.replace("\n", " ")
+    assert "Traceback" not in captured.err
+    assert not captured.out, "standard output is for results"
+    assert sorted(files.rglob("*")) == before, "nothing half-written"
+
+
+def test_a_screen_that_is_not_there_is_said_before_anything_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.chdir(tmp_path)
+    assert run(["hammer", "--gui"]) == 2
+    assert "--gui" in capsys.readouterr().err
+
+
+def test_json_tells_the_users_fault_on_its_line_too(
+    files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(files)
+    assert run(["hammer", "--config", "lab.yaml", "--seed", "4", "--json"]) == 2
+    line = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (line["success"], line["outcome"], line["seed"]) == (False, "user_error", 4)
+    assert "nail_diametre" in line["reason"]
+
+
+@pytest.mark.parametrize("command", ["hammer", "estimate", "bench"])
+def test_help_is_quick_and_shows_how(command: str, tmp_path: Path) -> None:
+    done = _toolee(command, "--help", folder=tmp_path)
+    assert done.returncode == 0
+    assert f"toolee {command}" in done.stdout
+    assert "--json" in done.stdout
+    assert not done.stderr
+
+
+def test_help_does_not_load_the_heavy_libraries(tmp_path: Path) -> None:
+    code = "import sys, toolee_robot.cli.app; print([m for m in ('torch', 'pybullet', 'cv2') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert done.stdout.strip() == "[]"
+
+
+def test_an_empty_scene_is_an_empty_list_and_exit_1(files: Path) -> None:
+    done = _toolee(*_frame_args(), "--hand-pose", "pose.txt", "--json", folder=files)
+    assert done.returncode == 1, done.stderr
+    assert json.loads(done.stdout) == []
+    assert "no tool found" in done.stderr
+    assert "Traceback" not in done.stderr

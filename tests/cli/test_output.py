@@ -1,0 +1,84 @@
+"""Numbers as a person and as a machine read them, and files that are there whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from toolee_robot.cli.output import json_line, pose_text, sigma_text, write_whole
+from toolee_robot.cli.run_folder import run_folder
+from toolee_robot.errors import UserError
+from toolee_robot.frames import transform
+
+
+def test_json_is_one_strict_line_even_of_numpy_and_of_what_is_not_finite() -> None:
+    line = json_line({"a": np.float64(1.5), "b": float("nan"), "c": [np.int64(2), np.inf], "d": {"e": "x\ny"}})
+    assert "\n" not in line
+    assert json.loads(line) == {"a": 1.5, "b": None, "c": [2, None], "d": {"e": "x\ny"}}
+
+
+def test_a_pose_is_told_in_millimetres_and_degrees() -> None:
+    text = pose_text(transform(np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]]), [0.1, -0.02, 0.0]))
+    assert "+100.0, -20.0, +0.0) mm" in text
+    assert "+90.0)°" in text
+
+
+def test_a_free_spin_is_called_that_and_does_not_hide_the_tilt() -> None:
+    covariance = np.diag([1e-6, 1e-6, 4e-6, np.deg2rad(1.5) ** 2, np.deg2rad(1.5) ** 2, np.pi**2 / 3])
+    assert sigma_text(covariance) == "± 2.0 mm  ± 1.5° (spin free)"
+    covariance[5, 5] = np.deg2rad(4.0) ** 2
+    assert sigma_text(covariance) == "± 2.0 mm  ± 4.0°"
+
+
+def test_what_was_not_estimated_is_unknown() -> None:
+    assert sigma_text(np.full((6, 6), np.nan)) == pose_text(np.full((4, 4), np.nan)) == "unknown"
+
+
+def test_a_file_that_cannot_be_written_leaves_nothing_and_says_so(tmp_path: Path) -> None:
+    write_whole(tmp_path / "a.txt", b"1")
+    write_whole(tmp_path / "a.txt", b"2")
+    assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("a.txt", b"2")]
+    with pytest.raises(UserError, match="cannot write"):
+        write_whole(tmp_path / "none" / "a.txt", b"1")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(UserError, match="cannot write"):
+        write_whole(tmp_path / "folder", b"1")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.txt", "folder"]
+
+
+def test_a_run_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    out = tmp_path / "runs"
+
+    def break_off() -> None:
+        with run_folder(out, "seed3") as folder:
+            (folder.path / "recording.mcap").write_bytes(b"half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        break_off()
+    assert not out.exists(), "nothing of a run that broke stays, nor the folder made for it"
+
+    with run_folder(out, "seed3") as folder:
+        (folder.path / "summary.json").write_text("{}")
+        assert not [p for p in out.iterdir() if not p.name.startswith(".")], "not there before it is whole"
+        place = folder.keep()
+    assert place.name.endswith("-seed3")
+    assert [p.name for p in place.iterdir()] == ["summary.json"]
+    assert list(out.iterdir()) == [place]
+
+
+def test_runs_that_end_in_the_same_second_do_not_meet(tmp_path: Path) -> None:
+    places = []
+    for _ in range(2):
+        with run_folder(tmp_path, "seed3") as folder:
+            places.append(folder.keep())
+    assert len(set(places)) == 2
+
+
+def test_a_place_for_runs_that_is_a_file_is_the_users_fault(tmp_path: Path) -> None:
+    (tmp_path / "runs").write_text("")
+    with pytest.raises(UserError, match="--out"), run_folder(tmp_path / "runs", "seed0"):
+        pass

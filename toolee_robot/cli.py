@@ -1,5 +1,0 @@
-"""Command line (in work)."""
-
-
-def main() -> None:
-    """Entry point."""

@@ -1,0 +1,79 @@
+"""Entry point: reads the arguments, runs the command, turns errors into messages and exit codes.
+
+Exit codes: 0 done; 1 the job failed; 2 the user's fault (an option, a file); 130 interrupted (the arm was stopped).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.markup import escape
+
+from toolee_robot.cli.bench import Bench
+from toolee_robot.cli.estimate import Estimate
+from toolee_robot.cli.hammer import Hammer
+from toolee_robot.errors import TooleeError, UserError
+
+EXIT_FAILED, EXIT_USER, EXIT_INTERRUPTED = 1, 2, 130
+
+Command = (
+    Annotated[Hammer, tyro.conf.subcommand("hammer")]
+    | Annotated[Estimate, tyro.conf.subcommand("estimate")]
+    | Annotated[Bench, tyro.conf.subcommand("bench")]
+)
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Run `toolee` with `args` (the process's own if None) and exit with the command's code."""
+    try:
+        code = run(args)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader of our output has gone (`| head`): keep the interpreter's own flush at exit from complaining.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = EXIT_FAILED
+    sys.exit(code)
+
+
+def run(args: Sequence[str] | None = None) -> int:
+    """As `main`, but returns the exit code; only the parser itself exits (0 for --help, 2 for a bad option)."""
+    command: Hammer | Estimate | Bench = tyro.cli(
+        Command,
+        prog="toolee",
+        description="A robot that is handed a hammer, looks at it, and drives the nail.",
+        args=args,
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
+    console = Console(stderr=True, highlight=False)
+    previous = signal.signal(signal.SIGTERM, _terminate)  # a polite kill stops the arm as Ctrl-C does
+    try:
+        return command.run()
+    except UserError as error:
+        _complain(console, command, error, "user_error")
+        return EXIT_USER
+    except TooleeError as error:
+        _complain(console, command, error, "error")
+        return EXIT_FAILED
+    except KeyboardInterrupt:
+        console.print("[yellow]Interrupted.[/yellow]")
+        return EXIT_INTERRUPTED
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+
+
+def _terminate(_signum: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def _complain(console: Console, command: Hammer | Estimate | Bench, error: TooleeError, outcome: str) -> None:
+    console.print(f"[bold red]error:[/bold red] {escape(str(error))}")
+    if isinstance(command, Hammer) and command.json:
+        print(json.dumps({"success": False, "outcome": outcome, "reason": str(error), "seed": command.seed}))

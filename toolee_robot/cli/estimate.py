@@ -1,0 +1,175 @@
+"""`toolee estimate`: the perception on files from any camera."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from toolee_robot.cli.options import Flag
+from toolee_robot.cli.output import json_line, pose_text, sigma_text, write_whole
+from toolee_robot.errors import UserError
+from toolee_robot.types import ToolEstimate
+
+_File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Find the tools' end effectors in your own RGB-D files and estimate their 6D poses.
+
+    Example: toolee estimate --rgb 7.png --depth 7d.png --depth-scale 0.001 --intrinsics 365.5,365.5,254.9,205.4
+
+    Example: toolee estimate --bop scene/000001 --json
+
+    Poses are in the camera's OpenCV frame (x right, y down, z forward), in metres; the README defines the four
+    end-effector frames. Exit code 0: at least one pose may be used; 1: none (the reason is said); 2: bad input.
+    """
+
+    rgb: _File = None
+    """Colour image, 8 bit (PNG, JPEG)."""
+    depth: _File = None
+    """Depth registered to it: 16-bit PNG or .npy; 0 or NaN where unknown."""
+    depth_scale: Annotated[float | None, tyro.conf.arg(metavar="S", help_behavior_hint="")] = None
+    """Metres per unit of the depth file: 0.001 for millimetres, 1 for metres."""
+    intrinsics: Annotated[str | None, tyro.conf.arg(metavar="FX,FY,CX,CY", help_behavior_hint="")] = None
+    """Pinhole intrinsics [px] of the colour image, undistorted."""
+    hand_pose: _File = None
+    """X_camera_hand, 16 numbers row by row [m] (text, .json, .npy): fixes the spin a symmetric tool does not show."""
+    bop: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """Instead of one frame: a BOP scene folder with rgb/, depth/ and scene_camera.json."""
+    picture: Annotated[Path | None, tyro.conf.arg(metavar="OUT.png", help_behavior_hint="")] = None
+    """Also draw what was found (not with --bop)."""
+    json: Flag = False
+    """Print JSON only: a list of estimates, or with --bop one line a frame."""
+
+    def run(self) -> int:
+        console = Console(stderr=self.json, highlight=False)
+        if self.bop is not None:
+            given = [
+                n for n in ("rgb", "depth", "depth_scale", "intrinsics", "hand_pose", "picture") if getattr(self, n)
+            ]
+            if given:
+                raise UserError(f"--bop reads everything from its folder: leave out --{given[0].replace('_', '-')}")
+            return self._run_bop(console, self.bop)
+        return self._run_frame(console)
+
+    def _run_frame(self, console: Console) -> int:
+        missing = [n for n in ("rgb", "depth", "depth_scale", "intrinsics") if getattr(self, n) is None]
+        if self.rgb is None or self.depth is None or self.depth_scale is None or self.intrinsics is None:
+            raise UserError(f"also give {', '.join('--' + n.replace('_', '-') for n in missing)} (or --bop DIR)")
+        from toolee_robot.perception import ToolPerception
+        from toolee_robot.perception.io import read_frame, read_pose
+
+        frame = read_frame(self.rgb, self.depth, self.intrinsics, self.depth_scale)
+        X_camera_hand = None if self.hand_pose is None else read_pose(self.hand_pose)
+        perception = ToolPerception.load()
+        start = time.perf_counter()
+        estimates = perception.estimate(frame, X_camera_hand)
+        elapsed_ms = (time.perf_counter() - start) * 1e3
+        if self.picture is not None:
+            from toolee_robot.cli.picture import draw
+
+            write_whole(self.picture, draw(frame, estimates, title=self.rgb.name))
+            console.print(f"picture: {escape(str(self.picture))}")
+        if self.json:
+            print(json_line([as_record(e) for e in estimates]))
+        else:
+            console.print(_table(estimates, f"{self.rgb.name}: {elapsed_ms:.0f} ms"))
+        return _verdict(console, estimates)
+
+    def _run_bop(self, console: Console, folder: Path) -> int:
+        from toolee_robot.perception import ToolPerception
+        from toolee_robot.perception.io import bop_images
+
+        images = bop_images(folder)
+        perception = ToolPerception.load()
+        usable = unreadable = 0
+        for image in images:
+            try:
+                frame = image.read()
+            except UserError as error:  # one bad file does not cost the rest of the scene
+                unreadable += 1
+                console.print(f"[bold red]image {image.im_id}:[/bold red] {escape(str(error))}")
+                if self.json:
+                    line: dict[str, Any] = {"im_id": image.im_id, "time_ms": None, "estimates": [], "error": str(error)}
+                    print(json_line(line), flush=True)
+                continue
+            start = time.perf_counter()
+            estimates = perception.estimate(frame)
+            elapsed_ms = (time.perf_counter() - start) * 1e3
+            usable += any(e.usable for e in estimates)
+            if self.json:
+                records = [as_record(e) for e in estimates]
+                print(
+                    json_line({"im_id": image.im_id, "time_ms": round(elapsed_ms, 1), "estimates": records}), flush=True
+                )
+            else:
+                console.print(_table(estimates, f"image {image.im_id}: {elapsed_ms:.0f} ms"))
+        console.print(f"{usable} of {len(images)} frames have a pose that may be used")
+        if unreadable:
+            raise UserError(f"{unreadable} of {len(images)} frames could not be read; the messages above say why")
+        return 0
+
+
+def as_record(estimate: ToolEstimate) -> dict[str, Any]:
+    """What --json prints of an estimate: metres, radians, OpenCV camera frame; mask_box is x0, y0, x1, y1 [px].
+
+    X_camera_ee and covariance are null where there was too little to estimate a pose from.
+    """
+    known = bool(np.all(np.isfinite(estimate.X_camera_ee)))
+    return {
+        "category": str(estimate.category),
+        "score": round(float(estimate.detection.score), 4),
+        "X_camera_ee": [float(v) for v in estimate.X_camera_ee.reshape(-1)] if known else None,
+        "covariance": estimate.covariance.tolist() if known else None,
+        "mask_box": [float(v) for v in estimate.detection.box],
+        "confidence": round(float(estimate.confidence), 4),
+        "usable": bool(estimate.usable),
+        "reason": estimate.reason,
+    }
+
+
+def _verdict(console: Console, estimates: list[ToolEstimate]) -> int:
+    if any(e.usable for e in estimates):
+        return 0
+    said = Console(stderr=True, highlight=False) if not console.stderr else console
+    if not estimates:
+        said.print(
+            "[bold red]no tool found:[/bold red] none of hammer head, claw, screwdriver tip or wrench jaw is in view; "
+            "bring the end effector nearer (0.4 to 1.1 m) and into the image"
+        )
+    else:
+        reasons = "; ".join(f"{e.category}: {e.reason}" for e in estimates)
+        said.print(f"[bold red]no pose may be used:[/bold red] {escape(reasons)}")
+    return 1
+
+
+def _table(estimates: list[ToolEstimate], title: str) -> Table:
+    table = Table(title=title, title_justify="left")
+    for name in (
+        "end effector",
+        "score",
+        "X_camera_ee: position, rotation vector",
+        "uncertainty",
+        "confidence",
+        "usable",
+    ):
+        table.add_column(name)
+    for e in estimates:
+        table.add_row(
+            e.category.replace("_", " "),
+            f"{e.detection.score:.2f}",
+            pose_text(e.X_camera_ee),
+            sigma_text(e.covariance),
+            f"{e.confidence:.2f}",
+            "[green]yes[/green]" if e.usable else f"[red]no: {escape(e.reason)}[/red]",
+        )
+    return table

@@ -1,0 +1,204 @@
+"""One hammering job on the simulated station: put together, run, judged and written down."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.panel import Panel
+
+import toolee_robot
+from toolee_robot.cli.console import ConsoleObserver
+from toolee_robot.cli.output import json_line, write_whole
+from toolee_robot.cli.perfect import PerfectPerception
+from toolee_robot.cli.recording import Album, RecordingObserver
+from toolee_robot.config import StationConfig
+from toolee_robot.perception import ToolPerception
+from toolee_robot.recorder import RunRecorder
+from toolee_robot.robots import load_robot, nominal_X_hand_tool
+from toolee_robot.sim_backend.judge import BlowTruth, Verdict
+from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.sim_backend.station import SimStation
+from toolee_robot.tasks.hammering import Grasp, HammeringTask
+from toolee_robot.tasks.observer import Observers
+from toolee_robot.tasks.outcome import HammerResult, Outcome
+from toolee_robot.tools import Tool
+from toolee_robot.types import Category
+
+EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
+
+
+@dataclass(frozen=True)
+class HammerReport:
+    """What came of a job. figures: what --json prints, by name."""
+
+    figures: Mapping[str, Any]
+
+    @property
+    def exit_code(self) -> int:
+        if self.figures["outcome"] == Outcome.INTERRUPTED:
+            return EXIT_INTERRUPTED
+        return 0 if self.figures["success"] else EXIT_FAILED
+
+    def panel(self, folder: Path) -> Panel:
+        """The last thing a person sees."""
+        f = self.figures
+        seconds = ", ".join(f"{name} {s:.1f}" for name, s in f["stage_seconds"].items())
+        rows = [
+            ("blows", str(f["blows"])),
+            ("nail over the wood", _figure(f["protrusion_mm"], "mm")),
+            ("pose error *", f"{_figure(f['pose_error_mm'], 'mm')}, {_figure(f['pose_error_deg'], '°')}"),
+            ("strike offset, tilt *", f"{_figure(f['strike_offset_mm'], 'mm')}, {_figure(f['strike_tilt_deg'], '°')}"),
+            ("time", f"{f['seconds']:.1f} s  [dim]({seconds})[/dim]"),
+            ("files", escape(str(folder))),
+        ]
+        lines = [f"[bold]{escape(f['reason'])}[/bold]", ""]
+        lines += [f"{name:<22}{value}" for name, value in rows]
+        lines += ["", "[dim]* measured by the simulation; the task cannot see it[/dim]"]
+        title = "the nail is flush" if f["success"] else str(f["outcome"]).replace("_", " ")
+        colour = "green" if f["success"] else "red"
+        return Panel("\n".join(lines), title=f"[bold]{title}[/bold]", border_style=colour, expand=False, padding=(1, 2))
+
+
+@dataclass(frozen=True)
+class HammerJob:
+    """What is to be done. perfect_perception: poses from the ground truth, for tests and the ablation only."""
+
+    config: StationConfig
+    seed: int
+    correction: bool = True
+    perfect_perception: bool = False
+    gui: bool = False
+
+    def run(self, folder: Path, console: Console) -> HammerReport:
+        """Do the job and write summary.json, recording.mcap and picture.png into `folder`, whatever the ending.
+
+        Raises TooleeError where the job could not begin. An interrupt stops the arm and is reported.
+        """
+        began = time.perf_counter()
+        perception = None if self.perfect_perception else ToolPerception.load()
+        work, flush = self.config.work, self.config.task.flush_protrusion
+        screen, album = ConsoleObserver(console, work.nail_protrusion, flush), Album(work.nail_protrusion, flush)
+        metadata = {"seed": str(self.seed), "correction": str(self.correction)}
+        with (
+            SimStation.build(self.config, self.seed, SimOptions(gui=self.gui)) as sim,
+            RunRecorder(folder / "recording.mcap", metadata) as recorder,
+        ):
+            console.print(f"[bold]{_words(sim.tool)}[/bold]  [dim]seed {self.seed}{self._mode()}[/dim]")
+            station = sim.station
+            keeper = RecordingObserver(
+                recorder,
+                station.clock,
+                load_robot().arm_joints,
+                station.hand.joint_names,
+                self.config.camera.X_base_camera,
+            )
+            task = HammeringTask(
+                station,
+                perception or PerfectPerception(sim.judge),
+                self.config,
+                nominal_grasp(sim.tool),
+                correction=self.correction,
+                observer=Observers(screen, keeper, album),
+            )
+            try:
+                with screen.live():
+                    result = task.run()
+            except KeyboardInterrupt:
+                reason = "interrupted by a person; the arm was stopped"
+                result = HammerResult(Outcome.INTERRUPTED, reason, tuple(album.blows), None)
+            verdict, truths = sim.judge.verdict(result.estimates), sim.judge.blows
+        figures = self._figures(result, verdict, sim.tool, time.perf_counter() - began)
+        self._write(folder, figures, result, truths, album, sim.tool)
+        return HammerReport(figures)
+
+    def _mode(self) -> str:
+        if self.perfect_perception:
+            return ", poses from the simulation's ground truth"
+        return "" if self.correction else ", no correction: the nominal in-hand pose is believed"
+
+    def _figures(self, result: HammerResult, verdict: Verdict, tool: Tool, seconds: float) -> dict[str, Any]:
+        success, outcome, reason = result.success, str(result.outcome), result.reason
+        if success and verdict.nail_outcome != "flush":
+            # The robot only feels the nail; the simulation knows.
+            success = False
+            reason = (
+                f"the robot takes the nail for flush ({reason}), but it is {verdict.nail_outcome.replace('_', ' ')}"
+            )
+        return {
+            "success": success,
+            "outcome": outcome,
+            "reason": reason,
+            "blows": len(result.blows),
+            "protrusion_mm": verdict.protrusion_mm,
+            "measured_protrusion_mm": None if result.protrusion is None else result.protrusion * 1e3,
+            "nail": verdict.nail_outcome,
+            "pose_error_mm": verdict.pose_error_mm,
+            "pose_error_deg": verdict.pose_error_deg,
+            "strike_offset_mm": verdict.strike_offset_mm,
+            "strike_tilt_deg": verdict.strike_tilt_deg,
+            "contact_speed": verdict.contact_speed,
+            "stage_seconds": {str(k): round(v, 3) for k, v in result.stage_seconds.items()},
+            "seconds": round(seconds, 3),
+            "seed": self.seed,
+            "tool": tool.name,
+            "correction": self.correction,
+            "perfect_perception": self.perfect_perception,
+        }
+
+    def _write(
+        self,
+        folder: Path,
+        figures: dict[str, Any],
+        result: HammerResult,
+        truths: tuple[BlowTruth, ...],
+        album: Album,
+        tool: Tool,
+    ) -> None:
+        summary = {
+            **figures,
+            "version": toolee_robot.__version__,
+            "blow_log": [asdict(blow) for blow in result.blows],
+            "blow_truth": [asdict(truth) for truth in truths],
+            "looks": [
+                {
+                    "stamp": stamp,
+                    "X_hand_ee": estimate.X_hand_ee.tolist(),
+                    "covariance": estimate.covariance.tolist(),
+                    "confidence": estimate.confidence,
+                    "frames_used": estimate.frames_used,
+                    "frames_seen": estimate.frames_seen,
+                }
+                for stamp, estimate in result.estimates
+            ],
+            "station": asdict(self.config),
+        }
+        write_whole(folder / "summary.json", (json_line(summary) + "\n").encode())
+        blows = f"{figures['blows']} blow{'' if figures['blows'] == 1 else 's'}"
+        title = (
+            f"{'Flush' if figures['success'] else str(figures['outcome']).replace('_', ' ').capitalize()} after {blows}"
+        )
+        picture = album.picture(title, f"{_words(tool)}, seed {self.seed}{self._mode()}")
+        if picture is not None:
+            write_whole(folder / "picture.png", picture)
+
+
+def nominal_grasp(tool: Tool) -> Grasp:
+    """How the tool lies in the hand nominally, from its data sheet: its true pose in the hand is not known."""
+    radius = float(np.mean(tool.handle.radii_at(0.0)))
+    X_tool_ee = tool.ee(Category.HAMMER_HEAD).X_tool_ee
+    return Grasp(nominal_X_hand_tool(radius), X_tool_ee, tool.mass, tool.center_of_mass)
+
+
+def _words(tool: Tool) -> str:
+    return f"{tool.kind.replace('_', ' ').capitalize()}, {tool.mass:.2f} kg, held out from training"
+
+
+def _figure(value: float | None, unit: str) -> str:
+    return "unknown" if value is None else f"{value:.1f} {unit}"

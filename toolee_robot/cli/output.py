@@ -1,0 +1,69 @@
+"""Small formatting shared by the commands: numbers with units, poses a person can read, files written whole."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.errors import UserError
+from toolee_robot.frames import Array
+
+
+def pose_text(X: Array) -> str:
+    """Position in mm and rotation vector in degrees, for a person; "unknown" for a pose that is not finite."""
+    if not np.all(np.isfinite(X)):
+        return "unknown"
+    x, y, z = X[:3, 3] * 1e3
+    a, b, c = np.rad2deg(Rotation.from_matrix(X[:3, :3]).as_rotvec())
+    return f"({x:+.1f}, {y:+.1f}, {z:+.1f}) mm  ({a:+.1f}, {b:+.1f}, {c:+.1f})°"
+
+
+def sigma_text(covariance: Array) -> str:
+    """The largest standard deviations of a 6x6 pose covariance, in mm and degrees; a free spin is called that."""
+    if not np.all(np.isfinite(covariance)):
+        return "unknown"
+    position = math.sqrt(max(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]), 0.0)) * 1e3
+    angles = np.rad2deg(np.sqrt(np.clip(np.linalg.eigvalsh(covariance[3:, 3:]), 0.0, None)))
+    if angles[-1] > 60.0:  # uniform over a turn: 104 degrees
+        return f"± {position:.1f} mm  ± {angles[-2]:.1f}° (spin free)"
+    return f"± {position:.1f} mm  ± {angles[-1]:.1f}°"
+
+
+def json_line(value: Any) -> str:
+    """One line of strict JSON: no NaN, no Infinity (they become null)."""
+    return json.dumps(_finite(value), allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.integer):
+        return int(value)
+    return value
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file so that it is there whole or not at all. Raises UserError when the place cannot be written."""
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+            Path(name).chmod(0o644)
+            Path(name).replace(path)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror or error}; choose another place") from error
