@@ -106,13 +106,14 @@ class ArmLimits:
     UR10 data sheet: base and shoulder 120 deg/s, the others 180 deg/s. Accelerations are not public: 15 for blows keeps
     the elbow, which carries most of a blow here, under 90 % of its 150 Nm (inverse dynamics of arm, hand and a 0.9 kg
     hammer while braking; 53 % in the run-up); a common, slower choice is 8. Lower elsewhere.
+    stop_acceleration, stop_jerk: of the braking after a contact or a stop.
     """
 
     __pydantic_config__ = _STRICT
     velocity: tuple[Positive, Positive, Positive, Positive, Positive, Positive] = (2.09, 2.09, 3.14, 3.14, 3.14, 3.14)
     acceleration: Positive = 15.0
     jerk: Positive = 500.0
-    stop_acceleration: Positive = 20.0
+    stop_acceleration: Positive = 15.0
     stop_jerk: Positive = 1500.0
     transfer_velocity_scale: Annotated[float, Field(gt=0, le=1)] = 0.35
     transfer_acceleration: Positive = 3.0

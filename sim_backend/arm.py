@@ -1,0 +1,173 @@
+"""The simulated arm: position commands at the controller's rate, force sensing at the flange, braking."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from ruckig import ControlInterface, InputParameter, Ruckig
+from ruckig import Trajectory as RuckigTrajectory
+
+from toolee_robot.errors import DeviceError, LimitError
+from toolee_robot.frames import Array
+from toolee_robot.hal import ArmState, ContactGuard, MotionOutcome, MotionReport
+from toolee_robot.sim_backend.flange_sensor import FlangeSensor
+from toolee_robot.sim_backend.world import SimWorld
+from toolee_robot.types import JointState, Payload, Trajectory
+
+RATE = 125.0  # [Hz] of a CB3 controller
+START_TOLERANCE = 0.01  # [rad]
+STANDSTILL = 2e-3  # [rad/s]
+SETTLE_TIME = 1.0  # [s] at most, after the last command
+
+
+class SimArm:
+    """A `hal.Arm` that moves the simulated UR10."""
+
+    def __init__(self, world: SimWorld) -> None:
+        self._world = world
+        robot = world.robot.robot
+        self._lower, self._upper = robot.lower[:6], robot.upper[:6]
+        self._limits = world.config.arm
+        self._velocity = np.minimum(np.array(self._limits.velocity), robot.velocity[:6])
+        self._sensor = FlangeSensor(world, robot.hand_payload(robot.hand_open), 1 / RATE)
+        world.wrench = lambda: self._sensor.wrench.copy()
+        self._q, self._qd, self._qdd = world.robot.q_arm_target.copy(), np.zeros(6), np.zeros(6)
+        self._open, self._moving, self._stop_asked = True, False, False
+
+    def __enter__(self) -> Self:
+        self._open = True
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+        self._open = False
+
+    @property
+    def rate(self) -> float:
+        return RATE
+
+    def state(self, max_age: float = 0.1) -> ArmState:
+        """The present state; a simulation's is never stale."""
+        self._check_open()
+        q, qd = self._world.robot.arm_state()
+        return ArmState(JointState(q, qd, self._world.time), self._sensor.wrench.copy())
+
+    def set_payload(self, payload: Payload) -> None:
+        """What the flange carries, hand included: for the compensation of the sensed wrench."""
+        if not 0.0 <= payload.mass <= 10.0:
+            raise LimitError(f"payload {payload.mass} kg: a UR10 carries 0 to 10 kg")
+        self._sensor.payload = payload
+
+    def execute(self, trajectory: Trajectory, guard: ContactGuard | None = None) -> MotionReport:
+        """See `hal.Arm`. Raises LimitError, and nothing moves, when the trajectory breaks a limit."""
+        self._check_open()
+        self._check(trajectory)
+        log = _Log()
+        contact: JointState | None = None
+        outcome = MotionOutcome.COMPLETED
+        self._stop_asked, self._moving = False, True
+        try:
+            for k in range(1, int(np.ceil(trajectory.duration * RATE - 1e-9)) + 1):
+                t = min(k / RATE, trajectory.duration)
+                self._command(*trajectory.sample(t))
+                self._tick(log)
+                if self._stop_asked:
+                    outcome = MotionOutcome.STOPPED
+                    break
+                force = float(np.linalg.norm(self._sensor.wrench[:3]))
+                if guard is not None and t >= guard.after and force > guard.force:
+                    outcome = MotionOutcome.CONTACT
+                    contact = JointState(*self._world.robot.arm_state(), self._world.time)
+                    break
+        finally:
+            # After an exception as well as after the last sample: the arm comes to rest before anyone goes on.
+            self._brake(log)
+            self._moving = False
+        return MotionReport(
+            outcome,
+            np.array(log.stamps),
+            np.array(log.commanded),
+            np.array(log.measured),
+            np.array(log.wrenches),
+            contact,
+        )
+
+    def stop(self) -> None:
+        """Brake from the last commanded state; during `execute` (from a callback) it ends that motion."""
+        if self._moving:
+            self._stop_asked = True
+        elif self._open:
+            self._brake(_Log())
+
+    def _check_open(self) -> None:
+        if not self._open:
+            raise DeviceError("the arm is closed: use it inside its `with` block")
+
+    def _check(self, trajectory: Trajectory) -> None:
+        if trajectory.q.shape[1] != 6:
+            raise LimitError(f"the arm has 6 joints, the trajectory {trajectory.q.shape[1]}")
+        if not all(np.all(np.isfinite(a)) for a in (trajectory.times, trajectory.q, trajectory.qd, trajectory.qdd)):
+            raise LimitError("the trajectory has values that are not finite; nothing was moved")
+        jump = np.abs(trajectory.q[0] - self._q).max()
+        if jump > START_TOLERANCE:
+            raise LimitError(
+                f"the trajectory starts {jump:.3f} rad from the commanded position (allowed {START_TOLERANCE}); "
+                "plan from the arm's present state"
+            )
+        if np.any(trajectory.q < self._lower) or np.any(trajectory.q > self._upper):
+            raise LimitError("the trajectory leaves the joints' position range; nothing was moved")
+        if np.any(np.abs(trajectory.qd) > 1.001 * self._velocity):
+            worst = float((np.abs(trajectory.qd) / self._velocity).max())
+            raise LimitError(f"the trajectory is {worst:.2f} times too fast for a joint; nothing was moved")
+
+    def _command(self, q: Array, qd: Array) -> None:
+        """A sample that is due one tick from now: the robot moves towards it with the mean velocity of the tick."""
+        step = (q - self._q) * RATE
+        self._world.robot.command_arm(self._q, step)
+        self._qdd = (qd - self._qd) * RATE
+        self._q, self._qd = np.array(q), np.array(qd)
+
+    def _tick(self, log: _Log) -> None:
+        self._sensor.begin()
+        self._world.advance(1 / RATE)
+        log.stamps.append(self._world.time)
+        log.commanded.append(self._q.copy())
+        log.measured.append(self._world.robot.arm_state()[0])
+        log.wrenches.append(self._sensor.wrench.copy())
+
+    def _brake(self, log: _Log) -> None:
+        """All joints to rest as fast as acceleration and jerk allow, in step so that the path goes straight on."""
+        if np.any(np.abs(self._qd) > 1e-9):
+            otg = Ruckig(6)
+            start = InputParameter(6)
+            start.control_interface = ControlInterface.Velocity
+            start.current_position, start.current_velocity = self._q.tolist(), self._qd.tolist()
+            a = self._limits.stop_acceleration
+            start.current_acceleration = np.clip(self._qdd, -a, a).tolist()
+            start.target_velocity = [0.0] * 6
+            start.max_acceleration = [a] * 6
+            start.max_jerk = [self._limits.stop_jerk] * 6
+            path = RuckigTrajectory(6)
+            otg.calculate(start, path)
+            for k in range(1, int(np.ceil(path.duration * RATE - 1e-9)) + 1):
+                q, qd, _ = path.at_time(min(k / RATE, path.duration))
+                self._command(np.clip(q, self._lower, self._upper), np.array(qd))
+                self._tick(log)
+        self._qd, self._qdd = np.zeros(6), np.zeros(6)
+        self._world.robot.command_arm(self._q, self._qd)
+        for _ in range(int(SETTLE_TIME * RATE)):
+            self._tick(log)
+            if np.abs(self._world.robot.arm_state()[1]).max() < STANDSTILL:
+                break
+
+
+class _Log:
+    def __init__(self) -> None:
+        self.stamps: list[float] = []
+        self.commanded: list[Array] = []
+        self.measured: list[Array] = []
+        self.wrenches: list[Array] = []

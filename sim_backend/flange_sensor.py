@@ -1,0 +1,60 @@
+"""Force sensing at the flange: what the environment exerts on hand and tool, the payload's part taken off."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from toolee_robot.frames import Array
+from toolee_robot.robots.description import X_FLANGE_FOREARM
+from toolee_robot.sim_backend.world import SimWorld
+from toolee_robot.types import Payload
+
+GRAVITY = np.array([0.0, 0.0, -9.81])  # [m/s^2]
+
+
+class FlangeSensor:
+    """Mean wrench over a control tick of `period` [s]: force and torque at the flange that the arm's mount carries, less what it takes
+    to hold and accelerate the payload, a rigid body. Base axes, torque about the flange's origin.
+
+    A wrist that yields, fingers that move and a tool that slips are not rigid: they show up as a few N.
+    """
+
+    def __init__(self, world: SimWorld, payload: Payload, period: float) -> None:
+        self.payload = payload
+        self.period = period
+        self.wrench = np.zeros(6)
+        self._world = world
+        self._sum, self._time, self._dt = np.zeros(6), 0.0, 0.0
+        self._velocity = self._payload_velocity()[0]
+        world.before_step.append(self._remember)
+        world.after_step.append(self._add)
+
+    def _remember(self, dt: float) -> None:
+        self._dt = dt
+
+    def _add(self) -> None:
+        self._sum += self._world.robot.sensor_reaction() * self._dt
+        self._time += self._dt
+        if self._time > self.period - 1e-9:
+            self._finish()
+
+    def begin(self) -> None:
+        """Start averaging now, so that a control tick and a mean coincide."""
+        self._sum, self._time = np.zeros(6), 0.0
+        self._velocity = self._payload_velocity()[0]
+
+    def _finish(self) -> None:
+        velocity, lever, R = self._payload_velocity()
+        mean = self._sum / self._time
+        inertial = self.payload.mass * ((velocity - self._velocity) / self._time - GRAVITY)
+        carried = np.concatenate([R @ mean[:3], R @ mean[3:]])
+        self.wrench = np.concatenate([inertial, np.cross(lever, inertial)]) - carried
+        self._sum, self._time, self._velocity = np.zeros(6), 0.0, velocity
+
+    def _payload_velocity(self) -> tuple[Array, Array, Array]:
+        """Velocity (3,) of the payload's centre of mass, its lever (3,) from the flange, and R_base_flange."""
+        X_base_forearm, com, w, v_com = self._world.robot.sensor_motion()
+        R = X_base_forearm[:3, :3]  # the forearm is mounted without rotation
+        flange = X_base_forearm[:3, 3] - R @ X_FLANGE_FOREARM[:3, 3]
+        lever = R @ self.payload.center_of_mass
+        return v_com + np.cross(w, flange + lever - com), lever, R

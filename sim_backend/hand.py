@@ -1,0 +1,181 @@
+"""The simulated hand: closes by finger contact, then holds with the assisted grip."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import pybullet as pb
+
+from toolee_robot.errors import DeviceError
+from toolee_robot.frames import inverse
+from toolee_robot.hal import HandState
+from toolee_robot.robots import FINGERS, finger_of
+from toolee_robot.sim_backend.grip import AssistedGrip, GripLimits
+from toolee_robot.sim_backend.world import SimWorld
+from toolee_robot.types import JointState
+
+TICK = 0.01  # [s]
+CLOSING_SPEED = 4.0  # [rad/s] of the targets
+LEAD = 0.25  # [rad] by which a target runs ahead of a joint that is blocked: enough for full torque
+STILL = 0.05  # [rad/s]
+CONTACT_FORCE = 0.3  # [N] that counts as a touch
+MIN_LINKS = 3  # of the fingers, besides the thumb, that must touch for a hold
+MAX_FINGER_FORCE = 25.0  # [N] of one finger that the grip counts: a tendon-driven finger's, not the solver's squeeze
+AVERAGE_TIME = 0.06  # [s] over which the finger forces are averaged before the grip begins
+# The order of a human power grasp: knuckles first, then the finger joints outwards, the thumb over them last.
+CLOSING_ORDER = (("FFJ3", "MFJ3", "RFJ3", "LFJ3"), ("FFJ2", "MFJ2", "RFJ2", "LFJ2"), ("FFJ1", "MFJ1", "RFJ1", "LFJ1"),
+                 ("THJ5", "THJ4", "THJ3"), ("THJ2", "THJ1"))  # fmt: skip
+
+
+class SimHand:
+    """A `hal.Hand` that moves the simulated Shadow Hand. The wrist holds its rest pose with its limited torque."""
+
+    def __init__(self, world: SimWorld, friction: float) -> None:
+        self._world = world
+        self._friction = friction
+        self._robot = world.robot.robot
+        self._target = world.robot.q_hand_target.copy()
+        self._holding_forces: dict[str, float] | None = None
+        self._open_device = True
+
+    def __enter__(self) -> Self:
+        self._open_device = True
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+        self._open_device = False
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return self._robot.hand_joints
+
+    def state(self, max_age: float = 0.1) -> HandState:
+        """The present state; a simulation's is never stale."""
+        self._check_open()
+        q, qd = self._world.robot.hand_state()
+        grip = self._world.grip
+        assisted = grip is not None and grip.holding
+        if assisted and self._holding_forces is not None:
+            forces = dict(self._holding_forces)
+        else:
+            forces, links = self._contact_forces()
+            return HandState(JointState(q, qd, self._world.time), forces, self._touches_enough(forces, links))
+        return HandState(JointState(q, qd, self._world.time), forces, holding=True, assisted=True)
+
+    def open(self, timeout: float = 5.0) -> None:
+        """Let go and spread the fingers."""
+        self._check_open()
+        if self._world.grip is not None:
+            self._world.grip.release()
+        self._holding_forces = None
+        goal = self._robot.hand_open
+        for joints in reversed(CLOSING_ORDER):
+            self._move(joints, goal, timeout)
+
+    def close(self, timeout: float = 5.0) -> None:
+        """Close until the fingers hold or are shut. Where thumb and fingers hold something, the grip begins."""
+        self._check_open()
+        goal = self._robot.hand_closed
+        end = self._world.time + timeout
+        for joints in CLOSING_ORDER:
+            self._move(joints, goal, end - self._world.time)
+        self._hold()
+
+    def stop(self) -> None:
+        """Freeze the fingers; a grip stays."""
+        if self._open_device and self._world.grip is None:
+            q = self._world.robot.hand_state()[0]
+            # A finger that presses keeps pressing: its target stays ahead by what gives the present force.
+            ahead = np.clip(self._target - q, -LEAD, LEAD)
+            self._target = q + ahead
+            self._world.robot.command_hand(self._target)
+
+    def _check_open(self) -> None:
+        if not self._open_device:
+            raise DeviceError("the hand is closed: use it inside its `with` block")
+
+    def _move(self, joints: tuple[str, ...], goal: np.ndarray, timeout: float) -> None:
+        """Move some joints to their goals, or as far as they get. Raises DeviceError on time-out; targets stay."""
+        index = np.array([self._robot.hand_joints.index(f"rh_{joint}") for joint in joints])
+        end = self._world.time + timeout
+        still = 0.0
+        while True:
+            q, qd = self._world.robot.hand_state()
+            arrived = np.abs(goal[index] - q[index]) < 0.03
+            if np.all(arrived | (np.abs(qd[index]) < STILL)):
+                still += TICK
+            else:
+                still = 0.0
+            if np.all(arrived) or still >= 0.05:
+                return
+            if self._world.time >= end:
+                raise DeviceError("the hand did not finish its motion in time; it stays as it is, its grip too")
+            step = np.clip(goal[index] - self._target[index], -CLOSING_SPEED * TICK, CLOSING_SPEED * TICK)
+            self._target[index] = q[index] + np.clip(self._target[index] + step - q[index], -LEAD, LEAD)
+            self._world.robot.command_hand(self._target)
+            self._world.advance(TICK)
+
+    def _contact_forces(self) -> tuple[dict[str, float], set[str]]:
+        """Normal force [N] between hand and tool by finger and "palm", and the links that touch."""
+        forces = dict.fromkeys((*FINGERS, "palm"), 0.0)
+        links: set[str] = set()
+        world = self._world
+        names = {index: name for name, index in world.robot.link_index.items()}
+        for contact in pb.getContactPoints(bodyA=world.robot.body, bodyB=world.tool.body, physicsClientId=world.client):
+            name = names.get(contact[3], "")
+            if name.startswith("rh_") and contact[9] > 0:
+                forces[finger_of(name)] += float(contact[9])
+                if contact[9] > CONTACT_FORCE:
+                    links.add(name)
+        return forces, links
+
+    @staticmethod
+    def _touches_enough(forces: dict[str, float], links: set[str]) -> bool:
+        fingers = [link for link in links if finger_of(link) not in ("thumb", "palm")]
+        return forces["thumb"] > CONTACT_FORCE and len(fingers) >= MIN_LINKS
+
+    def _hold(self) -> None:
+        """Begin the assisted grip if thumb and fingers hold the tool by contact."""
+        world = self._world
+        if world.grip is not None and world.grip.holding:
+            return
+        total: dict[str, float] = dict.fromkeys((*FINGERS, "palm"), 0.0)
+        links: set[str] = set()
+        n = round(AVERAGE_TIME / TICK)
+        for _ in range(n):
+            world.advance(TICK)
+            forces, touching = self._contact_forces()
+            links |= touching
+            for name, force in forces.items():
+                total[name] += force / n
+        if not self._touches_enough(total, links):
+            return
+        total = {name: min(force, MAX_FINGER_FORCE) for name, force in total.items()}
+        self._holding_forces = total
+        fingers = sum(total[name] for name in FINGERS)
+        X_hand_tool = inverse(world.X_base_hand()) @ world.X_base_tool()
+        # The grip's centre: the point of the handle's axis abreast of the palm's middle.
+        along = (0.005 - X_hand_tool[0, 3]) / X_hand_tool[0, 2]
+        z = float(np.clip(along, world.tool.tool.handle.z_min + 0.02, world.tool.tool.handle.z_max - 0.02))
+        p_hand_grip = X_hand_tool[:3, 3] + z * X_hand_tool[:3, 2]
+        radius = float(np.mean(world.tool.tool.handle.radii_at(z)))
+        world.ignore_collisions(world.robot.body, world.tool.body)
+        # Loads pass through the palm from now on: the fingers only keep up what presses, at the torques they had.
+        self._target = world.robot.hand_state()[0]
+        wrist = [self._robot.hand_joints.index(name) for name in ("rh_WRJ2", "rh_WRJ1")]
+        self._target[wrist] = self._robot.hand_closed[wrist]
+        world.robot.command_hand(self._target)
+        world.grip = AssistedGrip(
+            world.client,
+            world.robot.body,
+            world.robot.palm,
+            world.tool.body,
+            inverse(world.tool.X_tool_inertial),
+            p_hand_grip,
+            GripLimits.from_contact(fingers, self._friction, radius),
+        )

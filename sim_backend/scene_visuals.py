@@ -1,0 +1,123 @@
+"""What the simulated camera sees of the world: robot, tool, work and person as meshes at their present poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import IntEnum
+
+import numpy as np
+
+from toolee_robot.frames import Array, frame_from_axes, transform
+from toolee_robot.render.mesh import Mesh, box, cylinder, sphere
+from toolee_robot.render.palette import skin_tone
+from toolee_robot.robots import arm_meshes, hand_meshes
+from toolee_robot.sim_backend.person import SimPerson
+from toolee_robot.sim_backend.visuals import VisualBody
+from toolee_robot.sim_backend.world import SimWorld
+
+Color = tuple[float, float, float]
+SHIRT_COLORS: tuple[Color, ...] = ((0.2, 0.3, 0.5), (0.5, 0.2, 0.2), (0.25, 0.4, 0.3), (0.35, 0.35, 0.38))
+
+
+class BodyId(IntEnum):
+    """Ids of the visual bodies."""
+
+    ARM = 1
+    HAND = 2
+    TOOL = 3
+    WORK = 4
+    NAIL = 5
+    PERSON = 6
+
+
+class SceneVisuals:
+    """A `VisualWorld` on the simulated world; meshes are built once."""
+
+    def __init__(self, world: SimWorld, person: SimPerson, seed: int) -> None:
+        self._world, self._person = world, person
+        rng = np.random.default_rng([seed, 12])
+        self._skin = skin_tone(rng)
+        self._shirt = SHIRT_COLORS[int(rng.integers(len(SHIRT_COLORS)))]
+        self._links = {
+            name: (Mesh.build(mesh.vertices, mesh.faces), name.startswith("rh_"))
+            for name, mesh in {**arm_meshes(), **hand_meshes()}.items()
+        }
+        tool = world.tool.tool
+        self._parts = [
+            (f"tool_{i}_{part.label}", Mesh.build(part.mesh.vertices, part.mesh.faces), part.material)
+            for i, part in enumerate(tool.parts)
+        ]
+        work, nail = world.config.work, world.nail.spec
+        x, y = work.nail_xy
+        self._static = [
+            _static("stand", box((*work.stand_size, work.stand_height)), (x, y, work.stand_height / 2), "steel_painted", (0.3, 0.32, 0.36)),
+            _static("block", box(work.block_size), (x, y, work.stand_height + work.block_size[2] / 2), "wood_block", (0.80, 0.66, 0.46)),
+        ]  # fmt: skip
+        self._nail_head = cylinder(nail.head_diameter / 2, nail.head_thickness)
+        self._nail_shank = cylinder(nail.diameter / 2, nail.length)
+        self._head = sphere(0.11)
+        self._torso = box(world.config.scene.person_size)
+        self._fist = sphere(0.045)
+
+    def visual_bodies(self) -> Sequence[VisualBody]:
+        """Everything visible but the room."""
+        world = self._world
+        bodies = list(self._static)
+        for name, (mesh, hand) in self._links.items():
+            X = world.robot.link_pose(world.robot.link_index[name]) if name in world.robot.link_index else np.eye(4)
+            color: Color = (0.30, 0.30, 0.32) if hand else (0.70, 0.72, 0.75)
+            finish = "plastic" if hand else "aluminium"
+            bodies.append(
+                VisualBody(name, mesh, X, finish, color, 0.5, 0.0 if hand else 0.4,
+                           body_id=BodyId.HAND if hand else BodyId.ARM)
+            )  # fmt: skip
+        X_base_tool = world.X_base_tool()
+        for name, mesh, material in self._parts:
+            bodies.append(
+                VisualBody(name, mesh, X_base_tool, material.name, material.color, material.roughness,
+                           material.metallic, body_id=BodyId.TOOL)
+            )  # fmt: skip
+        return [*bodies, *self._nail(), *self._visible_person()]
+
+    def _nail(self) -> list[VisualBody]:
+        nail = self._world.nail
+        X = nail.head_pose()
+        head = X @ transform(p=[0.0, 0.0, nail.spec.head_thickness / 2])
+        shank = X @ transform(p=[0.0, 0.0, nail.spec.head_thickness + nail.spec.length / 2])
+        grey: Color = (0.62, 0.62, 0.66)
+        return [
+            VisualBody("nail_head", self._nail_head, head, "steel_bright", grey, 0.35, 1.0, body_id=BodyId.NAIL),
+            VisualBody("nail_shank", self._nail_shank, shank, "steel_bright", grey, 0.35, 1.0, body_id=BodyId.NAIL),
+        ]
+
+    def _visible_person(self) -> list[VisualBody]:
+        person = self._person
+        center = person.center
+        top = center[2] + self._world.config.scene.person_size[2] / 2
+        parts = [
+            VisualBody("person_torso", self._torso, transform(p=center), "cloth", self._shirt, 0.9, body_id=BodyId.PERSON),
+            VisualBody("person_head", self._head, transform(p=[center[0], center[1], top + 0.10]), "skin", self._skin, 0.6,
+                       body_id=BodyId.PERSON),
+        ]  # fmt: skip
+        if person.visible_arm is not None:
+            shoulder, hand = person.visible_arm
+            length = float(np.linalg.norm(hand - shoulder))
+            arm = cylinder(0.05, length, top_radius=0.04)
+            parts.append(
+                VisualBody("person_arm", arm, _along(shoulder, hand), "skin", self._skin, 0.6, body_id=BodyId.PERSON)
+            )
+            parts.append(
+                VisualBody("person_fist", self._fist, transform(p=hand), "skin", self._skin, 0.6, body_id=BodyId.PERSON)
+            )
+        return parts
+
+
+def _static(name: str, mesh: Mesh, center: tuple[float, float, float], finish: str, color: Color) -> VisualBody:
+    return VisualBody(name, mesh, transform(p=center), finish, color, 0.6, body_id=BodyId.WORK)
+
+
+def _along(a: Array, b: Array) -> Array:
+    """Pose of a cylinder (centred, along z) from a to b."""
+    z = b - a
+    x = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 * np.linalg.norm(z) else np.array([0.0, 1.0, 0.0])
+    return frame_from_axes(z=z, x=x, p=(a + b) / 2)

@@ -1,0 +1,104 @@
+"""Build a simulated station: the same Protocols as the real one, and beside them what only reports and tests may read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.errors import UserError
+from toolee_robot.frames import transform
+from toolee_robot.hal import Station
+from toolee_robot.sim_backend.arm import SimArm
+from toolee_robot.sim_backend.camera import SimCamera
+from toolee_robot.sim_backend.clock import SimClock
+from toolee_robot.sim_backend.hand import SimHand
+from toolee_robot.sim_backend.judge import Judge
+from toolee_robot.sim_backend.options import InHandOffset, SimOptions
+from toolee_robot.sim_backend.person import SimPerson
+from toolee_robot.sim_backend.scene_visuals import SceneVisuals
+from toolee_robot.sim_backend.world import Sample, SimWorld
+from toolee_robot.tools import Tool, ToolKind, make_tool, split
+from toolee_robot.types import Category
+
+MASS_RANGE = (0.4, 1.05)  # [kg] of the hammers handed over
+MIN_REACH = 0.15  # [m] from the grip's centre to the face, along the handle: room for the hand
+KINDS = (ToolKind.CLAW_HAMMER, ToolKind.BALL_PEEN_HAMMER, ToolKind.CROSS_PEEN_HAMMER, ToolKind.CLUB_HAMMER)
+
+
+def draw_hammer(rng: np.random.Generator) -> Tool:
+    """A hammer that no network was trained on, of a size that one hand swings."""
+    for _ in range(200):
+        seed = int(rng.integers(0, 5000))
+        if split(seed) != "test":
+            continue
+        tool = make_tool(KINDS[int(rng.integers(len(KINDS)))], seed)
+        face = tool.ee(Category.HAMMER_HEAD).X_tool_ee
+        if MASS_RANGE[0] <= tool.mass <= MASS_RANGE[1] and face[2, 3] >= MIN_REACH:
+            return tool
+    raise UserError("no hammer of a usable mass found: choose another seed")
+
+
+class SimStation:
+    """`station`: what a task gets. `judge`, `world`, `person`: ground truth, for the report and the tests.
+
+    with SimStation.build(StationConfig(), seed=0) as simulation:
+        task(simulation.station)
+    """
+
+    def __init__(self, world: SimWorld, station: Station, judge: Judge, person: SimPerson, offset: InHandOffset) -> None:
+        self.world = world
+        self.station = station
+        self.judge = judge
+        self.person = person
+        self.offset = offset
+
+    @classmethod
+    def build(cls, config: StationConfig, seed: int = 0, options: SimOptions | None = None) -> SimStation:
+        """The seed decides tool, in-hand offset, room and noise. Raises UserError for an unusable option."""
+        options = SimOptions() if options is None else options
+        if seed < 0:
+            raise UserError(f"the seed must be 0 or more, got {seed}")
+        tool = draw_hammer(np.random.default_rng([seed, 10])) if options.tool is None else options.tool
+        offset = InHandOffset.draw(np.random.default_rng([seed, 11])) if options.offset is None else options.offset
+        x, y, _ = config.scene.person_center
+        world = SimWorld(config, tool, transform(p=[x, y + 0.35, 1.0]), options)
+        try:
+            person = SimPerson(world, offset, options.hands_over)
+            clock = SimClock(world)
+            visuals = SceneVisuals(world, person, seed)
+            camera = SimCamera(visuals, clock, config.camera, seed)
+            station = Station(SimArm(world), SimHand(world, options.friction), camera, person, clock)
+            judge = Judge(world)
+            world.after_step.append(judge.after_step)
+        except BaseException:
+            world.close()
+            raise
+        return cls(world, station, judge, person, offset)
+
+    @property
+    def tool(self) -> Tool:
+        """The tool handed over: ground truth."""
+        return self.world.tool.tool
+
+    @property
+    def observers(self) -> list[Callable[[Sample], None]]:
+        """Called every 16 ms of simulated time with joints and wrench, for a recorder."""
+        return self.world.observers
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the simulation."""
+        self.world.close()
+
+

@@ -1,0 +1,155 @@
+"""The simulated world: everything in pybullet, and the one place where time goes on.
+
+Time advances in quanta of 1/4000 s: by 1 ms a step normally, by a quantum while the tool is close to the nail's head.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pybullet as pb
+
+from toolee_robot.config import StationConfig
+from toolee_robot.errors import DeviceError, UserError
+from toolee_robot.frames import Array
+from toolee_robot.robots import hand_posture, load_robot
+from toolee_robot.sim_backend.bodies import Furniture, ToolBody
+from toolee_robot.sim_backend.grip import AssistedGrip
+from toolee_robot.sim_backend.impact import IMPACT, StepSettings
+from toolee_robot.sim_backend.nail import Nail
+from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.sim_backend.robot_body import RobotBody
+from toolee_robot.sim_backend.wood import NailSpec
+from toolee_robot.tools import Tool
+from toolee_robot.types import Category
+
+QUANTUM = IMPACT.time_step  # [s]
+NORMAL = StepSettings(time_step=4 * QUANTUM, iterations=50, contact_erp=0.2)
+NEAR_NAIL = 0.12  # [m] of the face from the nail within which the impact window is looked for
+SAMPLE_QUANTA = 64  # between two samples for the observers: 16 ms
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What a recorder may know: joints (6,), (24,) [rad] and the arm's wrench (6,) at `stamp` [s]."""
+
+    stamp: float
+    q_arm: Array
+    q_hand: Array
+    wrench: Array
+
+
+class SimWorld:
+    """Table, stand, block, nail, robot and tool. `before_step` callbacks get the step's length [s], `after_step` ones
+    nothing; `observers` get a `Sample` every 16 ms. Poses are in `base`, which is pybullet's world frame.
+    """
+
+    def __init__(self, config: StationConfig, tool: Tool, X_base_tool: Array, options: SimOptions) -> None:
+        self.config = config
+        self.client = _connect(options.gui)
+        self._quanta = 0
+        self._settings: StepSettings | None = None
+        self.wrench: Callable[[], Array] = lambda: np.zeros(6)
+        self.before_step: list[Callable[[float], None]] = []
+        self.after_step: list[Callable[[], None]] = []
+        self.observers: list[Callable[[Sample], None]] = []
+        pb.setGravity(0.0, 0.0, -9.81, physicsClientId=self.client)
+        robot = load_robot()
+        posture = hand_posture("open")
+        q_hand = np.array([posture.get(name, 0.0) for name in robot.hand_joints])
+        q_arm = np.array(config.scene.home if options.q_start is None else options.q_start)
+        self.robot = RobotBody(self.client, robot, q_arm, q_hand)
+        self.furniture = Furniture.build(self.client, config)
+        self.nail = Nail(
+            self.client, config.work.X_base_nail(), NailSpec.from_config(config.work), self.furniture.block,
+            config.task.flush_protrusion,
+        )  # fmt: skip
+        self.tool = ToolBody(self.client, tool, X_base_tool)
+        self.grip: AssistedGrip | None = None
+        pb.setCollisionFilterPair(self.robot.body, self.furniture.table, -1, -1, 0, physicsClientId=self.client)
+        self._X_tool_ee = tool.ee(Category.HAMMER_HEAD).X_tool_ee if _is_hammer(tool) else np.eye(4)
+
+    @property
+    def time(self) -> float:
+        """[s]"""
+        return self._quanta * QUANTUM
+
+    @property
+    def tool_body(self) -> int:
+        """pybullet's id of the tool."""
+        return self.tool.body
+
+    def X_base_hand(self) -> Array:
+        """The palm, 4x4."""
+        return self.robot.link_pose(self.robot.palm)
+
+    def X_base_tool(self) -> Array:
+        """The tool, 4x4: ground truth."""
+        return self.tool.pose()
+
+    def X_base_ee(self) -> Array:
+        """The tool's working end, 4x4: ground truth."""
+        return self.tool.pose() @ self._X_tool_ee
+
+    def advance(self, duration: float) -> None:
+        """Let `duration` [s] pass, to the next quantum. Raises DeviceError when the world is closed."""
+        if self.client < 0:
+            raise DeviceError("the simulation is closed: use it inside its `with` block")
+        end = self._quanta + max(1, round(duration / QUANTUM))
+        while self._quanta < end:
+            self._step(end - self._quanta)
+
+    def _step(self, most: int) -> None:
+        near = (
+            np.linalg.norm(self.X_base_ee()[:3, 3] - self.nail.X_world_surface[:3, 3]) < NEAR_NAIL
+            and self.nail.impact_near(self.tool.body)
+        )
+        settings = IMPACT if near or most < 4 else NORMAL
+        if settings is not self._settings:
+            settings.apply(self.client)
+            self._settings = settings
+        dt = settings.time_step
+        self.robot.before_step(dt)
+        self.nail.before_step(dt)
+        if self.grip is not None:
+            self.grip.before_step(dt)
+        for callback in self.before_step:
+            callback(dt)
+        pb.stepSimulation(physicsClientId=self.client)
+        before = self._quanta
+        self._quanta += round(dt / QUANTUM)
+        for after in self.after_step:
+            after()
+        if self.observers and self._quanta // SAMPLE_QUANTA != before // SAMPLE_QUANTA:
+            sample = Sample(self.time, self.robot.arm_state()[0], self.robot.hand_state()[0], self.wrench())
+            for observer in self.observers:
+                observer(sample)
+
+    def ignore_collisions(self, body_a: int, body_b: int) -> None:
+        """Bodies a and b pass through each other from now on."""
+        links_a, links_b = (range(-1, pb.getNumJoints(b, physicsClientId=self.client)) for b in (body_a, body_b))
+        for a in links_a:
+            for b in links_b:
+                pb.setCollisionFilterPair(body_a, body_b, a, b, 0, physicsClientId=self.client)
+
+    def close(self) -> None:
+        """Leave pybullet; nothing can be simulated after."""
+        if self.client >= 0:
+            pb.disconnect(physicsClientId=self.client)
+            self.client = -1
+
+
+def _is_hammer(tool: Tool) -> bool:
+    return Category.HAMMER_HEAD in tool.categories
+
+
+def _connect(gui: bool) -> int:
+    try:
+        client = int(pb.connect(pb.GUI if gui else pb.DIRECT))
+    except pb.error as error:
+        raise UserError(f"pybullet cannot start: {error}") from error
+    if client < 0:
+        raise UserError("pybullet cannot open its window: is there a screen (DISPLAY)? Leave --gui out to run headless")
+    return client
