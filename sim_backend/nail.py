@@ -59,6 +59,7 @@ class Nail:
         if wood is not None:
             for link in range(-1, 3):
                 pb.setCollisionFilterPair(self.body, wood, link, -1, 0, physicsClientId=client)
+        self._set_for: tuple[float, bool, float] | None = None
         self.before_step(0.0)
 
     def _create(self) -> int:
@@ -123,6 +124,9 @@ class Nail:
         travel, speed = pb.getJointState(self.body, SLIDE, physicsClientId=self._client)[:2]
         protrusion = self.spec.protrusion - travel
         down = protrusion - max(speed, 0.0) * dt <= 0.0
+        if (protrusion, down, dt) == self._set_for:
+            return
+        self._set_for = (protrusion, down, dt)
         self._hold(SLIDE, STOP_FORCE if down else resistance(self.spec, protrusion))
         for hinge in (HINGE_X, HINGE_Y):
             self._hold(hinge, self.spec.plastic_moment)

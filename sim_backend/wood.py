@@ -83,7 +83,7 @@ def shank_friction(spec: NailSpec) -> float:
     """Friction per depth [N/m]."""
     friction = WITHDRAWAL * spec.specific_gravity**2.5 * spec.diameter
     ratio = spec.pilot_diameter / spec.diameter
-    return float(friction * np.clip((1 - ratio) / (1 - WIDEST_TIGHT_HOLE), 0.0, 1.0))
+    return float(friction * min((1 - ratio) / (1 - WIDEST_TIGHT_HOLE), 1.0))
 
 
 def tip_force(spec: NailSpec) -> float:
@@ -97,7 +97,7 @@ def head_force(spec: NailSpec, protrusion: float) -> float:
     strength = 70e-6 * (spec.specific_gravity * WATER_DENSITY) ** 2 * 1e6
     area = np.pi / 4 * (spec.head_diameter**2 - spec.diameter**2)
     indentation = (spec.head_thickness - protrusion) / HEAD_CRUSH_DEPTH
-    return float(strength * area * np.clip(indentation, 0.0, 1.0))
+    return float(strength * area * min(max(indentation, 0.0), 1.0))
 
 
 def resistance(spec: NailSpec, protrusion: float) -> float:
