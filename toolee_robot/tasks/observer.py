@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from toolee_robot.control.strike import StrikePlan
+from toolee_robot.control.records import StrikePlan
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
 from toolee_robot.tasks.outcome import Blow, HammerResult, Stage

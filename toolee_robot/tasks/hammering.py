@@ -1,0 +1,336 @@
+"""The hammering job: take the tool, look at it, strike until the nail is flush, put the arm safely away.
+
+A state machine over the hardware abstraction alone. What it knows of the world is its station file, what the camera
+shows and what the arm and the hand feel. Every ending is an `Outcome` with a reason; every exception leaves the arm
+at a standstill.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control.collision import CollisionWorld
+from toolee_robot.control.records import StrikePlan
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.control.slip import protrusion, slip
+from toolee_robot.control.strike import plan_retract, plan_strike, plan_touch
+from toolee_robot.control.transfer import plan_transfer
+from toolee_robot.control.views import plan_handover, plan_views
+from toolee_robot.errors import DeviceError, GripError, PerceptionError, PlanningError, TooleeError
+from toolee_robot.frames import Array, transform
+from toolee_robot.hal import ContactGuard, MotionOutcome, MotionReport, Station
+from toolee_robot.tasks.look import Look, Perceiver
+from toolee_robot.tasks.observer import TaskObserver
+from toolee_robot.tasks.outcome import Blow, HammerResult, Outcome, Stage
+from toolee_robot.types import Category, InHandEstimate, Trajectory
+
+SETTLE = 0.3
+"""[s] of standing still before a frame, so that arm, wrist and tool have stopped swinging."""
+TOUCH_TOLERANCE = 0.012
+"""[m] A touch further than this from the expected height has not met the nail's head."""
+MAX_BLOW = 0.008
+"""[m] No blow of this arm drives a nail further: a head that sinks more has bent away."""
+FLUSH_WHEN_STALLED = 0.0025
+"""[m] Where a nail that no longer yields is called flush: the touch is no better than this after slip."""
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """How the tool would lie in the hand in a perfect handover, from the tool's data sheet.
+
+    X_hand_tool, X_tool_ee: 4x4. mass [kg]. p_tool_com: centre of mass (3,) [m], tool frame.
+    """
+
+    X_hand_tool: Array
+    X_tool_ee: Array
+    mass: float
+    p_tool_com: Array
+
+    @property
+    def X_hand_ee(self) -> Array:
+        return self.X_hand_tool @ self.X_tool_ee
+
+
+class _Ended(Exception):
+    """The job is over, for a reason that has a name."""
+
+    def __init__(self, outcome: Outcome, reason: str) -> None:
+        super().__init__(reason)
+        self.outcome = outcome
+
+
+class HammeringTask:
+    """One job. `correction=False` strikes with the nominal in-hand pose: the paper's baseline, for comparison only."""
+
+    def __init__(
+        self,
+        station: Station,
+        perceiver: Perceiver,
+        config: StationConfig,
+        grasp: Grasp,
+        *,
+        correction: bool = True,
+        observer: TaskObserver | None = None,
+    ) -> None:
+        self._station = station
+        self._perceiver = perceiver
+        self._config = config
+        self._grasp = grasp
+        self._correction = correction
+        self._observer = observer or TaskObserver()
+        self._robot = RobotModel.load()
+        self._X_hand_ee = grasp.X_hand_ee
+        self._q = station.arm.state().joints.q
+        self._seconds: dict[str, float] = {}
+        self._blows: list[Blow] = []
+        self._estimates: list[tuple[float, InHandEstimate]] = []
+        self._protrusion: float | None = None
+
+    def run(self) -> HammerResult:
+        """Do the job and park. Returns how it ended; only a programming error or KeyboardInterrupt escapes, after
+        the arm has been stopped."""
+        try:
+            outcome, reason = self._job()
+            outcome, reason = self._park(outcome, reason)
+        except BaseException:
+            self._station.arm.stop()
+            raise
+        result = HammerResult(
+            outcome, reason, tuple(self._blows), self._protrusion, tuple(self._estimates), dict(self._seconds)
+        )
+        self._observer.ended(result)
+        return result
+
+    def _job(self) -> tuple[Outcome, str]:
+        try:
+            self._take_tool()
+            self._look(self._config.task.views)
+            return self._drive()
+        except _Ended as end:
+            return end.outcome, str(end)
+        except PerceptionError as error:
+            return Outcome.POSE_UNKNOWN, str(error)
+        except PlanningError as error:
+            return Outcome.NO_PLAN, str(error)
+        except GripError as error:
+            return Outcome.TOOL_LOST, str(error)
+        except DeviceError as error:
+            self._station.arm.stop()
+            return Outcome.DEVICE_FAULT, str(error)
+
+    # -- stages ----------------------------------------------------------------------------------------------------
+
+    def _take_tool(self) -> None:
+        station = self._station
+        with self._stage(Stage.HANDOVER):
+            station.hand.open()
+            q_hand = station.hand.state().joints.q
+            world = CollisionWorld(self._robot, self._config, q_hand)
+            self._move("to the handover", plan_handover(self._robot, self._config, world, self._q, q_hand))
+            if not station.person.request_handover(
+                "Put the hammer's handle into the open hand, face towards the fingertips.",
+                self._config.task.handover_timeout,
+            ):
+                raise _Ended(Outcome.NO_HANDOVER, "nobody handed a tool over in time: run the job again")
+        with self._stage(Stage.GRIP):
+            station.hand.close()
+            if not station.hand.state().holding:
+                raise _Ended(Outcome.NO_GRIP, "the hand closed but holds nothing: hand the tool over again")
+            if not station.person.release("Let go and step back.", self._config.task.handover_timeout):
+                raise _Ended(Outcome.PERSON_NEAR, "nobody confirmed to be out of reach: no motion")
+            self._check_grip()
+            grasp = self._grasp
+            q_hand = station.hand.state().joints.q
+            station.arm.set_payload(self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
+
+    def _look(self, views: int) -> None:
+        """Set the believed pose of the face in the hand from what the camera sees; twice as many views if in doubt."""
+        if not self._correction:
+            return
+        look = Look(
+            self._station, self._config, self._robot, self._perceiver, self._observer, self._grasp.X_hand_ee
+        )
+        for attempt in (1, 2):
+            with self._stage(Stage.VIEW):
+                q_hand = self._station.hand.state().joints.q
+                plan = plan_views(
+                    self._robot, self._config, self._world(), self._q, q_hand, self._grasp.X_hand_ee, count=views
+                )
+            for view in plan.views:
+                with self._stage(Stage.VIEW):
+                    self._move("to a view", view.transfer)
+                    self._station.clock.sleep(SETTLE)
+                with self._stage(Stage.PERCEIVE):
+                    look.take()
+            try:
+                with self._stage(Stage.PERCEIVE):
+                    estimate = look.fuse()
+                break
+            except PerceptionError as error:
+                if attempt == 2:
+                    raise
+                self._observer.message(f"{error}; looking again")
+        if self._estimates:
+            self._judge_slip(self._estimates[-1][1], estimate)
+        self._estimates.append((self._station.clock.now(), estimate))
+        self._X_hand_ee = estimate.X_hand_ee
+
+    def _judge_slip(self, before: InHandEstimate, now: InHandEstimate) -> None:
+        task = self._config.task
+        distance, angle = slip(before, now)
+        self._observer.message(f"slip in the hand {distance * 1e3:.1f} mm, {np.rad2deg(angle):.1f} deg")
+        if distance > task.abort_slip or angle > task.abort_slip_angle:
+            raise _Ended(
+                Outcome.TOOL_SLIPPED,
+                f"the tool slipped {distance * 1e3:.0f} mm and {np.rad2deg(angle):.0f} deg in the hand: grip it again",
+            )
+
+    def _drive(self) -> tuple[Outcome, str]:
+        """Blow after blow, each measured by a touch, until there is a reason to stop."""
+        config, task = self._config, self._config.task
+        expected = config.work.nail_protrusion
+        plan = self._plan(expected)
+        self._protrusion = expected
+        self._calibrate(plan)
+        stalled = 0
+        while True:
+            if self._protrusion <= task.flush_protrusion:
+                return Outcome.FLUSH, f"the head stands {self._protrusion * 1e3:.1f} mm over the wood"
+            if len(self._blows) >= task.max_blows:
+                return Outcome.OUT_OF_BLOWS, f"{task.max_blows} blows and {self._protrusion * 1e3:.1f} mm still to go"
+            if self._blows and len(self._blows) % task.blows_between_looks == 0 and not stalled:
+                self._look(max(2, task.views // 2))
+                plan = self._plan(self._protrusion)
+                if self._correction:
+                    self._calibrate(plan)
+            plan = self._plan(self._protrusion)
+            report = self._strike(plan)
+            before, self._protrusion = self._protrusion, self._touch(plan)
+            self._record_blow(plan, report)
+            progress = before - self._protrusion
+            if progress > MAX_BLOW:
+                return Outcome.BENT, f"the head sank {progress * 1e3:.1f} mm in one blow: the nail has bent away"
+            stalled = stalled + 1 if progress < task.min_progress else 0
+            if stalled == 2:
+                left = self._protrusion
+                if left <= FLUSH_WHEN_STALLED:
+                    return Outcome.FLUSH, f"two blows moved it no further, {left * 1e3:.1f} mm over the wood"
+                return Outcome.STUCK, f"two blows moved the head under {task.min_progress * 1e3:.1f} mm"
+
+    # -- steps -----------------------------------------------------------------------------------------------------
+
+    def _plan(self, height: float) -> StrikePlan:
+        """A blow at the nail as it stands out by `height` [m]."""
+        with self._stage(Stage.PLAN):
+            q_hand = self._station.hand.state().joints.q
+            X_base_nail = self._config.work.X_base_nail(height)
+            plan = plan_strike(
+                self._robot, self._config, self._world(), self._q, q_hand, self._X_hand_ee, X_base_nail
+            )
+            self._observer.planned(self._station.clock.now(), plan)
+            return plan
+
+    def _calibrate(self, plan: StrikePlan) -> None:
+        """Touch the nail, whose height is known, and move the believed face along its normal to agree."""
+        assert self._protrusion is not None
+        offset = self._touch(plan) - self._protrusion
+        if abs(offset) > TOUCH_TOLERANCE:
+            raise _Ended(
+                Outcome.NAIL_MISSED,
+                f"the face met something {offset * 1e3:+.1f} mm from where the nail's head is: check the nail's place",
+            )
+        self._X_hand_ee = self._X_hand_ee @ transform(p=[0.0, 0.0, offset])
+
+    def _touch(self, plan: StrikePlan) -> float:
+        """Lower the face slowly onto the nail; the head's height over the wood [m] where they meet."""
+        with self._stage(Stage.TOUCH):
+            touch = plan_touch(self._robot, self._config, self._world(), self._q, plan)
+            self._move("to the touch", touch.approach)
+            report = self._move("touch", touch.touch, ContactGuard(self._config.strike.touch_force))
+            q_hand = self._station.hand.state().joints.q
+            if report.contact is None:
+                self._retract()
+                raise _Ended(Outcome.NAIL_MISSED, "the face was lowered past the nail's head and met nothing")
+            X_base_ee = self._robot.X_base_ee(report.contact.q, q_hand, self._X_hand_ee)
+            self._observer.contact(report.contact.stamp, self._config.strike.touch_force, X_base_ee)
+            self._retract()
+            return protrusion(X_base_ee, self._config.work.X_base_nail(0.0))
+
+    def _strike(self, plan: StrikePlan) -> MotionReport:
+        """Swing. A blow that meets nothing, or meets something too early, ends the job."""
+        with self._stage(Stage.STRIKE):
+            self._check_grip()
+            self._move("to the run-up", plan.approach)
+            guard = ContactGuard(self._config.strike.contact_force, after=0.5 * plan.contact_time)
+            started = self._station.clock.now()
+            report = self._move("strike", plan.strike, guard)
+            self._retract()
+            self._check_grip()
+            if report.contact is None:
+                raise _Ended(Outcome.NAIL_MISSED, "the blow met nothing: the nail is not where the face went")
+            early = plan.contact_time - (report.contact.stamp - started)
+            if early * plan.speed > 2 * TOUCH_TOLERANCE:
+                raise _Ended(
+                    Outcome.NAIL_MISSED, f"the tool hit something {early * plan.speed * 1e3:.0f} mm before the nail"
+                )
+            return report
+
+    def _record_blow(self, plan: StrikePlan, report: MotionReport) -> None:
+        assert report.contact is not None and self._protrusion is not None
+        force = float(np.max(np.linalg.norm(report.wrenches[:, :3], axis=1)))
+        self._observer.contact(report.contact.stamp, force, plan.X_base_ee_contact)
+        blow = Blow(len(self._blows) + 1, report.contact.stamp, plan.speed, force, self._protrusion)
+        self._blows.append(blow)
+        self._observer.blow(blow)
+
+    def _retract(self) -> None:
+        """Straight up by the run-up from where the arm stands."""
+        retract = plan_retract(self._robot, self._config, self._world(), self._q, self._config.strike.run_up)
+        self._move("retract", retract)
+
+    def _park(self, outcome: Outcome, reason: str) -> tuple[Outcome, str]:
+        """Bring the arm home with the tool still in the hand; where no safe way is known it stays where it stands."""
+        if outcome is Outcome.DEVICE_FAULT:
+            return outcome, f"{reason}; the arm stands still, put it away by hand"
+        with self._stage(Stage.PARK):
+            try:
+                home = np.asarray(self._config.scene.home)
+                self._move("home", plan_transfer(self._robot, self._config, self._world(), self._q, home))
+            except (PlanningError, DeviceError) as error:
+                self._station.arm.stop()
+                reason = f"{reason}; the arm stands where it stopped: {error}"
+        return outcome, reason
+
+    # -- helpers ---------------------------------------------------------------------------------------------------
+
+    def _world(self) -> CollisionWorld:
+        return CollisionWorld(self._robot, self._config, self._station.hand.state().joints.q, self._X_hand_ee)
+
+    def _check_grip(self) -> None:
+        if not self._station.hand.state().holding:
+            raise GripError("the hand has lost the tool: nothing moves on; pick it up and start again")
+
+    def _move(self, name: str, trajectory: Trajectory, guard: ContactGuard | None = None) -> MotionReport:
+        report = self._station.arm.execute(trajectory, guard)
+        self._q = report.q_commanded[-1]
+        self._observer.motion(name, report, self._station.hand.state().joints.q)
+        if report.outcome is MotionOutcome.STOPPED:
+            raise DeviceError(f"the arm was stopped during the motion {name!r}")
+        return report
+
+    @contextmanager
+    def _stage(self, stage: Stage) -> Iterator[None]:
+        started = time.perf_counter()
+        self._observer.stage_started(stage)
+        try:
+            yield
+        finally:
+            seconds = time.perf_counter() - started
+            self._seconds[stage] = self._seconds.get(stage, 0.0) + seconds
+            self._observer.stage_ended(stage, seconds)

@@ -1,0 +1,81 @@
+"""Look at the held tool from several views and fuse what was seen into its pose in the hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.errors import PerceptionError
+from toolee_robot.frames import Array, angle_between, inverse
+from toolee_robot.hal import Station
+from toolee_robot.tasks.observer import TaskObserver
+from toolee_robot.types import Category, InHandEstimate, RgbdFrame, ToolEstimate
+
+MAX_DISPLACEMENT = 0.10
+"""[m] A face further than this from where a nominal grasp has it is not believed: no hand holds a tool like that."""
+MAX_MISALIGNMENT = np.deg2rad(60.0)
+
+
+class Perceiver(Protocol):
+    """What a task needs of perception; `toolee_robot.perception.ToolPerception` is one."""
+
+    def estimate(self, frame: RgbdFrame, X_camera_hand: Array | None = None) -> list[ToolEstimate]: ...
+
+    def fuse(
+        self,
+        estimates_per_frame: Sequence[Sequence[ToolEstimate]],
+        Xs_camera_hand: Sequence[Array],
+        category: Category | None = None,
+    ) -> InHandEstimate: ...
+
+
+class Look:
+    """Frames taken so far in one look, and what they say together."""
+
+    def __init__(
+        self,
+        station: Station,
+        config: StationConfig,
+        robot: RobotModel,
+        perceiver: Perceiver,
+        observer: TaskObserver,
+        X_hand_ee_nominal: Array,
+    ) -> None:
+        self._station = station
+        self._X_camera_base = inverse(config.camera.X_base_camera)
+        self._robot = robot
+        self._perceiver = perceiver
+        self._observer = observer
+        self._nominal = X_hand_ee_nominal
+        self._seen: list[list[ToolEstimate]] = []
+        self._hands: list[Array] = []
+
+    def take(self) -> None:
+        """Read a frame where the arm stands now and estimate what is in it."""
+        frame = self._station.camera.read()
+        q_arm = self._station.arm.state().joints.q
+        q_hand = self._station.hand.state().joints.q
+        X_camera_hand = self._X_camera_base @ self._robot.fk(q_arm, q_hand)[1]
+        estimates = self._perceiver.estimate(frame, X_camera_hand)
+        self._observer.frame(frame, estimates, X_camera_hand)
+        self._seen.append(estimates)
+        self._hands.append(X_camera_hand)
+
+    def fuse(self) -> InHandEstimate:
+        """The face's pose in the hand. Raises PerceptionError when it is unseen, uncertain or implausible."""
+        estimate = self._perceiver.fuse(self._seen, self._hands, Category.HAMMER_HEAD)
+        self._observer.in_hand(self._station.clock.now(), estimate)
+        if not estimate.usable:
+            raise PerceptionError(f"the hammer head's pose is not to be relied on: {estimate.reason}")
+        displacement = float(np.linalg.norm(estimate.X_hand_ee[:3, 3] - self._nominal[:3, 3]))
+        misalignment = angle_between(estimate.X_hand_ee[:3, 2], self._nominal[:3, 2])
+        if displacement > MAX_DISPLACEMENT or misalignment > MAX_MISALIGNMENT:
+            raise PerceptionError(
+                f"the hammer head seems to be {displacement * 1e3:.0f} mm and {np.rad2deg(misalignment):.0f} deg away "
+                "from where a held hammer can have it: hand it over again, face towards the fingers"
+            )
+        return estimate
