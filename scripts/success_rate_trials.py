@@ -17,7 +17,8 @@ from scipy.stats import binomtest
 def trial(options: list[str]) -> dict[str, float | None]:
     command = [sys.executable, "-c", "from toolee_robot.cli.app import main; main()", "hammer", "--json", *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode in (0, 1), f"exit code {done.returncode}:\n{done.stderr}"  # else not a job: stop all
+    if done.returncode not in (0, 1):
+        raise SystemExit(f"exit code {done.returncode}:\n{done.stderr}")
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
