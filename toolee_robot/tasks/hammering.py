@@ -153,9 +153,7 @@ class HammeringTask:
         """Set the believed pose of the face in the hand from what the camera sees; twice as many views if in doubt."""
         if not self._correction:
             return
-        look = Look(
-            self._station, self._config, self._robot, self._perceiver, self._observer, self._grasp.X_hand_ee
-        )
+        look = Look(self._station, self._config, self._robot, self._perceiver, self._observer, self._grasp.X_hand_ee)
         for attempt in (1, 2):
             with self._stage(Stage.VIEW):
                 q_hand = self._station.hand.state().joints.q
@@ -230,9 +228,7 @@ class HammeringTask:
         with self._stage(Stage.PLAN):
             q_hand = self._station.hand.state().joints.q
             X_base_nail = self._config.work.X_base_nail(height)
-            plan = plan_strike(
-                self._robot, self._config, self._world(), self._q, q_hand, self._X_hand_ee, X_base_nail
-            )
+            plan = plan_strike(self._robot, self._config, self._world(), self._q, q_hand, self._X_hand_ee, X_base_nail)
             self._observer.planned(self._station.clock.now(), plan)
             return plan
 

@@ -62,7 +62,7 @@ class Look:
         X_camera_hand = self._X_camera_base @ self._robot.fk(q_arm, q_hand)[1]
         estimates = self._perceiver.estimate(frame, X_camera_hand)
         self._observer.frame(frame, estimates, X_camera_hand)
-        self._seen.append(estimates)
+        self._seen.append([e for e in estimates if self._plausible(e, X_camera_hand)])
         self._hands.append(X_camera_hand)
 
     def fuse(self) -> InHandEstimate:
@@ -71,11 +71,24 @@ class Look:
         self._observer.in_hand(self._station.clock.now(), estimate)
         if not estimate.usable:
             raise PerceptionError(f"the hammer head's pose is not to be relied on: {estimate.reason}")
-        displacement = float(np.linalg.norm(estimate.X_hand_ee[:3, 3] - self._nominal[:3, 3]))
-        misalignment = angle_between(estimate.X_hand_ee[:3, 2], self._nominal[:3, 2])
+        displacement, misalignment = self._off_nominal(estimate.X_hand_ee)
         if displacement > MAX_DISPLACEMENT or misalignment > MAX_MISALIGNMENT:
             raise PerceptionError(
                 f"the hammer head seems to be {displacement * 1e3:.0f} mm and {np.rad2deg(misalignment):.0f} deg away "
                 "from where a held hammer can have it: hand it over again, face towards the fingers"
             )
         return estimate
+
+    def _plausible(self, estimate: ToolEstimate, X_camera_hand: Array) -> bool:
+        """Whether it can be the face that strikes: not a club hammer's other face, nor a hammer on the table."""
+        if not np.all(np.isfinite(estimate.X_camera_ee)):
+            return True  # a detection without a pose: its reason is worth telling
+        displacement, misalignment = self._off_nominal(inverse(X_camera_hand) @ estimate.X_camera_ee)
+        return displacement < 1.5 * MAX_DISPLACEMENT and misalignment < 1.25 * MAX_MISALIGNMENT
+
+    def _off_nominal(self, X_hand_ee: Array) -> tuple[float, float]:
+        """Distance [m] and angle [rad] of the face's centre and normal from those of a nominal grasp."""
+        return (
+            float(np.linalg.norm(X_hand_ee[:3, 3] - self._nominal[:3, 3])),
+            angle_between(X_hand_ee[:3, 2], self._nominal[:3, 2]),
+        )
