@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.errors import PerceptionError
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.cloud import check_depth_unit, ee_cloud
 from toolee_robot.perception.pose import PoseEstimator, fuse_in_hand
 from toolee_robot.perception.segmentation import Segmenter
@@ -110,11 +110,14 @@ class ToolPerception:
         estimates_per_frame: Sequence[Sequence[ToolEstimate]],
         Xs_camera_hand: Sequence[Array],
         category: Category | None = None,
+        X_hand_ee_expected: Array | None = None,
     ) -> InHandEstimate:
         """One EE's pose in the hand from several frames' estimates.
 
         Xs_camera_hand[i]: 4x4, the hand when frame i was exposed. category: the EE wanted (the one seen with the most
-        confidence over all frames if None). Of each frame its most trustworthy estimate of that category counts.
+        confidence over all frames if None). A frame may show several EEs of a category (a club hammer's two faces, a
+        second tool): the one that most frames agree on counts. X_hand_ee_expected: 4x4, a rough guess that tells two
+        like ends apart; poses more than 90 deg (modulo the symmetry) or 25 cm off it are left out.
         Raises PerceptionError when no frame has a pose of it.
         """
         if len(estimates_per_frame) != len(Xs_camera_hand):
@@ -123,20 +126,55 @@ class ToolPerception:
         if category is None:
             weights = {c: sum(e.confidence for f in posed for e in f if e.category == c) for c in Category}
             category = max(weights, key=lambda c: weights[c])
-        chosen, hands = [], []
-        for estimates, X_camera_hand in zip(posed, Xs_camera_hand, strict=True):
-            of_category = [e for e in estimates if e.category == category]
-            if of_category:
-                chosen.append(max(of_category, key=_trust))
-                hands.append(X_camera_hand)
-        if not chosen:
+        candidates = [
+            _Candidate(i, e, inverse(Xs_camera_hand[i]) @ e.X_camera_ee)
+            for i, estimates in enumerate(posed)
+            for e in estimates
+            if e.category == category
+        ]
+        if X_hand_ee_expected is not None:
+            candidates = [c for c in candidates if _near(c.X_hand_ee, X_hand_ee_expected, category)]
+        if not candidates:
             reasons = {e.reason for f in estimates_per_frame for e in f if e.category == category}
             detail = f" ({'; '.join(sorted(reasons))})" if reasons else ""
             raise PerceptionError(
                 f"none of {len(estimates_per_frame)} frames shows the {category}{detail}: move it into the camera's "
                 "view, nearer and unhidden"
             )
-        return replace(fuse_in_hand(chosen, hands), frames_seen=len(estimates_per_frame))
+        chosen = _same_end(candidates)
+        hands = [Xs_camera_hand[c.frame] for c in chosen]
+        fused = fuse_in_hand([c.estimate for c in chosen], hands)
+        return replace(fused, frames_seen=len(estimates_per_frame))
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """An estimate of frame number `frame`, with its pose in the hand, 4x4."""
+
+    frame: int
+    estimate: ToolEstimate
+    X_hand_ee: Array
+
+
+def _near(X: Array, X_expected: Array, category: Category) -> bool:
+    angle = category.symmetry.rotation_error(X[:3, :3], X_expected[:3, :3])
+    return bool(angle < np.pi / 2 and np.linalg.norm(X[:3, 3] - X_expected[:3, 3]) < 0.25)
+
+
+def _same_end(candidates: list[_Candidate], radius: float = 0.02) -> list[_Candidate]:
+    """One candidate a frame, of the end that has the most trust over all frames: those nearest to its place."""
+
+    def nearest(center: _Candidate) -> list[_Candidate]:
+        best: dict[int, _Candidate] = {}
+        for c in sorted(candidates, key=lambda c: float(np.linalg.norm((c.X_hand_ee - center.X_hand_ee)[:3, 3]))):
+            best.setdefault(c.frame, c)
+        return list(best.values())
+
+    def support(center: _Candidate) -> tuple[float, tuple[bool, float]]:
+        inside = [c for c in nearest(center) if np.linalg.norm((c.X_hand_ee - center.X_hand_ee)[:3, 3]) < radius]
+        return sum(c.estimate.usable + c.estimate.confidence for c in inside), _trust(center.estimate)
+
+    return sorted(nearest(max(candidates, key=support)), key=lambda c: c.frame)
 
 
 def _trust(estimate: ToolEstimate) -> tuple[bool, float]:

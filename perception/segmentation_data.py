@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +13,11 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolee_robot.perception.dataset.storage import load
 from toolee_robot.perception.segmentation_model import STRIDE, normalise
+
+_CHUNK = 512
+"""Images sent to the device at a time."""
 
 
 class SegmentationImages(Protocol):
@@ -50,12 +55,17 @@ class DeviceImages:
     """A data set (or one rank's share of it) as uint8 tensors on the device, sampled in shuffled epochs."""
 
     def __init__(self, images: SegmentationImages, device: torch.device, rank: int = 0, world: int = 1) -> None:
-        part = slice(rank, None, world)
-        self.rgb = torch.from_numpy(np.ascontiguousarray(images.rgb[part])).to(device)
-        maps = np.stack([images.ee[part], images.tool[part]], 1)
-        self.maps = torch.from_numpy(maps).to(device)
-        self.categories = torch.from_numpy(np.ascontiguousarray(images.categories[part])).to(device)
-        self.tools = max(1, int(images.tool.max()))
+        index = np.arange(rank, len(images.rgb), world)
+        height, width = images.rgb.shape[1:3]
+        self.rgb = torch.empty((len(index), height, width, 3), dtype=torch.uint8, device=device)
+        self.maps = torch.empty((len(index), 2, height, width), dtype=torch.uint8, device=device)
+        for start in range(0, len(index), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            self.rgb[part] = torch.from_numpy(images.rgb[index[part]]).to(device)
+            self.maps[part, 0] = torch.from_numpy(images.ee[index[part]]).to(device)
+            self.maps[part, 1] = torch.from_numpy(images.tool[index[part]]).to(device)
+        self.categories = torch.from_numpy(images.categories[index]).to(device)
+        self.tools = max((int(m.max()) for m in torch.split(self.maps[:, 1], _CHUNK)), default=0) or 1
         self._order = torch.empty(0, dtype=torch.long, device=device)
 
     def __len__(self) -> int:
@@ -172,5 +182,6 @@ def _hide(images: Tensor, maps: Tensor, strength: float, count: int = 2) -> tupl
     return images, maps
 
 
-def load_images(directory: object) -> SegmentationImages:
-    raise NotImplementedError(directory)
+def load_images(directory: Path) -> SegmentationImages:
+    """The data set that `toolee_robot.perception.dataset.generate` wrote. Raises AssetError naming a broken file."""
+    return load(directory)

@@ -142,7 +142,7 @@ class _Run:
         self.module: nn.Module = self.loss
         if ranks.world > 1:
             ids = [ranks.device.index] if ranks.device.type == "cuda" else None
-            self.module = nn.parallel.DistributedDataParallel(self.loss, device_ids=ids, broadcast_buffers=False)
+            self.module = nn.parallel.DistributedDataParallel(self.loss, device_ids=ids)
 
     @property
     def detector(self) -> Detector:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,26 @@ def test_fusion_takes_the_wanted_end_effector_of_each_frame(perception: ToolPerc
     assert (fused.frames_used, fused.frames_seen) == (2, 3)
     np.testing.assert_allclose(fused.X_hand_ee[:3, 3], [0.10, 0, 0.7], atol=1e-6)
     assert perception.fuse(frames, [np.eye(4)] * 3).category == head, "seen with the most confidence"
+
+
+def test_fusion_stays_on_one_of_two_like_ends(perception: ToolPerception) -> None:
+    """A club hammer has two faces; each frame trusts another one more, but most frames show the first."""
+    head = Category.HAMMER_HEAD
+    near, far = [estimate(head, x) for x in (0.10, 0.101, 0.099)], [estimate(head, 0.2) for _ in range(2)]
+    frames = [[near[0]], [far[0], near[1]], [far[1], near[2]]]
+    fused = perception.fuse(frames, [np.eye(4)] * 3, head)
+    np.testing.assert_allclose(fused.X_hand_ee[:3, 3], [0.10, 0, 0.7], atol=2e-3)
+    assert fused.frames_used == 3
+
+
+def test_an_expected_pose_rules_out_the_opposite_end(perception: ToolPerception) -> None:
+    head = Category.HAMMER_HEAD
+    back = estimate(head, 0.1)
+    flipped = replace(back, X_camera_ee=transform(np.diag([1.0, -1.0, -1.0]), [0.1, 0.0, 0.7]))
+    expected = transform(None, [0.1, 0.0, 0.7])
+    fused = perception.fuse([[flipped, back], [flipped]], [np.eye(4)] * 2, head, expected)
+    assert (fused.frames_used, fused.frames_seen) == (1, 2)
+    np.testing.assert_allclose(fused.X_hand_ee[:3, 2], [0, 0, 1], atol=1e-6)
 
 
 def test_fusing_frames_without_the_tool_says_so(perception: ToolPerception) -> None:
