@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.tools.materials import Material
-from toolee_robot.tools.solids import Convex
+from toolee_robot.tools.solids import Convex, hull
 from toolee_robot.types import Category
 
 
@@ -118,7 +118,7 @@ class Handle:
         return float(np.interp(z, self.z, self.radii_x)), float(np.interp(z, self.z, self.radii_y))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Tool:
     """A rigid tool, all in the `tool` frame, SI units.
 
@@ -137,6 +137,9 @@ class Tool:
     center_of_mass: Array
     inertia: Array
     _convex: tuple[Convex, ...]
+
+    def __repr__(self) -> str:
+        return f"<Tool {self.name}: {self.mass:.3f} kg, {', '.join(part.label for part in self.parts)}>"
 
     @property
     def name(self) -> str:
@@ -184,4 +187,4 @@ class Tool:
 
     @cached_property
     def _collision_parts(self) -> tuple[trimesh.Trimesh, ...]:
-        return tuple(trimesh.convex.convex_hull(points) for convex in self._convex for points in convex.hulls())
+        return tuple(hull(points) for convex in self._convex for points in convex.hulls())

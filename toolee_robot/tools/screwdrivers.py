@@ -93,7 +93,7 @@ def _handle(rng: np.random.Generator, length: float, shaft_radius: float) -> tup
         sleeve = stack(z[low:high], radius * scale[low:high] + 0.0005, None, sections[low:high])
         soft = varied(RUBBER if rng.uniform() < 0.5 else RUBBER_COLORED, rng)
         pieces.insert(0, Piece("grip", loft(sleeve), soft, ()))
-    return pieces, Handle(z, radius * scale, radius * scale)
+    return pieces, Handle(z, np.ptp(rings[..., 0], axis=1) / 2, np.ptp(rings[..., 1], axis=1) / 2)
 
 
 def _bolster(rng: np.random.Generator, handle: Handle, radius: float, material: Material) -> list[Piece]:

@@ -186,6 +186,11 @@ def _stays_convex(rings: Array, sizes: Array, tolerance: float) -> bool:
     return bool(np.all(inside.sum(2) <= tolerance * sizes[j, None]))
 
 
+def hull(points: Array) -> trimesh.Trimesh:
+    """Convex hull of points (K, 3)."""
+    return to_trimesh(manifold3d.Manifold.hull_points(np.ascontiguousarray(points, dtype=np.float64)))
+
+
 def to_trimesh(solid: Any) -> trimesh.Trimesh:
     mesh = solid.to_mesh()
     return trimesh.Trimesh(

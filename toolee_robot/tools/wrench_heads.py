@@ -87,6 +87,12 @@ def open_head(rng: np.random.Generator, size: float, material: Material) -> Wren
     convex = tuple(
         Convex(prism_points(_corners(outline ^ cross_section(box)), -half_thickness, half_thickness)) for box in boxes
     )
+    # What a round or V throat leaves in the slot's corners.
+    convex += tuple(
+        Convex(prism_points([[-throat, 0.0], [-throat, y], [inner[0, 0], y]], -half_thickness, half_thickness))
+        for y in (-half, half)
+        if shape != "flat"
+    )
     piece = Piece("jaw", extrude(outline - slot, -half_thickness, half_thickness), material, convex)
     join = max(0.5 * (throat + radius * stretch), 0.8 * radius * stretch)
     return WrenchHead([piece], 0.5 * (shorter - throat), 0.0, join, radius, half_thickness)
@@ -110,7 +116,9 @@ def ring_head(rng: np.random.Generator, size: float, material: Material) -> Wren
         hole = hole + hole.rotate(30.0)
     solid = loft(rings) - extrude(hole, -2 * half_thickness, 2 * half_thickness)
     t = np.linspace(0, 2 * np.pi, 13)
-    wedges = [[[r * np.cos(a), r * np.sin(a)] for r in (corner, radius) for a in (t[i], t[i + 1])] for i in range(12)]
+    wedges = [
+        [[r * np.cos(a), r * np.sin(a)] for r in (0.93 * corner, radius) for a in (t[i], t[i + 1])] for i in range(12)
+    ]
     convex = tuple(Convex(prism_points(wedge, -half_thickness, half_thickness)) for wedge in wedges)
     return WrenchHead(
         [Piece("ring", solid, material, convex)], 0.0, 0.0, 0.5 * (corner + radius), radius, half_thickness
@@ -165,9 +173,8 @@ def adjustable_head(rng: np.random.Generator, material: Material, scale: float) 
     along = [-2.4, -1.85, *np.linspace(-1.84, 1.44, n), 1.45, 2.0]
     rings = stack(np.array(along) * worm_radius, np.array(ridges) * worm_radius, None, superellipse(2.0, 16))
     lay = transform(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]), [worm_x, 0.0, 0.0])
-    outline = _corners(body)
-    fixed_jaw = np.concatenate([outline[outline[:, 1] <= -half], [[tip, -half], [-throat, -half]]])
-    under = np.concatenate([outline[outline[:, 0] <= -throat], [[-throat, low]]])
+    fixed_jaw = _corners(body ^ cross_section([[-1.0, -1.0], [1.0, -1.0], [1.0, -half], [-1.0, -half]]))
+    under = _corners(body ^ cross_section([[-1.0, -1.0], [-throat, -1.0], [-throat, 1.0], [-1.0, 1.0]]))
     pieces = [
         Piece("jaw", plate, material, tuple(
             Convex(prism_points(p, -half_thickness, half_thickness)) for p in (fixed_jaw, under)

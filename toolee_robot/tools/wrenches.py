@@ -167,8 +167,9 @@ def _socket_wrench(seed: int, rng: np.random.Generator, size: float, material: M
     bare = rng.uniform() < 0.45
     sleeve_material = varied((RUBBER, RUBBER_COLORED, PLASTIC)[rng.integers(3)], rng)
     bar_a = a if bare else np.minimum(a, shaft_radius * 1.6)
+    bar_b = np.minimum(b, bar_a)
     pieces = [
-        loft_piece("handle", stack(z, bar_a, np.minimum(b, bar_a), section), material, 0.12),
+        loft_piece("handle", stack(z, bar_a, bar_b, section), material, 0.12),
         loft_piece("ratchet", drum, material).placed(X_tool_head),
         loft_piece("drive", stem, material).placed(X_tool_head),
         Piece("socket", socket, varied(STEEL_BRIGHT if rng.uniform() < 0.7 else STEEL_DARK, rng), (Convex(cup, 0.04),))
@@ -176,8 +177,12 @@ def _socket_wrench(seed: int, rng: np.random.Generator, size: float, material: M
     ]  # fmt: skip
     if not bare:
         soft = u < grip_end
-        radii = np.maximum(a[soft], bar_a[soft] + 0.001)
-        pieces.insert(0, loft_piece("grip", stack(z[soft] - 0.002, radii, None, section), sleeve_material, 0.12))
+        sleeve_z, radii = z[soft] - 0.002, np.maximum(a[soft], bar_a[soft] + 0.001)
+        pieces.insert(0, loft_piece("grip", stack(sleeve_z, radii, None, section), sleeve_material, 0.12))
+        # The grippable surface is the sleeve's and, beyond it, the bar's.
+        z, a, b = (
+            np.concatenate([sleeve, bar[~soft]]) for sleeve, bar in ((sleeve_z, z), (radii, bar_a), (radii, bar_b))
+        )
     p = move(np.array([[0.0, 0.0, mouth - 0.5 * hole]]), X_tool_head)[0]
     X = frame_from_axes(z=X_tool_head[:3, 2], x=np.array([0.0, 0.0, z[0]]) - p, p=p)
     ee = EndEffector(Category.WRENCH_HEAD, X)

@@ -1,0 +1,62 @@
+"""Determinism, variety and the split."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from toolee_robot.errors import UserError
+from toolee_robot.tools import (
+    KINDS_BY_FAMILY,
+    Family,
+    ToolKind,
+    make_tool,
+    split,
+    test_seeds,
+    train_seeds,
+)
+from toolee_robot.types import Category
+
+
+@pytest.mark.parametrize("kind", list(ToolKind))
+def test_a_seed_always_gives_the_same_tool(kind: ToolKind) -> None:
+    once, again = make_tool.__wrapped__(kind, 3), make_tool.__wrapped__(kind, 3)
+    np.testing.assert_array_equal(once.mesh.vertices, again.mesh.vertices)
+    np.testing.assert_array_equal(once.mesh.faces, again.mesh.faces)
+    assert once.mass == again.mass
+    assert [part.material for part in once.parts] == [part.material for part in again.parts]
+
+
+@pytest.mark.parametrize("kind", list(ToolKind))
+def test_every_seed_gives_another_shape(kind: ToolKind) -> None:
+    shapes = np.array(
+        [[*tool.mesh.extents, *tool.ees[0].X_tool_ee[:3, 3]] for tool in (make_tool(kind, s) for s in range(24))]
+    )
+    gaps = np.abs(shapes[:, None] - shapes[None]).max(-1) + np.eye(len(shapes))
+    assert gaps.min() > 5e-4, "two seeds give nearly the same tool"
+
+
+def test_split_holds_out_a_fifth_and_never_mixes() -> None:
+    assert sum(split(s) == "test" for s in range(1000)) == 200
+    assert len(set(train_seeds(80)) | set(test_seeds(20))) == 100
+    assert all(split(s) == "train" for s in train_seeds(80))
+    assert all(split(s) == "test" for s in test_seeds(20))
+
+
+def test_families_cover_all_kinds_once_and_have_their_categories() -> None:
+    assert sorted(kind for kinds in KINDS_BY_FAMILY.values() for kind in kinds) == sorted(ToolKind)
+    main = {
+        Family.HAMMERS: Category.HAMMER_HEAD,
+        Family.SCREWDRIVERS: Category.SCREWDRIVER_HEAD,
+        Family.WRENCHES: Category.WRENCH_HEAD,
+    }
+    for kind in ToolKind:
+        assert make_tool(kind, 0).ees[0].category is main[kind.family]
+    assert make_tool(ToolKind.CLAW_HAMMER, 0).categories == (Category.HAMMER_HEAD, Category.HAMMER_GRIP)
+
+
+def test_wrong_requests_are_named() -> None:
+    with pytest.raises(UserError, match="seed"):
+        make_tool(ToolKind.MALLET, -1)
+    with pytest.raises(UserError, match="it has hammer_head"):
+        make_tool(ToolKind.MALLET, 0).ee(Category.WRENCH_HEAD)
