@@ -136,14 +136,14 @@ class HammerJob:
             "outcome": outcome,
             "reason": reason,
             "blows": len(result.blows),
-            "protrusion_mm": verdict.protrusion_mm,
-            "measured_protrusion_mm": None if result.protrusion is None else result.protrusion * 1e3,
+            "protrusion_mm": _rounded(verdict.protrusion_mm),
+            "measured_protrusion_mm": None if result.protrusion is None else _rounded(result.protrusion * 1e3),
             "nail": verdict.nail_outcome,
-            "pose_error_mm": verdict.pose_error_mm,
-            "pose_error_deg": verdict.pose_error_deg,
-            "strike_offset_mm": verdict.strike_offset_mm,
-            "strike_tilt_deg": verdict.strike_tilt_deg,
-            "contact_speed": verdict.contact_speed,
+            "pose_error_mm": _rounded(verdict.pose_error_mm),
+            "pose_error_deg": _rounded(verdict.pose_error_deg),
+            "strike_offset_mm": _rounded(verdict.strike_offset_mm),
+            "strike_tilt_deg": _rounded(verdict.strike_tilt_deg),
+            "contact_speed": _rounded(verdict.contact_speed),
             "stage_seconds": {str(k): round(v, 3) for k, v in result.stage_seconds.items()},
             "seconds": round(seconds, 3),
             "seed": self.seed,
@@ -198,6 +198,10 @@ def nominal_grasp(tool: Tool) -> Grasp:
 
 def _words(tool: Tool) -> str:
     return f"{tool.kind.replace('_', ' ').capitalize()}, {tool.mass:.2f} kg, held out from training"
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 3)
 
 
 def _figure(value: float | None, unit: str) -> str:

@@ -41,6 +41,11 @@ class PerfectPerception:
         """The last frame's truth in the hand."""
         if category not in (None, Category.HAMMER_HEAD):
             raise PerceptionError(f"perfect perception knows the hammer's face only, not the {category}")
-        X = inverse(Xs_camera_hand[-1]) @ estimates_per_frame[-1][0].X_camera_ee
-        n = len(estimates_per_frame)
-        return InHandEstimate(Category.HAMMER_HEAD, X, np.eye(6) * _SIGMA**2, 1.0, n, n, True, "ok")
+        told = [(e[0], X) for e, X in zip(estimates_per_frame, Xs_camera_hand, strict=True) if e]
+        if not told:
+            raise PerceptionError("the true face lies where a held hammer cannot have it: was the tool dropped?")
+        X_hand_ee = inverse(told[-1][1]) @ told[-1][0].X_camera_ee
+        covariance = np.eye(6) * _SIGMA**2
+        return InHandEstimate(
+            Category.HAMMER_HEAD, X_hand_ee, covariance, 1.0, len(told), len(estimates_per_frame), True, "ok"
+        )
