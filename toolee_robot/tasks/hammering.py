@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,13 +22,13 @@ from toolee_robot.control.slip import protrusion, slip
 from toolee_robot.control.strike import plan_retract, plan_strike, plan_touch
 from toolee_robot.control.transfer import plan_transfer
 from toolee_robot.control.views import plan_handover, plan_views
-from toolee_robot.errors import DeviceError, GripError, PerceptionError, PlanningError, TooleeError
+from toolee_robot.errors import DeviceError, GripError, PerceptionError, PlanningError
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import ContactGuard, MotionOutcome, MotionReport, Station
 from toolee_robot.tasks.look import Look, Perceiver
 from toolee_robot.tasks.observer import TaskObserver
 from toolee_robot.tasks.outcome import Blow, HammerResult, Outcome, Stage
-from toolee_robot.types import Category, InHandEstimate, Trajectory
+from toolee_robot.types import InHandEstimate, Trajectory
 
 SETTLE = 0.3
 """[s] of standing still before a frame, so that arm, wrist and tool have stopped swinging."""
@@ -278,7 +278,8 @@ class HammeringTask:
             return report
 
     def _record_blow(self, plan: StrikePlan, report: MotionReport) -> None:
-        assert report.contact is not None and self._protrusion is not None
+        assert report.contact is not None
+        assert self._protrusion is not None
         force = float(np.max(np.linalg.norm(report.wrenches[:, :3], axis=1)))
         self._observer.contact(report.contact.stamp, force, plan.X_base_ee_contact)
         blow = Blow(len(self._blows) + 1, report.contact.stamp, plan.speed, force, self._protrusion)
