@@ -33,15 +33,20 @@ def _pool(seed: int, block: int, split: str) -> Pool:
 
 def make_example(seed: int, index: int, split: str = "train") -> Example:
     """Example `index` of the data set `seed`; depends on nothing else. split: "train" or "test" (held-out tools)."""
-    rng = np.random.default_rng([seed, _SPLITS.index(split), 1, index])
-    sample = _scene(rng, _pool(seed, index // BLOCK, split))
+    sample, rng = make_scene(seed, index, split)
     rendering = render(sample.scene, sample.intrinsics, sample.X_world_camera, exposure=float(rng.uniform(0.75, 1.35)))
     noise = DepthNoise.random(rng)
     depth = measure_depth(rendering.depth, rendering.cos_incidence, rendering.shininess, sample.intrinsics, noise, rng)
     rgb = photograph(rendering.rgb, Photo.random(rng), rng)
-    ee, tool, table = _masks(sample, rendering.depth, rendering.body_ids)
+    ee, tool, table = label(sample, rendering.depth, rendering.body_ids)
     depth_mm = np.clip(np.round(depth * 1000.0), 0, 65535).astype(np.uint16)
     return Example(rgb, depth_mm, ee, tool, table, sample.intrinsics, sample.kind)
+
+
+def make_scene(seed: int, index: int, split: str = "train") -> tuple[SceneSample, np.random.Generator]:
+    """The scene of an example, and the generator that its camera and sensor continue with."""
+    rng = np.random.default_rng([seed, _SPLITS.index(split), 1, index])
+    return _scene(rng, _pool(seed, index // BLOCK, split)), rng
 
 
 def _scene(rng: np.random.Generator, pool: Pool) -> SceneSample:
@@ -56,10 +61,10 @@ def _scene(rng: np.random.Generator, pool: Pool) -> SceneSample:
     return hard_scene(rng, pool)
 
 
-def _masks(
+def label(
     sample: SceneSample, depth: NDArray[np.float32], body_ids: NDArray[np.int16]
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], EeTable]:
-    """EE ids and tool ids (H, W), and the table of the EEs."""
+    """EE ids and tool ids (H, W), and the table of the EEs, from a scene's exact depth [m] and body ids."""
     tool_ids = np.where((body_ids >= 1) & (body_ids <= len(sample.tools)), body_ids, 0).astype(np.uint8)
     ee_ids = np.zeros(tool_ids.shape, np.uint8)
     table = EeTable.empty()

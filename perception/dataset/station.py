@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.frames import Array, transform, transform_points
+from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.perception.dataset.bodies import (
     HandStyle,
     X_base_hand_of,
@@ -80,7 +80,7 @@ def station_scene(rng: np.random.Generator, pool: Pool) -> SceneSample | None:
     grasp = pool.grasp(tool, rng)
     X_base_hand = X_base_hand_of(q_arm, grasp.q_hand)
     X_base_tool = X_base_hand @ grasp.X_hand_tool @ transform(p=(0.0, 0.0, rng.uniform(-0.03, 0.03)))
-    X_camera_tool = np.linalg.solve(X_base_camera, X_base_tool)
+    X_camera_tool = inverse(X_base_camera) @ X_base_tool
     lowest = transform_points(X_base_tool, np.asarray(tool.mesh.vertices))[:, 2].min()
     if lowest < 0.02 or not sees_an_ee(tool, X_camera_tool, intrinsics):
         return None

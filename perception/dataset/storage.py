@@ -1,7 +1,7 @@
 """Shards on disk and back: `shard-00000.npz`, ... of consecutive examples; equal content gives equal bytes.
 
-A shard holds colour as JPEG (quality 95, full chroma), depth as PNG (uint16, mm), the id maps deflated, and the tables as
-plain arrays. `load` decodes a folder into the arrays that training wants.
+A shard holds colour as JPEG (quality 95, full chroma), depth as PNG (uint16, mm), the id maps deflated, and the tables
+as plain arrays. `load` decodes a folder into the arrays that training wants.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,7 @@ def shard_path(folder: Path, number: int) -> Path:
 
 def write_shard(path: Path, examples: Sequence[Example]) -> None:
     """Write examples as one shard, whole or not at all."""
-    arrays: dict[str, NDArray[np.generic]] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     for name, blobs in (
         ("rgb", [_jpeg(e.rgb) for e in examples]),
         ("depth", [_png(e.depth_mm) for e in examples]),
@@ -96,7 +97,7 @@ def load(folder: Path, depth: bool = False, limit: int | None = None, threads: i
         raise AssetError(
             f"no shard-*.npz in {folder}: make them with `python -m toolee_robot.perception.dataset.generate`"
         )
-    shards: list[dict[str, NDArray[np.generic]]] = []
+    shards: list[dict[str, NDArray[Any]]] = []
     count = 0
     for path in paths:
         if limit is not None and count >= limit:
@@ -125,22 +126,22 @@ def load(folder: Path, depth: bool = False, limit: int | None = None, threads: i
     joined = {
         name: np.concatenate([shard[name] for shard in shards])[:total] for name in (*_TABLE, "intrinsics", "scene")
     }
-    table = EeTable(**{name: joined[name] for name in _TABLE})  # type: ignore[arg-type]
+    table = EeTable(**{name: joined[name] for name in _TABLE})
     return SegmentationSet(
         rgb,
         depth_mm,
-        ids & 15,
-        ids >> 4,
+        ids & np.uint8(15),
+        ids >> np.uint8(4),
         table,
         joined["intrinsics"].astype(np.float64),
         joined["scene"].astype(np.uint8),
     )
 
 
-def _blob(shard: dict[str, NDArray[np.generic]], name: str, k: int) -> bytes:
+def _blob(shard: dict[str, NDArray[Any]], name: str, k: int) -> bytes:
     ends = shard[name + "_ends"]
-    start = int(ends[k - 1]) if k else 0  # type: ignore[call-overload]
-    return shard[name][start : int(ends[k])].tobytes()  # type: ignore[call-overload]
+    start = int(ends[k - 1]) if k else 0
+    return shard[name][start : int(ends[k])].tobytes()
 
 
 def _jpeg(rgb: NDArray[np.uint8]) -> bytes:

@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from toolee_robot.frames import Array
 from toolee_robot.render.mesh import FloatArray
 
 _SIZE = 128
@@ -24,13 +25,13 @@ def _table() -> FloatArray:
     return np.ascontiguousarray((1.0 / (1.0 + np.exp(-1.702 * smooth))).reshape(-1), np.float32)
 
 
-def noise(points: FloatArray) -> FloatArray:
+def noise(points: FloatArray | Array) -> FloatArray:
     """(N,) in [0, 1] at points (N, 3) in noise units; features about one unit large, period 8 units."""
     cells = np.floor(points * np.float32(_FEATURE)).astype(np.int32) % _SIZE
     index = (cells[:, 0] * _SIZE + cells[:, 1]) * _SIZE + cells[:, 2]
     return _table()[index]
 
 
-def fractal(points: FloatArray) -> FloatArray:
+def fractal(points: FloatArray | Array) -> FloatArray:
     """(N,) in [0, 1]: two octaves of `noise`."""
-    return np.float32(0.65) * noise(points) + np.float32(0.35) * noise(points * np.float32(2.7))
+    return np.float32(0.65) * noise(points) + np.float32(0.35) * noise(2.7 * points)

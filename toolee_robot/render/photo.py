@@ -60,7 +60,8 @@ def photograph(rgb: NDArray[np.uint8], photo: Photo, rng: np.random.Generator) -
         count = 2 * int(np.ceil(photo.motion))
         shifts = [np.round(t * half).astype(int) for t in np.linspace(-1, 1, count)]
         padded = np.pad(image, ((4, 4), (4, 4), (0, 0)), mode="edge")
-        image = sum(padded[4 + a : 4 + a + height, 4 + b : 4 + b + width] for a, b in shifts) / np.float32(count)
+        copies = [padded[4 + a : 4 + a + height, 4 + b : 4 + b + width] for a, b in shifts]
+        image = np.asarray(np.mean(copies, axis=0, dtype=np.float32))
     if photo.vignette > 0:
         y = (np.arange(height, dtype=np.float32) / height * 2 - 1)[:, None]
         x = np.arange(width, dtype=np.float32) / width * 2 - 1
