@@ -1,0 +1,176 @@
+"""Z-buffer splatting of surface samples and a time-of-flight sensor's noise, batched in torch, for training clouds.
+
+The sensor is `toolee_robot.render.sensor`'s (Kinect v2; Fankhauser et al. 2015), on small windows around the EE.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+GRID = 112
+"""Pixels a side of the window around the EE."""
+
+_STEP = 2e-5
+"""[m] depth per unit of the z-buffer's integer key."""
+_EMPTY = 2**31 - 1
+_SPARE = 1 << 16
+_ANGLES = 8
+"""Incidence is kept in this many steps of its cosine."""
+
+TARGET, TARGET_TELLS_SPIN, TOOL, HAND, OCCLUDER, BACKGROUND = 1, 2, 3, 4, 5, 6
+
+
+@dataclass(frozen=True)
+class Window:
+    """Pinhole windows of a batch: focal length f (B,) [px], column u0 and row v0 (B,) of the first pixel relative to
+    the principal point."""
+
+    f: Tensor
+    u0: Tensor
+    v0: Tensor
+
+    def rays(self) -> Tensor:
+        """(B, GRID, GRID, 3): directions through the pixel centres, z = 1."""
+        k = torch.arange(GRID, device=self.f.device, dtype=torch.float32)
+        x = ((k[None] + self.u0[:, None]) / self.f[:, None])[:, None, :].expand(-1, GRID, -1)
+        y = ((k[None] + self.v0[:, None]) / self.f[:, None])[:, :, None].expand(-1, -1, GRID)
+        return torch.stack([x, y, torch.ones_like(x)], dim=-1)
+
+
+class ZBuffer:
+    """Nearest surface per pixel: depth, label and incidence packed in one int32, so that one atomic minimum does it."""
+
+    def __init__(self, window: Window) -> None:
+        self.window = window
+        self._B = len(window.f)
+        # Spare pixels at the end take what falls outside; many, for atomics on one address would queue up.
+        self.keys = torch.full((self._B * GRID * GRID + _SPARE,), _EMPTY, dtype=torch.int32, device=window.f.device)
+
+    def copy(self) -> ZBuffer:
+        other = ZBuffer(self.window)
+        other.keys.copy_(self.keys)
+        return other
+
+    def draw(self, points: Tensor, labels: Tensor, normals: Tensor | None, reach: int) -> None:
+        """Splat points (B, N, 3) [m, camera] with labels (B, N) on the (2 reach)^2 nearest pixels.
+
+        With normals (B, N, 3), back faces are culled and the depth follows the tangent plane to the pixel's centre.
+        """
+        w = self.window
+        x, y, z = points.unbind(-1)
+        seen = z > 0.1
+        safe = z.clamp_min(0.1)
+        u = w.f[:, None] * x / safe - w.u0[:, None]
+        v = w.f[:, None] * y / safe - w.v0[:, None]
+        if normals is not None:
+            facing = -(normals * points).sum(-1)
+            cosine = facing / points.norm(dim=-1).clamp_min(1e-6)
+            seen = seen & (cosine > 0.02)
+            angle = (cosine.clamp(0, 0.999) * _ANGLES).int()
+        else:
+            angle = torch.full_like(labels, int(0.7 * _ANGLES), dtype=torch.int32)
+        low = labels.int() * _ANGLES + angle
+        batch = torch.arange(self._B, device=z.device)[:, None] * (GRID * GRID)
+        spare = (torch.arange(z.numel(), device=z.device) % _SPARE + self._B * GRID * GRID).view(z.shape)
+        for dj in range(1 - reach, 1 + reach):
+            for di in range(1 - reach, 1 + reach):
+                i, j = u.floor().long() + di, v.floor().long() + dj
+                near = seen & ((i - u).abs() <= reach - 0.25) & ((j - v).abs() <= reach - 0.25)
+                near = near & (i >= 0) & (i < GRID) & (j >= 0) & (j < GRID)
+                depth = z
+                if normals is not None:
+                    rx = (i + w.u0[:, None]) / w.f[:, None]
+                    ry = (j + w.v0[:, None]) / w.f[:, None]
+                    along = -(normals[..., 0] * rx + normals[..., 1] * ry + normals[..., 2])
+                    plane = facing / torch.where(along.abs() < 1e-4, torch.full_like(along, 1e-4), along)
+                    depth = torch.where((plane - z).abs() < 0.004, plane, z)
+                key = (depth.clamp(0.1, 8.0) / _STEP).int() * (8 * _ANGLES) + low
+                index = torch.where(near, batch + j * GRID + i, spare)
+                self.keys.scatter_reduce_(0, index.flatten(), key.flatten(), "amin")
+
+    def fill(self, depth: Tensor, inside: Tensor, label: int) -> None:
+        """Lay a surface of depth (B, GRID, GRID) [m] over the pixels `inside`, where nothing is nearer."""
+        key = (depth.clamp(0.1, 8.0) / _STEP).int() * (8 * _ANGLES) + label * _ANGLES + int(0.8 * _ANGLES)
+        key = torch.where(inside, key, torch.full_like(key, _EMPTY))
+        drawn = self.keys[: key.numel()]
+        torch.minimum(drawn, key.flatten(), out=drawn)
+
+    def images(self) -> tuple[Tensor, Tensor, Tensor]:
+        """depth [m] (0: nothing), label (0: nothing), cosine of the incidence; each (B, GRID, GRID)."""
+        keys = self.keys[: self._B * GRID * GRID].view(self._B, GRID, GRID)
+        empty = keys == _EMPTY
+        depth = torch.where(empty, 0.0, (keys // (8 * _ANGLES)).float() * _STEP)
+        label = torch.where(empty, 0, keys // _ANGLES % 8)
+        return depth, label, ((keys % _ANGLES).float() + 0.5) / _ANGLES
+
+
+def measure(
+    depth: Tensor, cosine: Tensor, shininess: Tensor, f: Tensor, generator: torch.Generator, level: float | None = None
+) -> Tensor:
+    """What a random sensor reads (B, GRID, GRID) [m], 0 where nothing, of a true depth (0: nothing there).
+
+    shininess: (B,). level: None for random sensors, else the factor on the nominal sensor's noise (0: none).
+    """
+    B, device = len(depth), depth.device
+
+    def uniform(low: float, high: float, nominal: float) -> Tensor:
+        if level is not None:
+            return torch.full((B, 1, 1), nominal * min(level, 1.0), device=device)
+        return low + (high - low) * torch.rand(B, 1, 1, device=device, generator=generator)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(*shape, device=device, generator=generator)
+
+    def chance() -> Tensor:
+        return torch.rand(depth.shape, device=device, generator=generator)
+
+    axial = uniform(0.4, 1.8, 1.0) * (max(level, 1.0) if level is not None else 1.0)
+    share = uniform(0.0, 0.6, 0.3)
+    lateral = uniform(0.0006, 0.0025, 0.0016)
+    mixed, edge_dropout = uniform(0.2, 0.9, 0.6), uniform(0.0, 0.4, 0.15)
+    shiny, lost = uniform(0.0, 0.6, 0.25), uniform(0.0, 0.004, 0.001)
+    grazing = torch.deg2rad(uniform(76.0, 87.0, 83.0)) if level is None else torch.full((B, 1, 1), 1.45, device=device)
+    bias, scale = (0.001 * normal(B, 1, 1) if level is None else torch.zeros(B, 1, 1, device=device) for _ in "bs")
+
+    # Lateral jitter frays outlines.
+    sigma = lateral * f[:, None, None] / depth.clamp_min(0.3)
+    k = torch.arange(GRID, device=device)
+    rows = (k[None, :, None] + normal(B, GRID, GRID) * sigma).round().long().clamp(0, GRID - 1)
+    columns = (k[None, None] + normal(B, GRID, GRID) * sigma).round().long().clamp(0, GRID - 1)
+    other = depth.flatten(1).gather(1, (rows * GRID + columns).flatten(1)).view_as(depth)
+    seen = torch.where(((other - depth).abs() > 0.02) & (depth > 0), other, depth)
+
+    filled = torch.where(seen > 0, seen, 10.0)[:, None]
+    high = F.max_pool2d(filled, 3, 1, 1)[:, 0]
+    low = -F.max_pool2d(-filled, 3, 1, 1)[:, 0]
+    edge = (high - low > 0.02) & (seen > 0)
+
+    theta = torch.acos(cosine).clamp(max=1.48)
+    skew = 0.1 * seen * seen.sqrt() * (theta / (torch.pi / 2 - theta)) ** 2
+    sigma_z = 1e-3 * (1.5 - 0.5 * seen + 0.3 * seen * seen + skew)
+    noise = (1 - share).sqrt() * normal(B, GRID, GRID) + share.sqrt() * smooth_noise(B, 1.2, generator, device)
+    out = seen * (1 + scale) + bias + axial * sigma_z * noise
+
+    weight = chance()
+    weight = torch.where(weight < 0.5, 2 * weight * weight, 1 - 2 * (1 - weight) ** 2)
+    mixture = torch.where(high - low > 0.5, 0.0, low + weight * (high - low))
+    out = torch.where(edge & (chance() < mixed) & (weight > 0.5), mixture, out)
+    drop = edge & (chance() < edge_dropout)
+    drop |= chance() < lost
+    drop |= chance() < shiny * shininess[:, None, None] * theta.sin()
+    drop |= chance() < torch.sigmoid((theta - grazing) / 0.052)
+    return torch.where(drop | (out < 0.25) | (seen <= 0) | (depth <= 0), 0.0, out)
+
+
+def smooth_noise(B: int, sigma: float, generator: torch.Generator, device: torch.device) -> Tensor:
+    """(B, GRID, GRID) of unit variance, correlated over about 2 sigma pixels."""
+    half = round(3 * sigma)
+    k = torch.exp(-0.5 * (torch.arange(-half, half + 1, device=device) / sigma) ** 2)
+    k = k / k.norm()
+    white = torch.randn(B, 1, GRID, GRID, device=device, generator=generator)
+    rows = F.conv2d(white, k.view(1, 1, 1, -1), padding=(0, half))
+    return F.conv2d(rows, k.view(1, 1, -1, 1), padding=(half, 0))[:, 0]

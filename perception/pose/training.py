@@ -1,0 +1,271 @@
+"""Training of the pose network on clouds made as they are needed; see `toolee_robot.perception.train_pose`."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import time
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from toolee_robot.errors import TooleeError
+from toolee_robot.perception.pose import validation, weights
+from toolee_robot.perception.pose.bank import Float32, ToolBank, load_hands, tool_bank
+from toolee_robot.perception.pose.clouds import CloudBatch, CloudConfig, CloudGenerator
+from toolee_robot.perception.pose.estimator import PoseEstimator
+from toolee_robot.perception.pose.losses import augment, pose_loss, without_directions
+from toolee_robot.perception.pose.network import NetworkConfig, PoseNet
+from toolee_robot.perception.pose.weights import Calibration
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """minutes: wall-clock of the optimisation; the learning rate follows a cosine over it. reuse: how often a cloud is
+    shown (each time rolled and mirrored anew). Seeds per kind: training and held-out tools."""
+
+    minutes: float = 9.0
+    batch: int = 256
+    learning_rate: float = 1e-3
+    warm_up: int = 300
+    weight_decay: float = 1e-4
+    clip: float = 1.0
+    ema: float = 0.999
+    draws: int = 8
+    reuse: float = 4.0
+    direction_dropout: float = 0.5
+    chunk: int = 1024
+    capacity: int = 65_536
+    first_fill: int = 8192
+    train_seeds: int = 80
+    test_seeds: int = 20
+    validation: int = 4096
+    checkpoint_seconds: float = 120.0
+    compile: bool = True
+    seed: int = 0
+
+
+class Reservoir:
+    """A ring of clouds on the device: new ones replace the oldest, batches are drawn at random."""
+
+    def __init__(self, first: CloudBatch, capacity: int) -> None:
+        self._rows = {
+            f.name: torch.empty(
+                (capacity, *getattr(first, f.name).shape[1:]),
+                dtype=getattr(first, f.name).dtype,
+                device=first.points.device,
+            )
+            for f in fields(CloudBatch)
+        }
+        self._capacity, self._filled, self._next = capacity, 0, 0
+        self.made = 0
+        self.add(first)
+
+    def add(self, batch: CloudBatch) -> None:
+        device = batch.points.device
+        index = (self._next + torch.arange(len(batch), device=device)) % self._capacity
+        for name, rows in self._rows.items():
+            rows[index] = getattr(batch, name)
+        self._next = (self._next + len(batch)) % self._capacity
+        self._filled = min(self._filled + len(batch), self._capacity)
+        self.made += len(batch)
+
+    def draw(self, n: int, generator: torch.Generator) -> CloudBatch:
+        index = torch.randint(self._filled, (n,), device=generator.device, generator=generator)
+        return CloudBatch(**{name: rows[index] for name, rows in self._rows.items()})
+
+
+class Trainer:
+    """One network, one device, one time budget. `run` may be called again in a new process: it resumes."""
+
+    def __init__(
+        self,
+        out: Path,
+        config: TrainConfig,
+        banks: tuple[ToolBank, ToolBank],
+        hands: Float32,
+        network: NetworkConfig | None = None,
+        clouds: CloudConfig | None = None,
+        device: str | None = None,
+    ) -> None:
+        """banks: training and held-out tools."""
+        self.out, self.config = out, config
+        self.device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+        torch.manual_seed(config.seed)
+        self.net = PoseNet(network).to(self.device)
+        self.ema = copy.deepcopy(self.net).requires_grad_(False)
+        self.optimizer = torch.optim.AdamW(
+            self.net.parameters(),
+            config.learning_rate,
+            weight_decay=config.weight_decay,
+            betas=(0.9, 0.99),
+            fused=self.device.type == "cuda",
+        )
+        self.clouds = clouds or CloudConfig()
+        self._generator = CloudGenerator(banks[0], hands, self.device, config.seed + 1, self.clouds)
+        self._held_out = CloudGenerator(banks[1], hands, self.device, 10_000 + config.seed, self.clouds)
+        self._g = torch.Generator(self.device).manual_seed(config.seed + 2)
+        self.steps, self.elapsed = 0, 0.0
+        out.mkdir(parents=True, exist_ok=True)
+
+    def log(self, **record: Any) -> None:
+        """One JSON line on the terminal and in log.jsonl."""
+        line = json.dumps({"step": self.steps, "minutes": round(self.elapsed / 60, 2), **record})
+        print(line, flush=True)
+        with (self.out / "log.jsonl").open("a") as file:
+            file.write(line + "\n")
+
+    def run(self) -> dict[str, Any]:
+        """Train until the time is used up, then validate, calibrate and write the weights. Returns the report."""
+        c = self.config
+        self._resume()
+        forward: nn.Module = self.net
+        if c.compile and self.device.type == "cuda":
+            forward = self._compiled()
+        reservoir = Reservoir(self._generator.collect(max(c.first_fill, c.batch), c.chunk), c.capacity)
+        held_out = self._held_out.collect(c.validation, c.chunk)
+        self.log(event="start", device=str(self.device), parameters=sum(p.numel() for p in self.net.parameters()))
+        before, begun = self.elapsed, time.monotonic()
+        base, last_save, last_log, logged_steps = reservoir.made, begun, begun, self.steps
+        start_steps = self.steps
+        while self.elapsed < 60 * c.minutes:
+            while reservoir.made - base < (self.steps - start_steps) * c.batch / c.reuse:
+                reservoir.add(self._generator.generate(c.chunk))
+            batch = reservoir.draw(c.batch, self._g)
+            batch = augment(without_directions(batch, c.direction_dropout, self._g), self._g)
+            rate = self._learning_rate()
+            for group in self.optimizer.param_groups:
+                group["lr"] = rate
+            loss, parts = pose_loss(forward, batch, c.draws, self._g)
+            self.optimizer.zero_grad(set_to_none=True)
+            loss.backward()  # type: ignore[no-untyped-call]
+            norm = nn.utils.clip_grad_norm_(self.net.parameters(), c.clip)
+            # On a GPU each look waits for it: look now and then, and before anything is written.
+            save = time.monotonic() - last_save > c.checkpoint_seconds
+            look = self.device.type == "cpu" or self.steps % 20 == 0 or save
+            if look and not bool(torch.isfinite(loss + norm)):
+                raise TooleeError(
+                    f"the loss is not finite at step {self.steps}: {_numbers(parts)}; nothing was overwritten"
+                )
+            self.optimizer.step()
+            self.steps += 1
+            self._average()
+            now = time.monotonic()
+            self.elapsed = before + now - begun
+            if now - last_log > 15:
+                per_step = (now - last_log) / max(self.steps - logged_steps, 1)
+                self.log(**_numbers(parts), lr=rate, ms_per_step=round(1e3 * per_step, 2), clouds=reservoir.made)
+                last_log, logged_steps = now, self.steps
+            if save:
+                last_save = now
+                self._checkpoint(held_out)
+        report = self.finish(held_out)
+        self._checkpoint(None)
+        return report
+
+    def finish(self, held_out: CloudBatch) -> dict[str, Any]:
+        """Validate and calibrate on held-out tools (fit on one half of the tools, report on the other) and save."""
+        estimator = PoseEstimator(self._export(), Calibration(), self.device.type)
+        results = {k: validation.evaluate(estimator, held_out, k) for k in (20, 32)}
+        none = replace(held_out, direction=torch.zeros_like(held_out.direction))
+        report: dict[str, Any] = {f"K{k}": validation.metrics(result) for k, result in results.items()}
+        report["K32_no_direction"] = validation.metrics(validation.evaluate(estimator, none, 32))
+        near = (held_out.distance < 0.75).cpu().numpy() & (held_out.occlusion < 0.2).cpu().numpy()
+        report["K32_near_unoccluded"] = validation.metrics(results[32], near)
+        fit, test = (_rows(held_out, results[32], parity) for parity in (0, 1))
+        calibration = validation.calibrate(fit)
+        report["confidence"] = validation.confidence_report(test, calibration)
+        report |= {
+            "steps": self.steps,
+            "minutes": round(self.elapsed / 60, 2),
+            "train": asdict(self.config),
+            "clouds": asdict(self.clouds),
+        }
+        weights.save(self.out, self._export(), calibration, report)
+        self.log(event="finished", **{k: report[k] for k in ("K20", "K32", "K32_no_direction", "K32_near_unoccluded")})
+        self.log(
+            event="calibrated", **report["confidence"], scales={k: asdict(v) for k, v in calibration.scales.items()}
+        )
+        return report
+
+    def _export(self) -> PoseNet:
+        """The averaged network as it will be loaded: rounded to half precision."""
+        net = copy.deepcopy(self.ema)
+        for p in net.parameters():
+            p.data = p.data.half().float()
+        return net.eval()
+
+    def _learning_rate(self) -> float:
+        c = self.config
+        progress = min(self.elapsed / (60 * c.minutes), 1.0)
+        cosine = 0.5 * (1 + math.cos(math.pi * progress))
+        return c.learning_rate * min((self.steps + 1) / c.warm_up, 1.0) * max(cosine, 1e-3)
+
+    @torch.no_grad()
+    def _average(self) -> None:
+        decay = min(self.config.ema, (1 + self.steps) / (10 + self.steps))
+        torch._foreach_lerp_(list(self.ema.parameters()), list(self.net.parameters()), 1 - decay)
+
+    def _compiled(self) -> nn.Module:
+        """The network compiled, or as it is where the compiler does not work."""
+        compiled: nn.Module = torch.compile(self.net)  # type: ignore[assignment]
+        batch = self._generator.collect(self.config.batch, self.config.chunk)
+        try:
+            pose_loss(compiled, batch, self.config.draws, self._g)[0].backward()  # type: ignore[no-untyped-call]
+        except Exception as error:  # noqa: BLE001 - the compiler's errors have no common root; eager always works
+            self.log(event="not compiled", error=f"{type(error).__name__}: {error}"[:300])
+            torch._dynamo.reset()
+            compiled = self.net
+        self.net.zero_grad(set_to_none=True)
+        return compiled
+
+    def _checkpoint(self, held_out: CloudBatch | None) -> None:
+        state = {
+            "net": self.net.state_dict(),
+            "ema": self.ema.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "steps": self.steps,
+            "elapsed": self.elapsed,
+        }
+        part = self.out / "checkpoint.part"
+        torch.save(state, part)
+        part.replace(self.out / "checkpoint.pt")
+        if held_out is not None:
+            few = held_out.select(torch.arange(min(512, len(held_out)), device=self.device))
+            estimator = PoseEstimator(self._export(), Calibration(), self.device.type)
+            self.log(event="validation", **validation.metrics(validation.evaluate(estimator, few, 20)))
+
+    def _resume(self) -> None:
+        path = self.out / "checkpoint.pt"
+        if not path.is_file():
+            return
+        state = torch.load(path, map_location=self.device, weights_only=True)
+        self.net.load_state_dict(state["net"])
+        self.ema.load_state_dict(state["ema"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.steps, self.elapsed = int(state["steps"]), float(state["elapsed"])
+        self.log(event="resumed")
+
+
+def train(out: Path, config: TrainConfig, hands_file: Path | None = None) -> dict[str, Any]:
+    """The whole job: surface samples, training, validation, weights in `out`. Raises AssetError, TooleeError."""
+    begun = time.monotonic()
+    banks = tool_bank(False, config.train_seeds), tool_bank(True, config.test_seeds)
+    hands = load_hands(hands_file)
+    print(f"{[len(b.category) for b in banks]} EEs and {len(hands)} hands sampled in {time.monotonic() - begun:.0f} s")
+    return Trainer(out, config, banks, hands).run()
+
+
+def _rows(batch: CloudBatch, evaluated: validation.Evaluated, parity: int) -> validation.Evaluated:
+    chosen = np.flatnonzero(evaluated.item % 2 == parity)
+    index = torch.as_tensor(chosen, device=batch.points.device)
+    return validation.Evaluated(batch.select(index), [evaluated.results[i] for i in chosen])
+
+
+def _numbers(parts: dict[str, Tensor]) -> dict[str, float]:
+    return {k: round(float(v), 4) for k, v in parts.items()}

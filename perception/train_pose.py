@@ -1,0 +1,56 @@
+"""Train the pose network on one CUDA GPU (or, for a look, on a CPU).
+
+    python -m toolee_robot.perception.train_pose --out runs/pose --minutes 20
+
+Writes pose.safetensors and pose.json (settings, validation on held-out tools, calibration), log.jsonl, and
+checkpoint.pt; the same command again resumes from it. Where gymnasium-robotics is not installed, carry the hand's
+surface samples there:
+
+    python -m toolee_robot.perception.train_pose --prepare-hands hands.npz
+    python -m toolee_robot.perception.train_pose --out runs/pose --minutes 20 --hands hands.npz
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import MISSING, fields
+from pathlib import Path
+
+from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.perception.pose.bank import save_hands
+from toolee_robot.perception.pose.training import TrainConfig, train
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="train_pose", description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--out", type=Path, help="folder for the weights, the log and the checkpoint")
+    parser.add_argument("--hands", type=Path, help="hand samples written by --prepare-hands")
+    parser.add_argument("--prepare-hands", type=Path, metavar="FILE", help="write the hand samples and end")
+    for f in fields(TrainConfig):
+        if f.default is MISSING:
+            continue
+        name = "--" + f.name.replace("_", "-")
+        if isinstance(f.default, bool):
+            parser.add_argument(name, action=argparse.BooleanOptionalAction, default=f.default)
+        else:
+            parser.add_argument(name, type=type(f.default), default=f.default)
+    options = parser.parse_args(arguments)
+    try:
+        if options.prepare_hands is not None:
+            save_hands(options.prepare_hands)
+            return 0
+        if options.out is None:
+            raise UserError("say where the weights go: --out DIR")
+        train(
+            options.out, TrainConfig(**{f.name: getattr(options, f.name) for f in fields(TrainConfig)}), options.hands
+        )
+    except TooleeError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2 if isinstance(error, UserError) else 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
