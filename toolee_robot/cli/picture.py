@@ -148,7 +148,7 @@ def _draw_rgb(
 
 def _draw_cloud(figure: Figure, panel: SubplotSpec, frame: RgbdFrame, best: ToolEstimate | None) -> None:
     if best is None or best.hypotheses is None or not np.all(np.isfinite(best.X_camera_ee)):
-        why = "no end effector found" if best is None else best.reason
+        why = "no end effector found" if best is None else "no cloud was kept" if best.usable else best.reason
         _heading(figure, panel, "The end effector's cloud", f"nothing to show: {why}")
         return
     hypotheses = best.hypotheses

@@ -1,0 +1,104 @@
+"""`toolee hammer` from outside: what it prints, what it leaves, and that it can be stopped."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+from mcap.reader import make_reader
+
+_FIGURES = {
+    "success",
+    "outcome",
+    "reason",
+    "blows",
+    "protrusion_mm",
+    "pose_error_mm",
+    "pose_error_deg",
+    "strike_offset_mm",
+    "strike_tilt_deg",
+    "stage_seconds",
+    "seed",
+    "run_folder",
+}
+
+
+def _start(folder: Path, *args: str) -> subprocess.Popen[str]:
+    code = "from toolee_robot.cli import main; main()"
+    return subprocess.Popen(
+        [sys.executable, "-c", code, "hammer", "--perfect-perception", *args],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=folder,
+    )
+
+
+def _only_folder(runs: Path) -> Path:
+    (folder,) = runs.iterdir()
+    return folder
+
+
+def _line(out: str) -> dict[str, Any]:
+    lines = out.splitlines()
+    assert len(lines) == 1, "with --json, standard output is one line"
+    record = json.loads(lines[0])
+    assert set(record) >= _FIGURES
+    return dict(record)
+
+
+def test_a_job_ends_with_the_nail_flush_and_leaves_a_whole_folder(tmp_path: Path) -> None:
+    """The mechanics alone: poses come from the ground truth here. tests/test_job.py has the camera in the loop."""
+    process = _start(tmp_path, "--seed", "101", "--json", "--out", "out")
+    out, err = process.communicate(timeout=240)
+    record = _line(out)
+    assert process.returncode == 0, err
+    assert (record["success"], record["outcome"], record["seed"]) == (True, "flush", 101)
+    assert record["protrusion_mm"] <= 1.5
+    assert record["blows"] >= 3, "a nail of 20 mm takes more than a tap"
+    assert record["strike_offset_mm"] < 6.0
+    assert "Drive the nail" in err
+
+    folder = _only_folder(tmp_path / "out")
+    assert record["run_folder"] == f"out/{folder.name}"
+    assert sorted(p.name for p in folder.iterdir()) == ["picture.png", "recording.mcap", "summary.json"]
+    summary = json.loads((folder / "summary.json").read_text())
+    assert len(summary["blow_log"]) == record["blows"]
+    assert summary["station"]["work"]["nail_protrusion"] == 0.02
+    picture = cv2.imread(str(folder / "picture.png"))
+    assert picture is not None
+    assert picture.shape[1] > 1500
+    with (folder / "recording.mcap").open("rb") as file:
+        counts = make_reader(file).get_summary()
+        assert counts is not None
+        assert counts.statistics is not None
+        topics = {c.topic: counts.statistics.channel_message_counts[i] for i, c in counts.channels.items()}
+    assert topics["/camera/rgb"] == topics["/camera/depth"] >= 3
+    assert topics["/arm/measured"] > 100
+    assert topics["/contacts"] >= 2 * record["blows"]
+
+
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_stops_the_arm_and_is_reported(tmp_path: Path, sign: signal.Signals) -> None:
+    process = _start(tmp_path, "--seed", "101", "--json")
+    assert process.stderr is not None
+    for text in process.stderr:
+        if text.startswith("Handover"):
+            break
+    time.sleep(0.5)
+    process.send_signal(sign)
+    out, err = process.communicate(timeout=60)
+    record = _line(out)
+    assert process.returncode == 130, err
+    assert (record["success"], record["outcome"]) == (False, "interrupted")
+    assert "the arm was stopped" in record["reason"]
+    assert "Traceback" not in err
+    summary = json.loads((_only_folder(tmp_path / "runs") / "summary.json").read_text())
+    assert summary["outcome"] == "interrupted"
