@@ -9,8 +9,10 @@ joined at the grip by a spring and damper whose force never exceeds what the mea
     about the handle     mu * sum(N) * r                 friction at the handle's radius r
     tilting the handle   (1 + mu) * sum(N) * w / 4       couple of normal forces and friction over the hand's width w
 
-Beyond a bound the connection slips: its rest pose moves, and the slip adds up. Past `RELEASE_SLIP` or `RELEASE_ANGLE`
-of slip in one go without rest, or when the handle has left the palm, it lets go for good.
+Beyond the bounds of friction (along, across, about) the handle slips: its rest pose moves, and the slip adds up.
+Beyond the bound of tilting it is the fingers that give way, with the torque of their motors, and they close again:
+the torque stays at its bound, comes back weaker by the tendons' friction, and a share of the excursion is left as
+slip. Past `RELEASE_SLIP` or `RELEASE_ANGLE` of slip, or `RELEASE_TILT` of tilt, the handle has left the hand.
 """
 
 from __future__ import annotations
@@ -26,11 +28,14 @@ from toolee_robot.frames import Array, rotation_angle
 
 STIFFNESS = 3e4  # [N/m]
 DAMPING = 60.0  # [N s/m]
-ANGULAR_STIFFNESS = 150.0  # [Nm/rad]
-ANGULAR_DAMPING = 0.25  # [Nm s/rad]
+ANGULAR_STIFFNESS = 500.0  # [Nm/rad]
+ANGULAR_DAMPING = 0.5  # [Nm s/rad]
 HAND_WIDTH = 0.075  # [m] across the four fingers
+TENDON_LOSS = 0.4  # of the tilting torque, while the fingers close again
+TILT_SLIP = 0.03  # of a tilt beyond the bound that stays
 RELEASE_SLIP = 0.030  # [m]
-RELEASE_ANGLE = np.deg2rad(45.0)
+RELEASE_ANGLE = np.deg2rad(50.0)
+RELEASE_TILT = np.deg2rad(50.0)
 
 
 @dataclass(frozen=True)
@@ -70,7 +75,7 @@ class AssistedGrip:
         self._p_rest = np.array(p_hand_grip, dtype=float)  # where the anchor rests, palm frame
         self._R_rest = R_palm.T @ R_tool @ self._R_inertial_tool  # the tool's axes at rest, palm frame
         self._p_start, self._R_start = self._p_rest.copy(), self._R_rest.copy()
-        self.slip_path = 0.0
+        self._tilt = 0.0
         self.force, self.torque = np.zeros(3), np.zeros(3)
 
     def _poses(self) -> tuple[Array, Array, Array, Array]:
@@ -100,7 +105,6 @@ class AssistedGrip:
         arm = R_tool @ self._anchor
         point = np.array(p) + arm
         v = v_tool + _cross(w_tool, arm) - np.array(state[6]) - _cross(np.array(state[7]), point - np.array(state[0]))
-        w = R_palm.T @ (w_tool - np.array(state[7]))
         v = R_palm.T @ v
         handle = R[:, 2]
         limits = self.limits
@@ -109,22 +113,37 @@ class AssistedGrip:
         elastic = _bounded(STIFFNESS * u, handle, limits.along, limits.across)
         slip = u - elastic / STIFFNESS
         self._p_rest += slip
-        self.slip_path += float(np.sqrt(slip @ slip))
         force = _bounded(-elastic - DAMPING * v, handle, limits.along, limits.across)
 
-        E = R @ self._R_rest.T
-        phi = 0.5 * np.array([E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1]])
-        elastic = _bounded(ANGULAR_STIFFNESS * phi, handle, limits.about, limits.tilting)
-        turn = phi - elastic / ANGULAR_STIFFNESS
+        phi = Rotation.from_matrix(R @ self._R_rest.T).as_rotvec()
+        torque, turn = self._twist(phi, R_palm.T @ (w_tool - np.array(state[7])), handle, dt)
         if turn @ turn > 0.0:
             self._R_rest = Rotation.from_rotvec(turn).as_matrix() @ self._R_rest
-        torque = _bounded(-elastic - ANGULAR_DAMPING * w, handle, limits.about, limits.tilting)
 
         self.force, self.torque = force, torque
-        if self.slip > RELEASE_SLIP or self.slip_angle > RELEASE_ANGLE:
+        if self.slip > RELEASE_SLIP or self.slip_angle > RELEASE_ANGLE or self._tilt > RELEASE_TILT:
             self.release()
             return
         self._apply(R_palm @ force, R_palm @ torque, point)
+
+    def _twist(self, phi: Array, w: Array, handle: Array, dt: float) -> tuple[Array, Array]:
+        """Torque on the tool and how its rest pose turns, both (3,) in the palm's axes, for a deflection phi [rad] that
+        changes at w [rad/s]."""
+        limits = self.limits
+        about = float(phi @ handle)
+        spring = float(np.clip(ANGULAR_STIFFNESS * about, -limits.about, limits.about))
+        turn = (about - spring / ANGULAR_STIFFNESS) * handle
+        tilt = phi - about * handle
+        angle = float(np.sqrt(tilt @ tilt))
+        self._tilt = angle
+        bend = ANGULAR_STIFFNESS * tilt
+        if angle * ANGULAR_STIFFNESS > limits.tilting:
+            growth = float(w @ tilt) / angle
+            bend = tilt * (limits.tilting / angle * (1.0 if growth > 0.0 else 1.0 - TENDON_LOSS))
+            turn = turn + tilt * (TILT_SLIP * max(growth, 0.0) * dt / angle)
+        damping = ANGULAR_DAMPING * w
+        torque = _bounded(-spring * handle - bend - damping, handle, limits.about, limits.tilting)
+        return torque, turn
 
     def _apply(self, force: Array, torque: Array, point: Array) -> None:
         at = point.tolist()

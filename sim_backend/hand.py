@@ -20,6 +20,8 @@ TICK = 0.01  # [s]
 CLOSING_SPEED = 4.0  # [rad/s] of the targets
 LEAD = 0.25  # [rad] by which a target runs ahead of a joint that is blocked: enough for full torque
 STILL = 0.05  # [rad/s]
+STILL_TIME = 0.05  # [s] of standing still that counts as blocked
+PHASE_TIME = 0.8  # [s] at most for one group of joints: one that still creeps then presses on while the next closes
 CONTACT_FORCE = 0.3  # [N] that counts as a touch
 MIN_LINKS = 3  # of the fingers, besides the thumb, that must touch for a hold
 MAX_FINGER_FORCE = 25.0  # [N] of one finger that the grip counts: a tendon-driven finger's, not the solver's squeeze
@@ -102,7 +104,8 @@ class SimHand:
     def _move(self, joints: tuple[str, ...], goal: np.ndarray, timeout: float) -> None:
         """Move some joints to their goals, or as far as they get. Raises DeviceError on time-out; targets stay."""
         index = np.array([self._robot.hand_joints.index(f"rh_{joint}") for joint in joints])
-        end = self._world.time + timeout
+        began = self._world.time
+        end = began + timeout
         still = 0.0
         while True:
             q, qd = self._world.robot.hand_state()
@@ -111,7 +114,7 @@ class SimHand:
                 still += TICK
             else:
                 still = 0.0
-            if np.all(arrived) or still >= 0.05:
+            if np.all(arrived) or still >= STILL_TIME or self._world.time >= began + PHASE_TIME:
                 return
             if self._world.time >= end:
                 raise DeviceError("the hand did not finish its motion in time; it stays as it is, its grip too")

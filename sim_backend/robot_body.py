@@ -11,6 +11,9 @@ from toolee_robot.robots import WRIST_JOINTS, RobotDescription
 ARM_GAIN = 100.0  # [1/s] of the arm's position loop
 FINGER_GAIN = 20.0  # [1/s]
 WRIST_GAIN = 12.0  # [1/s]: a wrist that gave way in a blow comes back without a second blow
+# The wrist's torque while hammering [Nm] (deviation; the flexion keeps the motor's own 2.2): enough to carry a hammer,
+# less than the grip can hold against, so that after a blow the wrist gives way and not the grip.
+WRIST_TORQUE = 2.5
 SENSOR_LINK = "rh_forearm"
 
 
@@ -38,6 +41,7 @@ class RobotBody:
         self._sensor = self.link_index[SENSOR_LINK]
         self._arm_effort = robot.effort[:6].tolist()
         self.hand_effort = robot.effort[6:].copy()
+        self.hand_effort[0] = min(self.hand_effort[0], WRIST_TORQUE)
         gains = [WRIST_GAIN if name in WRIST_JOINTS else FINGER_GAIN for name in robot.hand_joints]
         self._hand_gain = np.array(gains)
         for link in range(-1, len(infos)):

@@ -18,9 +18,9 @@ _PREFIX = {"rh_th": "thumb", "rh_ff": "index", "rh_mf": "middle", "rh_rf": "ring
 PALM_SURFACE = -0.0111  # [m] y of the palm's face in the hand frame
 KNUCKLE = 0.085  # [m] z of the proximal phalanges' palmar surface when the fingers are bent by 90 deg
 
-# Deviation of the wrist at rest. Its range is -0.489..0.14 rad and a blow turns it towards +: resting at -0.30 leaves
-# 25 deg in which the wrist yields while the arm stops. The forearm then leans away from the nail by as much.
-WRIST_REST = {"rh_WRJ2": -0.30, "rh_WRJ1": 0.0}
+# Deviation of the wrist at rest. Its range is -0.489..0.14 rad and a blow turns it towards +: resting at -0.45 leaves
+# 34 deg in which the wrist yields while the arm stops. The forearm then leans away from the nail by as much.
+WRIST_REST = {"rh_WRJ2": -0.45, "rh_WRJ1": 0.0}
 
 _THUMB_AWAY = {"rh_THJ5": -1.0, "rh_THJ4": 1.2, "rh_THJ3": 0.0, "rh_THJ2": 0.0, "rh_THJ1": 0.0}
 _THUMB_OVER = {"rh_THJ5": 0.75, "rh_THJ4": 1.2, "rh_THJ3": 0.2, "rh_THJ2": -0.3, "rh_THJ1": -0.6}
