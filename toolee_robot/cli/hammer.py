@@ -56,6 +56,7 @@ class Hammer:
         from toolee_robot.cli.run_folder import run_folder
 
         with run_folder(self.out, f"seed{self.seed}") as folder:
+            console.print("[dim]loading the networks and building the station[/dim]")
             load_pybullet()
             from toolee_robot.cli.job import HammerJob  # seconds of loading: after everything that can be wrong at once
 
