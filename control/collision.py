@@ -31,7 +31,9 @@ FAR = 0.05
 _LINKS = ("base", "shoulder", "upper arm", "forearm", "wrist 1", "wrist 2", "wrist 3")
 RUN_UP_EXEMPT = frozenset({("tool head", "block")})
 """Up to the contact only the head may come near the block."""
-BRAKE_EXEMPT = frozenset((part, body) for part in ("tool head", "tool handle") for body in ("block", "stand"))
+BRAKE_EXEMPT = frozenset(
+    (part, body) for part in ("tool head", "tool claw", "tool handle") for body in ("block", "stand")
+)
 """A missed nail ends in the block, which stops the tool; nothing but the tool may touch it."""
 
 
@@ -168,15 +170,15 @@ class CollisionWorld:
     def _bounds(self, R: Array, p: Array) -> Array:
         """(N, pairs) lower bounds of the distances [m]."""
         c = np.einsum("nsij,sj->nsi", R[:, self._sphere_joint], self._spheres[:, :3]) + p[:, self._sphere_joint]
-        gap = np.linalg.norm(c[:, self._first] - c[:, self._second], axis=-1) - self._radii
+        apart = c[:, self._first] - c[:, self._second]
+        gap = np.sqrt(np.einsum("nsi,nsi->ns", apart, apart)) - self._radii
         bound = np.minimum.reduceat(gap, self._starts, axis=1)
-        for k, (_, j) in enumerate(self.pairs):
-            if j in self._boxes:
-                centre, half = self._boxes[j]
-                i = self.pairs[k, 0]
-                outside = np.maximum(np.abs(c[:, self._slices[i]] - centre) - half, 0.0)
-                exact = np.linalg.norm(outside, axis=-1) - self._spheres[self._slices[i], 3]
-                bound[:, k] = exact.min(axis=1)
+        for box, (centre, half) in self._boxes.items():
+            outside = np.maximum(np.abs(c - centre) - half, 0.0)
+            exact = np.sqrt(np.einsum("nsi,nsi->ns", outside, outside)) - self._spheres[:, 3]
+            nearest = np.minimum.reduceat(exact, [part.start for part in self._slices], axis=1)
+            rows = np.flatnonzero(self.pairs[:, 1] == box)
+            bound[:, rows] = nearest[:, self.pairs[rows, 0]]
         return bound
 
     def _distance(self, a: Body, b: Body, R: Array, p: Array) -> float:

@@ -39,29 +39,33 @@ class Body:
 
 @dataclass(frozen=True)
 class ToolEnvelope:
-    """A shape that encloses the hammer, in its EE frame (face centre, z the face's normal, x towards the butt).
+    """A shape that encloses a hammer, in its EE frame (face centre, z the face's normal, x towards the butt).
 
-    The striking head is a cylinder of head_radius around z from the face back to -head_length; the handle a capsule of
-    handle_radius, parallel to x at depth handle_depth behind the face, from handle_start to handle_length past the
-    face's centre. Defaults enclose the hammers of `toolee_robot.tools`. [m]
+    The head is a cylinder of head_radius around z from the face back to -head_length; a claw's curl towards the handle
+    is another of claw_radius at x = claw_radius / 2, behind the handle; the handle one of handle_radius, parallel to x
+    at handle_depth behind the face, up to handle_length past the face's centre. The defaults enclose the hammers of
+    `toolee_robot.tools`. [m]
     """
 
-    head_radius: float = 0.024
+    head_radius: float = 0.033
     head_length: float = 0.14
-    handle_radius: float = 0.028
+    claw_radius: float = 0.05
+    handle_radius: float = 0.032
     handle_depth: float = 0.050
     handle_length: float = 0.36
 
     def bodies(self, X_flange_ee: Array, X_joint6_flange: Array) -> list[Body]:
-        """Head and handle, carried by the arm's last joint."""
+        """Head, claw and handle, carried by the arm's last joint."""
         X = X_joint6_flange @ X_flange_ee
         x, z = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
         head = X @ transform(p=-0.5 * self.head_length * z)
-        middle = 0.5 * self.handle_length * x - self.handle_depth * z
-        handle = X @ frame_from_axes(z=x, x=z, p=middle)
+        claw_length = self.head_length - self.handle_depth
+        claw = X @ transform(p=0.5 * self.claw_radius * x - (self.head_length - 0.5 * claw_length) * z)
+        handle = X @ frame_from_axes(z=x, x=z, p=0.5 * self.handle_length * x - self.handle_depth * z)
         return [
-            _cylinder("tool head", "tool head", TOOL_JOINT, self.head_radius, self.head_length, head),
-            _cylinder("tool handle", "tool handle", TOOL_JOINT, self.handle_radius, self.handle_length, handle),
+            _cylinder("tool head", self.head_radius, self.head_length, head),
+            _cylinder("tool claw", self.claw_radius, claw_length, claw),
+            _cylinder("tool handle", self.handle_radius, self.handle_length, handle),
         ]
 
 
@@ -123,26 +127,15 @@ def box_body(name: str, center: tuple[float, ...], size: tuple[float, ...]) -> B
     )
 
 
-def capsule_between(name: str, group: str, a: Array, b: Array, radius: float) -> Body:
-    """A capsule around the segment from a to b (3,) [m] that stands in `base`."""
-    length = float(np.linalg.norm(b - a))
-    side = np.array([1.0, 0, 0]) if abs(b[0] - a[0]) < 0.9 * length else np.array([0, 1.0, 0])
-    X = frame_from_axes(z=b - a, x=side, p=(a + b) / 2)
-    spheres = _cover(X, length, radius, 6, capped=True)
-    return Body(name, group, WORLD_JOINT, coal.Capsule(radius, length), X, spheres)
+def _cylinder(name: str, radius: float, length: float, X: Array) -> Body:
+    return Body(name, name, TOOL_JOINT, coal.Cylinder(radius, length), X, _cover(X, length, radius, 5))
 
 
-def _cylinder(name: str, group: str, joint: int, radius: float, length: float, X: Array) -> Body:
-    return Body(name, group, joint, coal.Cylinder(radius, length), X, _cover(X, length, radius, 5, capped=False))
-
-
-def _cover(X: Array, length: float, radius: float, count: int, *, capped: bool) -> Array:
-    """Spheres along the z axis of X that cover a cylinder (or, capped, a capsule)."""
+def _cover(X: Array, length: float, radius: float, count: int) -> Array:
+    """Spheres (count, 4) along the z axis of X that cover a cylinder, each a slice of it."""
     half = length / (2 * count)
     z = np.linspace(-0.5, 0.5, 2 * count + 1)[1::2] * length
     r = np.full(count, np.hypot(radius, half))
-    if capped:
-        r[[0, -1]] = radius + half
     return np.column_stack([transform_points(X, z[:, None] * np.array([[0, 0, 1.0]])), r])
 
 
@@ -163,6 +156,4 @@ def _hull(name: str, group: str, joint: int, vertices: Array) -> Body:
     other = np.eye(3)[int(np.argmin(np.abs(axis)))]
     X = frame_from_axes(z=axis, x=other, p=center + axis * (along.min() + length / 2))
     count = max(1, round(length / radius))
-    return Body(
-        name, group, joint, coal.Convex(points, faces), np.eye(4), _cover(X, length, radius, count, capped=False)
-    )
+    return Body(name, group, joint, coal.Convex(points, faces), np.eye(4), _cover(X, length, radius, count))

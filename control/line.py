@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolee_robot.control.inverse_kinematics import InverseKinematics
-from toolee_robot.control.kinematics import solve
+from toolee_robot.control.kinematics import ArmKinematics, solve
 from toolee_robot.control.timing import PathProfile
 from toolee_robot.errors import UnreachableError
 from toolee_robot.frames import Array
@@ -71,14 +71,7 @@ class Line:
 
     def derivatives(self, q: Array) -> tuple[Array, Array]:
         """dq/ds [rad/m] and d2q/ds2 [rad/m^2], (M, 6) each, at q (M, 6)."""
-        unit = np.concatenate([self.direction, np.zeros(3)])
-
-        def slope(q: Array) -> Array:
-            return solve(self.ik.arm.fk_jacobian(q)[1], np.broadcast_to(unit, (len(q), 6)))
-
-        first = slope(q)
-        second = (slope(q + _STEP * first) - slope(q - _STEP * first)) / (2 * _STEP)
-        return first, second
+        return line_derivatives(self.ik.arm, q, self.direction)
 
     def timed(self, profile: PathProfile) -> Trajectory:
         """The line driven as the profile says."""
@@ -93,6 +86,18 @@ class Line:
         speed = min(wanted, float(np.min(velocity / first)), float(np.sqrt(np.min(0.5 * acceleration / second))))
         top = float(np.min(0.5 * acceleration / first))
         return PathLimits(speed, top, top, 0.5 * jerk / float(np.max(first)))
+
+
+def line_derivatives(arm: ArmKinematics, q: Array, direction: Array) -> tuple[Array, Array]:
+    """dq/ds [rad/m] and d2q/ds2 [rad/m^2], (M, 6) each, of straight motion along `direction` (3,) at q (M, 6)."""
+    unit = np.concatenate([direction, np.zeros(3)])
+
+    def slope(q: Array) -> Array:
+        return solve(arm.fk_jacobian(q)[1], np.broadcast_to(unit, (len(q), 6)))
+
+    first = slope(q)
+    second = (slope(q + _STEP * first) - slope(q - _STEP * first)) / (2 * _STEP)
+    return first, second
 
 
 def blow_limits(

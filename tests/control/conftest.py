@@ -1,0 +1,47 @@
+"""One robot, one station, one nominal hammer for the control tests."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control import CollisionWorld, RobotModel
+from toolee_robot.frames import Array, frame_from_axes
+from toolee_robot.robots import nominal_X_hand_tool
+
+
+@pytest.fixture(scope="session")
+def robot() -> RobotModel:
+    return RobotModel.load()
+
+
+@pytest.fixture(scope="session")
+def config() -> StationConfig:
+    return StationConfig()
+
+
+@pytest.fixture(scope="session")
+def home(config: StationConfig) -> Array:
+    return np.array(config.scene.home)
+
+
+@pytest.fixture(scope="session")
+def q_hand(robot: RobotModel) -> Array:
+    """Fingers around a handle."""
+    return robot.description.hand_closed
+
+
+@pytest.fixture(scope="session")
+def X_tool_ee() -> Array:
+    return frame_from_axes(z=np.array([1.0, 0, 0]), x=np.array([0, 0, -1.0]), p=[0.05, 0.0, 0.20])
+
+
+@pytest.fixture(scope="session")
+def X_hand_ee(X_tool_ee: Array) -> Array:
+    return nominal_X_hand_tool(0.016) @ X_tool_ee
+
+
+@pytest.fixture
+def world(robot: RobotModel, config: StationConfig, q_hand: Array, X_hand_ee: Array) -> CollisionWorld:
+    return CollisionWorld(robot, config, q_hand, X_hand_ee)

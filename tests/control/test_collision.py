@@ -1,0 +1,107 @@
+"""Clearance: bounds agree with exact distances, the closest pair is named, what may touch may touch."""
+
+from __future__ import annotations
+
+import coal
+import numpy as np
+import pytest
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control import CollisionWorld, RobotModel, ToolEnvelope
+from toolee_robot.control.collision import FAR
+from toolee_robot.control.collision_shapes import TOOL_JOINT, Body, box_body
+from toolee_robot.errors import CollisionError
+from toolee_robot.frames import Array, inverse, transform, transform_points
+from toolee_robot.tools import KINDS_BY_FAMILY, Family, make_tool
+from toolee_robot.tools import test_seeds as seeds_of_test_tools
+from toolee_robot.types import Category
+
+
+def exact(world: CollisionWorld, q: Array) -> dict[tuple[str, str], float]:
+    """Every pair's distance straight from coal."""
+    R, p = world.robot.arm.joints(q)
+
+    def placed(body: Body) -> coal.Transform3s:
+        X = transform() if body.joint == 0 else transform(R[body.joint - 1], p[body.joint - 1])
+        X = X @ body.X_joint_shape
+        return coal.Transform3s(X[:3, :3], X[:3, 3])
+
+    found = {}
+    for i, j in world.pairs:
+        a, b = world.bodies[i], world.bodies[j]
+        result = coal.DistanceResult()
+        found[a.name, b.name] = coal.distance(
+            a.geometry, placed(a), b.geometry, placed(b), coal.DistanceRequest(), result
+        )
+    return found
+
+
+def test_closest_pair_is_the_exact_one(world: CollisionWorld, home: Array) -> None:
+    rng = np.random.default_rng(2)
+    near = 0
+    for _ in range(25):
+        q = home + rng.normal(0, 0.25, 6)
+        pair, distance = min(exact(world, q).items(), key=lambda item: item[1])
+        closest = world.closest(q)
+        if distance >= FAR:
+            assert closest.distance == FAR
+        elif distance > 0:
+            near += 1
+            assert closest.distance == pytest.approx(distance, abs=1e-6)
+            assert closest.pair == pair
+        else:
+            assert closest.distance <= 0
+    assert near >= 3
+
+
+def test_home_is_free_with_and_without_a_tool(
+    robot: RobotModel, config: StationConfig, world: CollisionWorld, home: Array
+) -> None:
+    assert world.closest(home).distance > 0.02
+    assert CollisionWorld(robot, config, robot.description.hand_open).closest(home).distance > 0.02
+
+
+def test_a_block_in_the_way_is_named(
+    robot: RobotModel, config: StationConfig, q_hand: Array, X_hand_ee: Array, home: Array
+) -> None:
+    p = robot.X_base_ee(home, q_hand, X_hand_ee)[:3, 3]
+    crate = box_body("crate", tuple(p), (0.1, 0.1, 0.1))
+    world = CollisionWorld(robot, config, q_hand, X_hand_ee, extra=(crate,))
+    with pytest.raises(CollisionError, match="crate"):
+        world.check(home, 0.01, "standing here")
+    assert world.free(home, 0.01, frozenset({("tool head", "crate"), ("tool handle", "crate")}))
+
+
+def test_the_row_of_the_batch_is_reported(world: CollisionWorld, home: Array) -> None:
+    into_the_table = home + np.array([0, 0.6, 0, 0, 0, 0])
+    closest = world.closest(np.stack([home, home, into_the_table]))
+    assert closest.row == 2
+    assert "table" in closest.pair
+    assert closest.distance < 0
+
+
+def test_covering_spheres_cover(world: CollisionWorld) -> None:
+    for body in world.bodies:
+        if isinstance(body.geometry, coal.Convex):
+            vertices = transform_points(body.X_joint_shape, np.asarray(body.geometry.points()))
+            gap = np.linalg.norm(vertices[:, None] - body.spheres[:, :3], axis=-1) - body.spheres[:, 3]
+            assert np.max(np.min(gap, axis=1)) < 1e-9, body.name
+
+
+def test_the_envelope_holds_every_kind_of_hammer() -> None:
+    bodies = ToolEnvelope().bodies(np.eye(4), np.eye(4))
+    assert all(body.joint == TOOL_JOINT for body in bodies)
+    rng = np.random.default_rng(0)
+    for kind in KINDS_BY_FAMILY[Family.HAMMERS]:
+        for seed in seeds_of_test_tools(60)[::20]:
+            tool = make_tool(kind, seed)
+            points, _, _ = tool.sample_surface(400, rng)
+            points = transform_points(inverse(tool.ee(Category.HAMMER_HEAD).X_tool_ee), points)
+            outside = np.full(len(points), np.inf)
+            for body in bodies:
+                local = transform_points(inverse(body.X_joint_shape), points)
+                radial = np.hypot(local[:, 0], local[:, 1]) - body.geometry.radius
+                axial = np.abs(local[:, 2]) - body.geometry.halfLength
+                outside = np.minimum(outside, np.maximum(radial, axial))
+            # Wide mallets and the ends of tilted handles stick out, by no more than the transfers' clearance.
+            assert np.max(outside) < 0.012, (kind, seed)

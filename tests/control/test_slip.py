@@ -1,0 +1,60 @@
+"""Protrusion from a contact and slip between two looks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.config import WorkConfig
+from toolee_robot.control import protrusion, slip
+from toolee_robot.errors import UserError
+from toolee_robot.frames import Array, transform
+from toolee_robot.types import Category, InHandEstimate
+
+
+def estimate(X_hand_ee: Array, category: Category = Category.HAMMER_HEAD) -> InHandEstimate:
+    return InHandEstimate(category, X_hand_ee, np.eye(6) * 1e-6, 0.9, 5, 5, True, "ok")
+
+
+@given(
+    height=st.floats(-0.002, 0.03),
+    aside=st.floats(-0.008, 0.008),
+    tilt_deg=st.floats(-10, 10),
+    spin=st.floats(-3.1, 3.1),
+)
+def test_protrusion_is_where_the_faces_plane_cuts_the_axis(
+    height: float, aside: float, tilt_deg: float, spin: float
+) -> None:
+    work = WorkConfig()
+    X_base_nail = work.X_base_nail(height)
+    # The face touches the head's centre with a point that is `aside` of its own centre.
+    X_nail_ee = transform(Rotation.from_euler("zy", [spin, np.deg2rad(tilt_deg)])) @ transform(p=[aside, 0, 0])
+    assert protrusion(X_base_nail @ X_nail_ee, work.X_base_nail(0.0)) == pytest.approx(height, abs=1e-9)
+
+
+def test_a_face_turned_away_is_no_contact() -> None:
+    work = WorkConfig()
+    upside_down = work.X_base_nail() @ transform(Rotation.from_euler("x", np.pi))
+    with pytest.raises(UserError, match="points away"):
+        protrusion(upside_down, work.X_base_nail(0.0))
+
+
+@given(spin=st.floats(-3.1, 3.1), tilt=st.floats(0, 0.5), shift=st.floats(0, 0.05))
+def test_slip_ignores_the_symmetric_spin(spin: float, tilt: float, shift: float) -> None:
+    before = transform(Rotation.from_euler("xyz", [0.2, -1.0, 0.4]), [0.01, -0.02, 0.2])
+    moved = before @ transform(Rotation.from_euler("xz", [tilt, spin]))
+    moved[:3, 3] += [shift, 0, 0]
+    distance, angle = slip(estimate(before), estimate(moved))
+    assert distance == pytest.approx(shift, abs=1e-12)
+    assert angle == pytest.approx(tilt, abs=1e-7)
+
+
+def test_a_claw_has_no_free_spin_and_is_no_face() -> None:
+    spun = transform(Rotation.from_euler("z", 0.3))
+    _, angle = slip(estimate(np.eye(4), Category.HAMMER_GRIP), estimate(spun, Category.HAMMER_GRIP))
+    assert angle == pytest.approx(0.3)
+    with pytest.raises(UserError, match="same end"):
+        slip(estimate(np.eye(4)), estimate(np.eye(4), Category.HAMMER_GRIP))

@@ -1,0 +1,239 @@
+"""A blow: frames compose at the contact, the face goes straight and fast, limits hold, offsets are corrected."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.config import StationConfig, WorkConfig
+from toolee_robot.control import (
+    CollisionWorld,
+    RobotModel,
+    StrikePlan,
+    check_trajectory,
+    plan_retract,
+    plan_strike,
+    plan_touch,
+    protrusion,
+)
+from toolee_robot.control.collision import BRAKE_EXEMPT
+from toolee_robot.control.collision_shapes import box_body
+from toolee_robot.control.correction import candidates, flange_targets
+from toolee_robot.errors import CollisionError, UnreachableError, UserError
+from toolee_robot.frames import Array, angle_between, transform
+from toolee_robot.robots import nominal_X_hand_tool
+
+
+def offset(along: float, about_deg: float, tilt_deg: float) -> Array:
+    """A slip of the tool in the hand: along the handle [m], about it, and a tilt [deg]."""
+    return transform(Rotation.from_euler("ZY", [about_deg, tilt_deg], degrees=True), [0, 0, along])
+
+
+@pytest.fixture(scope="module")
+def plan(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_hand_ee: Array) -> StrikePlan:
+    world = CollisionWorld(robot, config, q_hand, X_hand_ee)
+    return plan_strike(robot, config, world, home, q_hand, X_hand_ee, config.work.X_base_nail())
+
+
+def faces(robot: RobotModel, q: Array, q_hand: Array, X_hand_ee: Array) -> Array:
+    """X_base_ee (N, 4, 4)"""
+    return np.stack([robot.X_base_ee(row, q_hand, X_hand_ee) for row in q])
+
+
+@given(along=st.floats(-0.03, 0.03), about=st.floats(-25, 25), tilt=st.floats(-12, 12), theta=st.floats(-3.1, 3.1))
+@settings(max_examples=50, deadline=None)
+def test_any_spin_puts_the_face_onto_the_nail(
+    robot: RobotModel, q_hand: Array, X_tool_ee: Array, along: float, about: float, tilt: float, theta: float
+) -> None:
+    X_hand_ee = nominal_X_hand_tool(0.016) @ offset(along, about, tilt) @ X_tool_ee
+    X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
+    X_base_nail = WorkConfig().X_base_nail()
+    X_base_ee = flange_targets(X_base_nail, X_flange_ee, np.array(theta)) @ X_flange_ee
+    assert np.allclose(X_base_ee[:3, 3], X_base_nail[:3, 3], atol=1e-12)
+    assert np.allclose(X_base_ee[:3, 2], X_base_nail[:3, 2], atol=1e-12)
+    spun = Rotation.from_matrix(X_base_nail[:3, :3].T @ X_base_ee[:3, :3]).as_rotvec()
+    assert spun[2] == pytest.approx(theta, abs=1e-9)
+
+
+def test_face_meets_the_nail_at_the_planned_speed(
+    robot: RobotModel, config: StationConfig, plan: StrikePlan, q_hand: Array, X_hand_ee: Array
+) -> None:
+    X_base_nail = config.work.X_base_nail()
+    q, qd = plan.strike.sample(plan.contact_time)
+    X_base_ee = robot.X_base_ee(q, q_hand, X_hand_ee)
+    assert np.linalg.norm(X_base_ee[:3, 3] - X_base_nail[:3, 3]) < 1e-5
+    assert angle_between(X_base_ee[:3, 2], X_base_nail[:3, 2]) < 1e-5
+    assert np.allclose(X_base_ee, plan.X_base_ee_contact, atol=1e-5)
+    h = 1e-4
+    after = robot.X_base_ee(plan.strike.sample(plan.contact_time)[0] + h * qd, q_hand, X_hand_ee)
+    velocity = (after[:3, 3] - X_base_ee[:3, 3]) / h
+    assert velocity @ X_base_nail[:3, 2] == pytest.approx(plan.speed, rel=1e-3)
+    assert np.linalg.norm(np.cross(velocity, X_base_nail[:3, 2])) < 2e-3 * plan.speed
+    assert plan.speed >= 1.2
+    assert plan.speed <= plan.attainable_speed
+
+
+def test_face_goes_straight_and_square(
+    robot: RobotModel, config: StationConfig, plan: StrikePlan, q_hand: Array, X_hand_ee: Array
+) -> None:
+    X_base_nail = config.work.X_base_nail()
+    # Between the samples too: what a servo loop at another rate would interpolate.
+    times = np.linspace(0, plan.strike.duration, 301)
+    X = faces(robot, np.stack([plan.strike.sample(t)[0] for t in times]), q_hand, X_hand_ee)
+    off_axis = np.linalg.norm((X[:, :3, 3] - X_base_nail[:3, 3])[:, :2], axis=-1)
+    tilt = [angle_between(x[:3, 2], X_base_nail[:3, 2]) for x in X]
+    assert np.max(off_axis) < 0.0005
+    assert np.rad2deg(np.max(tilt)) < 0.2
+    height = X[:, 2, 3] - X_base_nail[2, 3]
+    assert height[0] == pytest.approx(plan.run_up, abs=1e-6)
+    assert height[-1] == pytest.approx(-plan.brake_length, abs=1e-6)
+    assert np.all(np.diff(height) < 1e-6), "the face must never back up"
+
+
+def test_braking_begins_at_the_contact(plan: StrikePlan, robot: RobotModel, q_hand: Array, X_hand_ee: Array) -> None:
+    X = faces(robot, plan.strike.q, q_hand, X_hand_ee)
+    speed = -np.gradient(X[:, 2, 3], plan.strike.times)
+    before = plan.strike.times < plan.contact_time - 0.02
+    after = plan.strike.times > plan.contact_time + 0.02
+    assert np.all(np.diff(speed[before][2:]) > -1e-3)
+    assert np.all(np.diff(speed[after][:-2]) < 1e-3)
+    assert np.max(speed) == pytest.approx(plan.speed, rel=0.01)
+
+
+def test_limits_hold_on_the_dense_trajectory(robot: RobotModel, config: StationConfig, plan: StrikePlan) -> None:
+    for trajectory in (plan.approach, plan.strike, plan.retract):
+        check_trajectory(trajectory, robot.arm, config.arm, config.scene)
+        assert np.max(np.diff(trajectory.times)) <= 0.0041
+        qd = np.gradient(trajectory.q, trajectory.times, axis=0)
+        assert np.max(np.abs(qd - trajectory.qd)[1:-1]) < 0.02
+        qdd = np.gradient(trajectory.qd, trajectory.times, axis=0)
+        assert np.max(np.abs(qdd)) < 1.03 * config.arm.acceleration
+    assert np.allclose(plan.approach.q[-1], plan.strike.q[0])
+    assert np.allclose(plan.strike.q[-1], plan.retract.q[0], atol=1e-9)
+    assert np.allclose(plan.retract.q[-1], plan.q_standoff, atol=1e-9)
+
+
+def test_the_arms_motors_can_do_it(robot: RobotModel, plan: StrikePlan, q_hand: Array) -> None:
+    """Inverse dynamics with a 1 kg hammer stay under the joints' rated torques: what the accelerations rest on."""
+    model = robot.model.copy()
+    frame = model.frames[model.getFrameId(robot.description.hand_frame)]
+    p_hand_head = nominal_X_hand_tool(0.016) @ np.array([0, 0, 0.15, 1.0])
+    placement = frame.placement * pin.SE3(np.eye(3), p_hand_head[:3])
+    model.appendBodyToJoint(frame.parentJoint, pin.Inertia(1.0, np.zeros(3), np.eye(3) * 3e-3), placement)
+    data, rest = model.createData(), np.zeros(24)
+    worst = np.zeros(6)
+    for q, qd, qdd in zip(plan.strike.q, plan.strike.qd, plan.strike.qdd, strict=True):
+        tau = pin.rnea(
+            model, data, robot.configuration(q, q_hand), robot.configuration(qd, rest), robot.configuration(qdd, rest)
+        )
+        arm = [tau[model.joints[model.getJointId(name)].idx_v] for name in robot.description.arm_joints]
+        worst = np.maximum(worst, np.abs(arm))
+    assert np.all(worst < 0.97 * np.array([330, 330, 150, 56, 56, 56])), worst
+
+
+def test_nothing_but_the_tool_meets_the_block(world: CollisionWorld, config: StationConfig, plan: StrikePlan) -> None:
+    closest = world.closest(plan.strike.q, 0.05, BRAKE_EXEMPT)
+    assert closest.distance >= config.strike.clearance, closest
+
+
+def test_lower_speed_is_kept_and_stops_sooner(
+    robot: RobotModel, config: StationConfig, world: CollisionWorld, home: Array, q_hand: Array, X_hand_ee: Array
+) -> None:
+    nail = config.work.X_base_nail()
+    slow = plan_strike(robot, config, world, home, q_hand, X_hand_ee, nail, speed=0.8)
+    fast = plan_strike(robot, config, world, home, q_hand, X_hand_ee, nail, speed=9.0)
+    assert slow.speed == pytest.approx(0.8)
+    assert fast.wanted_speed == 9.0
+    assert 1.2 <= fast.speed < 3.0
+    assert slow.brake_length < 0.08 < fast.brake_length
+
+
+def test_offsets_of_the_whole_range_are_planned(
+    robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_tool_ee: Array
+) -> None:
+    rng = np.random.default_rng(7)
+    speeds, times = [], []
+    corners = [(a, b, t) for a in (-0.03, 0.03) for b in (-25.0, 25.0) for t in (-12.0, 12.0)]
+    draws = [(rng.uniform(-0.03, 0.03), rng.uniform(-25, 25), rng.uniform(-12, 12)) for _ in range(17)]
+    for draw in corners + draws:
+        X_hand_ee = nominal_X_hand_tool(0.016) @ offset(*draw) @ X_tool_ee
+        world = CollisionWorld(robot, config, q_hand, X_hand_ee)
+        X_base_nail = config.work.X_base_nail(rng.uniform(0, 0.02))
+        plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, X_base_nail)
+        assert np.allclose(plan.X_base_ee_contact[:3, 2:], X_base_nail[:3, 2:], atol=1e-6)
+        speeds.append(plan.speed)
+        times.append(plan.planning_time)
+    speed, least, milliseconds = np.median(speeds), np.min(speeds), 1e3 * np.median(times)
+    print(f"\nspeed: median {speed:.2f}, least {least:.2f} m/s; {milliseconds:.0f} ms a plan")
+    assert np.min(speeds) >= 1.2
+
+
+def test_attainable_speed_saturates_one_joint(
+    robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_hand_ee: Array
+) -> None:
+    X_base_nail = config.work.X_base_nail()
+    X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
+    found = candidates(robot.ik, X_base_nail, X_flange_ee, config.arm, home)
+    assert len(np.unique(found.theta)) > 20
+    assert len(np.unique(found.branch)) >= 4
+    for i in range(0, len(found.q), 15):
+        J = robot.hand_jacobian(found.q[i], q_hand)
+        qd = np.linalg.solve(J, np.append(X_base_nail[:3, 2], np.zeros(3))) * found.attainable_speed[i]
+        assert np.max(np.abs(qd) / config.arm.velocity) == pytest.approx(1.0, rel=1e-6)
+
+
+def test_a_nail_out_of_reach_says_so(
+    robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_hand_ee: Array
+) -> None:
+    far = replace(config, work=replace(config.work, nail_xy=(1.9, 0.0)))
+    world = CollisionWorld(robot, far, q_hand, X_hand_ee)
+    with pytest.raises(UnreachableError, match="move the block"):
+        plan_strike(robot, far, world, home, q_hand, X_hand_ee, far.work.X_base_nail())
+
+
+def test_a_wall_in_the_way_of_the_blow_is_named(
+    robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_hand_ee: Array
+) -> None:
+    x, y = config.work.nail_xy
+    roof = box_body("shelf", (x, y, config.work.wood_height + 0.10), (0.5, 0.5, 0.02))
+    world = CollisionWorld(robot, config, q_hand, X_hand_ee, extra=(roof,))
+    with pytest.raises(CollisionError, match="shelf"):
+        plan_strike(robot, config, world, home, q_hand, X_hand_ee, config.work.X_base_nail())
+
+
+def test_a_broken_pose_is_refused(
+    robot: RobotModel, config: StationConfig, world: CollisionWorld, home: Array, q_hand: Array, X_hand_ee: Array
+) -> None:
+    with pytest.raises(UserError, match="rigid"):
+        plan_strike(robot, config, world, home, q_hand, X_hand_ee * np.nan, config.work.X_base_nail())
+
+
+def test_touch_is_slow_straight_and_measures_the_protrusion(
+    robot: RobotModel,
+    config: StationConfig,
+    world: CollisionWorld,
+    home: Array,
+    q_hand: Array,
+    X_hand_ee: Array,
+    plan: StrikePlan,
+) -> None:
+    touch = plan_touch(robot, config, world, home, plan)
+    X = faces(robot, touch.touch.q, q_hand, X_hand_ee)
+    assert X[0, 2, 3] - X[-1, 2, 3] == pytest.approx(touch.before + touch.past, abs=1e-6)
+    assert np.max(np.abs(np.gradient(X[:, 2, 3], touch.touch.times))) <= config.strike.touch_speed * 1.01
+    wood = config.work.X_base_nail(0.0)
+    stands_out = [protrusion(x, wood) for x in X]
+    nominal = config.work.nail_protrusion
+    assert stands_out[0] == pytest.approx(nominal + touch.before, abs=1e-6)
+    assert stands_out[-1] == pytest.approx(nominal - touch.past, abs=1e-6)
+    # And away again, from wherever it met the nail.
+    up = plan_retract(robot, config, world, touch.touch.q[len(X) // 2], 0.15)
+    X_up = faces(robot, up.q, q_hand, X_hand_ee)
+    assert X_up[-1, 2, 3] - X_up[0, 2, 3] == pytest.approx(0.15, abs=1e-6)
+    assert np.max(np.linalg.norm(X_up[:, :2, 3] - X_up[0, :2, 3], axis=-1)) < 1e-6

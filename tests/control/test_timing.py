@@ -1,0 +1,100 @@
+"""Ruckig's ramps and joint moves: exact ends, limits, no backing up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from toolee_robot.config import SceneConfig, StationConfig
+from toolee_robot.control import RobotModel, check_trajectory
+from toolee_robot.control.timing import brake_profile, concatenate, joint_move, ramp_length, run_up_profile
+from toolee_robot.errors import LimitError
+from toolee_robot.frames import Array
+from toolee_robot.types import Trajectory
+
+
+@given(speed=st.floats(0.3, 1.5), acceleration=st.floats(3, 12), jerk=st.floats(60, 400))
+@settings(max_examples=40, deadline=None)
+def test_run_up_arrives_at_speed_without_backing_up(speed: float, acceleration: float, jerk: float) -> None:
+    length = 1.05 * float(ramp_length(speed, acceleration, jerk))
+    profile = run_up_profile(length, speed, acceleration, jerk)
+    assert profile.s[0] == pytest.approx(-length)
+    assert profile.s[-1] == pytest.approx(0, abs=1e-9)
+    assert profile.v[-1] == pytest.approx(speed)
+    assert profile.a[-1] == pytest.approx(0, abs=1e-6)
+    assert np.all(np.diff(profile.s) > -1e-9)
+    assert np.max(np.abs(profile.a)) <= acceleration + 1e-6
+    brake = brake_profile(speed, acceleration, jerk)
+    assert brake.v[-1] == pytest.approx(0, abs=1e-9)
+    assert brake.s[-1] == pytest.approx(ramp_length(speed, acceleration, jerk), rel=1e-3)
+
+
+def test_a_run_up_that_is_too_short_is_refused() -> None:
+    with pytest.raises(LimitError, match="too short"):
+        run_up_profile(0.05, 1.0, 8.0, 150.0)
+
+
+def test_joint_move_is_straight_and_within_limits() -> None:
+    a, b = np.zeros(6), np.array([1.0, -0.5, 0.2, 2.0, 0.0, -1.0])
+    velocity, acceleration, jerk = np.full(6, 0.8), np.full(6, 3.0), np.full(6, 30.0)
+    move = joint_move(a, b, velocity, acceleration, jerk)
+    assert np.allclose(move.q[0], a)
+    assert np.allclose(move.q[-1], b)
+    assert np.allclose(move.qd[[0, -1]], 0, atol=1e-9)
+    share = move.q[:, 3] / 2.0
+    assert np.allclose(move.q, share[:, None] * b, atol=1e-9)
+    assert np.max(np.abs(move.qd)) <= 0.8 + 1e-9
+    assert np.max(np.abs(np.gradient(move.q, move.times, axis=0) - move.qd)) < 0.01
+
+
+def test_concatenate_joins_and_refuses_a_gap() -> None:
+    limits = (np.full(6, 0.8), np.full(6, 3.0), np.full(6, 30.0))
+    first = joint_move(np.zeros(6), np.ones(6), *limits)
+    second = joint_move(np.ones(6), np.zeros(6), *limits)
+    both = concatenate(first, second)
+    assert both.duration == pytest.approx(first.duration + second.duration)
+    assert np.allclose(both.q[-1], 0)
+    with pytest.raises(ValueError, match="do not join"):
+        concatenate(first, first)
+
+
+@pytest.fixture
+def move(home: Array) -> Trajectory:
+    limits = (np.full(6, 0.8), np.full(6, 3.0), np.full(6, 30.0))
+    return joint_move(home, home + 0.3, *limits)
+
+
+def altered(move: Trajectory, **changes: Array) -> Trajectory:
+    parts = {"times": move.times, "q": move.q, "qd": move.qd, "qdd": move.qdd, **changes}
+    return Trajectory(**parts)
+
+
+def test_checker_passes_a_good_move_and_names_what_is_wrong(
+    robot: RobotModel, config: StationConfig, move: Trajectory
+) -> None:
+    def check(trajectory: Trajectory, scene: SceneConfig = config.scene) -> None:
+        check_trajectory(trajectory, robot.arm, config.arm, scene)
+
+    check(move)
+    broken = move.q.copy()
+    broken[5, 2] = np.nan
+    with pytest.raises(LimitError, match="NaN"):
+        check(altered(move, q=broken))
+    with pytest.raises(LimitError, match="velocity of joint 1"):
+        check(altered(move, qd=move.qd * 10))
+    with pytest.raises(LimitError, match="acceleration of joint 1"):
+        check(altered(move, qdd=move.qdd * 10))
+    with pytest.raises(LimitError, match="position of joint 3"):
+        check(altered(move, q=move.q + np.array([0, 0, 3.0, 0, 0, 0])))
+    step = move.q.copy()
+    step[40:, 3] += 0.2
+    with pytest.raises(LimitError, match="velocity between samples of joint 4"):
+        check(altered(move, q=step))
+    started = move.qd.copy()
+    started[0] = 0.1
+    with pytest.raises(LimitError, match="start at rest"):
+        check(altered(move, qd=started))
+    with pytest.raises(LimitError, match="flange position of z"):
+        check(move, SceneConfig(workspace_upper=(1.2, 1.2, 0.3)))
