@@ -36,7 +36,7 @@ def assemble(kind: ToolKind, seed: int, pieces: list[Piece], ees: tuple[EndEffec
         mass=mass,
         center_of_mass=com,
         inertia=inertia,
-        _convex=tuple(convex for piece in pieces for convex in piece.convex),
+        _convex=tuple((piece.label, convex) for piece in pieces for convex in piece.convex),
     )
 
 

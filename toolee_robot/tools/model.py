@@ -136,7 +136,7 @@ class Tool:
     mass: float
     center_of_mass: Array
     inertia: Array
-    _convex: tuple[Convex, ...]
+    _convex: tuple[tuple[str, Convex], ...]
 
     def __repr__(self) -> str:
         return f"<Tool {self.name}: {self.mass:.3f} kg, {', '.join(part.label for part in self.parts)}>"
@@ -182,9 +182,18 @@ class Tool:
         return self._cross_products / np.maximum(norms, 1e-300)
 
     def collision_parts(self) -> list[trimesh.Trimesh]:
-        """Convex meshes whose union covers the tool (holes in the handle's eye are filled), `tool` frame."""
+        """Convex meshes whose union covers the tool, `tool` frame; `metadata["label"]` names each one's part.
+
+        A hammer's striking face is exactly flat in them; holes are filled, slots and jaws are not.
+        """
         return list(self._collision_parts)
 
     @cached_property
     def _collision_parts(self) -> tuple[trimesh.Trimesh, ...]:
-        return tuple(hull(points) for convex in self._convex for points in convex.hulls())
+        pieces = []
+        for label, convex in self._convex:
+            for points in convex.hulls():
+                piece = hull(points)
+                piece.metadata["label"] = label
+                pieces.append(piece)
+        return tuple(pieces)

@@ -22,6 +22,7 @@ from toolee_robot.tools.solids import (
     Convex,
     Piece,
     extrude,
+    hexagon,
     lobes,
     loft,
     loft_piece,
@@ -143,18 +144,14 @@ def _phillips_tip(rng: np.random.Generator, radius: float, z_tip: float, materia
 
 def _nut_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
     """A cup with a hexagonal hole: the EE's origin is the hole's centre in the mouth's plane."""
-    flats = rng.uniform(0.0035, 0.0075)
-    outer = max(flats / np.cos(np.pi / 6) * rng.uniform(1.12, 1.3), radius + 0.0005)
+    hole = hexagon(rng.uniform(0.007, 0.015))
+    outer = max(hole[0, 0] * rng.uniform(1.12, 1.3), radius + 0.0005)
     length = rng.uniform(0.014, 0.036)
-    z = z_tip - np.array([length, length - rng.uniform(0.001, 0.008), 0.0006, 0.0])
+    shoulder = length - rng.uniform(0.001, 0.006)
+    z = z_tip - np.array([length, shoulder, 0.0006, 0.0])
     rings = stack(z, np.array([radius, outer, outer, outer - 0.0006]), None, superellipse(2.0, 32))
-    hexagon = (
-        flats
-        / np.cos(np.pi / 6)
-        * np.column_stack([np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3)])
-    )
-    depth = rng.uniform(0.5, 0.75) * length
-    solid = loft(rings) - extrude(hexagon, z_tip - depth, z_tip + 0.001)
+    depth = rng.uniform(0.6, 0.9) * shoulder
+    solid = loft(rings) - extrude(hole, z_tip - depth, z_tip + 0.001)
     circle = superellipse(2.0, 24)
     return Piece("tip", solid, material, (Convex(prism_points(outer * circle, z_tip - length, z_tip)),)), length
 

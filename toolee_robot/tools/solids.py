@@ -65,6 +65,12 @@ def regular_polygon(sides: int, points: int = 32, corner: float = 0.0) -> Array:
     return r[:, None] * np.column_stack([np.cos(t), np.sin(t)])
 
 
+def hexagon(flats: float) -> Array:
+    """Corners (6, 2) of a hexagon `flats` across, two of its sides normal to y."""
+    t = np.arange(6) * np.pi / 3
+    return 0.5 * flats / np.cos(np.pi / 6) * np.column_stack([np.cos(t), np.sin(t)])
+
+
 def lobes(count: int, depth: float, points: int = 48) -> Array:
     """Unit section (M, 2) with `count` flutes of the given relative depth."""
     t = 2 * np.pi * np.arange(points) / points

@@ -19,6 +19,7 @@ from toolee_robot.tools.solids import (
     Piece,
     cross_section,
     extrude,
+    hexagon,
     loft,
     place,
     prism_points,
@@ -41,12 +42,6 @@ class WrenchHead:
     join: float
     radius: float
     half_thickness: float
-
-
-def hexagon(flats: float) -> Array:
-    """Corners (6, 2) of a hexagon `flats` across, two of its sides normal to y."""
-    t = np.arange(6) * np.pi / 3
-    return 0.5 * flats / np.cos(np.pi / 6) * np.column_stack([np.cos(t), np.sin(t)])
 
 
 def open_head(rng: np.random.Generator, size: float, material: Material) -> WrenchHead:

@@ -12,6 +12,7 @@ from toolee_robot.tools.solids import (
     Convex,
     Piece,
     extrude,
+    hexagon,
     loft,
     loft_piece,
     move,
@@ -19,7 +20,7 @@ from toolee_robot.tools.solids import (
     stack,
     superellipse,
 )
-from toolee_robot.tools.wrench_heads import WrenchHead, adjustable_head, hexagon, open_head, ring_head
+from toolee_robot.tools.wrench_heads import WrenchHead, adjustable_head, open_head, ring_head
 from toolee_robot.types import Category
 
 
