@@ -101,7 +101,7 @@ class SimCamera:
         """The world as it is now without sensor noise, with the world's body ids: ground truth, for the judge."""
         bodies = [*self._room.bodies, *(self._body(v) for v in self._world.visual_bodies())]
         scene = Scene(bodies, self._room.lights, self._room.environment)
-        return render(scene, self.intrinsics, self._config.X_base_camera)
+        return render(scene, self.intrinsics, self._config.X_base_camera, auto_exposure=0.7)
 
     def _body(self, visual: VisualBody) -> Body:
         material = self._materials.get(visual.name)

@@ -183,10 +183,12 @@ def arm_bodies(q_arm: Array, X_world_base: Array, body_id: int, rng: np.random.G
     own = rng.random() < 0.8
     bodies = []
     paint = any_color(rng)
+    bare = rng.random() < 0.3
     poses = arm_link_poses(q_arm)
     for link, parts in _arm_parts().items():
         for part in parts:
             color = part.color if own or part.finish != "painted_metal" else paint
-            material = finish(part.finish, color, part.roughness, part.metallic, rng)
+            name = "aluminium" if bare and part.finish == "painted_metal" else part.finish
+            material = finish(name, color, part.roughness, part.metallic, rng)
             bodies.append(Body(part.mesh, X_world_base @ poses[link], replace(material, wear=0.1), body_id))
     return bodies

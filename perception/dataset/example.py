@@ -34,7 +34,13 @@ def _pool(seed: int, block: int, split: str) -> Pool:
 def make_example(seed: int, index: int, split: str = "train") -> Example:
     """Example `index` of the data set `seed`; depends on nothing else. split: "train" or "test" (held-out tools)."""
     sample, rng = make_scene(seed, index, split)
-    rendering = render(sample.scene, sample.intrinsics, sample.X_world_camera, exposure=float(rng.uniform(0.75, 1.35)))
+    rendering = render(
+        sample.scene,
+        sample.intrinsics,
+        sample.X_world_camera,
+        exposure=float(rng.uniform(0.75, 1.35)),
+        auto_exposure=float(rng.uniform(0.3, 1.0)),
+    )
     noise = DepthNoise.random(rng)
     depth = measure_depth(rendering.depth, rendering.cos_incidence, rendering.shininess, sample.intrinsics, noise, rng)
     rgb = photograph(rendering.rgb, Photo.random(rng), rng)

@@ -144,7 +144,7 @@ def _objects(
 ) -> list[Body]:
     """Things on the table and in the air."""
     bodies: list[Body] = []
-    for _ in range(rng.poisson(3.5)):
+    for _ in range(rng.poisson(12.0 if rng.random() < 0.35 else 3.5)):
         size = float(np.exp(rng.uniform(np.log(0.03), np.log(0.35))))
         pixel = random_pixel(rng, -0.1)
         point = None if table is None else on_plane(intrinsics, X_world_camera, table, pixel)
@@ -161,7 +161,7 @@ def _objects(
 def _occluders(rng: np.random.Generator, X_world_camera: Array, placed: list[PlacedTool]) -> list[Body]:
     """Now and then something between the camera and an EE."""
     bodies: list[Body] = []
-    if not placed or rng.random() < 0.65:
+    if not placed or rng.random() < 0.5:
         return bodies
     for _ in range(rng.integers(1, 3)):
         item = placed[int(rng.integers(len(placed)))]

@@ -14,7 +14,6 @@ from toolee_robot.render import Scene
 from toolee_robot.tools import KINDS_BY_FAMILY, Family, Tool, make_tool
 from toolee_robot.types import CameraIntrinsics
 
-POOL_TOOLS = 24
 _GRASP_RADII = (0.006, 0.009, 0.012, 0.0145, 0.017, 0.021)
 _GRASPS_EACH = 4
 _INSTANCES = 3000
@@ -31,13 +30,13 @@ class Pool:
     @staticmethod
     def random(rng: np.random.Generator, split: str) -> Pool:
         """Half hammers, the rest screwdrivers and wrenches; split "train" or "test" (held-out instances)."""
-        families = [Family.HAMMERS] * 12 + [Family.SCREWDRIVERS] * 5 + [Family.WRENCHES] * 7
+        families = [Family.HAMMERS] * 11 + [Family.SCREWDRIVERS] * 7 + [Family.WRENCHES] * 6
         tools = []
-        for family in families[:POOL_TOOLS]:
+        for family in families:
             kinds = KINDS_BY_FAMILY[family]
             weights = np.ones(len(kinds))
             if family is Family.HAMMERS:
-                weights[0] = 4.0  # the only kind with a claw, the fourth category
+                weights[0] = 6.0  # the only kind with a claw, the fourth category
             kind = kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]
             block = int(rng.integers(_INSTANCES // 5)) * 5
             seed = block + 4 if split == "test" else block + int(rng.integers(4))
@@ -142,11 +141,11 @@ def on_plane(intrinsics: CameraIntrinsics, X_world_camera: Array, height: float,
 
 
 def sees_an_ee(tool: Tool, X_camera_tool: Array, intrinsics: CameraIntrinsics) -> bool:
-    """Whether the origin of one of the tool's EEs is in the image and 0.3 to 1.3 m away."""
+    """Whether the origin of one of the tool's EEs is in the image and 0.3 to 1.1 m away."""
     for ee in tool.ees:
         x, y, z = (X_camera_tool @ ee.X_tool_ee)[:3, 3]
         u, v = intrinsics.fx * x / z + intrinsics.cx, intrinsics.fy * y / z + intrinsics.cy
-        if 0.3 < z < 1.3 and 0 <= u < WIDTH and 0 <= v < HEIGHT:
+        if 0.3 < z < 1.1 and 0 <= u < WIDTH and 0 <= v < HEIGHT:
             return True
     return False
 

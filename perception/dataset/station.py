@@ -59,7 +59,7 @@ def _postures() -> tuple[Array, Array]:
         if link.name == FLANGE_FRAME:
             break
     palm = X[:, :3, 3] + 0.27 * X[:, :3, 2]
-    near = np.linalg.norm(palm - _TARGET, axis=1) < 0.28
+    near = np.linalg.norm(palm - (0.15 * _CAMERA + 0.85 * _TARGET), axis=1) < 0.25
     clear = (np.min(heights[2:], axis=0) > 0.12) & (palm[:, 2] > 0.3)
     # Not with the arm between hand and camera.
     away = np.linalg.norm(palm - _CAMERA, axis=1) < np.linalg.norm(X[:, :3, 3] - _CAMERA, axis=1) + 0.15
@@ -99,7 +99,7 @@ def _robot_hand(rng: np.random.Generator) -> HandStyle:
     """Mostly the Shadow hand's black, else anything."""
     style = HandStyle.random(rng)
     if rng.random() < 0.65:
-        black = finish("plastic", tuple_of(rng.uniform(0.05, 0.2)), float(rng.uniform(0.3, 0.6)), 0.0, rng)
+        black = finish("plastic", tuple_of(rng.uniform(0.05, 0.35)), float(rng.uniform(0.3, 0.6)), 0.0, rng)
         metal = finish("aluminium", tuple_of(rng.uniform(0.08, 0.6)), 0.45, float(rng.uniform(0.0, 0.8)), rng)
         style = HandStyle(False, black, finish("rubber", tuple_of(rng.uniform(0.1, 0.6)), 0.8, 0.0, rng), metal)
     return HandStyle(False, style.palm, style.tips, style.sleeve)

@@ -57,7 +57,8 @@ def lamps(rng: np.random.Generator) -> tuple[Light, ...]:
     """One to three lamps: ceiling or window, of a plausible strength and colour temperature."""
     lights = []
     share = rng.dirichlet(np.full(3, 1.5))[: rng.integers(1, 4)]
-    for strength in share / share.sum() * rng.uniform(0.45, 1.0):
+    strengths = np.sort(share / share.sum() * rng.uniform(0.45, 1.0))[::-1]
+    for k, strength in enumerate(strengths):
         direction = rng.normal(size=3)
         direction[2] = abs(direction[2]) + 0.6
         direction /= np.linalg.norm(direction)
@@ -68,6 +69,7 @@ def lamps(rng: np.random.Generator) -> tuple[Light, ...]:
                 (float(color[0]), float(color[1]), float(color[2])),
                 direction=(float(direction[0]), float(direction[1]), float(direction[2])),
                 softness=float(rng.uniform(0.02, 0.15)),
+                shadow=k < 2,  # a third lamp's shadow is too faint to pay for
             )
         )
     return tuple(lights)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -25,6 +26,12 @@ from toolee_robot.types import CameraIntrinsics
 
 _SHADOW_OFFSET = 4e-4
 """Shadow rays start this far [m] off the surface, or surfaces would shadow themselves."""
+
+
+_MIDDLE_GREY = 0.2
+"""Linear brightness that automatic exposure aims at."""
+_SUBPIXELS = ((-0.33, -0.17), (0.33, 0.17))
+"""Further rays through a pixel on an outline [px from its centre]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,11 +207,13 @@ def render(
     X_world_camera: Array,
     antialias: bool = True,
     exposure: float = 1.0,
+    auto_exposure: float = 0.0,
 ) -> Rendering:
     """Render the scene from a camera (OpenCV axes: x right, y down, z forward).
 
-    antialias: shoot four more rays through each pixel on an outline (colour only; depth and ids stay those of the
+    antialias: shoot two more rays through each pixel on an outline (colour only; depth and ids stay those of the
     pixel's centre). exposure: factor on the linear colour before the sRGB curve.
+    auto_exposure: in [0, 1], how much the camera makes up for a dark or bright scene.
     """
     height, width = intrinsics.height, intrinsics.width
     caster = _Caster(scene, X_world_camera)
@@ -220,6 +229,9 @@ def render(
     grid = (height, width)
     if antialias:
         _smooth_outlines(caster, intrinsics, color, depth.reshape(grid), body.reshape(grid))
+    if auto_exposure > 0:
+        mean = float(np.minimum(color, 1.0).mean())
+        exposure *= float(np.clip((_MIDDLE_GREY / max(mean, 1e-3)) ** auto_exposure, 0.4, 6.0))
     ids = np.array([b.body_id for b in scene.bodies] + [-1], np.int16)[body]  # body -1 takes the last entry
     return Rendering(
         rgb=to_srgb(color.reshape(height, width, 3) * np.float32(exposure)),
@@ -284,7 +296,7 @@ def _background(scene: Scene, caster: _Caster, intrinsics: CameraIntrinsics, dir
 def _smooth_outlines(
     caster: _Caster, intrinsics: CameraIntrinsics, color: FloatArray, depth: FloatArray, body: NDArray[np.int32]
 ) -> None:
-    """Replace the colour of pixels on outlines (in place) by the mean over four sub-pixel rays."""
+    """Replace the colour of pixels on outlines (in place) by the mean over the centre's ray and two more."""
     edge = np.zeros(body.shape, bool)
     for axis in (0, 1):
         a = [slice(None)] * 2
@@ -297,8 +309,8 @@ def _smooth_outlines(
     rows, columns = np.nonzero(edge)
     if not len(rows):
         return
-    total = np.zeros((len(rows), 3), np.float32)
-    for du, dv in ((-0.375, -0.125), (0.125, -0.375), (0.375, 0.125), (-0.125, 0.375)):
+    total = color[rows * intrinsics.width + columns]
+    for du, dv in _SUBPIXELS:
         rays = np.ones((len(rows), 3), np.float32)
         rays[:, 0] = (columns + du - intrinsics.cx) / intrinsics.fx
         rays[:, 1] = (rows + dv - intrinsics.cy) / intrinsics.fy
@@ -310,7 +322,7 @@ def _smooth_outlines(
             sample = caster.environment.specular(_unit(rays @ caster.R_world_camera.T), sharp)
         sample[hits.ray] = caster.shade(hits, None)[0]
         total += sample
-    color[rows * intrinsics.width + columns] = total / 4
+    color[rows * intrinsics.width + columns] = total / (1 + len(_SUBPIXELS))
 
 
 def _unit(a: FloatArray) -> FloatArray:
@@ -319,6 +331,13 @@ def _unit(a: FloatArray) -> FloatArray:
 
 
 def _jitter(index: NDArray[np.int64]) -> FloatArray:
-    """(N, 3) in the unit cube [-1, 1]^3, a fixed function of the index (R3 low-discrepancy sequence)."""
+    """(N, 3) in the cube [-1, 1]^3, a fixed function of the index."""
+    table = _jitter_table()
+    return table[index % len(table)]
+
+
+@lru_cache(maxsize=1)
+def _jitter_table() -> FloatArray:
+    """The R3 low-discrepancy sequence; its length is a prime above any image's width, so that rows differ."""
     alpha = np.array([0.8191725134, 0.6710436067, 0.5497004779])
-    return (2.0 * ((index[:, None] * alpha) % 1.0) - 1.0).astype(np.float32)
+    return (2.0 * ((np.arange(65537)[:, None] * alpha) % 1.0) - 1.0).astype(np.float32)
