@@ -66,7 +66,7 @@ class CollisionWorld:
     ) -> None:
         self.robot = robot
         arm = list(arm_bodies(robot))
-        carried = list(hand_bodies(robot, q_hand))
+        carried = hand_bodies(robot, q_hand)
         held: list[Body] = []
         if X_hand_ee is not None:
             X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -35,6 +35,11 @@ class Body:
     geometry: Any = field(repr=False)
     X_joint_shape: Array = field(repr=False)
     spheres: Array = field(repr=False)
+
+    def moved(self, X: Array) -> Body:
+        """The body at X (4x4) times where it is."""
+        spheres = np.column_stack([transform_points(X, self.spheres[:, :3]), self.spheres[:, 3]])
+        return replace(self, X_joint_shape=X @ self.X_joint_shape, spheres=spheres)
 
 
 @dataclass(frozen=True)
@@ -88,21 +93,25 @@ def arm_bodies(robot: RobotModel) -> tuple[Body, ...]:
 _HAND_CACHE: dict[bytes, tuple[Body, ...]] = {}
 
 
-def hand_bodies(robot: RobotModel, q_hand: Array) -> tuple[Body, ...]:
-    """Convex hulls of the hand's parts (forearm, palm, each finger) with its joints locked at q_hand (24,)."""
-    key = np.round(q_hand, 3).tobytes()
+def hand_bodies(robot: RobotModel, q_hand: Array) -> list[Body]:
+    """Convex hulls of the hand's parts (forearm, palm, each finger) with its joints locked at q_hand (24,).
+
+    The hulls are kept from call to call while no joint moves by 0.01 rad (1 mm); their pose on the arm is exact.
+    """
+    key = np.round(q_hand, 2).tobytes()
     if key not in _HAND_CACHE:
-        X_hand_to_joint = robot.arm.X_joint6_flange @ robot.X_flange_hand(q_hand)
         parts: dict[str, list[Array]] = {}
         poses = hand_link_poses(q_hand)
         for link, mesh in hand_meshes().items():
             part = "forearm of the hand" if link in ("rh_forearm", "rh_wrist") else finger_of(link)
-            parts.setdefault(part, []).append(transform_points(X_hand_to_joint @ poses[link], mesh.vertices))
-        bodies = tuple(_hull(name, "hand", TOOL_JOINT, np.concatenate(points)) for name, points in parts.items())
+            parts.setdefault(part, []).append(transform_points(poses[link], mesh.vertices))
         if len(_HAND_CACHE) > 32:
             _HAND_CACHE.clear()
-        _HAND_CACHE[key] = bodies
-    return _HAND_CACHE[key]
+        _HAND_CACHE[key] = tuple(
+            _hull(name, "hand", TOOL_JOINT, np.concatenate(points)) for name, points in parts.items()
+        )
+    X = robot.arm.X_joint6_flange @ robot.X_flange_hand(q_hand)
+    return [body.moved(X) for body in _HAND_CACHE[key]]
 
 
 def station_bodies(config: StationConfig) -> list[Body]:
