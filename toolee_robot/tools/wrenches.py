@@ -99,9 +99,9 @@ def _handle(
         flare = flare + rng.uniform(0.0, 0.35) * np.clip((0.15 - u) / 0.15, 0, 1) ** 2
     a = widest * (taper + (1 - taper) * u) * (1.0 - rng.uniform(0.0, 0.2) * np.sin(np.pi * u)) * flare
     if not adjustable:  # the ends stay inside the heads' outlines
-        a = np.where(u > 0.8, np.minimum(a, _chord(near)), a)
+        a = a - max(a[-1] - _chord(near), 0.0) * np.clip((u - 0.5) / 0.5, 0, 1)
     if far:
-        a = np.where(u < 0.2, np.minimum(a, _chord(far)), a)
+        a = a - max(a[0] - _chord(far), 0.0) * np.clip((0.5 - u) / 0.5, 0, 1)
     rounding = np.ones(20)
     if far is None:
         rounding[0] = rng.uniform(0.5, 0.9)
