@@ -39,6 +39,12 @@ def tool_meshes(kind: ToolKind, seed: int) -> tuple[Mesh, ...]:
     )
 
 
+def forget_tools() -> None:
+    """Free the tools made so far: another block of examples has others."""
+    tool_meshes.cache_clear()
+    make_tool.cache_clear()
+
+
 def tool_bodies(tool: Tool, X_world_tool: Array, body_id: int, rng: np.random.Generator) -> list[Body]:
     """The tool in its own colours or, half of the time, in others."""
     repaint = rng.random() < 0.5
@@ -85,12 +91,12 @@ def random_grasp(radius: float, rng: np.random.Generator) -> Grasp:
         spin = rng.uniform(-np.pi, np.pi)
     elif kind < 0.35:
         spin += np.pi
-    tilt = rng.normal(0.0, 0.15, 2)
+    tilt = rng.normal(0.0, 0.12, 2)
     axis = np.array([1.0, tilt[0], tilt[1]])
     X = nominal_X_hand_tool(radius)
     reference = np.array([0.0, -np.sin(spin), np.cos(spin)])
     X = frame_from_axes(z=axis * (1.0 if rng.random() < 0.9 else -1.0), x=reference, p=X[:3, 3] + p)
-    q = wrap_fingers(X, radius)
+    q = _closed(wrap_fingers(X, radius))
     wrist = [HAND_JOINTS.index("rh_WRJ2"), HAND_JOINTS.index("rh_WRJ1")]
     if rng.random() < 0.08:
         # The open hand, the tool lying in it: as during the handover.
@@ -99,6 +105,16 @@ def random_grasp(radius: float, rng: np.random.Generator) -> Grasp:
     q[2:] += rng.normal(0.0, 0.04, len(q) - 2)
     q[wrist] = rng.uniform([-0.45, -0.6], [0.12, 0.4])
     return Grasp(X, q, radius)
+
+
+def _closed(q_hand: Array) -> Array:
+    """Fingers that a slanting handle kept from closing (they began inside of it) bend as far as the others do."""
+    q = q_hand.copy()
+    rows = np.array([[HAND_JOINTS.index(f"rh_{f}J{j}") for j in (3, 2, 1)] for f in ("FF", "MF", "RF", "LF")])
+    blocked = q[rows[:, 0]] < 0.3
+    if blocked.any() and not blocked.all():
+        q[rows[blocked]] = np.median(q[rows[~blocked]], axis=0)
+    return q
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 
 from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.perception.dataset.bodies import forget_tools
 from toolee_robot.perception.dataset.example import BLOCK, make_example
 from toolee_robot.perception.dataset.storage import shard_path, write_shard
 
@@ -72,6 +73,7 @@ def generate(
 def _make_shard(out: Path, seed: int, split: str, job: tuple[int, int]) -> None:
     first, last = job
     write_shard(shard_path(out, first // BLOCK), [make_example(seed, i, split) for i in range(first, last)])
+    forget_tools()
 
 
 def _use_one_core() -> None:

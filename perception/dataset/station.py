@@ -35,7 +35,7 @@ from toolee_robot.types import CameraIntrinsics
 _CAMERA = np.array([0.95, -0.62, 0.85])
 _TARGET = np.array([0.60, -0.15, 0.72])
 _NAIL = np.array([0.75, 0.10])
-_POSTURES = 200_000
+_POSTURES = 100_000
 
 
 @lru_cache(maxsize=1)

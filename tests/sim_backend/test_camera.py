@@ -59,7 +59,7 @@ def test_frames_are_new_and_follow_the_world() -> None:
     with SimCamera(world, clock, CONFIG, seed=1) as camera:
         first = camera.read()
         second = camera.read()
-        world.p = CENTER + [0.0, 0.0, 5.0]
+        world.p = np.add(CENTER, [0.0, 0.0, 5.0])
         gone = camera.read()
     assert first.stamp < second.stamp < gone.stamp
     assert second.stamp - first.stamp == pytest.approx(1 / 30)
