@@ -2,7 +2,7 @@
 
     python -m toolee_robot.perception.train_pose --out runs/pose --minutes 20
 
-Writes pose.safetensors and pose.json (settings, validation on held-out tools, calibration), log.jsonl, and
+Writes pose-*.safetensors and pose.json (settings, validation on held-out tools, calibration), log.jsonl, and
 checkpoint.pt; the same command again resumes from it. Where gymnasium-robotics is not installed, carry the hand's
 surface samples there:
 

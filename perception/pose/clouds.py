@@ -1,7 +1,7 @@
 """Training clouds made on the device as they are needed: nothing is stored, every cloud is new.
 
-A tool at a random pose, a hand on its handle, an occluder now and then, a background; seen by a depth camera and cut out
-by an imperfect mask. A share are negatives: clouds of hands, of other parts, or of another category's EE.
+A tool at a random pose, a hand on its handle, an occluder now and then, a background; seen by a depth camera and cut
+out by an imperfect mask. A share are negatives: clouds of hands, of other parts, or of another category's EE.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ class CloudConfig:
     occluder_share: float = 0.4
     mask_error_share: float = 0.8
     chunk_share: float = 0.15
+    cleaned_share: float = 0.8
     negative_share: float = 0.12
     max_occlusion: float = 0.7
     sensor_level: float | None = None
@@ -208,6 +209,7 @@ class CloudGenerator:
         occlusion = 1 - target.sum((1, 2)) / unoccluded
         level = c.sensor_level
         depth = splat.measure(truth, cosine, self._shininess[item], f, self._g, level)
+        depth = torch.where(self._cleaned(depth), depth, 0.0)
         mask = self._imperfect(target)
 
         usable = mask & (depth > 0)
@@ -264,6 +266,19 @@ class CloudGenerator:
         depth = (focus[:, 2] + gap)[:, None, None] + (around * slope[:, None, None]).sum(-1)
         present = (self._uniform(B) < 0.85)[:, None, None]
         buffer.fill(depth, present.expand_as(depth), splat.BACKGROUND)
+
+    def _cleaned(self, depth: Tensor) -> Tensor:
+        """Which pixels are left (B, GRID, GRID): in most clouds those that hang between surfaces are removed, as
+        `toolee_robot.perception.cloud` does."""
+        limit = 0.012 + 0.01 * depth
+        padded = torch.nn.functional.pad(depth, (1, 1, 1, 1))
+        near = torch.zeros_like(depth)
+        for dj in range(3):
+            for di in range(3):
+                if (dj, di) != (1, 1):
+                    near += ((padded[:, dj : dj + GRID, di : di + GRID] - depth).abs() < limit).float()
+        as_seen = (self._uniform(len(depth)) < 1 - self.config.cleaned_share)[:, None, None]
+        return as_seen | (near >= 2)
 
     def _imperfect(self, target: Tensor) -> Tensor:
         """Predicted masks: grown or shrunk by a pixel or three, ragged, shifted, now and then a piece missing."""

@@ -1,7 +1,7 @@
 """How far to trust a pose: a small logistic model over what the network and the pooling say.
 
-It predicts the probability that the pose is within 10 deg and 2 cm, and is fitted on held-out tools together with clouds
-that are no EE of the claimed category (hands, occluders, other parts), for which success is impossible.
+It predicts the probability that the pose is within 10 deg and 2 cm, and is fitted on held-out tools together with
+clouds that are no EE of the claimed category (hands, other parts, other EEs), for which success is impossible.
 """
 
 from __future__ import annotations

@@ -183,7 +183,7 @@ class PoseEstimator:
 
 
 def with_hand(result: PoseResult, X_camera_hand: Array, spin_sigma: float = HAND_SPIN_SIGMA) -> PoseResult:
-    """The result with its spin about a symmetric EE's axis fixed by the hand's orientation (4x4 pose); see `spin.py`."""
+    """The result with the spin about a symmetric EE's axis fixed by the hand's pose (4x4); see `spin.py`."""
     from toolee_robot.robots.grasp import nominal_X_hand_tool
 
     group = result.category.symmetry

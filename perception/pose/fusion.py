@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE, align, pairwise_angles
+from toolee_robot.perception.pose.spin import with_spin_variance
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 from toolee_robot.types import Category, InHandEstimate
 
@@ -56,7 +57,9 @@ def fuse_in_hand(
         raise ValueError(f"{len(estimates)} estimates but {len(Xs_camera_hand)} hand poses")
     category = estimates[0].category
     group = category.symmetry
-    pairs = list(zip(estimates, Xs_camera_hand, strict=True))
+    pairs = [(e, X) for e, X in zip(estimates, Xs_camera_hand, strict=True) if np.isfinite(e.X_camera_ee).all()]
+    if not pairs:
+        raise PerceptionError(f"no frame shows the {category} well enough: move it nearer to the camera, unhidden")
     trusted = [pair for pair in pairs if pair[0].usable] or pairs
     Xs = np.stack([inverse(X_camera_hand) @ e.X_camera_ee for e, X_camera_hand in trusted])
     covariances = np.stack([_in_hand(e.covariance, X) for e, X in trusted])
@@ -90,6 +93,10 @@ def fuse_in_hand(
     # More scatter than the covariances promise widens the result; less does not narrow it (frames are correlated).
     inflation = max(1.0, float(squared.sum()) / max(6 * (n - 1), 1)) if n > 1 else 1.0
     covariance = mean * inflation * (CORRELATION + (1 - CORRELATION) / n) + floor
+    if group.kind is SymmetryKind.CINF:
+        # The frames' axes differ a little, so that their swing information leaks into the spin, of which none know.
+        axis = R @ np.asarray(group.axis)
+        covariance = with_spin_variance(covariance, axis, min(float(np.median(spin)), FREE_SPIN_VARIANCE))
     agreeing = n / len(trusted)
     usable_seen = sum(e.usable for e in estimates)
     belief = float((1 - (1 - confidence.mean()) ** (1 + 0.5 * (n - 1))) * agreeing)

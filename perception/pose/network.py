@@ -2,8 +2,8 @@
 
 Encoder: 64 patches of 32 points within 12 mm of their centres, a small PointNet each, then a transformer with tokens
 for the category and for the direction to the rest of the tool. Measured against PointNet++ at equal data it is better
-and faster. Flow head: velocity of the rectified flow (Lipman et al., "Flow Matching for Generative Modeling", ICLR 2023;
-Liu et al., "Flow Straight and Fast", ICLR 2023), conditioned by FiLM. About 4.8 M parameters, pure PyTorch.
+and faster. Flow head: velocity of the rectified flow (Lipman et al., "Flow Matching for Generative Modeling", ICLR
+2023; Liu et al., "Flow Straight and Fast", ICLR 2023), conditioned by FiLM. About 4.8 M parameters, pure PyTorch.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class PoseNet(nn.Module):
         self.regression = nn.Sequential(nn.Linear(f, d), nn.SiLU(), nn.Linear(d, d), nn.SiLU(), nn.Linear(d, DIM + 4))
 
     def encode(self, points: Tensor, category: Tensor, direction: Tensor, context: Tensor) -> Tensor:
-        """Feature (B, 2 width) of clouds (B, 512, 3) [m, canonical], category (B,), direction (B, 5), context (B, 2)."""
+        """Feature (B, 2 width) of clouds (B, 512, 3) [m, canonical frame], category (B,) and tokens (B, 5), (B, 2)."""
         c = self.config
         centres = points[:, :PATCHES]
         with torch.no_grad():

@@ -143,7 +143,7 @@ def align(R: Array, R_reference: Array, group: SymmetryGroup) -> Array:
 
 
 def twist_angles(R: Array, axis: Array) -> Array:
-    """(K,) twist [rad] about `axis` (3,) of rotations (K, 3, 3), from the swing-twist decomposition R = swing @ twist."""
+    """(K,) twist [rad] about `axis` (3,) of rotations (K, 3, 3), by the decomposition R = swing @ twist."""
     q = Rotation.from_matrix(R).as_quat()
     angle = 2 * np.arctan2(q[..., :3] @ axis, q[..., 3])
     return np.arctan2(np.sin(angle), np.cos(angle))

@@ -4,7 +4,7 @@ ToolEENet writes a pose as [Rx | Ry | S | T]: two columns of the rotation (the c
 al., "On the Continuity of Rotation Representations in Neural Networks", CVPR 2019, eq. 15-16), S in R^3 whose k-th
 entry says that the pose is ambiguous about axis k, and the translation. Here the first column is the *action axis* z
 (the face's normal, the shaft, the nut's axis): Gram-Schmidt keeps the first column's direction and bends the second,
-and on tools that are symmetric about z, x is the ambiguous one. S is per view, not per class: it is 1 about the symmetry axis
+and on tools that are symmetric about z, x is the ambiguous one. S is per view, not per class: a hammer's is 1 about z
 only where nothing visible tells the spin.
 
 T is in units of `T_SCALE`; rotations and T are in the canonical frame of `canonical.py`.

@@ -38,8 +38,8 @@ def fix_spin(
     """The rotation R (3, 3) with its spin moved toward the prior's, and the spin's variance [rad^2] afterwards.
 
     R_prior: 3x3, the EE's orientation as the hand suggests it, same frame as R; only its twist relative to R about the
-    group's axis is used. variance, prior_variance [rad^2] of the two spins: they combine like von Mises directions, so that
-    a free spin (pi^2/3) has no weight. A C2 group picks the member of the orbit nearest to the prior; no group: R.
+    group's axis is used. variance, prior_variance [rad^2] of the two spins: they combine like von Mises directions, so
+    that a free spin (pi^2/3) has no weight. A C2 group picks the member of the orbit nearest to the prior; no group: R.
     """
     if group.kind is SymmetryKind.NONE:
         return R, variance

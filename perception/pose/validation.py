@@ -81,7 +81,7 @@ def metrics(evaluated: Evaluated, rows: Array | None = None) -> dict[str, Any]:
             "median_deg": float(np.rad2deg(np.median(evaluated.angle[of]))),
         }
     keys = ("5deg_2cm", "5deg_1cm", "10deg_2cm", "median_mm", "median_deg")
-    rows_ = [row for row in table.values()]
+    rows_ = list(table.values())
     table["average"] = {k: float(np.mean([row[k] for row in rows_])) for k in keys} if rows_ else {}
     return {k: {n: round(v, 4) for n, v in row.items()} for k, row in table.items()}
 

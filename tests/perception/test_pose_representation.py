@@ -1,0 +1,79 @@
+"""The pose's representation and the canonical view of a cloud."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.perception.pose.canonical import PATCHES, POINTS, canonicalize, ray_rotation
+from toolee_robot.perception.pose.representation import DIM, decode, encode
+
+seeds = st.integers(0, 2**31)
+
+
+@given(seeds)
+@settings(max_examples=30, deadline=None)
+def test_round_trip(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    R = torch.as_tensor(Rotation.random(5, rng=rng).as_matrix())
+    p = torch.as_tensor(rng.normal(0, 0.05, (5, 3)))
+    s = torch.as_tensor(rng.integers(0, 2, (5, 3)).astype(float))
+    R2, p2, s2 = decode(encode(R, p, s))
+    torch.testing.assert_close(R2, R, atol=1e-9, rtol=0)
+    torch.testing.assert_close(p2, p)
+    torch.testing.assert_close(s2, s)
+
+
+@given(seeds)
+@settings(max_examples=30, deadline=None)
+def test_any_vector_decodes_to_a_rotation_that_keeps_the_action_axis(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    u = torch.as_tensor(rng.normal(size=(4, DIM)))
+    u[1] = 0.0
+    u[2, 3:6] = 2.5 * u[2, :3]  # second column along the first
+    R, _, _ = decode(u)
+    torch.testing.assert_close(R @ R.mT, torch.eye(3, dtype=R.dtype).expand(4, 3, 3), atol=1e-9, rtol=0)
+    assert bool((torch.linalg.det(R) > 0).all())
+    torch.testing.assert_close(R[0, :, 2], u[0, :3] / u[0, :3].norm())
+
+
+def test_ray_rotation_turns_the_ray_onto_z() -> None:
+    centre = torch.tensor([[0.2, -0.1, 0.6], [0.0, 0.0, 1.0]])
+    R = ray_rotation(centre)
+    turned = torch.einsum("bij,bj->bi", R, centre)
+    torch.testing.assert_close(
+        turned, torch.tensor([[0.0, 0.0, 1.0]]) * centre.norm(dim=1, keepdim=True), atol=1e-6, rtol=0
+    )
+
+
+def test_canonical_cloud_ignores_background_and_distance() -> None:
+    rng = np.random.default_rng(0)
+    surface = rng.uniform(-0.02, 0.02, (300, 3)) + np.array([0.1, 0.0, 0.5])
+    wall = rng.uniform(-0.05, 0.05, (120, 3)) + np.array([0.1, 0.0, 1.4])
+    points = torch.as_tensor(np.concatenate([surface, wall]), dtype=torch.float32)[None]
+    cloud = canonicalize(
+        points, torch.ones(1, 420, dtype=torch.bool), torch.tensor([0.04]), torch.Generator().manual_seed(0)
+    )
+    assert cloud.points.shape == (1, POINTS, 3)
+    assert int(cloud.count[0]) == 300
+    assert float(cloud.points.norm(dim=-1).max()) < 0.05
+    np.testing.assert_allclose(cloud.centre[0], [0.1, 0.0, 0.5], atol=0.004)
+    back = cloud.points[0] @ cloud.R[0] + cloud.centre[0]
+    nearest = (back[:, None] - points[0, None, :300]).norm(dim=-1).min(1).values
+    assert float(nearest.max()) < 1e-5
+    # The first points are spread out: each is farther from the others than a random choice would be.
+    head = torch.cdist(cloud.points[0, :PATCHES], cloud.points[0, :PATCHES]) + torch.eye(PATCHES)
+    assert float(head.min()) > 0.004
+
+
+def test_padding_flags_are_obeyed() -> None:
+    points = torch.full((1, 200, 3), 9.0)
+    points[0, :60] = torch.rand(60, 3) * 0.02 + torch.tensor([0.0, 0.0, 0.5])
+    valid = torch.zeros(1, 200, dtype=torch.bool)
+    valid[0, :60] = True
+    cloud = canonicalize(points, valid, torch.tensor([0.05]), torch.Generator().manual_seed(0))
+    assert int(cloud.count[0]) == 60
+    assert float(cloud.points.abs().max()) < 0.05

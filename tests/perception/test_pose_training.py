@@ -1,0 +1,205 @@
+"""The network, its training clouds and its training, at the smallest size that still shows the behaviour."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from toolee_robot.errors import AssetError, PerceptionError, TooleeError
+from toolee_robot.perception.pose import PoseEstimator
+from toolee_robot.perception.pose.bank import ToolBank, hand_bank, load_hands, save_hands, tool_bank
+from toolee_robot.perception.pose.canonical import MIN_POINTS
+from toolee_robot.perception.pose.clouds import CloudBatch, CloudConfig, CloudGenerator
+from toolee_robot.perception.pose.confidence import fit
+from toolee_robot.perception.pose.losses import augment, canonical_rotation, pose_loss
+from toolee_robot.perception.pose.network import NetworkConfig, PoseNet, sample
+from toolee_robot.perception.pose.training import TrainConfig, Trainer
+from toolee_robot.tools import ee_radius
+from toolee_robot.types import Category
+
+TINY = NetworkConfig(width=32, layers=1, heads=2, neighbours=8, flow_width=64, flow_blocks=1)
+CLEAN = CloudConfig(
+    hand_share=0.0, occluder_share=0.0, mask_error_share=0.0, chunk_share=0.0, negative_share=0.0, sensor_level=0.0
+)
+
+
+@pytest.fixture(scope="module")
+def bank() -> ToolBank:
+    return tool_bank(held_out=False, seeds_per_kind=1, workers=1)
+
+
+@pytest.fixture(scope="module")
+def hands() -> np.ndarray:  # type: ignore[type-arg]
+    return hand_bank(4)
+
+
+@pytest.fixture(scope="module")
+def clouds(bank: ToolBank, hands: np.ndarray) -> CloudBatch:  # type: ignore[type-arg]
+    return CloudGenerator(bank, hands, "cpu", 0).collect(32, 48)
+
+
+def test_clean_clouds_lie_on_the_tools_surface(bank: ToolBank, hands: np.ndarray) -> None:  # type: ignore[type-arg]
+    batch = CloudGenerator(bank, hands, "cpu", 1, CLEAN).collect(12, 16)
+    for i in range(len(batch)):
+        # Back in the EE's frame every point is within the radius and near a surface sample.
+        local = (batch.points[i] - batch.p[i]) @ batch.R[i]
+        surface = torch.as_tensor(bank.ee_points[int(batch.item[i])])
+        category = list(Category)[int(batch.category[i])]
+        assert float(local.norm(dim=-1).max()) < ee_radius(category) + 0.004
+        distance = torch.cdist(local, surface).min(1).values
+        assert float(distance.median()) < 0.0015
+        assert float(distance.quantile(0.95)) < 0.004
+
+
+def test_hard_clouds_are_noisy_occluded_and_partly_negative(clouds: CloudBatch, bank: ToolBank) -> None:
+    assert bool(torch.isfinite(clouds.points).all())
+    assert int(clouds.visible.min()) >= MIN_POINTS
+    positive = clouds.positive
+    assert 0.6 < float(positive.float().mean()) < 1.0
+    assert float(clouds.occlusion[positive].max()) <= 0.7
+    truth = torch.as_tensor(bank.category)[clouds.item]
+    assert bool((clouds.category == truth)[positive].all())
+    torch.testing.assert_close(clouds.direction[:, :3].norm(dim=-1), torch.ones(len(clouds)))
+
+
+def test_augmentation_keeps_clouds_and_poses_together(bank: ToolBank, hands: np.ndarray) -> None:  # type: ignore[type-arg]
+    batch = CloudGenerator(bank, hands, "cpu", 2, CLEAN).collect(16, 24)
+    turned = augment(batch, torch.Generator().manual_seed(0))
+    R = turned.R
+    torch.testing.assert_close(R @ R.mT, torch.eye(3).expand_as(R), atol=1e-5, rtol=0)
+    assert bool((torch.linalg.det(R) > 0).all())
+    # A mirrored hammer, screwdriver or claw is the same tool: the points still lie on its surface.
+    mirror_in_y = [i for i in range(len(batch)) if int(batch.category[i]) != list(Category).index(Category.WRENCH_HEAD)]
+    for i in mirror_in_y:
+        local = (turned.points[i] - turned.p[i]) @ R[i]
+        surface = torch.as_tensor(bank.ee_points[int(batch.item[i])])
+        assert float(torch.cdist(local, surface).min(1).values.median()) < 0.002
+    canonical = canonical_rotation(R, turned.category)
+    for i, category in enumerate(turned.category):
+        group = list(Category)[int(category)].symmetry
+        assert group.rotation_error(canonical[i].double().numpy(), R[i].double().numpy()) < 1e-3
+
+
+def test_the_loss_goes_down_and_the_sampler_is_deterministic(clouds: CloudBatch) -> None:
+    torch.manual_seed(0)
+    net = PoseNet(TINY)
+    optimizer = torch.optim.AdamW(net.parameters(), 3e-3)
+    generator = torch.Generator().manual_seed(0)
+    batch = clouds.select(torch.arange(16))
+    losses = []
+    for _ in range(40):
+        loss, _ = pose_loss(net, batch, 4, generator)
+        optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        losses.append(loss.item())
+    assert np.mean(losses[-5:]) < 0.7 * np.mean(losses[:3])
+    feature = torch.randn(2, 64, generator=generator)
+    draws = [sample(net, feature, 5, torch.Generator().manual_seed(7)) for _ in range(2)]
+    torch.testing.assert_close(draws[0], draws[1], atol=0, rtol=0)
+    assert not torch.equal(draws[0], sample(net, feature, 5, torch.Generator().manual_seed(8)))
+
+
+def small(minutes: float) -> TrainConfig:
+    return TrainConfig(
+        minutes=minutes, batch=8, chunk=24, first_fill=24, capacity=64, validation=24, reuse=100, draws=2, ema=0.9
+    )
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory, bank: ToolBank, hands: np.ndarray) -> Path:  # type: ignore[type-arg]
+    out = tmp_path_factory.mktemp("weights")
+    Trainer(out, small(0.03), (bank, bank), hands, TINY, device="cpu").run()
+    return out
+
+
+def test_training_writes_weights_that_load_to_the_same_network(
+    trained: Path,
+    bank: ToolBank,
+    hands: np.ndarray,  # type: ignore[type-arg]
+) -> None:
+    card = json.loads((trained / "pose.json").read_text())
+    assert card["report"]["steps"] > 0
+    assert set(card["sigma_scale"]) == {c.value for c in Category}
+    assert "10deg_2cm" in card["report"]["K32"]["average"]
+    assert (trained / "log.jsonl").read_text().count("\n") >= 3
+    # A second run finds its time used up, resumes and exports the same weights.
+    (shard,) = trained.glob("pose-*.safetensors")
+    before = shard.read_bytes()
+    trainer = Trainer(trained, small(0.03), (bank, bank), hands, TINY, device="cpu")
+    trainer.run()
+    assert shard.read_bytes() == before
+    points = np.random.default_rng(0).uniform(-0.02, 0.02, (400, 3)) + np.array([0.0, 0.0, 0.5])
+    a = PoseEstimator.load(trained).estimate(points, Category.HAMMER_HEAD, seed=1)
+    b = PoseEstimator.load(trained).estimate(points, Category.HAMMER_HEAD, seed=1)
+    np.testing.assert_array_equal(a.X_camera_ee, b.X_camera_ee)
+    exported = PoseEstimator(trainer._export(), PoseEstimator.load(trained).calibration)
+    c = exported.estimate(points, Category.HAMMER_HEAD, seed=1)
+    np.testing.assert_allclose(a.X_camera_ee, c.X_camera_ee, atol=1e-6)
+
+
+def test_estimates_are_complete_and_follow_the_hand(trained: Path) -> None:
+    estimator = PoseEstimator.load(trained)
+    points = np.random.default_rng(0).uniform(-0.02, 0.02, (400, 3)) + np.array([0.1, 0.0, 0.5])
+    X_camera_hand = np.eye(4)
+    X_camera_hand[:3, 3] = [0.1, 0.2, 0.5]
+    alone = estimator.estimate(points, Category.SCREWDRIVER_HEAD, np.array([0.0, 1.0, 0.0]))
+    held = estimator.estimate(points, Category.SCREWDRIVER_HEAD, np.array([0.0, 1.0, 0.0]), X_camera_hand)
+    np.testing.assert_allclose(held.X_camera_ee[:3, 2], alone.X_camera_ee[:3, 2], atol=1e-9)
+    assert alone.hypotheses.Xs_camera_ee.shape == (32, 4, 4)
+    assert np.linalg.eigvalsh(alone.covariance).min() > 0
+    assert 0 <= alone.confidence <= 1
+    assert alone.usable == (alone.reason == "ok")
+
+
+def test_too_few_points_are_refused_and_nan_does_not_count(trained: Path) -> None:
+    estimator = PoseEstimator.load(trained)
+    points = np.full((200, 3), np.nan)
+    points[:40] = np.random.default_rng(0).uniform(-0.02, 0.02, (40, 3)) + np.array([0, 0, 0.5])
+    with pytest.raises(PerceptionError, match="only 40 points"):
+        estimator.estimate(points, Category.WRENCH_HEAD)
+
+
+def test_a_loss_that_is_not_finite_stops_the_training(
+    tmp_path: Path,
+    bank: ToolBank,
+    hands: np.ndarray,  # type: ignore[type-arg]
+) -> None:
+    trainer = Trainer(tmp_path, replace(small(1.0), learning_rate=1e30), (bank, bank), hands, TINY, device="cpu")
+    with pytest.raises(TooleeError, match="not finite at step"):
+        trainer.run()
+    assert not list(tmp_path.glob("*.safetensors"))
+
+
+def test_missing_or_broken_weights_say_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(AssetError, match="train_pose"):
+        PoseEstimator.load(tmp_path)
+    (tmp_path / "pose.json").write_text("{}")
+    with pytest.raises(AssetError, match="pose"):
+        PoseEstimator.load(tmp_path)
+
+
+def test_hand_samples_travel_in_a_file(tmp_path: Path) -> None:
+    save_hands(tmp_path / "hands.npz")
+    assert (tmp_path / "hands.npz").stat().st_size < 4e6
+    loaded = load_hands(tmp_path / "hands.npz")
+    np.testing.assert_allclose(loaded[:4], hand_bank(64)[:4], atol=5e-4)
+    with pytest.raises(AssetError, match="prepare-hands"):
+        load_hands(tmp_path / "none.npz")
+
+
+def test_confidence_is_calibrated_on_what_it_was_fitted_to() -> None:
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(4000, 15))
+    success = (rng.random(4000) < 1 / (1 + np.exp(-(1 + 2 * x[:, 0] - x[:, 3])))).astype(float)
+    model = fit(x, success)
+    p = model.probability(x)
+    for low in (0.1, 0.4, 0.7):
+        rows = (p > low) & (p < low + 0.2)
+        assert success[rows].mean() == pytest.approx(p[rows].mean(), abs=0.06)
+    assert success[p >= model.threshold].mean() > 0.93
