@@ -37,12 +37,12 @@ class NailSpec:
     tensile_strength [Pa]: of the wire, for the plastic moment.
     """
 
-    diameter: float = 0.0025
+    diameter: float = 0.0022
     length: float = 0.030
     head_diameter: float = 0.006
     head_thickness: float = 0.0008
     protrusion: float = 0.020
-    specific_gravity: float = 0.42
+    specific_gravity: float = 0.35
     pilot_diameter: float = 0.0015
     tensile_strength: float = 600e6
 

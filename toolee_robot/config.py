@@ -65,7 +65,8 @@ class WorkConfig:
     nail_xy: the nail in `base`. block_size: wood, x, y, z. stand_height: what lifts the block. nail_protrusion: how
     far the head's top stands over the wood before the first blow; nail_diameter and nail_length of the shank.
     nail_head_diameter. The nail stands upright: X_base_nail's z points down, into the wood. wood_specific_gravity:
-    pine 0.42. pilot_hole_diameter: drilled before, 0 for none.
+    white pine 0.35, Scots pine 0.42, oak 0.68. pilot_hole_diameter: drilled before, 0 for none. By default 3.7 J drive
+    the nail; a held claw hammer of 0.9 kg at 1.5 m/s, hitting far from its centre of mass, gives about 0.45 J a blow.
     """
 
     __pydantic_config__ = _STRICT
@@ -73,11 +74,11 @@ class WorkConfig:
     stand_height: Positive = 0.20
     stand_size: tuple[Positive, Positive] = (0.07, 0.07)
     block_size: tuple[Positive, Positive, Positive] = (0.08, 0.08, 0.06)
-    nail_diameter: Positive = 0.0025
+    nail_diameter: Positive = 0.0022
     nail_length: Positive = 0.030
     nail_head_diameter: Positive = 0.006
     nail_protrusion: Positive = 0.020
-    wood_specific_gravity: Annotated[float, Field(gt=0, lt=1.5)] = 0.42
+    wood_specific_gravity: Annotated[float, Field(gt=0, lt=1.5)] = 0.35
     pilot_hole_diameter: NotNegative = 0.0015
 
     def __post_init__(self) -> None:

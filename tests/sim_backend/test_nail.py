@@ -88,7 +88,7 @@ def collision_energy(mass: float, speed: float) -> float:
 
 
 @pytest.mark.parametrize("mass", [0.5, 0.8])
-@pytest.mark.parametrize("speed", [1.0, 1.5, 2.0, 4.0])
+@pytest.mark.parametrize("speed", [1.0, 1.5, 2.0, 2.5])
 def test_drive_agrees_with_the_energy_balance(bench: Bench, mass: float, speed: float) -> None:
     """-1 to -11 % of the balance here: the integration brakes half a step too early, and never creates energy."""
     driven = bench.blow(mass, speed)
@@ -114,7 +114,7 @@ def test_deep_nail_resists_more(bench: Bench) -> None:
     assert drives[-1] < 0.9 * drives[0]
 
 
-@pytest.mark.parametrize(("mass", "least", "most"), [(0.5, 12, 20), (0.8, 8, 12)])
+@pytest.mark.parametrize(("mass", "least", "most"), [(0.5, 7, 10), (0.8, 4, 7)])
 def test_default_nail_goes_flush_in_a_handful_of_blows(bench: Bench, mass: float, least: int, most: int) -> None:
     blows = 0
     while bench.nail.outcome is NailOutcome.STANDING and blows < 40:
@@ -205,7 +205,9 @@ def test_impact_window_opens_near_the_head_only(bench: Bench) -> None:
 def test_resistance_has_the_size_of_the_reference_law() -> None:
     """F = 150 N (d/3)^2 + 1.6 MPa pi d depth, the plausible law for pine without a hole, d in mm."""
     for diameter, depth in ((0.0025, 0.010), (0.003, 0.030), (0.003, 0.060)):
-        spec = NailSpec(diameter=diameter, length=depth + 0.020, pilot_diameter=0.0, head_diameter=0.008)
+        spec = NailSpec(
+            diameter=diameter, length=depth + 0.020, pilot_diameter=0.0, head_diameter=0.008, specific_gravity=0.42
+        )
         reference = 150 * (diameter / 0.003) ** 2 + 1.6e6 * np.pi * diameter * depth
         assert resistance(spec, 0.020) == pytest.approx(reference, rel=0.25)
 
@@ -218,10 +220,10 @@ def test_driving_work_is_the_integral_of_the_resistance() -> None:
 
 
 def test_denser_wood_resists_more_and_a_pilot_hole_less() -> None:
-    pine = resistance(NailSpec(pilot_diameter=0.0), 0.01)
+    pine = resistance(NailSpec(pilot_diameter=0.0, specific_gravity=0.42), 0.01)
     oak = resistance(NailSpec(pilot_diameter=0.0, specific_gravity=0.68), 0.01)
     assert oak / pine == pytest.approx((0.68 / 0.42) ** 2.5)
-    assert tip_force(NailSpec(pilot_diameter=0.0015)) == pytest.approx(0.64 * tip_force(NailSpec(pilot_diameter=0.0)))
+    assert tip_force(NailSpec(pilot_diameter=0.0011)) == pytest.approx(0.75 * tip_force(NailSpec(pilot_diameter=0.0)))
     assert resistance(NailSpec(pilot_diameter=0.0015), 0.01) < pine
 
 
