@@ -112,10 +112,10 @@ class ConsoleObserver(TaskObserver):
         gained = (self._last - blow.protrusion) * 1e3
         self._last = blow.protrusion
         left = max(blow.protrusion, 0.0) / max(self._start, 1e-9)
-        bar = "█" * round(30 * left)
+        bar = "█" * round(20 * min(left, 1.0))
         self._console.print(
             f"  blow {blow.number:>2}  {blow.protrusion * 1e3:5.1f} mm over the wood  [dim]({gained:+.1f})[/dim]  "
-            f"[blue]{bar:<30}[/blue] [dim]{blow.speed:.1f} m/s, {blow.peak_force:.0f} N[/dim]"
+            f"[blue]{bar:<20}[/blue] [dim]{blow.speed:.1f} m/s, {blow.peak_force:.0f} N[/dim]"
         )
         if self._task is not None:
             driven = max(self._start - blow.protrusion, 0.0)

@@ -1,0 +1,130 @@
+"""`toolee estimate` on files: frames of tools that no network was trained on, in a BOP folder and alone."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from toolee_robot.cli.app import run
+from toolee_robot.frames import is_rigid
+from toolee_robot.perception.dataset.example import make_example, make_scene
+from toolee_robot.perception.dataset.records import CATEGORIES, Example
+from toolee_robot.types import Category
+
+_HEAD = CATEGORIES.index(Category.HAMMER_HEAD) + 1
+_STATION = 1
+"""The kind of scene that shows a tool in the robot's hand."""
+_KEYS = {"category", "score", "X_camera_ee", "covariance", "mask_box", "confidence", "usable", "reason"}
+
+
+def _clear_view(example: Example) -> bool:
+    """A hammer head in the robot's station, well in view."""
+    table = example.table
+    heads = table.category == _HEAD
+    return bool(np.any(heads & (table.visible > 250) & (table.occlusion < 0.2)))
+
+
+@pytest.fixture(scope="module")
+def examples() -> list[Example]:
+    found = []
+    for index in range(200):
+        if make_scene(7, index, "test")[0].kind == _STATION:
+            example = make_example(7, index, "test")
+            found += [example] if _clear_view(example) else []
+        if len(found) == 3:
+            return found
+    raise AssertionError("the data set shows no hammers")
+
+
+@pytest.fixture(scope="module")
+def scene(examples: list[Example], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A BOP folder with images 0, 4 and 8; depth in tenths of a millimetre."""
+    folder = tmp_path_factory.mktemp("scene")
+    (folder / "rgb").mkdir()
+    (folder / "depth").mkdir()
+    cameras = {}
+    for k, example in enumerate(examples):
+        name = f"{4 * k:06d}.png"
+        cv2.imwrite(str(folder / "rgb" / name), example.rgb[:, :, ::-1])
+        cv2.imwrite(str(folder / "depth" / name), (example.depth_mm.astype(np.uint32) * 10).clip(0, 65535).astype("u2"))
+        cameras[str(4 * k)] = {"cam_K": example.intrinsics.matrix.reshape(-1).tolist(), "depth_scale": 0.1}
+    (folder / "scene_camera.json").write_text(json.dumps(cameras))
+    return folder
+
+
+def _check(record: dict[str, Any]) -> None:
+    assert set(record) == _KEYS
+    assert record["category"] in list(Category)
+    assert 0.0 <= record["score"] <= 1.0
+    x0, y0, x1, y1 = record["mask_box"]
+    assert x0 < x1
+    assert y0 < y1
+    if record["X_camera_ee"] is None:
+        assert not record["usable"]
+        return
+    assert is_rigid(np.reshape(record["X_camera_ee"], (4, 4)))
+    covariance = np.array(record["covariance"])
+    assert covariance.shape == (6, 6)
+    assert np.linalg.eigvalsh(covariance)[0] > 0
+    assert record["reason"]
+
+
+def _face_error(example: Example, records: list[dict[str, Any]]) -> float:
+    """Least distance [m] of a usable hammer head's centre from a true one."""
+    true = example.table.X_camera_ee[example.table.category == _HEAD][:, :3, 3]
+    seen = [r for r in records if r["category"] == Category.HAMMER_HEAD and r["usable"]]
+    centres = np.array([np.reshape(r["X_camera_ee"], (4, 4))[:3, 3] for r in seen]).reshape(-1, 3)
+    return float(np.linalg.norm(true[:, None] - centres[None], axis=-1).min(initial=np.inf))
+
+
+def test_a_bop_scene_gives_one_line_a_frame_and_the_faces_are_found(
+    scene: Path, examples: list[Example], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["estimate", "--bop", str(scene), "--json"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [line["im_id"] for line in lines] == [0, 4, 8]
+    for line in lines:
+        assert set(line) == {"im_id", "time_ms", "estimates"}
+        assert line["time_ms"] > 0
+        for record in line["estimates"]:
+            _check(record)
+    errors = [_face_error(e, line["estimates"]) for e, line in zip(examples, lines, strict=True)]
+    assert np.median(errors) < 0.010, f"face centres off by {errors} m"
+
+
+def test_one_unreadable_frame_does_not_cost_the_others(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken = tmp_path / "scene"
+    shutil.copytree(scene, broken)
+    (broken / "rgb" / "000004.png").write_text("not an image")
+    assert run(["estimate", "--bop", str(broken), "--json"]) == 2
+    captured = capsys.readouterr()
+    lines = [json.loads(line) for line in captured.out.splitlines()]
+    assert [line["im_id"] for line in lines] == [0, 4, 8]
+    assert [("error" in line) for line in lines] == [False, True, False]
+    assert "000004.png" in captured.err
+
+
+def test_one_frame_gives_a_list_a_table_and_a_picture(
+    scene: Path, examples: list[Example], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    k = examples[0].intrinsics
+    args = ["estimate", "--rgb", str(scene / "rgb" / "000000.png"), "--depth", str(scene / "depth" / "000000.png")]
+    args += ["--depth-scale", "0.0001", "--intrinsics", f"{k.fx},{k.fy},{k.cx},{k.cy}"]
+    picture = tmp_path / "seen.png"
+    code = run([*args, "--json", "--picture", str(picture)])
+    records = json.loads(capsys.readouterr().out)
+    assert code == (0 if any(r["usable"] for r in records) else 1)
+    assert records
+    for record in records:
+        _check(record)
+    assert cv2.imread(str(picture)) is not None
+    assert run(args) == code
+    assert "hammer head" in capsys.readouterr().out
