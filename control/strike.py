@@ -160,13 +160,15 @@ def plan_retract(
     q_start: Array,
     height: float,
     direction: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    speed: float = 0.25,
 ) -> Trajectory:
-    """Straight along `direction` (base axes, up by default) by `height` [m] from rest at q_start, orientation kept.
+    """Straight along `direction` (base axes, up by default) by `height` [m] from rest at q_start, orientation kept, at
+    up to `speed` [m/s].
 
     The tool may be as near to the block as it is at the start. Raises CollisionError, LimitError, UnreachableError.
     """
     line = Line.through(robot.ik, q_start, np.asarray(direction, dtype=np.float64))
-    retract = _travel(line, config, 0.0, height)
+    retract = _travel(line, config, 0.0, height, speed)
     world.check(retract.q[:: max(1, len(retract.q) // 20)], 0.0, "the retract", BRAKE_EXEMPT)
     check_trajectory(retract, robot.arm, config.arm, config.scene)
     return retract

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.config import CameraConfig, StationConfig
@@ -28,6 +29,7 @@ NORMAL_ANGLE = (np.deg2rad(30.0), np.deg2rad(50.0))  # between the EE's normal a
 AZIMUTH = np.deg2rad(30.0)  # of the line of sight, off the plane of handle and normal
 SPREAD = (np.deg2rad(14.0), np.deg2rad(70.0))  # between the orientations of two views, as the camera sees them
 IMAGE_MARGIN = 25.0  # [px]
+ENOUGH = 40  # candidates among which distinct views are found
 _SAMPLES = 1500
 _HEAD_HALF = 0.10  # [m] from the EE along the handle: the middle of what must be seen
 
@@ -94,7 +96,9 @@ def plan_views(
     Xs_base_ee, q = _sample(robot, config.camera, X_flange_ee, q_start, np.random.default_rng(seed))
     if len(q) == 0:
         raise UnreachableError("no view of the tool is within the arm's reach: move the camera, see config.camera")
-    seen = _sight(robot, world, config.camera, Xs_base_ee, q)
+    head, handle = _sight(robot, world, config.camera, Xs_base_ee, q, inverse(X_hand_ee)[0, 3])
+    # A short handle may be hidden by the hand in every view: then the head alone must do.
+    seen = handle if np.count_nonzero(handle) >= ENOUGH else head
     Xs_base_ee, q = Xs_base_ee[seen], q[seen]
     if len(q) == 0:
         raise UnreachableError("in every reachable view the hand hides the tool: move the camera, see config.camera")
@@ -155,7 +159,7 @@ def _frames(z: Array) -> Array:
     return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
-def _in_image(camera: CameraConfig, X_base_camera: Array, Xs_base_ee: Array) -> Array:
+def _in_image(camera: CameraConfig, X_base_camera: Array, Xs_base_ee: Array) -> NDArray[np.bool_]:
     """(N,) whether the head and the handle up to the hand lie in the image."""
     points = np.array([[0, 0, 0.0], [-0.03, 0, 0], [0, 0, -0.13], [0.22, 0, -0.05]])
     p = transform_points(inverse(X_base_camera) @ Xs_base_ee, points)
@@ -165,17 +169,22 @@ def _in_image(camera: CameraConfig, X_base_camera: Array, Xs_base_ee: Array) -> 
     return np.all((u > m) & (u < camera.width - m) & (v > m) & (v < camera.height - m) & (p[..., 2] > 0.2), axis=-1)
 
 
-def _sight(robot: RobotModel, world: CollisionWorld, camera: CameraConfig, Xs_base_ee: Array, q: Array) -> Array:
-    """(N,) whether neither arm nor hand stands between the camera and head or handle.
+def _sight(
+    robot: RobotModel, world: CollisionWorld, camera: CameraConfig, Xs_base_ee: Array, q: Array, hand_x: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(N,) whether neither arm nor hand stands between the camera and the head; and (N,) the handle as well.
+
+    hand_x: the palm's origin along the EE's x axis [m]; the handle is seen half-way between head and hand.
 
     Bodies are their covering spheres; the line of sight is a cone from the camera to a disc around its target.
     """
     R, p = robot.arm.joints(q)
     eye = camera.X_base_camera[:3, 3]
-    free = np.ones(len(q), dtype=bool)
     # Face, head and a point of the handle before the hand, with the radius that must be free around each.
-    targets = np.array([[0.0, 0, 0.0], [0, 0, -0.06], [0.07, 0, -0.05]])
-    for target, radius in zip(targets, (0.03, 0.03, 0.02), strict=True):
+    between = float(np.clip(0.5 * (hand_x - 0.05), 0.03, 0.08))
+    targets = np.array([[0.0, 0, 0.0], [0, 0, -0.06], [between, 0, -0.05]])
+    free = np.ones((3, len(q)), dtype=bool)
+    for k, (target, radius) in enumerate(zip(targets, (0.03, 0.03, 0.015), strict=True)):
         ray = transform_points(Xs_base_ee, target[None])[:, 0] - eye
         length = np.linalg.norm(ray, axis=-1)
         ray = ray / length[:, None]
@@ -188,8 +197,9 @@ def _sight(robot: RobotModel, world: CollisionWorld, camera: CameraConfig, Xs_ba
             off = np.linalg.norm(c - along[..., None] * ray[:, None], axis=-1)
             need = body.spheres[:, 3] + radius * np.clip(along / length[:, None], 0, 1)
             before = (along > 0) & (along - body.spheres[:, 3] < length[:, None] - 0.01)
-            free &= ~np.any(before & (off < need), axis=-1)
-    return free
+            free[k] &= ~np.any(before & (off < need), axis=-1)
+    head = free[0] & free[1]
+    return head, head & free[2]
 
 
 def _choices(

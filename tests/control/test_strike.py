@@ -31,8 +31,8 @@ from toolee_robot.robots import nominal_X_hand_tool
 
 
 def offset(along: float, about_deg: float, tilt_deg: float) -> Array:
-    """A slip of the tool in the hand: along the handle [m], about it, and a tilt [deg]."""
-    return transform(Rotation.from_euler("ZY", [about_deg, tilt_deg], degrees=True), [0, 0, along])
+    """A slip of the tool in the hand: along the handle [m], about it, and a tilt about both other axes [deg]."""
+    return transform(Rotation.from_euler("ZYX", [about_deg, tilt_deg, -tilt_deg], degrees=True), [0, 0, along])
 
 
 @pytest.fixture(scope="module")
