@@ -131,7 +131,7 @@ class StrikeConfig:
     run_up: Positive = 0.20
     touch_speed: Positive = 0.03
     touch_force: Positive = 12.0
-    contact_force: Positive = 60.0
+    contact_force: Positive = 15.0
     clearance: NotNegative = 0.008
 
 

@@ -34,6 +34,13 @@ SETTLE = 0.3
 """[s] of standing still before a frame, so that arm, wrist and tool have stopped swinging."""
 TOUCH_TOLERANCE = 0.012
 """[m] A touch further than this from the expected height has not met the nail's head."""
+UP = (0.0, 0.0, 1.0)
+CLEAR = 0.020
+"""[m] over the nail's head: where a measurement starts."""
+LIFT = 0.006
+"""[m] off what was touched, before the face moves aside."""
+ASIDE = 0.032
+"""[m] from the nail to where the wood is touched: a face of up to 25 mm radius clears the nail's head."""
 MAX_BLOW = 0.008
 """[m] No blow of this arm drives a nail further: a head that sinks more has bent away."""
 FLUSH_WHEN_STALLED = 0.0025
@@ -91,6 +98,7 @@ class HammeringTask:
         self._blows: list[Blow] = []
         self._estimates: list[tuple[float, InHandEstimate]] = []
         self._protrusion: float | None = None
+        self._reference = 0.0
 
     def run(self) -> HammerResult:
         """Do the job and park. Returns how it ended; only a programming error or KeyboardInterrupt escapes, after
@@ -190,26 +198,23 @@ class HammeringTask:
             )
 
     def _drive(self) -> tuple[Outcome, str]:
-        """Blow after blow, each measured by a touch, until there is a reason to stop."""
+        """Blow after blow, each measured, until there is a reason to stop."""
         config, task = self._config, self._config.task
-        expected = config.work.nail_protrusion
-        plan = self._plan(expected)
-        self._protrusion = expected
-        self._calibrate(plan)
-        stalled = 0
+        self._protrusion = config.work.nail_protrusion
+        self._first_touch(self._plan(self._protrusion))
+        stalled = flush = 0
         while True:
-            if self._protrusion <= task.flush_protrusion:
+            # A second blow confirms it: after slip a measurement is good to half a millimetre only.
+            flush = flush + 1 if self._protrusion <= task.flush_protrusion else 0
+            if flush == 2:
                 return Outcome.FLUSH, f"the head stands {self._protrusion * 1e3:.1f} mm over the wood"
             if len(self._blows) >= task.max_blows:
                 return Outcome.OUT_OF_BLOWS, f"{task.max_blows} blows and {self._protrusion * 1e3:.1f} mm still to go"
-            if self._blows and len(self._blows) % task.blows_between_looks == 0 and not stalled:
+            if self._blows and len(self._blows) % task.blows_between_looks == 0 and not (stalled or flush):
                 self._look(max(2, task.views // 2))
-                plan = self._plan(self._protrusion)
-                if self._correction:
-                    self._calibrate(plan)
             plan = self._plan(self._protrusion)
             report = self._strike(plan)
-            before, self._protrusion = self._protrusion, self._touch(plan)
+            before, self._protrusion = self._protrusion, self._measure()
             self._record_blow(plan, report)
             progress = before - self._protrusion
             if progress > MAX_BLOW:
@@ -232,31 +237,56 @@ class HammeringTask:
             self._observer.planned(self._station.clock.now(), plan)
             return plan
 
-    def _calibrate(self, plan: StrikePlan) -> None:
-        """Touch the nail, whose height is known, and move the believed face along its normal to agree."""
-        assert self._protrusion is not None
-        offset = self._touch(plan) - self._protrusion
-        if abs(offset) > TOUCH_TOLERANCE:
+    def _first_touch(self, plan: StrikePlan) -> None:
+        """Touch nail and wood, whose heights are known: what is off is the face's place along its normal."""
+        with self._stage(Stage.TOUCH):
+            touch = plan_touch(self._robot, self._config, self._world(), self._q, plan, before=CLEAR)
+            self._move("to the touch", touch.approach)
+        known = self._config.work.nail_protrusion
+        self._reference = 0.0
+        self._reference = known - self._measure()
+        if abs(self._reference) > 0.5 * TOUCH_TOLERANCE:
             raise _Ended(
                 Outcome.NAIL_MISSED,
-                f"the face met something {offset * 1e3:+.1f} mm from where the nail's head is: check the nail's place",
+                f"the nail seems to stand {-self._reference * 1e3:+.1f} mm too high: set it as in config.work",
             )
-        self._X_hand_ee = self._X_hand_ee @ transform(p=[0.0, 0.0, offset])
 
-    def _touch(self, plan: StrikePlan) -> float:
-        """Lower the face slowly onto the nail; the head's height over the wood [m] where they meet."""
+    def _measure(self) -> float:
+        """From CLEAR over the nail: touch its head, then the wood beside it; how far the head stands out [m].
+
+        The tool slips a little with every blow, so only the difference tells; it also says where the face is now.
+        """
+        assert self._protrusion is not None
         with self._stage(Stage.TOUCH):
-            touch = plan_touch(self._robot, self._config, self._world(), self._q, plan)
-            self._move("to the touch", touch.approach)
-            report = self._move("touch", touch.touch, ContactGuard(self._config.strike.touch_force))
-            q_hand = self._station.hand.state().joints.q
-            if report.contact is None:
-                self._retract()
-                raise _Ended(Outcome.NAIL_MISSED, "the face was lowered past the nail's head and met nothing")
-            X_base_ee = self._robot.X_base_ee(report.contact.q, q_hand, self._X_hand_ee)
-            self._observer.contact(report.contact.stamp, self._config.strike.touch_force, X_base_ee)
-            self._retract()
-            return protrusion(X_base_ee, self._config.work.X_base_nail(0.0))
+            nail = self._touch("nail", CLEAR + TOUCH_TOLERANCE)
+            self._straight("up", UP, LIFT)
+            X_base_ee = self._robot.X_base_ee(self._q, self._station.hand.state().joints.q, self._X_hand_ee)
+            # Towards the handle: the hand goes away from the block.
+            aside = X_base_ee[:3, 0] - X_base_ee[2, 0] * np.array(UP)
+            aside /= np.linalg.norm(aside)
+            self._straight("aside", (float(aside[0]), float(aside[1]), 0.0), ASIDE)
+            expected = max(self._protrusion, 0.0)
+            self._straight("down", UP, -max(expected - 0.004, 0.0))
+            wood = self._touch("wood", LIFT + 0.004 + TOUCH_TOLERANCE)
+            self._straight("up", UP, expected + LIFT + 0.004)
+            protrusion = nail - wood + self._reference
+            # Where the face really is along its normal, from the nail's head that it rested on.
+            self._X_hand_ee = self._X_hand_ee @ transform(p=[0.0, 0.0, nail - protrusion])
+            return protrusion
+
+    def _touch(self, what: str, reach: float) -> float:
+        """Lower the face slowly by up to `reach` [m]; the height [m] over the wood where it seems to be stopped."""
+        down = plan_retract(
+            self._robot, self._config, self._world(), self._q, -reach, UP, self._config.strike.touch_speed
+        )
+        force = self._config.strike.touch_force
+        report = self._move(f"touch the {what}", down, ContactGuard(force))
+        if report.contact is None:
+            self._straight("up", UP, reach)
+            raise _Ended(Outcome.NAIL_MISSED, f"the face was lowered to where the {what} should be and met nothing")
+        X_base_ee = self._robot.X_base_ee(report.contact.q, self._station.hand.state().joints.q, self._X_hand_ee)
+        self._observer.contact(report.contact.stamp, force, X_base_ee)
+        return protrusion(X_base_ee, self._config.work.X_base_nail(0.0))
 
     def _strike(self, plan: StrikePlan) -> MotionReport:
         """Swing. A blow that meets nothing, or meets something too early, ends the job."""
@@ -266,7 +296,8 @@ class HammeringTask:
             guard = ContactGuard(self._config.strike.contact_force, after=0.5 * plan.contact_time)
             started = self._station.clock.now()
             report = self._move("strike", plan.strike, guard)
-            self._retract()
+            below = self._robot.arm.fk(plan.q_contact)[2, 3] - self._robot.arm.fk(self._q)[2, 3]
+            self._straight("up", UP, CLEAR + float(below))
             self._check_grip()
             if report.contact is None:
                 raise _Ended(Outcome.NAIL_MISSED, "the blow met nothing: the nail is not where the face went")
@@ -286,10 +317,10 @@ class HammeringTask:
         self._blows.append(blow)
         self._observer.blow(blow)
 
-    def _retract(self) -> None:
-        """Straight up by the run-up from where the arm stands."""
-        retract = plan_retract(self._robot, self._config, self._world(), self._q, self._config.strike.run_up)
-        self._move("retract", retract)
+    def _straight(self, name: str, direction: tuple[float, float, float], length: float) -> None:
+        """A straight move along a direction of `base`, orientation kept."""
+        if abs(length) > 1e-4:
+            self._move(name, plan_retract(self._robot, self._config, self._world(), self._q, length, direction))
 
     def _park(self, outcome: Outcome, reason: str) -> tuple[Outcome, str]:
         """Bring the arm home with the tool still in the hand; where no safe way is known it stays where it stands."""
