@@ -24,9 +24,14 @@ def body_pose(client: int, body: int) -> Array:
     """X_world_body, 4x4, of the body's inertial frame."""
     p, q = pb.getBasePositionAndOrientation(body, physicsClientId=client)
     X = np.eye(4)
-    X[:3, :3] = np.reshape(pb.getMatrixFromQuaternion(q), (3, 3))
+    X[:3, :3] = np.array(pb.getMatrixFromQuaternion(q)).reshape(3, 3)
     X[:3, 3] = p
     return X
+
+
+def cross(a: Array, b: Array) -> Array:
+    """a x b for two (3,) vectors; np.cross takes ten times as long for one pair."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def set_body_pose(client: int, body: int, X_world_body: Array) -> None:
@@ -78,7 +83,10 @@ class ToolBody:
         if np.linalg.det(axes) < 0:
             axes[:, 0] *= -1
         self.X_tool_inertial = transform(axes, tool.center_of_mass)
-        self.body = self._load(inverse(self.X_tool_inertial), moments)
+        self._X_inertial_tool = inverse(self.X_tool_inertial)
+        self._place: tuple[object, object] | None = None
+        self._pose = np.eye(4)
+        self.body = self._load(self._X_inertial_tool, moments)
         pb.changeDynamics(
             self.body,
             -1,
@@ -118,4 +126,9 @@ class ToolBody:
 
     def pose(self) -> Array:
         """X_world_tool, 4x4."""
-        return body_pose(self._client, self.body) @ inverse(self.X_tool_inertial)
+        # Asked for several times a step: computed once for a place.
+        p, q = pb.getBasePositionAndOrientation(self.body, physicsClientId=self._client)
+        if (p, q) != self._place:
+            self._place = (p, q)
+            self._pose = body_pose(self._client, self.body) @ self._X_inertial_tool
+        return self._pose.copy()

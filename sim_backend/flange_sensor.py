@@ -6,6 +6,7 @@ import numpy as np
 
 from toolee_robot.frames import Array
 from toolee_robot.robots.description import X_FLANGE_FOREARM
+from toolee_robot.sim_backend.bodies import cross
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import Payload
 
@@ -48,7 +49,7 @@ class FlangeSensor:
         mean = self._sum / self._time
         inertial = self.payload.mass * ((velocity - self._velocity) / self._time - GRAVITY)
         carried = np.concatenate([R @ mean[:3], R @ mean[3:]])
-        self.wrench = np.concatenate([inertial, np.cross(lever, inertial)]) - carried
+        self.wrench = np.concatenate([inertial, cross(lever, inertial)]) - carried
         self._sum, self._time, self._velocity = np.zeros(6), 0.0, velocity
 
     def _payload_velocity(self) -> tuple[Array, Array, Array]:
@@ -57,4 +58,4 @@ class FlangeSensor:
         R = X_base_forearm[:3, :3]  # the forearm is mounted without rotation
         flange = X_base_forearm[:3, 3] - R @ X_FLANGE_FOREARM[:3, 3]
         lever = R @ self.payload.center_of_mass
-        return v_com + np.cross(w, flange + lever - com), lever, R
+        return v_com + cross(w, flange + lever - com), lever, R

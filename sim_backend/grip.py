@@ -22,9 +22,9 @@ from dataclasses import dataclass
 import numpy as np
 import pybullet as pb
 
-from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, rotation_angle
+from toolee_robot.sim_backend.bodies import cross
 
 STIFFNESS = 3e4  # [N/m]
 DAMPING = 60.0  # [N s/m]
@@ -51,9 +51,7 @@ class GripLimits:
     def from_contact(cls, normal_force: float, friction: float, handle_radius: float) -> GripLimits:
         """From the sum of the finger forces [N]."""
         n = normal_force
-        return cls(
-            friction * n, n, friction * n * handle_radius, (1 + friction) * n * HAND_WIDTH / 4
-        )
+        return cls(friction * n, n, friction * n * handle_radius, (1 + friction) * n * HAND_WIDTH / 4)
 
 
 class AssistedGrip:
@@ -64,7 +62,14 @@ class AssistedGrip:
     """
 
     def __init__(
-        self, client: int, robot: int, palm: int, tool: int, X_inertial_tool: Array, p_hand_grip: Array, limits: GripLimits
+        self,
+        client: int,
+        robot: int,
+        palm: int,
+        tool: int,
+        X_inertial_tool: Array,
+        p_hand_grip: Array,
+        limits: GripLimits,
     ) -> None:
         self.limits = limits
         self.holding = True
@@ -104,7 +109,7 @@ class AssistedGrip:
         R = R_palm.T @ R_tool @ self._R_inertial_tool
         arm = R_tool @ self._anchor
         point = np.array(p) + arm
-        v = v_tool + _cross(w_tool, arm) - np.array(state[6]) - _cross(np.array(state[7]), point - np.array(state[0]))
+        v = v_tool + cross(w_tool, arm) - np.array(state[6]) - cross(np.array(state[7]), point - np.array(state[0]))
         v = R_palm.T @ v
         handle = R[:, 2]
         limits = self.limits
@@ -115,10 +120,10 @@ class AssistedGrip:
         self._p_rest += slip
         force = _bounded(-elastic - DAMPING * v, handle, limits.along, limits.across)
 
-        phi = Rotation.from_matrix(R @ self._R_rest.T).as_rotvec()
+        phi = _rotation_vector(R @ self._R_rest.T)
         torque, turn = self._twist(phi, R_palm.T @ (w_tool - np.array(state[7])), handle, dt)
-        if turn @ turn > 0.0:
-            self._R_rest = Rotation.from_rotvec(turn).as_matrix() @ self._R_rest
+        if turn @ turn > 1e-20:
+            self._R_rest = _rotation(turn) @ self._R_rest
 
         self.force, self.torque = force, torque
         if self.slip > RELEASE_SLIP or self.slip_angle > RELEASE_ANGLE or self._tilt > RELEASE_TILT:
@@ -148,9 +153,7 @@ class AssistedGrip:
     def _apply(self, force: Array, torque: Array, point: Array) -> None:
         at = point.tolist()
         for body, link, sign in ((self._tool, -1, 1.0), (self._robot, self._palm, -1.0)):
-            pb.applyExternalForce(
-                body, link, (sign * force).tolist(), at, pb.WORLD_FRAME, physicsClientId=self._client
-            )
+            pb.applyExternalForce(body, link, (sign * force).tolist(), at, pb.WORLD_FRAME, physicsClientId=self._client)
             pb.applyExternalTorque(body, link, (sign * torque).tolist(), pb.WORLD_FRAME, physicsClientId=self._client)
 
     def release(self) -> None:
@@ -163,9 +166,19 @@ def _matrix(quaternion: tuple[float, ...]) -> Array:
     return np.array(pb.getMatrixFromQuaternion(quaternion)).reshape(3, 3)
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """np.cross for two (3,) vectors, which is slow for one pair."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+def _rotation_vector(R: Array) -> Array:
+    """Axis times angle [rad] of a 3x3 rotation of less than 180 deg; scipy's takes ten times as long for one."""
+    v = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine = 0.5 * float(np.sqrt(v @ v))
+    if sine < 1e-9:
+        return 0.5 * v
+    return v * (float(np.arctan2(sine, 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0))) / (2.0 * sine))
+
+
+def _rotation(turn: Array) -> Array:
+    """3x3 of a rotation vector [rad]."""
+    angle = float(np.sqrt(turn @ turn))
+    return _matrix(pb.getQuaternionFromAxisAngle((turn / angle).tolist(), angle))
 
 
 def _bounded(vector: Array, axis: Array, along: float, across: float) -> Array:

@@ -4,7 +4,7 @@ The nail slides along its axis on a prismatic joint whose motor holds velocity 0
 resistance at the present depth: the solver's own Coulomb law, stable where an explicit force diverges. Two hinges
 at the wood's surface hold with the shank's plastic moment: a lateral or eccentric blow beyond it bends the nail for
 good. The nail's 20 g is more than a real nail's (about 2 g): the solver needs the mass ratio. Call `before_step`
-before every step, and step with `impact.IMPACT` while `impact_near(body)`.
+before every step, and step with `impact.IMPACT` while a fast body is near (`impact_near`); nothing but blows moves it.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from toolee_robot.sim_backend.wood import NailSpec, resistance
 IMPACT_DISTANCE = 0.006  # [m] between a body and the nail's head at which the impact window opens
 HEAD_HEIGHT = 0.006  # [m] of the head's collision shape: pybullet's contacts with a 1 mm disc are off by up to 0.6 mm
 LUMPED_MASS = 0.020  # [kg]
+STUCK_MASS = 100.0  # [kg] between blows
 STOP_FORCE = 1e6  # [N] once the head's top is level with the wood
 BENT_ANGLE = np.deg2rad(10.0)
 HINGE_MASS, HINGE_INERTIA = 1e-3, 1e-7  # [kg], [kg m^2]: what the hinges' massless frames weigh
@@ -60,6 +61,8 @@ class Nail:
             for link in range(-1, 3):
                 pb.setCollisionFilterPair(self.body, wood, link, -1, 0, physicsClientId=client)
         self._set_for: tuple[float, bool, float] | None = None
+        self._struck = True
+        self._kept: list[float] | None = None
         self.before_step(0.0)
 
     def _create(self) -> int:
@@ -117,19 +120,34 @@ class Nail:
             self.body, joint, pb.VELOCITY_CONTROL, targetVelocity=0.0, force=limit, physicsClientId=self._client
         )
 
-    def before_step(self, dt: float) -> None:
+    def before_step(self, dt: float, struck: bool = True) -> None:
         """Set the motors' limits for the step of `dt` [s] to come: the wood's resistance at the present depth and
         the plastic moment. The world calls it before each step, once the engine has that step's length (pybullet
-        stores a motor's limit as an impulse). The step that would end below the wood's surface is not made."""
+        stores a motor's limit as an impulse). The step that would end below the wood's surface is not made.
+        struck: False while no blow is under way: the nail is then stuck, and heavy. As it is, it would creep under a
+        pressing hammer: the solver's few iterations cannot weigh an arm against 20 g and a limited motor (45 N at
+        1/1000 s: 9 mm in half a second into wood that resists 120 N)."""
+        if struck != self._struck:
+            self._struck = struck
+            self._set_mass(LUMPED_MASS if struck else STUCK_MASS)
         travel, speed = pb.getJointState(self.body, SLIDE, physicsClientId=self._client)[:2]
         protrusion = self.spec.protrusion - travel
-        down = protrusion - max(speed, 0.0) * dt <= 0.0
-        if (protrusion, down, dt) == self._set_for:
+        fast = not struck or protrusion - max(speed, 0.0) * dt <= 0.0
+        if (protrusion, fast, dt) == self._set_for:
             return
-        self._set_for = (protrusion, down, dt)
-        self._hold(SLIDE, STOP_FORCE if down else resistance(self.spec, protrusion))
+        self._set_for = (protrusion, fast, dt)
+        self._hold(SLIDE, STOP_FORCE if fast else resistance(self.spec, protrusion))
         for hinge in (HINGE_X, HINGE_Y):
-            self._hold(hinge, self.spec.plastic_moment)
+            self._hold(hinge, self.spec.plastic_moment if struck else STOP_FORCE)
+
+    def _set_mass(self, mass: float) -> None:
+        pb.changeDynamics(
+            self.body,
+            SLIDE,
+            mass=mass,
+            localInertiaDiagonal=[10 * HINGE_INERTIA * mass / LUMPED_MASS] * 3,
+            physicsClientId=self._client,
+        )
 
     def impact_near(self, body: int, link: int = -1) -> bool:
         """Whether `body` is so close to the nail's head that steps must be those of `impact.IMPACT`."""

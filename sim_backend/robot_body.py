@@ -110,7 +110,7 @@ class RobotBody:
         """X_base_link, 4x4, of the link's URDF frame."""
         state = pb.getLinkState(self.body, link, physicsClientId=self._client)
         X = np.eye(4)
-        X[:3, :3] = np.reshape(pb.getMatrixFromQuaternion(state[5]), (3, 3))
+        X[:3, :3] = np.array(pb.getMatrixFromQuaternion(state[5])).reshape(3, 3)
         X[:3, 3] = state[4]
         return X
 
@@ -123,6 +123,6 @@ class RobotBody:
         """The forearm in `base`: its pose (4x4), centre of mass, angular velocity, and velocity of that centre."""
         state = pb.getLinkState(self.body, self._sensor, computeLinkVelocity=1, physicsClientId=self._client)
         X = np.eye(4)
-        X[:3, :3] = np.reshape(pb.getMatrixFromQuaternion(state[5]), (3, 3))
+        X[:3, :3] = np.array(pb.getMatrixFromQuaternion(state[5])).reshape(3, 3)
         X[:3, 3] = state[4]
         return X, np.array(state[0]), np.array(state[7]), np.array(state[6])

@@ -49,7 +49,9 @@ class SimStation:
         task(simulation.station)
     """
 
-    def __init__(self, world: SimWorld, station: Station, judge: Judge, person: SimPerson, offset: InHandOffset) -> None:
+    def __init__(
+        self, world: SimWorld, station: Station, judge: Judge, person: SimPerson, offset: InHandOffset
+    ) -> None:
         self.world = world
         self.station = station
         self.judge = judge
@@ -100,5 +102,3 @@ class SimStation:
     def close(self) -> None:
         """End the simulation."""
         self.world.close()
-
-

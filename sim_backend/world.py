@@ -1,6 +1,6 @@
 """The simulated world: everything in pybullet, and the one place where time goes on.
 
-Time advances in quanta of 1/4000 s: by 1 ms a step normally, by a quantum while the tool is close to the nail's head.
+Time advances in quanta of 1/4000 s: by 1 ms a step normally, by a quantum while the tool hits the nail.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.frames import Array
 from toolee_robot.robots import hand_posture, load_robot
-from toolee_robot.sim_backend.bodies import Furniture, ToolBody
+from toolee_robot.sim_backend.bodies import Furniture, ToolBody, cross
 from toolee_robot.sim_backend.grip import AssistedGrip
 from toolee_robot.sim_backend.impact import IMPACT, StepSettings
 from toolee_robot.sim_backend.nail import Nail
@@ -28,6 +28,8 @@ from toolee_robot.types import Category
 QUANTUM = IMPACT.time_step  # [s]
 NORMAL = StepSettings(time_step=4 * QUANTUM, iterations=50, contact_erp=0.2)
 NEAR_NAIL = 0.12  # [m] of the face from the nail within which the impact window is looked for
+BLOW_SPEED = 0.2  # [m/s] of the face
+WINDOW_QUANTA = 40  # 10 ms more, after the last fast step, for the nail to come to rest
 SAMPLE_QUANTA = 64  # between two samples for the observers: 16 ms
 
 
@@ -51,6 +53,7 @@ class SimWorld:
         self.client = _connect(options.gui)
         self._quanta = 0
         self._settings: StepSettings | None = None
+        self._window_end = 0
         self.wrench: Callable[[], Array] = lambda: np.zeros(6)
         self.before_step: list[Callable[[float], None]] = []
         self.after_step: list[Callable[[], None]] = []
@@ -102,17 +105,14 @@ class SimWorld:
             self._step(end - self._quanta)
 
     def _step(self, most: int) -> None:
-        near = (
-            np.linalg.norm(self.X_base_ee()[:3, 3] - self.nail.X_world_surface[:3, 3]) < NEAR_NAIL
-            and self.nail.impact_near(self.tool.body)
-        )
+        near = self._blow_near()
         settings = IMPACT if near or most < 4 else NORMAL
         if settings is not self._settings:
             settings.apply(self.client)
             self._settings = settings
         dt = settings.time_step
         self.robot.before_step(dt)
-        self.nail.before_step(dt)
+        self.nail.before_step(dt, struck=settings is IMPACT and self._quanta < self._window_end)
         if self.grip is not None:
             self.grip.before_step(dt)
         for callback in self.before_step:
@@ -126,6 +126,19 @@ class SimWorld:
             sample = Sample(self.time, self.robot.arm_state()[0], self.robot.hand_state()[0], self.wrench())
             for observer in self.observers:
                 observer(sample)
+
+    def _blow_near(self) -> bool:
+        """Whether the tool is about to hit the nail, or hits it: close to its head and coming fast. A tool that is
+        lowered onto the nail, or turns on it, needs no short steps."""
+        face = self.X_base_ee()[:3, 3] - self.nail.X_world_surface[:3, 3]
+        if face @ face > NEAR_NAIL**2:
+            return False
+        v, w = pb.getBaseVelocity(self.tool.body, physicsClientId=self.client)
+        p = pb.getBasePositionAndOrientation(self.tool.body, physicsClientId=self.client)[0]
+        velocity = np.array(v) + cross(w, self.X_base_ee()[:3, 3] - np.array(p))
+        if -velocity[2] > BLOW_SPEED and self.nail.impact_near(self.tool.body):
+            self._window_end = self._quanta + WINDOW_QUANTA
+        return self._quanta < self._window_end
 
     def ignore_collisions(self, body_a: int, body_b: int) -> None:
         """Bodies a and b pass through each other from now on."""
