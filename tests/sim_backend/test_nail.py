@@ -132,6 +132,23 @@ def test_the_head_stops_at_the_wood(bench: Bench) -> None:
     assert bench.nail.depth == pytest.approx(SPEC.length - bench.nail.protrusion)
 
 
+def test_a_pressing_hammer_does_not_move_a_nail_between_blows(bench: Bench) -> None:
+    """100 N for half a second, in the long steps of a motion, with the mass of an arm; and blows drive it as before."""
+    shape = pb.createCollisionShape(
+        pb.GEOM_CYLINDER, radius=FACE_RADIUS, height=HEAD_LENGTH, physicsClientId=bench.client
+    )
+    hammer = pb.createMultiBody(5.0, shape, -1, [0, 0, SPEC.protrusion + 0.0305], physicsClientId=bench.client)
+    StepSettings(1 / 1000, 50, 0.2).apply(bench.client)
+    for _ in range(500):
+        bench.nail.before_step(1 / 1000, struck=False)
+        pb.applyExternalForce(hammer, -1, [5, 0, -100], [0, 0, 0], pb.LINK_FRAME, physicsClientId=bench.client)
+        pb.stepSimulation(physicsClientId=bench.client)
+    assert bench.nail.protrusion == pytest.approx(SPEC.protrusion, abs=1e-6)
+    assert bench.nail.bend_angle < 1e-4
+    pb.removeBody(hammer, physicsClientId=bench.client)
+    assert bench.blow(0.6, 1.5) == pytest.approx(fresh_blow(), rel=1e-3)
+
+
 def test_eccentric_blows_drive_less_and_a_miss_drives_nothing() -> None:
     drives = [fresh_blow(offset=offset) for offset in (0.0, 0.004, 0.008, 0.012)]
     assert drives == sorted(drives, reverse=True)
