@@ -167,11 +167,17 @@ class SceneConfig:
     camera_size: tuple[Positive, Positive, Positive] = (0.16, 0.16, 0.12)
     person_center: tuple[float, float, float] = (0.10, -1.15, 0.85)
     person_size: tuple[Positive, Positive, Positive] = (0.80, 0.40, 1.70)
-    home: tuple[float, ...] = (0.0, -1.9, 1.9, -1.57, -1.57, 0.0)
+    home: tuple[float, float, float, float, float, float] = (0.0, -1.9, 1.9, -1.57, -1.57, 0.0)
     handover_position: tuple[float, float, float] = (0.40, -0.45, 0.65)
     handover_facing: tuple[float, float, float] = (-0.4, -1.0, 0.0)
     workspace_lower: tuple[float, float, float] = (-1.0, -1.2, 0.05)
     workspace_upper: tuple[float, float, float] = (1.2, 1.2, 1.6)
+
+    def __post_init__(self) -> None:
+        if np.linalg.norm(self.handover_facing) < 1e-6:
+            raise ValueError("handover_facing is no direction: give a vector from the palm towards the person")
+        if np.any(np.asarray(self.workspace_lower) >= np.asarray(self.workspace_upper)):
+            raise ValueError("workspace_lower must be below workspace_upper in x, y and z")
 
 
 @dataclass(frozen=True)
