@@ -157,9 +157,10 @@ class SceneConfig:
     """What else stands in the station, and where the arm waits and takes a tool. Boxes are axis-aligned in `base`.
 
     table_size: x, y; its top is the base plane. camera_size: box around the camera's centre. person_center and
-    person_size: the place of the person who hands over; the arm never enters it. home: joints [rad] where the arm waits
-    and is put away. handover_position: the palm's origin when a tool is handed over; handover_facing: the direction that
-    the palm faces then, towards the person. workspace_lower, workspace_upper: the box that the flange may not leave.
+    person_size: the place of the person who hands over; the arm never enters it. home: joints [rad] where the arm
+    waits and is put away. handover_position: the palm's origin when a tool is handed over; handover_facing: the
+    direction that the palm faces then, towards the person. workspace_lower, workspace_upper: the box that the flange
+    may not leave.
     """
 
     __pydantic_config__ = _STRICT
