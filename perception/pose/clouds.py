@@ -100,7 +100,7 @@ class CloudGenerator:
         self._rng = np.random.default_rng(seed)
         self._bank = bank
 
-        def put(x: np.ndarray) -> Tensor:  # type: ignore[type-arg]
+        def put(x: np.ndarray) -> Tensor:
             return torch.as_tensor(x, device=self._device)
 
         self._ee, self._normals, self._tells = put(bank.ee_points), put(bank.ee_normals), put(bank.asymmetric)
@@ -113,6 +113,11 @@ class CloudGenerator:
         share = np.array([_CATEGORY_SHARE[c] for c in categories])
         self._weights = share[bank.category] / counts[bank.category]
         self._weights /= self._weights.sum()
+
+    def reseed(self, seed: int) -> None:
+        """Start another sequence of clouds."""
+        self._g.manual_seed(seed)
+        self._rng = np.random.default_rng(seed)
 
     def generate(self, n: int) -> CloudBatch:
         """Up to n clouds: those that show too little are dropped."""

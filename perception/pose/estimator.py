@@ -140,6 +140,7 @@ class PoseEstimator:
         valid = regression["valid"].double().numpy()
         R_camera = np.swapaxes(cloud.R.cpu().double().numpy(), 1, 2)
         centre = cloud.centre.cpu().double().numpy()
+        local = cloud.points.cpu().double().numpy()
         results = []
         for b, category in enumerate(categories):
             Xs = np.tile(np.eye(4), (candidates, 1, 1))
@@ -151,7 +152,7 @@ class PoseEstimator:
             spin_free = float(np.clip(ambiguous[b, :, axis_index].mean(), 0, 1))
             logit = float(regression["mean"][b, 6 + axis_index])
             spin_free = 0.5 * spin_free + 0.5 / (1 + float(np.exp(-np.clip(logit, -30, 30))))
-            points = cloud.points[b].cpu().double().numpy() @ R_camera[b].T + centre[b]
+            points = local[b] @ R_camera[b].T + centre[b]
             results.append(
                 self._result(category, Xs, X_direct, sigmas[b], 1 - spin_free, int(visible[b]), float(valid[b]), points)
             )
@@ -170,7 +171,7 @@ class PoseEstimator:
     ) -> PoseResult:
         group = category.symmetry
         scale = self.calibration.scales[category]
-        pooled = pool(Xs, group, *map(float, sigmas), spin_observable, scale)
+        pooled = pool(Xs, group, float(sigmas[0]), float(sigmas[1]), float(sigmas[2]), spin_observable, scale)
         x = confidence.features(category, pooled, sigmas, visible, valid, *_disagreement(pooled, X_direct, category))
         model = self.calibration.confidence
         probability = float(model.probability(x))

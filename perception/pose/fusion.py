@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.errors import PerceptionError
@@ -114,7 +115,7 @@ def _in_hand(covariance: Array, X_camera_hand: Array) -> Array:
     return J @ covariance @ J.T
 
 
-def _consensus(Xs: Array, group: SymmetryGroup, confidence: Array) -> Array:
+def _consensus(Xs: Array, group: SymmetryGroup, confidence: Array) -> NDArray[np.intp]:
     """Indices of the largest set of frames (by confidence) that agree with one of them."""
     angle = pairwise_angles(Xs[:, :3, :3], group)
     distance = np.linalg.norm(Xs[:, None, :3, 3] - Xs[None, :, :3, 3], axis=-1)

@@ -124,13 +124,15 @@ class Block(nn.Module):
 class FlowHead(nn.Module):
     """Velocity of u at time t, given the cloud's feature: residual MLP with FiLM from the feature (once a cloud)."""
 
+    frequencies: Tensor
+
     def __init__(self, feature: int, width: int, blocks: int, frequencies: int = 16) -> None:
         super().__init__()
         self.width = width
         self.register_buffer("frequencies", torch.pi * torch.arange(1, frequencies + 1), persistent=False)
         self.film = nn.Linear(feature, blocks * 2 * width)
         self.into = nn.Linear(DIM + 2 * frequencies, width)
-        self.norms = nn.ModuleList([nn.LayerNorm(width, elementwise_affine=False) for _ in range(blocks)])
+        self.norm = nn.LayerNorm(width, elementwise_affine=False)
         self.layers = nn.ModuleList(
             [nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width)) for _ in range(blocks)]
         )
@@ -146,9 +148,9 @@ class FlowHead(nn.Module):
         """u (B, K, 12), t (B, K) in [0, 1] -> (B, K, 12)."""
         phase = t[..., None] * self.frequencies.to(t.dtype)
         h = self.into(torch.cat([u, phase.sin(), phase.cos()], dim=-1))
-        for i, (norm, layer) in enumerate(zip(self.norms, self.layers, strict=True)):
+        for i, layer in enumerate(self.layers):
             scale, shift = condition[:, i, 0, None], condition[:, i, 1, None]
-            h = h + layer(norm(h) * (1 + scale) + shift)
+            h = h + layer(self.norm(h) * (1 + scale) + shift)
         return self.out(h)
 
 

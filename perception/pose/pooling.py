@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, transform
@@ -153,7 +154,7 @@ def _rotation_vectors(R: Array) -> Array:
     return Rotation.from_matrix(R).as_rotvec()
 
 
-def _modes(angle: Array, distance: Array, density: Array) -> tuple[Array, tuple[float, ...]]:
+def _modes(angle: Array, distance: Array, density: Array) -> tuple[NDArray[np.intp], tuple[float, ...]]:
     """Indices of the heaviest mode's members, and the masses of all modes, heaviest first."""
     close = (angle < MODE_ANGLE) & (distance < MODE_DISTANCE)
     left = np.ones(len(angle), dtype=bool)

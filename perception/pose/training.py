@@ -26,10 +26,12 @@ from toolee_robot.perception.pose.weights import Calibration
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """minutes: wall-clock of the optimisation; the learning rate follows a cosine over it. reuse: how often a cloud is
-    shown (each time rolled and mirrored anew). Seeds per kind: training and held-out tools."""
+    """minutes: wall-clock of the optimisation; the learning rate follows a cosine over it. session_minutes: how much of
+    it this process does (0: all that is left); the next one resumes. reuse: how often a cloud is shown, each time
+    rolled and mirrored anew. train_seeds, test_seeds: tools of each kind, training and held out."""
 
     minutes: float = 9.0
+    session_minutes: float = 0.0
     batch: int = 256
     learning_rate: float = 1e-3
     warm_up: int = 300
@@ -37,7 +39,7 @@ class TrainConfig:
     clip: float = 1.0
     ema: float = 0.999
     draws: int = 8
-    reuse: float = 4.0
+    reuse: float = 3.0
     direction_dropout: float = 0.5
     chunk: int = 1024
     capacity: int = 65_536
@@ -133,7 +135,8 @@ class Trainer:
         before, begun = self.elapsed, time.monotonic()
         base, last_save, last_log, logged_steps = reservoir.made, begun, begun, self.steps
         start_steps = self.steps
-        while self.elapsed < 60 * c.minutes:
+        end = min(60 * c.minutes, before + 60 * c.session_minutes) if c.session_minutes > 0 else 60 * c.minutes
+        while self.elapsed < end:
             while reservoir.made - base < (self.steps - start_steps) * c.batch / c.reuse:
                 reservoir.add(self._generator.generate(c.chunk))
             batch = reservoir.draw(c.batch, self._g)
@@ -164,9 +167,9 @@ class Trainer:
             if save:
                 last_save = now
                 self._checkpoint(held_out)
-        report = self.finish(held_out)
+        # The checkpoint first: should the validation not get the time, the training is not lost.
         self._checkpoint(None)
-        return report
+        return self.finish(held_out)
 
     def finish(self, held_out: CloudBatch) -> dict[str, Any]:
         """Validate and calibrate on held-out tools (fit on one half of the tools, report on the other) and save."""
@@ -249,6 +252,9 @@ class Trainer:
         self.ema.load_state_dict(state["ema"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.steps, self.elapsed = int(state["steps"]), float(state["elapsed"])
+        # New clouds, not those of the first process again.
+        self._generator.reseed(self.config.seed + 1 + self.steps)
+        self._g.manual_seed(self.config.seed + 2 + self.steps)
         self.log(event="resumed")
 
 

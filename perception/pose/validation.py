@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception.pose import confidence
@@ -119,12 +121,10 @@ def confidence_report(evaluated: Evaluated, calibration: Calibration) -> dict[st
     }
 
 
-def _scale(evaluated: Evaluated, rows: Array, category: Category) -> SigmaScale:
+def _scale(evaluated: Evaluated, rows: NDArray[np.intp], category: Category) -> SigmaScale:
     """Factors that make the mean normalised squared error 1, the worst 2.5 % left out (they are the confidence's)."""
     group = category.symmetry
     position, angle = [], []
-    from scipy.spatial.transform import Rotation
-
     for i in rows:
         result, X = evaluated.results[i], evaluated.Xs_true[i]
         dp = result.X_camera_ee[:3, 3] - X[:3, 3]

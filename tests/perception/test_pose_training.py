@@ -12,7 +12,7 @@ import torch
 
 from toolee_robot.errors import AssetError, PerceptionError, TooleeError
 from toolee_robot.perception.pose import PoseEstimator
-from toolee_robot.perception.pose.bank import ToolBank, hand_bank, load_hands, save_hands, tool_bank
+from toolee_robot.perception.pose.bank import Float32, ToolBank, hand_bank, load_hands, save_hands, tool_bank
 from toolee_robot.perception.pose.canonical import MIN_POINTS
 from toolee_robot.perception.pose.clouds import CloudBatch, CloudConfig, CloudGenerator
 from toolee_robot.perception.pose.confidence import fit
@@ -34,16 +34,16 @@ def bank() -> ToolBank:
 
 
 @pytest.fixture(scope="module")
-def hands() -> np.ndarray:  # type: ignore[type-arg]
+def hands() -> Float32:
     return hand_bank(4)
 
 
 @pytest.fixture(scope="module")
-def clouds(bank: ToolBank, hands: np.ndarray) -> CloudBatch:  # type: ignore[type-arg]
+def clouds(bank: ToolBank, hands: Float32) -> CloudBatch:
     return CloudGenerator(bank, hands, "cpu", 0).collect(32, 48)
 
 
-def test_clean_clouds_lie_on_the_tools_surface(bank: ToolBank, hands: np.ndarray) -> None:  # type: ignore[type-arg]
+def test_clean_clouds_lie_on_the_tools_surface(bank: ToolBank, hands: Float32) -> None:
     batch = CloudGenerator(bank, hands, "cpu", 1, CLEAN).collect(12, 16)
     for i in range(len(batch)):
         # Back in the EE's frame every point is within the radius and near a surface sample.
@@ -67,7 +67,7 @@ def test_hard_clouds_are_noisy_occluded_and_partly_negative(clouds: CloudBatch, 
     torch.testing.assert_close(clouds.direction[:, :3].norm(dim=-1), torch.ones(len(clouds)))
 
 
-def test_augmentation_keeps_clouds_and_poses_together(bank: ToolBank, hands: np.ndarray) -> None:  # type: ignore[type-arg]
+def test_augmentation_keeps_clouds_and_poses_together(bank: ToolBank, hands: Float32) -> None:
     batch = CloudGenerator(bank, hands, "cpu", 2, CLEAN).collect(16, 24)
     turned = augment(batch, torch.Generator().manual_seed(0))
     R = turned.R
@@ -112,7 +112,7 @@ def small(minutes: float) -> TrainConfig:
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory, bank: ToolBank, hands: np.ndarray) -> Path:  # type: ignore[type-arg]
+def trained(tmp_path_factory: pytest.TempPathFactory, bank: ToolBank, hands: Float32) -> Path:
     out = tmp_path_factory.mktemp("weights")
     Trainer(out, small(0.03), (bank, bank), hands, TINY, device="cpu").run()
     return out
@@ -121,7 +121,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory, bank: ToolBank, hands: np.
 def test_training_writes_weights_that_load_to_the_same_network(
     trained: Path,
     bank: ToolBank,
-    hands: np.ndarray,  # type: ignore[type-arg]
+    hands: Float32,
 ) -> None:
     card = json.loads((trained / "pose.json").read_text())
     assert card["report"]["steps"] > 0
@@ -168,7 +168,7 @@ def test_too_few_points_are_refused_and_nan_does_not_count(trained: Path) -> Non
 def test_a_loss_that_is_not_finite_stops_the_training(
     tmp_path: Path,
     bank: ToolBank,
-    hands: np.ndarray,  # type: ignore[type-arg]
+    hands: Float32,
 ) -> None:
     trainer = Trainer(tmp_path, replace(small(1.0), learning_rate=1e30), (bank, bank), hands, TINY, device="cpu")
     with pytest.raises(TooleeError, match="not finite at step"):
