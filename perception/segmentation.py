@@ -20,6 +20,7 @@ from toolee_robot.perception.segmentation_model import (
     DetectorConfig,
     RawDetections,
     normalise,
+    working_size,
 )
 from toolee_robot.types import Category, Detection
 
@@ -76,10 +77,10 @@ class Segmenter:
     def _prepare(self, rgb: NDArray[np.uint8]) -> tuple[torch.Tensor, tuple[float, float]]:
         """Network input and the factors (x, y) from its pixels to the image's."""
         height, width = rgb.shape[:2]
-        factor = min(1.0, (self.config.working_pixels / (height * width)) ** 0.5)
-        h, w = max(1, round(height * factor)), max(1, round(width * factor))
+        h, w = working_size(height, width, self.config.working_pixels)
         if (h, w) != (height, width):
-            rgb = cv2.resize(rgb, (w, h), interpolation=cv2.INTER_AREA).astype(np.uint8)
+            method = cv2.INTER_AREA if h < height else cv2.INTER_LINEAR
+            rgb = cv2.resize(rgb, (w, h), interpolation=method).astype(np.uint8)
         pixels = torch.from_numpy(np.ascontiguousarray(rgb)).to(self._device)
         images = normalise(pixels.permute(2, 0, 1)[None])
         images = torch.nn.functional.pad(images, (0, -w % STRIDE, 0, -h % STRIDE))

@@ -81,24 +81,25 @@ class DeviceImages:
 
 
 @torch.no_grad()
-def augment(rgb: Tensor, maps: Tensor, strength: float = 1.0) -> tuple[Tensor, Tensor]:
-    """Warped and recoloured images (B, 3, H', W'), normalised, and their maps (B, 2, H', W'), sizes padded to STRIDE.
+def augment(rgb: Tensor, maps: Tensor, size: tuple[int, int], strength: float = 1.0) -> tuple[Tensor, Tensor]:
+    """Warped and recoloured images (B, 3, H', W'), normalised, and their maps (B, 2, H', W').
+
+    rgb (B, H, W, 3) and maps (B, 2, H, W) are resampled to `size` (height, width), then padded to multiples of STRIDE.
 
     Geometry: mirror, scale 0.65 to 1.5, shift, roll (any angle for a third). Mirrored tools are as good for masks.
     Colour: gain and offset a channel, contrast, saturation, grey, channel order, gamma; blur, noise, rectangles that
-    hide. strength 0 only normalises and pads.
+    hide. strength 0 only resamples.
     """
-    n, height, width, _ = rgb.shape
-    images = rgb.permute(0, 3, 1, 2).float()
+    n = len(rgb)
+    images, maps = _warp(rgb.permute(0, 3, 1, 2).float(), maps, size, strength)
     if strength > 0:
-        images, maps = _warp(images, maps, strength)
         images = _recolour(images, strength)
         images = _blur(images, strength)
         images, maps = _hide(images, maps, strength)
         sigma = torch.rand((n, 1, 1, 1), device=rgb.device) ** 2 * 14 * strength
         images = images + torch.randn_like(images) * sigma
         images = images.clamp(0, 255)
-    pad = (0, -width % STRIDE, 0, -height % STRIDE)
+    pad = (0, -size[1] % STRIDE, 0, -size[0] % STRIDE)
     return F.pad(normalise(images), pad), F.pad(maps, pad)
 
 
@@ -106,13 +107,15 @@ def _uniform(n: int, low: float, high: float, device: torch.device) -> Tensor:
     return torch.rand((n, 1, 1, 1), device=device) * (high - low) + low
 
 
-def _warp(images: Tensor, maps: Tensor, strength: float) -> tuple[Tensor, Tensor]:
+def _warp(images: Tensor, maps: Tensor, size: tuple[int, int], strength: float) -> tuple[Tensor, Tensor]:
     n, _, height, width = images.shape
     device = images.device
     scale = torch.exp(_uniform(n, -0.43, 0.4, device).view(n) * strength)
     angle = torch.randn(n, device=device) * 0.08 * strength
-    angle = torch.where(torch.rand(n, device=device) < 0.33, torch.rand(n, device=device) * 2 * math.pi, angle)
-    mirror = torch.where(torch.rand(n, device=device) < 0.5, -1.0, 1.0)
+    angle = torch.where(
+        torch.rand(n, device=device) < 0.33 * strength, torch.rand(n, device=device) * 2 * math.pi, angle
+    )
+    mirror = torch.where(torch.rand(n, device=device) < 0.5 * strength, -1.0, 1.0)
     shift = (torch.rand((n, 2), device=device) - 0.5) * 0.5 * strength
     cos, sin = torch.cos(angle) / scale, torch.sin(angle) / scale
     aspect = height / width
@@ -124,7 +127,7 @@ def _warp(images: Tensor, maps: Tensor, strength: float) -> tuple[Tensor, Tensor
         ],
         1,
     )
-    grid = F.affine_grid(theta, [n, 1, height, width], align_corners=False)
+    grid = F.affine_grid(theta, [n, 1, *size], align_corners=False)
     warped = F.grid_sample(images, grid, mode="bilinear", padding_mode="reflection", align_corners=False)
     # Reflected copies must not be unlabelled tools: their pixels become plain.
     outside = (grid.abs() > 1.0).any(-1)[:, None]

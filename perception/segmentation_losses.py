@@ -20,7 +20,7 @@ from toolee_robot.perception.segmentation_model import (
     pairwise_iou,
 )
 
-EE_PIXELS, TOOL_PIXELS = 30, 60
+EE_PIXELS, TOOL_PIXELS = 45, 90
 """Fewer visible pixels [of the network's input] and an instance is neither a target nor background."""
 ROIS_PER_IMAGE, POSITIVE_ROIS = 64, 24
 RPN_SAMPLES, RPN_POSITIVES = 256, 96

@@ -29,6 +29,8 @@ WEIGHTS_NAME = "segmentation"
 STRIDE = 32
 """Input sizes must be multiples of this."""
 
+MOST_ENLARGED = 2.0
+
 _RPN_STRIDES = (8, 16, 32, 64)
 _ROI_STRIDES = (4, 8, 16, 32)
 _RATIOS = (0.5, 1.0, 2.0)
@@ -41,7 +43,8 @@ class DetectorConfig:
     """Architecture and inference settings; stored beside the weights.
 
     anchor_sizes: square root of the anchors' areas [px], two a pyramid level (strides 8 to 64).
-    working_pixels: images are scaled to about this area (never up). pre_nms a level, post_nms an image.
+    working_pixels: images are scaled to about this area, up by at most MOST_ENLARGED: an EE a metre away is
+    20 px wide in a depth camera's image, few for a pyramid that begins at stride 4. pre_nms a level, post_nms an image.
     """
 
     widths: tuple[int, int, int, int] = (64, 128, 256, 384)
@@ -49,7 +52,7 @@ class DetectorConfig:
     box_features: int = 512
     mask_layers: int = 4
     anchor_sizes: tuple[tuple[float, float], ...] = ((16, 26), (40, 64), (100, 160), (230, 350))
-    working_pixels: int = 512 * 424
+    working_pixels: int = 640 * 530
     pre_nms: int = 100
     post_nms: int = 30
     rpn_nms: float = 0.7
@@ -226,6 +229,12 @@ class Detector(nn.Module):
                     if isinstance(conv, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
                         module[i], module[i + 1] = fuse_conv_bn_eval(conv, norm), nn.Identity()
         return self
+
+
+def working_size(height: int, width: int, pixels: int) -> tuple[int, int]:
+    """Height and width, of an area of about `pixels`, at which the network sees an image of the given size."""
+    factor = min(MOST_ENLARGED, math.sqrt(pixels / (height * width)))
+    return max(1, round(height * factor)), max(1, round(width * factor))
 
 
 def normalise(images: Tensor) -> Tensor:

@@ -29,7 +29,7 @@ from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.assets import save_weights
 from toolee_robot.perception.segmentation_data import DeviceImages, SegmentationImages, augment, load_images
 from toolee_robot.perception.segmentation_losses import DetectorLoss, instances_from_maps
-from toolee_robot.perception.segmentation_model import CLASSES, WEIGHTS_NAME, Detector, DetectorConfig
+from toolee_robot.perception.segmentation_model import CLASSES, WEIGHTS_NAME, Detector, DetectorConfig, working_size
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,8 @@ class _Run:
     def _optimise(self) -> tuple[dict[str, Tensor], Tensor]:
         config, device = self.config, self.ranks.device
         rgb, maps, categories = self.data.sample(config.batch)
-        images, maps = augment(rgb, maps, config.augmentation)
+        size = working_size(rgb.shape[1], rgb.shape[2], config.model.working_pixels)
+        images, maps = augment(rgb, maps, size, config.augmentation)
         instances = instances_from_maps(maps, categories, self.data.tools)
         images = images.contiguous(memory_format=torch.channels_last)
         with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,16 @@ from toolee_robot.perception.segmentation_model import (
 from toolee_robot.perception.train_segmentation import SegmentationTraining, train
 from toolee_robot.types import Category
 
-TINY = DetectorConfig(widths=(16, 24, 32, 48), fpn_channels=32, box_features=64, mask_layers=2)
+TINY = DetectorConfig(widths=(16, 24, 32, 48), fpn_channels=32, box_features=64, mask_layers=2, working_pixels=64 * 96)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> Iterator[None]:
+    """Tiny networks: threads cost more than they save, and much more on a busy machine."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
 
 
 def random_boxes(n: int, seed: int = 0) -> torch.Tensor:
@@ -71,7 +81,9 @@ def test_augmentation_moves_image_and_maps_together() -> None:
     maps = torch.from_numpy(np.stack([scenes.ee, scenes.tool], 1))
     from toolee_robot.perception import segmentation_data
 
-    images, warped = segmentation_data._warp(torch.from_numpy(as_image).permute(0, 3, 1, 2).float(), maps, 1.0)
+    images, warped = segmentation_data._warp(
+        torch.from_numpy(as_image).permute(0, 3, 1, 2).float(), maps, (80, 120), 1.0
+    )
     tool = warped[:, 1] > 0
     assert tool.sum() > 500
     assert (images[:, 0][tool] > 100).float().mean() > 0.97
@@ -80,9 +92,10 @@ def test_augmentation_moves_image_and_maps_together() -> None:
 def test_augmented_batches_are_finite_and_padded() -> None:
     scenes = toy_scenes(4)
     torch.manual_seed(1)
-    images, maps = augment(torch.from_numpy(scenes.rgb), torch.from_numpy(np.stack([scenes.ee, scenes.tool], 1)))
-    assert images.shape == (4, 3, 96, 128)
-    assert maps.shape == (4, 2, 96, 128)
+    maps = torch.from_numpy(np.stack([scenes.ee, scenes.tool], 1))
+    images, maps = augment(torch.from_numpy(scenes.rgb), maps, (60, 90))
+    assert images.shape == (4, 3, 64, 96)
+    assert maps.shape == (4, 2, 64, 96)
     assert torch.isfinite(images).all()
 
 
@@ -136,13 +149,13 @@ def test_detections_follow_the_image_s_size(trained: Path) -> None:
     import cv2
 
     rgb = toy_scenes(1).rgb[0]
-    small = Segmenter.load(trained)
+    segmenter = Segmenter.load(trained)
     large = cv2.resize(rgb, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR).astype(np.uint8)
-    object.__setattr__(small.config, "working_pixels", rgb.shape[0] * rgb.shape[1])
-    a, b = small.detect(rgb)[0], small.detect(large)[0]
+    a, b = segmenter.detect(rgb)[0], segmenter.detect(large)[0]
     assert b.mask.shape == large.shape[:2]
     assert a.category == b.category
-    np.testing.assert_allclose(np.array(b.box) / 2, a.box, atol=3)
+    overlap = pairwise_iou(torch.tensor([b.box]) / 2, torch.tensor([a.box]))
+    assert float(overlap) > 0.7
 
 
 def test_a_run_resumes_where_it_stopped(tmp_path: Path) -> None:

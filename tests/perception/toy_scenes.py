@@ -10,7 +10,7 @@ from toolee_robot.perception.segmentation_data import ArrayImages
 _COLOURS = ((220, 60, 50), (60, 200, 70), (60, 90, 220), (230, 200, 60))
 
 
-def toy_scenes(count: int, seed: int = 0, height: int = 96, width: int = 128) -> ArrayImages:
+def toy_scenes(count: int, seed: int = 0, height: int = 64, width: int = 96) -> ArrayImages:
     """One grey bar an image, with an end of category 1..4 in its own colour and shape."""
     rng = np.random.default_rng(seed)
     rgb = np.zeros((count, height, width, 3), np.uint8)
@@ -21,16 +21,16 @@ def toy_scenes(count: int, seed: int = 0, height: int = 96, width: int = 128) ->
         category = int(rng.integers(4))
         angle = rng.uniform(0, 2 * np.pi)
         centre = np.array([width, height]) * rng.uniform(0.4, 0.6, 2)
-        half = np.array([np.cos(angle), np.sin(angle)]) * height * 0.28
+        half = np.array([np.cos(angle), np.sin(angle)]) * height * 0.3
         a, b = (tuple(int(v) for v in np.round(p)) for p in (centre - half, centre + half))
         mask = np.zeros((height, width), np.uint8)
-        cv2.line(mask, a, b, 1, 9)
+        cv2.line(mask, a, b, 1, 7)
         image[mask > 0] = 170
         end = np.zeros_like(mask)
         if category % 2:
-            cv2.circle(end, b, 12, 1, -1)
+            cv2.circle(end, b, 10, 1, -1)
         else:
-            cv2.rectangle(end, (b[0] - 12, b[1] - 10), (b[0] + 12, b[1] + 10), 1, -1)
+            cv2.rectangle(end, (b[0] - 10, b[1] - 9), (b[0] + 10, b[1] + 9), 1, -1)
         image[end > 0] = _COLOURS[category]
         rgb[i] = np.clip(image + rng.normal(0, 4, image.shape), 0, 255).astype(np.uint8)
         ee[i], tool[i], categories[i, 0] = end, mask | end, category + 1
