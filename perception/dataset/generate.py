@@ -7,6 +7,7 @@ python -m toolee_robot.perception.dataset.generate data/test --size 512 --seed 2
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import multiprocessing
 import os
@@ -83,7 +84,8 @@ def _use_one_core() -> None:
     identity = multiprocessing.current_process()._identity
     if hasattr(os, "sched_setaffinity") and identity:
         cores = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {cores[(identity[0] - 1) % len(cores)]})
+        with contextlib.suppress(OSError):  # some containers forbid it: then the workers are only slower
+            os.sched_setaffinity(0, {cores[(identity[0] - 1) % len(cores)]})
 
 
 def main() -> int:

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.perception.dataset.bodies import (
+    Grasp,
     HandStyle,
     X_base_hand_of,
     arm_bodies,
@@ -30,17 +31,18 @@ from toolee_robot.render.mesh import box, cylinder, sphere
 from toolee_robot.render.palette import any_color, finish, skin_tone
 from toolee_robot.robots import FLANGE_FRAME
 from toolee_robot.robots.description import robot_tree
+from toolee_robot.tools import Tool
 from toolee_robot.types import CameraIntrinsics
 
 _CAMERA = np.array([0.95, -0.62, 0.85])
 _TARGET = np.array([0.60, -0.15, 0.72])
 _NAIL = np.array([0.75, 0.10])
-_POSTURES = 100_000
+_POSTURES = 150_000
 
 
 @lru_cache(maxsize=1)
 def _postures() -> tuple[Array, Array]:
-    """Arm postures (N, 6) [rad] that hold the hand about where the camera looks, and the flange's z (N, 3)."""
+    """Arm postures (N, 6) [rad] that hold the hand about where the camera looks, and Xs_base_flange (N, 4, 4)."""
     rng = np.random.default_rng(7)
     q = rng.uniform([-3.1, -2.6, -2.6, -3.1, -3.1, -3.1], [3.1, -0.4, 2.6, 3.1, 3.1, 3.1], (_POSTURES, 6))
     X = np.broadcast_to(np.eye(4), (_POSTURES, 4, 4))
@@ -64,7 +66,7 @@ def _postures() -> tuple[Array, Array]:
     # Not with the arm between hand and camera.
     away = np.linalg.norm(palm - _CAMERA, axis=1) < np.linalg.norm(X[:, :3, 3] - _CAMERA, axis=1) + 0.15
     keep = near & clear & away
-    return q[keep], X[keep, :3, 2]
+    return q[keep], X[keep]
 
 
 def station_scene(rng: np.random.Generator, pool: Pool) -> SceneSample | None:
@@ -73,11 +75,9 @@ def station_scene(rng: np.random.Generator, pool: Pool) -> SceneSample | None:
     cx, cy = rng.normal([254.9, 205.4], 4.0)
     intrinsics = CameraIntrinsics(float(f), float(f), float(cx), float(cy), WIDTH, HEIGHT)
     X_base_camera = look(_CAMERA + rng.normal(0.0, 0.06, 3), _TARGET + rng.normal(0.0, 0.05, 3), rng.normal(0.0, 0.05))
-    q_all, flange_z = _postures()
-    down = np.flatnonzero(flange_z[:, 2] < -0.5)
-    q_arm = q_all[int(rng.choice(down)) if rng.random() < 0.6 else int(rng.integers(len(q_all)))]
     tool = pool.hammer(rng) if rng.random() < 0.75 else pool.tool(rng)
     grasp = pool.grasp(tool, rng)
+    q_arm = _posture(rng, tool, grasp, X_base_camera)
     X_base_hand = X_base_hand_of(q_arm, grasp.q_hand)
     X_base_tool = X_base_hand @ grasp.X_hand_tool @ transform(p=(0.0, 0.0, rng.uniform(-0.03, 0.03)))
     X_camera_tool = inverse(X_base_camera) @ X_base_tool
@@ -93,6 +93,26 @@ def station_scene(rng: np.random.Generator, pool: Pool) -> SceneSample | None:
     scene = Scene(bodies, room.lights, room.environment)
     placed = PlacedTool(tool, X_base_tool, X_base_hand, False, 1)
     return SceneSample(scene, intrinsics, X_base_camera, (placed,), 1)
+
+
+def _posture(rng: np.random.Generator, tool: Tool, grasp: Grasp, X_base_camera: Array) -> Array:
+    """Arm joints (6,) [rad]. Half of the time the working EE is shown as the planner of views would show it: near, its
+    z axis 20 to 65 deg off the line of sight; else anything, mostly with the forearm pointing down."""
+    q, Xs_base_flange = _postures()
+    if rng.random() < 0.5:
+        X_flange_ee = inverse(Xs_base_flange[0]) @ X_base_hand_of(q[0], grasp.q_hand)
+        X_flange_ee = X_flange_ee @ grasp.X_hand_tool @ tool.ees[0].X_tool_ee
+        Xs_camera_ee = inverse(X_base_camera) @ Xs_base_flange @ X_flange_ee
+        p = Xs_camera_ee[:, :3, 3]
+        distance = np.linalg.norm(p, axis=1)
+        facing = -np.einsum("ni,ni->n", p, Xs_camera_ee[:, :3, 2]) / distance
+        tangent = np.abs(p[:, :2]) / np.maximum(p[:, 2:], 1e-6)
+        seen = (p[:, 2] > 0.3) & (distance < 0.68) & (facing > np.cos(np.deg2rad(65.0)))
+        shown = np.flatnonzero(seen & (facing < np.cos(np.deg2rad(20.0))) & (tangent < [0.6, 0.48]).all(axis=1))
+        if len(shown):
+            return q[int(rng.choice(shown))]
+    down = np.flatnonzero(Xs_base_flange[:, 2, 2] < -0.5)
+    return q[int(rng.choice(down)) if rng.random() < 0.6 else int(rng.integers(len(q)))]
 
 
 def _robot_hand(rng: np.random.Generator) -> HandStyle:
