@@ -14,7 +14,7 @@ from toolee_robot.perception.dataset.records import CATEGORIES, HEIGHT, MAX_EES,
 from toolee_robot.perception.dataset.station import station_scene
 from toolee_robot.render import Body
 from toolee_robot.render.photo import Photo, photograph
-from toolee_robot.render.renderer import cast, pixel_rays, render
+from toolee_robot.render.renderer import cast, render
 from toolee_robot.render.sensor import DepthNoise, measure_depth
 from toolee_robot.tools import ToolKind, ee_radius
 from toolee_robot.types import CameraIntrinsics
@@ -155,8 +155,3 @@ def _region(Xs_camera_ee: list[Array], radii: Array, intrinsics: CameraIntrinsic
     x0, y0 = np.floor(np.clip(np.min(boxes, axis=0)[:2], 0, [WIDTH, HEIGHT])).astype(int)
     x1, y1 = np.ceil(np.clip(np.max(boxes, axis=0)[2:], 0, [WIDTH, HEIGHT])).astype(int)
     return (int(x0), int(y0), int(x1), int(y1)) if x1 > x0 and y1 > y0 else None
-
-
-def back_project(depth: Array, intrinsics: CameraIntrinsics) -> Array:
-    """(H, W, 3) points [m] of a depth image, camera frame."""
-    return np.asarray(pixel_rays(intrinsics) * depth[..., None], dtype=np.float64)

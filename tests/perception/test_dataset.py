@@ -9,14 +9,20 @@ import numpy as np
 import pytest
 
 from toolee_robot.errors import AssetError, UserError
-from toolee_robot.frames import is_rigid
-from toolee_robot.perception.dataset.example import back_project, label, make_example, make_scene
+from toolee_robot.frames import Array, is_rigid
+from toolee_robot.perception.dataset.example import label, make_example, make_scene
 from toolee_robot.perception.dataset.generate import generate
 from toolee_robot.perception.dataset.inspect import montage
 from toolee_robot.perception.dataset.records import CATEGORIES, MAX_EES, Example
 from toolee_robot.perception.dataset.storage import load, write_shard
-from toolee_robot.render.renderer import cast
+from toolee_robot.render.renderer import cast, pixel_rays
 from toolee_robot.tools import ToolKind, ee_radius, make_tool, split
+from toolee_robot.types import CameraIntrinsics
+
+
+def back_project(depth: Array, intrinsics: CameraIntrinsics) -> Array:
+    """(H, W, 3) points [m], camera frame."""
+    return np.asarray(pixel_rays(intrinsics) * depth[..., None], dtype=np.float64)
 
 
 @pytest.fixture(scope="module")
