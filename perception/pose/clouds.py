@@ -106,7 +106,7 @@ class CloudGenerator:
         self._ee, self._normals, self._tells = put(bank.ee_points), put(bank.ee_normals), put(bank.asymmetric)
         self._rest, self._X_ee_tool = put(bank.rest), put(bank.X_ee_tool)
         self._category, self._shininess = put(bank.category), put(bank.shininess)
-        self._hands = put(hands)
+        self._hands, self._handle = put(hands), put(bank.handle)
         categories = list(Category)
         self._radius = put(np.array([ee_radius(c) for c in categories], np.float32))
         counts = np.bincount(bank.category, minlength=len(categories))
@@ -165,8 +165,9 @@ class CloudGenerator:
 
         # Negatives: another category claimed; or the mask is on the hand, or on another part of the tool.
         kind = self._uniform(B) / max(c.negative_share, 1e-9)
+        swapped = kind < 0.5
         claimed = torch.where(
-            kind < 0.5,
+            swapped,
             (self._category[item] + torch.randint(1, len(Category), (B,), device=device, generator=self._g))
             % len(Category),
             self._category[item],
@@ -176,9 +177,13 @@ class CloudGenerator:
         spot = torch.randint(rest.shape[1], (B,), device=device, generator=self._g)
         batch = torch.arange(B, device=device)
         focus = torch.where(on_rest[:, None], rest[batch, spot], p)
+        # On the handle only: the other end may be an EE of the same category.
+        X_tool_ee = _rigid_inverse(X_ee_tool)
+        height = (X_tool_ee[:, 2, :3] * self._rest[item, spot]).sum(-1) + X_tool_ee[:, 2, 3]
+        on_handle = (height > self._handle[item, 0] + 0.03) & (height < self._handle[item, 1] - 0.03)
         focus = torch.where(on_hand[:, None], hand[batch, spot], focus)
         far_enough = (focus - p).norm(dim=-1) > 0.07
-        positive = kind >= 1.0
+        positive = ~(swapped | on_hand | on_rest)
         radius = self._radius[claimed]
 
         half = 1.35 * radius
@@ -225,7 +230,9 @@ class CloudGenerator:
         direction = self._directions(cloud.centre, cloud.R, rest, p_hand, has_hand, X_ee_tool, R, p, X_tool_hand)
 
         shows = (cloud.count >= 0.6 * MIN_POINTS) & (visible >= MIN_POINTS)
-        shows &= torch.where(positive, occlusion <= c.max_occlusion, (kind < 0.5) | far_enough)
+        shows &= torch.where(
+            positive, occlusion <= c.max_occlusion, swapped | (on_hand & far_enough) | (on_rest & on_handle)
+        )
         # Where the mask slid off the EE altogether, what is left is no positive.
         shows &= ~positive | ((mask & target).sum((1, 2)) > 0.3 * mask.sum((1, 2)))
         result = CloudBatch(
@@ -322,7 +329,7 @@ class CloudGenerator:
     ) -> Tensor:
         """Tokens (B, 5): to the mean of some visible stretch of the rest of the tool, or to the hand; noisy."""
         B = len(centre)
-        X_tool_ee = torch.linalg.inv(X_ee_tool)
+        X_tool_ee = _rigid_inverse(X_ee_tool)
         height = torch.einsum("bj,bnj->bn", torch.einsum("bi,bji->bj", X_tool_ee[:, 2, :3], R), rest - p[:, None])
         height = height + X_tool_ee[:, 2, 3, None]
         low, high = height.min(1).values, height.max(1).values
@@ -345,6 +352,13 @@ class CloudGenerator:
 
 def _is_target(labels: Tensor) -> Tensor:
     return (labels == splat.TARGET) | (labels == splat.TARGET_TELLS_SPIN)
+
+
+def _rigid_inverse(X: Tensor) -> Tensor:
+    Y = X.clone()
+    Y[:, :3, :3] = X[:, :3, :3].mT
+    Y[:, :3, 3] = -torch.einsum("bji,bj->bi", X[:, :3, :3], X[:, :3, 3])
+    return Y
 
 
 def _random_rotations(q: Tensor) -> Tensor:
