@@ -101,13 +101,13 @@ def test_augmented_batches_are_finite_and_padded() -> None:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A tiny detector, overfit on twelve toy pictures."""
+    """A tiny detector, overfit on eight toy pictures."""
     out = tmp_path_factory.mktemp("run")
     torch.manual_seed(0)
     config = SegmentationTraining(
-        Path("toy"), out, max_steps=120, batch=8, lr=3e-3, warmup_steps=10, ema=0.9, augmentation=0, model=TINY
+        Path("toy"), out, max_steps=120, batch=4, lr=3e-3, warmup_steps=10, ema=0.9, augmentation=0, model=TINY
     )
-    return train(config, toy_scenes(12))
+    return train(config, toy_scenes(8))
 
 
 def test_training_lowers_the_loss_and_logs_it(trained: Path) -> None:
@@ -119,7 +119,7 @@ def test_training_lowers_the_loss_and_logs_it(trained: Path) -> None:
 
 
 def test_overfit_detector_finds_the_tools_of_its_pictures(trained: Path) -> None:
-    scenes = toy_scenes(12)
+    scenes = toy_scenes(8)
     report = evaluate_masks(Segmenter.load(trained), scenes)
     assert report["average"]["AP50"] > 0.8, report
     detections = Segmenter.load(trained).detect(scenes.rgb[0])
