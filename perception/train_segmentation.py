@@ -59,7 +59,7 @@ class SegmentationTraining:
             raise UserError("minutes, batch and lr must be positive, ema between 0 and 1")
 
     def to_json(self) -> dict[str, Any]:
-        return {**asdict(self), "data": str(self.data), "out": str(self.out)}
+        return {**asdict(self), "data": self.data.name, "out": self.out.name}
 
 
 @dataclass(frozen=True)
