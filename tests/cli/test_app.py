@@ -139,3 +139,16 @@ def test_an_empty_scene_is_an_empty_list_and_exit_1(files: Path) -> None:
     assert json.loads(done.stdout) == []
     assert "no tool found" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_missing_weights_are_a_failed_job_that_names_the_file(
+    files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from toolee_robot.perception import assets
+
+    monkeypatch.chdir(files)
+    monkeypatch.setattr(assets, "WEIGHTS_DIR", files / "scene")
+    assert run([*_frame_args(), "--json"]) == 1
+    captured = capsys.readouterr()
+    assert "scene/segmentation" in captured.err.replace("\n", "")
+    assert not captured.out
