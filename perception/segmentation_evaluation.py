@@ -1,4 +1,4 @@
-"""COCO mask AP of a detector, by category, with faster-coco-eval (the `dev` extra).
+"""COCO mask AP of a detector, by category, with faster-coco-eval (the `test` extra).
 
 python -m toolee_robot.perception.segmentation_evaluation --data data/test --weights runs/segmentation
 """
@@ -39,7 +39,7 @@ def evaluate_masks(segmenter: Segmenter, images: SegmentationImages, limit: int 
         from faster_coco_eval import COCO, COCOeval_faster
         from faster_coco_eval.core import mask as coco_mask
     except ImportError as error:
-        raise UserError("evaluation needs faster-coco-eval: python -m pip install -e '.[dev]'") from error
+        raise UserError("evaluation needs faster-coco-eval: python -m pip install -e '.[test]'") from error
 
     def encoded(mask: NDArray[np.bool_]) -> dict[str, Any]:
         rle: dict[str, Any] = coco_mask.encode(np.asfortranarray(mask.astype(np.uint8)))
