@@ -6,12 +6,10 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from ruckig import ControlInterface, InputParameter, Ruckig
-from ruckig import Trajectory as RuckigTrajectory
-
 from toolee_robot.errors import DeviceError, LimitError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ContactGuard, MotionOutcome, MotionReport
+from toolee_robot.sim_backend.braking import brake_on_path
 from toolee_robot.sim_backend.flange_sensor import FlangeSensor
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import JointState, Payload, Trajectory
@@ -33,7 +31,7 @@ class SimArm:
         self._velocity = np.minimum(np.array(self._limits.velocity), robot.velocity[:6])
         self._sensor = FlangeSensor(world, robot.hand_payload(robot.hand_open), 1 / RATE)
         world.wrench = lambda: self._sensor.wrench.copy()
-        self._q, self._qd, self._qdd = world.robot.q_arm_target.copy(), np.zeros(6), np.zeros(6)
+        self._q, self._qd = world.robot.q_arm_target.copy(), np.zeros(6)
         self._open, self._moving, self._stop_asked = True, False, False
 
     def __enter__(self) -> Self:
@@ -70,6 +68,7 @@ class SimArm:
         contact: JointState | None = None
         outcome = MotionOutcome.COMPLETED
         self._stop_asked, self._moving = False, True
+        t = 0.0
         try:
             for k in range(1, int(np.ceil(trajectory.duration * RATE - 1e-9)) + 1):
                 t = min(k / RATE, trajectory.duration)
@@ -85,7 +84,7 @@ class SimArm:
                     break
         finally:
             # After an exception as well as after the last sample: the arm comes to rest before anyone goes on.
-            self._brake(log)
+            self._brake(trajectory, t, log)
             self._moving = False
         return MotionReport(
             outcome,
@@ -100,8 +99,6 @@ class SimArm:
         """Brake from the last commanded state; during `execute` (from a callback) it ends that motion."""
         if self._moving:
             self._stop_asked = True
-        elif self._open:
-            self._brake(_Log())
 
     def _check_open(self) -> None:
         if not self._open:
@@ -128,7 +125,6 @@ class SimArm:
         """A sample that is due one tick from now: the robot moves towards it with the mean velocity of the tick."""
         step = (q - self._q) * RATE
         self._world.robot.command_arm(self._q, step)
-        self._qdd = (qd - self._qd) * RATE
         self._q, self._qd = np.array(q), np.array(qd)
 
     def _tick(self, log: _Log) -> None:
@@ -139,25 +135,13 @@ class SimArm:
         log.measured.append(self._world.robot.arm_state()[0])
         log.wrenches.append(self._sensor.wrench.copy())
 
-    def _brake(self, log: _Log) -> None:
-        """All joints to rest as fast as acceleration and jerk allow, in step so that the path goes straight on."""
-        if np.any(np.abs(self._qd) > 1e-9):
-            otg = Ruckig(6)
-            start = InputParameter(6)
-            start.control_interface = ControlInterface.Velocity
-            start.current_position, start.current_velocity = self._q.tolist(), self._qd.tolist()
-            a = self._limits.stop_acceleration
-            start.current_acceleration = np.clip(self._qdd, -a, a).tolist()
-            start.target_velocity = [0.0] * 6
-            start.max_acceleration = [a] * 6
-            start.max_jerk = [self._limits.stop_jerk] * 6
-            path = RuckigTrajectory(6)
-            otg.calculate(start, path)
-            for k in range(1, int(np.ceil(path.duration * RATE - 1e-9)) + 1):
-                q, qd, _ = path.at_time(min(k / RATE, path.duration))
-                self._command(np.clip(q, self._lower, self._upper), np.array(qd))
-                self._tick(log)
-        self._qd, self._qdd = np.zeros(6), np.zeros(6)
+    def _brake(self, trajectory: Trajectory, t: float, log: _Log) -> None:
+        """To rest on the trajectory's own path, from time t [s] on it."""
+        limits = self._limits
+        for q, qd in brake_on_path(trajectory, t, 1 / RATE, limits.stop_acceleration, limits.stop_jerk):
+            self._command(q, qd)
+            self._tick(log)
+        self._qd = np.zeros(6)
         self._world.robot.command_arm(self._q, self._qd)
         for _ in range(int(SETTLE_TIME * RATE)):
             self._tick(log)
