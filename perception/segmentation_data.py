@@ -52,19 +52,18 @@ class ArrayImages:
 
 
 class DeviceImages:
-    """A data set (or one rank's share of it) as uint8 tensors on the device, sampled in shuffled epochs."""
+    """A data set, or one rank's part of it, as uint8 tensors on the device, sampled in shuffled epochs."""
 
-    def __init__(self, images: SegmentationImages, device: torch.device, rank: int = 0, world: int = 1) -> None:
-        index = np.arange(rank, len(images.rgb), world)
-        height, width = images.rgb.shape[1:3]
-        self.rgb = torch.empty((len(index), height, width, 3), dtype=torch.uint8, device=device)
-        self.maps = torch.empty((len(index), 2, height, width), dtype=torch.uint8, device=device)
-        for start in range(0, len(index), _CHUNK):
+    def __init__(self, images: SegmentationImages, device: torch.device) -> None:
+        count, height, width = images.rgb.shape[:3]
+        self.rgb = torch.empty((count, height, width, 3), dtype=torch.uint8, device=device)
+        self.maps = torch.empty((count, 2, height, width), dtype=torch.uint8, device=device)
+        for start in range(0, count, _CHUNK):
             part = slice(start, start + _CHUNK)
-            self.rgb[part] = torch.from_numpy(images.rgb[index[part]]).to(device)
-            self.maps[part, 0] = torch.from_numpy(images.ee[index[part]]).to(device)
-            self.maps[part, 1] = torch.from_numpy(images.tool[index[part]]).to(device)
-        self.categories = torch.from_numpy(images.categories[index]).to(device)
+            self.rgb[part] = torch.from_numpy(images.rgb[part]).to(device)
+            self.maps[part, 0] = torch.from_numpy(images.ee[part]).to(device)
+            self.maps[part, 1] = torch.from_numpy(images.tool[part]).to(device)
+        self.categories = torch.from_numpy(images.categories).to(device)
         self.tools = max((int(m.max()) for m in torch.split(self.maps[:, 1], _CHUNK)), default=0) or 1
         self._order = torch.empty(0, dtype=torch.long, device=device)
 
@@ -185,6 +184,7 @@ def _hide(images: Tensor, maps: Tensor, strength: float, count: int = 2) -> tupl
     return images, maps
 
 
-def load_images(directory: Path) -> SegmentationImages:
-    """The data set that `toolee_robot.perception.dataset.generate` wrote. Raises AssetError naming a broken file."""
-    return load(directory)
+def load_images(directory: Path, part: tuple[int, int] = (0, 1)) -> SegmentationImages:
+    """Part (i, n) of the data set that `toolee_robot.perception.dataset.generate` wrote. Raises AssetError naming a
+    broken file."""
+    return load(directory, part=part)

@@ -108,9 +108,8 @@ def train(config: SegmentationTraining, images: SegmentationImages | None = None
     with _ranks(config.device) as ranks:
         torch.manual_seed(config.seed + 1000 * ranks.rank)
         torch.backends.cudnn.benchmark = True
-        data = DeviceImages(
-            load_images(config.data) if images is None else images, ranks.device, ranks.rank, ranks.world
-        )
+        part = (ranks.rank, ranks.world)
+        data = DeviceImages(load_images(config.data, part) if images is None else images, ranks.device)
         if len(data) == 0:
             raise UserError(f"{config.data} holds no training images: generate the data set first")
         run = _Run(config, ranks, data)
