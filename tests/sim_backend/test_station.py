@@ -1,0 +1,281 @@
+"""The simulated arm, hand, grip, person and clock keep the promises of the hardware abstraction."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pybullet as pb
+import pytest
+
+from tests.sim_backend.kinematics import HOME, joints_for_hand, line
+from toolee_robot.config import StationConfig
+from toolee_robot.errors import DeviceError, LimitError, UserError
+from toolee_robot.frames import Array, frame_from_axes, inverse, rotation_angle, transform
+from toolee_robot.hal import Arm, Clock, ContactGuard, Hand, MotionOutcome, Person, RgbdCamera
+from toolee_robot.robots import load_robot, nominal_X_hand_tool
+from toolee_robot.sim_backend import InHandOffset, SimOptions, SimStation
+from toolee_robot.sim_backend.grip import RELEASE_SLIP, GripLimits
+from toolee_robot.sim_backend.person import handed_over
+from toolee_robot.tools import ToolKind, make_tool, split
+from toolee_robot.types import Payload, Trajectory
+
+CONFIG = StationConfig()
+# The palm faces the person, fingers down.
+X_BASE_HAND = frame_from_axes(z=np.array([0.0, -0.3, -1.0]), x=np.array([1.0, 0.0, 0.0]), p=[0.55, -0.35, 0.75])
+NUDGE = np.array([0.25, -0.15, 0.2, 0.1, -0.2, 0.3])
+
+
+@pytest.fixture(scope="module")
+def q_handover() -> Array:
+    return joints_for_hand(X_BASE_HAND)
+
+
+@pytest.fixture
+def empty() -> Iterator[SimStation]:
+    with SimStation.build(CONFIG, 0, SimOptions(q_start=HOME, hands_over=False)) as simulation:
+        yield simulation
+
+
+@pytest.fixture(scope="module")
+def held(q_handover: Array) -> Iterator[SimStation]:
+    """A hammer handed over, closed on, let go: shared by the tests that leave it in the hand."""
+    tool = make_tool(ToolKind.BALL_PEEN_HAMMER, 4984)
+    with SimStation.build(CONFIG, 3, SimOptions(q_start=q_handover, tool=tool)) as simulation:
+        station = simulation.station
+        assert station.person.request_handover("", 10.0)
+        station.hand.close(8.0)
+        assert station.person.release("", 10.0)
+        yield simulation
+
+
+def test_devices_are_what_the_protocols_ask_for(empty: SimStation) -> None:
+    station = empty.station
+    assert isinstance(station.arm, Arm)
+    assert isinstance(station.hand, Hand)
+    assert isinstance(station.camera, RgbdCamera)
+    assert isinstance(station.person, Person)
+    assert isinstance(station.clock, Clock)
+
+
+def test_arm_tracks_a_trajectory_and_ends_at_rest(empty: SimStation) -> None:
+    arm = empty.station.arm
+    trajectory = line([HOME, HOME + NUDGE], 1.0)
+    report = arm.execute(trajectory)
+    assert report.outcome is MotionOutcome.COMPLETED
+    assert np.abs(report.q_commanded - report.q_measured).max() < 5e-3
+    assert np.diff(report.stamps) == pytest.approx(1 / arm.rate)
+    state = arm.state()
+    np.testing.assert_allclose(state.joints.q, HOME + NUDGE, atol=1e-3)
+    assert np.abs(state.joints.qd).max() < 5e-3
+    # In free space the wrench is what the payload's model misses: little.
+    assert np.linalg.norm(report.wrenches[5:, :3], axis=1).max() < 5.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: Trajectory(t.times, t.q + 0.05, t.qd, t.qdd), "starts"),
+        (lambda t: Trajectory(t.times / 20, t.q, t.qd * 20, t.qdd * 400), "too fast"),
+        (lambda t: Trajectory(t.times, np.where(t.q == t.q[-1], np.nan, t.q), t.qd, t.qdd), "finite"),
+        (lambda t: Trajectory(t.times, t.q + np.linspace(0, 7, len(t.q))[:, None], t.qd, t.qdd), "range"),
+    ],
+)
+def test_arm_refuses_what_breaks_a_limit_and_does_not_move(empty: SimStation, change: object, message: str) -> None:
+    assert callable(change)
+    before = empty.station.clock.now()
+    with pytest.raises(LimitError, match=message):
+        empty.station.arm.execute(change(line([HOME, HOME + NUDGE], 1.0)))
+    assert empty.station.clock.now() == before
+    np.testing.assert_allclose(empty.station.arm.state().joints.q, HOME, atol=1e-3)
+
+
+def test_arm_brakes_at_a_contact_within_its_limits(empty: SimStation) -> None:
+    station, world = empty.station, empty.world
+    hand = world.X_base_hand()
+    down = joints_for_hand(transform(p=[0.0, 0.0, -0.25]) @ hand, HOME)
+    tip = (hand @ [0.0, 0.0, 0.15, 1.0])[:3]
+    shape = pb.createCollisionShape(pb.GEOM_BOX, halfExtents=[0.1, 0.1, 0.05], physicsClientId=world.client)
+    pb.createMultiBody(0.0, shape, -1, [tip[0], tip[1], tip[2] - 0.13 - 0.05], physicsClientId=world.client)
+    report = station.arm.execute(line([HOME, down], 1.5), ContactGuard(force=15.0, after=0.05))
+    assert report.outcome is MotionOutcome.CONTACT
+    assert report.contact is not None
+    assert np.linalg.norm(report.wrenches[report.stamps == report.contact.stamp][0, :3]) > 15.0
+    # It stopped well before the end of the path, and without a jolt: no step beyond the braking acceleration.
+    assert np.abs(report.q_commanded[-1] - down).max() > 0.05
+    qd = np.diff(report.q_commanded, axis=0) * station.arm.rate
+    qdd = np.diff(qd, axis=0) * station.arm.rate
+    assert np.abs(qdd).max() < 1.1 * CONFIG.arm.stop_acceleration
+    assert np.abs(station.arm.state().joints.qd).max() < 0.02
+
+
+def test_stop_from_a_callback_ends_the_motion(empty: SimStation) -> None:
+    station = empty.station
+    begin = station.clock.now()
+    empty.observers.append(lambda sample: station.arm.stop() if sample.stamp > begin + 0.4 else None)
+    report = station.arm.execute(line([HOME, HOME + NUDGE], 1.0))
+    assert report.outcome is MotionOutcome.STOPPED
+    assert np.abs(report.q_commanded[-1] - (HOME + NUDGE)).max() > 0.02
+    assert np.abs(station.arm.state().joints.qd).max() < 5e-3
+
+
+def test_an_exception_leaves_the_arm_at_rest_and_closed(empty: SimStation) -> None:
+    arm = empty.station.arm
+    begin = empty.station.clock.now()
+
+    def interrupt(_sample: object) -> None:
+        if begin + 0.3 < empty.station.clock.now() < begin + 0.32:
+            raise KeyboardInterrupt
+
+    empty.observers.append(interrupt)
+    with pytest.raises(KeyboardInterrupt), arm:
+        arm.execute(line([HOME, HOME + NUDGE], 1.0))
+    assert np.abs(empty.world.robot.arm_state()[1]).max() < 5e-3
+    with pytest.raises(DeviceError, match="closed"):
+        arm.state()
+
+
+def test_time_goes_on_only_by_moving_and_sleeping(empty: SimStation) -> None:
+    station = empty.station
+    now = station.clock.now()
+    station.arm.state()
+    station.hand.state()
+    assert station.clock.now() == now
+    station.clock.sleep(0.123)
+    assert station.clock.now() == pytest.approx(now + 0.123, abs=3e-4)
+
+
+def test_nobody_comes_when_nobody_is_there(empty: SimStation) -> None:
+    now = empty.station.clock.now()
+    assert not empty.station.person.request_handover("", 0.5)
+    assert empty.station.clock.now() == pytest.approx(now + 0.5, abs=1e-3)
+
+
+def test_a_hand_that_closes_on_nothing_does_not_hold(empty: SimStation) -> None:
+    empty.station.hand.close(8.0)
+    state = empty.station.hand.state()
+    assert not state.holding
+    assert not state.assisted
+
+
+def test_hand_holds_by_contact_of_thumb_and_fingers(held: SimStation) -> None:
+    state = held.station.hand.state()
+    assert state.holding
+    assert state.assisted
+    assert state.contact_forces["thumb"] > 0
+    assert sum(state.contact_forces[finger] > 0 for finger in ("index", "middle", "ring", "little")) >= 3
+
+
+def test_tool_lies_in_the_hand_about_where_the_person_put_it(held: SimStation) -> None:
+    X_hand_tool = inverse(held.world.X_base_hand()) @ held.world.X_base_tool()
+    X = inverse(held.person.intended_X_hand_tool) @ X_hand_tool
+    assert np.linalg.norm(X[:3, 3]) < 0.025
+    assert rotation_angle(X[:3, :3]) < np.deg2rad(15)
+
+
+def test_held_tool_moves_with_the_hand(held: SimStation, q_handover: Array) -> None:
+    station, world = held.station, held.world
+    before = inverse(world.X_base_hand()) @ world.X_base_tool()
+    robot = load_robot()
+    hand = robot.hand_payload(station.hand.state().joints.q)
+    mass = hand.mass + held.tool.mass
+    flange = world.robot.link_pose(world.robot.link_index["tool0"])
+    com = (inverse(flange) @ world.X_base_tool() @ [*held.tool.center_of_mass, 1.0])[:3]
+    payload = (hand.mass * hand.center_of_mass + held.tool.mass * com) / mass
+    station.arm.set_payload(Payload(mass, payload))
+    there = station.arm.execute(line([q_handover, q_handover + NUDGE], 1.2))
+    station.arm.execute(line([q_handover + NUDGE, q_handover], 1.2))
+    after = inverse(world.X_base_hand()) @ world.X_base_tool()
+    moved = inverse(before) @ after
+    assert np.linalg.norm(moved[:3, 3]) < 0.001
+    assert rotation_angle(moved[:3, :3]) < np.deg2rad(0.5)
+    assert np.linalg.norm(there.wrenches[5:, :3], axis=1).max() < 8.0
+
+
+def test_a_grip_pulled_too_hard_slips_and_lets_go(q_handover: Array) -> None:
+    tool = make_tool(ToolKind.BALL_PEEN_HAMMER, 4984)
+    with SimStation.build(CONFIG, 3, SimOptions(q_start=q_handover, tool=tool, offset=InHandOffset())) as simulation:
+        station, world = simulation.station, simulation.world
+        station.person.request_handover("", 10.0)
+        station.hand.close(8.0)
+        station.person.release("", 10.0)
+        grip = world.grip
+        assert grip is not None
+        axis = world.X_base_tool()[:3, 2]
+
+        def pull(force: float, duration: float) -> None:
+            def apply(_dt: float) -> None:
+                p = pb.getBasePositionAndOrientation(world.tool.body, physicsClientId=world.client)[0]
+                pb.applyExternalForce(
+                    world.tool.body, -1, (force * axis).tolist(), p, pb.WORLD_FRAME, physicsClientId=world.client
+                )
+
+            world.before_step.append(apply)
+            station.clock.sleep(duration)
+            world.before_step.remove(apply)
+
+        pull(0.6 * grip.limits.along, 0.3)
+        assert grip.slip < 0.001
+        pull(1.6 * grip.limits.along, 0.02)
+        assert 0.0005 < grip.slip < RELEASE_SLIP
+        assert station.hand.state().holding
+        pull(1.6 * grip.limits.along, 0.3)
+        assert not grip.holding
+        assert not station.hand.state().holding
+        station.clock.sleep(1.0)
+        assert world.X_base_tool()[2, 3] < 0.3  # it has fallen
+
+
+def test_opening_lets_the_tool_fall_but_stopping_does_not(q_handover: Array) -> None:
+    tool = make_tool(ToolKind.BALL_PEEN_HAMMER, 4984)
+    with SimStation.build(CONFIG, 3, SimOptions(q_start=q_handover, tool=tool)) as simulation:
+        station = simulation.station
+        station.person.request_handover("", 10.0)
+        with station.hand as hand:
+            hand.close(8.0)
+        station.person.release("", 10.0)
+        assert simulation.world.grip is not None
+        assert simulation.world.grip.holding
+        with pytest.raises(DeviceError, match="closed"):
+            station.hand.state()
+        with station.hand as hand:
+            hand.open(8.0)
+            assert not hand.state().holding
+
+
+def test_offsets_are_drawn_over_the_whole_range_and_by_seed() -> None:
+    drawn = [InHandOffset.draw(np.random.default_rng([seed, 11])) for seed in range(300)]
+    assert drawn[7] == InHandOffset.draw(np.random.default_rng([7, 11]))
+    for name, reach in (("along", 0.030), ("spin", np.deg2rad(25)), ("tilt_x", np.deg2rad(12))):
+        values = np.array([getattr(offset, name) for offset in drawn])
+        assert np.abs(values).max() <= reach
+        assert values.max() > 0.9 * reach
+        assert values.min() < -0.9 * reach
+
+
+def test_an_offset_moves_the_tool_along_and_about_its_handle() -> None:
+    X_nominal = nominal_X_hand_tool(0.014)
+    X = inverse(X_nominal) @ handed_over(X_nominal, InHandOffset(along=0.02, spin=0.3))
+    np.testing.assert_allclose(X[:3, 3], [0.0, 0.0, 0.02], atol=1e-12)
+    assert rotation_angle(X[:3, :3]) == pytest.approx(0.3)
+    np.testing.assert_allclose(X[:3, 2], [0.0, 0.0, 1.0], atol=1e-12)
+
+
+def test_the_person_brings_only_hammers_that_no_network_has_seen() -> None:
+    for seed in range(5):
+        with SimStation.build(CONFIG, seed, SimOptions(hands_over=False, q_start=HOME)) as simulation:
+            assert split(simulation.tool.seed) == "test"
+            assert 0.4 <= simulation.tool.mass <= 1.05
+
+
+def test_unusable_options_are_refused() -> None:
+    with pytest.raises(UserError, match="friction"):
+        SimOptions(friction=0.0)
+    with pytest.raises(UserError, match="seed"):
+        SimStation.build(CONFIG, -1)
+
+
+def test_grip_limits_grow_with_the_fingers_force() -> None:
+    weak, strong = (GripLimits.from_contact(n, 0.8, 0.015) for n in (40.0, 80.0))
+    assert strong.along == pytest.approx(2 * weak.along) == pytest.approx(0.8 * 80)
+    assert strong.about == pytest.approx(0.8 * 80 * 0.015)
