@@ -19,6 +19,7 @@ from toolee_robot.perception.segmentation_model import (
     Detector,
     DetectorConfig,
     RawDetections,
+    load_detector,
     normalise,
     working_size,
 )
@@ -51,15 +52,10 @@ class Segmenter:
         """
         tensors, description = load_weights(weights_dir, WEIGHTS_NAME)
         try:
-            if list(description["classes"]) != list(CLASSES):
-                raise AssetError(f"the detector knows {description['classes']}, not {list(CLASSES)}: train it again")
             detector = Detector(DetectorConfig.from_json(description["model"]))
-            missing, unexpected = detector.load_state_dict(tensors, strict=False)
-        except (KeyError, TypeError, RuntimeError) as error:
-            raise AssetError(f"the detector's weights do not fit its description, fetch them again: {error}") from error
-        missing = [name for name in missing if not name.endswith("num_batches_tracked")]
-        if missing or unexpected:
-            raise AssetError(f"the detector's weights are incomplete, fetch them again: {(missing + unexpected)[:5]}")
+        except (KeyError, TypeError, ValueError) as error:
+            raise AssetError(f"the detector's description is damaged, fetch it again: {error!r}") from error
+        load_detector(detector, tensors, description)
         return cls(detector, device)
 
     def detect(self, rgb: NDArray[np.uint8]) -> list[Detection]:

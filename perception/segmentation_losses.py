@@ -12,13 +12,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from toolee_robot.perception.segmentation_model import (
-    ROI_DELTA_WEIGHTS,
-    TOOL,
-    Detector,
-    encode,
-    pairwise_iou,
-)
+from toolee_robot.perception.segmentation_boxes import encode, pairwise_iou
+from toolee_robot.perception.segmentation_model import ROI_DELTA_WEIGHTS, TOOL, Detector
 
 EE_PIXELS, TOOL_PIXELS = 45, 90
 """Fewer visible pixels [of the network's input] and an instance is neither a target nor background."""

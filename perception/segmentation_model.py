@@ -20,6 +20,8 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from torchvision.models.resnet import BasicBlock
 from torchvision.ops import batched_nms, roi_align
 
+from toolee_robot.errors import AssetError
+from toolee_robot.perception.segmentation_boxes import clip, decode, greedy_suppression
 from toolee_robot.types import Category
 
 CLASSES: tuple[str, ...] = ("background", *(c.value for c in Category), "tool")
@@ -35,7 +37,6 @@ _RPN_STRIDES = (8, 16, 32, 64)
 _ROI_STRIDES = (4, 8, 16, 32)
 _RATIOS = (0.5, 1.0, 2.0)
 ROI_DELTA_WEIGHTS = (10.0, 10.0, 5.0, 5.0)
-_LOG_LIMIT = math.log(1000.0 / 16.0)
 
 
 @dataclass(frozen=True)
@@ -237,55 +238,22 @@ def working_size(height: int, width: int, pixels: int) -> tuple[int, int]:
     return max(1, round(height * factor)), max(1, round(width * factor))
 
 
+def load_detector(detector: Detector, tensors: dict[str, Tensor], description: dict[str, Any]) -> None:
+    """Put weights that a training run exported into `detector`. Raises AssetError if they do not fit."""
+    if list(description.get("classes", [])) != list(CLASSES):
+        raise AssetError(f"the detector knows {description.get('classes')}, not {list(CLASSES)}: train it again")
+    try:
+        missing, unexpected = detector.load_state_dict(tensors, strict=False)
+    except RuntimeError as error:
+        raise AssetError(f"the detector's weights do not fit its architecture, fetch them again: {error}") from error
+    missing = [name for name in missing if not name.endswith("num_batches_tracked")]
+    if missing or unexpected:
+        raise AssetError(f"the detector's weights are incomplete, fetch them again: {(missing + unexpected)[:5]}")
+
+
 def normalise(images: Tensor) -> Tensor:
     """uint8 or float RGB in 0..255 to the network's range (fixed mean and deviation)."""
     return (images.float() - 110.0) / 60.0
-
-
-def encode(boxes: Tensor, anchors: Tensor, weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)) -> Tensor:
-    """Deltas (..., 4) that turn `anchors` into `boxes`."""
-    size_a, size_b = (anchors[..., 2:] - anchors[..., :2]).clamp(min=1e-3), (boxes[..., 2:] - boxes[..., :2])
-    shift = (boxes[..., 2:] + boxes[..., :2] - anchors[..., 2:] - anchors[..., :2]) / 2 / size_a
-    scale = torch.log(size_b.clamp(min=1e-3) / size_a)
-    return torch.cat([shift, scale], -1) * shift.new_tensor(weights)
-
-
-def decode(deltas: Tensor, anchors: Tensor, weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)) -> Tensor:
-    """Boxes (..., 4) from deltas; the inverse of `encode`."""
-    deltas = deltas / deltas.new_tensor(weights)
-    size = anchors[..., 2:] - anchors[..., :2]
-    centre = (anchors[..., 2:] + anchors[..., :2]) / 2 + deltas[..., :2] * size
-    half = deltas[..., 2:].clamp(max=_LOG_LIMIT).exp() * size / 2
-    return torch.cat([centre - half, centre + half], -1)
-
-
-def clip(boxes: Tensor, height: int, width: int) -> Tensor:
-    """Boxes cut at the image's border."""
-    limit = boxes.new_tensor([width, height, width, height])
-    return torch.minimum(boxes.clamp(min=0.0), limit)
-
-
-def pairwise_iou(a: Tensor, b: Tensor) -> Tensor:
-    """Intersection over union (..., N, M) of boxes (..., N, 4) and (..., M, 4)."""
-    a, b = a[..., :, None, :], b[..., None, :, :]
-    overlap = (torch.minimum(a[..., 2:], b[..., 2:]) - torch.maximum(a[..., :2], b[..., :2])).clamp(min=0).prod(-1)
-    area_a, area_b = (a[..., 2:] - a[..., :2]).prod(-1), (b[..., 2:] - b[..., :2]).prod(-1)
-    return overlap / (area_a + area_b - overlap).clamp(min=1e-6)
-
-
-def greedy_suppression(boxes: Tensor, threshold: float, iterations: int = 8) -> Tensor:
-    """Which of boxes (B, N, 4), sorted by falling score, survive greedy non-maximum suppression, (B, N) bool.
-
-    Fixed-point iteration (Zheng et al. 2021, cluster NMS): exact once it has run as often as the longest chain of
-    suppressions, batched and free of host synchronisation.
-    """
-    n = boxes.shape[1]
-    above = torch.ones((n, n), dtype=torch.bool, device=boxes.device).triu(1)
-    overlaps = (pairwise_iou(boxes, boxes) > threshold) & above
-    keep = torch.ones(boxes.shape[:2], dtype=torch.bool, device=boxes.device)
-    for _ in range(iterations):
-        keep = ~(overlaps & keep[:, :, None]).any(1)
-    return keep
 
 
 def pyramid_roi_align(pyramid: list[Tensor], rois: Tensor, size: int) -> Tensor:

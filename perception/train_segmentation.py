@@ -5,7 +5,8 @@
 
 The whole data set is held on the device as bytes (each rank its share); targets and augmentation are made there. The
 learning rate follows the clock, so a run ends annealed whatever the machine's speed. A run that is interrupted
-continues from its last checkpoint with `--resume`. The last act writes the averaged weights in half precision.
+continues from its last checkpoint with `--resume`; `--init DIR` starts from the weights that another run exported.
+The last act writes the averaged weights in half precision.
 """
 
 from __future__ import annotations
@@ -26,10 +27,17 @@ import torch.distributed as dist
 from torch import Tensor, nn
 
 from toolee_robot.errors import TooleeError, UserError
-from toolee_robot.perception.assets import save_weights
+from toolee_robot.perception.assets import load_weights, save_weights
 from toolee_robot.perception.segmentation_data import DeviceImages, SegmentationImages, augment, load_images
 from toolee_robot.perception.segmentation_losses import DetectorLoss, instances_from_maps
-from toolee_robot.perception.segmentation_model import CLASSES, WEIGHTS_NAME, Detector, DetectorConfig, working_size
+from toolee_robot.perception.segmentation_model import (
+    CLASSES,
+    WEIGHTS_NAME,
+    Detector,
+    DetectorConfig,
+    load_detector,
+    working_size,
+)
 
 
 @dataclass(frozen=True)
@@ -51,6 +59,7 @@ class SegmentationTraining:
     checkpoint_minutes: float = 2.0
     log_every: int = 20
     resume: bool = False
+    init: Path | None = None
     device: str = "auto"
     model: DetectorConfig = field(default_factory=DetectorConfig)
 
@@ -59,7 +68,7 @@ class SegmentationTraining:
             raise UserError("minutes, batch and lr must be positive, ema between 0 and 1")
 
     def to_json(self) -> dict[str, Any]:
-        return {**asdict(self), "data": self.data.name, "out": self.out.name}
+        return {**asdict(self), "data": self.data.name, "out": self.out.name, "init": self.init is not None}
 
 
 @dataclass(frozen=True)
@@ -124,7 +133,10 @@ class _Run:
 
     def __init__(self, config: SegmentationTraining, ranks: _Ranks, data: DeviceImages) -> None:
         self.config, self.ranks, self.data = config, ranks, data
-        detector = Detector(config.model).to(ranks.device).to(memory_format=torch.channels_last)
+        detector = Detector(config.model)
+        if config.init is not None:
+            load_detector(detector, *load_weights(config.init, WEIGHTS_NAME))
+        detector = detector.to(ranks.device).to(memory_format=torch.channels_last)
         self.loss = DetectorLoss(detector)
         self.average = {k: v.detach().clone().float() for k, v in detector.state_dict().items()}
         decayed = [p for p in detector.parameters() if p.ndim > 1]
@@ -291,7 +303,8 @@ def _parse() -> SegmentationTraining:
     parser.add_argument("--max-steps", type=int)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--device", default="auto")
-    parser.add_argument("--resume", action="store_true")
+    parser.add_argument("--resume", action="store_true", help="continue from the checkpoint in --out")
+    parser.add_argument("--init", type=Path, help="folder of exported weights to start from")
     return SegmentationTraining(**vars(parser.parse_args()))
 
 

@@ -14,6 +14,7 @@ from torchvision.ops import nms
 from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.segmentation import Segmenter, associate
+from toolee_robot.perception.segmentation_boxes import decode, encode, greedy_suppression, pairwise_iou
 from toolee_robot.perception.segmentation_data import augment
 from toolee_robot.perception.segmentation_evaluation import evaluate_masks
 from toolee_robot.perception.segmentation_losses import instances_from_maps
@@ -22,10 +23,6 @@ from toolee_robot.perception.segmentation_model import (
     TOOL,
     Detector,
     DetectorConfig,
-    decode,
-    encode,
-    greedy_suppression,
-    pairwise_iou,
 )
 from toolee_robot.perception.train_segmentation import SegmentationTraining, train
 from toolee_robot.types import Category
@@ -165,6 +162,16 @@ def test_a_run_resumes_where_it_stopped(tmp_path: Path) -> None:
     train(SegmentationTraining(Path("toy"), tmp_path, max_steps=5, resume=True, **common), scenes)  # type: ignore[arg-type]
     log = json.loads((tmp_path / "training_log.json").read_text())
     assert [entry["step"] for entry in log] == [1, 2, 3, 4, 5]
+
+
+def test_a_run_starts_from_exported_weights(tmp_path: Path, trained: Path) -> None:
+    config = SegmentationTraining(
+        Path("toy"), tmp_path, max_steps=2, batch=4, lr=1e-6, log_every=1, model=TINY, augmentation=0, init=trained
+    )
+    train(config, toy_scenes(8))
+    first = json.loads((trained / "training_log.json").read_text())[0]["loss"]
+    continued = json.loads((tmp_path / "training_log.json").read_text())[0]["loss"]
+    assert continued < 0.75 * first
 
 
 def test_resuming_nothing_is_the_user_s_error(tmp_path: Path) -> None:
