@@ -6,7 +6,8 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from toolee_robot.errors import DeviceError, LimitError
+
+from toolee_robot.errors import DeviceError, LimitError, StaleDataError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ContactGuard, MotionOutcome, MotionReport
 from toolee_robot.sim_backend.braking import brake_on_path
@@ -33,6 +34,7 @@ class SimArm:
         world.wrench = lambda: self._sensor.wrench.copy()
         self._q, self._qd = world.robot.q_arm_target.copy(), np.zeros(6)
         self._open, self._moving, self._stop_asked = True, False, False
+        self._last: ArmState | None = None  # the newest state that arrived, while the link is down
 
     def __enter__(self) -> Self:
         self._open = True
@@ -49,10 +51,26 @@ class SimArm:
         return RATE
 
     def state(self, max_age: float = 0.1) -> ArmState:
-        """The present state; a simulation's is never stale."""
+        """The present state. Raises StaleDataError once the link is down for longer than max_age [s]."""
         self._check_open()
+        if self._last is None:
+            return self._read()
+        age = self._world.time - self._last.joints.stamp
+        if age > max_age:
+            raise StaleDataError(f"the arm's newest state is {age:.2f} s old: check its network link, then start again")
+        return self._last
+
+    def _read(self) -> ArmState:
         q, qd = self._world.robot.arm_state()
         return ArmState(JointState(q, qd, self._world.time), self._sensor.wrench.copy())
+
+    def cut_link(self) -> None:
+        """From now on the arm's states do not arrive any more, as with a pulled network cable."""
+        self._last = self._read()
+
+    def restore_link(self) -> None:
+        """They arrive again."""
+        self._last = None
 
     def set_payload(self, payload: Payload) -> None:
         """What the flange carries, hand included: for the compensation of the sensed wrench."""
@@ -61,7 +79,8 @@ class SimArm:
         self._sensor.payload = payload
 
     def execute(self, trajectory: Trajectory, guard: ContactGuard | None = None) -> MotionReport:
-        """See `hal.Arm`. Raises LimitError, and nothing moves, when the trajectory breaks a limit."""
+        """See `hal.Arm`. Raises LimitError, and nothing moves, when the trajectory breaks a limit; StaleDataError,
+        after braking, when the link goes down on the way."""
         self._check_open()
         self._check(trajectory)
         log = _Log()
@@ -74,6 +93,7 @@ class SimArm:
                 t = min(k / RATE, trajectory.duration)
                 self._command(*trajectory.sample(t))
                 self._tick(log)
+                self.state(max_age=2.5 / RATE)
                 if self._stop_asked:
                     outcome = MotionOutcome.STOPPED
                     break

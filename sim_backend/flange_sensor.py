@@ -14,8 +14,8 @@ GRAVITY = np.array([0.0, 0.0, -9.81])  # [m/s^2]
 
 
 class FlangeSensor:
-    """Mean wrench over a control tick of `period` [s]: force and torque at the flange that the arm's mount carries, less what it takes
-    to hold and accelerate the payload, a rigid body. Base axes, torque about the flange's origin.
+    """Mean wrench over a control tick of `period` [s]: force and torque that the flange carries, less what it takes to
+    hold and accelerate the payload, a rigid body. Base axes, torque about the flange's origin.
 
     A wrist that yields, fingers that move and a tool that slips are not rigid: they show up as a few N.
     """

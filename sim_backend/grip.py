@@ -22,7 +22,6 @@ from dataclasses import dataclass
 import numpy as np
 import pybullet as pb
 
-
 from toolee_robot.frames import Array, rotation_angle
 from toolee_robot.sim_backend.bodies import cross
 

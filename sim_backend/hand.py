@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 import pybullet as pb
 
-from toolee_robot.errors import DeviceError
+from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.frames import inverse
 from toolee_robot.hal import HandState
 from toolee_robot.robots import FINGERS, finger_of
@@ -41,6 +41,7 @@ class SimHand:
         self._target = world.robot.q_hand_target.copy()
         self._holding_forces: dict[str, float] | None = None
         self._open_device = True
+        self._last: HandState | None = None  # the newest state that arrived, while the link is down
 
     def __enter__(self) -> Self:
         self._open_device = True
@@ -57,8 +58,24 @@ class SimHand:
         return self._robot.hand_joints
 
     def state(self, max_age: float = 0.1) -> HandState:
-        """The present state; a simulation's is never stale."""
+        """The present state. Raises StaleDataError once the link is down for longer than max_age [s]."""
         self._check_open()
+        if self._last is None:
+            return self._read()
+        age = self._world.time - self._last.joints.stamp
+        if age > max_age:
+            raise StaleDataError(f"the hand's newest state is {age:.2f} s old: check its cable, then start again")
+        return self._last
+
+    def cut_link(self) -> None:
+        """From now on the hand's states do not arrive any more, as with a pulled cable; it keeps its grip."""
+        self._last = self._read()
+
+    def restore_link(self) -> None:
+        """They arrive again."""
+        self._last = None
+
+    def _read(self) -> HandState:
         q, qd = self._world.robot.hand_state()
         grip = self._world.grip
         assisted = grip is not None and grip.holding

@@ -50,7 +50,7 @@ class SimPerson:
         self._X_hand_tool = handed_over(X_nominal, offset)
         self._grasp(world.X_base_tool())
 
-    def request_handover(self, prompt: str, timeout: float) -> bool:
+    def request_handover(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002  (knows what to do)
         """Lay the tool into the open hand, where the palm is now."""
         if not self._comes or timeout < APPROACH_TIME:
             self._world.advance(timeout)
@@ -68,7 +68,7 @@ class SimPerson:
             self._world.advance(TICK)
         return True
 
-    def release(self, prompt: str, timeout: float) -> bool:
+    def release(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
         """Let go and step back."""
         if timeout < STEP_TIME:
             self._world.advance(timeout)
@@ -116,7 +116,7 @@ class SimPerson:
             self._constraint, X[:3, 3].tolist(), q, maxForce=HOLDING_FORCE, physicsClientId=world.client
         )
         head = X_base_tool @ transform(p=[0.0, 0.0, world.tool.tool.handle.z_max])
-        shoulder = self.center + [0.0, 0.0, 0.45]
+        shoulder = self.center + np.array([0.0, 0.0, 0.45])
         self.visible_arm = (shoulder, head[:3, 3])
 
     def _let_go(self) -> None:

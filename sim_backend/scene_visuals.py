@@ -19,6 +19,10 @@ Color = tuple[float, float, float]
 SHIRT_COLORS: tuple[Color, ...] = ((0.2, 0.3, 0.5), (0.5, 0.2, 0.2), (0.25, 0.4, 0.3), (0.35, 0.35, 0.38))
 
 
+STAND_COLOR: Color = (0.30, 0.32, 0.36)
+PINE_COLOR: Color = (0.80, 0.66, 0.46)
+
+
 class BodyId(IntEnum):
     """Ids of the visual bodies."""
 
@@ -49,10 +53,11 @@ class SceneVisuals:
         ]
         work, nail = world.config.work, world.nail.spec
         x, y = work.nail_xy
+        height = work.stand_height
         self._static = [
-            _static("stand", box((*work.stand_size, work.stand_height)), (x, y, work.stand_height / 2), "steel_painted", (0.3, 0.32, 0.36)),
-            _static("block", box(work.block_size), (x, y, work.stand_height + work.block_size[2] / 2), "wood_block", (0.80, 0.66, 0.46)),
-        ]  # fmt: skip
+            _static("stand", box((*work.stand_size, height)), (x, y, height / 2), "steel_painted", STAND_COLOR),
+            _static("block", box(work.block_size), (x, y, height + work.block_size[2] / 2), "wood_block", PINE_COLOR),
+        ]
         self._nail_head = cylinder(nail.head_diameter / 2, nail.head_thickness)
         self._nail_shank = cylinder(nail.diameter / 2, nail.length)
         self._head = sphere(0.11)
@@ -94,21 +99,19 @@ class SceneVisuals:
         person = self._person
         center = person.center
         top = center[2] + self._world.config.scene.person_size[2] / 2
+        X_head = transform(p=[center[0], center[1], top + 0.10])
+        shirt, skin, person_id = self._shirt, self._skin, BodyId.PERSON
         parts = [
-            VisualBody("person_torso", self._torso, transform(p=center), "cloth", self._shirt, 0.9, body_id=BodyId.PERSON),
-            VisualBody("person_head", self._head, transform(p=[center[0], center[1], top + 0.10]), "skin", self._skin, 0.6,
-                       body_id=BodyId.PERSON),
-        ]  # fmt: skip
+            VisualBody("person_torso", self._torso, transform(p=center), "cloth", shirt, 0.9, body_id=person_id),
+            VisualBody("person_head", self._head, X_head, "skin", skin, 0.6, body_id=person_id),
+        ]
         if person.visible_arm is not None:
             shoulder, hand = person.visible_arm
             length = float(np.linalg.norm(hand - shoulder))
             arm = cylinder(0.05, length, top_radius=0.04)
-            parts.append(
-                VisualBody("person_arm", arm, _along(shoulder, hand), "skin", self._skin, 0.6, body_id=BodyId.PERSON)
-            )
-            parts.append(
-                VisualBody("person_fist", self._fist, transform(p=hand), "skin", self._skin, 0.6, body_id=BodyId.PERSON)
-            )
+            X_fist = transform(p=hand)
+            parts.append(VisualBody("person_arm", arm, _along(shoulder, hand), "skin", skin, 0.6, body_id=person_id))
+            parts.append(VisualBody("person_fist", self._fist, X_fist, "skin", skin, 0.6, body_id=person_id))
         return parts
 
 

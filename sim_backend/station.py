@@ -1,8 +1,8 @@
-"""Build a simulated station: the same Protocols as the real one, and beside them what only reports and tests may read."""
+"""Build a simulated station: the same Protocols as the real one, and beside them the ground truth."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 

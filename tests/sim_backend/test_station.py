@@ -10,12 +10,14 @@ import pytest
 
 from tests.sim_backend.kinematics import HOME, joints_for_hand, line
 from toolee_robot.config import StationConfig
-from toolee_robot.errors import DeviceError, LimitError, UserError
+from toolee_robot.errors import DeviceError, LimitError, StaleDataError, UserError
 from toolee_robot.frames import Array, frame_from_axes, inverse, rotation_angle, transform
 from toolee_robot.hal import Arm, Clock, ContactGuard, Hand, MotionOutcome, Person, RgbdCamera
 from toolee_robot.robots import load_robot, nominal_X_hand_tool
 from toolee_robot.sim_backend import InHandOffset, SimOptions, SimStation
+from toolee_robot.sim_backend.arm import SimArm
 from toolee_robot.sim_backend.grip import RELEASE_SLIP, GripLimits
+from toolee_robot.sim_backend.hand import SimHand
 from toolee_robot.sim_backend.person import handed_over
 from toolee_robot.tools import ToolKind, make_tool, split
 from toolee_robot.types import Payload, Trajectory
@@ -133,6 +135,25 @@ def test_an_exception_leaves_the_arm_at_rest_and_closed(empty: SimStation) -> No
     assert np.abs(empty.world.robot.arm_state()[1]).max() < 5e-3
     with pytest.raises(DeviceError, match="closed"):
         arm.state()
+
+
+def test_a_cut_link_is_stale_and_stops_the_arm(empty: SimStation) -> None:
+    station = empty.station
+    assert isinstance(station.arm, SimArm)
+    assert isinstance(station.hand, SimHand)
+    station.arm.cut_link()
+    station.hand.cut_link()
+    with pytest.raises(StaleDataError, match="link"):
+        station.arm.execute(line([HOME, HOME + NUDGE], 1.0))
+    assert np.abs(empty.world.robot.arm_state()[1]).max() < 5e-3
+    station.clock.sleep(0.3)
+    with pytest.raises(StaleDataError, match="arm"):
+        station.arm.state(max_age=0.1)
+    with pytest.raises(StaleDataError, match="hand"):
+        station.hand.state(max_age=0.1)
+    station.arm.restore_link()
+    station.hand.restore_link()
+    assert station.arm.state().joints.stamp == station.hand.state().joints.stamp == station.clock.now()
 
 
 def test_time_goes_on_only_by_moving_and_sleeping(empty: SimStation) -> None:
