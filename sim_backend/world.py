@@ -5,6 +5,8 @@ Time advances in quanta of 1/4000 s: by 1 ms a step normally, by a quantum while
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -159,6 +161,8 @@ def _is_hammer(tool: Tool) -> bool:
 
 
 def _connect(gui: bool) -> int:
+    if gui and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        raise UserError("pybullet's window needs a screen and DISPLAY is not set: leave --gui out to run headless")
     try:
         client = int(pb.connect(pb.GUI if gui else pb.DIRECT))
     except pb.error as error:

@@ -289,7 +289,11 @@ def test_the_person_brings_only_hammers_that_no_network_has_seen() -> None:
             assert 0.4 <= simulation.tool.mass <= 1.05
 
 
-def test_unusable_options_are_refused() -> None:
+def test_unusable_options_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(UserError, match="DISPLAY"):
+        SimStation.build(CONFIG, 0, SimOptions(gui=True))
     with pytest.raises(UserError, match="friction"):
         SimOptions(friction=0.0)
     with pytest.raises(UserError, match="seed"):
