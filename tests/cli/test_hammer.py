@@ -102,3 +102,15 @@ def test_an_interrupt_stops_the_arm_and_is_reported(tmp_path: Path, sign: signal
     assert "Traceback" not in err
     summary = json.loads((_only_folder(tmp_path / "runs") / "summary.json").read_text())
     assert summary["outcome"] == "interrupted"
+
+
+def test_a_nail_out_of_reach_ends_the_job_with_a_reason_and_the_arm_parked(tmp_path: Path) -> None:
+    (tmp_path / "lab.yaml").write_text("work: {nail_xy: [2.5, 0.1]}")
+    process = _start(tmp_path, "--seed", "101", "--json", "--config", "lab.yaml")
+    out, err = process.communicate(timeout=120)
+    record = _line(out)
+    assert process.returncode == 1, err
+    assert (record["outcome"], record["blows"]) == ("no_plan", 0)
+    assert "move the block" in record["reason"]
+    assert "park" in record["stage_seconds"]
+    assert "Traceback" not in err
