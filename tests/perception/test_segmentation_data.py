@@ -1,0 +1,72 @@
+"""The trainer reads what the generator writes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.perception.toy_scenes import toy_scenes
+from toolee_robot.errors import AssetError
+from toolee_robot.perception.dataset.records import HEIGHT, WIDTH, EeTable, Example
+from toolee_robot.perception.dataset.storage import shard_path, write_shard
+from toolee_robot.perception.segmentation_data import DeviceImages, augment, load_images
+from toolee_robot.perception.segmentation_evaluation import true_instances
+from toolee_robot.perception.segmentation_losses import instances_from_maps
+from toolee_robot.perception.segmentation_model import STRIDE, TOOL
+from toolee_robot.types import CameraIntrinsics
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    scenes = toy_scenes(3, height=HEIGHT, width=WIDTH)
+    examples = []
+    for i in range(3):
+        table = EeTable.empty()
+        category = table.category.copy()
+        category[0] = scenes.categories[i, 0]
+        depth = np.full((HEIGHT, WIDTH), 800, np.uint16)
+        camera = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, WIDTH, HEIGHT)
+        table = replace(table, category=category)
+        examples.append(Example(scenes.rgb[i], depth, scenes.ee[i], scenes.tool[i], table, camera, 0))
+    write_shard(shard_path(tmp_path, 0), examples)
+    return tmp_path
+
+
+def test_a_data_set_becomes_targets(folder: Path) -> None:
+    images = load_images(folder)
+    data = DeviceImages(images, torch.device("cpu"))
+    rgb, maps, categories = data.sample(3)
+    pixels, maps = augment(rgb, maps, (HEIGHT, WIDTH), strength=0.0)
+    assert pixels.shape[2] % STRIDE == 0
+    assert pixels.shape[3] % STRIDE == 0
+    instances = instances_from_maps(maps, categories, data.tools)
+    for b in range(3):
+        labels = sorted(instances.labels[b][instances.labels[b] > 0].tolist())
+        assert labels == [int(categories[b, 0]), TOOL]
+        for g in torch.nonzero(instances.labels[b])[:, 0].tolist():
+            seen = (maps[b, instances.plane[b, g]] == instances.ids[b, g]).numpy()
+            rows, columns = np.nonzero(seen)
+            box = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+            assert instances.boxes[b, g].tolist() == box
+
+
+def test_evaluation_sees_the_same_instances(folder: Path) -> None:
+    images = load_images(folder)
+    labels = [label for label, _ in true_instances(images, 1)]
+    assert labels == [int(images.categories[1, 0]), TOOL]
+    assert true_instances(images, 1)[0][1].sum() == (images.ee[1] == 1).sum()
+
+
+def test_ranks_share_a_data_set_without_overlap(folder: Path) -> None:
+    shard_path(folder, 1).write_bytes(shard_path(folder, 0).read_bytes())
+    assert [len(load_images(folder, (rank, 2)).rgb) for rank in range(2)] == [3, 3]
+    assert len(load_images(folder).rgb) == 6
+
+
+def test_a_folder_without_data_is_named(tmp_path: Path) -> None:
+    with pytest.raises(AssetError, match="generate"):
+        load_images(tmp_path)
