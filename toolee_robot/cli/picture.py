@@ -193,7 +193,7 @@ def _draw_cloud(figure: Figure, panel: SubplotSpec, frame: RgbdFrame, best: Tool
     )
     limits = np.stack([middle - radius, middle + radius]).T
     ax.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
-    ax.set_box_aspect((1, 1, 1), zoom=1.5)
+    ax.set_box_aspect((1, 1, 1), zoom=1.4)
     ax.set_proj_type("ortho")
     ax.view_init(elev=16.0, azim=_AZIMUTH)
     ax.set_axis_off()
