@@ -33,7 +33,7 @@ _FIGURES = {
 def _start(folder: Path, *args: str) -> subprocess.Popen[str]:
     code = "from toolee_robot.cli import main; main()"
     return subprocess.Popen(
-        [sys.executable, "-c", code, "hammer", "--perfect-perception", *args],
+        [sys.executable, "-c", code, "hammer", *args],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -55,8 +55,8 @@ def _line(out: str) -> dict[str, Any]:
 
 
 def test_a_job_ends_with_the_nail_flush_and_leaves_a_whole_folder(tmp_path: Path) -> None:
-    """The mechanics alone: poses come from the ground truth here. tests/test_job.py has the camera in the loop."""
-    process = _start(tmp_path, "--seed", "101", "--json", "--out", "out")
+    """The mechanics alone: poses come from the ground truth here."""
+    process = _start(tmp_path, "--perfect-perception", "--seed", "101", "--json", "--out", "out")
     out, err = process.communicate(timeout=240)
     record = _line(out)
     assert process.returncode == 0, err
@@ -85,9 +85,21 @@ def test_a_job_ends_with_the_nail_flush_and_leaves_a_whole_folder(tmp_path: Path
     assert topics["/contacts"] >= 2 * record["blows"]
 
 
+def test_the_whole_job_with_the_camera_in_the_loop(tmp_path: Path) -> None:
+    process = _start(tmp_path, "--seed", "101", "--json")
+    out, err = process.communicate(timeout=240)
+    record = _line(out)
+    assert process.returncode == 0, err
+    assert (record["success"], record["outcome"]) == (True, "flush")
+    assert record["perfect_perception"] is False
+    assert 0.0 < record["pose_error_mm"] < 8.0
+    assert record["pose_error_deg"] < 6.0
+    assert {"handover", "grip", "view", "perceive", "plan", "touch", "strike", "park"} <= set(record["stage_seconds"])
+
+
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_stops_the_arm_and_is_reported(tmp_path: Path, sign: signal.Signals) -> None:
-    process = _start(tmp_path, "--seed", "101", "--json")
+    process = _start(tmp_path, "--perfect-perception", "--seed", "101", "--json")
     assert process.stderr is not None
     for text in process.stderr:
         if text.startswith("Handover"):
@@ -106,7 +118,7 @@ def test_an_interrupt_stops_the_arm_and_is_reported(tmp_path: Path, sign: signal
 
 def test_a_nail_out_of_reach_ends_the_job_with_a_reason_and_the_arm_parked(tmp_path: Path) -> None:
     (tmp_path / "lab.yaml").write_text("work: {nail_xy: [2.5, 0.1]}")
-    process = _start(tmp_path, "--seed", "101", "--json", "--config", "lab.yaml")
+    process = _start(tmp_path, "--perfect-perception", "--seed", "101", "--json", "--config", "lab.yaml")
     out, err = process.communicate(timeout=120)
     record = _line(out)
     assert process.returncode == 1, err
