@@ -122,11 +122,11 @@ class ArmLimits:
 
 @dataclass(frozen=True)
 class StrikeConfig:
-    """How to hit. speed: wanted speed of the face at contact [m/s]: from 1.2 the hand needs some 90 mm to stop, from 1.5
-    140 mm, which the hand at a short hammer has not beside the block. run_up: length of the straight run to the nail
-    [m]. touch_speed [m/s] and touch_force [N]: the slow guarded approach that measures where the face meets the nail;
-    the force must be under what a yielding wrist passes on at a long hammer's end. contact_force [N]: what counts as
-    the blow. clearance: least distance of anything to anything but face and nail [m]."""
+    """How to hit. speed: wanted speed of the face at contact [m/s]: from 1.2 the hand needs some 90 mm to stop, from
+    1.5 140 mm, which the hand at a short hammer has not beside the block. run_up: length of the straight run to the
+    nail [m]. touch_speed [m/s] and touch_force [N]: the slow guarded approach that measures where the face meets the
+    nail; the force must be under what a yielding wrist passes on at a long hammer's end. contact_force [N]: what counts
+    as the blow. clearance: least distance of anything to anything but face and nail [m]."""
 
     __pydantic_config__ = _STRICT
     speed: Positive = 1.2
