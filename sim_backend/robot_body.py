@@ -13,7 +13,7 @@ FINGER_GAIN = 20.0  # [1/s]
 WRIST_GAIN = 12.0  # [1/s]: a wrist that gave way in a blow comes back without a second blow
 # The wrist's torque while hammering [Nm] (deviation; the flexion keeps the motor's own 2.2): enough to carry a hammer,
 # less than the grip can hold against, so that after a blow the wrist gives way and not the grip.
-WRIST_TORQUE = 2.5
+WRIST_TORQUE = 3.3
 SENSOR_LINK = "rh_forearm"
 
 
