@@ -25,6 +25,7 @@ from toolee_robot.tools import Tool, ToolKind, make_tool, split
 from toolee_robot.types import Category
 
 MASS_RANGE = (0.4, 1.05)  # [kg] of the hammers handed over
+MAX_MOMENT = 1.7  # [Nm] of its weight about the grip's centre: what the wrist can swing
 MIN_REACH = 0.15  # [m] from the grip's centre to the face, along the handle: room for the hand
 KINDS = (ToolKind.CLAW_HAMMER, ToolKind.BALL_PEEN_HAMMER, ToolKind.CROSS_PEEN_HAMMER, ToolKind.CLUB_HAMMER)
 
@@ -37,7 +38,8 @@ def draw_hammer(rng: np.random.Generator) -> Tool:
             continue
         tool = make_tool(KINDS[int(rng.integers(len(KINDS)))], seed)
         face = tool.ee(Category.HAMMER_HEAD).X_tool_ee
-        if MASS_RANGE[0] <= tool.mass <= MASS_RANGE[1] and face[2, 3] >= MIN_REACH:
+        moment = 9.81 * tool.mass * tool.center_of_mass[2]
+        if MASS_RANGE[0] <= tool.mass <= MASS_RANGE[1] and face[2, 3] >= MIN_REACH and moment <= MAX_MOMENT:
             return tool
     raise UserError("no hammer of a usable mass found: choose another seed")
 
