@@ -55,6 +55,9 @@ class Bench:
             latencies = [*_perception(scene, self.repeats), *_planning(scene, self.repeats)]
             real_time_factor = scene.simulation_speed()
         console.print(_table(latencies))
+        console.print(
+            "[dim]pose: encoder, sampling, pooling. strike plan: spin sweep, branches, collision, timing[/dim]"
+        )
         console.print(f"simulation with the hammer held: {real_time_factor:.2f} x real time")
         if self.json:
             record = {
@@ -107,9 +110,9 @@ def _perception(scene: BenchScene, repeats: int) -> Iterator[Latency]:
             perception.pose.estimate, cloud.points, detection.category, cloud.direction, X_camera_hand, candidates=k
         )
         target = _POSE_TARGET_MS if k == 32 else None
-        yield measure(f"pose, K = {k}: encoder, sampling, pooling", pose, repeats=repeats, target_ms=target)
+        yield measure(f"pose, K = {k}", pose, repeats=repeats, target_ms=target)
     yield measure(
-        f"perception in all, {len(detections)} end effectors",
+        f"perception in all (end effectors: {len(detections)})",
         lambda: perception.estimate(frame, X_camera_hand),
         repeats=repeats,
         target_ms=_PERCEPTION_TARGET_MS,
@@ -119,10 +122,10 @@ def _perception(scene: BenchScene, repeats: int) -> Iterator[Latency]:
 def _planning(scene: BenchScene, repeats: int) -> Iterator[Latency]:
     ik = scene.robot.ik
     target = scene.robot.fk(scene.q_arm, scene.q_hand)[0]
-    yield measure("inverse kinematics, all branches of a pose", lambda: ik.solve(target), repeats=10 * repeats)
+    yield measure("inverse kinematics, all branches", lambda: ik.solve(target), repeats=10 * repeats)
     grasps = cycle(scene.random_grasps(repeats))
     yield measure(
-        "strike plan: spins, branches, collision, timing",
+        "strike plan",
         lambda: scene.plan(next(grasps)),
         repeats=repeats,
         target_ms=_PLAN_TARGET_MS,
