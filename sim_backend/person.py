@@ -6,7 +6,7 @@ import numpy as np
 import pybullet as pb
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.frames import Array, inverse, transform
+from toolee_robot.frames import Array, transform
 from toolee_robot.robots import nominal_X_hand_tool
 from toolee_robot.sim_backend.bodies import fixed_box, set_body_pose
 from toolee_robot.sim_backend.options import InHandOffset
@@ -128,9 +128,3 @@ class SimPerson:
     def intended_X_hand_tool(self) -> Array:
         """Where the person means to put the tool in the hand, before the hand closes: ground truth."""
         return self._X_hand_tool.copy()
-
-    @staticmethod
-    def offset_between(X_a: Array, X_b: Array) -> tuple[float, float]:
-        """Distance [m] and angle [rad] between two poses."""
-        X = inverse(X_a) @ X_b
-        return float(np.linalg.norm(X[:3, 3])), float(Rotation.from_matrix(X[:3, :3]).magnitude())
