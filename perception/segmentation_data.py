@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import queue
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -13,7 +15,8 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolee_robot.perception.dataset.storage import load
+from toolee_robot.errors import AssetError
+from toolee_robot.perception.dataset.storage import load_shards
 from toolee_robot.perception.segmentation_model import STRIDE, normalise
 
 _CHUNK = 512
@@ -52,7 +55,7 @@ class ArrayImages:
 
 
 class DeviceImages:
-    """A data set, or one rank's part of it, as uint8 tensors on the device, sampled in shuffled epochs."""
+    """A data set, or one rank's part of it, as uint8 tensors on the device, sampled in shuffled epochs. It may grow."""
 
     def __init__(self, images: SegmentationImages, device: torch.device) -> None:
         count, height, width = images.rgb.shape[:3]
@@ -69,6 +72,14 @@ class DeviceImages:
 
     def __len__(self) -> int:
         return len(self.rgb)
+
+    def extend(self, more: DeviceImages) -> None:
+        """Take in more images; they are drawn from the next epoch on."""
+        self.rgb = torch.cat([self.rgb, more.rgb])
+        self.maps = torch.cat([self.maps, more.maps])
+        width = max(self.categories.shape[1], more.categories.shape[1])
+        self.categories = torch.cat([F.pad(c, (0, width - c.shape[1])) for c in (self.categories, more.categories)])
+        self.tools = max(self.tools, more.tools)
 
     def sample(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
         """rgb (B, H, W, 3) uint8, maps (B, 2, H, W) uint8, categories (B, E) of the next `count` images."""
@@ -184,7 +195,48 @@ def _hide(images: Tensor, maps: Tensor, strength: float, count: int = 2) -> tupl
     return images, maps
 
 
-def load_images(directory: Path, part: tuple[int, int] = (0, 1)) -> SegmentationImages:
-    """Part (i, n) of the data set that `toolee_robot.perception.dataset.generate` wrote. Raises AssetError naming a
-    broken file."""
-    return load(directory, part=part)
+class ShardStream:
+    """The shards of part (i, n) of a data set folder, each decoded on a thread once it is there.
+
+    Training can begin while `toolee_robot.perception.dataset.generate` still writes.
+    """
+
+    def __init__(self, folder: Path, part: tuple[int, int] = (0, 1)) -> None:
+        self._folder, self._part = folder, part
+        self._decoded: queue.SimpleQueue[SegmentationImages | AssetError] = queue.SimpleQueue()
+        self._seen: set[Path] = set()
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    def take(self, timeout: float = 0.0) -> list[SegmentationImages]:
+        """What has been decoded since the last call, waiting up to `timeout` [s] for the first. Raises AssetError
+        naming a broken file."""
+        images: list[SegmentationImages] = []
+        while True:
+            try:
+                item = self._decoded.get(timeout=timeout) if timeout > 0 and not images else self._decoded.get_nowait()
+            except queue.Empty:
+                return images
+            if isinstance(item, AssetError):
+                raise item
+            images.append(item)
+
+    def close(self) -> None:
+        """Stop watching."""
+        self._closed.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        while not self._closed.is_set():
+            for path in sorted(self._folder.glob("shard-*.npz")):
+                if path in self._seen or int(path.stem.split("-")[1]) % self._part[1] != self._part[0]:
+                    continue
+                self._seen.add(path)
+                try:
+                    self._decoded.put(load_shards([path], threads=4))
+                except AssetError as error:
+                    self._decoded.put(error)
+                if self._closed.is_set():
+                    return
+            self._closed.wait(1.0)

@@ -16,8 +16,9 @@ import torch
 from numpy.typing import NDArray
 
 from toolee_robot.errors import UserError
+from toolee_robot.perception.dataset.storage import load
 from toolee_robot.perception.segmentation import EVERYTHING, Segmenter
-from toolee_robot.perception.segmentation_data import SegmentationImages, load_images
+from toolee_robot.perception.segmentation_data import SegmentationImages
 from toolee_robot.perception.segmentation_model import CLASSES, TOOL
 
 LEAST_PIXELS = 50
@@ -28,7 +29,7 @@ STATISTICS = ("AP", "AP50", "AP75", "AP_S", "AP_M", "AP_L")
 
 def evaluate(dataset_dir: Path, weights: Path | None = None, limit: int | None = None) -> dict[str, Any]:
     """Mask AP of the detector in `weights` (the shipped one if None) on the data set: see `evaluate_masks`."""
-    return evaluate_masks(Segmenter.load(weights), load_images(dataset_dir), limit)
+    return evaluate_masks(Segmenter.load(weights), load(dataset_dir), limit)
 
 
 def evaluate_masks(segmenter: Segmenter, images: SegmentationImages, limit: int | None = None) -> dict[str, Any]:

@@ -27,6 +27,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="train_pose", description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--out", type=Path, help="folder for the weights, the log and the checkpoint")
     parser.add_argument("--hands", type=Path, help="hand samples written by --prepare-hands")
+    parser.add_argument("--calibrate-only", action="store_true", help="validate and calibrate the weights in --out")
     parser.add_argument("--prepare-hands", type=Path, metavar="FILE", help="write the hand samples and end")
     for f in fields(TrainConfig):
         if f.default is MISSING:
@@ -43,9 +44,8 @@ def main(arguments: list[str] | None = None) -> int:
             return 0
         if options.out is None:
             raise UserError("say where the weights go: --out DIR")
-        train(
-            options.out, TrainConfig(**{f.name: getattr(options, f.name) for f in fields(TrainConfig)}), options.hands
-        )
+        config = TrainConfig(**{f.name: getattr(options, f.name) for f in fields(TrainConfig)})
+        train(options.out, config, options.hands, options.calibrate_only)
     except TooleeError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2 if isinstance(error, UserError) else 1

@@ -3,10 +3,11 @@
     python -m toolee_robot.perception.train_segmentation --data data/train --out runs/segmentation --minutes 12
     torchrun --nproc-per-node 4 -m toolee_robot.perception.train_segmentation --data data/train --out runs/seg
 
-The whole data set is held on the device as bytes (each rank its share); targets and augmentation are made there. The
-learning rate follows the clock, so a run ends annealed whatever the machine's speed. A run that is interrupted
-continues from its last checkpoint with `--resume`; `--init DIR` starts from the weights that another run exported.
-The last act writes the averaged weights in half precision.
+The whole data set is held on the device as bytes (each rank its share); shards that appear while it trains are taken
+in, so generation may still run. Targets and augmentation are made on the device. The learning rate follows the clock:
+a run ends annealed whatever the machine's speed. A run that is interrupted continues from its last checkpoint with
+`--resume`; `--init DIR` starts from the weights that another run exported. Every checkpoint, and the last act, writes
+the averaged weights in half precision.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from torch import Tensor, nn
 
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.assets import load_weights, save_weights
-from toolee_robot.perception.segmentation_data import DeviceImages, SegmentationImages, augment, load_images
+from toolee_robot.perception.segmentation_data import DeviceImages, SegmentationImages, ShardStream, augment
 from toolee_robot.perception.segmentation_losses import DetectorLoss, instances_from_maps
 from toolee_robot.perception.segmentation_model import (
     CLASSES,
@@ -42,7 +43,8 @@ from toolee_robot.perception.segmentation_model import (
 
 @dataclass(frozen=True)
 class SegmentationTraining:
-    """A training run. minutes: wall-clock budget of the optimisation, loading excluded. batch: images a rank."""
+    """A training run. minutes: wall-clock budget of the optimisation, loading excluded. batch: images a rank.
+    patience [s]: how long to wait for the first shard of a data set that is still being generated."""
 
     data: Path
     out: Path
@@ -58,6 +60,7 @@ class SegmentationTraining:
     max_steps: int | None = None
     checkpoint_minutes: float = 2.0
     log_every: int = 20
+    patience: float = 120.0
     resume: bool = False
     init: Path | None = None
     device: str = "auto"
@@ -117,22 +120,34 @@ def train(config: SegmentationTraining, images: SegmentationImages | None = None
     with _ranks(config.device) as ranks:
         torch.manual_seed(config.seed + 1000 * ranks.rank)
         torch.backends.cudnn.benchmark = True
-        part = (ranks.rank, ranks.world)
-        data = DeviceImages(load_images(config.data, part) if images is None else images, ranks.device)
-        if len(data) == 0:
-            raise UserError(f"{config.data} holds no training images: generate the data set first")
-        run = _Run(config, ranks, data)
-        run.loop()
-        if ranks.first:
-            run.export()
+        stream = ShardStream(config.data, (ranks.rank, ranks.world)) if images is None else None
+        try:
+            first = [images] if images is not None else stream.take(config.patience) if stream else []
+            if not first:
+                raise UserError(f"{config.data} holds no shard for rank {ranks.rank}: generate the data set first")
+            run = _Run(config, ranks, first, stream)
+            run.loop()
+            if ranks.first:
+                run.export()
+        finally:
+            if stream is not None:
+                stream.close()
     return config.out
 
 
 class _Run:
     """The state of one run: network, average, optimiser, clock and log."""
 
-    def __init__(self, config: SegmentationTraining, ranks: _Ranks, data: DeviceImages) -> None:
-        self.config, self.ranks, self.data = config, ranks, data
+    def __init__(
+        self,
+        config: SegmentationTraining,
+        ranks: _Ranks,
+        first: list[SegmentationImages],
+        stream: ShardStream | None,
+    ) -> None:
+        self.config, self.ranks, self.stream = config, ranks, stream
+        self.data = DeviceImages(first[0], ranks.device)
+        self._grow(first[1:])
         detector = Detector(config.model)
         if config.init is not None:
             load_detector(detector, *load_weights(config.init, WEIGHTS_NAME))
@@ -181,13 +196,19 @@ class _Run:
                 self._stop_unless_finite(values)
                 rate = (self.step - last_step) * config.batch * ranks.world / max(self.elapsed - last_log, 1e-9)
                 last_log, last_step = self.elapsed, self.step
-                self._record({"step": self.step, "minutes": self.elapsed / 60, "images_per_second": rate, **values})
+                self._grow(self.stream.take() if self.stream is not None else [])
+                pace = {"images_per_second": rate, "images": len(self.data) * ranks.world}
+                self._record({"step": self.step, "minutes": self.elapsed / 60, **pace, **values})
                 if self.elapsed - last_checkpoint > 60 * config.checkpoint_minutes:
                     last_checkpoint = self.elapsed
                     self._checkpoint()
             elif config.max_steps is not None:
                 progress = self._progress()
         self._checkpoint()
+
+    def _grow(self, images: list[SegmentationImages]) -> None:
+        for more in images:
+            self.data.extend(DeviceImages(more, self.ranks.device))
 
     def export(self) -> None:
         """Averaged weights as safetensors, configuration and log as JSON, into `config.out`."""
@@ -267,6 +288,7 @@ class _Run:
         partial = self.checkpoint_path.with_suffix(".partial")
         torch.save(state, partial)
         partial.replace(self.checkpoint_path)
+        self.export()
 
     def _restore(self) -> None:
         if not self.checkpoint_path.is_file():
@@ -300,6 +322,7 @@ def _parse() -> SegmentationTraining:
     parser.add_argument("--lr", type=float, default=SegmentationTraining.lr)
     parser.add_argument("--clip-norm", type=float, default=SegmentationTraining.clip_norm)
     parser.add_argument("--ema", type=float, default=SegmentationTraining.ema)
+    parser.add_argument("--checkpoint-minutes", type=float, default=SegmentationTraining.checkpoint_minutes)
     parser.add_argument("--max-steps", type=int)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--device", default="auto")

@@ -90,18 +90,20 @@ class SegmentationSet:
         )
 
 
-def load(
-    folder: Path, depth: bool = False, limit: int | None = None, threads: int = 8, part: tuple[int, int] = (0, 1)
-) -> SegmentationSet:
-    """Read (the first `limit` images of) a data set. Raises AssetError naming a missing or broken file.
-
-    part: (i, n) reads every n-th shard from the i-th on: what one of n processes trains on.
-    """
-    paths = sorted(folder.glob("shard-*.npz"))[part[0] :: part[1]]
+def load(folder: Path, depth: bool = False, limit: int | None = None, threads: int = 8) -> SegmentationSet:
+    """Read (the first `limit` images of) a data set. Raises AssetError naming a missing or broken file."""
+    paths = sorted(folder.glob("shard-*.npz"))
     if not paths:
         raise AssetError(
             f"no shard-*.npz in {folder}: make them with `python -m toolee_robot.perception.dataset.generate`"
         )
+    return load_shards(paths, depth, limit, threads)
+
+
+def load_shards(
+    paths: Sequence[Path], depth: bool = False, limit: int | None = None, threads: int = 8
+) -> SegmentationSet:
+    """Read (the first `limit` images of) some shards. Raises AssetError naming a missing or broken file."""
     shards: list[dict[str, NDArray[Any]]] = []
     count = 0
     for path in paths:

@@ -171,6 +171,15 @@ class Trainer:
         self._checkpoint(None)
         return self.finish(held_out)
 
+    def calibrate(self) -> dict[str, Any]:
+        """Validate and calibrate the weights that lie in `out`, on any machine: what a training that ran out of time
+        left undone. Returns the report."""
+        net, _ = weights.load(self.out)
+        self.ema.load_state_dict(net.state_dict())
+        described = json.loads((self.out / f"{weights.NAME}.json").read_text())["report"]
+        self.steps, self.elapsed = int(described["steps"]), 60.0 * float(described["minutes"])
+        return self.finish(self._held_out.collect(self.config.validation, self.config.chunk))
+
     def finish(self, held_out: CloudBatch) -> dict[str, Any]:
         """Validate and calibrate on held-out tools (fit on one half of the tools, report on the other) and save."""
         estimator = PoseEstimator(self._export(), Calibration(), self.device.type)
@@ -184,6 +193,7 @@ class Trainer:
         calibration = validation.calibrate(fit)
         report["confidence"] = validation.confidence_report(test, calibration)
         report |= {
+            "calibrated": True,
             "steps": self.steps,
             "minutes": round(self.elapsed / 60, 2),
             "train": asdict(self.config),
@@ -238,6 +248,12 @@ class Trainer:
         part = self.out / "checkpoint.part"
         torch.save(state, part)
         part.replace(self.out / "checkpoint.pt")
+        weights.save(
+            self.out,
+            self._export(),
+            Calibration(),
+            {"calibrated": False, "steps": self.steps, "minutes": round(self.elapsed / 60, 2)},
+        )
         if held_out is not None:
             few = held_out.select(torch.arange(min(512, len(held_out)), device=self.device))
             estimator = PoseEstimator(self._export(), Calibration(), self.device.type)
@@ -258,13 +274,19 @@ class Trainer:
         self.log(event="resumed")
 
 
-def train(out: Path, config: TrainConfig, hands_file: Path | None = None) -> dict[str, Any]:
-    """The whole job: surface samples, training, validation, weights in `out`. Raises AssetError, TooleeError."""
+def train(
+    out: Path, config: TrainConfig, hands_file: Path | None = None, calibrate_only: bool = False
+) -> dict[str, Any]:
+    """The whole job: surface samples, training, validation, weights in `out`. Raises AssetError, TooleeError.
+
+    calibrate_only: no training, but validation and calibration of the weights that are there.
+    """
     begun = time.monotonic()
     banks = tool_bank(False, config.train_seeds), tool_bank(True, config.test_seeds)
     hands = load_hands(hands_file)
     print(f"{[len(b.category) for b in banks]} EEs and {len(hands)} hands sampled in {time.monotonic() - begun:.0f} s")
-    return Trainer(out, config, banks, hands).run()
+    trainer = Trainer(out, config, banks, hands)
+    return trainer.calibrate() if calibrate_only else trainer.run()
 
 
 def _rows(batch: CloudBatch, evaluated: validation.Evaluated, parity: int) -> validation.Evaluated:

@@ -12,8 +12,8 @@ import torch
 from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.errors import AssetError
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH, EeTable, Example
-from toolee_robot.perception.dataset.storage import shard_path, write_shard
-from toolee_robot.perception.segmentation_data import DeviceImages, augment, load_images
+from toolee_robot.perception.dataset.storage import load, shard_path, write_shard
+from toolee_robot.perception.segmentation_data import DeviceImages, ShardStream, augment
 from toolee_robot.perception.segmentation_evaluation import true_instances
 from toolee_robot.perception.segmentation_losses import instances_from_maps
 from toolee_robot.perception.segmentation_model import STRIDE, TOOL
@@ -37,7 +37,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_a_data_set_becomes_targets(folder: Path) -> None:
-    images = load_images(folder)
+    images = load(folder)
     data = DeviceImages(images, torch.device("cpu"))
     rgb, maps, categories = data.sample(3)
     pixels, maps = augment(rgb, maps, (HEIGHT, WIDTH), strength=0.0)
@@ -55,18 +55,26 @@ def test_a_data_set_becomes_targets(folder: Path) -> None:
 
 
 def test_evaluation_sees_the_same_instances(folder: Path) -> None:
-    images = load_images(folder)
+    images = load(folder)
     labels = [label for label, _ in true_instances(images, 1)]
     assert labels == [int(images.categories[1, 0]), TOOL]
     assert true_instances(images, 1)[0][1].sum() == (images.ee[1] == 1).sum()
 
 
-def test_ranks_share_a_data_set_without_overlap(folder: Path) -> None:
-    shard_path(folder, 1).write_bytes(shard_path(folder, 0).read_bytes())
-    assert [len(load_images(folder, (rank, 2)).rgb) for rank in range(2)] == [3, 3]
-    assert len(load_images(folder).rgb) == 6
+def test_ranks_share_a_data_set_without_overlap_while_it_grows(folder: Path) -> None:
+    streams = [ShardStream(folder, (rank, 2)) for rank in range(2)]
+    try:
+        assert [len(images.rgb) for images in streams[0].take(5.0)] == [3]
+        assert streams[1].take() == []
+        shard_path(folder, 1).with_suffix(".part").write_bytes(shard_path(folder, 0).read_bytes())
+        shard_path(folder, 1).with_suffix(".part").replace(shard_path(folder, 1))
+        assert [len(images.rgb) for images in streams[1].take(5.0)] == [3]
+        assert streams[0].take() == []
+    finally:
+        for stream in streams:
+            stream.close()
 
 
 def test_a_folder_without_data_is_named(tmp_path: Path) -> None:
     with pytest.raises(AssetError, match="generate"):
-        load_images(tmp_path)
+        load(tmp_path)
