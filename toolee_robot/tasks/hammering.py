@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +22,7 @@ from toolee_robot.control.slip import protrusion, slip
 from toolee_robot.control.strike import plan_retract, plan_strike, plan_touch
 from toolee_robot.control.transfer import plan_transfer
 from toolee_robot.control.views import plan_handover, plan_views
-from toolee_robot.errors import DeviceError, GripError, PerceptionError, PlanningError
+from toolee_robot.errors import DeviceError, GripError, PerceptionError, PlanningError, UnreachableError
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import ContactGuard, MotionOutcome, MotionReport, Station
 from toolee_robot.tasks.look import Look, Perceiver
@@ -93,7 +93,8 @@ class HammeringTask:
         self._observer = observer or TaskObserver()
         self._robot = RobotModel.load()
         self._X_hand_ee = grasp.X_hand_ee
-        self._q = station.arm.state().joints.q
+        self._q: Array  # joints (6,) that the arm holds
+        self._person_clear, self._held = True, False
         self._seconds: dict[str, float] = {}
         self._blows: list[Blow] = []
         self._estimates: list[tuple[float, InHandEstimate]] = []
@@ -102,12 +103,12 @@ class HammeringTask:
 
     def run(self) -> HammerResult:
         """Do the job and park. Returns how it ended; only a programming error or KeyboardInterrupt escapes, after
-        the arm has been stopped."""
+        arm and hand have been stopped, the grip kept."""
         try:
             outcome, reason = self._job()
             outcome, reason = self._park(outcome, reason)
         except BaseException:
-            self._station.arm.stop()
+            self._stand_still()
             raise
         result = HammerResult(
             outcome, reason, tuple(self._blows), self._protrusion, tuple(self._estimates), dict(self._seconds)
@@ -117,6 +118,7 @@ class HammeringTask:
 
     def _job(self) -> tuple[Outcome, str]:
         try:
+            self._q = self._station.arm.state().joints.q
             self._take_tool()
             self._look(self._config.task.views)
             return self._drive()
@@ -129,7 +131,7 @@ class HammeringTask:
         except GripError as error:
             return Outcome.TOOL_LOST, str(error)
         except DeviceError as error:
-            self._station.arm.stop()
+            self._stand_still()
             return Outcome.DEVICE_FAULT, str(error)
 
     # -- stages ----------------------------------------------------------------------------------------------------
@@ -137,10 +139,12 @@ class HammeringTask:
     def _take_tool(self) -> None:
         station = self._station
         with self._stage(Stage.HANDOVER):
+            self._check_reach()
             station.hand.open()
             q_hand = station.hand.state().joints.q
             world = CollisionWorld(self._robot, self._config, q_hand)
             self._move("to the handover", plan_handover(self._robot, self._config, world, self._q, q_hand))
+            self._person_clear = False
             if not station.person.request_handover(
                 "Put the hammer's handle into the open hand, face towards the fingertips.",
                 self._config.task.handover_timeout,
@@ -152,21 +156,45 @@ class HammeringTask:
                 raise _Ended(Outcome.NO_GRIP, "the hand closed but holds nothing: hand the tool over again")
             if not station.person.release("Let go and step back.", self._config.task.handover_timeout):
                 raise _Ended(Outcome.PERSON_NEAR, "nobody confirmed to be out of reach: no motion")
-            self._check_grip()
+            self._person_clear = True
+            if not station.hand.state().holding:
+                raise _Ended(Outcome.NO_GRIP, "the tool left the hand as it was let go: hand it over again")
+            self._held = True
             grasp = self._grasp
             q_hand = station.hand.state().joints.q
             station.arm.set_payload(self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
 
+    def _check_reach(self) -> None:
+        """Refuse a nail that is out of reach before anyone is asked for a tool. Only that: whether a reachable nail
+        can be hit without a collision depends on how the tool will lie in the hand."""
+        q_hand = self._robot.description.hand_closed
+        world = CollisionWorld(self._robot, self._config, q_hand, self._X_hand_ee)
+        X_base_nail = self._config.work.X_base_nail()
+        try:
+            plan_strike(self._robot, self._config, world, self._q, q_hand, self._X_hand_ee, X_base_nail)
+        except UnreachableError:
+            raise
+        except PlanningError as error:
+            self._observer.message(f"with the tool as it nominally lies in the hand no blow is possible: {error}")
+
     def _look(self, views: int) -> None:
-        """Set the believed pose of the face in the hand from what the camera sees; twice as many views if in doubt."""
+        """Set the believed pose of the face in the hand from what the camera sees; as many other views if in doubt."""
         if not self._correction:
             return
         look = Look(self._station, self._config, self._robot, self._perceiver, self._observer, self._grasp.X_hand_ee)
         for attempt in (1, 2):
             with self._stage(Stage.VIEW):
                 q_hand = self._station.hand.state().joints.q
+                # Another seed, other views: the same ones would show the same again.
                 plan = plan_views(
-                    self._robot, self._config, self._world(), self._q, q_hand, self._grasp.X_hand_ee, count=views
+                    self._robot,
+                    self._config,
+                    self._world(),
+                    self._q,
+                    q_hand,
+                    self._grasp.X_hand_ee,
+                    count=views,
+                    seed=attempt - 1,
                 )
             for view in plan.views:
                 with self._stage(Stage.VIEW):
@@ -182,10 +210,11 @@ class HammeringTask:
                 if attempt == 2:
                     raise
                 self._observer.message(f"{error}; looking again")
-        if self._estimates:
-            self._judge_slip(self._estimates[-1][1], estimate)
+        before = self._estimates[-1][1] if self._estimates else None
         self._estimates.append((self._station.clock.now(), estimate))
         self._X_hand_ee = estimate.X_hand_ee
+        if before is not None:
+            self._judge_slip(before, estimate)
 
     def _judge_slip(self, before: InHandEstimate, now: InHandEstimate) -> None:
         task = self._config.task
@@ -209,9 +238,10 @@ class HammeringTask:
             if flush == 2:
                 return Outcome.FLUSH, f"the head stands {self._protrusion * 1e3:.1f} mm over the wood"
             if len(self._blows) >= task.max_blows:
-                return Outcome.OUT_OF_BLOWS, f"{task.max_blows} blows and {self._protrusion * 1e3:.1f} mm still to go"
+                end = f"after {task.max_blows} blows the head stands {self._protrusion * 1e3:.1f} mm over the wood"
+                return Outcome.OUT_OF_BLOWS, f"{end}, not confirmed by another blow" if flush else end
             if self._blows and len(self._blows) % task.blows_between_looks == 0 and not (stalled or flush):
-                self._look(max(2, task.views // 2))
+                self._look(min(task.views, max(2, task.views // 2)))
             plan = self._plan(self._protrusion)
             report = self._strike(plan)
             before, self._protrusion = self._protrusion, self._measure()
@@ -291,14 +321,13 @@ class HammeringTask:
     def _strike(self, plan: StrikePlan) -> MotionReport:
         """Swing. A blow that meets nothing, or meets something too early, ends the job."""
         with self._stage(Stage.STRIKE):
-            self._check_grip()
             self._move("to the run-up", plan.approach)
             guard = ContactGuard(self._config.strike.contact_force, after=0.5 * plan.contact_time)
             started = self._station.clock.now()
             report = self._move("strike", plan.strike, guard)
             below = self._robot.arm.fk(plan.q_contact)[2, 3] - self._robot.arm.fk(self._q)[2, 3]
-            self._straight("up", UP, CLEAR + float(below))
-            self._check_grip()
+            # Stopped above the nail by something else: up from there, never down to it.
+            self._straight("up", UP, CLEAR + max(float(below), 0.0))
             if report.contact is None:
                 raise _Ended(Outcome.NAIL_MISSED, "the blow met nothing: the nail is not where the face went")
             early = plan.contact_time - (report.contact.stamp - started)
@@ -323,33 +352,48 @@ class HammeringTask:
             self._move(name, plan_retract(self._robot, self._config, self._world(), self._q, length, direction))
 
     def _park(self, outcome: Outcome, reason: str) -> tuple[Outcome, str]:
-        """Bring the arm home with the tool still in the hand; where no safe way is known it stays where it stands."""
-        if outcome is Outcome.DEVICE_FAULT:
+        """Bring the arm home with the tool still in the hand. It stays where it stands when a device has failed, a tool
+        has dropped who knows where, a person may be within reach, or no safe way is known."""
+        if outcome in (Outcome.DEVICE_FAULT, Outcome.TOOL_LOST, Outcome.PERSON_NEAR):
             return outcome, f"{reason}; the arm stands still, put it away by hand"
         with self._stage(Stage.PARK):
             try:
+                if not self._person_clear:
+                    prompt = "Take the tool along and step back: the arm goes home."
+                    if not self._station.person.release(prompt, self._config.task.handover_timeout):
+                        return outcome, f"{reason}; the arm stays: nobody confirmed to be out of its reach"
                 home = np.asarray(self._config.scene.home)
                 self._move("home", plan_transfer(self._robot, self._config, self._world(), self._q, home))
             except (PlanningError, DeviceError) as error:
-                self._station.arm.stop()
+                self._stand_still()
                 reason = f"{reason}; the arm stands where it stopped: {error}"
         return outcome, reason
 
     # -- helpers ---------------------------------------------------------------------------------------------------
 
     def _world(self) -> CollisionWorld:
-        return CollisionWorld(self._robot, self._config, self._station.hand.state().joints.q, self._X_hand_ee)
+        X_hand_ee = self._X_hand_ee if self._held else None
+        return CollisionWorld(self._robot, self._config, self._station.hand.state().joints.q, X_hand_ee)
 
     def _check_grip(self) -> None:
-        if not self._station.hand.state().holding:
+        if self._held and not self._station.hand.state().holding:
             raise GripError("the hand has lost the tool: nothing moves on; pick it up and start again")
 
+    def _stand_still(self) -> None:
+        """Stop arm and fingers, as far as they can still be told; the hand keeps its grip."""
+        for device in (self._station.arm, self._station.hand):
+            with suppress(DeviceError):
+                device.stop()
+
     def _move(self, name: str, trajectory: Trajectory, guard: ContactGuard | None = None) -> MotionReport:
+        """Execute a motion; with a tool in the hand, only while the hand holds it."""
+        self._check_grip()
         report = self._station.arm.execute(trajectory, guard)
         self._q = report.q_commanded[-1]
         self._observer.motion(name, report, self._station.hand.state().joints.q)
         if report.outcome is MotionOutcome.STOPPED:
             raise DeviceError(f"the arm was stopped during the motion {name!r}")
+        self._check_grip()
         return report
 
     @contextmanager

@@ -9,7 +9,7 @@ import numpy as np
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.errors import PerceptionError
+from toolee_robot.errors import DeviceError, PerceptionError, UserError
 from toolee_robot.frames import Array, angle_between, inverse
 from toolee_robot.hal import Station
 from toolee_robot.tasks.observer import TaskObserver
@@ -60,7 +60,10 @@ class Look:
         q_arm = self._station.arm.state().joints.q
         q_hand = self._station.hand.state().joints.q
         X_camera_hand = self._X_camera_base @ self._robot.fk(q_arm, q_hand)[1]
-        estimates = self._perceiver.estimate(frame, X_camera_hand)
+        try:
+            estimates = self._perceiver.estimate(frame, X_camera_hand)
+        except UserError as error:  # it is the camera that made this frame
+            raise DeviceError(f"the camera's frame is of no use: {error}") from error
         self._observer.frame(frame, estimates, X_camera_hand)
         self._seen.append([e for e in estimates if self._plausible(e, X_camera_hand)])
         self._hands.append(X_camera_hand)
@@ -72,7 +75,7 @@ class Look:
         if not estimate.usable:
             raise PerceptionError(f"the hammer head's pose is not to be relied on: {estimate.reason}")
         displacement, misalignment = self._off_nominal(estimate.X_hand_ee)
-        if displacement > MAX_DISPLACEMENT or misalignment > MAX_MISALIGNMENT:
+        if not (displacement <= MAX_DISPLACEMENT and misalignment <= MAX_MISALIGNMENT):  # NaN included
             raise PerceptionError(
                 f"the hammer head seems to be {displacement * 1e3:.0f} mm and {np.rad2deg(misalignment):.0f} deg away "
                 "from where a held hammer can have it: hand it over again, face towards the fingers"

@@ -9,7 +9,10 @@ from toolee_robot.types import InHandEstimate
 
 
 class Outcome(StrEnum):
-    """Every ending has a name. Only FLUSH is success; all of them leave the arm at a standstill."""
+    """Every ending has a name. Only FLUSH is success; all of them leave the arm at a standstill.
+
+    INTERRUPTED is named by whoever runs the task: the interrupt passes through it, once the arm has been stopped.
+    """
 
     FLUSH = "flush"
     BENT = "bent"
@@ -25,7 +28,6 @@ class Outcome(StrEnum):
     PERSON_NEAR = "person_near"
     DEVICE_FAULT = "device_fault"
     INTERRUPTED = "interrupted"
-    INTERNAL_ERROR = "internal_error"
 
 
 class Stage(StrEnum):

@@ -1,0 +1,388 @@
+"""Every ending of the hammering job comes by its name, with a reason, and leaves the arm at a standstill."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pybullet as pb
+import pytest
+
+from tests.tasks.bench import CONFIG, Bench, Log, People, at_rest, grip_kept, is_home
+from toolee_robot.cli.job import nominal_grasp
+from toolee_robot.cli.perfect import PerfectPerception
+from toolee_robot.control import RobotModel
+from toolee_robot.errors import PerceptionError, UserError
+from toolee_robot.frames import Array, transform
+from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.tasks.hammering import HammeringTask
+from toolee_robot.tasks.look import Look
+from toolee_robot.tasks.observer import TaskObserver
+from toolee_robot.tasks.outcome import Outcome, Stage
+from toolee_robot.types import Category, InHandEstimate, RgbdFrame, ToolEstimate
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[Bench]:
+    bench = Bench()
+    with bench.sim:
+        yield bench
+
+
+@pytest.fixture
+def bench(shared: Bench) -> Bench:
+    """The hammer in the hand, held at the handover."""
+    shared.reset()
+    return shared
+
+
+@pytest.fixture(scope="module")
+def empty() -> Iterator[SimStation]:
+    """An empty hand, and nobody who brings a tool."""
+    with SimStation.build(CONFIG, 0, SimOptions(hands_over=False)) as sim:
+        yield sim
+
+
+# -- nobody, nothing, too near -----------------------------------------------------------------------------------
+
+
+def test_nobody_comes(empty: SimStation) -> None:
+    log = Log()
+    result = HammeringTask(
+        empty.station, PerfectPerception(empty.judge), CONFIG, nominal_grasp(empty.tool), observer=log
+    ).run()
+    assert (result.outcome, result.blows, result.protrusion) == (Outcome.NO_HANDOVER, (), None)
+    assert "run the job again" in result.reason
+    assert log.motions == ["to the handover", "home"]
+    assert is_home(empty)
+    assert at_rest(empty)
+
+
+def test_the_hand_closes_on_nothing(empty: SimStation) -> None:
+    people = People()  # who say that they laid a tool into the hand
+    log = Log()
+    result = HammeringTask(
+        replace(empty.station, person=people),
+        PerfectPerception(empty.judge),
+        CONFIG,
+        nominal_grasp(empty.tool),
+        observer=log,
+    ).run()
+    assert result.outcome is Outcome.NO_GRIP
+    assert "holds nothing" in result.reason
+    assert people.asked == ["handover", "release"], "it goes home only once they have stepped back"
+    assert is_home(empty)
+    assert at_rest(empty)
+
+
+def test_the_tool_leaves_the_hand_as_it_is_let_go(bench: Bench) -> None:
+    bench.people.on_release = bench.drop
+    log = Log()
+    result = bench.blind_task(log).run()
+    assert result.outcome is Outcome.NO_GRIP
+    assert "let go" in result.reason
+    assert log.motions == ["to the handover", "home"]
+    assert at_rest(bench.sim)
+
+
+@pytest.mark.parametrize("gives", [True, False])
+def test_nothing_moves_while_a_person_may_be_near(bench: Bench, gives: bool) -> None:
+    bench.people = People(gives=gives, steps_back=False)
+    log = Log()
+    result = bench.blind_task(log).run()
+    assert result.outcome is (Outcome.PERSON_NEAR if gives else Outcome.NO_HANDOVER)
+    assert "nobody confirmed" in result.reason
+    assert bench.people.asked == ["handover", "release"]
+    assert log.motions == ["to the handover"]
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
+
+
+# -- devices ---------------------------------------------------------------------------------------------------
+
+
+def test_a_dead_arm_link_at_the_start(bench: Bench) -> None:
+    bench.arm.cut_link()
+    bench.sim.world.advance(0.5)
+    log = Log()
+    result = bench.blind_task(log).run()
+    assert result.outcome is Outcome.DEVICE_FAULT
+    assert "network link" in result.reason
+    assert (log.motions, bench.people.asked, bench.hand.opened) == ([], [], 0)
+
+
+def test_the_arms_link_is_cut_in_mid_swing(bench: Bench) -> None:
+    log = Log({"to the run-up": bench.soon(bench.arm.cut_link, 0.3)})
+    result = bench.blind_task(log).run()
+    assert result.outcome is Outcome.DEVICE_FAULT
+    assert "network link" in result.reason
+    assert "put it away by hand" in result.reason
+    assert log.motions[-1] == "to the run-up", "after the swing that was cut short nothing moves"
+    assert log.stages[-1] == ("end", Stage.STRIKE)
+    assert not is_home(bench.sim)
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
+
+
+def test_the_hands_link_is_cut_on_the_way(bench: Bench) -> None:
+    log = Log({Stage.TOUCH: bench.soon(bench.sim_hand.cut_link, 0.5)})
+    result = bench.blind_task(log).run()
+    assert result.outcome is Outcome.DEVICE_FAULT
+    assert "hand's newest state" in result.reason
+    assert log.motions == ["to the handover"], "the motion under way ended, none followed"
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
+
+
+def test_the_camera_freezes(bench: Bench) -> None:
+    log = Log({Stage.VIEW: bench.camera.freeze})
+    result = bench.seeing_task(log).run()
+    assert result.outcome is Outcome.DEVICE_FAULT
+    assert "no new frame" in result.reason
+    assert log.motions == ["to the handover", "to a view"]
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
+
+
+def test_a_stop_from_outside_ends_the_job(bench: Bench) -> None:
+    log = Log({Stage.TOUCH: bench.soon(bench.arm.stop, 0.5)})
+    result = bench.blind_task(log).run()
+    assert result.outcome is Outcome.DEVICE_FAULT
+    assert "'to the touch'" in result.reason
+    assert log.motions == ["to the handover", "to the touch"]
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
+
+
+# -- the tool in the hand ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("where", "motion"), [(Stage.TOUCH, "to the touch"), ("to the run-up", "strike")])
+def test_the_tool_is_lost_in_a_motion(bench: Bench, where: str, motion: str) -> None:
+    log = Log({where: bench.soon(bench.drop, 0.3)})
+    result = bench.blind_task(log).run()
+    assert result.outcome is Outcome.TOOL_LOST
+    assert "pick it up" in result.reason
+    assert log.motions[-1] == motion, "nothing moves after"
+    assert not is_home(bench.sim)
+    assert at_rest(bench.sim)
+
+
+class _Told(PerfectPerception):
+    """Perfect perception whose fused answers are changed, one change for each look, the last one for good."""
+
+    def __init__(self, bench: Bench, *changes: Callable[[InHandEstimate], InHandEstimate]) -> None:
+        super().__init__(bench.sim.judge)
+        self._changes = list(changes)
+        self.hands: list[Array] = []
+
+    def fuse(
+        self,
+        estimates_per_frame: Sequence[Sequence[ToolEstimate]],
+        Xs_camera_hand: Sequence[Array],
+        category: Category | None = None,
+    ) -> InHandEstimate:
+        self.hands.append(Xs_camera_hand[-1])
+        change = self._changes.pop(0) if len(self._changes) > 1 else self._changes[0]
+        return change(super().fuse(estimates_per_frame, Xs_camera_hand, category))
+
+
+def _unsure(estimate: InHandEstimate) -> InHandEstimate:
+    return replace(estimate, usable=False, reason="sigma 31 mm")
+
+
+def _moved(p: Sequence[float]) -> Callable[[InHandEstimate], InHandEstimate]:
+    return lambda e: replace(e, X_hand_ee=e.X_hand_ee @ transform(p=p))
+
+
+@pytest.mark.parametrize(
+    ("X", "reason"),
+    [
+        (transform(p=[0.13, 0.0, 0.0]), "130 mm and 0 deg away"),
+        (transform(R=np.diag([1.0, -1.0, -1.0])), "0 mm and 180 deg away"),
+        (np.full((4, 4), np.nan), "away from where a held hammer can have it"),
+    ],
+)
+def test_a_pose_that_no_held_hammer_has_is_not_believed(bench: Bench, X: Array, reason: str) -> None:
+    nominal = bench.true_grasp.X_hand_ee
+    perceiver = _Told(bench, lambda e: replace(e, X_hand_ee=nominal @ X))
+    look = Look(bench.station, CONFIG, RobotModel.load(), perceiver, Log(), nominal)
+    look.take()
+    with pytest.raises(PerceptionError, match=reason):
+        look.fuse()
+
+
+def test_a_detection_that_no_held_hammer_can_be_is_left_out(bench: Bench) -> None:
+    perceiver = _Told(bench, lambda e: e)
+    far = bench.true_grasp.X_hand_ee @ transform(p=[0.0, 0.4, 0.0])
+    look = Look(bench.station, CONFIG, RobotModel.load(), perceiver, Log(), far)
+    look.take()
+    with pytest.raises(PerceptionError, match="where a held hammer cannot have it"):
+        look.fuse()
+
+
+def test_a_camera_whose_frames_perception_refuses_is_a_device_fault(bench: Bench) -> None:
+    class Refuses(PerfectPerception):
+        def estimate(self, frame: RgbdFrame, X_camera_hand: Array | None = None) -> list[ToolEstimate]:  # noqa: ARG002
+            raise UserError(f"depth up to {1000 * frame.depth.max():.0f} m: it is in millimetres")
+
+    result = bench.seeing_task(Log(), perceiver=Refuses(bench.sim.judge)).run()
+    assert result.outcome is Outcome.DEVICE_FAULT
+    assert "millimetres" in result.reason
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
+
+
+def test_perception_stays_unsure(bench: Bench) -> None:
+    log, perceiver = Log(), _Told(bench, _unsure)
+    result = bench.seeing_task(log, perceiver=perceiver).run()
+    assert result.outcome is Outcome.POSE_UNKNOWN
+    assert "sigma 31 mm" in result.reason
+    assert len(perceiver.hands) == 2, "it looks twice"
+    assert np.abs(perceiver.hands[0] - perceiver.hands[1]).max() > 0.05, "and not twice from the same side"
+    assert log.motions == ["to the handover", "to a view", "to a view", "home"]
+    assert [m for m in log.messages if "looking again" in m]
+    assert is_home(bench.sim)
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
+
+
+def test_the_second_look_saves_the_job_and_a_slip_between_looks_ends_it(bench: Bench) -> None:
+    config = replace(CONFIG, task=replace(CONFIG.task, max_blows=2, blows_between_looks=1))
+    told = _Told(bench, _unsure, lambda e: e, _moved([0.0, 0.02, 0.0]))
+    log = Log()
+    result = bench.seeing_task(log, config, told).run()
+    assert result.outcome is Outcome.TOOL_SLIPPED
+    assert "grip it again" in result.reason
+    assert len(result.blows) == 1
+    assert len(result.estimates) == 2
+    assert is_home(bench.sim)
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
+
+
+# -- the nail --------------------------------------------------------------------------------------------------
+
+
+def test_a_nail_out_of_reach_is_refused_before_anyone_is_asked(bench: Bench) -> None:
+    config = replace(CONFIG, work=replace(CONFIG.work, nail_xy=(2.5, 0.1)))
+    log = Log()
+    result = bench.seeing_task(log, config).run()
+    assert result.outcome is Outcome.NO_PLAN
+    assert "move the block" in result.reason
+    assert (bench.people.asked, bench.hand.opened, log.blows) == ([], 0, [])
+    assert set(log.motions) <= {"home"}
+    assert at_rest(bench.sim)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [({"nail_xy": (0.785, 0.10)}, "nail should be and met nothing"), ({"nail_protrusion": 0.012}, "too high")],
+)
+def test_the_nail_is_not_where_the_station_file_has_it(bench: Bench, change: dict[str, object], reason: str) -> None:
+    config = replace(CONFIG, work=replace(CONFIG.work, **change))  # type: ignore[arg-type]
+    log = Log()
+    result = bench.blind_task(log, config).run()
+    assert result.outcome is Outcome.NAIL_MISSED
+    assert reason in result.reason
+    assert result.blows == ()
+    assert "strike" not in log.motions
+    assert is_home(bench.sim)
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
+
+
+def test_a_blow_that_hits_something_before_the_nail(bench: Bench) -> None:
+    client, nail = bench.sim.world.client, CONFIG.work.X_base_nail()[:3, 3]
+    added: list[int] = []
+
+    def put_a_plate_over_the_nail() -> None:
+        shape = pb.createCollisionShape(pb.GEOM_BOX, halfExtents=[0.03, 0.03, 0.005], physicsClientId=client)
+        added.append(pb.createMultiBody(0.0, shape, -1, [*nail[:2], nail[2] + 0.115], physicsClientId=client))
+
+    heights: list[float] = []
+
+    def watch_the_hand() -> None:
+        bench.sim.observers.append(lambda _: heights.append(bench.sim.world.X_base_hand()[2, 3]))
+        log.on["up"] = bench.sim.observers.clear
+
+    log = Log({"to the run-up": put_a_plate_over_the_nail, "strike": watch_the_hand})
+    try:
+        result = bench.blind_task(log).run()
+    finally:
+        for body in added:
+            pb.removeBody(body, physicsClientId=client)
+    assert result.outcome is Outcome.NAIL_MISSED
+    assert "before the nail" in result.reason
+    assert result.blows == ()
+    assert min(heights) > heights[0] - 0.002, "it goes up from there, not down to the nail"
+    assert at_rest(bench.sim)
+
+
+def test_the_wood_is_too_hard(bench: Bench) -> None:
+    bench.sim.world.nail.spec = replace(bench.sim.world.nail.spec, specific_gravity=1.2, pilot_diameter=0.0)
+    config = replace(CONFIG, task=replace(CONFIG.task, max_blows=5, min_progress=0.0005))
+    log = Log()
+    result = bench.blind_task(log, config).run()
+    assert result.outcome is Outcome.STUCK
+    assert "two blows" in result.reason
+    assert len(result.blows) == len(log.blows) == 2
+    assert result.protrusion == pytest.approx(bench.sim.world.nail.protrusion, abs=0.0015)
+    assert is_home(bench.sim)
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
+
+
+def test_out_of_blows_without_correction_and_without_perception(bench: Bench) -> None:
+    log = Log()
+    result = bench.blind_task(log).run()  # a perceiver that is asked fails the job
+    assert result.outcome is Outcome.OUT_OF_BLOWS
+    assert not result.success
+    assert "after 1 blows" in result.reason
+    assert len(result.blows) == 1
+    assert result.protrusion == result.blows[0].protrusion
+    assert result.protrusion == pytest.approx(bench.sim.world.nail.protrusion, abs=0.001)
+    assert result.protrusion < CONFIG.work.nail_protrusion - 0.0005
+    assert result.estimates == ()
+    assert log.last is result
+    assert log.motions[-1] == "home"
+    assert is_home(bench.sim)
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
+    # Stages come one at a time, each ended before the next, and their times add up to what the result says.
+    pairs = list(zip(log.stages[::2], log.stages[1::2], strict=True))
+    assert all(begin == ("begin", end[1]) and end[0] == "end" for begin, end in pairs)
+    assert set(result.stage_seconds) == {stage for _, stage in log.stages}
+    assert next(iter(result.stage_seconds)) == Stage.HANDOVER
+    assert list(result.stage_seconds)[-1] == Stage.PARK
+
+
+# -- what escapes ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
+def test_an_interrupt_or_a_bug_in_mid_motion_stops_the_arm_and_escapes(
+    bench: Bench, error: type[BaseException]
+) -> None:
+    def fail() -> None:
+        raise error
+
+    log = Log({Stage.TOUCH: bench.soon(fail, 0.5)})
+    with pytest.raises(error):
+        bench.blind_task(log).run()
+    assert log.last is None
+    assert not is_home(bench.sim)
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
+
+
+def test_an_observer_that_raises_leaves_the_arm_at_rest(bench: Bench) -> None:
+    class Broken(TaskObserver):
+        def planned(self, *_args: object) -> None:
+            raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        bench.blind_task(Broken()).run()
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
