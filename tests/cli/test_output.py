@@ -28,13 +28,13 @@ def test_a_pose_is_told_in_millimetres_and_degrees() -> None:
 
 def test_a_free_spin_is_called_that_and_does_not_hide_the_tilt() -> None:
     covariance = np.diag([1e-6, 1e-6, 4e-6, np.deg2rad(1.5) ** 2, np.deg2rad(1.5) ** 2, np.pi**2 / 3])
-    assert sigma_text(covariance) == "± 2.0 mm  ± 1.5° (spin free)"
+    assert sigma_text(covariance, np.eye(4)) == "± 2.0 mm  axis ± 1.5°  spin free"
     covariance[5, 5] = np.deg2rad(4.0) ** 2
-    assert sigma_text(covariance) == "± 2.0 mm  ± 4.0°"
+    assert sigma_text(covariance, np.eye(4)) == "± 2.0 mm  axis ± 1.5°  spin ± 4°"
 
 
 def test_what_was_not_estimated_is_unknown() -> None:
-    assert sigma_text(np.full((6, 6), np.nan)) == pose_text(np.full((4, 4), np.nan)) == "unknown"
+    assert sigma_text(np.full((6, 6), np.nan), np.eye(4)) == pose_text(np.full((4, 4), np.nan)) == "unknown"
 
 
 def test_a_file_that_cannot_be_written_leaves_nothing_and_says_so(tmp_path: Path) -> None:

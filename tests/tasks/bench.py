@@ -166,6 +166,7 @@ class Bench:
         self.arm = SimArm(world)
         self.hand: ClosedHand = ClosedHand(self.sim_hand)
         self.people = People()
+        world.advance(0.1)  # the judge, too, has then seen only what is now
 
     @property
     def station(self) -> Station:

@@ -16,7 +16,7 @@ from toolee_robot.control.records import StrikePlan
 from toolee_robot.frames import Array
 from toolee_robot.tasks.observer import TaskObserver
 from toolee_robot.tasks.outcome import Blow, HammerResult, Stage
-from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import Category, InHandEstimate, RgbdFrame, ToolEstimate
 
 _PHASES = {
     Stage.HANDOVER: "Handover",
@@ -91,20 +91,21 @@ class ConsoleObserver(TaskObserver):
         self._console.print(f"  [yellow]{escape(text)}[/yellow]")
 
     def frame(self, frame: RgbdFrame, estimates: list[ToolEstimate], X_camera_hand: Array) -> None:
-        if not estimates:
-            self._console.print("    frame: no end effector found")
-        for e in estimates:
-            verdict = "" if e.usable else f"  [red]not used: {escape(e.reason)}[/red]"
-            self._console.print(
-                f"    {e.category:<16} score {e.detection.score:.2f}  {sigma_text(e.covariance)}"
-                f"  confidence {e.confidence:.2f}{verdict}"
-            )
+        heads = [e for e in estimates if e.category is Category.HAMMER_HEAD]
+        if not heads:
+            self._console.print("    frame: no hammer head found")
+            return
+        best = max(heads, key=lambda e: (e.usable, e.confidence))
+        verdict = "" if best.usable else f"  [red]not used: {escape(best.reason)}[/red]"
+        self._console.print(
+            f"    hammer head  {sigma_text(best.covariance, best.X_camera_ee)}  confidence {best.confidence:.2f}{verdict}"
+        )
 
     def in_hand(self, stamp: float, estimate: InHandEstimate) -> None:
         colour = "cyan" if estimate.usable else "red"
         self._console.print(
-            f"  [bold {colour}]{estimate.category} in the hand[/bold {colour}]  {pose_text(estimate.X_hand_ee)}\n"
-            f"    {sigma_text(estimate.covariance)}  from {estimate.frames_used} of {estimate.frames_seen} frames"
+            f"  [bold {colour}]{str(estimate.category).replace('_', ' ')} in the hand[/bold {colour}]  {pose_text(estimate.X_hand_ee)}\n"
+            f"    {sigma_text(estimate.covariance, estimate.X_hand_ee)}  from {estimate.frames_used} of {estimate.frames_seen} frames"
             + ("" if estimate.usable else f"  [red]{escape(estimate.reason)}[/red]")
         )
 

@@ -168,7 +168,7 @@ def _table(estimates: list[ToolEstimate], title: str) -> Table:
             e.category.replace("_", " "),
             f"{e.detection.score:.2f}",
             pose_text(e.X_camera_ee),
-            sigma_text(e.covariance),
+            sigma_text(e.covariance, e.X_camera_ee),
             f"{e.confidence:.2f}",
             "[green]yes[/green]" if e.usable else f"[red]no: {escape(e.reason)}[/red]",
         )
