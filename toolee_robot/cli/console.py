@@ -97,15 +97,16 @@ class ConsoleObserver(TaskObserver):
             return
         best = max(heads, key=lambda e: (e.usable, e.confidence))
         verdict = "" if best.usable else f"  [red]not used: {escape(best.reason)}[/red]"
-        self._console.print(
-            f"    hammer head  {sigma_text(best.covariance, best.X_camera_ee)}  confidence {best.confidence:.2f}{verdict}"
-        )
+        sigma = sigma_text(best.covariance, best.X_camera_ee)
+        self._console.print(f"    hammer head  {sigma}  confidence {best.confidence:.2f}{verdict}")
 
     def in_hand(self, stamp: float, estimate: InHandEstimate) -> None:
         colour = "cyan" if estimate.usable else "red"
+        name = str(estimate.category).replace("_", " ")
+        sigma = sigma_text(estimate.covariance, estimate.X_hand_ee)
         self._console.print(
-            f"  [bold {colour}]{str(estimate.category).replace('_', ' ')} in the hand[/bold {colour}]  {pose_text(estimate.X_hand_ee)}\n"
-            f"    {sigma_text(estimate.covariance, estimate.X_hand_ee)}  from {estimate.frames_used} of {estimate.frames_seen} frames"
+            f"  [bold {colour}]{name} in the hand[/bold {colour}]  {pose_text(estimate.X_hand_ee)}\n"
+            f"    {sigma}  from {estimate.frames_used} of {estimate.frames_seen} frames"
             + ("" if estimate.usable else f"  [red]{escape(estimate.reason)}[/red]")
         )
 

@@ -152,11 +152,12 @@ def _draw_cloud(figure: Figure, panel: SubplotSpec, frame: RgbdFrame, best: Tool
         _heading(figure, panel, "The end effector's cloud", f"nothing to show: {why}")
         return
     hypotheses = best.hypotheses
+    sigma = sigma_text(best.covariance, best.X_camera_ee)
     _heading(
         figure,
         panel,
         f"{len(hypotheses.points)} points, {len(hypotheses.Xs_camera_ee)} hypotheses, one pose",
-        f"{best.category.replace('_', ' ')}: {sigma_text(best.covariance, best.X_camera_ee)}   confidence {best.confidence:.2f}",
+        f"{best.category.replace('_', ' ')}: {sigma}   confidence {best.confidence:.2f}",
     )
     ax: Any = figure.add_subplot(panel, projection="3d")
     # Shown as the camera sees it (right, away, up), turned a little so that depth can be read; [mm] about the EE.
