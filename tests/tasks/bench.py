@@ -86,25 +86,26 @@ class ClosedHand:
         self._hand.stop()
 
 
-class Log(TaskObserver):
-    """What a task said, in order. on: name of a motion or stage -> what to do when it has ended or begins."""
+def _nothing() -> None: ...
 
-    def __init__(self, on: dict[str, Callable[[], None]] | None = None) -> None:
+
+class Log(TaskObserver):
+    """What a task said, in order. at: stage -> what to do when it first begins; after: the name of a motion -> what to
+    do when it has first ended."""
+
+    def __init__(
+        self, at: dict[Stage, Callable[[], None]] | None = None, after: dict[str, Callable[[], None]] | None = None
+    ) -> None:
         self.motions: list[str] = []
         self.stages: list[tuple[str, Stage]] = []
         self.messages: list[str] = []
         self.blows: list[Blow] = []
         self.last: HammerResult | None = None
-        self.on = on or {}
-
-    def _act(self, name: str) -> None:
-        action = self.on.pop(name, None)
-        if action is not None:
-            action()
+        self.at, self.after = at or {}, after or {}
 
     def stage_started(self, stage: Stage) -> None:
         self.stages.append(("begin", stage))
-        self._act(stage)
+        self.at.pop(stage, _nothing)()
 
     def stage_ended(self, stage: Stage, seconds: float) -> None:
         assert seconds >= 0.0
@@ -117,7 +118,7 @@ class Log(TaskObserver):
         assert len(report.stamps) > 0
         assert hand_joints.shape == (24,)
         self.motions.append(name)
-        self._act(name)
+        self.after.pop(name, _nothing)()
 
     def blow(self, blow: Blow) -> None:
         self.blows.append(blow)

@@ -113,7 +113,7 @@ def test_a_dead_arm_link_at_the_start(bench: Bench) -> None:
 
 
 def test_the_arms_link_is_cut_in_mid_swing(bench: Bench) -> None:
-    log = Log({"to the run-up": bench.soon(bench.arm.cut_link, 0.3)})
+    log = Log(after={"to the run-up": bench.soon(bench.arm.cut_link, 0.2)})
     result = bench.blind_task(log).run()
     assert result.outcome is Outcome.DEVICE_FAULT
     assert "network link" in result.reason
@@ -126,7 +126,7 @@ def test_the_arms_link_is_cut_in_mid_swing(bench: Bench) -> None:
 
 
 def test_the_hands_link_is_cut_on_the_way(bench: Bench) -> None:
-    log = Log({Stage.TOUCH: bench.soon(bench.sim_hand.cut_link, 0.5)})
+    log = Log(at={Stage.TOUCH: bench.soon(bench.sim_hand.cut_link, 0.5)})
     result = bench.blind_task(log).run()
     assert result.outcome is Outcome.DEVICE_FAULT
     assert "hand's newest state" in result.reason
@@ -136,7 +136,7 @@ def test_the_hands_link_is_cut_on_the_way(bench: Bench) -> None:
 
 
 def test_the_camera_freezes(bench: Bench) -> None:
-    log = Log({Stage.VIEW: bench.camera.freeze})
+    log = Log(at={Stage.VIEW: bench.camera.freeze})
     result = bench.seeing_task(log).run()
     assert result.outcome is Outcome.DEVICE_FAULT
     assert "no new frame" in result.reason
@@ -146,7 +146,7 @@ def test_the_camera_freezes(bench: Bench) -> None:
 
 
 def test_a_stop_from_outside_ends_the_job(bench: Bench) -> None:
-    log = Log({Stage.TOUCH: bench.soon(bench.arm.stop, 0.5)})
+    log = Log(at={Stage.TOUCH: bench.soon(bench.arm.stop, 0.5)})
     result = bench.blind_task(log).run()
     assert result.outcome is Outcome.DEVICE_FAULT
     assert "'to the touch'" in result.reason
@@ -159,8 +159,9 @@ def test_a_stop_from_outside_ends_the_job(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(("where", "motion"), [(Stage.TOUCH, "to the touch"), ("to the run-up", "strike")])
-def test_the_tool_is_lost_in_a_motion(bench: Bench, where: str, motion: str) -> None:
-    log = Log({where: bench.soon(bench.drop, 0.3)})
+def test_the_tool_is_lost_in_a_motion(bench: Bench, where: Stage | str, motion: str) -> None:
+    act = bench.soon(bench.drop, 0.3)
+    log = Log(at={where: act}) if isinstance(where, Stage) else Log(after={where: act})
     result = bench.blind_task(log).run()
     assert result.outcome is Outcome.TOOL_LOST
     assert "pick it up" in result.reason
@@ -299,15 +300,15 @@ def test_a_blow_that_hits_something_before_the_nail(bench: Bench) -> None:
 
     def put_a_plate_over_the_nail() -> None:
         shape = pb.createCollisionShape(pb.GEOM_BOX, halfExtents=[0.03, 0.03, 0.005], physicsClientId=client)
-        added.append(pb.createMultiBody(0.0, shape, -1, [*nail[:2], nail[2] + 0.115], physicsClientId=client))
+        added.append(pb.createMultiBody(0.0, shape, -1, [*nail[:2], nail[2] + 0.14], physicsClientId=client))
 
     heights: list[float] = []
 
     def watch_the_hand() -> None:
         bench.sim.observers.append(lambda _: heights.append(bench.sim.world.X_base_hand()[2, 3]))
-        log.on["up"] = bench.sim.observers.clear
+        log.after["up"] = bench.sim.observers.clear
 
-    log = Log({"to the run-up": put_a_plate_over_the_nail, "strike": watch_the_hand})
+    log = Log(after={"to the run-up": put_a_plate_over_the_nail, "strike": watch_the_hand})
     try:
         result = bench.blind_task(log).run()
     finally:
@@ -368,7 +369,7 @@ def test_an_interrupt_or_a_bug_in_mid_motion_stops_the_arm_and_escapes(
     def fail() -> None:
         raise error
 
-    log = Log({Stage.TOUCH: bench.soon(fail, 0.5)})
+    log = Log(at={Stage.TOUCH: bench.soon(fail, 0.5)})
     with pytest.raises(error):
         bench.blind_task(log).run()
     assert log.last is None
