@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from toolee_robot.errors import UserError
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, transform
 from toolee_robot.types import InHandEstimate
 
 
@@ -33,3 +36,25 @@ def slip(before: InHandEstimate, now: InHandEstimate) -> tuple[float, float]:
     distance = float(np.linalg.norm(now.X_hand_ee[:3, 3] - before.X_hand_ee[:3, 3]))
     angle = before.category.symmetry.rotation_error(before.X_hand_ee[:3, :3], now.X_hand_ee[:3, :3])
     return distance, angle
+
+
+def merge(before: InHandEstimate, now: InHandEstimate, drift_position: float, drift_angle: float) -> InHandEstimate:
+    """What an earlier look and a new one say together, for a tool that may have drifted in the hand between them.
+
+    drift_position [m], drift_angle [rad]: standard deviations of the drift. The two are weighted as in a Kalman update
+    (on SO(3) x R^3, modulo the EE's symmetry), but the covariance is the weighted mean of theirs: two looks at one tool
+    share their systematic error, and averaging does not take that away.
+    Raises UserError when they are of different categories.
+    """
+    if before.category is not now.category:
+        raise UserError(f"cannot merge a {before.category} with a {now.category}: look at the same end of the tool")
+    R_before = before.X_hand_ee[:3, :3]
+    R_now = now.category.symmetry.canonical(now.X_hand_ee[:3, :3], R_before)
+    turn = Rotation.from_matrix(R_now @ R_before.T).as_rotvec()
+    innovation = np.concatenate([now.X_hand_ee[:3, 3] - before.X_hand_ee[:3, 3], turn])
+    prior = before.covariance + np.diag([drift_position**2] * 3 + [drift_angle**2] * 3)
+    gain = prior @ np.linalg.inv(prior + now.covariance)
+    change = gain @ innovation
+    R = Rotation.from_rotvec(change[3:]).as_matrix() @ R_before
+    mean = (np.eye(6) - gain) @ prior + gain @ now.covariance
+    return replace(now, X_hand_ee=transform(R, before.X_hand_ee[:3, 3] + change[:3]), covariance=(mean + mean.T) / 2)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.config import WorkConfig
-from toolee_robot.control import protrusion, slip
+from toolee_robot.control import merge, protrusion, slip
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, transform
 from toolee_robot.types import Category, InHandEstimate
@@ -58,3 +58,25 @@ def test_a_claw_has_no_free_spin_and_is_no_face() -> None:
     assert angle == pytest.approx(0.3)
     with pytest.raises(UserError, match="same end"):
         slip(estimate(np.eye(4)), estimate(np.eye(4), Category.HAMMER_GRIP))
+
+
+def test_equal_looks_meet_half_way_and_share_their_error() -> None:
+    tilt = transform(Rotation.from_euler("y", 4, degrees=True), [0.004, 0, 0])
+    merged = merge(estimate(np.eye(4)), estimate(tilt), 0.0, 0.0)
+    np.testing.assert_allclose(merged.X_hand_ee[:3, 3], [0.002, 0, 0], atol=1e-9)
+    assert merged.category.symmetry.rotation_error(merged.X_hand_ee[:3, :3], np.eye(3)) == pytest.approx(np.deg2rad(2))
+    np.testing.assert_allclose(merged.covariance, np.eye(6) * 1e-6)
+
+
+def test_after_much_drift_the_new_look_counts() -> None:
+    moved = transform(p=[0.01, 0, 0])
+    merged = merge(estimate(np.eye(4)), estimate(moved), 0.1, 0.1)
+    np.testing.assert_allclose(merged.X_hand_ee[:3, 3], [0.01, 0, 0], atol=1e-5)
+
+
+@given(spin=st.floats(-3.1, 3.1))
+def test_the_free_spin_does_not_disturb_a_merge(spin: float) -> None:
+    X = transform(Rotation.from_euler("xy", [20, 10], degrees=True), [0.2, 0, 0.1])
+    merged = merge(estimate(X), estimate(X @ transform(Rotation.from_euler("z", spin))), 0.001, 0.01)
+    np.testing.assert_allclose(merged.X_hand_ee[:3, 2], X[:3, 2], atol=1e-9)
+    np.testing.assert_allclose(merged.X_hand_ee[:3, 3], X[:3, 3], atol=1e-9)
