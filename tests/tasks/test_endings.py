@@ -16,6 +16,7 @@ from toolee_robot.control import RobotModel
 from toolee_robot.errors import PerceptionError, UserError
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.sim_backend.nail import HINGE_X, SLIDE
 from toolee_robot.tasks.hammering import HammeringTask
 from toolee_robot.tasks.look import Look
 from toolee_robot.tasks.observer import TaskObserver
@@ -319,6 +320,25 @@ def test_a_blow_that_hits_something_before_the_nail(bench: Bench) -> None:
     assert result.blows == ()
     assert min(heights) > heights[0] - 0.002, "it goes up from there, not down to the nail"
     assert at_rest(bench.sim)
+
+
+@pytest.mark.parametrize(
+    ("joint", "to", "reason"),
+    [(SLIDE, 0.011, "in one blow: the nail has bent away"), (HINGE_X, np.deg2rad(80), "met nothing")],
+)
+def test_the_nail_bends_under_a_blow(bench: Bench, joint: int, to: float, reason: str) -> None:
+    """Its head sinks further than a blow can drive it, or is not where the face comes down."""
+    nail = bench.sim.world.nail
+
+    def bend() -> None:
+        pb.resetJointState(nail.body, joint, to, physicsClientId=bench.sim.world.client)
+
+    result = bench.blind_task(Log(after={"strike": bend})).run()
+    assert result.outcome is Outcome.BENT
+    assert reason in result.reason
+    assert is_home(bench.sim)
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
 
 
 def test_the_wood_is_too_hard(bench: Bench) -> None:

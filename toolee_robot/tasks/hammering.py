@@ -7,9 +7,6 @@ at a standstill.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,29 +15,23 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.control.slip import protrusion, slip
-from toolee_robot.control.strike import plan_retract, plan_strike, plan_touch
+from toolee_robot.control.slip import slip
+from toolee_robot.control.strike import plan_strike
 from toolee_robot.control.transfer import plan_transfer
 from toolee_robot.control.views import plan_handover, plan_views
 from toolee_robot.errors import DeviceError, GripError, PerceptionError, PlanningError, UnreachableError
-from toolee_robot.frames import Array, transform
-from toolee_robot.hal import ContactGuard, MotionOutcome, MotionReport, Station
+from toolee_robot.frames import Array
+from toolee_robot.hal import ContactGuard, MotionReport, Station
 from toolee_robot.tasks.look import Look, Perceiver
+from toolee_robot.tasks.motions import UP, Motions
 from toolee_robot.tasks.observer import TaskObserver
-from toolee_robot.tasks.outcome import Blow, HammerResult, Outcome, Stage
-from toolee_robot.types import InHandEstimate, Trajectory
+from toolee_robot.tasks.outcome import Blow, Ended, HammerResult, Outcome, Stage
+from toolee_robot.tasks.stages import Stages
+from toolee_robot.tasks.touch import CLEAR, TOLERANCE, NailGauge
+from toolee_robot.types import InHandEstimate
 
 SETTLE = 0.3
 """[s] of standing still before a frame, so that arm, wrist and tool have stopped swinging."""
-TOUCH_TOLERANCE = 0.012
-"""[m] A touch further than this from the expected height has not met the nail's head."""
-UP = (0.0, 0.0, 1.0)
-CLEAR = 0.020
-"""[m] over the nail's head: where a measurement starts."""
-LIFT = 0.006
-"""[m] off what was touched, before the face moves aside."""
-ASIDE = 0.032
-"""[m] from the nail to where the wood is touched: a face of up to 25 mm radius clears the nail's head."""
 MAX_BLOW = 0.008
 """[m] No blow of this arm drives a nail further: a head that sinks more has bent away."""
 FLUSH_WHEN_STALLED = 0.0025
@@ -64,14 +55,6 @@ class Grasp:
         return self.X_hand_tool @ self.X_tool_ee
 
 
-class _Ended(Exception):
-    """The job is over, for a reason that has a name."""
-
-    def __init__(self, outcome: Outcome, reason: str) -> None:
-        super().__init__(reason)
-        self.outcome = outcome
-
-
 class HammeringTask:
     """One job. `correction=False` strikes with the nominal in-hand pose: the paper's baseline, for comparison only."""
 
@@ -92,14 +75,13 @@ class HammeringTask:
         self._correction = correction
         self._observer = observer or TaskObserver()
         self._robot = RobotModel.load()
-        self._X_hand_ee = grasp.X_hand_ee
-        self._q: Array  # joints (6,) that the arm holds
-        self._person_clear, self._held = True, False
-        self._seconds: dict[str, float] = {}
+        self._motions = Motions(station, config, self._robot, self._observer, grasp.X_hand_ee)
+        self._gauge = NailGauge(self._motions, config, self._robot, self._observer)
+        self._stages = Stages(self._observer)
+        self._person_clear = True
         self._blows: list[Blow] = []
         self._estimates: list[tuple[float, InHandEstimate]] = []
         self._protrusion: float | None = None
-        self._reference = 0.0
 
     def run(self) -> HammerResult:
         """Do the job and park. Returns how it ended; only a programming error or KeyboardInterrupt escapes, after
@@ -108,21 +90,21 @@ class HammeringTask:
             outcome, reason = self._job()
             outcome, reason = self._park(outcome, reason)
         except BaseException:
-            self._stand_still()
+            self._motions.stand_still()
             raise
         result = HammerResult(
-            outcome, reason, tuple(self._blows), self._protrusion, tuple(self._estimates), dict(self._seconds)
+            outcome, reason, tuple(self._blows), self._protrusion, tuple(self._estimates), dict(self._stages.seconds)
         )
         self._observer.ended(result)
         return result
 
     def _job(self) -> tuple[Outcome, str]:
         try:
-            self._q = self._station.arm.state().joints.q
+            self._motions.begin()
             self._take_tool()
             self._look(self._config.task.views)
             return self._drive()
-        except _Ended as end:
+        except Ended as end:
             return end.outcome, str(end)
         except PerceptionError as error:
             return Outcome.POSE_UNKNOWN, str(error)
@@ -131,47 +113,49 @@ class HammeringTask:
         except GripError as error:
             return Outcome.TOOL_LOST, str(error)
         except DeviceError as error:
-            self._stand_still()
+            self._motions.stand_still()
             return Outcome.DEVICE_FAULT, str(error)
 
     # -- stages ----------------------------------------------------------------------------------------------------
 
     def _take_tool(self) -> None:
         station = self._station
-        with self._stage(Stage.HANDOVER):
+        with self._stages(Stage.HANDOVER):
             self._check_reach()
             station.hand.open()
-            q_hand = station.hand.state().joints.q
+            q_hand = self._motions.q_hand
             world = CollisionWorld(self._robot, self._config, q_hand)
-            self._move("to the handover", plan_handover(self._robot, self._config, world, self._q, q_hand))
+            self._motions.execute(
+                "to the handover", plan_handover(self._robot, self._config, world, self._motions.q, q_hand)
+            )
             self._person_clear = False
             if not station.person.request_handover(
                 "Put the hammer's handle into the open hand, face towards the fingertips.",
                 self._config.task.handover_timeout,
             ):
-                raise _Ended(Outcome.NO_HANDOVER, "nobody handed a tool over in time: run the job again")
-        with self._stage(Stage.GRIP):
+                raise Ended(Outcome.NO_HANDOVER, "nobody handed a tool over in time: run the job again")
+        with self._stages(Stage.GRIP):
             station.hand.close()
             if not station.hand.state().holding:
-                raise _Ended(Outcome.NO_GRIP, "the hand closed but holds nothing: hand the tool over again")
+                raise Ended(Outcome.NO_GRIP, "the hand closed but holds nothing: hand the tool over again")
             if not station.person.release("Let go and step back.", self._config.task.handover_timeout):
-                raise _Ended(Outcome.PERSON_NEAR, "nobody confirmed to be out of reach: no motion")
+                raise Ended(Outcome.PERSON_NEAR, "nobody confirmed to be out of reach: no motion")
             self._person_clear = True
             if not station.hand.state().holding:
-                raise _Ended(Outcome.NO_GRIP, "the tool left the hand as it was let go: hand it over again")
-            self._held = True
+                raise Ended(Outcome.NO_GRIP, "the tool left the hand as it was let go: hand it over again")
+            self._motions.held = True
             grasp = self._grasp
-            q_hand = station.hand.state().joints.q
+            q_hand = self._motions.q_hand
             station.arm.set_payload(self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
 
     def _check_reach(self) -> None:
         """Refuse a nail that is out of reach before anyone is asked for a tool. Only that: whether a reachable nail
         can be hit without a collision depends on how the tool will lie in the hand."""
         q_hand = self._robot.description.hand_closed
-        world = CollisionWorld(self._robot, self._config, q_hand, self._X_hand_ee)
+        world = CollisionWorld(self._robot, self._config, q_hand, self._motions.X_hand_ee)
         X_base_nail = self._config.work.X_base_nail()
         try:
-            plan_strike(self._robot, self._config, world, self._q, q_hand, self._X_hand_ee, X_base_nail)
+            plan_strike(self._robot, self._config, world, self._motions.q, q_hand, self._motions.X_hand_ee, X_base_nail)
         except UnreachableError:
             raise
         except PlanningError as error:
@@ -183,27 +167,27 @@ class HammeringTask:
             return
         look = Look(self._station, self._config, self._robot, self._perceiver, self._observer, self._grasp.X_hand_ee)
         for attempt in (1, 2):
-            with self._stage(Stage.VIEW):
-                q_hand = self._station.hand.state().joints.q
+            with self._stages(Stage.VIEW):
+                q_hand = self._motions.q_hand
                 # Another seed, other views: the same ones would show the same again.
                 plan = plan_views(
                     self._robot,
                     self._config,
-                    self._world(),
-                    self._q,
+                    self._motions.world(),
+                    self._motions.q,
                     q_hand,
                     self._grasp.X_hand_ee,
                     count=views,
                     seed=attempt - 1,
                 )
             for view in plan.views:
-                with self._stage(Stage.VIEW):
-                    self._move("to a view", view.transfer)
+                with self._stages(Stage.VIEW):
+                    self._motions.execute("to a view", view.transfer)
                     self._station.clock.sleep(SETTLE)
-                with self._stage(Stage.PERCEIVE):
+                with self._stages(Stage.PERCEIVE):
                     look.take()
             try:
-                with self._stage(Stage.PERCEIVE):
+                with self._stages(Stage.PERCEIVE):
                     estimate = look.fuse()
                 break
             except PerceptionError as error:
@@ -212,7 +196,7 @@ class HammeringTask:
                 self._observer.message(f"{error}; looking again")
         before = self._estimates[-1][1] if self._estimates else None
         self._estimates.append((self._station.clock.now(), estimate))
-        self._X_hand_ee = estimate.X_hand_ee
+        self._motions.X_hand_ee = estimate.X_hand_ee
         if before is not None:
             self._judge_slip(before, estimate)
 
@@ -221,7 +205,7 @@ class HammeringTask:
         distance, angle = slip(before, now)
         self._observer.message(f"slip in the hand {distance * 1e3:.1f} mm, {np.rad2deg(angle):.1f} deg")
         if distance > task.abort_slip or angle > task.abort_slip_angle:
-            raise _Ended(
+            raise Ended(
                 Outcome.TOOL_SLIPPED,
                 f"the tool slipped {distance * 1e3:.0f} mm and {np.rad2deg(angle):.0f} deg in the hand: grip it again",
             )
@@ -230,7 +214,9 @@ class HammeringTask:
         """Blow after blow, each measured, until there is a reason to stop."""
         config, task = self._config, self._config.task
         self._protrusion = config.work.nail_protrusion
-        self._first_touch(self._plan(self._protrusion))
+        plan = self._plan(self._protrusion)
+        with self._stages(Stage.TOUCH):
+            self._gauge.begin(plan)
         stalled = flush = 0
         while True:
             # A second blow confirms it: after slip a measurement is good to half a millimetre only.
@@ -244,7 +230,10 @@ class HammeringTask:
                 self._look(min(task.views, max(2, task.views // 2)))
             plan = self._plan(self._protrusion)
             report = self._strike(plan)
-            before, self._protrusion = self._protrusion, self._measure()
+            before = self._protrusion
+            with self._stages(Stage.TOUCH):
+                # A head that a blow has moved out of the face's way has bent.
+                self._protrusion = self._gauge.measure(before, missed=Outcome.BENT)
             self._record_blow(plan, report)
             progress = before - self._protrusion
             if progress > MAX_BLOW:
@@ -260,79 +249,36 @@ class HammeringTask:
 
     def _plan(self, height: float) -> StrikePlan:
         """A blow at the nail as it stands out by `height` [m]."""
-        with self._stage(Stage.PLAN):
-            q_hand = self._station.hand.state().joints.q
+        with self._stages(Stage.PLAN):
+            q_hand = self._motions.q_hand
             X_base_nail = self._config.work.X_base_nail(height)
-            plan = plan_strike(self._robot, self._config, self._world(), self._q, q_hand, self._X_hand_ee, X_base_nail)
+            plan = plan_strike(
+                self._robot,
+                self._config,
+                self._motions.world(),
+                self._motions.q,
+                q_hand,
+                self._motions.X_hand_ee,
+                X_base_nail,
+            )
             self._observer.planned(self._station.clock.now(), plan)
             return plan
 
-    def _first_touch(self, plan: StrikePlan) -> None:
-        """Touch nail and wood, whose heights are known: what is off is the face's place along its normal."""
-        with self._stage(Stage.TOUCH):
-            touch = plan_touch(self._robot, self._config, self._world(), self._q, plan, before=CLEAR)
-            self._move("to the touch", touch.approach)
-        known = self._config.work.nail_protrusion
-        self._reference = 0.0
-        self._reference = known - self._measure()
-        if abs(self._reference) > 0.5 * TOUCH_TOLERANCE:
-            raise _Ended(
-                Outcome.NAIL_MISSED,
-                f"the nail seems to stand {-self._reference * 1e3:+.1f} mm too high: set it as in config.work",
-            )
-
-    def _measure(self) -> float:
-        """From CLEAR over the nail: touch its head, then the wood beside it; how far the head stands out [m].
-
-        The tool slips a little with every blow, so only the difference tells; it also says where the face is now.
-        """
-        assert self._protrusion is not None
-        with self._stage(Stage.TOUCH):
-            nail = self._touch("nail", CLEAR + TOUCH_TOLERANCE)
-            self._straight("up", UP, LIFT)
-            X_base_ee = self._robot.X_base_ee(self._q, self._station.hand.state().joints.q, self._X_hand_ee)
-            # Towards the handle: the hand goes away from the block.
-            aside = X_base_ee[:3, 0] - X_base_ee[2, 0] * np.array(UP)
-            aside /= np.linalg.norm(aside)
-            self._straight("aside", (float(aside[0]), float(aside[1]), 0.0), ASIDE)
-            expected = max(self._protrusion, 0.0)
-            self._straight("down", UP, -max(expected - 0.004, 0.0))
-            wood = self._touch("wood", LIFT + 0.004 + TOUCH_TOLERANCE)
-            self._straight("up", UP, expected + LIFT + 0.004)
-            protrusion = nail - wood + self._reference
-            # Where the face really is along its normal, from the nail's head that it rested on.
-            self._X_hand_ee = self._X_hand_ee @ transform(p=[0.0, 0.0, nail - protrusion])
-            return protrusion
-
-    def _touch(self, what: str, reach: float) -> float:
-        """Lower the face slowly by up to `reach` [m]; the height [m] over the wood where it seems to be stopped."""
-        down = plan_retract(
-            self._robot, self._config, self._world(), self._q, -reach, UP, self._config.strike.touch_speed
-        )
-        force = self._config.strike.touch_force
-        report = self._move(f"touch the {what}", down, ContactGuard(force))
-        if report.contact is None:
-            self._straight("up", UP, reach)
-            raise _Ended(Outcome.NAIL_MISSED, f"the face was lowered to where the {what} should be and met nothing")
-        X_base_ee = self._robot.X_base_ee(report.contact.q, self._station.hand.state().joints.q, self._X_hand_ee)
-        self._observer.contact(report.contact.stamp, force, X_base_ee)
-        return protrusion(X_base_ee, self._config.work.X_base_nail(0.0))
-
     def _strike(self, plan: StrikePlan) -> MotionReport:
         """Swing. A blow that meets nothing, or meets something too early, ends the job."""
-        with self._stage(Stage.STRIKE):
-            self._move("to the run-up", plan.approach)
+        with self._stages(Stage.STRIKE):
+            self._motions.execute("to the run-up", plan.approach)
             guard = ContactGuard(self._config.strike.contact_force, after=0.5 * plan.contact_time)
             started = self._station.clock.now()
-            report = self._move("strike", plan.strike, guard)
-            below = self._robot.arm.fk(plan.q_contact)[2, 3] - self._robot.arm.fk(self._q)[2, 3]
+            report = self._motions.execute("strike", plan.strike, guard)
+            below = self._robot.arm.fk(plan.q_contact)[2, 3] - self._robot.arm.fk(self._motions.q)[2, 3]
             # Stopped above the nail by something else: up from there, never down to it.
-            self._straight("up", UP, CLEAR + max(float(below), 0.0))
+            self._motions.straight("up", UP, CLEAR + max(float(below), 0.0))
             if report.contact is None:
-                raise _Ended(Outcome.NAIL_MISSED, "the blow met nothing: the nail is not where the face went")
+                raise Ended(Outcome.NAIL_MISSED, "the blow met nothing: the nail is not where the face went")
             early = plan.contact_time - (report.contact.stamp - started)
-            if early * plan.speed > 2 * TOUCH_TOLERANCE:
-                raise _Ended(
+            if early * plan.speed > 2 * TOLERANCE:
+                raise Ended(
                     Outcome.NAIL_MISSED, f"the tool hit something {early * plan.speed * 1e3:.0f} mm before the nail"
                 )
             return report
@@ -346,63 +292,22 @@ class HammeringTask:
         self._blows.append(blow)
         self._observer.blow(blow)
 
-    def _straight(self, name: str, direction: tuple[float, float, float], length: float) -> None:
-        """A straight move along a direction of `base`, orientation kept."""
-        if abs(length) > 1e-4:
-            self._move(name, plan_retract(self._robot, self._config, self._world(), self._q, length, direction))
-
     def _park(self, outcome: Outcome, reason: str) -> tuple[Outcome, str]:
         """Bring the arm home with the tool still in the hand. It stays where it stands when a device has failed, a tool
         has dropped who knows where, a person may be within reach, or no safe way is known."""
         if outcome in (Outcome.DEVICE_FAULT, Outcome.TOOL_LOST, Outcome.PERSON_NEAR):
             return outcome, f"{reason}; the arm stands still, put it away by hand"
-        with self._stage(Stage.PARK):
+        with self._stages(Stage.PARK):
             try:
                 if not self._person_clear:
                     prompt = "Take the tool along and step back: the arm goes home."
                     if not self._station.person.release(prompt, self._config.task.handover_timeout):
                         return outcome, f"{reason}; the arm stays: nobody confirmed to be out of its reach"
                 home = np.asarray(self._config.scene.home)
-                self._move("home", plan_transfer(self._robot, self._config, self._world(), self._q, home))
+                self._motions.execute(
+                    "home", plan_transfer(self._robot, self._config, self._motions.world(), self._motions.q, home)
+                )
             except (PlanningError, DeviceError) as error:
-                self._stand_still()
+                self._motions.stand_still()
                 reason = f"{reason}; the arm stands where it stopped: {error}"
         return outcome, reason
-
-    # -- helpers ---------------------------------------------------------------------------------------------------
-
-    def _world(self) -> CollisionWorld:
-        X_hand_ee = self._X_hand_ee if self._held else None
-        return CollisionWorld(self._robot, self._config, self._station.hand.state().joints.q, X_hand_ee)
-
-    def _check_grip(self) -> None:
-        if self._held and not self._station.hand.state().holding:
-            raise GripError("the hand has lost the tool: nothing moves on; pick it up and start again")
-
-    def _stand_still(self) -> None:
-        """Stop arm and fingers, as far as they can still be told; the hand keeps its grip."""
-        for device in (self._station.arm, self._station.hand):
-            with suppress(DeviceError):
-                device.stop()
-
-    def _move(self, name: str, trajectory: Trajectory, guard: ContactGuard | None = None) -> MotionReport:
-        """Execute a motion; with a tool in the hand, only while the hand holds it."""
-        self._check_grip()
-        report = self._station.arm.execute(trajectory, guard)
-        self._q = report.q_commanded[-1]
-        self._observer.motion(name, report, self._station.hand.state().joints.q)
-        if report.outcome is MotionOutcome.STOPPED:
-            raise DeviceError(f"the arm was stopped during the motion {name!r}")
-        self._check_grip()
-        return report
-
-    @contextmanager
-    def _stage(self, stage: Stage) -> Iterator[None]:
-        started = time.perf_counter()
-        self._observer.stage_started(stage)
-        try:
-            yield
-        finally:
-            seconds = time.perf_counter() - started
-            self._seconds[stage] = self._seconds.get(stage, 0.0) + seconds
-            self._observer.stage_ended(stage, seconds)

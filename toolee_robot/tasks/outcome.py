@@ -30,6 +30,14 @@ class Outcome(StrEnum):
     INTERRUPTED = "interrupted"
 
 
+class Ended(Exception):
+    """The job is over, for a reason that has a name."""
+
+    def __init__(self, outcome: Outcome, reason: str) -> None:
+        super().__init__(reason)
+        self.outcome = outcome
+
+
 class Stage(StrEnum):
     """The stages of the job, in the order in which they first come."""
 
