@@ -43,7 +43,8 @@ def merge(before: InHandEstimate, now: InHandEstimate, drift_position: float, dr
 
     drift_position [m], drift_angle [rad]: standard deviations of the drift. The two are weighted as in a Kalman update
     (on SO(3) x R^3, modulo the EE's symmetry), but the covariance is the weighted mean of theirs: two looks at one tool
-    share their systematic error, and averaging does not take that away.
+    share their systematic error, and averaging does not take that away. Where they disagree by more than 3 sigma in the
+    place or the axis, the tool has slipped more than it drifts, and the new look counts alone.
     Raises UserError when they are of different categories.
     """
     if before.category is not now.category:
@@ -53,7 +54,13 @@ def merge(before: InHandEstimate, now: InHandEstimate, drift_position: float, dr
     turn = Rotation.from_matrix(R_now @ R_before.T).as_rotvec()
     innovation = np.concatenate([now.X_hand_ee[:3, 3] - before.X_hand_ee[:3, 3], turn])
     prior = before.covariance + np.diag([drift_position**2] * 3 + [drift_angle**2] * 3)
-    gain = prior @ np.linalg.inv(prior + now.covariance)
+    doubt = np.linalg.inv(prior + now.covariance)
+    z = R_before[:, 2]
+    across = innovation[3:] - (innovation[3:] @ z) * z
+    for part, seen in ((slice(0, 3), innovation[:3]), (slice(3, 6), across)):
+        if seen @ np.linalg.inv((prior + now.covariance)[part, part]) @ seen > 9.0:
+            return now
+    gain = prior @ doubt
     change = gain @ innovation
     R = Rotation.from_rotvec(change[3:]).as_matrix() @ R_before
     mean = (np.eye(6) - gain) @ prior + gain @ now.covariance

@@ -145,11 +145,12 @@ class TaskConfig:
     max_blows: Count = 40
     flush_protrusion: Positive = 0.001
     min_progress: NotNegative = 0.0002
-    replan_slip: Positive = 0.005
-    replan_slip_angle: Positive = np.pi / 36
+    slip_per_blow: NotNegative = 0.0015
+    slip_angle_per_blow: NotNegative = np.pi / 450
     abort_slip: Positive = 0.015
     abort_slip_angle: Positive = np.pi / 12
-    views: Count = 5
+    views: Count = 6
+    views_again: Count = 4
     blows_between_looks: Count = 4
     handover_timeout: Positive = 30.0
 

@@ -15,8 +15,13 @@ from toolee_robot.frames import Array, transform
 from toolee_robot.types import Category, InHandEstimate
 
 
-def estimate(X_hand_ee: Array, category: Category = Category.HAMMER_HEAD) -> InHandEstimate:
-    return InHandEstimate(category, X_hand_ee, np.eye(6) * 1e-6, 0.9, 5, 5, True, "ok")
+VAGUE = np.diag([2e-3**2] * 3 + [0.04**2] * 3)
+
+
+def estimate(
+    X_hand_ee: Array, category: Category = Category.HAMMER_HEAD, covariance: Array = np.eye(6) * 1e-6
+) -> InHandEstimate:
+    return InHandEstimate(category, X_hand_ee, covariance, 0.9, 5, 5, True, "ok")
 
 
 @given(
@@ -62,10 +67,15 @@ def test_a_claw_has_no_free_spin_and_is_no_face() -> None:
 
 def test_equal_looks_meet_half_way_and_share_their_error() -> None:
     tilt = transform(Rotation.from_euler("y", 4, degrees=True), [0.004, 0, 0])
-    merged = merge(estimate(np.eye(4)), estimate(tilt), 0.0, 0.0)
+    merged = merge(estimate(np.eye(4), covariance=VAGUE), estimate(tilt, covariance=VAGUE), 0.0, 0.0)
     np.testing.assert_allclose(merged.X_hand_ee[:3, 3], [0.002, 0, 0], atol=1e-9)
     assert merged.category.symmetry.rotation_error(merged.X_hand_ee[:3, :3], np.eye(3)) == pytest.approx(np.deg2rad(2))
-    np.testing.assert_allclose(merged.covariance, np.eye(6) * 1e-6)
+    np.testing.assert_allclose(merged.covariance, VAGUE)
+
+
+def test_a_tool_that_slipped_further_than_it_drifts_is_where_the_new_look_says() -> None:
+    slipped = estimate(transform(Rotation.from_euler("y", 12, degrees=True), [0.012, 0, 0]), covariance=VAGUE)
+    assert merge(estimate(np.eye(4), covariance=VAGUE), slipped, 0.001, 0.005) is slipped
 
 
 def test_after_much_drift_the_new_look_counts() -> None:

@@ -15,7 +15,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.control.slip import slip
+from toolee_robot.control.slip import merge, slip
 from toolee_robot.control.strike import plan_strike
 from toolee_robot.control.transfer import plan_transfer
 from toolee_robot.control.views import plan_handover, plan_views
@@ -34,8 +34,10 @@ SETTLE = 0.3
 """[s] of standing still before a frame, so that arm, wrist and tool have stopped swinging."""
 MAX_BLOW = 0.008
 """[m] No blow of this arm drives a nail further: a head that sinks more has bent away."""
-FLUSH_WHEN_STALLED = 0.0025
-"""[m] Where a nail that no longer yields is called flush: the touch is no better than this after slip."""
+FLUSH_WHEN_STALLED = 0.0015
+"""[m] Where a nail that no longer yields is called flush: a measurement is good to half a millimetre after slip."""
+CONFIRMED = 0.0005
+"""[m] A blow on a flush nail moves it no further than this."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,7 @@ class HammeringTask:
         self._person_clear = True
         self._blows: list[Blow] = []
         self._estimates: list[tuple[float, InHandEstimate]] = []
+        self._blows_seen = 0
         self._protrusion: float | None = None
 
     def run(self) -> HammerResult:
@@ -194,13 +197,14 @@ class HammeringTask:
                 if attempt == 2:
                     raise
                 self._observer.message(f"{error}; looking again")
-        before = self._estimates[-1][1] if self._estimates else None
+        if self._estimates:
+            estimate = self._after_slip(self._estimates[-1][1], estimate)
         self._estimates.append((self._station.clock.now(), estimate))
         self._motions.X_hand_ee = estimate.X_hand_ee
-        if before is not None:
-            self._judge_slip(before, estimate)
+        self._blows_seen = len(self._blows)
 
-    def _judge_slip(self, before: InHandEstimate, now: InHandEstimate) -> None:
+    def _after_slip(self, before: InHandEstimate, now: InHandEstimate) -> InHandEstimate:
+        """What the looks so far say together. Ends the job when the tool has slipped too far to go on."""
         task = self._config.task
         distance, angle = slip(before, now)
         self._observer.message(f"slip in the hand {distance * 1e3:.1f} mm, {np.rad2deg(angle):.1f} deg")
@@ -209,6 +213,8 @@ class HammeringTask:
                 Outcome.TOOL_SLIPPED,
                 f"the tool slipped {distance * 1e3:.0f} mm and {np.rad2deg(angle):.0f} deg in the hand: grip it again",
             )
+        blows = max(len(self._blows) - self._blows_seen, 1)
+        return merge(before, now, blows * task.slip_per_blow, blows * task.slip_angle_per_blow)
 
     def _drive(self) -> tuple[Outcome, str]:
         """Blow after blow, each measured, until there is a reason to stop."""
@@ -218,16 +224,18 @@ class HammeringTask:
         with self._stages(Stage.TOUCH):
             self._gauge.begin(plan)
         stalled = flush = 0
+        progress = np.inf
+        doubted = False
         while True:
-            # A second blow confirms it: after slip a measurement is good to half a millimetre only.
+            # Another blow confirms it: after slip a measurement is good to half a millimetre only.
             flush = flush + 1 if self._protrusion <= task.flush_protrusion else 0
-            if flush == 2:
+            if flush > 2 or (flush == 2 and progress < CONFIRMED):
                 return Outcome.FLUSH, f"the head stands {self._protrusion * 1e3:.1f} mm over the wood"
             if len(self._blows) >= task.max_blows:
                 end = f"after {task.max_blows} blows the head stands {self._protrusion * 1e3:.1f} mm over the wood"
                 return Outcome.OUT_OF_BLOWS, f"{end}, not confirmed by another blow" if flush else end
-            if self._blows and len(self._blows) % task.blows_between_looks == 0 and not (stalled or flush):
-                self._look(min(task.views, max(2, task.views // 2)))
+            if len(self._blows) - self._blows_seen >= task.blows_between_looks and not flush:
+                self._look(task.views_again)
             plan = self._plan(self._protrusion)
             report = self._strike(plan)
             before = self._protrusion
@@ -239,11 +247,15 @@ class HammeringTask:
             if progress > MAX_BLOW:
                 return Outcome.BENT, f"the head sank {progress * 1e3:.1f} mm in one blow: the nail has bent away"
             stalled = stalled + 1 if progress < task.min_progress else 0
-            if stalled == 2:
-                left = self._protrusion
-                if left <= FLUSH_WHEN_STALLED:
-                    return Outcome.FLUSH, f"two blows moved it no further, {left * 1e3:.1f} mm over the wood"
+            if stalled < 2:
+                continue
+            if self._protrusion <= FLUSH_WHEN_STALLED:
+                return Outcome.FLUSH, f"two blows moved it no further, {self._protrusion * 1e3:.1f} mm over the wood"
+            if doubted or not self._correction:
                 return Outcome.STUCK, f"two blows moved the head under {task.min_progress * 1e3:.1f} mm"
+            # A face that has tilted in the hand meets the wood with its edge before the nail is home.
+            doubted, stalled = True, 0
+            self._look(task.views)
 
     # -- steps -----------------------------------------------------------------------------------------------------
 

@@ -46,12 +46,10 @@ class NailGauge:
         motions.execute("to the touch", touch.approach)
         known = config.work.nail_protrusion
         measured = self.measure(known)
-        if abs(measured - known) > 0.5 * TOLERANCE:
-            raise Ended(
-                Outcome.NAIL_MISSED,
-                f"the nail seems to stand {(measured - known) * 1e3:+.1f} mm too high: set it as in config.work",
-            )
         self._reference = known - measured
+        if abs(self._reference) > 0.5 * TOLERANCE:
+            off = f"{abs(self._reference) * 1e3:.1f} mm too {'high' if measured > known else 'low'}"
+            raise Ended(Outcome.NAIL_MISSED, f"the nail's head seems to stand {off}: set it as in config.work")
 
     def measure(self, expected: float, missed: Outcome = Outcome.NAIL_MISSED) -> float:
         """From CLEAR over the nail and back: how far its head stands out [m], about `expected` [m].
@@ -77,6 +75,7 @@ class NailGauge:
     def _touch(self, what: str, reach: float, missed: Outcome) -> float:
         """Lower the face slowly by up to `reach` [m]; the height [m] over the wood where it seems to be stopped."""
         motions, strike = self._motions, self._config.strike
+        motions.wait_until_quiet(0.5 * strike.touch_force)
         down = plan_retract(self._robot, self._config, motions.world(), motions.q, -reach, UP, strike.touch_speed)
         report = motions.execute(f"touch the {what}", down, ContactGuard(strike.touch_force))
         if report.contact is None:
