@@ -14,13 +14,11 @@ from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, transform
 from toolee_robot.types import Category, InHandEstimate
 
-
+SURE = np.eye(6) * 1e-6
 VAGUE = np.diag([2e-3**2] * 3 + [0.04**2] * 3)
 
 
-def estimate(
-    X_hand_ee: Array, category: Category = Category.HAMMER_HEAD, covariance: Array = np.eye(6) * 1e-6
-) -> InHandEstimate:
+def estimate(X_hand_ee: Array, category: Category = Category.HAMMER_HEAD, covariance: Array = SURE) -> InHandEstimate:
     return InHandEstimate(category, X_hand_ee, covariance, 0.9, 5, 5, True, "ok")
 
 
