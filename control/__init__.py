@@ -17,7 +17,7 @@ from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.records import StrikePlan, TouchPlan, View, ViewPlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.slip import merge, protrusion, slip
-from toolee_robot.control.strike import plan_retract, plan_strike, plan_touch
+from toolee_robot.control.strike import plan_straight, plan_strike, plan_touch
 from toolee_robot.control.transfer import plan_transfer
 from toolee_robot.control.views import plan_handover, plan_views
 
@@ -33,7 +33,7 @@ __all__ = [
     "check_trajectory",
     "merge",
     "plan_handover",
-    "plan_retract",
+    "plan_straight",
     "plan_strike",
     "plan_touch",
     "plan_transfer",

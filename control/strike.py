@@ -153,25 +153,25 @@ def plan_touch(
     return TouchPlan(approach, touch, before, past)
 
 
-def plan_retract(
+def plan_straight(
     robot: RobotModel,
     config: StationConfig,
     world: CollisionWorld,
     q_start: Array,
-    height: float,
+    length: float,
     direction: tuple[float, float, float] = (0.0, 0.0, 1.0),
     speed: float = 0.25,
 ) -> Trajectory:
-    """Straight along `direction` (base axes, up by default) by `height` [m] from rest at q_start, orientation kept, at
+    """Straight along `direction` (base axes, up by default) by `length` [m] from rest at q_start, orientation kept, at
     up to `speed` [m/s].
 
     The tool may be as near to the block as it is at the start. Raises CollisionError, LimitError, UnreachableError.
     """
     line = Line.through(robot.ik, q_start, np.asarray(direction, dtype=np.float64))
-    retract = _travel(line, config, 0.0, height, speed)
-    world.check(retract.q[:: max(1, len(retract.q) // 20)], 0.0, "the retract", BRAKE_EXEMPT)
-    check_trajectory(retract, robot.arm, config.arm, config.scene)
-    return retract
+    move = _travel(line, config, 0.0, length, speed)
+    world.check(move.q[:: max(1, len(move.q) // 20)], 0.0, "the straight move", BRAKE_EXEMPT)
+    check_trajectory(move, robot.arm, config.arm, config.scene)
+    return move
 
 
 @dataclass(frozen=True)

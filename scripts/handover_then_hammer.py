@@ -1,6 +1,7 @@
 """The whole job in Python: a simulated station, the camera's perception, one hammer, one nail.
 Example: `python scripts/handover_then_hammer.py --seed 7`"""
 
+import numpy as np
 import tyro
 
 from toolee_robot.config import StationConfig
@@ -15,7 +16,7 @@ def main(seed: int = 0, gui: bool = False) -> None:
     config, perception = StationConfig(), ToolPerception.load()
     with SimStation.build(config, seed, SimOptions(gui=gui)) as sim:
         tool = sim.tool
-        X_hand_tool = nominal_X_hand_tool(float(tool.handle.radii_at(0.0)[0]))
+        X_hand_tool = nominal_X_hand_tool(float(np.mean(tool.handle.radii_at(0.0))))
         grasp = Grasp(X_hand_tool, tool.ee(Category.HAMMER_HEAD).X_tool_ee, tool.mass, tool.center_of_mass)
         result = HammeringTask(sim.station, perception, config, grasp).run()
         print(f"{result.outcome}: {result.reason} ({len(result.blows)} blows)")

@@ -30,7 +30,8 @@ def brake_on_path(
         _, q_s = trajectory.sample(s)
         q_ss = (trajectory.sample(s + period)[1] - trajectory.sample(s - period)[1]) / (2 * period)
         fastest = max(float(np.abs(q_s).max()), 1e-6)
-        free = np.maximum(acceleration - np.abs(q_ss) * rate**2, 0.0) / np.maximum(np.abs(q_s), 1e-6)
+        # A joint that still speeds up along the path brakes with all of its limit and that acceleration besides.
+        free = np.maximum(acceleration + np.sign(q_s) * q_ss * rate**2, 0.0) / np.maximum(np.abs(q_s), 1e-6)
         change = jerk / fastest
         # The fall itself must have faded when the rate reaches zero.
         fall = max(min(float(free.min()), fall + change * period, np.sqrt(2 * change * rate)), SLOWEST)

@@ -17,7 +17,7 @@ from toolee_robot.control import (
     RobotModel,
     StrikePlan,
     check_trajectory,
-    plan_retract,
+    plan_straight,
     plan_strike,
     plan_touch,
     protrusion,
@@ -165,7 +165,7 @@ def test_offsets_of_the_whole_range_are_planned(
         X_hand_ee = nominal_X_hand_tool(0.016) @ offset(*draw) @ X_tool_ee
         world = CollisionWorld(robot, config, q_hand, X_hand_ee)
         X_base_nail = config.work.X_base_nail(rng.uniform(0, 0.02))
-        plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, X_base_nail)
+        plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, X_base_nail, speed=1.5)
         assert np.allclose(plan.X_base_ee_contact[:3, 2:], X_base_nail[:3, 2:], atol=1e-6)
         speeds.append(plan.speed)
         times.append(plan.planning_time)
@@ -233,7 +233,7 @@ def test_touch_is_slow_straight_and_measures_the_protrusion(
     assert stands_out[0] == pytest.approx(nominal + touch.before, abs=1e-6)
     assert stands_out[-1] == pytest.approx(nominal - touch.past, abs=1e-6)
     # And away again, from wherever it met the nail.
-    up = plan_retract(robot, config, world, touch.touch.q[len(X) // 2], 0.15)
+    up = plan_straight(robot, config, world, touch.touch.q[len(X) // 2], 0.15)
     X_up = faces(robot, up.q, q_hand, X_hand_ee)
     assert X_up[-1, 2, 3] - X_up[0, 2, 3] == pytest.approx(0.15, abs=1e-6)
     assert np.max(np.linalg.norm(X_up[:, :2, 3] - X_up[0, :2, 3], axis=-1)) < 1e-6

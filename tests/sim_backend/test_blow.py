@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from toolee_robot.config import StationConfig
-from toolee_robot.control import CollisionWorld, RobotModel, plan_handover, plan_retract, plan_strike
+from toolee_robot.control import CollisionWorld, RobotModel, plan_handover, plan_straight, plan_strike
 from toolee_robot.frames import inverse, rotation_angle
 from toolee_robot.hal import ContactGuard, MotionOutcome
 from toolee_robot.sim_backend import SimStation
@@ -54,7 +54,7 @@ def test_blows_drive_the_nail_by_the_hammers_energy_and_the_hand_keeps_it(held: 
         report = station.arm.execute(plan.strike, guard)
         station.clock.sleep(0.1)
         held.observers.clear()
-        retract = plan_retract(robot, CONFIG, collisions, world.robot.q_arm_target.copy(), 0.2)
+        retract = plan_straight(robot, CONFIG, collisions, world.robot.q_arm_target.copy(), 0.2)
         station.arm.execute(retract)
         station.clock.sleep(0.3)
 

@@ -112,7 +112,7 @@ class HammerJob:
                     result = task.run()
             except KeyboardInterrupt:
                 reason = "interrupted by a person; the arm was stopped"
-                result = HammerResult(Outcome.INTERRUPTED, reason, tuple(album.blows), None)
+                result = task.result(Outcome.INTERRUPTED, reason)
             verdict, truths = sim.judge.verdict(result.estimates), sim.judge.blows
         figures = self._figures(result, verdict, sim.tool, time.perf_counter() - began)
         self._write(folder, figures, result, truths, album, sim.tool)

@@ -80,9 +80,6 @@ class RecordingObserver(TaskObserver):
         self._recorder.record_motion(name, report, self._arm_joints)
         self._recorder.record_joints(self._clock.now(), self._hand_joints, hand_joints, "/hand/measured")
 
-    def pose(self, stamp: float, parent: str, child: str, X: Array) -> None:
-        self._recorder.record_pose(stamp, parent, child, X)
-
     def contact(self, stamp: float, force: float, X_base_ee: Array) -> None:
         self._recorder.record_contact(stamp, force, X_base_ee)
 

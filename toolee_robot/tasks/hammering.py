@@ -7,6 +7,8 @@ at a standstill.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +38,7 @@ MAX_BLOW = 0.008
 """[m] No blow of this arm drives a nail further: a head that sinks more has bent away."""
 FLUSH_WHEN_STALLED = 0.0015
 """[m] Where a nail that no longer yields is called flush: a measurement is good to half a millimetre after slip."""
+BLIND_MISSES = 3
 CONFIRMED = 0.0005
 """[m] A blow on a flush nail moves it no further than this."""
 
@@ -95,11 +98,15 @@ class HammeringTask:
         except BaseException:
             self._motions.stand_still()
             raise
-        result = HammerResult(
-            outcome, reason, tuple(self._blows), self._protrusion, tuple(self._estimates), dict(self._stages.seconds)
-        )
+        result = self.result(outcome, reason)
         self._observer.ended(result)
         return result
+
+    def result(self, outcome: Outcome, reason: str) -> HammerResult:
+        """The record of the job as far as it went: what is left to say after an interruption."""
+        return HammerResult(
+            outcome, reason, tuple(self._blows), self._protrusion, tuple(self._estimates), dict(self._stages.seconds)
+        )
 
     def _job(self) -> tuple[Outcome, str]:
         try:
@@ -199,9 +206,12 @@ class HammeringTask:
                 self._observer.message(f"{error}; looking again")
         if self._estimates:
             estimate = self._after_slip(self._estimates[-1][1], estimate)
+        self._believe(estimate)
+        self._blows_seen = len(self._blows)
+
+    def _believe(self, estimate: InHandEstimate) -> None:
         self._estimates.append((self._station.clock.now(), estimate))
         self._motions.X_hand_ee = estimate.X_hand_ee
-        self._blows_seen = len(self._blows)
 
     def _after_slip(self, before: InHandEstimate, now: InHandEstimate) -> InHandEstimate:
         """What the looks so far say together. Ends the job when the tool has slipped too far to go on."""
@@ -209,6 +219,7 @@ class HammeringTask:
         distance, angle = slip(before, now)
         self._observer.message(f"slip in the hand {distance * 1e3:.1f} mm, {np.rad2deg(angle):.1f} deg")
         if distance > task.abort_slip or angle > task.abort_slip_angle:
+            self._believe(now)
             raise Ended(
                 Outcome.TOOL_SLIPPED,
                 f"the tool slipped {distance * 1e3:.0f} mm and {np.rad2deg(angle):.0f} deg in the hand: grip it again",
@@ -221,9 +232,9 @@ class HammeringTask:
         config, task = self._config, self._config.task
         self._protrusion = config.work.nail_protrusion
         plan = self._plan(self._protrusion)
-        with self._stages(Stage.TOUCH):
+        with self._stages(Stage.TOUCH), self._unless_blind():
             self._gauge.begin(plan)
-        stalled = flush = 0
+        stalled = flush = missed = 0
         progress = np.inf
         doubted = False
         while True:
@@ -237,12 +248,18 @@ class HammeringTask:
             if len(self._blows) - self._blows_seen >= task.blows_between_looks and not flush:
                 self._look(task.views_again)
             plan = self._plan(self._protrusion)
-            report = self._strike(plan)
             before = self._protrusion
-            with self._stages(Stage.TOUCH):
-                # A head that a blow has moved out of the face's way has bent.
-                self._protrusion = self._gauge.measure(before, missed=Outcome.BENT)
-            self._record_blow(plan, report)
+            missed += 1
+            with self._unless_blind(missed):
+                report = self._strike(plan)
+                with self._stages(Stage.TOUCH):
+                    # A head that a blow has moved out of the face's way has bent, if the face is where it seems.
+                    gone = Outcome.BENT if self._correction else Outcome.NAIL_MISSED
+                    self._protrusion = self._gauge.measure(before, missed=gone)
+                self._record_blow(plan, report)
+                missed = 0
+            if missed:
+                continue
             progress = before - self._protrusion
             if progress > MAX_BLOW:
                 return Outcome.BENT, f"the head sank {progress * 1e3:.1f} mm in one blow: the nail has bent away"
@@ -256,6 +273,17 @@ class HammeringTask:
             # A face that has tilted in the hand meets the wood with its edge before the nail is home.
             doubted, stalled = True, 0
             self._look(task.views)
+
+    @contextmanager
+    def _unless_blind(self, missed: int = 0) -> Iterator[None]:
+        """The uncorrected baseline goes on where the job would end because face and nail do not meet as believed: it is
+        there to show what striking blindly does, up to BLIND_MISSES blows in a row."""
+        try:
+            yield
+        except Ended as end:
+            if self._correction or missed >= BLIND_MISSES or end.outcome is not Outcome.NAIL_MISSED:
+                raise
+            self._observer.message(f"{end}; without correction it strikes on")
 
     # -- steps -----------------------------------------------------------------------------------------------------
 

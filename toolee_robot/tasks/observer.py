@@ -33,9 +33,6 @@ class TaskObserver:
     def motion(self, name: str, report: MotionReport, hand_joints: Array) -> None:
         """The arm moved; hand_joints are those measured after it."""
 
-    def pose(self, stamp: float, parent: str, child: str, X: Array) -> None:
-        """A pose worth recording."""
-
     def contact(self, stamp: float, force: float, X_base_ee: Array) -> None:
         """The face met something: sensed force [N] and where the robot believes the EE is."""
 
@@ -79,10 +76,6 @@ class Observers(TaskObserver):
     def motion(self, name: str, report: MotionReport, hand_joints: Array) -> None:
         for o in self._observers:
             o.motion(name, report, hand_joints)
-
-    def pose(self, stamp: float, parent: str, child: str, X: Array) -> None:
-        for o in self._observers:
-            o.pose(stamp, parent, child, X)
 
     def contact(self, stamp: float, force: float, X_base_ee: Array) -> None:
         for o in self._observers:

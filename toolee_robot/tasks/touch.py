@@ -8,7 +8,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.slip import protrusion
-from toolee_robot.control.strike import plan_retract, plan_touch
+from toolee_robot.control.strike import plan_straight, plan_touch
 from toolee_robot.frames import transform
 from toolee_robot.hal import ContactGuard
 from toolee_robot.tasks.motions import UP, Motions
@@ -21,6 +21,8 @@ CLEAR = 0.020
 """[m] over the nail's head: where a measurement starts."""
 LIFT = 0.006
 """[m] off what was touched, before the face moves aside."""
+MARGIN = 0.004
+"""[m] over where the wood should be: from there on slowly."""
 ASIDE = 0.032
 """[m] from the nail to where the wood is touched: a face of up to 25 mm radius clears the nail's head."""
 
@@ -63,10 +65,13 @@ class NailGauge:
         aside = motions.X_base_ee[:3, 0] * [1.0, 1.0, 0.0]
         aside /= np.linalg.norm(aside)
         motions.straight("aside", (float(aside[0]), float(aside[1]), 0.0), ASIDE)
+        # Fast only as far as the nail stands out for sure: one that sank further than expected must not push the face
+        # into the wood.
         expected = max(expected, 0.0)
-        motions.straight("down", UP, -max(expected - 0.004, 0.0))
-        wood = self._touch("wood", LIFT + 0.004 + TOLERANCE, Outcome.NAIL_MISSED)
-        motions.straight("up", UP, expected + LIFT + 0.004)
+        fast = max(min(expected, nail) - MARGIN, 0.0)
+        motions.straight("down", UP, -fast)
+        wood = self._touch("wood", expected + LIFT + TOLERANCE - fast, Outcome.NAIL_MISSED)
+        motions.straight("up", UP, expected + LIFT + MARGIN)
         measured = nail - wood + self._reference
         # Where the face really is along its normal, from the nail's head that it rested on.
         motions.X_hand_ee = motions.X_hand_ee @ transform(p=[0.0, 0.0, nail - measured])
@@ -75,8 +80,10 @@ class NailGauge:
     def _touch(self, what: str, reach: float, missed: Outcome) -> float:
         """Lower the face slowly by up to `reach` [m]; the height [m] over the wood where it seems to be stopped."""
         motions, strike = self._motions, self._config.strike
-        motions.wait_until_quiet(0.5 * strike.touch_force)
-        down = plan_retract(self._robot, self._config, motions.world(), motions.q, -reach, UP, strike.touch_speed)
+        if not motions.wait_until_quiet(0.5 * strike.touch_force):
+            motions.straight("up", UP, CLEAR)
+            raise Ended(missed, f"before the {what} was touched the arm felt a force: the tool leans against something")
+        down = plan_straight(self._robot, self._config, motions.world(), motions.q, -reach, UP, strike.touch_speed)
         report = motions.execute(f"touch the {what}", down, ContactGuard(strike.touch_force))
         if report.contact is None:
             motions.straight("up", UP, reach)
