@@ -74,6 +74,7 @@ def _terminate(_signum: int, _frame: FrameType | None) -> None:
 
 
 def _complain(console: Console, command: Hammer | Estimate | Bench, error: TooleeError, outcome: str) -> None:
-    console.print(f"[bold red]error:[/bold red] {escape(str(error))}")
+    # Not wrapped: a path that is cut in two cannot be copied or searched for.
+    console.print(f"[bold red]error:[/bold red] {escape(str(error))}", soft_wrap=True)
     if isinstance(command, Hammer) and command.json:
         print(json.dumps({"success": False, "outcome": outcome, "reason": str(error), "seed": command.seed}))

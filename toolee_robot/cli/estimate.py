@@ -78,7 +78,7 @@ class Estimate:
             from toolee_robot.cli.picture import draw
 
             write_whole(self.picture, draw(frame, estimates, title=self.rgb.name))
-            console.print(f"picture: {escape(str(self.picture))}")
+            console.print(f"picture: {escape(str(self.picture))}", soft_wrap=True)
         if self.json:
             print(json_line([as_record(e) for e in estimates]))
         else:
@@ -97,7 +97,7 @@ class Estimate:
                 frame = image.read()
             except UserError as error:  # one bad file does not cost the rest of the scene
                 unreadable += 1
-                console.print(f"[bold red]image {image.im_id}:[/bold red] {escape(str(error))}")
+                console.print(f"[bold red]image {image.im_id}:[/bold red] {escape(str(error))}", soft_wrap=True)
                 if self.json:
                     line: dict[str, Any] = {"im_id": image.im_id, "time_ms": None, "estimates": [], "error": str(error)}
                     print(json_line(line), flush=True)
@@ -148,7 +148,7 @@ def _verdict(console: Console, estimates: list[ToolEstimate]) -> int:
         )
     else:
         reasons = "; ".join(f"{e.category}: {e.reason}" for e in estimates)
-        said.print(f"[bold red]no pose may be used:[/bold red] {escape(reasons)}")
+        said.print(f"[bold red]no pose may be used:[/bold red] {escape(reasons)}", soft_wrap=True)
     return 1
 
 
