@@ -139,7 +139,13 @@ class StrikeConfig:
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """When to go on, to look again and to end (HAMMER: limits as measured; see docs)."""
+    """When to go on, to look again and to end.
+
+    flush_protrusion: at most this much of the nail over the wood counts as flush [m]. min_progress: a blow that drives
+    less has not moved the nail [m]. slip_per_blow, slip_angle_per_blow: standard deviation of how far a tool drifts in
+    the hand with a blow [m, rad]; beyond abort_slip or abort_slip_angle between two looks it must be gripped again.
+    views: of the first look; views_again: of the later ones, one every blows_between_looks. handover_timeout [s].
+    """
 
     __pydantic_config__ = _STRICT
     max_blows: Count = 40
