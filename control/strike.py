@@ -234,7 +234,12 @@ def _solve_lines(
             f"the straight run-up of {run_up:.2f} m to the nail {failure} for every spin: move the block nearer to the "
             "middle of the arm's reach, or shorten config.strike.run_up"
         )
-    usable.sort(key=lambda blow: -blow.value)
+
+    def order(blow: _Blow) -> tuple[bool, float]:
+        # No comfort makes up for a blow that is slower than wanted while another is not.
+        return blow.limits.speed < 0.999 * wanted, -blow.value
+
+    usable.sort(key=order)
     clear: list[_Blow] = []
     nearest: Clearance | None = None
     for blow in usable:
@@ -251,7 +256,7 @@ def _solve_lines(
             f"every blow at this nail would bring bodies together, the best one {nearest}: clear the way, move the "
             "block, or use a higher stand"
         )
-    return sorted(clear, key=lambda blow: -blow.value)
+    return sorted(clear, key=order)
 
 
 def _time(line: Line, limits: PathLimits, run_up: float) -> tuple[Trajectory, float, float]:

@@ -165,7 +165,7 @@ def test_offsets_of_the_whole_range_are_planned(
         X_hand_ee = nominal_X_hand_tool(0.016) @ offset(*draw) @ X_tool_ee
         world = CollisionWorld(robot, config, q_hand, X_hand_ee)
         X_base_nail = config.work.X_base_nail(rng.uniform(0, 0.02))
-        plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, X_base_nail, speed=1.5)
+        plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, X_base_nail)
         assert np.allclose(plan.X_base_ee_contact[:3, 2:], X_base_nail[:3, 2:], atol=1e-6)
         speeds.append(plan.speed)
         times.append(plan.planning_time)
