@@ -39,6 +39,7 @@ MAX_BLOW = 0.008
 FLUSH_WHEN_STALLED = 0.0015
 """[m] Where a nail that no longer yields is called flush: a measurement is good to half a millimetre after slip."""
 BLIND_MISSES = 3
+"""Blows in a row without meeting the nail after which the uncorrected baseline gives up."""
 CONFIRMED = 0.0005
 """[m] A blow on a flush nail moves it no further than this."""
 
