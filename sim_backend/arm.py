@@ -7,10 +7,10 @@ from typing import Self
 
 import numpy as np
 
+from toolee_robot.braking import brake_on_path
 from toolee_robot.errors import DeviceError, LimitError, StaleDataError
 from toolee_robot.frames import Array
-from toolee_robot.hal import ArmState, ContactGuard, MotionOutcome, MotionReport
-from toolee_robot.sim_backend.braking import brake_on_path
+from toolee_robot.hal import ArmState, ContactGuard, MotionOutcome, MotionReport, MotionWatch
 from toolee_robot.sim_backend.flange_sensor import FlangeSensor
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import JointState, Payload, Trajectory
@@ -78,7 +78,12 @@ class SimArm:
             raise LimitError(f"payload {payload.mass} kg: a UR10 carries 0 to 10 kg")
         self._sensor.payload = payload
 
-    def execute(self, trajectory: Trajectory, guard: ContactGuard | None = None) -> MotionReport:
+    def execute(
+        self,
+        trajectory: Trajectory,
+        guard: ContactGuard | None = None,
+        watch: MotionWatch | None = None,
+    ) -> MotionReport:
         """See `hal.Arm`. Raises LimitError, and nothing moves, when the trajectory breaks a limit; StaleDataError,
         after braking, when the link goes down on the way."""
         self._check_open()
@@ -119,6 +124,10 @@ class SimArm:
         """Brake from the last commanded state; during `execute` (from a callback) it ends that motion."""
         if self._moving:
             self._stop_asked = True
+
+    def reset(self) -> None:
+        """Nothing latches yet."""
+        self._check_open()
 
     def _check_open(self) -> None:
         if not self._open:

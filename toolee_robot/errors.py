@@ -6,6 +6,11 @@ Every other `TooleeError` is a job that failed: the command line exits with 1.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from toolee_robot.hal import MotionReport
+
 
 class TooleeError(Exception):
     """Root of every error this project raises on purpose."""
@@ -57,3 +62,43 @@ class StaleDataError(DeviceError):
 
 class GripError(DeviceError):
     """The hand does not hold the tool (any more)."""
+
+
+class NotReadyError(DeviceError):
+    """A check before any motion failed: wrong robot, model, payload, version or mode. Nothing was moved."""
+
+
+class LatchedError(DeviceError):
+    """A fault has stopped the arm and nobody has reset it yet; names the fault. Nothing was moved."""
+
+
+class MotionFaultError(DeviceError):
+    """A fault ended a motion; the arm stands still and is latched. report: what was done until then, or None."""
+
+    def __init__(self, message: str, report: MotionReport | None = None) -> None:
+        super().__init__(message)
+        self.report = report
+
+
+class TrackingError(MotionFaultError):
+    """The arm did not follow its commands."""
+
+
+class LinkLostError(MotionFaultError, StaleDataError):
+    """The arm's data stopped coming; the robot's own watchdog stops it."""
+
+
+class OverrunError(MotionFaultError):
+    """Commands could not be sent on time."""
+
+
+class ProtectiveStopError(MotionFaultError):
+    """The robot stopped itself; a person must look why and release it at the robot."""
+
+
+class EmergencyStopError(MotionFaultError):
+    """The emergency or safeguard stop is pressed; no queued command survives it."""
+
+
+class ServoCrashError(MotionFaultError):
+    """The process that talks to the arm died or hangs."""

@@ -26,13 +26,25 @@ class Device(Protocol):
     ) -> None: ...
 
 
+class ArmStatus(StrEnum):
+    """What the robot's own safety system says. Only READY moves; everything else needs a person at the robot."""
+
+    READY = "ready"
+    PROTECTIVE_STOP = "protective_stop"
+    SAFEGUARD_STOP = "safeguard_stop"
+    EMERGENCY_STOP = "emergency_stop"
+    FAULT = "fault"
+    NOT_READY = "not_ready"
+
+
 @dataclass(frozen=True)
 class ArmState:
     """joints: 6 joints. wrench: (6,) force [N] and torque [Nm] that the environment puts on the flange, base axes,
-    payload's weight and inertia compensated as well as the arm can."""
+    payload's weight and inertia compensated as well as the arm can. status: of the robot's own safety system."""
 
     joints: JointState
     wrench: Array
+    status: ArmStatus = ArmStatus.READY
 
 
 @dataclass(frozen=True)
@@ -48,6 +60,21 @@ class ContactGuard:
     after: float = 0.0
 
 
+@dataclass(frozen=True)
+class MotionWatch:
+    """Bounds that the arm itself checks in every cycle of a motion, next to the robot; on a breach it brakes along the
+    path from its last commanded state, latches, and raises.
+
+    tracking_error: the most that a measured joint may be away from its command, the servo's known lag taken off [rad].
+    data_cycles: the most cycles for which the newest reading may be old. overruns: the most command cycles in a row
+    that may be late by half a cycle or more.
+    """
+
+    tracking_error: float = 0.05
+    data_cycles: float = 3.0
+    overruns: int = 3
+
+
 class MotionOutcome(StrEnum):
     """How a motion ended: as planned, at a contact, or stopped (a fault, a person, `stop()`)."""
 
@@ -60,7 +87,8 @@ class MotionOutcome(StrEnum):
 class MotionReport:
     """What really happened. stamps (N,) [s]; q_commanded, q_measured (N, 6); wrenches (N, 6).
 
-    contact: the arm's measured state at the first sample over the guard's force, or None.
+    contact: the arm's measured state at the first sample over the guard's force, or None. overruns: command cycles
+    that were late by half a cycle or more.
     """
 
     outcome: MotionOutcome
@@ -69,6 +97,7 @@ class MotionReport:
     q_measured: Array
     wrenches: Array
     contact: JointState | None = None
+    overruns: int = 0
 
 
 @runtime_checkable
@@ -78,8 +107,14 @@ class Arm(Device, Protocol):
     `execute` blocks until standstill and returns what was really sent and measured; the first sample must equal the
     present commanded position within 0.01 rad or nothing moves (`LimitError`). Commands go out at `rate` [Hz] on an
     absolute schedule. `stop` brings the arm to a standstill as fast as its limits allow, from the last commanded
-    state, and may be called at any time. `state(max_age)` raises `StaleDataError` when the newest reading is older
-    than max_age [s].
+    state, and may be called at any time, from any thread. `state(max_age)` raises `StaleDataError` when the newest
+    reading is older than max_age [s].
+
+    Anything that ends a motion other than its end, a contact or `stop` is a fault: the arm stands still, latches, and
+    raises a `MotionFaultError` that carries the report of what was done. While it is latched, `execute` raises
+    `LatchedError` and nothing moves. `reset` takes the latch off after a person has made the robot ready again; it
+    rebuilds the connection if need be, never clears a protective stop or an emergency stop itself, and raises
+    `DeviceError` as long as the robot is not ready.
     """
 
     @property
@@ -87,11 +122,15 @@ class Arm(Device, Protocol):
 
     def state(self, max_age: float = 0.1) -> ArmState: ...
 
-    def execute(self, trajectory: Trajectory, guard: ContactGuard | None = None) -> MotionReport: ...
+    def execute(
+        self, trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None
+    ) -> MotionReport: ...
 
     def set_payload(self, payload: Payload) -> None: ...
 
     def stop(self) -> None: ...
+
+    def reset(self) -> None: ...
 
 
 @dataclass(frozen=True)

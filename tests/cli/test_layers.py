@@ -14,7 +14,7 @@ import toolee_robot
 from toolee_robot import hal
 
 _ROOT = Path(toolee_robot.__file__).parent
-_BLIND = ("tasks", "perception", "control")
+_BLIND = ("tasks", "perception", "control", "hardware")
 
 _IMPORT_ALL = """
 import importlib, pkgutil, sys
@@ -64,7 +64,7 @@ def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
     }
     assert members == {
         "Device": set(),
-        "Arm": {"rate", "state", "execute", "set_payload", "stop"},
+        "Arm": {"rate", "state", "execute", "set_payload", "stop", "reset"},
         "Hand": {"joint_names", "state", "open", "close", "stop"},
         "RgbdCamera": {"intrinsics", "read"},
         "Person": {"request_handover", "release"},
@@ -72,4 +72,4 @@ def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
     }
     assert {f.name for f in dataclasses.fields(hal.Station)} == {"arm", "hand", "camera", "person", "clock"}
     assert {f.name for f in dataclasses.fields(hal.HandState)} == {"joints", "contact_forces", "holding", "assisted"}
-    assert {f.name for f in dataclasses.fields(hal.ArmState)} == {"joints", "wrench"}
+    assert {f.name for f in dataclasses.fields(hal.ArmState)} == {"joints", "wrench", "status"}

@@ -1,0 +1,1 @@
+"""Drivers of real devices behind `toolee_robot.hal`."""
