@@ -7,8 +7,9 @@ from typing import Self
 
 import numpy as np
 
+from toolee_robot.arm_checks import check_payload, check_trajectory
 from toolee_robot.braking import brake_on_path
-from toolee_robot.errors import DeviceError, LimitError, StaleDataError
+from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ContactGuard, MotionOutcome, MotionReport, MotionWatch
 from toolee_robot.sim_backend.flange_sensor import FlangeSensor
@@ -16,7 +17,7 @@ from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import JointState, Payload, Trajectory
 
 RATE = 125.0  # [Hz] of a CB3 controller
-START_TOLERANCE = 0.01  # [rad]
+CAPACITY = 10.0  # [kg]
 STANDSTILL = 2e-3  # [rad/s]
 SETTLE_TIME = 1.0  # [s] at most, after the last command
 
@@ -74,8 +75,7 @@ class SimArm:
 
     def set_payload(self, payload: Payload) -> None:
         """What the flange carries, hand included: for the compensation of the sensed wrench."""
-        if not 0.0 <= payload.mass <= 10.0:
-            raise LimitError(f"payload {payload.mass} kg: a UR10 carries 0 to 10 kg")
+        check_payload(payload, CAPACITY)
         self._sensor.payload = payload
 
     def execute(
@@ -87,7 +87,7 @@ class SimArm:
         """See `hal.Arm`. Raises LimitError, and nothing moves, when the trajectory breaks a limit; StaleDataError,
         after braking, when the link goes down on the way."""
         self._check_open()
-        self._check(trajectory)
+        check_trajectory(trajectory, self._q, self._lower, self._upper, self._velocity)
         log = _Log()
         contact: JointState | None = None
         outcome = MotionOutcome.COMPLETED
@@ -132,23 +132,6 @@ class SimArm:
     def _check_open(self) -> None:
         if not self._open:
             raise DeviceError("the arm is closed: use it inside its `with` block")
-
-    def _check(self, trajectory: Trajectory) -> None:
-        if trajectory.q.shape[1] != 6:
-            raise LimitError(f"the arm has 6 joints, the trajectory {trajectory.q.shape[1]}")
-        if not all(np.all(np.isfinite(a)) for a in (trajectory.times, trajectory.q, trajectory.qd, trajectory.qdd)):
-            raise LimitError("the trajectory has values that are not finite; nothing was moved")
-        jump = np.abs(trajectory.q[0] - self._q).max()
-        if jump > START_TOLERANCE:
-            raise LimitError(
-                f"the trajectory starts {jump:.3f} rad from the commanded position (allowed {START_TOLERANCE}); "
-                "plan from the arm's present state"
-            )
-        if np.any(trajectory.q < self._lower) or np.any(trajectory.q > self._upper):
-            raise LimitError("the trajectory leaves the joints' position range; nothing was moved")
-        if np.any(np.abs(trajectory.qd) > 1.001 * self._velocity):
-            worst = float((np.abs(trajectory.qd) / self._velocity).max())
-            raise LimitError(f"the trajectory is {worst:.2f} times too fast for a joint; nothing was moved")
 
     def _command(self, q: Array, qd: Array) -> None:
         """A sample that is due one tick from now: the robot moves towards it with the mean velocity of the tick."""
