@@ -59,7 +59,7 @@ def candidates(
     Raises UnreachableError when no spin does.
     """
     theta = np.arange(-np.pi, np.pi - 1e-9, SPIN_STEP)
-    q = ik.branches(flange_targets(X_base_nail, X_flange_ee, theta), newton_steps=1)
+    q = ik.branches(flange_targets(X_base_nail, X_flange_ee, theta))
     found = np.all(np.isfinite(q), axis=-1)
     rows, branch = np.nonzero(found)
     q = ik.unwrap(q[found], near)

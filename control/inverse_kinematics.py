@@ -16,6 +16,9 @@ from toolee_robot.errors import UnreachableError
 from toolee_robot.frames import Array, inverse
 
 BRANCHES = 8
+NEWTON_STEPS = 5
+NEWTON_ERROR = 1e-10
+"""[m, rad] A model with nominal kinematics is met by the closed form: no step; a calibrated one takes three or four."""
 
 
 class InverseKinematics:
@@ -33,11 +36,12 @@ class InverseKinematics:
         # The constant turn between the model's base and the controller's (a UR's URDF has half a turn).
         probe = np.array([0.3, -1.1, 0.9, -0.4, 0.7, 0.2])
         turn = arm.fk(probe) @ inverse(self._dh_fk(probe))
-        if not np.allclose(turn, arm.fk(-probe) @ inverse(self._dh_fk(-probe)), atol=5e-3):
+        # A factory calibration is some millimetres and milliradians off the closed form, another arm much more.
+        if not np.allclose(turn, arm.fk(-probe) @ inverse(self._dh_fk(-probe)), atol=2e-2):
             raise ValueError("the model's kinematics are not those of a UR arm: no closed form")
         self._X_dh_base = inverse(turn)
 
-    def branches(self, Xs_base_flange: Array, newton_steps: int = 2) -> Array:
+    def branches(self, Xs_base_flange: Array) -> Array:
         """All solutions (..., 8, 6) [rad] in (-pi, pi] for poses (..., 4, 4); NaN where a branch does not exist.
 
         Branch order: shoulder (2) x wrist (2) x elbow (2), the same along any path without a singularity.
@@ -46,7 +50,7 @@ class InverseKinematics:
         X = np.broadcast_to(Xs_base_flange[..., None, :, :], (*shape, BRANCHES, 4, 4)).reshape(-1, 4, 4)
         q = self._closed_form(Xs_base_flange.reshape(-1, 4, 4)).reshape(-1, 6)
         ok = np.all(np.isfinite(q), axis=-1)
-        q[ok] = self.polish(q[ok], X[ok], newton_steps)
+        q[ok] = self.polish(q[ok], X[ok])
         q[~ok] = np.nan
         return (np.mod(q + np.pi, 2 * np.pi) - np.pi).reshape(*shape, BRANCHES, 6)
 
@@ -79,7 +83,7 @@ class InverseKinematics:
         X = Xs_base_flange.reshape(-1, 4, 4)
         q = self._closed_form(X)[np.arange(len(X)), np.repeat(branch, length)]
         ok = np.all(np.isfinite(q), axis=-1)
-        q[ok] = self.polish(q[ok], X[ok], 2)
+        q[ok] = self.polish(q[ok], X[ok])
         q = q.reshape(count, length, 6)
         whole = ok.reshape(count, length).all(axis=1)
         turned = np.unwrap(q[whole], axis=1)
@@ -103,14 +107,16 @@ class InverseKinematics:
         q = np.where(q > self.arm.upper, q - turn, q)
         return np.where(q < self.arm.lower, q + turn, q)
 
-    def polish(self, q: Array, Xs_base_flange: Array, steps: int) -> Array:
-        """Newton steps from q (N, 6) towards the poses (N, 4, 4)."""
-        for _ in range(steps):
+    def polish(self, q: Array, Xs_base_flange: Array) -> Array:
+        """Newton steps from q (N, 6) towards the poses (N, 4, 4), until all are met or NEWTON_STEPS are done."""
+        for _ in range(NEWTON_STEPS):
             X, J = self.arm.fk_jacobian(q)
             error = np.empty((len(q), 6))
             error[:, :3] = Xs_base_flange[:, :3, 3] - X[:, :3, 3]
             # Half the sum of the axes' cross products: the rotation vector for small errors.
             error[:, 3:] = 0.5 * np.sum(np.cross(X[:, :3, :3], Xs_base_flange[:, :3, :3], axis=1), axis=2)
+            if len(q) == 0 or np.abs(error).max() < NEWTON_ERROR:
+                break
             q = q + np.clip(solve(J, error), -0.2, 0.2)
         return q
 

@@ -12,7 +12,7 @@ from toolee_robot.control.kinematics import ArmKinematics
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.frames import Array, inverse, is_rigid
 from toolee_robot.robots import RobotDescription, load_robot
-from toolee_robot.types import Payload
+from toolee_robot.types import ArmModel, DhCalibration, Payload
 
 
 class RobotModel:
@@ -38,10 +38,9 @@ class RobotModel:
         self.ik = InverseKinematics(self.arm)
 
     @staticmethod
-    @lru_cache(maxsize=1)
-    def load() -> RobotModel:
-        """The house's UR10 with the Shadow Hand. Raises AssetError naming a missing package."""
-        return RobotModel(load_robot())
+    def load(model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None = None) -> RobotModel:
+        """The house's arm with the Shadow Hand, built once. Raises AssetError naming a missing package."""
+        return _load(model, calibration)
 
     def configuration(self, q_arm: Array, q_hand: Array) -> Array:
         """Pinocchio's q (30,) from q_arm (6,) and q_hand (24,) in the description's order."""
@@ -83,3 +82,8 @@ class RobotModel:
         p_tool = (self.X_flange_hand(q_hand) @ X_hand_tool @ np.append(p_tool_com, 1.0))[:3]
         total = hand.mass + mass
         return Payload(total, (hand.mass * hand.center_of_mass + mass * p_tool) / total)
+
+
+@lru_cache(maxsize=4)
+def _load(model: ArmModel, calibration: DhCalibration | None) -> RobotModel:
+    return RobotModel(load_robot(model, calibration))

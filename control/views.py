@@ -143,7 +143,7 @@ def _sample(
         sight = -away / np.linalg.norm(away, axis=-1)[:, None]
     inside = _in_image(camera, X_base_camera, Xs)
     Xs = Xs[inside]
-    q = robot.ik.branches(Xs @ inverse(X_flange_ee), newton_steps=1)
+    q = robot.ik.branches(Xs @ inverse(X_flange_ee))
     row, branch = np.nonzero(np.all(np.isfinite(q), axis=-1))
     q = robot.ik.unwrap(q[row, branch], near)
     sigma = smallest_singular_value(robot.arm.fk_jacobian(q)[1])

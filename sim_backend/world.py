@@ -61,7 +61,7 @@ class SimWorld:
         self.after_step: list[Callable[[], None]] = []
         self.observers: list[Callable[[Sample], None]] = []
         pb.setGravity(0.0, 0.0, -9.81, physicsClientId=self.client)
-        robot = load_robot()
+        robot = load_robot(config.arm.model, config.arm.calibration)
         posture = hand_posture("open")
         q_hand = np.array([posture.get(name, 0.0) for name in robot.hand_joints])
         q_arm = np.array(config.scene.home if options.q_start is None else options.q_start)

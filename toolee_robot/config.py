@@ -20,7 +20,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array, frame_from_axes, transform
-from toolee_robot.types import CameraIntrinsics
+from toolee_robot.types import ArmModel, CameraIntrinsics, DhCalibration
 
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -102,15 +102,19 @@ class WorkConfig:
 
 @dataclass(frozen=True)
 class ArmLimits:
-    """What the planner may use: per joint velocity [rad/s], acceleration [rad/s^2] and jerk [rad/s^3].
+    """Which arm it is, and what the planner may use: per joint velocity [rad/s], acceleration [rad/s^2] and jerk
+    [rad/s^3].
 
     UR10 data sheet: base and shoulder 120 deg/s, the others 180 deg/s. Accelerations are not public: 15 for blows keeps
     the elbow, which carries most of a blow here, under 90 % of its 150 Nm (inverse dynamics of arm, hand and a 0.9 kg
     hammer while braking; 53 % in the run-up); a common, slower choice is 8. Lower elsewhere.
-    stop_acceleration, stop_jerk: of the braking after a contact or a stop.
+    stop_acceleration, stop_jerk: of the braking after a contact or a stop. calibration: of this very arm, from its
+    controller's calibration.conf; without it the model's nominal kinematics hold, a millimetre or two off.
     """
 
     __pydantic_config__ = _STRICT
+    model: ArmModel = ArmModel.UR10
+    calibration: DhCalibration | None = None
     velocity: tuple[Positive, Positive, Positive, Positive, Positive, Positive] = (2.09, 2.09, 3.14, 3.14, 3.14, 3.14)
     acceleration: Positive = 15.0
     jerk: Positive = 500.0

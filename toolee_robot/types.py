@@ -35,6 +35,28 @@ _SYMMETRY = {
 }
 
 
+class ArmModel(StrEnum):
+    """The arms whose kinematics and controller are known."""
+
+    UR10 = "UR10"
+    UR10E = "UR10e"
+
+
+Six = tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True)
+class DhCalibration:
+    """How an arm's own Denavit-Hartenberg parameters differ from its model's, as the factory measured them: the
+    entries of the same names in the controller's calibration.conf, base to wrist 3. theta, alpha [rad], a, d [m]."""
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012  (read by pydantic, not a field)
+    delta_theta: Six
+    delta_a: Six
+    delta_d: Six
+    delta_alpha: Six
+
+
 @dataclass(frozen=True)
 class CameraIntrinsics:
     """Pinhole camera without distortion [px]; pixel centres are at integer coordinates (OpenCV)."""

@@ -41,7 +41,7 @@ class BenchScene:
     def __init__(self, sim: SimStation, config: StationConfig, grasp: Grasp, frame: RgbdFrame, X: Array) -> None:
         self._sim, self._config, self._grasp = sim, config, grasp
         self.frame, self.X_camera_hand = frame, X
-        self.robot = RobotModel.load()
+        self.robot = RobotModel.load(config.arm.model, config.arm.calibration)
         self.q_arm = sim.station.arm.state().joints.q
         self.q_hand = sim.station.hand.state().joints.q
 

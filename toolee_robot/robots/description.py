@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import shutil
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -15,12 +15,13 @@ import trimesh
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.robots.assets import cache_folder, model_versions, shadow_hand_folder, ur10_urdf
+from toolee_robot.robots.dh import joint_origins
 from toolee_robot.robots.grasp import posture_vector
 from toolee_robot.robots.meshes import link_mesh
 from toolee_robot.robots.mjcf import read_shadow_hand
 from toolee_robot.robots.tree import Shape, Tree
 from toolee_robot.robots.urdf import read_ur10, write_urdf
-from toolee_robot.types import Payload
+from toolee_robot.types import ArmModel, DhCalibration, Payload
 
 BASE_FRAME = "base_link"
 FLANGE_FRAME = "tool0"
@@ -46,8 +47,11 @@ _ARM_CELL = 0.012  # [m]
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """UR10 and Shadow Hand as one kinematic tree rooted in `base` (the UR base_link).
+    """Arm and Shadow Hand as one kinematic tree rooted in `base` (the UR base_link).
 
+    model: of the arm. calibrated: whether the kinematics are this very arm's, or the model's nominal ones, which are a
+    millimetre or two off at the flange. A UR10e has its own kinematics, but the UR10's meshes and inertias, which are
+    an approximation: its base stands 53 mm lower in them than the arm does.
     urdf_path: the merged URDF, absolute mesh paths. package_dirs: for Pinocchio's loaders. arm_joints (6) and
     hand_joints (24, wrist first) are the URDF's joint names; pybullet keeps this order, Pinocchio sorts sibling
     fingers by name, so map by name there.
@@ -55,6 +59,8 @@ class RobotDescription:
     velocity (30,) [rad/s]; all arm first.
     """
 
+    model: ArmModel
+    calibrated: bool
     urdf_path: Path
     package_dirs: tuple[Path, ...]
     tree: Tree
@@ -100,10 +106,14 @@ def hand_tree() -> Tree:
     return read_shadow_hand(shadow_hand_folder(), FLANGE_FRAME, X_FLANGE_FOREARM)
 
 
-@lru_cache(maxsize=1)
-def robot_tree() -> Tree:
+@lru_cache(maxsize=4)
+def robot_tree(model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None = None) -> Tree:
     """The merged kinematic tree. Raises AssetError naming the pip package when a model is missing."""
-    tree = Tree((*read_ur10(ur10_urdf()).links, *hand_tree().links))
+    arm = read_ur10(ur10_urdf()).links
+    if model is not ArmModel.UR10 or calibration is not None:
+        origins = joint_origins([link.X_parent_joint for link in arm[1:]], model, calibration)
+        arm = (arm[0], *(replace(link, X_parent_joint=X) for link, X in zip(arm[1:], origins, strict=True)))
+    tree = Tree((*arm, *hand_tree().links))
     if tree.joints != (*ARM_JOINTS, *HAND_JOINTS):
         raise AssetError(
             f"the model packages changed their joints: {tree.joints}; install the versions in pyproject.toml"
@@ -111,12 +121,12 @@ def robot_tree() -> Tree:
     return tree
 
 
-def _install(tree: Tree) -> Path:
+def _install(name: str, tree: Tree) -> Path:
     """Write URDF and meshes into the cache, once per content; returns the URDF's path."""
-    probe = write_urdf("ur10_shadow", tree, lambda shape: Path(shape.mesh.name if shape.mesh else ""))
+    probe = write_urdf(name, tree, lambda shape: Path(shape.mesh.name if shape.mesh else ""))
     key = hashlib.sha256((model_versions() + probe).encode()).hexdigest()[:16]
     folder = cache_folder() / f"robot-{key}"
-    urdf = folder / "ur10_shadow.urdf"
+    urdf = folder / f"{name}.urdf"
     if urdf.is_file():
         return urdf
     scratch = Path(tempfile.mkdtemp(dir=folder.parent))
@@ -131,7 +141,7 @@ def _install(tree: Tree) -> Path:
             shutil.copyfile(shape.mesh, target)
         return folder / "meshes" / target.name
 
-    (scratch / urdf.name).write_text(write_urdf("ur10_shadow", tree, place))
+    (scratch / urdf.name).write_text(write_urdf(name, tree, place))
     try:
         scratch.replace(folder)
     except OSError:  # another process was first
@@ -141,14 +151,23 @@ def _install(tree: Tree) -> Path:
     return urdf
 
 
-@lru_cache(maxsize=1)
-def load_robot() -> RobotDescription:
-    """Build (or find in the cache) the merged robot. Raises AssetError naming a missing pip package."""
-    tree = robot_tree()
-    urdf = _install(tree)
+def load_robot(model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None = None) -> RobotDescription:
+    """Build (or find in the cache) the merged robot, calibrated where its arm's calibration is given.
+
+    Raises AssetError naming a missing pip package.
+    """
+    return _load_robot(model, calibration)
+
+
+@lru_cache(maxsize=4)
+def _load_robot(model: ArmModel, calibration: DhCalibration | None) -> RobotDescription:
+    tree = robot_tree(model, calibration)
+    urdf = _install(f"{model.lower()}_shadow", tree)
     lower, upper = tree.limits()
     movable = [link for link in tree.links if link.axis is not None]
     return RobotDescription(
+        model=model,
+        calibrated=calibration is not None,
         urdf_path=urdf,
         package_dirs=(urdf.parent,),
         tree=tree,

@@ -80,7 +80,7 @@ class HammeringTask:
         self._grasp = grasp
         self._correction = correction
         self._observer = observer or TaskObserver()
-        self._robot = RobotModel.load()
+        self._robot = RobotModel.load(config.arm.model, config.arm.calibration)
         self._motions = Motions(station, config, self._robot, self._observer, grasp.X_hand_ee)
         self._gauge = NailGauge(self._motions, config, self._robot, self._observer)
         self._stages = Stages(self._observer)
