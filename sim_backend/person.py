@@ -30,7 +30,8 @@ def handed_over(X_hand_nominal: Array, offset: InHandOffset) -> Array:
 class SimPerson:
     """A `hal.Person` who is always prompt. comes: whether they have a tool to give.
 
-    visible_arm: elbow and hand (3,) in `base` while the person holds the tool, else None.
+    visible_arm: elbow and hand (3,) in `base` while the person holds the tool, else None. confirms, attends: whether
+    they confirm a swing, and hold the enabling switch; stays: whether they stay in reach when asked to step back.
     """
 
     def __init__(self, world: SimWorld, offset: InHandOffset, comes: bool) -> None:
@@ -44,6 +45,7 @@ class SimPerson:
         self.body = fixed_box(world.client, scene.person_size, self._place, (0.25, 0.3, 0.45))
         self.center = self._place.copy()
         self.visible_arm: tuple[Array, Array] | None = None
+        self.confirms, self.attends, self.stays = True, True, False
         self._constraint: int | None = None
         tool = world.tool.tool
         X_nominal = nominal_X_hand_tool(float(np.mean(tool.handle.radii_at(0.0))))
@@ -70,17 +72,47 @@ class SimPerson:
 
     def release(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
         """Let go and step back."""
-        if timeout < STEP_TIME:
+        if self.stays or timeout < STEP_TIME:
             self._world.advance(timeout)
             return False
         self._let_go()
         self.visible_arm = None
-        steps = round(STEP_TIME / TICK)
-        for k in range(1, steps + 1):
-            self.center = self._place + k / steps * (self._back - self._place)
-            set_body_pose(self._world.client, self.body, transform(p=self.center))
-            self._world.advance(TICK)
+        self._walk(self._back)
         return True
+
+    def step_in(self) -> None:
+        """Come back to the arm, from one moment to the next: what nobody may do while it swings."""
+        self._stand(self._place)
+
+    def take_tool(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        """Come to the arm and take hold of the tool where the hand has it."""
+        if self.stays or timeout < STEP_TIME:
+            self._world.advance(timeout)
+            return False
+        self._walk(self._place)
+        self._let_go()
+        self._grasp(self._world.X_base_tool())
+        return True
+
+    def confirm_swing(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        return self.confirms
+
+    def inside(self) -> bool:
+        """Whether they stand nearer than half a step back from their place at the arm."""
+        return bool(np.linalg.norm(self.center - self._place) < 0.5 * STEP_BACK)
+
+    def attending(self) -> bool:
+        return self.attends
+
+    def _walk(self, to: Array) -> None:
+        start, steps = self.center.copy(), round(STEP_TIME / TICK)
+        for k in range(1, steps + 1):
+            self._stand(start + k / steps * (to - start))
+            self._world.advance(TICK)
+
+    def _stand(self, center: Array) -> None:
+        self.center = center.copy()
+        set_body_pose(self._world.client, self.body, transform(p=self.center))
 
     def _clear_of_hand(self) -> Array:
         """X_hand_tool moved out of the palm, along its normal, until nothing of the hand overlaps the tool."""

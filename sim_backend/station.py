@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
+from toolee_robot.config import SIMULATED, StationConfig
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
 from toolee_robot.hal import Station
@@ -75,7 +75,8 @@ class SimStation:
             clock = SimClock(world)
             visuals = SceneVisuals(world, person, seed)
             camera = SimCamera(visuals, clock, config.camera, seed)
-            station = Station(SimArm(world), SimHand(world, options.friction), camera, person, clock)
+            hand = SimHand(world, options.friction)
+            station = Station(SimArm(world), hand, camera, person, clock, SIMULATED, SIMULATED)
             judge = Judge(world)
             world.after_step.append(judge.after_step)
         except BaseException:

@@ -11,6 +11,7 @@ are, and how the hand holds a tool nominally. Lengths [m], angles [rad].
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
 from typing import Annotated
 
@@ -56,6 +57,57 @@ class CameraConfig:
         z = np.subtract(self.target, self.position)
         x = np.cross(z, [0.0, 0.0, 1.0])
         return frame_from_axes(z=z, x=x, p=self.position)
+
+
+@dataclass(frozen=True)
+class CalibrationConfig:
+    """Whose calibration this file holds: `camera` stands where it does for one robot, one camera, one day.
+
+    measured_on: ISO 8601 date. robot_serial, camera_serial: of the devices that were calibrated to each other; they
+    must be those of the station. residual: root mean square [m] of the board's points on poses held out from the fit,
+    at most max_residual. valid_days: after that many days it must be repeated; None where nothing can have moved, as in
+    the simulation.
+    """
+
+    __pydantic_config__ = _STRICT
+    measured_on: str
+    robot_serial: str
+    camera_serial: str
+    residual: NotNegative
+    max_residual: Positive = 0.004
+    valid_days: Positive | None = 30.0
+
+    def __post_init__(self) -> None:
+        try:
+            date.fromisoformat(self.measured_on)
+        except ValueError as error:
+            raise ValueError(f"measured_on {self.measured_on!r} is no date: write it as 2026-11-20") from error
+
+    def problems(self, robot_serial: str, camera_serial: str, today: date) -> list[str]:
+        """Why this calibration must not be used with these devices today, one sentence each; empty if it may."""
+        found = []
+        for what, mine, theirs in (
+            ("robot", self.robot_serial, robot_serial),
+            ("camera", self.camera_serial, camera_serial),
+        ):
+            if mine != theirs:
+                found.append(f"it is of {what} {mine!r}, the station has {what} {theirs!r}: calibrate this one")
+        age = (today - date.fromisoformat(self.measured_on)).days
+        if age < 0:
+            found.append(f"it was measured on {self.measured_on}, which is still to come: set the clock")
+        elif self.valid_days is not None and age > self.valid_days:
+            found.append(f"it is {age} days old, {self.valid_days:g} are allowed: calibrate again")
+        if self.residual > self.max_residual:
+            found.append(
+                f"its residual is {self.residual * 1e3:.1f} mm, {self.max_residual * 1e3:.1f} are allowed: calibrate "
+                "again with more and steeper poses"
+            )
+        return found
+
+
+SIMULATED = "simulated"
+"""The serial number of every simulated device."""
+SIMULATED_CALIBRATION = CalibrationConfig("2026-01-01", SIMULATED, SIMULATED, 0.0, valid_days=None)
 
 
 @dataclass(frozen=True)
@@ -195,16 +247,44 @@ class SceneConfig:
 
 
 @dataclass(frozen=True)
-class StationConfig:
-    """A whole station."""
+class SupervisorConfig:
+    """What the supervisor lets pass, on top of the joints' limits.
+
+    handover_speed: of flange and tool [m/s] at most in HANDOVER mode, with a person in reach: the reduced speed of
+    ISO 10218-1. hammering_speed: at most in HAMMERING mode, with nobody in reach; a usual safety setting of a UR arm.
+    tracking_error [rad], data_cycles, overruns: of the arm's `MotionWatch`. max_data_age: of the arm's newest reading
+    before a motion [s]. early_contact, late_contact: how far before, and beyond, the expected place a blow may meet the
+    nail [m]: two of the sensed force's cycles at 1.2 m/s, and what the wrist gives way.
+    max_hand_temperature [deg C]: a hotter hand gets no further blow. ask_before_swing: whether a person must confirm
+    the first swing of a job.
+    """
 
     __pydantic_config__ = _STRICT
+    handover_speed: Positive = 0.25
+    hammering_speed: Positive = 1.5
+    tracking_error: Positive = 0.05
+    data_cycles: Positive = 3.0
+    overruns: Count = 3
+    max_data_age: Positive = 0.1
+    early_contact: Positive = 0.024
+    late_contact: Positive = 0.040
+    max_hand_temperature: Positive = 65.0
+    ask_before_swing: bool = True
+
+
+@dataclass(frozen=True)
+class StationConfig:
+    """A whole station. calibration: None where nobody has calibrated it, which no job accepts."""
+
+    __pydantic_config__ = _STRICT
+    calibration: CalibrationConfig | None = SIMULATED_CALIBRATION
     camera: CameraConfig = field(default_factory=CameraConfig)
     work: WorkConfig = field(default_factory=WorkConfig)
     scene: SceneConfig = field(default_factory=SceneConfig)
     arm: ArmLimits = field(default_factory=ArmLimits)
     strike: StrikeConfig = field(default_factory=StrikeConfig)
     task: TaskConfig = field(default_factory=TaskConfig)
+    supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
 
 
 def load_station(path: Path) -> StationConfig:

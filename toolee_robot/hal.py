@@ -139,13 +139,17 @@ class HandState:
 
     contact_forces: finger -> force [N] on its pads (0 where nothing is touched); names are "thumb", "index",
     "middle", "ring", "little", and "palm" where it can be felt. holding: the hand's own judgement that something is
-    held. assisted: the hold is the simulation's assisted grip, not friction alone.
+    held. assisted: the hold is the simulation's assisted grip, not friction alone. temperature: of the hottest part
+    [deg C], None where the hand cannot tell. fault: what the hand complains of (stalled, over current, ...), in words;
+    empty if nothing.
     """
 
     joints: JointState
     contact_forces: dict[str, float]
     holding: bool
     assisted: bool = False
+    temperature: float | None = None
+    fault: str = ""
 
 
 @runtime_checkable
@@ -181,7 +185,12 @@ class RgbdCamera(Device, Protocol):
 
 @runtime_checkable
 class Person(Protocol):
-    """The person at the station: hands the tool over and confirms what software must not decide."""
+    """The person at the station: hands the tool over and confirms what software must not decide.
+
+    Every question waits at most `timeout` [s]; no answer is a no. `inside` and `attending` answer at once, from any
+    thread, and are asked all through a motion: a light barrier, a scanner, an enabling switch, or a key held down. A
+    station that cannot tell must say True to `inside`: nothing fast moves then.
+    """
 
     def request_handover(self, prompt: str, timeout: float) -> bool:
         """Ask for the tool; True once the person says that it lies in the open hand, False on time-out [s]."""
@@ -189,6 +198,22 @@ class Person(Protocol):
 
     def release(self, prompt: str, timeout: float) -> bool:
         """Ask the person to let go and step back; True once they confirm that they are out of reach."""
+        ...
+
+    def take_tool(self, prompt: str, timeout: float) -> bool:
+        """Ask the person to hold the tool that the hand still grips; True once they say that the hand may open."""
+        ...
+
+    def confirm_swing(self, prompt: str, timeout: float) -> bool:
+        """Ask whether fast blows may begin; True once the person confirms it."""
+        ...
+
+    def inside(self) -> bool:
+        """Whether anybody is, or may be, within the arm's reach."""
+        ...
+
+    def attending(self) -> bool:
+        """Whether the person lets the arm move slowly while they are near: the enabling switch is held."""
         ...
 
 
@@ -203,10 +228,12 @@ class Clock(Protocol):
 
 @dataclass(frozen=True)
 class Station:
-    """Everything a task may touch."""
+    """Everything a task may touch. robot_serial, camera_serial: who the devices say they are; empty if they cannot."""
 
     arm: Arm
     hand: Hand
     camera: RgbdCamera
     person: Person
     clock: Clock
+    robot_serial: str = ""
+    camera_serial: str = ""

@@ -67,9 +67,15 @@ def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
         "Arm": {"rate", "state", "execute", "set_payload", "stop", "reset"},
         "Hand": {"joint_names", "state", "open", "close", "stop"},
         "RgbdCamera": {"intrinsics", "read"},
-        "Person": {"request_handover", "release"},
+        "Person": {"request_handover", "release", "take_tool", "confirm_swing", "inside", "attending"},
         "Clock": {"now", "sleep"},
     }
-    assert {f.name for f in dataclasses.fields(hal.Station)} == {"arm", "hand", "camera", "person", "clock"}
-    assert {f.name for f in dataclasses.fields(hal.HandState)} == {"joints", "contact_forces", "holding", "assisted"}
+    assert {f.name for f in dataclasses.fields(hal.Station)} == {
+        *("arm", "hand", "camera", "person", "clock"),
+        *("robot_serial", "camera_serial"),
+    }
+    assert {f.name for f in dataclasses.fields(hal.HandState)} == {
+        *("joints", "contact_forces", "holding", "assisted"),
+        *("temperature", "fault"),
+    }
     assert {f.name for f in dataclasses.fields(hal.ArmState)} == {"joints", "wrench", "status"}

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from datetime import date
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from toolee_robot.config import StationConfig, load_station
+from toolee_robot.config import SIMULATED, CalibrationConfig, StationConfig, load_station
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import is_rigid
 
@@ -45,6 +46,9 @@ def test_an_empty_file_is_the_default_station(tmp_path: Path) -> None:
         ("- a\n- list", "lab.yaml"),
         ("work: {nail_xy: [0.6, 0.2", "lab.yaml"),
         ("just words", "lab.yaml"),
+        ("calibration: {measured_on: 20th of May, robot_serial: a, camera_serial: b, residual: 0}", "measured_on"),
+        ("calibration: {measured_on: '2026-05-20'}", "calibration"),
+        ("supervisor: {hammering_speed: 0}", "supervisor.hammering_speed"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, says: str) -> None:
@@ -77,3 +81,35 @@ def test_the_nails_frame_points_into_the_wood_and_sinks_with_it() -> None:
     np.testing.assert_allclose(X0[:3, 2], [0, 0, -1])
     assert X0[2, 3] - X1[2, 3] == pytest.approx(work.nail_protrusion)
     assert X1[2, 3] == pytest.approx(work.wood_height)
+
+
+@pytest.mark.parametrize(
+    ("record", "devices", "today", "says"),
+    [
+        ({}, ("R1", "C1"), "2026-05-20", []),
+        ({}, ("R1", "C1"), "2026-06-19", []),
+        ({}, ("R1", "C1"), "2026-06-20", ["31 days old"]),
+        ({"valid_days": None}, ("R1", "C1"), "2036-06-20", []),
+        ({}, ("R1", "C1"), "2026-05-19", ["still to come"]),
+        ({}, ("R2", "C1"), "2026-05-20", ["robot 'R1'"]),
+        ({}, ("", ""), "2026-05-20", ["robot", "camera"]),
+        ({}, ("R1", "C2"), "2026-05-20", ["camera 'C1'"]),
+        ({"residual": 0.005}, ("R1", "C1"), "2026-05-20", ["5.0 mm"]),
+    ],
+)
+def test_a_calibration_is_for_one_robot_one_camera_and_some_weeks(
+    record: dict[str, float | None], devices: tuple[str, str], today: str, says: list[str]
+) -> None:
+    calibration = CalibrationConfig(**{"measured_on": "2026-05-20", "robot_serial": "R1", "camera_serial": "C1",
+                                       "residual": 0.001, **record})  # type: ignore[arg-type]  # fmt: skip
+    problems = calibration.problems(*devices, date.fromisoformat(today))
+    assert len(problems) == len(says)
+    assert all(expected in problem for expected, problem in zip(says, problems, strict=True))
+
+
+def test_the_default_station_is_calibrated_for_the_simulated_devices_and_no_others(tmp_path: Path) -> None:
+    calibration = StationConfig().calibration
+    assert calibration is not None
+    assert calibration.problems(SIMULATED, SIMULATED, date(2040, 1, 1)) == []
+    assert len(calibration.problems("20235012345", "F1370001", date(2026, 11, 20))) == 2
+    assert load_station(_write(tmp_path, "calibration: null")).calibration is None
