@@ -60,6 +60,14 @@ class StaleDataError(DeviceError):
     """The newest reading is older than the caller allows."""
 
 
+class NoAnswerError(DeviceError):
+    """A device cannot be reached, is silent, or closed the connection."""
+
+
+class ProtocolError(DeviceError):
+    """A device sent what its protocol does not allow: it is another device, or another version of it."""
+
+
 class GripError(DeviceError):
     """The hand does not hold the tool (any more)."""
 

@@ -1,0 +1,73 @@
+"""TCP with a deadline: every call ends by it, and what the network says becomes one of our errors."""
+
+from __future__ import annotations
+
+import select
+import socket
+import threading
+import time
+from contextlib import suppress
+
+from toolee_robot.errors import NoAnswerError
+
+_CHUNK = 65536
+
+
+def remaining(deadline: float) -> float:
+    """Seconds until `deadline` (a value of `time.monotonic()`), at least 1 ms so that a ready socket is still read."""
+    return max(deadline - time.monotonic(), 1e-3)
+
+
+def resolve(host: str, deadline: float) -> str:
+    """IPv4 address of a host; the resolver, which takes no time limit, runs beside. Raises NoAnswerError."""
+    with suppress(OSError):
+        socket.inet_pton(socket.AF_INET, host)
+        return host
+    found: list[str] = []
+
+    def ask() -> None:
+        with suppress(OSError, UnicodeError):
+            found.append(socket.gethostbyname(host))
+
+    thread = threading.Thread(target=ask, daemon=True)
+    thread.start()
+    thread.join(remaining(deadline))
+    if not found:
+        raise NoAnswerError(f"no address is known for the host {host!r}: give the robot's IP address")
+    return found[0]
+
+
+def connect(host: str, port: int, deadline: float) -> socket.socket:
+    """A connected socket with Nagle's algorithm off. Raises NoAnswerError."""
+    address = resolve(host, deadline)
+    try:
+        sock = socket.create_connection((address, port), timeout=remaining(deadline))
+    except TimeoutError as error:
+        raise NoAnswerError(f"{host}:{port} does not answer") from error
+    except OSError as error:
+        raise NoAnswerError(f"{host}:{port}: {error.strerror or error}") from error
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return sock
+
+
+def send(sock: socket.socket, data: bytes, deadline: float) -> None:
+    """Send all of it. Raises NoAnswerError."""
+    try:
+        sock.settimeout(remaining(deadline))
+        sock.sendall(data)
+    except OSError as error:
+        raise NoAnswerError(f"the connection broke while sending: {error.strerror or error}") from error
+
+
+def receive(sock: socket.socket, deadline: float) -> bytes:
+    """Whatever has come, at least one byte. Raises NoAnswerError."""
+    try:
+        ready, _, _ = select.select([sock], [], [], remaining(deadline))
+        data = sock.recv(_CHUNK) if ready else None
+    except (OSError, ValueError) as error:
+        raise NoAnswerError(f"the connection broke: {error}") from error
+    if data is None:
+        raise NoAnswerError("no answer in time")
+    if not data:
+        raise NoAnswerError("the other side closed the connection")
+    return data
