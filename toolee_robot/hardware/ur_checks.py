@@ -13,8 +13,9 @@ import numpy as np
 from toolee_robot.findings import Finding, Level
 from toolee_robot.frames import Array
 from toolee_robot.hardware.rtde_reader import RTDE_PORT
-from toolee_robot.hardware.ur_kinematics import angle_between, best_model, model_error
+from toolee_robot.hardware.ur_kinematics import angle_between, tcp_error, worst_error
 from toolee_robot.hardware.ur_probe import RtdeQuality, UrReport, UrState
+from toolee_robot.robots.dh import DhParameters
 from toolee_robot.types import ArmModel, DhCalibration, Payload
 
 ROBOT_MODES = {
@@ -55,9 +56,8 @@ _SAFETY_REMEDY = {
 
 MASS_TOLERANCE, COG_TOLERANCE = 0.1, 0.02  # [kg], [m]
 TCP_TOLERANCE, TCP_ANGLE_TOLERANCE = 1e-3, np.deg2rad(0.5)  # [m], [rad]
-FITS, FITS_NOMINALLY = 1e-3, 8e-3
-"""[m] A model with its calibration agrees with the controller's own kinematics to FITS; a factory calibration is some
-millimetres away from the nominal model; the UR10 and the UR10e are 50 mm apart."""
+FITS, FITS_NOMINALLY = 1e-3, 0.015
+"""[m] What agrees; and how far an arm may be from its nominal model. UR10 and UR10e are 50 mm apart."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,8 @@ def check(report: UrReport, expected: UrExpected) -> list[Finding]:
         *_motion(state),
         _slider(state),
         _payload(state, expected),
-        *_kinematics(state, expected),
+        _tcp(state, expected),
+        _kinematics(report, state, expected),
     ]
     if quality is None:
         why = "too few readings came to judge the rate"
@@ -253,43 +254,44 @@ def _payload_text(payload: Payload) -> str:
     return f"{payload.mass:.2f} kg at ({x:.0f}, {y:.0f}, {z:.0f}) mm"
 
 
-def _kinematics(state: UrState, expected: UrExpected) -> Iterator[Finding]:
-    wanted = np.zeros(6) if expected.tcp is None else expected.tcp
-    tcp = wanted if state.tcp_offset is None else state.tcp_offset
-    if state.tcp_offset is None:
-        yield _warn("TCP", "this PolyScope does not tell its offset", f"set it to {_tcp_text(wanted)} on the pendant")
-    elif expected.tcp is None:
-        yield _ok("TCP", _tcp_text(tcp))
-    else:
-        apart = float(np.linalg.norm(tcp[:3] - wanted[:3]))
-        turned = angle_between(tcp[3:], wanted[3:])
-        if not (apart <= TCP_TOLERANCE and turned <= TCP_ANGLE_TOLERANCE):
-            yield _fail(
-                "TCP",
-                f"{_tcp_text(tcp)}, the configuration says {_tcp_text(wanted)}",
-                "set it in the installation's TCP page",
-            )
-        else:
-            yield _ok("TCP", _tcp_text(tcp))
-    error = model_error(expected.model, expected.calibration, state.q, tcp, state.tcp_pose)
-    which = f"the {'calibrated' if expected.calibration else 'nominal'} {expected.model}"
-    says = f"{which} agrees with the controller to {error * 1e3:.2f} mm at this pose"
-    if error <= FITS:
-        yield _ok("kinematics", says)
-        return
-    says = f"{which} is {error * 1e3:.1f} mm off the controller at this pose"
-    if error <= FITS_NOMINALLY and expected.calibration is None:
-        yield _warn(
-            "kinematics", says, "give arm.calibration: the factory's values are in the robot's calibration.conf"
-        )
-        return
-    best, fit = best_model(state.q, tcp, state.tcp_pose)
-    if fit <= FITS_NOMINALLY and best is not expected.model:
-        yield _fail("kinematics", f"{says}; {best} fits to {fit * 1e3:.1f} mm", "set arm.model in the station file")
-    elif expected.calibration is not None:
-        yield _fail("kinematics", says, "arm.calibration is of another robot: read it from this one")
-    else:
-        yield _fail("kinematics", says, "check model and TCP; a joint may have been replaced without calibration")
+def _tcp(state: UrState, expected: UrExpected) -> Finding:
+    tcp, wanted = state.tcp_offset, expected.tcp
+    if tcp is None:
+        return _warn("TCP", "this PolyScope does not tell its offset", "compare it on the teach pendant")
+    if wanted is None:
+        return _ok("TCP", _tcp_text(tcp))
+    apart, turned = float(np.linalg.norm(tcp[:3] - wanted[:3])), angle_between(tcp[3:], wanted[3:])
+    if not (apart <= TCP_TOLERANCE and turned <= TCP_ANGLE_TOLERANCE):
+        says = f"{_tcp_text(tcp)}, the configuration says {_tcp_text(wanted)}"
+        return _fail("TCP", says, "set it in the installation's TCP page")
+    return _ok("TCP", _tcp_text(tcp))
+
+
+def _kinematics(report: UrReport, state: UrState, expected: UrExpected) -> Finding:
+    """By the controller's own parameters where it tells them, otherwise by where it says that the TCP is now."""
+    name = "kinematics"
+
+    def error(dh: DhParameters) -> float:
+        if report.kinematics is not None:
+            return worst_error(dh, report.kinematics.dh)
+        tcp = next((t for t in (state.tcp_offset, expected.tcp) if t is not None), np.zeros(6))
+        return tcp_error(dh, state.q, tcp, state.tcp_pose)
+
+    calibrated = expected.calibration is not None
+    off = error(DhParameters.of(expected.model, expected.calibration))
+    where = "at most" if report.kinematics is not None else "in this posture"
+    says = f"the {'calibrated' if calibrated else 'nominal'} {expected.model} is {off * 1e3:.1f} mm off the arm {where}"
+    if off <= FITS:
+        return _ok(name, says)
+    if off <= FITS_NOMINALLY and not calibrated:
+        return _warn(name, says, "set arm.calibration to this arm's own: `toolee doctor --json` prints it")
+    fits = {model: error(DhParameters.of(model)) for model in ArmModel}
+    best = min(fits, key=lambda model: fits[model])
+    if fits[best] <= FITS_NOMINALLY and best is not expected.model:
+        return _fail(name, f"{says}; {best} fits to {fits[best] * 1e3:.1f} mm", "set arm.model in the station file")
+    if calibrated:
+        return _fail(name, says, "arm.calibration is of another arm: `toolee doctor --json` prints this one's")
+    return _fail(name, says, "check model and TCP; a joint may have been replaced without a new calibration")
 
 
 def _tcp_text(tcp: Array) -> str:

@@ -1,4 +1,4 @@
-"""Which model do the controller's own figures fit? It tells joints and TCP pose, not its kinematics."""
+"""Is our model of the arm the controller's own? Compared by where they put the flange or the TCP."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.frames import Array, transform
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.types import ArmModel, DhCalibration
+
+ANGLE_ARM = 0.1
+"""[m] An error of orientation counts as what it moves a point so far away: the hand's length."""
 
 
 def pose_matrix(pose: Array) -> Array:
@@ -20,21 +23,37 @@ def angle_between(a: Array, b: Array) -> float:
     return float((Rotation.from_rotvec(a).inv() * Rotation.from_rotvec(b)).magnitude())
 
 
-def model_error(
-    model: ArmModel, calibration: DhCalibration | None, q: Array, tcp_offset: Array, tcp_pose: Array
-) -> float:
-    """Distance [m] of the TCP by this model at q (6,) from where the controller says that it is.
-
-    tcp_offset: (6,) in the flange. tcp_pose: (6,) in the controller's base. The orientation counts as if 0.1 m away.
-    """
-    X = DhParameters.of(model, calibration).fk(q) @ pose_matrix(tcp_offset)
-    Y = pose_matrix(tcp_pose)
+def pose_error(X: Array, Y: Array) -> float:
+    """Distance [m] of two poses (4x4), their orientations counted with ANGLE_ARM."""
     turned = Rotation.from_matrix(X[:3, :3].T @ Y[:3, :3]).magnitude()
-    return float(np.hypot(np.linalg.norm(X[:3, 3] - Y[:3, 3]), 0.1 * turned))
+    return float(np.hypot(np.linalg.norm(X[:3, 3] - Y[:3, 3]), ANGLE_ARM * turned))
 
 
-def best_model(q: Array, tcp_offset: Array, tcp_pose: Array) -> tuple[ArmModel, float]:
-    """The nominal model that fits best, and its error [m]."""
-    errors = {model: model_error(model, None, q, tcp_offset, tcp_pose) for model in ArmModel}
-    best = min(errors, key=lambda m: errors[m])
-    return best, errors[best]
+def tcp_error(dh: DhParameters, q: Array, tcp_offset: Array, tcp_pose: Array) -> float:
+    """How far [m] the TCP is, by these parameters at q (6,), from where the controller says that it is.
+
+    tcp_offset: (6,) in the flange. tcp_pose: (6,) in the controller's base.
+    """
+    return pose_error(dh.fk(q) @ pose_matrix(tcp_offset), pose_matrix(tcp_pose))
+
+
+def worst_error(a: DhParameters, b: DhParameters) -> float:
+    """How far [m] two arms' flanges are apart at most, over postures all over the work space."""
+    qs = np.random.default_rng(0).uniform(-np.pi, np.pi, (30, 6))
+    return max(pose_error(a.fk(q), b.fk(q)) for q in qs)
+
+
+def calibration_of(dh: DhParameters, model: ArmModel) -> DhCalibration:
+    """What `arm.calibration` in the station file has to say for an arm of this model with these parameters."""
+    nominal = DhParameters.of(model)
+
+    def delta(own: Array, of_model: Array) -> tuple[float, float, float, float, float, float]:
+        a, b, c, d, e, f = (own - of_model).tolist()
+        return a, b, c, d, e, f
+
+    return DhCalibration(
+        delta_theta=delta(dh.theta, nominal.theta),
+        delta_a=delta(dh.a, nominal.a),
+        delta_d=delta(dh.d, nominal.d),
+        delta_alpha=delta(dh.alpha, nominal.alpha),
+    )

@@ -3,8 +3,9 @@
     report = probe("192.168.1.10")
     findings = check(report, UrExpected(model=ArmModel.UR10))  # ur_checks.py
 
-Asks the dashboard server and listens to RTDE for a second. Uploads no script, takes no input register, and never
-raises for what the robot does or does not answer: what stayed unknown is None, and `problems` says why.
+Asks the dashboard server, listens to the primary interface until it has told the arm's kinematics, and to RTDE for a
+second. Uploads no script, takes no input register, and never raises for what the robot does or does not answer: what
+stayed unknown is None, and `problems` says why.
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.hardware.dashboard_reader import DASHBOARD_PORT, Question, ask_all
 from toolee_robot.hardware.links import connect
+from toolee_robot.hardware.primary_reader import PRIMARY_PORT, UrKinematics, read_kinematics
 from toolee_robot.hardware.rtde_reader import RTDE_PORT, RtdeReader, RtdeSample, Value
 from toolee_robot.types import Payload
 
-SCRIPT_PORTS = (30001, 30002, 30003)
+SCRIPT_PORTS = (PRIMARY_PORT, 30002, 30003)
 CB3_RATE, E_SERIES_RATE = 125.0, 500.0  # [Hz]
 
 _QUESTIONS: tuple[Question, ...] = (
@@ -94,7 +96,7 @@ class RtdeQuality:
 class UrReport:
     """version: URControl's major, minor, bugfix, build. model: as the dashboard names it, without the e of the
     e-Series. serial, polyscope: as the dashboard says. remote_control: None where it does not say (CB3 has no local
-    mode). problems: what could not be read, and why."""
+    mode). kinematics: the arm's own. problems: what could not be read, and why."""
 
     host: str
     ports: dict[int, PortState]
@@ -105,6 +107,7 @@ class UrReport:
     remote_control: bool | None
     state: UrState | None
     quality: RtdeQuality | None
+    kinematics: UrKinematics | None
     problems: tuple[str, ...]
 
     @property
@@ -145,6 +148,12 @@ def probe(host: str, timeout: float = 5.0) -> UrReport:
             problems.append(f"RTDE: a variable has another type than documented ({error})")
         else:
             quality = _quality(samples, asked)
+    kinematics = None
+    if ports[PRIMARY_PORT].latency is not None:
+        try:
+            kinematics = read_kinematics(host, min(deadline, time.monotonic() + timeout / 5))
+        except DeviceError as error:
+            problems.append(f"primary interface: {error}")
     remote = answers.get("is in remote control")
     model = answers.get("get robot model")
     return UrReport(
@@ -157,6 +166,7 @@ def probe(host: str, timeout: float = 5.0) -> UrReport:
         remote_control=None if remote is None else remote.strip().lower() == "true",
         state=state,
         quality=quality,
+        kinematics=kinematics,
         problems=tuple(problems),
     )
 
