@@ -45,17 +45,20 @@ class FlangeSensor:
         self._velocity = self._payload_velocity()[0]
 
     def _finish(self) -> None:
-        velocity, lever, R = self._payload_velocity()
+        velocity, lever, R, p_flange_com = self._payload_velocity()
         mean = self._sum / self._time
         inertial = self.payload.mass * ((velocity - self._velocity) / self._time - GRAVITY)
-        carried = np.concatenate([R @ mean[:3], R @ mean[3:]])
+        force = R @ mean[:3]
+        # pybullet gives the joint's torque about the carried link's centre of mass.
+        carried = np.concatenate([force, R @ mean[3:] + cross(p_flange_com, force)])
         self.wrench = np.concatenate([inertial, cross(lever, inertial)]) - carried
         self._sum, self._time, self._velocity = np.zeros(6), 0.0, velocity
 
-    def _payload_velocity(self) -> tuple[Array, Array, Array]:
-        """Velocity (3,) of the payload's centre of mass, its lever (3,) from the flange, and R_base_flange."""
+    def _payload_velocity(self) -> tuple[Array, Array, Array, Array]:
+        """Velocity (3,) of the payload's centre of mass, its lever (3,) from the flange, R_base_flange, and the
+        forearm's centre of mass (3,) from the flange; base axes."""
         X_base_forearm, com, w, v_com = self._world.robot.sensor_motion()
         R = X_base_forearm[:3, :3]  # the forearm is mounted without rotation
         flange = X_base_forearm[:3, 3] - R @ X_FLANGE_FOREARM[:3, 3]
         lever = R @ self.payload.center_of_mass
-        return v_com + cross(w, flange + lever - com), lever, R
+        return v_com + cross(w, flange + lever - com), lever, R, com - flange

@@ -38,7 +38,7 @@ class RobotBody:
         self._arm = [joint_index[name] for name in robot.arm_joints]
         self._hand = [joint_index[name] for name in robot.hand_joints]
         self.palm = self.link_index[robot.hand_frame]
-        self._sensor = self.link_index[SENSOR_LINK]
+        self.sensor_link = self.link_index[SENSOR_LINK]
         self._arm_effort = robot.effort[:6].tolist()
         self.hand_effort = robot.effort[6:].copy()
         self.hand_effort[0] = min(self.hand_effort[0], WRIST_TORQUE)
@@ -51,7 +51,7 @@ class RobotBody:
             )  # fmt: skip
         for index, value in zip([*self._arm, *self._hand], [*q_arm, *q_hand], strict=True):
             pb.resetJointState(self.body, index, float(value), physicsClientId=client)
-        pb.enableJointForceTorqueSensor(self.body, self._sensor, True, physicsClientId=client)
+        pb.enableJointForceTorqueSensor(self.body, self.sensor_link, True, physicsClientId=client)
         self.q_arm_target, self.qd_arm_target = np.array(q_arm, dtype=float), np.zeros(6)
         self.q_hand_target = np.array(q_hand, dtype=float)
         self._since_command = 0.0
@@ -117,11 +117,11 @@ class RobotBody:
     def sensor_reaction(self) -> Array:
         """Wrench (6,) of the joint at the hand's mount in the last step, in the forearm link's frame, as pybullet
         gives it: what the arm must exert on the hand."""
-        return np.array(pb.getJointState(self.body, self._sensor, physicsClientId=self._client)[2])
+        return np.array(pb.getJointState(self.body, self.sensor_link, physicsClientId=self._client)[2])
 
     def sensor_motion(self) -> tuple[Array, Array, Array, Array]:
         """The forearm in `base`: its pose (4x4), centre of mass, angular velocity, and velocity of that centre."""
-        state = pb.getLinkState(self.body, self._sensor, computeLinkVelocity=1, physicsClientId=self._client)
+        state = pb.getLinkState(self.body, self.sensor_link, computeLinkVelocity=1, physicsClientId=self._client)
         X = np.eye(4)
         X[:3, :3] = np.array(pb.getMatrixFromQuaternion(state[5])).reshape(3, 3)
         X[:3, 3] = state[4]

@@ -19,7 +19,7 @@ from toolee_robot.sim_backend.hand import SimHand
 from toolee_robot.sim_backend.judge import Judge
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.sim_backend.person import SimPerson
-from toolee_robot.sim_backend.scene_visuals import SceneVisuals
+from toolee_robot.sim_backend.scene_visuals import SceneVisuals, scene_state
 from toolee_robot.sim_backend.world import Sample, SimWorld
 from toolee_robot.tools import Tool, ToolKind, make_tool, split
 from toolee_robot.types import Category
@@ -44,6 +44,22 @@ def draw_hammer(rng: np.random.Generator) -> Tool:
     raise UserError("no hammer of a usable mass found: choose another seed")
 
 
+def draw_handover(seed: int, options: SimOptions) -> tuple[Tool, InHandOffset]:
+    """The tool that a seed, or an option, hands over, and how it will lie in the hand. Raises UserError for a seed
+    below 0."""
+    if seed < 0:
+        raise UserError(f"the seed must be 0 or more, got {seed}")
+    tool = draw_hammer(np.random.default_rng([seed, 10])) if options.tool is None else options.tool
+    offset = InHandOffset.draw(np.random.default_rng([seed, 11])) if options.offset is None else options.offset
+    return tool, offset
+
+
+def build_world(config: StationConfig, tool: Tool, options: SimOptions) -> SimWorld:
+    """The world before the handover: the tool hangs where the person will be."""
+    x, y, _ = config.scene.person_center
+    return SimWorld(config, tool, transform(p=[x, y + 0.35, 1.0]), options)
+
+
 class SimStation:
     """`station`: what a task gets. `judge`, `world`, `person`: ground truth, for the report and the tests.
 
@@ -64,16 +80,12 @@ class SimStation:
     def build(cls, config: StationConfig, seed: int = 0, options: SimOptions | None = None) -> SimStation:
         """The seed decides tool, in-hand offset, room and noise. Raises UserError for an unusable option."""
         options = SimOptions() if options is None else options
-        if seed < 0:
-            raise UserError(f"the seed must be 0 or more, got {seed}")
-        tool = draw_hammer(np.random.default_rng([seed, 10])) if options.tool is None else options.tool
-        offset = InHandOffset.draw(np.random.default_rng([seed, 11])) if options.offset is None else options.offset
-        x, y, _ = config.scene.person_center
-        world = SimWorld(config, tool, transform(p=[x, y + 0.35, 1.0]), options)
+        tool, offset = draw_handover(seed, options)
+        world = build_world(config, tool, options)
         try:
             person = SimPerson(world, offset, options.hands_over)
             clock = SimClock(world)
-            visuals = SceneVisuals(world, person, seed)
+            visuals = SceneVisuals(config, tool, seed, lambda: scene_state(world, person))
             camera = SimCamera(visuals, clock, config.camera, seed)
             hand = SimHand(world, options.friction)
             station = Station(SimArm(world), hand, camera, person, clock, SIMULATED, SIMULATED)

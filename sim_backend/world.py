@@ -47,7 +47,8 @@ class Sample:
 
 class SimWorld:
     """Table, stand, block, nail, robot and tool. `before_step` callbacks get the step's length [s], `after_step` ones
-    nothing; `observers` get a `Sample` every 16 ms. Poses are in `base`, which is pybullet's world frame.
+    nothing; `observers` get a `Sample` every 16 ms. Poses are in `base`, which is pybullet's world frame. wait: what
+    `advance` does: `run`, unless something else, a controller's tick loop, lets the time go on.
     """
 
     def __init__(self, config: StationConfig, tool: Tool, X_base_tool: Array, options: SimOptions) -> None:
@@ -57,6 +58,7 @@ class SimWorld:
         self._settings: StepSettings | None = None
         self._window_end = 0
         self.wrench: Callable[[], Array] = lambda: np.zeros(6)
+        self.wait: Callable[[float], None] = self.run
         self.before_step: list[Callable[[float], None]] = []
         self.after_step: list[Callable[[], None]] = []
         self.observers: list[Callable[[Sample], None]] = []
@@ -99,7 +101,13 @@ class SimWorld:
         return self.tool.pose() @ self._X_tool_ee
 
     def advance(self, duration: float) -> None:
-        """Let `duration` [s] pass, to the next quantum. Raises DeviceError when the world is closed."""
+        """Return when `duration` [s] has passed: for whatever lives in the world. Raises DeviceError when the world is
+        closed."""
+        self.wait(duration)
+
+    def run(self, duration: float) -> None:
+        """Let `duration` [s] pass, to the next quantum: for the one that drives the world. Raises DeviceError when the
+        world is closed."""
         if self.client < 0:
             raise DeviceError("the simulation is closed: use it inside its `with` block")
         end = self._quanta + max(1, round(duration / QUANTUM))
