@@ -1,0 +1,89 @@
+"""Poses as URScript has them: six numbers, position [m] and rotation vector [rad]."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import atan2, cos, hypot, sin, sqrt
+
+import numpy as np
+
+from toolee_robot.frames import Array
+
+Vector = Sequence[float] | Array
+"""Six numbers (three where said so)."""
+
+
+def rotation(v: Vector) -> Array:
+    """3x3 rotation of a rotation vector (3,)."""
+    x, y, z = float(v[0]), float(v[1]), float(v[2])
+    angle = sqrt(x * x + y * y + z * z)
+    if angle < 1e-12:
+        return np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]])
+    x, y, z = x / angle, y / angle, z / angle
+    s, c = sin(angle), cos(angle)
+    t = 1.0 - c
+    return np.array(
+        [
+            [c + t * x * x, t * x * y - s * z, t * x * z + s * y],
+            [t * x * y + s * z, c + t * y * y, t * y * z - s * x],
+            [t * x * z - s * y, t * y * z + s * x, c + t * z * z],
+        ]
+    )
+
+
+def rotation_vector(R: Array) -> list[float]:
+    """Rotation vector (3,) of a 3x3 rotation, angle 0..pi, accurate everywhere (by way of the quaternion)."""
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    trace = a + e + i
+    if trace > max(a, e, i):
+        w, x, y, z = 1.0 + trace, h - f, c - g, d - b
+    elif a >= e and a >= i:
+        w, x, y, z = h - f, 1.0 + a - e - i, b + d, c + g
+    elif e >= i:
+        w, x, y, z = c - g, b + d, 1.0 + e - a - i, f + h
+    else:
+        w, x, y, z = d - b, c + g, f + h, 1.0 + i - a - e
+    if w < 0.0:
+        w, x, y, z = -w, -x, -y, -z
+    length = hypot(x, y, z)
+    scale = 2.0 * atan2(length, w) / length if length > 1e-15 * w else 2.0 / w
+    return [x * scale, y * scale, z * scale]
+
+
+def matrix(pose: Vector) -> Array:
+    """X_AB (4x4) of a pose."""
+    X = np.eye(4)
+    X[:3, :3] = rotation(pose[3:])
+    X[:3, 3] = pose[:3]
+    return X
+
+
+def vector(X: Array) -> list[float]:
+    """The pose of X_AB (4x4)."""
+    return [*X[:3, 3].tolist(), *rotation_vector(X[:3, :3])]
+
+
+def inverse(X: Array) -> Array:
+    """X_BA (4x4) from X_AB."""
+    Y = np.eye(4)
+    Y[:3, :3] = X[:3, :3].T
+    Y[:3, 3] = -X[:3, :3].T @ X[:3, 3]
+    return Y
+
+
+def moved(X: Array, twist: Vector) -> Array:
+    """X (4x4) after the displacement twist (6,): a translation [m] and then a rotation vector [rad], base axes."""
+    Y = X.copy()
+    Y[:3, 3] += twist[:3]
+    Y[:3, :3] = rotation(twist[3:]) @ X[:3, :3]
+    return Y
+
+
+def difference(X_from: Array, X_to: Array) -> Array:
+    """The twist (6,) that `moved` needs to bring X_from to X_to."""
+    return np.array([*(X_to[:3, 3] - X_from[:3, 3]), *rotation_vector(X_to[:3, :3] @ X_from[:3, :3].T)])
+
+
+def interpolated(X_from: Array, X_to: Array, alpha: float) -> Array:
+    """The pose at alpha (0..1) of the straight way, at constant rates."""
+    return moved(X_from, alpha * difference(X_from, X_to))
