@@ -1,0 +1,96 @@
+"""What the two processes share: the path on the controller's grid, and a state that is never half written."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from toolee_robot.errors import DeviceError, LimitError
+from toolee_robot.hardware.servo_clock import Schedule
+from toolee_robot.hardware.servo_memory import ServoMemory, StateColumn, Word, presample
+from toolee_robot.types import Trajectory
+
+
+@st.composite
+def trajectories(draw: st.DrawFn) -> Trajectory:
+    n = draw(st.integers(2, 12))
+    steps = draw(st.lists(st.floats(1e-3, 0.05), min_size=n - 1, max_size=n - 1))
+    times = np.concatenate([[0.0], np.cumsum(steps)])
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    q, qd, qdd = rng.normal(size=(3, n, 6))
+    return Trajectory(times, q, qd, qdd)
+
+
+@given(trajectories(), st.sampled_from([125.0, 500.0]))
+def test_presampling_is_sampling(trajectory: Trajectory, rate: float) -> None:
+    grid = presample(trajectory, rate)
+    for k, q in enumerate(grid, start=1):
+        np.testing.assert_allclose(q, trajectory.sample(k / rate)[0], atol=1e-12)
+    np.testing.assert_allclose(grid[-1], trajectory.q[-1], atol=1e-12)
+    assert (len(grid) - 1) / rate < trajectory.duration
+
+
+@given(trajectories())
+def test_the_path_arrives_as_it_was(trajectory: Trajectory) -> None:
+    memory = ServoMemory.create(longest=1.0)
+    _, knots = memory.write_path(trajectory, 125.0)
+    got = memory.path(knots)
+    for name in ("times", "q", "qd", "qdd"):
+        np.testing.assert_array_equal(getattr(got, name), getattr(trajectory, name))
+    memory.close()
+
+
+def test_a_motion_that_is_too_long_is_refused() -> None:
+    memory = ServoMemory.create(longest=1.0)
+    still = np.zeros((2, 6))
+    with pytest.raises(LimitError, match="at once"):
+        memory.write_path(Trajectory(np.array([0.0, 1.5]), still, still, still), 500.0)
+    memory.close()
+
+
+def test_a_state_is_read_whole_while_it_is_written() -> None:
+    memory = ServoMemory.create(longest=0.1)
+    ended = threading.Event()
+
+    def write() -> None:
+        value = 0.0
+        while not ended.is_set():
+            value += 1.0
+            memory.write_state(np.full(StateColumn.COUNT, value))
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        for _ in range(2000):
+            assert np.ptp(memory.read_state()) == 0.0
+    finally:
+        ended.set()
+        writer.join()
+
+
+def test_a_writer_that_died_in_mid_write_is_an_error_not_a_hang() -> None:
+    memory = ServoMemory.create(longest=0.1)
+    memory.words[Word.STATE_SEQUENCE] += 1
+    with pytest.raises(DeviceError, match="reset"):
+        memory.read_state()
+
+
+def test_the_schedule_is_counted_from_its_start_and_skips_what_it_missed() -> None:
+    period = 0.01
+    start = time.monotonic() + period
+    schedule = Schedule(start, period)
+    for k in range(3):
+        assert schedule.deadline == pytest.approx(start + k * period, abs=1e-9)
+        schedule.wait()
+    time.sleep(5.5 * period)
+    _, missed = schedule.wait()
+    assert missed >= 5
+    slot = (schedule.deadline - start) / period
+    assert slot == pytest.approx(round(slot), abs=1e-6)
+    assert round(slot) == 3 + missed + 1
+    assert schedule.deadline > start + 8 * period

@@ -1,0 +1,156 @@
+"""One motion in the servo process: send the path, watch the robot, and brake on the path for every reason to stop."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Final, Protocol
+
+import numpy as np
+
+from toolee_robot.braking import brake_on_path
+from toolee_robot.frames import Array
+from toolee_robot.hal import ArmStatus
+from toolee_robot.hardware.servo_clock import Schedule
+from toolee_robot.hardware.servo_memory import Column, ServoMemory, StateColumn, Word
+from toolee_robot.hardware.servo_orders import Cause, MotionOrder
+from toolee_robot.hardware.ur_link import UrLink
+
+STANDSTILL: Final = 2e-3  # [rad/s]
+SETTLE_TIME: Final = 1.0  # [s] at most, after the last command
+SETTLE_CYCLES: Final = 5  # at least
+
+
+class TaskLife(Protocol):
+    """Whether the task's process still lives."""
+
+    def lost(self) -> Cause:
+        """TASK_ENDED, TASK_STALLED or NONE."""
+
+
+class Motion:
+    """From the first sample to standstill; `run` returns the cause of the end."""
+
+    def __init__(
+        self, link: UrLink, memory: ServoMemory, order: MotionOrder, schedule: Schedule, alive: TaskLife
+    ) -> None:
+        self._link, self._memory, self._order, self._schedule, self._alive = link, memory, order, schedule, alive
+        self._period = 1.0 / link.rate
+        self._path = memory.path(order.knots)
+        self._cause = Cause.NONE
+        self._time, self._row, self._streak, self._brakes = 0.0, 0, 0, False
+        self._commands = self._reference()
+        self._lag_cycles = order.lag / self._period
+        self._window = int(self._lag_cycles + order.watch.data_cycles) + 8
+
+    def run(self) -> Cause:
+        words, link = self._memory.words, self._link
+        words[Word.ROWS] = words[Word.OVERRUNS] = 0
+        words[Word.CAUSE], words[Word.CONTACT_ROW] = Cause.NONE, -1
+        q = link.reading[StateColumn.COMMANDED].copy()
+        settled = 0
+        while self._row < len(self._memory.rows):
+            lateness, missed = self._schedule.wait()
+            link.read()
+            self._judge(lateness, missed)
+            following = None if self._cause >= Cause.PROGRAM_ENDED else next(self._commands, None)
+            if following is not None:
+                q = following
+            if self._cause < Cause.PROGRAM_ENDED:
+                link.servo(q)
+            self._log(q, lateness)
+            if following is None:
+                settled += 1
+                if self._at_rest(settled):
+                    break
+        return self._cause
+
+    def _judge(self, lateness: float, missed: int) -> None:
+        """Every reason to stop. The first one counts, unless a later one forbids to send at all."""
+        words, watch, reading = self._memory.words, self._order.watch, self._link.reading
+        late = missed + (lateness >= self._period / 2)
+        words[Word.OVERRUNS] += late
+        self._streak = self._streak + late if late else 0
+        age = time.monotonic() - reading[StateColumn.SEEN]
+        if age > watch.data_cycles * self._period:
+            self._end(Cause.DATA if self._link.connected else Cause.LINK)
+        elif self._link.status is not ArmStatus.READY:
+            self._end(Cause.STOPPED_BY_ROBOT)
+        elif not self._link.playing:
+            self._end(Cause.PROGRAM_ENDED)
+        if self._cause is not Cause.NONE:
+            return
+        if self._streak >= watch.overruns:
+            self._end(Cause.OVERRUN)
+        elif self._tracking_error() > watch.tracking_error:
+            self._end(Cause.TRACKING)
+        elif (lost := self._alive.lost()) is not Cause.NONE:
+            self._end(lost)
+        elif words[Word.STOP] != self._order.stop:
+            self._end(Cause.STOP)
+        elif self._touches():
+            words[Word.CONTACT_ROW] = self._row
+            self._end(Cause.CONTACT)
+
+    def _end(self, cause: Cause) -> None:
+        if cause <= self._cause or (self._cause > Cause.NONE and cause < Cause.PROGRAM_ENDED):
+            return
+        self._cause = cause
+        self._memory.words[Word.CAUSE] = cause
+        if cause < Cause.PROGRAM_ENDED and not self._brakes:
+            self._brakes = True
+            self._commands = self._brake()
+
+    def _reference(self) -> Iterator[Array]:
+        samples, reference = self._order.samples, self._memory.reference
+        for k in range(samples):
+            self._time = min((k + 1) * self._period, self._path.duration)
+            yield reference[k].copy()
+
+    def _brake(self) -> Iterator[Array]:
+        order = self._order
+        for q, _ in brake_on_path(self._path, self._time, self._period, order.acceleration, order.jerk):
+            yield q
+
+    def _touches(self) -> bool:
+        guard = self._order.guard
+        if guard is None or self._time < guard.after or self._brakes:
+            return False
+        force = self._link.reading[StateColumn.WRENCH][:3]
+        return float(np.sqrt(force @ force)) > guard.force
+
+    def _tracking_error(self) -> float:
+        """[rad] Between the newest reading and what was commanded the servo's lag before it."""
+        reading = self._link.reading
+        rows = self._memory.rows[max(self._row - self._window, 0) : self._row]
+        then = reading[StateColumn.SEEN] - self._order.lag
+        i = int(np.searchsorted(rows[:, Column.SENT], then)) if len(rows) else 0
+        if i == 0:
+            return 0.0
+        before, after = rows[i - 1], rows[min(i, len(rows) - 1)]
+        span = after[Column.SENT] - before[Column.SENT]
+        part = (then - before[Column.SENT]) / span if span > 0 else 0.0
+        commanded = (1 - part) * before[Column.COMMANDED] + part * after[Column.COMMANDED]
+        return float(np.abs(reading[StateColumn.Q] - commanded).max())
+
+    def _at_rest(self, settled: int) -> bool:
+        """Standstill, seen in fresh data and after the servo's lag, or no more time to wait for it."""
+        if settled > SETTLE_TIME / self._period or self._cause is Cause.LINK:
+            return True
+        if settled < SETTLE_CYCLES + self._lag_cycles:
+            return False
+        reading = self._link.reading
+        fresh = time.monotonic() - reading[StateColumn.SEEN] < self._order.watch.data_cycles * self._period
+        return fresh and bool(np.abs(reading[StateColumn.QD]).max() < STANDSTILL)
+
+    def _log(self, q: Array, lateness: float) -> None:
+        memory, reading, row = self._memory, self._link.reading, self._memory.rows[self._row]
+        row[Column.SENT], row[Column.LATENESS] = time.monotonic(), lateness
+        row[Column.SEEN], row[Column.TIMESTAMP] = reading[StateColumn.SEEN], reading[StateColumn.TIMESTAMP]
+        row[Column.PATH_TIME], row[Column.COMMANDED] = self._time, q
+        row[Column.Q], row[Column.QD] = reading[StateColumn.Q], reading[StateColumn.QD]
+        row[Column.WRENCH] = reading[StateColumn.WRENCH]
+        self._row += 1
+        memory.words[Word.ROWS] = self._row
+        memory.words[Word.CYCLES] += 1
+        memory.write_state(reading)

@@ -1,0 +1,191 @@
+"""The servo process: it alone talks to the robot, in cycles of the controller's rate, and obeys the task's process.
+
+Started by `ServoClient`. It may crash, hang or be killed at any time: the robot's watchdog stops the robot, and the
+task gets a typed error. When the task's process ends or stalls it is this one that brakes, along the path.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import time
+from multiprocessing.connection import Connection
+from typing import Any
+
+from toolee_robot.errors import DeviceError, NotReadyError
+from toolee_robot.hal import ArmStatus
+from toolee_robot.hardware.servo_clock import Schedule, become_realtime
+from toolee_robot.hardware.servo_memory import ServoMemory, StateColumn, Word
+from toolee_robot.hardware.servo_motion import Motion
+from toolee_robot.hardware.servo_orders import (
+    Cause,
+    Close,
+    Connect,
+    Connected,
+    Done,
+    Freedrive,
+    MotionOrder,
+    Moved,
+    Order,
+    Refused,
+    Reply,
+    SetPayload,
+)
+from toolee_robot.hardware.ur_config import UrArmConfig
+from toolee_robot.hardware.ur_link import UrLink
+
+EXIT_LINK_LOST = 3
+_ALIGNMENT = 3  # packets
+
+
+class ServoProcess:
+    """The loop at rest; motions run in `Motion`."""
+
+    def __init__(self, pipe: Connection, memory: ServoMemory, link: UrLink, config: UrArmConfig) -> None:
+        self._pipe, self._memory, self._link, self._config = pipe, memory, link, config
+        self._poll = select.poll()
+        self._poll.register(pipe.fileno(), select.POLLIN | select.POLLHUP)
+        self._beat, self._since = -1, 0.0
+        self._fault = Cause.NONE
+        self._terminated = False
+        signal.signal(signal.SIGTERM, self._terminate)
+
+    def run(self) -> None:
+        """Until the task ends it, is gone, or the link is lost. Does not return."""
+        link, memory = self._link, self._memory
+        schedule = self._aligned()
+        while True:
+            schedule.wait()
+            link.read()
+            self._judge()
+            if self._fault < Cause.PROGRAM_ENDED:
+                link.kick()
+            memory.words[Word.CYCLES] += 1
+            memory.write_state(link.reading)
+            if self._terminated:
+                link.close()
+            if self._poll.poll(0):
+                schedule = self._obey(schedule)
+
+    def _judge(self) -> None:
+        """What happens at rest latches as well: nothing moves before a reset."""
+        link = self._link
+        age = time.monotonic() - link.reading[StateColumn.SEEN]
+        if not link.connected or age > self._config.link_timeout:
+            self._latch(Cause.LINK)
+            os._exit(EXIT_LINK_LOST)
+        elif link.status is not ArmStatus.READY:
+            self._latch(Cause.STOPPED_BY_ROBOT)
+        elif not link.playing:
+            self._latch(Cause.PROGRAM_ENDED)
+
+    def _latch(self, cause: Cause) -> None:
+        if self._fault is Cause.NONE or Cause.PROGRAM_ENDED <= self._fault < cause:
+            self._fault = cause
+            self._memory.words[Word.CAUSE] = cause
+
+    def _obey(self, schedule: Schedule) -> Schedule:
+        link = self._link
+        try:
+            order: Order = self._pipe.recv()
+            reply: Reply
+            if isinstance(order, Close):
+                link.close()
+            elif self._fault is not Cause.NONE:
+                reply = Moved(self._fault) if isinstance(order, MotionOrder) else Refused("the arm is latched", False)
+            elif isinstance(order, MotionOrder):
+                schedule = self._aligned()
+                reply = Moved(self._move(order, schedule))
+            else:
+                reply = self._handshake(order)
+                schedule = self._aligned()
+            self._pipe.send(reply)
+        except (EOFError, OSError):
+            # The task's process is gone; the arm stands.
+            link.close()
+        return schedule
+
+    def _move(self, order: MotionOrder, schedule: Schedule) -> Cause:
+        cause = Motion(self._link, self._memory, order, schedule, self).run()
+        if cause is Cause.TASK_ENDED:
+            self._link.close()
+        if cause >= Cause.DATA:
+            self._fault = cause
+        if cause is Cause.LINK:
+            os._exit(EXIT_LINK_LOST)
+        return cause
+
+    def _handshake(self, order: Order) -> Reply:
+        try:
+            if isinstance(order, SetPayload):
+                self._link.set_payload(order.mass, order.center_of_mass)
+            elif isinstance(order, Freedrive):
+                if order.on:
+                    self._link.start_freedrive()
+                else:
+                    self._link.end_freedrive()
+        except DeviceError as error:
+            return Refused(str(error), False)
+        return Done()
+
+    def lost(self) -> Cause:
+        """See `servo_motion.TaskLife`: its end of the pipe is open and its heartbeat goes on."""
+        now, beat = time.monotonic(), int(self._memory.words[Word.HEARTBEAT])
+        if beat != self._beat:
+            self._beat, self._since = beat, now
+        if self._terminated or any(events & (select.POLLHUP | select.POLLERR) for _, events in self._poll.poll(0)):
+            return Cause.TASK_ENDED
+        return Cause.TASK_STALLED if now - self._since > self._config.heartbeat_timeout else Cause.NONE
+
+    def _aligned(self) -> Schedule:
+        """A schedule whose slots lie half a cycle after the controller's packets come in, at the greatest distance from
+        both its cycles: no command meets another in one cycle, no reading is missed by a hair."""
+        period = 1.0 / self._link.rate
+        arrivals: list[float] = []
+        end = time.monotonic() + (_ALIGNMENT + 2) * period
+        while len(arrivals) < _ALIGNMENT and time.monotonic() < end:
+            if self._link.read():
+                arrivals.append(self._link.reading[StateColumn.SEEN])
+                if self._fault is Cause.NONE:
+                    self._link.kick()
+            time.sleep(5e-5)
+        now = time.monotonic()
+        if not arrivals:
+            return Schedule(now, period)
+        # Arrivals are seen late, never early: the least late of them tells most.
+        last = arrivals[-1]
+        least_late = last + min((a - last + period / 2) % period - period / 2 for a in arrivals)
+        return Schedule(now + (least_late + period / 2 - now) % period, period)
+
+    def _terminate(self, _signum: int, _frame: object) -> None:
+        self._terminated = True
+
+
+def main() -> None:
+    """Arguments: the file descriptors of the pipe and of the shared memory, and the longest motion [s]."""
+    # Ctrl-C goes to every process of the terminal; this one waits for what the task says.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    pipe = Connection(int(sys.argv[1]))
+    memory = ServoMemory(int(sys.argv[2]), float(sys.argv[3]))
+    order: Any = pipe.recv()
+    if not isinstance(order, Connect):
+        raise TypeError(f"the first order must be Connect, not {order!r}")
+    realtime = become_realtime()
+    memory.words[Word.CONNECTING] = time.monotonic_ns()
+    try:
+        link = UrLink(order.config, order.rate)
+    except DeviceError as error:
+        pipe.send(Refused(str(error), isinstance(error, NotReadyError)))
+        # The wheel's objects are left to the kernel.
+        os._exit(0)
+    process = ServoProcess(pipe, memory, link, order.config)
+    memory.write_state(link.reading)
+    pipe.send(Connected(realtime))
+    process.run()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,267 @@
+"""A UR10 or UR10e over ur_rtde: `hal.Arm`, whose servo loop runs in a process of its own.
+
+    limits = ArmLimits(model=ArmModel.UR10)
+    with UrArm(UrArmConfig("192.168.1.10"), limits) as arm:
+        q = arm.state().joints.q
+        arm.execute(joint_move(q, q_goal, ...))
+
+None of this is a safety function: the robot's own safety system is, with its limits set for this task.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from types import TracebackType
+from typing import Final, Self
+
+import numpy as np
+
+from toolee_robot.arm_checks import check_payload, check_trajectory
+from toolee_robot.config import ArmLimits
+from toolee_robot.errors import (
+    DeviceError,
+    LatchedError,
+    MotionFaultError,
+    NotReadyError,
+    ServoCrashError,
+    StaleDataError,
+)
+from toolee_robot.findings import Level
+from toolee_robot.frames import Array
+from toolee_robot.hal import ArmState, ArmStatus, ContactGuard, MotionReport, MotionWatch
+from toolee_robot.hardware.servo_client import ServoClient
+from toolee_robot.hardware.servo_clock import Realtime
+from toolee_robot.hardware.servo_memory import StateColumn, Word
+from toolee_robot.hardware.servo_orders import Cause, Freedrive, MotionOrder, Moved, SetPayload
+from toolee_robot.hardware.servo_report import build_report, fault
+from toolee_robot.hardware.ur_checks import UrExpected, check
+from toolee_robot.hardware.ur_config import UrArmConfig, servo_lag
+from toolee_robot.hardware.ur_probe import nominal_rate, probe
+from toolee_robot.hardware.ur_status import advice, arm_status
+from toolee_robot.types import ArmModel, JointState, Payload, Trajectory
+
+CAPACITY: Final = {ArmModel.UR10: 10.0, ArmModel.UR10E: 12.5}  # [kg]
+VELOCITY: Final = np.deg2rad([120.0, 120.0, 180.0, 180.0, 180.0, 180.0])  # [rad/s]
+POSITION: Final = np.array([2.0, 2.0, 1.0, 2.0, 2.0, 2.0]) * np.pi  # [rad], either way; the elbow as modelled
+_POLL: Final = 0.02  # [s]
+
+
+class UrArm:
+    """See the module. rate [Hz], realtime: known once the context is entered."""
+
+    def __init__(self, config: UrArmConfig, limits: ArmLimits) -> None:
+        self._config, self._limits = config, limits
+        self._velocity = np.minimum(np.array(limits.velocity), VELOCITY)
+        self._rate, self._lag = 0.0, 0.0
+        self._servo: ServoClient | None = None
+        self._fault: MotionFaultError | None = None
+        self._payload: Payload | None = None
+        self._busy = threading.Lock()
+
+    def __enter__(self) -> Self:
+        """Check the robot and connect; nothing moves. Raises NotReadyError, naming all that a person must do first, and
+        what `reset` raises."""
+        report = probe(self._config.host)
+        found = check(report, UrExpected(self._limits.model, self._limits.calibration))
+        failed = [str(f) for f in found if f.level is Level.FAIL]
+        if failed or report.version is None:
+            raise NotReadyError(f"the robot at {self._config.host} is not ready:\n  " + "\n  ".join(failed))
+        self._rate = nominal_rate(report.version)
+        self._lag = servo_lag(self._config, self._rate)
+        self._fault = None
+        self._servo = ServoClient(self._config, self._rate)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        servo, self._servo = self._servo, None
+        if servo is not None:
+            servo.ask_to_stop()
+            servo.close()
+
+    @property
+    def rate(self) -> float:
+        return self._rate
+
+    @property
+    def lag(self) -> float:
+        """[s] How much later than its command a measured position is, as assumed here."""
+        return self._lag
+
+    @property
+    def realtime(self) -> Realtime:
+        """What the system granted the servo process."""
+        return self._open().realtime
+
+    def state(self, max_age: float = 0.1) -> ArmState:
+        """The newest reading, stamped with this machine's `time.monotonic()` when it came. Raises StaleDataError."""
+        state = self._open().memory.read_state()
+        age = time.monotonic() - state[StateColumn.SEEN]
+        if age > max_age:
+            raise StaleDataError(
+                f"the arm's newest state is {age:.2f} s old: check the robot and its network cable, then reset the arm"
+            )
+        joints = JointState(state[StateColumn.Q], state[StateColumn.QD], float(state[StateColumn.SEEN]))
+        return ArmState(joints, state[StateColumn.WRENCH], _status(state))
+
+    @property
+    def q_commanded(self) -> Array:
+        """(6,) [rad] The position that was commanded last, from which the next motion starts."""
+        return self._open().memory.read_state()[StateColumn.COMMANDED]
+
+    def execute(
+        self, trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None
+    ) -> MotionReport:
+        """See `hal.Arm`. Ctrl-C brakes the arm on the path first, and is raised when it stands."""
+        with self._exclusive():
+            servo = self._ready()
+            check_trajectory(trajectory, self.q_commanded, -POSITION, POSITION, self._velocity)
+            samples, knots = servo.memory.write_path(trajectory, self._rate)
+            limits = self._limits
+            order = MotionOrder(
+                samples,
+                knots,
+                guard,
+                watch or MotionWatch(),
+                limits.stop_acceleration,
+                limits.stop_jerk,
+                self._lag,
+                int(servo.memory.words[Word.STOP]),
+            )
+            servo.memory.words[Word.ROWS] = 0
+            try:
+                cause = self._move(servo, order)
+            except ServoCrashError as error:
+                raise self._latch(ServoCrashError(str(error), build_report(servo.memory, Cause.LINK))) from error
+        report = build_report(servo.memory, cause)
+        if cause >= Cause.DATA:
+            raise self._latch(fault(cause, self._status_now(servo), report))
+        return report
+
+    def set_payload(self, payload: Payload) -> None:
+        """Tell the controller what the flange carries. Raises LimitError for what this arm may not carry, DeviceError
+        when the controller does not report it back."""
+        check_payload(payload, CAPACITY[self._limits.model])
+        with self._exclusive():
+            self._ask(_payload_order(payload))
+            self._payload = payload
+
+    @contextmanager
+    def freedrive(self) -> Iterator[None]:
+        """A person moves the arm by hand inside this context, and nothing else does; it holds its place afterwards.
+        Raises DeviceError when the robot refuses."""
+        with self._exclusive():
+            self._ask(Freedrive(True))
+            try:
+                yield
+            finally:
+                self._ask(Freedrive(False))
+
+    def stop(self) -> None:
+        """See `hal.Arm`: any thread, any time; `execute` then returns."""
+        if self._servo is not None:
+            self._servo.ask_to_stop()
+
+    def reset(self) -> None:
+        """See `hal.Arm`. A latched arm gets a new servo process and connection. Raises NotReadyError as long as a
+        person has to make the robot ready, DeviceError when it does not answer, ServoCrashError."""
+        with self._exclusive():
+            servo = self._open()
+            self._notice(servo)
+            if self._fault is None:
+                return
+            with suppress(StaleDataError):
+                status = self.state().status
+                if status is not ArmStatus.READY:
+                    raise NotReadyError(advice(status))
+            servo.close()
+            self._servo = servo = ServoClient(self._config, self._rate)
+            self._fault = None
+            if self._payload is not None:
+                self._ask(_payload_order(self._payload))
+
+    def _open(self) -> ServoClient:
+        if self._servo is None:
+            raise DeviceError("the arm is closed: use it inside its `with` block")
+        return self._servo
+
+    @contextmanager
+    def _exclusive(self) -> Iterator[None]:
+        if not self._busy.acquire(blocking=False):
+            raise DeviceError("the arm is busy with another motion, or in freedrive")
+        try:
+            yield
+        finally:
+            self._busy.release()
+
+    def _ready(self) -> ServoClient:
+        """The servo process of an arm that may move."""
+        servo = self._open()
+        self._notice(servo)
+        if self._fault is not None:
+            raise LatchedError(f"the arm is latched since: {self._fault}")
+        return servo
+
+    def _notice(self, servo: ServoClient) -> None:
+        """Latch what has happened at rest."""
+        if self._fault is not None:
+            return
+        cause = Cause(int(servo.memory.words[Word.CAUSE]))
+        if cause >= Cause.DATA:
+            self._latch(fault(cause, self._status_now(servo), None))
+        elif not servo.alive:
+            self._latch(servo.crash())
+
+    def _latch(self, error: MotionFaultError) -> MotionFaultError:
+        if self._fault is None:
+            self._fault = error
+        return error
+
+    def _ask(self, order: SetPayload | Freedrive) -> None:
+        try:
+            self._ready().ask(order)
+        except ServoCrashError as error:
+            raise self._latch(error) from error
+
+    def _move(self, servo: ServoClient, order: MotionOrder) -> Cause:
+        """Order a motion and wait for its end, as long as the servo process gives signs of life."""
+        try:
+            servo.send(order)
+            return self._await(servo)
+        except BaseException as error:
+            # Ctrl-C, or anything else that hits this thread: the arm stands before it is raised.
+            if not isinstance(error, MotionFaultError):
+                servo.ask_to_stop()
+                self._await(servo)
+            raise
+
+    def _await(self, servo: ServoClient) -> Cause:
+        cycles, since = -1, time.monotonic()
+        while True:
+            reply = servo.receive(_POLL)
+            if isinstance(reply, Moved):
+                return reply.cause
+            if reply is not None:
+                servo.kill()
+                raise ServoCrashError(f"the servo process answered {reply!r} to a motion: reset the arm")
+            now, done = time.monotonic(), int(servo.memory.words[Word.CYCLES])
+            if done != cycles:
+                cycles, since = done, now
+            elif now - since > self._config.hang_timeout:
+                raise servo.crash()
+
+    @staticmethod
+    def _status_now(servo: ServoClient) -> ArmStatus:
+        return _status(servo.memory.read_state())
+
+
+def _status(state: Array) -> ArmStatus:
+    return arm_status(int(state[StateColumn.SAFETY_BITS]), int(state[StateColumn.ROBOT_MODE]))
+
+
+def _payload_order(payload: Payload) -> SetPayload:
+    return SetPayload(payload.mass, [float(c) for c in payload.center_of_mass])

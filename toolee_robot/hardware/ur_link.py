@@ -1,0 +1,168 @@
+"""The ur_rtde wheel's two objects, in the servo process: nothing else in the project touches the wheel.
+
+What the wheel returns is not believed: its calls answer True, and its getters give old values, long after the link is
+gone. Only the advance of the controller's timestamp says that a reading is new. Calls that shake hands with the control
+script can block for minutes, so each runs under a timer whose signal ends this process: nothing here is worth waiting
+for, and the robot's watchdog stops the robot.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from rtde_control import RTDEControlInterface
+from rtde_receive import RTDEReceiveInterface
+
+from toolee_robot.errors import DeviceError, NotReadyError
+from toolee_robot.frames import Array
+from toolee_robot.hal import ArmStatus
+from toolee_robot.hardware.servo_memory import StateColumn
+from toolee_robot.hardware.ur_config import UrArmConfig
+from toolee_robot.hardware.ur_status import RUNTIME_PLAYING, advice, arm_status
+
+HANDSHAKE = 1.0
+"""[s] The most that a call which waits for the control script may take."""
+PAYLOAD_TOLERANCE = 1e-3
+"""[kg], [m] Between what was set and what the controller reports."""
+
+# The controller's base is our base_link turned by pi about z: forces and torques change sign in x and y.
+_TURN = np.array([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
+
+
+@contextmanager
+def bounded(seconds: float) -> Iterator[None]:
+    """End this process, by SIGALRM's own default action, if the body takes longer: no interpreter is needed for it."""
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+class UrLink:
+    """rate [Hz]: the controller's. reading: (StateColumn.COUNT,), the newest; its commanded position is what went out
+    last, or, before anything did, where the controller holds the arm. status, playing: what it says of the robot's
+    safety and of its program. servoing: the control script's servo thread runs, and holds the last position sent."""
+
+    def __init__(self, config: UrArmConfig, rate: float) -> None:
+        """Connect; nothing moves. Raises NotReadyError while the robot's safety system or mode forbids motion, and
+        DeviceError for what the wheel throws."""
+        self._config, self.rate = config, rate
+        self.reading: Array = np.zeros(StateColumn.COUNT)
+        self.status, self.playing, self.servoing = ArmStatus.NOT_READY, False, False
+        with bounded(config.connect_timeout):
+            try:
+                self._receive = RTDEReceiveInterface(config.host)
+                while not self.read():
+                    time.sleep(1e-3)
+                if self.status is not ArmStatus.READY:
+                    raise NotReadyError(advice(self.status))
+                self._control = RTDEControlInterface(config.host)
+                # Forces are wanted at the flange: whatever tool the pendant has set is taken off.
+                self._control.setTcp([0.0] * 6)
+                while not self.playing:
+                    self.read()
+                    time.sleep(1e-3)
+                self._control.setWatchdog(config.watchdog)
+            except RuntimeError as error:
+                raise DeviceError(_explain(str(error), config.host)) from error
+        self.reading[StateColumn.COMMANDED] = self._receive.getTargetQ()
+
+    @property
+    def connected(self) -> bool:
+        """Whether the wheel still has both connections. True says nothing; False is the truth."""
+        return bool(self._receive.isConnected() and self._control.isConnected())
+
+    def read(self) -> bool:
+        """Take the newest data in; False when nothing new has come. Never waits."""
+        receive, reading = self._receive, self.reading
+        timestamp = receive.getTimestamp()
+        if timestamp == reading[StateColumn.TIMESTAMP]:
+            return False
+        for _ in range(3):  # until all of it is of one packet
+            reading[StateColumn.Q] = receive.getActualQ()
+            reading[StateColumn.QD] = receive.getActualQd()
+            reading[StateColumn.WRENCH] = receive.getActualTCPForce()
+            safety, mode, runtime = receive.getSafetyStatusBits(), receive.getRobotMode(), receive.getRuntimeState()
+            before, timestamp = timestamp, receive.getTimestamp()
+            if timestamp == before:
+                break
+        reading[StateColumn.WRENCH] *= _TURN
+        reading[:5] = time.monotonic(), timestamp, safety, mode, runtime
+        self.status = arm_status(safety, mode)
+        self.playing = runtime == RUNTIME_PLAYING
+        return True
+
+    def servo(self, q: Array) -> None:
+        """Send one position (6,) [rad]; feeds the robot's watchdog as well."""
+        self._control.servoJ(q.tolist(), 0.0, 0.0, 1.0 / self.rate, self._config.lookahead, self._config.gain)
+        self.reading[StateColumn.COMMANDED] = q
+        self.servoing = True
+
+    def kick(self) -> None:
+        """Feed the robot's watchdog. Not in a cycle that has sent a position: of two commands that reach the robot in
+        one of its cycles it takes the later."""
+        self._control.kickWatchdog()
+
+    def set_payload(self, mass: float, center_of_mass: list[float]) -> None:
+        """[kg], [m] in the flange. Raises DeviceError unless the controller reports it back, where its version can."""
+        with bounded(HANDSHAKE):
+            accepted = self._control.setPayload(mass, center_of_mass)
+        if not accepted:
+            raise DeviceError("the robot did not take the payload: its program does not run; reset the arm")
+        deadline = time.monotonic() + HANDSHAKE
+        while True:
+            self.kick()
+            time.sleep(1.0 / self.rate)
+            reported = self._reported_payload()
+            if reported is None or np.abs(np.subtract(reported, [mass, *center_of_mass])).max() < PAYLOAD_TOLERANCE:
+                return
+            if time.monotonic() > deadline:
+                raise DeviceError(
+                    f"the payload was set to {mass:.3f} kg at {np.round(center_of_mass, 3)} m, but the robot reports "
+                    f"{reported[0]:.3f} kg at {np.round(reported[1:], 3)} m"
+                )
+
+    def start_freedrive(self) -> None:
+        with bounded(HANDSHAKE):
+            if self.servoing:
+                self._control.servoStop()
+                self.servoing = False
+            if not self._control.teachMode():
+                raise DeviceError("the robot did not go into freedrive: its program does not run; reset the arm")
+
+    def end_freedrive(self) -> None:
+        with bounded(HANDSHAKE):
+            self._control.endTeachMode()
+        self.reading[StateColumn.COMMANDED] = self._receive.getTargetQ()
+
+    def close(self) -> None:
+        """End the robot's program, at rest, and the connections; whatever does not end by itself ends the process."""
+        with bounded(HANDSHAKE):
+            if self.connected and self.playing and self.status is ArmStatus.READY:
+                if self.servoing:
+                    self._control.servoStop()
+                self._control.stopScript()
+        # The wheel's own clean-up may hang, reconnect or crash; the kernel's does not.
+        os._exit(0)
+
+    def _reported_payload(self) -> list[float] | None:
+        """Mass and centre of gravity, or None from a controller that does not report them."""
+        try:
+            return [self._receive.getPayload(), *self._receive.getPayloadCog()]
+        except RuntimeError:
+            return None
+
+
+def _explain(message: str, host: str) -> str:
+    if "in use" in message.lower() or "IN_USE" in message:
+        return f"another program controls the robot at {host} over RTDE: end it first ({message})"
+    if "remote" in message.lower():
+        return f"the robot at {host} is not in remote control: switch it over at the pendant ({message})"
+    return f"the robot at {host} refuses the connection: {message}"

@@ -1,0 +1,44 @@
+"""The controller's words for its state, and ours."""
+
+from __future__ import annotations
+
+from toolee_robot.hal import ArmStatus
+
+# RTDE's safety_status_bits.
+_PROTECTIVE_STOP = 1 << 2
+_RECOVERY = 1 << 3
+_SAFEGUARD_STOP = 1 << 4
+_EMERGENCY_STOP = 1 << 5 | 1 << 6 | 1 << 7  # of the system, of the robot, of either
+_FAULT = 1 << 8 | 1 << 9  # violation, fault
+_STOPPED_FOR_SAFETY = 1 << 10
+
+ROBOT_MODE_RUNNING = 7
+RUNTIME_PLAYING = 2
+
+_ADVICE = {
+    ArmStatus.PROTECTIVE_STOP: "the robot has made a protective stop: look why, release it at the robot, then reset",
+    ArmStatus.SAFEGUARD_STOP: "the safeguard stop is open: close it and reset it at the robot, then reset",
+    ArmStatus.EMERGENCY_STOP: "the emergency stop is pressed: release it, switch the robot on again, then reset",
+    ArmStatus.FAULT: "the robot reports a safety violation or fault: see its pendant, then reset",
+    ArmStatus.NOT_READY: "the robot is not in its running mode: switch it on and release the brakes, then reset",
+}
+
+
+def arm_status(safety_bits: int, robot_mode: int) -> ArmStatus:
+    """From RTDE's safety_status_bits and robot_mode; the worst wins."""
+    if safety_bits & _FAULT:
+        return ArmStatus.FAULT
+    if safety_bits & _EMERGENCY_STOP:
+        return ArmStatus.EMERGENCY_STOP
+    if safety_bits & _PROTECTIVE_STOP:
+        return ArmStatus.PROTECTIVE_STOP
+    if safety_bits & (_SAFEGUARD_STOP | _STOPPED_FOR_SAFETY):
+        return ArmStatus.SAFEGUARD_STOP
+    if safety_bits & _RECOVERY or robot_mode != ROBOT_MODE_RUNNING:
+        return ArmStatus.NOT_READY
+    return ArmStatus.READY
+
+
+def advice(status: ArmStatus) -> str:
+    """What has happened, and what a person has to do; not for READY."""
+    return _ADVICE[status]
