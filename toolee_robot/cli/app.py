@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from toolee_robot.cli.bench import Bench
+from toolee_robot.cli.doctor import Doctor
 from toolee_robot.cli.estimate import Estimate
 from toolee_robot.cli.hammer import Hammer
 from toolee_robot.errors import TooleeError, UserError
@@ -28,6 +29,7 @@ Command = (
     Annotated[Hammer, tyro.conf.subcommand("hammer")]
     | Annotated[Estimate, tyro.conf.subcommand("estimate")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
+    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
 )
 
 
@@ -45,7 +47,7 @@ def main(args: Sequence[str] | None = None) -> None:
 
 def run(args: Sequence[str] | None = None) -> int:
     """As `main`, but returns the exit code; only the parser itself exits (0 for --help, 2 for a bad option)."""
-    command: Hammer | Estimate | Bench = tyro.cli(
+    command: Hammer | Estimate | Bench | Doctor = tyro.cli(
         Command,
         prog="toolee",
         description="A robot that is handed a hammer, looks at it, and drives the nail.",
@@ -73,7 +75,7 @@ def _terminate(_signum: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _complain(console: Console, command: Hammer | Estimate | Bench, error: TooleeError, outcome: str) -> None:
+def _complain(console: Console, command: Hammer | Estimate | Bench | Doctor, error: TooleeError, outcome: str) -> None:
     # Not wrapped: a path that is cut in two cannot be copied or searched for.
     console.print(f"[bold red]error:[/bold red] {escape(str(error))}", soft_wrap=True)
     if isinstance(command, Hammer) and command.json:

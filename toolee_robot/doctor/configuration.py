@@ -1,0 +1,81 @@
+"""The station file: do its figures fit together, and is its calibration of these devices?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import date
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control import RobotModel
+from toolee_robot.findings import Finding, Level
+
+REDUCED_SPEED = 0.25
+"""[m/s] ISO 10218-1's reduced speed, the most with a person in reach."""
+USUAL_SPEED = 1.5
+"""[m/s] Above it, a UR's own safety settings usually stop the arm."""
+HEAVIEST_HAMMER = 1.05  # [kg]
+PAYLOAD = {"UR10": 10.0, "UR10e": 12.5}  # [kg], data sheets
+
+
+def check_limits(config: StationConfig) -> Iterator[Finding]:
+    """Whether the planner's limits are within the arm's, and the supervisor's let the wanted motions pass."""
+    robot = RobotModel.load(config.arm.model, config.arm.calibration)
+    model, arm, supervisor = robot.description, config.arm, config.supervisor
+    wrong = []
+    for joint, mine, most in zip(model.arm_joints, arm.velocity, model.velocity, strict=False):
+        if mine > most * 1.001:
+            wrong.append(f"arm.velocity of {joint} is {mine:.2f} rad/s, the {arm.model} does {most:.2f}")
+    for joint, q, low, high in zip(model.arm_joints, config.scene.home, model.lower, model.upper, strict=False):
+        if not low <= q <= high:
+            wrong.append(f"scene.home puts {joint} at {q:.2f} rad, outside {low:.2f} to {high:.2f}")
+    if config.strike.speed > supervisor.hammering_speed:
+        most = supervisor.hammering_speed
+        wrong.append(f"strike.speed {config.strike.speed} m/s is over supervisor.hammering_speed {most} m/s")
+    load = model.hand_payload(model.hand_closed).mass + HEAVIEST_HAMMER
+    if load > PAYLOAD[arm.model]:
+        wrong.append(f"hand and hammer weigh {load:.1f} kg, the {arm.model} carries {PAYLOAD[arm.model]:.1f}")
+    inside = np.all(np.less(config.scene.workspace_lower, config.scene.handover_position)) and np.all(
+        np.less(config.scene.handover_position, config.scene.workspace_upper)
+    )
+    if not inside:
+        wrong.append("scene.handover_position is outside the workspace")
+    yield from (Finding(Level.FAIL, "limits", says, "change it in the station file") for says in wrong)
+    if not wrong:
+        yield Finding(
+            Level.OK, "limits", f"within the {arm.model}'s; {load:.1f} kg of {PAYLOAD[arm.model]:.1f} kg payload"
+        )
+    if supervisor.handover_speed > REDUCED_SPEED:
+        says = f"handovers at up to {supervisor.handover_speed} m/s"
+        do = f"ISO 10218-1 allows {REDUCED_SPEED} m/s near a person: lower supervisor.handover_speed"
+        yield Finding(Level.WARN, "handover speed", says, do)
+    if supervisor.hammering_speed > USUAL_SPEED:
+        says = f"up to {supervisor.hammering_speed} m/s"
+        yield Finding(Level.WARN, "swing speed", says, "compare it with the robot's own TCP speed limit")
+
+
+def check_calibration(
+    config: StationConfig, robot_serial: str | None, camera_serial: str | None, today: date
+) -> Finding:
+    """robot_serial, camera_serial: what the devices say; None where one does not tell or was not asked."""
+    calibration = config.calibration
+    if calibration is None:
+        return Finding(
+            Level.FAIL, "calibration", "none", "calibrate the camera to the robot, enter it in the station file"
+        )
+    problems = calibration.problems(
+        calibration.robot_serial if robot_serial is None else robot_serial,
+        calibration.camera_serial if camera_serial is None else camera_serial,
+        today,
+    )
+    if problems:
+        says, _, do = problems[0].rpartition(": ")
+        others = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        return Finding(Level.FAIL, "calibration", f"{says}{others}", do)
+    unknown = [what for what, serial in (("robot", robot_serial), ("camera", camera_serial)) if serial is None]
+    says = f"of {calibration.measured_on}, residual {calibration.residual * 1e3:.1f} mm"
+    if unknown:
+        says += f"; not compared with the {' and the '.join(unknown)}"
+        return Finding(Level.WARN, "calibration", says, "make sure that it is of these devices")
+    return Finding(Level.OK, "calibration", says)

@@ -1,0 +1,102 @@
+"""Arm, hand, camera and person through the hardware abstraction: read, never moved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control import CollisionWorld, RobotModel
+from toolee_robot.errors import TooleeError
+from toolee_robot.findings import Finding, Level
+from toolee_robot.hal import Arm, ArmStatus, Clock, Hand, Person, RgbdCamera
+
+DEPTH_KNOWN = 0.3
+"""Share of an image whose depth must be known."""
+
+
+def check_arm(arm: Arm, hand: Hand, config: StationConfig) -> Finding:
+    """Its status, and whether it can be planned for from where it stands."""
+    try:
+        state = arm.state(config.supervisor.max_data_age)
+        q_hand = hand.state().joints.q
+    except TooleeError as error:
+        return Finding(Level.FAIL, "arm", str(error), "check its connection")
+    if state.status is not ArmStatus.READY:
+        return Finding(Level.FAIL, "arm", state.status.replace("_", " "), "make it ready at the teach pendant")
+    q = state.joints.q
+    robot = RobotModel.load(config.arm.model, config.arm.calibration)
+    lower, upper = robot.description.lower[:6], robot.description.upper[:6]
+    if not (q.shape == (6,) and np.all(np.isfinite(q)) and np.all((lower <= q) & (q <= upper))):
+        return Finding(Level.FAIL, "arm", f"joints {np.round(q, 2)} rad are outside the limits", "jog it back inside")
+    flange = robot.arm.fk(q)[:3, 3]
+    scene = config.scene
+    if not (np.all(flange >= scene.workspace_lower) and np.all(flange <= scene.workspace_upper)):
+        says = f"the flange, at {np.round(flange, 2)} m, is outside the workspace"
+        return Finding(Level.FAIL, "arm", says, "jog it inside, or change scene.workspace_lower and _upper")
+    closest = CollisionWorld(robot, config, q_hand).closest(q)
+    if closest.distance < config.strike.clearance:
+        return Finding(Level.FAIL, "arm", f"stands too near: {closest}", "jog it away, or correct the station file")
+    return Finding(Level.OK, "arm", f"ready, {arm.rate:.0f} Hz, clear of everything by {closest.distance * 1e3:.0f} mm")
+
+
+def check_hand(hand: Hand, config: StationConfig) -> Finding:
+    """Its joints, its own complaints and its temperature."""
+    robot = RobotModel.load(config.arm.model, config.arm.calibration)
+    try:
+        state = hand.state()
+    except TooleeError as error:
+        return Finding(Level.FAIL, "hand", str(error), "check its cable and its power")
+    if hand.joint_names != robot.description.hand_joints:
+        return Finding(Level.FAIL, "hand", "its joints are not the model's", "use a driver for this hand")
+    if state.fault:
+        return Finding(Level.FAIL, "hand", state.fault, "clear the fault in its own software, then look again")
+    hottest = state.temperature
+    if hottest is not None and hottest > config.supervisor.max_hand_temperature:
+        most = config.supervisor.max_hand_temperature
+        return Finding(Level.FAIL, "hand", f"{hottest:.0f} °C, {most:.0f} °C are allowed", "let it cool down")
+    if state.holding:
+        return Finding(Level.WARN, "hand", "it holds something", "take it out: a job begins with an empty hand")
+    warmth = "" if hottest is None else f", {hottest:.0f} °C"
+    return Finding(Level.OK, "hand", f"answers, empty, {len(state.joints.q)} joints{warmth}")
+
+
+def check_camera(camera: RgbdCamera, clock: Clock, config: StationConfig) -> Iterator[Finding]:
+    """Whether frames come, new ones each time, with depth, of the configured camera."""
+    name = "camera"
+    try:
+        first = camera.read()
+        second = camera.read()
+    except TooleeError as error:
+        yield Finding(Level.FAIL, name, str(error), "check its cable; plug it into a port of its own")
+        return
+    age = clock.now() - second.stamp
+    if not second.stamp > first.stamp:
+        yield Finding(Level.FAIL, name, "it repeats the same frame", "restart the camera's driver")
+    elif not -0.01 <= age <= 0.5:
+        yield Finding(Level.FAIL, name, f"its frame is {age:.2f} s old", "compare the camera's clock and its load")
+    else:
+        step = second.stamp - first.stamp
+        yield Finding(Level.OK, name, f"frames {age * 1e3:.0f} ms old, {step * 1e3:.0f} ms apart")
+    if second.intrinsics != config.camera.intrinsics:
+        yield Finding(
+            Level.FAIL,
+            "intrinsics",
+            "the camera's are not the station file's",
+            "enter what the camera says under camera",
+        )
+    known = float(np.mean(np.isfinite(second.depth) & (second.depth > 0)))
+    if known < DEPTH_KNOWN:
+        yield Finding(
+            Level.FAIL, "depth", f"known for {known:.0%} of the image", "look for sun, glass, or a covered lens"
+        )
+    else:
+        yield Finding(Level.OK, "depth", f"known for {known:.0%} of the image")
+
+
+def check_person(person: Person) -> Finding:
+    """Whether anybody is inside: no mistake before a handover, but nothing fast moves then."""
+    if person.inside():
+        return Finding(Level.OK, "person", "somebody is inside, or the station cannot tell: nothing fast will move")
+    return Finding(Level.OK, "person", "nobody is inside")

@@ -1,0 +1,130 @@
+"""This computer: can it keep a robot's rate, and is there room for the recordings?"""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from toolee_robot.findings import Finding, Level
+
+CPUS = 4
+"""The servo process, the task with its planner, the perception, and the rest of the system."""
+MEMORY_LOCK = 256 << 20  # [bytes] that the servo process keeps from being swapped out
+DISK_FULL, DISK_LOW = 200 << 20, 5 << 30  # [bytes]; a job's recording takes some tens of megabytes
+LATE = 1e-3  # [s] that a command may be late
+_GOVERNORS = "cpu*/cpufreq/scaling_governor"
+
+
+def check_processor(cpus: Path = Path("/sys/devices/system/cpu")) -> Iterator[Finding]:
+    """Cores that this process may use, and whether they run at full speed. cpus: the system's folder of them."""
+    n = len(os.sched_getaffinity(0))
+    if n < 2:
+        yield Finding(Level.FAIL, "cores", f"{n}", "the servo loop needs one of its own: use a machine with 4")
+    elif n < CPUS:
+        yield Finding(Level.WARN, "cores", f"{n}", f"with {CPUS}, perception and planning cannot delay the servo loop")
+    else:
+        yield Finding(Level.OK, "cores", f"{n}")
+    governors = set()
+    for path in cpus.glob(_GOVERNORS):
+        with suppress(OSError):
+            governors.add(path.read_text().strip())
+    if not governors:
+        yield Finding(Level.OK, "frequency", "not adjustable on this machine")
+    elif governors <= {"performance"}:
+        yield Finding(Level.OK, "frequency", "governor performance")
+    else:
+        yield Finding(
+            Level.WARN,
+            "frequency",
+            f"governor {', '.join(sorted(governors))}",
+            "cores that sleep wake late: sudo cpupower frequency-set -g performance",
+        )
+
+
+def check_real_time(rate: float) -> Iterator[Finding]:
+    """What a servo loop at a rate [Hz] needs of the system; half a second of it is tried."""
+    kernel = "PREEMPT_RT" in platform.version() or _flag("/sys/kernel/realtime")
+    if kernel:
+        yield Finding(Level.OK, "kernel", "real-time (PREEMPT_RT)")
+    else:
+        yield Finding(
+            Level.WARN, "kernel", "not a real-time one", "install one with PREEMPT_RT: see docs/real_robot.md"
+        )
+    if _may_schedule():
+        yield Finding(Level.OK, "priority", "SCHED_FIFO is allowed")
+    else:
+        yield Finding(
+            Level.WARN,
+            "priority",
+            "SCHED_FIFO is not allowed",
+            "other programs can delay the servo loop: set rtprio in /etc/security/limits.conf",
+        )
+    lock = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    if lock == resource.RLIM_INFINITY or lock >= MEMORY_LOCK:
+        yield Finding(Level.OK, "memory lock", "unlimited" if lock == resource.RLIM_INFINITY else f"{lock >> 20} MiB")
+    else:
+        yield Finding(
+            Level.WARN,
+            "memory lock",
+            f"{lock / 2**20:.3g} MiB",
+            "memory can be swapped out in mid-swing: set memlock in /etc/security/limits.conf",
+        )
+    late = wake_up_lateness(rate, 0.5)
+    p99 = float(np.percentile(late, 99))
+    says = f"{rate:.0f} Hz: 99 % of the cycles less than {p99 * 1e3:.2f} ms late, the worst {late.max() * 1e3:.2f} ms"
+    if p99 > LATE:
+        yield Finding(
+            Level.WARN, "schedule", says, "stop other programs; commands later than half a cycle count as overruns"
+        )
+    else:
+        yield Finding(Level.OK, "schedule", says)
+
+
+def check_disk(folder: Path) -> Finding:
+    """Room for the recordings in a folder that need not exist yet."""
+    there = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        return Finding(Level.FAIL, "recordings", f"{there} cannot be written", "choose another --out")
+    free = shutil.disk_usage(there).free
+    says = f"{free / 2**30:.1f} GiB free in {folder}"
+    if free < DISK_FULL:
+        return Finding(Level.FAIL, "recordings", says, "make room, or choose another --out")
+    if free < DISK_LOW:
+        return Finding(Level.WARN, "recordings", says, "make room before a long series")
+    return Finding(Level.OK, "recordings", says)
+
+
+def wake_up_lateness(rate: float, duration: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """How late [s] this process wakes up on an absolute schedule at a rate [Hz], (n,) over a duration [s]."""
+    n = int(rate * duration)
+    due = time.monotonic() + np.arange(1, n + 1) / rate
+    late = np.zeros(n)
+    for i in range(n):
+        time.sleep(max(due[i] - time.monotonic(), 0.0))
+        late[i] = max(time.monotonic() - due[i], 0.0)
+    return late
+
+
+def _flag(path: str) -> bool:
+    with suppress(OSError):
+        return Path(path).read_text().strip() == "1"
+    return False
+
+
+def _may_schedule() -> bool:
+    """Tried, and undone at once: permissions come from too many places to be read."""
+    policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except OSError:
+        return False
+    os.sched_setscheduler(0, policy, parameter)
+    return True

@@ -1,0 +1,82 @@
+"""Can the planner do the job in this station? Handover, looking and blows with the kinds of hammers there are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control import CollisionWorld, RobotModel, plan_handover, plan_strike, plan_views
+from toolee_robot.errors import PlanningError
+from toolee_robot.findings import Finding, Level
+from toolee_robot.frames import Array
+from toolee_robot.robots import nominal_X_hand_tool
+from toolee_robot.tools import Tool, ToolKind, make_tool
+from toolee_robot.types import Category
+
+KINDS = (ToolKind.CLAW_HAMMER, ToolKind.BALL_PEEN_HAMMER, ToolKind.CROSS_PEEN_HAMMER, ToolKind.CLUB_HAMMER)
+SLOWER = 0.9
+"""A blow slower than this share of what is wanted is worth a line."""
+
+
+def check_reach(config: StationConfig) -> Iterator[Finding]:
+    """Plans from the home posture with every tool as it nominally lies in the hand; nothing is moved."""
+    robot = RobotModel.load(config.arm.model, config.arm.calibration)
+    home, model = np.array(config.scene.home), robot.description
+    yield _handover(robot, config, home, model.hand_open)
+    tools = [make_tool(kind, _seed(kind)) for kind in KINDS]
+    grips = [nominal_X_hand_tool(float(np.mean(t.handle.radii_at(0.0)))) @ _face(t) for t in tools]
+    yield _views(robot, config, home, model.hand_closed, grips[0])
+    yield _blows(robot, config, home, model.hand_closed, tools, grips)
+
+
+def _seed(kind: ToolKind) -> int:
+    """The first hammer of a kind that one hand swings: 0.4 to 1.05 kg."""
+    return next(seed for seed in range(100) if 0.4 <= make_tool(kind, seed).mass <= 1.05)
+
+
+def _face(tool: Tool) -> Array:
+    return tool.ee(Category.HAMMER_HEAD).X_tool_ee
+
+
+def _handover(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array) -> Finding:
+    try:
+        plan_handover(robot, config, CollisionWorld(robot, config, q_hand), home, q_hand)
+    except PlanningError as error:
+        return Finding(Level.FAIL, "handover", str(error), "move scene.handover_position")
+    return Finding(Level.OK, "handover", "the hand reaches the place of the handover")
+
+
+def _views(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_hand_ee: Array) -> Finding:
+    world = CollisionWorld(robot, config, q_hand, X_hand_ee)
+    try:
+        plan_views(robot, config, world, home, q_hand, X_hand_ee, count=config.task.views)
+    except PlanningError as error:
+        return Finding(Level.FAIL, "views", str(error), "move the camera, or lower task.views")
+    return Finding(Level.OK, "views", f"the camera sees the tool from {config.task.views} sides")
+
+
+def _blows(
+    robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, tools: list[Tool], grips: list[Array]
+) -> Finding:
+    X_base_nail, wanted = config.work.X_base_nail(), config.strike.speed
+    speeds: list[float] = []
+    failures: list[str] = []
+    for tool, X_hand_ee in zip(tools, grips, strict=True):
+        world = CollisionWorld(robot, config, q_hand, X_hand_ee)
+        try:
+            plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, X_base_nail)
+        except PlanningError as error:
+            failures.append(f"{tool.kind.replace('_', ' ')}: {error}")
+        else:
+            speeds.append(plan.speed)
+    name = "blow"
+    if not speeds:
+        return Finding(Level.FAIL, name, failures[0], "move the nail (work.nail_xy), or raise the stand")
+    says = f"{len(speeds)} of {len(tools)} kinds of hammers strike the nail, at {min(speeds):.2f} m/s or more"
+    if failures:
+        return Finding(Level.WARN, name, f"{says}; {failures[0]}", "move the nail (work.nail_xy), or raise the stand")
+    if min(speeds) < SLOWER * wanted:
+        return Finding(Level.WARN, name, f"{says}; {wanted} m/s were wanted", "move the nail, or lower strike.speed")
+    return Finding(Level.OK, name, says)

@@ -1,0 +1,20 @@
+"""The networks: there, whole, and of this code."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from toolee_robot.errors import AssetError
+from toolee_robot.findings import Finding, Level
+from toolee_robot.perception import ToolPerception
+
+
+def check_weights(folder: Path | None = None) -> Finding:
+    """Loads them; folder: the shipped ones if None."""
+    began = time.perf_counter()
+    try:
+        ToolPerception.load(folder)
+    except AssetError as error:
+        return Finding(Level.FAIL, "networks", str(error), "reinstall the package")
+    return Finding(Level.OK, "networks", f"loaded in {time.perf_counter() - began:.1f} s")
