@@ -1,0 +1,100 @@
+"""A client of the fault port, for tests and for anyone who wants to break a robot that does not exist."""
+
+from __future__ import annotations
+
+import json
+import socket
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from toolee_robot.errors import DeviceError, UserError
+from toolee_robot.frames import Array
+
+FAULT_PORT = 30020
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What the arm did, a row a tick. ticks, stamps (N,): number, and `time.monotonic` [s], which is the same clock in
+    every process of the machine. q, qd, q_target (N, 6): measured and set-point [rad], [rad/s]. safety, program (N,):
+    SafetyMode and RuntimeState."""
+
+    ticks: Array
+    stamps: Array
+    q: Array
+    qd: Array
+    q_target: Array
+    safety: Array
+    program: Array
+
+
+class FaultClient:
+    """A connection to a stand-in's fault port. Raises DeviceError when nobody answers within `timeout` [s]."""
+
+    def __init__(self, host: str, port: int = FAULT_PORT, timeout: float = 10.0) -> None:
+        self._address = f"{host}:{port}"
+        try:
+            self._socket = socket.create_connection((host, port), timeout)
+        except OSError as error:
+            raise DeviceError(
+                f"no controller stand-in answers on {self._address} ({error}): start one with "
+                f"`toolee ur-controller --host {host}`"
+            ) from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._buffer = b""
+
+    def fault(self, name: str, **arguments: object) -> dict[str, Any]:
+        """Carry out a hook and return its answer. Raises UserError when the stand-in refuses it."""
+        try:
+            self._socket.sendall(json.dumps({"fault": name, **arguments}).encode() + b"\n")
+            while b"\n" not in self._buffer:
+                data = self._socket.recv(1 << 20)
+                if not data:
+                    raise ConnectionError("closed")
+                self._buffer += data
+        except OSError as error:
+            raise DeviceError(f"the controller stand-in on {self._address} does not answer: {error}") from error
+        line, self._buffer = self._buffer.split(b"\n", 1)
+        answer: dict[str, Any] = json.loads(line)
+        if not answer.pop("ok"):
+            raise UserError(answer["error"])
+        return answer
+
+    def state(self) -> dict[str, Any]:
+        """The truth about the robot."""
+        return self.fault("state")
+
+    def trace(self, after: int = -1) -> Trace:
+        """Every tick after number `after` that is still kept."""
+        rows: list[list[Any]] = []
+        last = after
+        while page := self.fault("trace", after=last)["rows"]:
+            rows += page
+            last = page[-1][0]
+            if len(page) < 100:  # the newest: do not chase the ticks of the meantime
+                break
+        columns = list(zip(*rows, strict=True)) if rows else [()] * 7
+        ticks, stamps, safety, program, q, qd, q_target = columns
+        return Trace(
+            ticks=np.array(ticks, dtype=int),
+            stamps=np.array(stamps, dtype=float),
+            q=np.array(q, dtype=float).reshape(-1, 6),
+            qd=np.array(qd, dtype=float).reshape(-1, 6),
+            q_target=np.array(q_target, dtype=float).reshape(-1, 6),
+            safety=np.array(safety, dtype=int),
+            program=np.array(program, dtype=int),
+        )
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

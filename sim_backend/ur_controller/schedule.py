@@ -1,0 +1,58 @@
+"""The controller's clock: ticks on an absolute schedule, and what is known about how well it was kept."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+CATCH_UP = 0.05  # [s] of being late that is caught up by ticks back to back; beyond it the schedule moves
+
+
+@dataclass
+class TickStatistics:
+    """ticks: done. late: begun later than half a period after their time. slipped: periods by which the schedule had
+    to be moved, because the machine or the physics was too slow for real time. worst_late [s]. busy [s]: spent on
+    work in all ticks."""
+
+    ticks: int = 0
+    late: int = 0
+    slipped: int = 0
+    worst_late: float = 0.0
+    busy: float = 0.0
+
+
+class Schedule:
+    """When the next tick is due. Times are of `time.monotonic` [s].
+
+    A late tick is followed by the next ones without a pause until the schedule is met again, so that the rate is kept
+    on average; after more than CATCH_UP the schedule moves by whole periods instead, which is counted: robot time then
+    runs behind the wall's clock, and no tick is left out.
+    """
+
+    def __init__(self, period: float) -> None:
+        self.period = period
+        self.statistics = TickStatistics()
+        self._start, self._count = time.monotonic(), 0
+
+    @property
+    def due(self) -> float:
+        """Time of the next tick."""
+        return self._start + self._count * self.period
+
+    def begin(self) -> float:
+        """The tick that is due begins; returns its time on the schedule."""
+        due, statistics = self.due, self.statistics
+        late = time.monotonic() - due
+        if late > CATCH_UP:
+            periods = int(late / self.period)
+            statistics.slipped += periods
+            self._start += periods * self.period
+        statistics.late += late > 0.5 * self.period
+        statistics.worst_late = max(statistics.worst_late, late)
+        statistics.ticks += 1
+        self._count += 1
+        return due
+
+    def reset(self) -> None:
+        """Forget the statistics."""
+        self.statistics = TickStatistics()
