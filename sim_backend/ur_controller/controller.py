@@ -106,10 +106,8 @@ class Controller:
             ),
         }
         self.faults = Faults(self)
-        self.services: list[Service] = [
-            *self.ports.values(),
-            Port("faults", host, options.fault_port, lambda c: FaultSession(c, self.faults), log),
-        ]
+        self.fault_port = Port("faults", host, options.fault_port, lambda c: FaultSession(c, self.faults), log)
+        self.services: list[Service] = [*self.ports.values(), self.fault_port]
         self._running = False
 
     def add_service(self, service: Service) -> None:
@@ -119,9 +117,8 @@ class Controller:
     def listen(self) -> None:
         """Open all ports. Raises UserError when one is taken; none is open then."""
         try:
-            for service in self.services:
-                if isinstance(service, Port):
-                    service.listen()
+            for port in (*self.ports.values(), self.fault_port):
+                port.listen()
         except UserError:
             self.close()
             raise
@@ -135,6 +132,7 @@ class Controller:
         gc.collect()
         gc.freeze()
         gc.disable()
+        self.schedule.restart()
         try:
             while self._running:
                 self._serve_until(self.schedule.due)

@@ -53,6 +53,10 @@ class Schedule:
         self._count += 1
         return due
 
+    def restart(self) -> None:
+        """The first tick is due now."""
+        self._start, self._count = time.monotonic(), 0
+
     def reset(self) -> None:
         """Forget the statistics."""
         self.statistics = TickStatistics()

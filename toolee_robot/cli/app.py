@@ -21,6 +21,7 @@ from toolee_robot.cli.bench import Bench
 from toolee_robot.cli.doctor import Doctor
 from toolee_robot.cli.estimate import Estimate
 from toolee_robot.cli.hammer import Hammer
+from toolee_robot.cli.ur_controller import UrController
 from toolee_robot.errors import TooleeError, UserError
 
 EXIT_FAILED, EXIT_USER, EXIT_INTERRUPTED = 1, 2, 130
@@ -30,6 +31,7 @@ Command = (
     | Annotated[Estimate, tyro.conf.subcommand("estimate")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
+    | Annotated[UrController, tyro.conf.subcommand("ur-controller")]
 )
 
 
@@ -47,7 +49,7 @@ def main(args: Sequence[str] | None = None) -> None:
 
 def run(args: Sequence[str] | None = None) -> int:
     """As `main`, but returns the exit code; only the parser itself exits (0 for --help, 2 for a bad option)."""
-    command: Hammer | Estimate | Bench | Doctor = tyro.cli(
+    command: Hammer | Estimate | Bench | Doctor | UrController = tyro.cli(
         Command,
         prog="toolee",
         description="A robot that is handed a hammer, looks at it, and drives the nail.",
@@ -75,7 +77,9 @@ def _terminate(_signum: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _complain(console: Console, command: Hammer | Estimate | Bench | Doctor, error: TooleeError, outcome: str) -> None:
+def _complain(
+    console: Console, command: Hammer | Estimate | Bench | Doctor | UrController, error: TooleeError, outcome: str
+) -> None:
     # Not wrapped: a path that is cut in two cannot be copied or searched for.
     console.print(f"[bold red]error:[/bold red] {escape(str(error))}", soft_wrap=True)
     if isinstance(command, Hammer) and command.json:

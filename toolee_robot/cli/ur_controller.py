@@ -1,0 +1,87 @@
+"""`toolee ur-controller`: a stand-in for a Universal Robots controller, for programs that use ur_rtde."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+from rich.markup import escape
+
+from toolee_robot.cli.options import Flag
+
+METRES_PER_SECOND, NEWTONS, RADIANS = (tyro.conf.arg(metavar=unit) for unit in ("M/S", "N", "RAD"))
+
+
+@dataclass(frozen=True)
+class UrController:
+    """Stand in for a UR controller: ur_rtde and other clients connect to it as to a robot. Ctrl-C ends it.
+
+    Example: toolee ur-controller --model UR10e --host 127.0.0.3
+
+    Serves RTDE (30004), the dashboard (29999), the script ports (30001 to 30003), and a fault port; runs the control
+    script that clients upload. Behind it are ideal joints. Only loopback addresses. See docs/ur_controller.md.
+    """
+
+    model: Literal["UR10", "UR10e"] = "UR10"
+    """UR10: CB3, PolyScope 3.15, 125 Hz. UR10e: e-Series, PolyScope 5.11, 500 Hz."""
+    host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.2"
+    """A loopback address; every robot on this machine needs its own (127.0.0.2, 127.0.0.3, ...)."""
+    fault_port: Annotated[int, tyro.conf.arg(metavar="PORT")] = 30020
+    """Where faults are asked for, a JSON object a line."""
+    speed_slider: Annotated[float, tyro.conf.arg(metavar="0..1")] = 1.0
+    """Position of the speed slider."""
+    local: Flag = False
+    """Local control instead of remote control (e-Series)."""
+    off: Flag = False
+    """Start with the arm switched off: clients must power it on and release the brakes."""
+    force_limit: Annotated[float, NEWTONS] = 150.0
+    """Force on the flange, smoothed over 20 ms, that makes a protective stop."""
+    following_error: Annotated[float, RADIANS] = 0.2
+    """Distance of a joint from its set-point that makes a protective stop."""
+    tcp_speed_limit: Annotated[float, METRES_PER_SECOND] = 5.0
+    """Speed of the TCP that makes a protective stop."""
+
+    def run(self) -> int:
+        from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
+        from toolee_robot.sim_backend.ur_controller.process import resting_joints
+        from toolee_robot.sim_backend.ur_controller.safety import SafetyLimits
+
+        console = Console(highlight=False)
+        begin = time.monotonic()
+
+        def log(line: str) -> None:
+            console.print(f"[dim]{time.monotonic() - begin:9.3f}[/dim]  {escape(line)}", soft_wrap=True)
+
+        limits = SafetyLimits(
+            force=self.force_limit, following_error=self.following_error, tcp_speed=self.tcp_speed_limit
+        )
+        options = ControllerOptions(
+            model=self.model,
+            host=self.host,
+            fault_port=self.fault_port,
+            speed_slider=self.speed_slider,
+            remote=not self.local,
+            powered=not self.off,
+            limits=limits,
+        )
+        controller = Controller(options, resting_joints, log)
+        controller.listen()
+        model = controller.robot.model
+        version = ".".join(str(number) for number in model.version)
+        console.print(f"[bold]{model.name}[/bold], controller software {version}, {model.rate:.0f} Hz, on {self.host}")
+        for port in (*controller.ports.values(), controller.fault_port):
+            console.print(f"  {port.number}  {port.name}")
+        console.print("[dim]Ctrl-C ends it; end its clients first.[/dim]")
+        try:
+            controller.run()
+        except KeyboardInterrupt:
+            statistics = controller.schedule.statistics
+            console.print(
+                f"\nEnded after {statistics.ticks} ticks: {statistics.late} late, at worst "
+                f"{1e3 * statistics.worst_late:.1f} ms; {statistics.slipped} slipped; "
+                f"{1e3 * statistics.busy / max(1, statistics.ticks):.2f} ms of work a tick"
+            )
+        return 0
