@@ -11,6 +11,7 @@ Import it as `toolee_robot.sim_backend`.
 if __name__ != "toolee_robot.sim_backend":
     raise ImportError("import toolee_robot.sim_backend: the short name would make a second copy of every module")
 
+import toolee_robot.sim_backend.quiet  # noqa: F401  (first: it loads pybullet without its greeting)
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.sim_backend.station import SimStation
 from toolee_robot.sim_backend.world import Sample

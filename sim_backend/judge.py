@@ -117,6 +117,23 @@ class Verdict:
     misses: int
 
 
+class Truth(Protocol):
+    """What a judge answers."""
+
+    @property
+    def blows(self) -> tuple[BlowTruth, ...]:
+        """All blows so far; the last one may still be going on."""
+        ...
+
+    def X_hand_ee(self, stamp: float) -> Array:
+        """The true pose (4x4) of the EE in the hand at `stamp` [s]."""
+        ...
+
+    def verdict(self, estimates: Sequence[tuple[float, InHandEstimate]] = ()) -> Verdict:
+        """The figures of the run so far."""
+        ...
+
+
 class Judge:
     """Watches `world` from now on: call `after_step` after every step."""
 

@@ -15,7 +15,6 @@ from rich.table import Table
 from toolee_robot.cli.machine import Latency, Machine, describe_machine, measure
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.cli.quiet import load_pybullet
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.types import Category
 
@@ -48,7 +47,6 @@ class Bench:
         machine = describe_machine()
         console.print(_describe(machine))
 
-        load_pybullet()
         from toolee_robot.cli.bench_scene import bench_scene
 
         with console.status("a hammer is handed over and brought before the camera"), bench_scene(_SEED) as scene:

@@ -13,7 +13,6 @@ from rich.console import Console
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.cli.quiet import load_pybullet
 from toolee_robot.config import StationConfig, load_station
 from toolee_robot.errors import UserError
 
@@ -57,7 +56,6 @@ class Hammer:
 
         with run_folder(self.out, f"seed{self.seed}") as folder:
             console.print("[dim]loading the networks and building the station[/dim]")
-            load_pybullet()
             from toolee_robot.cli.job import HammerJob  # seconds of loading: after everything that can be wrong at once
 
             correction, perfect = not self.no_correction, self.perfect_perception

@@ -1,4 +1,7 @@
-"""pybullet greets everybody with its build time on the standard error stream, from C: not here."""
+"""pybullet greets everybody with its build time on the standard error stream, from C: not here.
+
+Imported before anything else of the package, this loads it silently.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,5 @@ def quiet_stderr() -> Iterator[None]:
         os.close(nowhere)
 
 
-def load_pybullet() -> None:
-    """Import it for the first time, silently."""
-    with quiet_stderr():
-        import pybullet  # noqa: F401
+with quiet_stderr():
+    import pybullet  # noqa: F401
