@@ -42,7 +42,8 @@ class ControllerProcess:
     parent.
 
     plant: importable by name, since the child makes the plant. setup: likewise; called in the child with the
-    controller before it listens (to add a service). verbose: the child's log goes to stderr.
+    controller before it listens (to add a service). inherit: file descriptors that the child has too. verbose: the
+    child's log goes to stderr.
 
     Clients must go before the controller: RTDEIOInterface aborts the interpreter otherwise. Hand their closing to
     `on_exit`, or leave them before this context.
@@ -54,6 +55,7 @@ class ControllerProcess:
         *,
         plant: Callable[[ControllerModel], Plant] = resting_joints,
         setup: Callable[[Controller], None] | None = None,
+        inherit: Sequence[int] = (),
         verbose: bool = False,
         **changes: Any,
     ) -> None:
@@ -62,7 +64,7 @@ class ControllerProcess:
             raise UserError("give either options or their fields")
         self.options = options or ControllerOptions(**changes)
         self._job = pickle.dumps((self.options, plant, setup, verbose))
-        self._verbose = verbose
+        self._inherit, self._verbose = inherit, verbose
         self._child: subprocess.Popen[bytes] | None = None
         self._client: FaultClient | None = None
         self._on_exit: list[Callable[[], object]] = []
@@ -84,6 +86,7 @@ class ControllerProcess:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=None if self._verbose else subprocess.DEVNULL,
+            pass_fds=self._inherit,
         )
         assert self._child.stdin is not None
         assert self._child.stdout is not None
@@ -112,7 +115,7 @@ class ControllerProcess:
         """Call this before the controller is ended, the last one first: for clients."""
         self._on_exit.append(close)
 
-    def fault(self, name: str, **arguments: object) -> dict[str, Any]:
+    def fault(self, name: str, /, **arguments: object) -> dict[str, Any]:
         """A hook of the fault port; see the documentation for all of them."""
         assert self._client is not None, "enter the context first"
         return self._client.fault(name, **arguments)

@@ -37,17 +37,11 @@ class WorldService:
     ended: called once the other side has gone; the controller has no purpose then. Stamps are on `time.monotonic()`.
     """
 
-    def __init__(
-        self,
-        connection: Connection,
-        config: StationConfig,
-        seed: int,
-        options: SimOptions,
-        ended: Callable[[], None],
-    ) -> None:
+    def __init__(self, connection: Connection, config: StationConfig, seed: int, options: SimOptions) -> None:
         tool, offset = draw_handover(seed, options)
         self.world = world = build_world(config, tool, options)
-        self._connection, self._ended = connection, ended
+        self.ended: Callable[[], None] = lambda: None
+        self._connection = connection
         self._commands = Commands(world)
         self._hand = hand = SimHand(world, options.friction)
         person = SimPerson(world, offset, options.hands_over)
@@ -73,10 +67,6 @@ class WorldService:
             "judge.verdict": judge.verdict,
         }
 
-    def offer(self, name: str, handler: Handler) -> None:
-        """Answer `name` as well: with what `handler` returns, at once."""
-        self._immediate[name] = handler
-
     def filenos(self) -> Sequence[int]:
         return () if self._connection.closed else (self._connection.fileno(),)
 
@@ -86,7 +76,7 @@ class WorldService:
             request = self._connection.recv()
         if request is None:
             self._connection.close()
-            self._ended()
+            self.ended()
             return
         number, name, arguments = request
         if name in self._lasting:

@@ -55,7 +55,8 @@ class Loop(threading.Thread):
         self.channel = Channel(ours)
 
     def run(self) -> None:
-        service = WorldService(self._theirs, CONFIG, SEED, OPTIONS, self.ended.set)
+        service = WorldService(self._theirs, CONFIG, SEED, OPTIONS)
+        service.ended = self.ended.set
         plant = WorldPlant(service.world, TICK)
         payload = service.world.robot.robot.hand_payload(service.world.robot.q_hand_target)
         plant.set_payload(payload.mass, payload.center_of_mass)

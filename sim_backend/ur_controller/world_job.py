@@ -1,0 +1,39 @@
+"""What a controller stand-in's process makes of itself to have the simulated world as its plant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+
+from toolee_robot.config import StationConfig
+from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.sim_backend.ur_controller.controller import Controller
+from toolee_robot.sim_backend.ur_controller.model import ControllerModel
+from toolee_robot.sim_backend.ur_controller.world_plant import WorldPlant
+from toolee_robot.sim_backend.ur_controller.world_service import WorldService
+
+
+@dataclass
+class WorldJob:
+    """`plant` and `setup` of a `ControllerProcess`; both run in the child, in this order.
+
+    fd: the child's end of a socket pair, for the `WorldService`; the controller ends with it. The rest is what
+    `SimStation.build` takes.
+    """
+
+    fd: int
+    config: StationConfig
+    seed: int
+    options: SimOptions
+    _service: WorldService | None = field(default=None, init=False)
+
+    def plant(self, model: ControllerModel) -> WorldPlant:
+        """The world, with hand, person and judge; the arm waits where the options have it."""
+        self._service = WorldService(Connection(self.fd), self.config, self.seed, self.options)
+        return WorldPlant(self._service.world, model.period)
+
+    def setup(self, controller: Controller) -> None:
+        """Serve hand, person and judge in the controller's loop."""
+        assert self._service is not None, "the plant comes first"
+        self._service.ended = controller.stop
+        controller.add_service(self._service)
