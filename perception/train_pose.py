@@ -1,10 +1,11 @@
 """Train the pose network on one CUDA GPU (or, for a look, on a CPU).
 
     python -m toolee_robot.perception.train_pose --out runs/pose --minutes 20
+    python -m toolee_robot.perception.train_pose --out runs/paper --minutes 20 --estimator paper --column ee
 
-Writes pose-*.safetensors and pose.json (settings, validation on held-out tools, calibration), log.jsonl, and
-checkpoint.pt; the same command again resumes from it. Where gymnasium-robotics is not installed, carry the hand's
-surface samples there:
+Writes pose-*.safetensors and pose.json (settings, validation on held-out tools, calibration; with --estimator paper:
+pose_paper-*), log.jsonl, and checkpoint.pt; the same command again resumes from it. Where gymnasium-robotics is not
+installed, carry the hand's surface samples there:
 
     python -m toolee_robot.perception.train_pose --prepare-hands hands.npz
     python -m toolee_robot.perception.train_pose --out runs/pose --minutes 20 --hands hands.npz
@@ -19,6 +20,8 @@ from pathlib import Path
 
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.pose.bank import save_hands
+from toolee_robot.perception.pose.method import Ours
+from toolee_robot.perception.pose.paper import COLUMNS, PaperMethod
 from toolee_robot.perception.pose.training import TrainConfig, train
 
 
@@ -26,6 +29,8 @@ def main(arguments: list[str] | None = None) -> int:
     """The command; returns the exit code."""
     parser = argparse.ArgumentParser(prog="train_pose", description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--out", type=Path, help="folder for the weights, the log and the checkpoint")
+    parser.add_argument("--estimator", choices=("ours", "paper"), default="ours", help="paper: ToolEENet's own")
+    parser.add_argument("--column", choices=tuple(COLUMNS), help="of the paper's Table I (default: symmetry-aware)")
     parser.add_argument("--hands", type=Path, help="hand samples written by --prepare-hands")
     parser.add_argument("--calibrate-only", action="store_true", help="validate and calibrate the weights in --out")
     parser.add_argument("--prepare-hands", type=Path, metavar="FILE", help="write the hand samples and end")
@@ -44,8 +49,11 @@ def main(arguments: list[str] | None = None) -> int:
             return 0
         if options.out is None:
             raise UserError("say where the weights go: --out DIR")
+        if options.column is not None and options.estimator != "paper":
+            raise UserError("--column belongs to the paper's estimator: add --estimator paper")
         config = TrainConfig(**{f.name: getattr(options, f.name) for f in fields(TrainConfig)})
-        train(options.out, config, options.hands, options.calibrate_only)
+        method = PaperMethod(COLUMNS[options.column or "symmetry-aware"]) if options.estimator == "paper" else Ours()
+        train(options.out, config, method, options.hands, options.calibrate_only)
     except TooleeError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2 if isinstance(error, UserError) else 1

@@ -21,7 +21,7 @@ MIN_POINTS = 50
 
 @dataclass(frozen=True)
 class CanonicalCloud:
-    """points: (B, 512, 3) [m], canonical frame. centre: (B, 3) [m] and R: (B, 3, 3) with
+    """points: (B, N, 3) [m], canonical frame. centre: (B, 3) [m] and R: (B, 3, 3) with
     p_canonical = R @ (p_camera - centre). count: (B,) points that survived the trimming."""
 
     points: Tensor
@@ -31,13 +31,19 @@ class CanonicalCloud:
 
 
 def canonicalize(
-    points: Tensor, valid: Tensor, radius: Tensor, generator: torch.Generator | None = None
+    points: Tensor,
+    valid: Tensor,
+    radius: Tensor,
+    generator: torch.Generator | None = None,
+    size: int = POINTS,
+    ordered: int = PATCHES,
 ) -> CanonicalCloud:
     """Clouds (B, N, 3) [m] in the camera frame with a mask (B, N) of real points -> canonical clouds.
 
     radius: (B,) [m] of the EE's area. A dilated mask on a thin tool is mostly background, so the centre starts at the
     30 % quantile of the depth, then is the median of what lies near, then outliers are cut. The generator draws the
-    points; it lives on the same device as the points.
+    points; it lives on the same device as the points. size: points of the result, of which the first `ordered` are
+    farthest-point samples.
     """
     radius = radius[:, None]
     z = points[..., 2]
@@ -49,15 +55,15 @@ def canonicalize(
     kept = valid & ((points - centre[:, None]).norm(dim=-1) < 1.6 * radius)
     count = kept.sum(1)
     R = ray_rotation(centre)
-    # Random order with the real points first; then repeat them up to POINTS.
+    # Random order with the real points first; then repeat them up to `size`.
     key = torch.rand(valid.shape, device=points.device, generator=generator) + (~kept).float() * 2
     order = key.argsort(1)
-    pick = torch.arange(POINTS, device=points.device)[None] % count.clamp(1, POINTS)[:, None]
+    pick = torch.arange(size, device=points.device)[None] % count.clamp(1, size)[:, None]
     chosen = _rows(points, order.gather(1, pick))
     # A cloud that lost everything becomes its centre: it is refused later, but must stay finite.
     chosen = torch.where((count > 0)[:, None, None], chosen, centre[:, None])
     local = torch.einsum("bij,bnj->bni", R, chosen - centre[:, None])
-    return CanonicalCloud(farthest_points_first(local, PATCHES), centre, R, count)
+    return CanonicalCloud(farthest_points_first(local, ordered), centre, R, count)
 
 
 def ray_rotation(centre: Tensor) -> Tensor:

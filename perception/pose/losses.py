@@ -11,7 +11,8 @@ from torch import Tensor, nn
 from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.clouds import CloudBatch
 from toolee_robot.perception.pose.estimator import context_input
-from toolee_robot.perception.pose.network import CATEGORIES
+from toolee_robot.perception.pose.flow import Process
+from toolee_robot.perception.pose.network import CATEGORIES, FLOW
 from toolee_robot.perception.pose.representation import AMBIGUOUS, AXIS_X, AXIS_Z, DIM, POSITION, decode, encode
 from toolee_robot.types import Category
 
@@ -82,25 +83,24 @@ def context(batch: CloudBatch) -> Tensor:
 
 
 def pose_loss(
-    net: nn.Module, batch: CloudBatch, draws: int, generator: torch.Generator
+    net: nn.Module, batch: CloudBatch, draws: int, generator: torch.Generator, process: Process = FLOW
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Flow matching on `draws` noise draws a cloud, the regression, its sigmas and the validity; and each part."""
-    B, device = len(batch), batch.points.device
+    """The process's matching loss on `draws` noise draws a cloud, the regression, its sigmas and the validity; and
+    each part."""
+    device = batch.points.device
     S = ambiguity(batch)
     R = canonical_rotation(batch.R, batch.category)
     target = encode(R, batch.p, S)
-    noise = torch.randn(B, draws, DIM, device=device, generator=generator)
-    t = torch.rand(B, draws, device=device, generator=generator)
-    u = noise + t[..., None] * (target[:, None] - noise)
+    noised = process.noised(target, draws, generator)
     autocast = torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda")
     with autocast:
-        velocity, regression = net(batch.points, batch.category, batch.direction, context(batch), u, t)
+        velocity, regression = net(batch.points, batch.category, batch.direction, context(batch), noised.u, noised.t)
     positive = batch.positive.float()
     count = positive.sum().clamp_min(1)
 
     weight = torch.ones(DIM, device=device)
     weight[AMBIGUOUS] = 0.3
-    error = (velocity.float() - (target[:, None] - noise)).square() * weight
+    error = (velocity.float() - noised.goal).square() * weight
     flow = (error.mean((1, 2)) * positive).sum() / count
 
     mean = regression["mean"]

@@ -2,8 +2,7 @@
 
 Encoder: 64 patches of 32 points within 12 mm of their centres, a small PointNet each, then a transformer with tokens
 for the category and for the direction to the rest of the tool. Measured against PointNet++ at equal data it is better
-and faster. Flow head: velocity of the rectified flow (Lipman et al., "Flow Matching for Generative Modeling", ICLR
-2023; Liu et al., "Flow Straight and Fast", ICLR 2023), conditioned by FiLM. About 4.8 M parameters, pure PyTorch.
+and faster. Flow head: the velocity of `flow.RectifiedFlow`, conditioned by FiLM. About 4.8 M parameters, pure PyTorch.
 """
 
 from __future__ import annotations
@@ -15,10 +14,13 @@ import torch
 from torch import Tensor, nn
 
 from toolee_robot.perception.pose.canonical import PATCHES
+from toolee_robot.perception.pose.flow import Euler, Process, RectifiedFlow, Sampler
 from toolee_robot.perception.pose.representation import DIM
 from toolee_robot.types import Category
 
 CATEGORIES = tuple(Category)
+FLOW = RectifiedFlow()
+SAMPLER = Euler(5)
 DIRECTION_DIM = 5
 """Direction (3), then flags: given at all; given as the direction to the hand, not to the tool's visible rest."""
 CONTEXT_DIM = 2
@@ -155,15 +157,18 @@ class FlowHead(nn.Module):
 
 
 @torch.no_grad()
-def sample(net: PoseNet, feature: Tensor, K: int, generator: torch.Generator, steps: int = 5) -> Tensor:
-    """K draws of u (B, K, 12) from noise at t = 0 to data at t = 1 by `steps` Euler steps of the learnt flow.
+def sample(
+    net: PoseNet,
+    feature: Tensor,
+    K: int,
+    generator: torch.Generator,
+    sampler: Sampler = SAMPLER,
+    process: Process = FLOW,
+) -> Tensor:
+    """K draws of u (B, K, 12).
 
     The noise comes from `generator`, which must live on the CPU: the same seed gives the same draws on any device.
     """
-    B = feature.shape[0]
-    u = torch.randn(B, K, DIM, generator=generator).to(feature)
+    noise = torch.randn(feature.shape[0], K, DIM, generator=generator).to(feature)
     condition = net.flow.condition(feature)
-    for i in range(steps):
-        t = torch.full((B, K), i / steps, device=u.device, dtype=u.dtype)
-        u = u + net.flow(u, t, condition) / steps
-    return u
+    return sampler(process, lambda u, t: net.flow(u, t, condition), noise)

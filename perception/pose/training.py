@@ -6,31 +6,29 @@ import copy
 import json
 import math
 import time
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from toolee_robot.errors import TooleeError
-from toolee_robot.perception.pose import validation, weights
+from toolee_robot.perception.pose import validation
 from toolee_robot.perception.pose.bank import Float32, ToolBank, load_hands, tool_bank
-from toolee_robot.perception.pose.clouds import CloudBatch, CloudConfig, CloudGenerator
-from toolee_robot.perception.pose.estimator import PoseEstimator
-from toolee_robot.perception.pose.losses import augment, pose_loss, without_directions
-from toolee_robot.perception.pose.network import NetworkConfig, PoseNet
+from toolee_robot.perception.pose.clouds import CloudBatch
+from toolee_robot.perception.pose.method import Method, Net, Ours
 from toolee_robot.perception.pose.weights import Calibration
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """minutes: wall-clock of the optimisation; the learning rate follows a cosine over it. session_minutes: how much of
-    it this process does (0: all that is left); the next one resumes. reuse: how often a cloud is shown, each time
-    rolled and mirrored anew. train_seeds, test_seeds: tools of each kind, training and held out."""
+    """minutes: wall-clock of the optimisation; max_steps: if not 0, the budget is in steps instead. The learning rate
+    follows a cosine over it. session_minutes: how much of it this process does (0: all that is left); the next one
+    resumes. reuse: how often a cloud is shown. train_seeds, test_seeds: tools of each kind, training and held out."""
 
     minutes: float = 9.0
+    max_steps: int = 0
     session_minutes: float = 0.0
     batch: int = 256
     learning_rate: float = 1e-3
@@ -38,9 +36,7 @@ class TrainConfig:
     weight_decay: float = 1e-4
     clip: float = 1.0
     ema: float = 0.999
-    draws: int = 8
     reuse: float = 3.0
-    direction_dropout: float = 0.5
     chunk: int = 1024
     capacity: int = 65_536
     first_fill: int = 8192
@@ -82,7 +78,7 @@ class Reservoir:
         return CloudBatch(**{name: rows[index] for name, rows in self._rows.items()})
 
 
-class Trainer:
+class Trainer(Generic[Net]):
     """One network, one device, one time budget. `run` may be called again in a new process: it resumes."""
 
     def __init__(
@@ -91,15 +87,15 @@ class Trainer:
         config: TrainConfig,
         banks: tuple[ToolBank, ToolBank],
         hands: Float32,
-        network: NetworkConfig | None = None,
-        clouds: CloudConfig | None = None,
+        method: Method[Net],
         device: str | None = None,
     ) -> None:
         """banks: training and held-out tools."""
         self.out, self.config = out, config
         self.device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
         torch.manual_seed(config.seed)
-        self.net = PoseNet(network).to(self.device)
+        self.method = method
+        self.net = method.network(banks[0]).to(self.device)
         self.ema = copy.deepcopy(self.net).requires_grad_(False)
         self.optimizer = torch.optim.AdamW(
             self.net.parameters(),
@@ -108,9 +104,9 @@ class Trainer:
             betas=(0.9, 0.99),
             fused=self.device.type == "cuda",
         )
-        self.clouds = clouds or CloudConfig()
-        self._generator = CloudGenerator(banks[0], hands, self.device, config.seed + 1, self.clouds)
-        self._held_out = CloudGenerator(banks[1], hands, self.device, 10_000 + config.seed, self.clouds)
+        self._generator = method.clouds(banks[0], hands, self.device, config.seed + 1)
+        self._test_bank = banks[1]
+        self._held_out = method.clouds(banks[1], hands, self.device, 10_000 + config.seed)
         self._g = torch.Generator(self.device).manual_seed(config.seed + 2)
         self.steps, self.elapsed = 0, 0.0
         out.mkdir(parents=True, exist_ok=True)
@@ -130,21 +126,20 @@ class Trainer:
         if c.compile and self.device.type == "cuda":
             forward = self._compiled()
         reservoir = Reservoir(self._generator.collect(max(c.first_fill, c.batch), c.chunk), c.capacity)
-        held_out = self._held_out.collect(c.validation, c.chunk)
+        held_out = self._judged()
         self.log(event="start", device=str(self.device), parameters=sum(p.numel() for p in self.net.parameters()))
         before, begun = self.elapsed, time.monotonic()
         base, last_save, last_log, logged_steps = reservoir.made, begun, begun, self.steps
         start_steps = self.steps
-        end = min(60 * c.minutes, before + 60 * c.session_minutes) if c.session_minutes > 0 else 60 * c.minutes
-        while self.elapsed < end:
+        end = before + 60 * c.session_minutes if c.session_minutes > 0 else math.inf
+        while self._progress() < 1 and self.elapsed < end:
             while reservoir.made - base < (self.steps - start_steps) * c.batch / c.reuse:
                 reservoir.add(self._generator.generate(c.chunk))
-            batch = reservoir.draw(c.batch, self._g)
-            batch = augment(without_directions(batch, c.direction_dropout, self._g), self._g)
+            batch = self.method.prepare(reservoir.draw(c.batch, self._g), self._g)
             rate = self._learning_rate()
             for group in self.optimizer.param_groups:
                 group["lr"] = rate
-            loss, parts = pose_loss(forward, batch, c.draws, self._g)
+            loss, parts = self.method.loss(forward, batch, self._g)
             self.optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
             norm = nn.utils.clip_grad_norm_(self.net.parameters(), c.clip)
@@ -174,62 +169,59 @@ class Trainer:
     def calibrate(self) -> dict[str, Any]:
         """Validate and calibrate the weights that lie in `out`, on any machine: what a training that ran out of time
         left undone. Returns the report."""
-        net, _ = weights.load(self.out)
-        self.ema.load_state_dict(net.state_dict())
-        described = json.loads((self.out / f"{weights.NAME}.json").read_text())["report"]
+        self.ema.load_state_dict(self.method.load(self.out).state_dict())
+        described = json.loads((self.out / f"{self.method.name}.json").read_text())["report"]
         self.steps, self.elapsed = int(described["steps"]), 60.0 * float(described["minutes"])
-        return self.finish(self._held_out.collect(self.config.validation, self.config.chunk))
+        return self.finish(self._judged())
 
     def finish(self, held_out: CloudBatch) -> dict[str, Any]:
-        """Validate and calibrate on held-out tools (fit on one half of the tools, report on the other) and save."""
-        estimator = PoseEstimator(self._export(), Calibration(), self.device.type)
-        results = {k: validation.evaluate(estimator, held_out, k) for k in (20, 32)}
-        none = replace(held_out, direction=torch.zeros_like(held_out.direction))
-        report: dict[str, Any] = {f"K{k}": validation.metrics(result) for k, result in results.items()}
-        report["K32_no_direction"] = validation.metrics(validation.evaluate(estimator, none, 32))
-        near = (held_out.distance < 0.75).cpu().numpy() & (held_out.occlusion < 0.2).cpu().numpy()
-        report["K32_near_unoccluded"] = validation.metrics(results[32], near)
-        fit, test = (_rows(held_out, results[32], parity) for parity in (0, 1))
-        calibration = validation.calibrate(fit)
-        report["confidence"] = validation.confidence_report(test, calibration)
+        """Validate and calibrate on held-out tools, and save."""
+        report, calibration = self.method.report(self._export(), held_out, self.device.type)
+        self.log(event="finished", **{k: v for k, v in report.items() if k != "clouds"})
         report |= {
             "calibrated": True,
             "steps": self.steps,
             "minutes": round(self.elapsed / 60, 2),
             "train": asdict(self.config),
-            "clouds": asdict(self.clouds),
         }
-        weights.save(self.out, self._export(), calibration, report)
-        self.log(event="finished", **{k: report[k] for k in ("K20", "K32", "K32_no_direction", "K32_near_unoccluded")})
-        self.log(
-            event="calibrated", **report["confidence"], scales={k: asdict(v) for k, v in calibration.scales.items()}
-        )
+        self.method.save(self.out, self._export(), calibration, report)
         return report
 
-    def _export(self) -> PoseNet:
+    def _judged(self) -> CloudBatch:
+        """The held-out clouds."""
+        return self.method.judged(self._held_out.collect(self.config.validation, self.config.chunk), self._test_bank)
+
+    def _progress(self) -> float:
+        """How much of the budget is used, 1 at its end."""
+        c = self.config
+        return self.steps / c.max_steps if c.max_steps else self.elapsed / (60 * c.minutes)
+
+    def _export(self) -> Net:
         """The averaged network as it will be loaded: rounded to half precision."""
         net = copy.deepcopy(self.ema)
-        for p in net.parameters():
-            p.data = p.data.half().float()
+        for value in net.state_dict().values():
+            if value.is_floating_point():
+                value.copy_(value.half().float())
         return net.eval()
 
     def _learning_rate(self) -> float:
         c = self.config
-        progress = min(self.elapsed / (60 * c.minutes), 1.0)
-        cosine = 0.5 * (1 + math.cos(math.pi * progress))
+        cosine = 0.5 * (1 + math.cos(math.pi * min(self._progress(), 1.0)))
         return c.learning_rate * min((self.steps + 1) / c.warm_up, 1.0) * max(cosine, 1e-3)
 
     @torch.no_grad()
     def _average(self) -> None:
         decay = min(self.config.ema, (1 + self.steps) / (10 + self.steps))
         torch._foreach_lerp_(list(self.ema.parameters()), list(self.net.parameters()), 1 - decay)
+        for kept, new in zip(self.ema.buffers(), self.net.buffers(), strict=True):
+            kept.copy_(new)
 
     def _compiled(self) -> nn.Module:
         """The network compiled, or as it is where the compiler does not work."""
         compiled: nn.Module = torch.compile(self.net)  # type: ignore[assignment]
         batch = self._generator.collect(self.config.batch, self.config.chunk)
         try:
-            pose_loss(compiled, batch, self.config.draws, self._g)[0].backward()  # type: ignore[no-untyped-call]
+            self.method.loss(compiled, batch, self._g)[0].backward()  # type: ignore[no-untyped-call]
         except Exception as error:  # noqa: BLE001 - the compiler's errors have no common root; eager always works
             self.log(event="not compiled", error=f"{type(error).__name__}: {error}"[:300])
             torch._dynamo.reset()
@@ -248,7 +240,7 @@ class Trainer:
         part = self.out / "checkpoint.part"
         torch.save(state, part)
         part.replace(self.out / "checkpoint.pt")
-        weights.save(
+        self.method.save(
             self.out,
             self._export(),
             Calibration(),
@@ -256,7 +248,7 @@ class Trainer:
         )
         if held_out is not None:
             few = held_out.select(torch.arange(min(512, len(held_out)), device=self.device))
-            estimator = PoseEstimator(self._export(), Calibration(), self.device.type)
+            estimator = self.method.estimator(self._export(), Calibration(), self.device.type)
             self.log(event="validation", **validation.metrics(validation.evaluate(estimator, few, 20)))
 
     def _resume(self) -> None:
@@ -275,24 +267,22 @@ class Trainer:
 
 
 def train(
-    out: Path, config: TrainConfig, hands_file: Path | None = None, calibrate_only: bool = False
+    out: Path,
+    config: TrainConfig,
+    method: Method[Any] | None = None,
+    hands_file: Path | None = None,
+    calibrate_only: bool = False,
 ) -> dict[str, Any]:
     """The whole job: surface samples, training, validation, weights in `out`. Raises AssetError, TooleeError.
 
-    calibrate_only: no training, but validation and calibration of the weights that are there.
+    method: `Ours` if None. calibrate_only: no training, but validation and calibration of the weights that are there.
     """
     begun = time.monotonic()
     banks = tool_bank(False, config.train_seeds), tool_bank(True, config.test_seeds)
     hands = load_hands(hands_file)
     print(f"{[len(b.category) for b in banks]} EEs and {len(hands)} hands sampled in {time.monotonic() - begun:.0f} s")
-    trainer = Trainer(out, config, banks, hands)
+    trainer = Trainer(out, config, banks, hands, method or Ours())
     return trainer.calibrate() if calibrate_only else trainer.run()
-
-
-def _rows(batch: CloudBatch, evaluated: validation.Evaluated, parity: int) -> validation.Evaluated:
-    chosen = np.flatnonzero(evaluated.item % 2 == parity)
-    index = torch.as_tensor(chosen, device=batch.points.device)
-    return validation.Evaluated(batch.select(index), [evaluated.results[i] for i in chosen])
 
 
 def _numbers(parts: dict[str, Tensor]) -> dict[str, float]:

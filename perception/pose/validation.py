@@ -5,6 +5,7 @@ Only the category's symmetry group decides the errors.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception.pose import confidence
 from toolee_robot.perception.pose.canonical import CanonicalCloud
+from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
 from toolee_robot.perception.pose.clouds import CloudBatch
-from toolee_robot.perception.pose.estimator import PoseEstimator, PoseResult
 from toolee_robot.perception.pose.pooling import SigmaScale, align, pairwise_angles
 from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.types import Category
@@ -51,7 +52,7 @@ class Evaluated:
         return good.astype(np.float64)
 
 
-def evaluate(estimator: PoseEstimator, batch: CloudBatch, candidates: int, seed: int = 0) -> Evaluated:
+def evaluate(estimator: CloudEstimator, batch: CloudBatch, candidates: int, seed: int = 0) -> Evaluated:
     """Estimate every cloud of the batch, 256 at a time, on the estimator's device."""
     generator = torch.Generator().manual_seed(seed)
     results: list[PoseResult] = []
@@ -64,6 +65,11 @@ def evaluate(estimator: PoseEstimator, batch: CloudBatch, candidates: int, seed:
             visible = part.visible.cpu().numpy()
             results += estimator.infer(cloud, named, part.direction, visible, generator, candidates)
     return Evaluated(batch, results)
+
+
+def without_direction(batch: CloudBatch) -> CloudBatch:
+    """The batch as if nothing of the tool but its EE were seen."""
+    return replace(batch, direction=torch.zeros_like(batch.direction))
 
 
 def metrics(evaluated: Evaluated, rows: Array | None = None) -> dict[str, Any]:

@@ -1,0 +1,160 @@
+"""What every pose estimator shares: the points of one EE in, a `PoseResult` out.
+
+A subclass says how a batch of canonical clouds becomes poses (`infer`).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from toolee_robot.errors import PerceptionError
+from toolee_robot.frames import Array, transform
+from toolee_robot.perception.pose.canonical import MIN_POINTS, PATCHES, POINTS, CanonicalCloud, canonicalize
+from toolee_robot.perception.pose.network import DIRECTION_DIM
+from toolee_robot.perception.pose.spin import fix_spin, nominal_R_tool_ee, with_spin_variance
+from toolee_robot.symmetry import SymmetryKind
+from toolee_robot.tools.model import ee_radius
+from toolee_robot.types import Category, PoseHypotheses
+
+CANDIDATES = 32
+MAX_INPUT = 2048
+"""More points than this are thinned before anything else."""
+HAND_SPIN_SIGMA = np.deg2rad(12.0)
+"""How far a tool's spin in the hand strays from nominal: the tilt of a handed-over tool."""
+
+
+@dataclass(frozen=True)
+class PoseResult:
+    """The pooled pose of one EE and where it comes from.
+
+    X_camera_ee: 4x4, the spin fixed by the hand where the hand's pose was given. covariance: 6x6, position [m] then
+    rotation vector [rad], camera axes. confidence in [0, 1]: probability of being within 10 deg and 2 cm (modulo the
+    symmetry). usable, reason: whether to act on it, and why not. modes: masses of the candidates' modes.
+    features: the confidence model's input, see `confidence.FEATURES` (empty without one). ambiguous: (3,) in [0, 1],
+    about which of the EE's axes the network says that the view leaves the pose open.
+    """
+
+    category: Category
+    X_camera_ee: Array
+    covariance: Array
+    confidence: float
+    usable: bool
+    reason: str
+    hypotheses: PoseHypotheses
+    modes: tuple[float, ...]
+    features: Array
+    ambiguous: Array
+
+
+class CloudEstimator(ABC):
+    """From a cloud to a pose. Calls keep no state.
+
+    points, ordered: how many points the network takes, and how many of them are farthest-point samples, first.
+    candidates: samples drawn for a pose.
+    """
+
+    points: int = POINTS
+    ordered: int = PATCHES
+    candidates: int = CANDIDATES
+
+    def radius(self, category: Category) -> float:
+        """Radius [m] of the sphere that holds what the cloud shows."""
+        return ee_radius(category)
+
+    def estimate(
+        self,
+        points: Array,
+        category: Category,
+        direction_to_rest: Array | None = None,
+        X_camera_hand: Array | None = None,
+        seed: int = 0,
+        candidates: int | None = None,
+    ) -> PoseResult:
+        """The pose of the EE whose visible points (N, 3) [m] are given in the camera's frame (OpenCV axes).
+
+        direction_to_rest: (3,), from the EE's centroid toward the visible rest of the tool, camera axes, any length.
+        X_camera_hand: 4x4, the hand that holds the tool; gives the direction where the first is missing, and the
+        spin about a symmetric EE's axis. The same input and seed give the same result.
+        Raises PerceptionError with fewer than 50 finite points.
+        """
+        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        points = points[np.isfinite(points).all(1)]
+        if len(points) < MIN_POINTS:
+            raise PerceptionError(
+                f"only {len(points)} points of the {category} have depth, {MIN_POINTS} are needed: "
+                "move the camera closer, or turn the tool into view"
+            )
+        generator = torch.Generator().manual_seed(seed)
+        visible = len(points)
+        if visible > MAX_INPUT:
+            points = points[torch.randperm(visible, generator=generator)[:MAX_INPUT].numpy()]
+        cloud = canonicalize(
+            torch.as_tensor(points, dtype=torch.float32)[None],
+            torch.ones(1, len(points), dtype=torch.bool),
+            torch.tensor([self.radius(category)]),
+            generator,
+            self.points,
+            self.ordered,
+        )
+        if int(cloud.count[0]) < MIN_POINTS:
+            raise PerceptionError(
+                f"the mask of the {category} covers no compact surface: {len(points)} scattered points"
+            )
+        kept = round(int(cloud.count[0]) / len(points) * visible)
+        from_hand = direction_to_rest is None and X_camera_hand is not None
+        if from_hand and X_camera_hand is not None:
+            direction_to_rest = X_camera_hand[:3, 3] - cloud.centre[0].double().numpy()
+        direction = direction_input(cloud, direction_to_rest, from_hand)
+        with torch.inference_mode():
+            result = self.infer(
+                cloud, [category], direction, np.array([kept]), generator, candidates or self.candidates
+            )[0]
+        if X_camera_hand is not None:
+            result = with_hand(result, X_camera_hand)
+        return result
+
+    @abstractmethod
+    def infer(
+        self,
+        cloud: CanonicalCloud,
+        categories: list[Category],
+        direction: torch.Tensor,
+        visible: Array,
+        generator: torch.Generator,
+        candidates: int,
+    ) -> list[PoseResult]:
+        """Encode, sample and pool a batch of canonical clouds; direction (B, 5) as `direction_input` makes it.
+
+        visible: (B,) how many points were seen. The generator lives on the CPU. No spin fix."""
+
+
+def with_hand(result: PoseResult, X_camera_hand: Array, spin_sigma: float = HAND_SPIN_SIGMA) -> PoseResult:
+    """The result with the spin about a symmetric EE's axis fixed by the hand's pose (4x4); see `spin.py`."""
+    from toolee_robot.robots.grasp import nominal_X_hand_tool
+
+    group = result.category.symmetry
+    R_hand_ee = nominal_X_hand_tool(0.015)[:3, :3] @ nominal_R_tool_ee(result.category)
+    R = result.X_camera_ee[:3, :3]
+    axis = R @ np.asarray(group.axis)
+    variance = float(axis @ result.covariance[3:, 3:] @ axis)
+    R_fixed, fixed_variance = fix_spin(R, X_camera_hand[:3, :3] @ R_hand_ee, group, variance, spin_sigma**2)
+    covariance = result.covariance
+    if group.kind is SymmetryKind.CINF:
+        covariance = with_spin_variance(covariance, axis, fixed_variance)
+    X = transform(R_fixed, result.X_camera_ee[:3, 3])
+    return PoseResult(**{**result.__dict__, "X_camera_ee": X, "covariance": covariance})
+
+
+def direction_input(cloud: CanonicalCloud, direction: Array | None, from_hand: bool = False) -> torch.Tensor:
+    """The network's direction token (1, 5) from a direction (3,) in the camera's frame, or None."""
+    token = torch.zeros(1, DIRECTION_DIM)
+    if direction is not None and np.isfinite(direction).all() and np.linalg.norm(direction) > 1e-6:
+        d = torch.as_tensor(direction / np.linalg.norm(direction), dtype=torch.float32)
+        token[0, :3] = cloud.R[0].cpu() @ d
+        token[0, 3] = 1.0
+        token[0, 4] = float(from_hand)
+    return token

@@ -1,0 +1,36 @@
+"""Random numbers on a device, from one seed."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+class Draws:
+    """A torch generator and the few distributions that the clouds are made of."""
+
+    def __init__(self, device: torch.device | str, seed: int) -> None:
+        self.device = torch.device(device)
+        self.generator = torch.Generator(self.device).manual_seed(seed)
+
+    def uniform(self, n: int, low: float = 0.0, high: float = 1.0) -> Tensor:
+        """(n,) in [low, high)."""
+        return low + (high - low) * torch.rand(n, device=self.device, generator=self.generator)
+
+    def normal(self, *shape: int) -> Tensor:
+        """Standard normal."""
+        return torch.randn(*shape, device=self.device, generator=self.generator)
+
+    def integers(self, low: int, high: int, *shape: int) -> Tensor:
+        """In [low, high)."""
+        return torch.randint(low, high, shape, device=self.device, generator=self.generator)
+
+    def rotations(self, n: int) -> Tensor:
+        """(n, 3, 3), uniform on SO(3)."""
+        w, x, y, z = torch.nn.functional.normalize(self.normal(n, 4), dim=-1).unbind(-1)
+        rows = [
+            1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
+            2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
+            2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
+        ]  # fmt: skip
+        return torch.stack(rows, -1).view(-1, 3, 3)

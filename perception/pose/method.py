@@ -1,0 +1,140 @@
+"""What a training trains: a network on some clouds, its loss, and the estimator that comes of it.
+
+The trainer knows only `Method`; `Ours` is the project's, `paper.PaperMethod` the paper's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from toolee_robot.perception.pose import validation, weights
+from toolee_robot.perception.pose.bank import Float32, ToolBank
+from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
+from toolee_robot.perception.pose.clouds import CloudBatch, CloudConfig, CloudGenerator
+from toolee_robot.perception.pose.estimator import PoseEstimator
+from toolee_robot.perception.pose.flow import Process
+from toolee_robot.perception.pose.losses import augment, pose_loss, without_directions
+from toolee_robot.perception.pose.network import FLOW, NetworkConfig, PoseNet
+from toolee_robot.perception.pose.weights import Calibration
+
+Net = TypeVar("Net", bound=nn.Module)
+
+
+class Method(Protocol, Generic[Net]):
+    """A network with all that is needed to train it, to judge it and to keep it."""
+
+    @property
+    def name(self) -> str:
+        """Of its weight files."""
+        ...
+
+    def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
+        """Endless training (or held-out) clouds of a bank."""
+        ...
+
+    def network(self, bank: ToolBank) -> Net:
+        """A fresh network; `bank`: the training tools."""
+        ...
+
+    def prepare(self, batch: CloudBatch, generator: torch.Generator) -> CloudBatch:
+        """A batch as training shows it: augmented, or as it is."""
+        ...
+
+    def loss(self, net: nn.Module, batch: CloudBatch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss and its parts. `net`: the network, perhaps compiled."""
+        ...
+
+    def estimator(self, net: Net, calibration: Calibration, device: str) -> CloudEstimator:
+        """The trained network at work."""
+        ...
+
+    def judged(self, batch: CloudBatch, bank: ToolBank) -> CloudBatch:
+        """Held-out clouds with the EE's pose as their truth."""
+        ...
+
+    def report(self, net: Net, held_out: CloudBatch, device: str) -> tuple[dict[str, Any], Calibration]:
+        """Metrics on held-out clouds, and what is calibrated there."""
+        ...
+
+    def save(self, folder: Path, net: Net, calibration: Calibration, report: dict[str, Any]) -> None:
+        """Write the weights with their description."""
+        ...
+
+    def load(self, folder: Path) -> Net:
+        """The network that `save` wrote. Raises AssetError."""
+        ...
+
+
+@dataclass(frozen=True)
+class Ours:
+    """`PoseNet` by flow matching. draws: noise draws a cloud; direction_dropout: how often the direction token is
+    withheld (1: never known, neither when it is judged); augmentation: random roll and mirror image, each time anew."""
+
+    config: NetworkConfig = field(default_factory=NetworkConfig)
+    clouds_config: CloudConfig = field(default_factory=CloudConfig)
+    draws: int = 8
+    direction_dropout: float = 0.5
+    augmentation: bool = True
+    process: Process = FLOW
+    name: str = weights.NAME
+
+    def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
+        """See `Method`."""
+        return CloudGenerator(bank, hands, device, seed, self.clouds_config)
+
+    def network(self, bank: ToolBank) -> PoseNet:  # noqa: ARG002 - others need it
+        """See `Method`."""
+        return PoseNet(self.config)
+
+    def prepare(self, batch: CloudBatch, generator: torch.Generator) -> CloudBatch:
+        """See `Method`."""
+        batch = without_directions(batch, self.direction_dropout, generator)
+        return augment(batch, generator) if self.augmentation else batch
+
+    def loss(self, net: nn.Module, batch: CloudBatch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
+        """See `Method`."""
+        return pose_loss(net, batch, self.draws, generator, self.process)
+
+    def estimator(self, net: PoseNet, calibration: Calibration, device: str) -> PoseEstimator:
+        """See `Method`."""
+        return PoseEstimator(net, calibration, device, self.process)
+
+    def judged(self, batch: CloudBatch, bank: ToolBank) -> CloudBatch:  # noqa: ARG002 - others need it
+        """See `Method`."""
+        return batch if self.direction_dropout < 1 else validation.without_direction(batch)
+
+    def report(self, net: PoseNet, held_out: CloudBatch, device: str) -> tuple[dict[str, Any], Calibration]:
+        """Fits the calibration on one half of the tools and reports it on the other."""
+        estimator = self.estimator(net, Calibration(), device)
+        results = {k: validation.evaluate(estimator, held_out, k) for k in (20, 32)}
+        none = validation.without_direction(held_out)
+        report: dict[str, Any] = {f"K{k}": validation.metrics(result) for k, result in results.items()}
+        report["K32_no_direction"] = validation.metrics(validation.evaluate(estimator, none, 32))
+        near = (held_out.distance < 0.75).cpu().numpy() & (held_out.occlusion < 0.2).cpu().numpy()
+        report["K32_near_unoccluded"] = validation.metrics(results[32], near)
+        fit, test = (_half(held_out, results[32], parity) for parity in (0, 1))
+        calibration = validation.calibrate(fit)
+        report["confidence"] = validation.confidence_report(test, calibration)
+        report["clouds"] = asdict(self.clouds_config)
+        return report, calibration
+
+    def save(self, folder: Path, net: PoseNet, calibration: Calibration, report: dict[str, Any]) -> None:
+        """See `Method`."""
+        weights.save(folder, net, calibration, report)
+
+    def load(self, folder: Path) -> PoseNet:
+        """See `Method`."""
+        return weights.load(folder)[0]
+
+
+def _half(batch: CloudBatch, evaluated: validation.Evaluated, parity: int) -> validation.Evaluated:
+    """The clouds of every second tool."""
+    chosen = np.flatnonzero(evaluated.item % 2 == parity)
+    index = torch.as_tensor(chosen, device=batch.points.device)
+    return validation.Evaluated(batch.select(index), [evaluated.results[i] for i in chosen])
