@@ -46,7 +46,7 @@ class FaultClient:
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._buffer = b""
 
-    def fault(self, name: str, **arguments: object) -> dict[str, Any]:
+    def fault(self, name: str, /, **arguments: object) -> dict[str, Any]:
         """Carry out a hook and return its answer. Raises UserError when the stand-in refuses it."""
         try:
             self._socket.sendall(json.dumps({"fault": name, **arguments}).encode() + b"\n")

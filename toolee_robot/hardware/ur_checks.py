@@ -56,7 +56,7 @@ _SAFETY_REMEDY = {
 
 MASS_TOLERANCE, COG_TOLERANCE = 0.1, 0.02  # [kg], [m]
 TCP_TOLERANCE, TCP_ANGLE_TOLERANCE = 1e-3, np.deg2rad(0.5)  # [m], [rad]
-FITS, FITS_NOMINALLY = 1e-3, 0.015
+FITS, FITS_NOMINALLY = 1e-3, 0.02
 """[m] What agrees; and how far an arm may be from its nominal model. UR10 and UR10e are 50 mm apart."""
 
 

@@ -120,8 +120,9 @@ def nominal_rate(version: tuple[int, int, int, int]) -> float:
     return E_SERIES_RATE if version[0] > 3 else CB3_RATE
 
 
-def probe(host: str, timeout: float = 5.0) -> UrReport:
-    """Ask and listen, for at most `timeout` [s]; takes about 1.2 s on a robot that answers."""
+def probe(host: str, timeout: float = 5.0, listen: float = 1.0) -> UrReport:
+    """Ask, and listen to RTDE for `listen` [s]; for at most `timeout` [s] in all. Takes about 1.2 s on a robot that
+    answers."""
     deadline = time.monotonic() + timeout
     ports: dict[int, PortState] = {}
     for port in (RTDE_PORT, DASHBOARD_PORT, *SCRIPT_PORTS):
@@ -137,7 +138,7 @@ def probe(host: str, timeout: float = 5.0) -> UrReport:
     if ports[RTDE_PORT].latency is not None:
         try:
             version, asked = _version(host, deadline)
-            samples = _listen(host, asked, deadline, 1.0)
+            samples = _listen(host, asked, deadline, listen)
         except DeviceError as error:
             problems.append(f"RTDE: {error}")
     state, quality = None, None
