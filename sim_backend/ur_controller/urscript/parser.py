@@ -1,0 +1,326 @@
+"""From URScript to its tree. Line ends and indentation mean nothing: a block lasts until its `end`."""
+
+from __future__ import annotations
+
+from toolee_robot.sim_backend.ur_controller.urscript.errors import ScriptError
+from toolee_robot.sim_backend.ur_controller.urscript.syntax import (
+    Assign,
+    AssignItem,
+    Binary,
+    Block,
+    Call,
+    Evaluate,
+    Expression,
+    Function,
+    If,
+    Index,
+    Keyword,
+    ListOf,
+    Literal,
+    Name,
+    Program,
+    Return,
+    Statement,
+    Thread,
+    Unary,
+    While,
+)
+from toolee_robot.sim_backend.ur_controller.urscript.tokens import Kind, Token, number, tokenise
+
+DEPTH = 40
+"""Blocks and brackets may be nested this deep."""
+BINARY = (("or",), ("xor",), ("and",), ("==", "!=", "<", "<=", ">", ">="), ("+", "-"), ("*", "/", "%"))
+"""Operators of two operands, the loosest first."""
+
+
+def parse(source: str) -> Program:
+    """A program is one `def` or `sec` with everything inside it, or bare statements. Raises ScriptError."""
+    return _Parser(tokenise(source)).program()
+
+
+class _Parser:
+    def __init__(self, tokens: list[Token]) -> None:
+        self._tokens, self._at, self._depth = tokens, 0, 0
+        self._functions: dict[str, Function] = {}
+
+    def program(self) -> Program:
+        first = self._peek()
+        if first.text in ("def", "sec") and first.kind is Kind.WORD:
+            main = self._function()
+            if self._peek().kind is not Kind.END:
+                raise self._unexpected("nothing after the program's end")
+            return Program(main, self._functions)
+        body = self._block()
+        if self._peek().kind is not Kind.END:
+            raise self._unexpected("a statement")
+        if not body:
+            raise ScriptError("the script does nothing")
+        return Program(Function("def", "unnamed", (), (), body, first.line), self._functions)
+
+    # -- tokens
+
+    def _peek(self, ahead: int = 0) -> Token:
+        return self._tokens[min(self._at + ahead, len(self._tokens) - 1)]
+
+    def _next(self) -> Token:
+        token = self._peek()
+        self._at += 1
+        return token
+
+    def _is(self, *words: str) -> bool:
+        token = self._peek()
+        return token.kind is Kind.WORD and token.text in words
+
+    def _accept(self, word: str) -> bool:
+        if self._is(word):
+            self._at += 1
+            return True
+        return False
+
+    def _expect(self, word: str) -> Token:
+        if not self._is(word):
+            raise self._unexpected(f"'{word}'")
+        return self._next()
+
+    def _name(self) -> str:
+        if self._peek().kind is not Kind.NAME:
+            raise self._unexpected("a name")
+        return self._next().text
+
+    def _unexpected(self, wanted: str) -> ScriptError:
+        token = self._peek()
+        return ScriptError(f"expected {wanted}, found {token.text[:40]!r}", token.line)
+
+    def _deeper(self) -> None:
+        self._depth += 1
+        if self._depth > DEPTH:
+            raise ScriptError("nested too deeply", self._peek().line)
+
+    # -- statements
+
+    def _function(self) -> Function:
+        """def | sec | thread name(a, b=1): ... end"""
+        word = self._next()
+        name = self._name()
+        parameters: list[str] = []
+        defaults: list[Expression] = []
+        self._expect("(")
+        while not self._accept(")"):
+            parameters.append(self._name())
+            if self._accept("="):
+                defaults.append(self._expression())
+            elif defaults:
+                raise self._unexpected("a default")
+            if not self._is(")"):
+                self._expect(",")
+        self._expect(":")
+        if len(set(parameters)) < len(parameters):
+            raise ScriptError(f"{name}() has two parameters of the same name", word.line)
+        body = self._block()
+        self._expect("end")
+        return Function(word.text, name, tuple(parameters), tuple(defaults), body, word.line)
+
+    def _block(self) -> Block:
+        self._deeper()
+        body: list[Statement] = []
+        while self._peek().kind is not Kind.END and not self._is("end", "elif", "else"):
+            if self._is("def", "thread"):
+                function = self._function()
+                if function.name in self._functions:
+                    raise ScriptError(f"{function.name}() is defined twice", function.line)
+                self._functions[function.name] = function
+            elif self._accept("$"):  # the pendant's label of the next line: $ 3 "MoveJ"
+                if self._peek().kind is not Kind.NUMBER or self._peek(1).kind is not Kind.STRING:
+                    raise self._unexpected("a number and a text")
+                self._at += 2
+            else:
+                body.append(self._statement())
+        self._depth -= 1
+        return tuple(body)
+
+    def _statement(self) -> Statement:
+        token = self._peek()
+        line = token.line
+        if token.kind is Kind.NAME:
+            return self._assignment_or_call()
+        if token.kind is not Kind.WORD:
+            raise self._unexpected("a statement")
+        match token.text:
+            case "global" | "local":
+                self._next()
+                name = self._name()
+                self._expect("=")
+                return Assign(name, token.text, self._expression(), line)
+            case "if":
+                return self._if()
+            case "while":
+                self._next()
+                condition = self._expression()
+                self._expect(":")
+                body = self._block()
+                self._expect("end")
+                return While(condition, body, line)
+            case "return":
+                self._next()
+                return Return(None if self._ends(line) else self._expression(), line)
+            case "break" | "continue" | "halt" | "enter_critical" | "exit_critical":
+                self._next()
+                if self._peek().line == line and self._accept("("):
+                    self._expect(")")
+                return Keyword(token.text, line)
+            case "kill" | "join":
+                self._next()
+                return Thread(token.text, self._expression(), line)
+            case "run":
+                return Evaluate(self._run(), line)
+        raise self._unexpected("a statement")
+
+    def _ends(self, line: int) -> bool:
+        """No expression follows on this line."""
+        return self._peek().line != line or self._peek().kind is Kind.END or self._is("end", "elif", "else")
+
+    def _if(self) -> If:
+        line = self._next().line
+        branches: list[tuple[Expression, Block]] = []
+        while True:
+            condition = self._expression()
+            self._expect(":")
+            branches.append((condition, self._block()))
+            if not self._accept("elif"):
+                break
+        otherwise: Block = ()
+        if self._accept("else"):
+            self._expect(":")
+            otherwise = self._block()
+        self._expect("end")
+        return If(tuple(branches), otherwise, line)
+
+    def _assignment_or_call(self) -> Statement:
+        line = self._peek().line
+        target = self._expression()
+        if self._accept("="):
+            value = self._expression()
+            if isinstance(target, Name):
+                return Assign(target.name, "", value, line)
+            indices: list[Expression] = []
+            while isinstance(target, Index):
+                indices.insert(0, target.index)
+                target = target.base
+            if indices and isinstance(target, Name):
+                return AssignItem(target.name, tuple(indices), value, line)
+            raise ScriptError("only a variable or an item of one can be assigned to", line)
+        if isinstance(target, Call):
+            return Evaluate(target, line)
+        raise self._unexpected("'=' or a call")
+
+    # -- expressions
+
+    def _expression(self, level: int = 0) -> Expression:
+        if level == len(BINARY):
+            return self._unary()
+        if level == 0:
+            self._deeper()
+        if BINARY[level][0] == "==" and self._is("not"):
+            left: Expression = Unary("not", self._negated(level), self._peek().line)
+        else:
+            left = self._expression(level + 1)
+        while self._is(*BINARY[level]) and self._continues():
+            operator = self._next()
+            left = Binary(operator.text, left, self._expression(level + 1), operator.line)
+        if level == 0:
+            self._depth -= 1
+        return left
+
+    def _negated(self, level: int) -> Expression:
+        self._expect("not")
+        self._deeper()
+        operand = Unary("not", self._negated(level), self._peek().line) if self._is("not") else self._expression(level)
+        self._depth -= 1
+        return operand
+
+    def _continues(self) -> bool:
+        """A sign belongs to the expression before it, except a `-` that opens a new line."""
+        return not self._is("-") or self._peek().line == self._tokens[self._at - 1].line
+
+    def _unary(self) -> Expression:
+        if self._is("-", "+"):
+            sign = self._next()
+            self._deeper()
+            operand = self._unary()
+            self._depth -= 1
+            return Unary("-", operand, sign.line) if sign.text == "-" else operand
+        return self._postfix(self._atom())
+
+    def _postfix(self, expression: Expression) -> Expression:
+        while self._is("[") and self._peek().line == self._tokens[self._at - 1].line:
+            line = self._next().line
+            index = self._expression()
+            self._expect("]")
+            expression = Index(expression, index, line)
+        return expression
+
+    def _atom(self) -> Expression:
+        token = self._peek()
+        if token.kind is Kind.NUMBER:
+            return Literal(number(self._next()), token.line)
+        if token.kind is Kind.STRING:
+            return Literal(self._next().text, token.line)
+        if token.kind is Kind.NAME:
+            return self._named()
+        if self._is("True", "False"):
+            return Literal(self._next().text == "True", token.line)
+        if self._is("run"):
+            return self._run()
+        if self._accept("("):
+            inner = self._expression()
+            self._expect(")")
+            return inner
+        if self._is("["):
+            return ListOf(self._items(), False, token.line)
+        raise self._unexpected("a value")
+
+    def _named(self) -> Expression:
+        token = self._next()
+        if self._peek().line == token.line and self._is("("):
+            return self._call(token, thread=False)
+        if token.text == "p" and self._is("[") and self._peek().line == token.line:
+            # Six numbers are a pose; a single one is an index into a variable that happens to be called p.
+            items = self._items()
+            if len(items) == 1:
+                return Index(Name("p", token.line), items[0], token.line)
+            if len(items) != 6:
+                raise ScriptError(f"a pose has 6 numbers, not {len(items)}", token.line)
+            return ListOf(items, True, token.line)
+        return Name(token.text, token.line)
+
+    def _items(self) -> tuple[Expression, ...]:
+        self._expect("[")
+        items: list[Expression] = []
+        while not self._accept("]"):
+            items.append(self._expression())
+            if not self._is("]"):
+                self._expect(",")
+        return tuple(items)
+
+    def _run(self) -> Call:
+        self._expect("run")
+        token = self._peek()
+        self._name()
+        return self._call(token, thread=True)
+
+    def _call(self, token: Token, thread: bool) -> Call:
+        self._expect("(")
+        arguments: list[Expression] = []
+        named: list[tuple[str, Expression]] = []
+        while not self._accept(")"):
+            if self._peek().kind is Kind.NAME and self._peek(1).text == "=" and self._peek(1).kind is Kind.WORD:
+                name = self._name()
+                self._expect("=")
+                named.append((name, self._expression()))
+            elif named:
+                raise self._unexpected("a named argument")
+            else:
+                arguments.append(self._expression())
+            if not self._is(")"):
+                self._expect(",")
+        return Call(token.text, tuple(arguments), tuple(named), thread, token.line)

@@ -1,0 +1,84 @@
+"""URScript's words."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import Enum, auto
+
+from toolee_robot.sim_backend.ur_controller.urscript.errors import ScriptError
+
+KEYWORDS = frozenset(
+    {
+        *("def", "sec", "thread", "end", "if", "elif", "else", "while", "return", "break", "continue", "global"),
+        *("local", "run", "kill", "join", "enter_critical", "exit_critical", "halt", "True", "False"),
+        *("and", "or", "xor", "not"),
+    }
+)
+INT_MAX = 2**31 - 1
+
+
+class Kind(Enum):
+    NUMBER = auto()
+    STRING = auto()
+    NAME = auto()
+    WORD = auto()
+    """A keyword or a sign."""
+    END = auto()
+
+
+@dataclass(frozen=True, slots=True)
+class Token:
+    """text: as written; of a string without its quotes. line: 1-based."""
+
+    kind: Kind
+    text: str
+    line: int
+
+
+_PATTERN = re.compile(
+    r"""(?P<space>[ \t\r\f\v]+|\#[^\n]*)
+    |(?P<newline>\n)
+    |(?P<NUMBER>0[xX][0-9a-fA-F]+|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)
+    |(?P<STRING>"[^"\n]*")
+    |(?P<NAME>[A-Za-z_][A-Za-z0-9_]*)
+    |(?P<sign>==|!=|<=|>=|[-+*/%<>=()\[\],:$])""",
+    re.VERBOSE,
+)
+
+
+def tokenise(source: str) -> list[Token]:
+    """All tokens of a script, the last of kind END. Raises ScriptError at what is no word of the language."""
+    tokens: list[Token] = []
+    line, at = 1, 0
+    while at < len(source):
+        match = _PATTERN.match(source, at)
+        if match is None:
+            raise ScriptError(f"unexpected {source[at]!r}", line)
+        at, text = match.end(), match.group()
+        if match.lastgroup == "newline":
+            line += 1
+        elif match.lastgroup == "NUMBER":
+            tokens.append(Token(Kind.NUMBER, text, line))
+        elif match.lastgroup == "STRING":
+            tokens.append(Token(Kind.STRING, text[1:-1], line))
+        elif match.lastgroup == "NAME":
+            tokens.append(Token(Kind.WORD if text in KEYWORDS else Kind.NAME, text, line))
+        elif match.lastgroup == "sign":
+            tokens.append(Token(Kind.WORD, text, line))
+    tokens.append(Token(Kind.END, "end of the script", line))
+    return tokens
+
+
+def number(token: Token) -> int | float:
+    """The value of a NUMBER: whole numbers are 32-bit integers. Raises ScriptError outside the range."""
+    text = token.text
+    if text[:2] in ("0x", "0X"):
+        value: int | float = int(text, 16)
+    elif text.isdigit():
+        value = int(text) if len(text) < 12 else INT_MAX + 1
+    else:
+        value = float(text)
+    if value > INT_MAX and (isinstance(value, int) or value == float("inf")):
+        raise ScriptError(f"the number {text[:20]} is too large", token.line)
+    return value

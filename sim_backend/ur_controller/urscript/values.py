@@ -1,0 +1,118 @@
+"""Values of a script and what the language does with them.
+
+Numbers are 32-bit integers and floats; there are booleans, texts, lists and poses. Nothing is converted silently: a
+boolean is no number, and an integer that does not fit 32 bits is an error. Lists and poses are values: assigning one
+copies it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from toolee_robot.sim_backend.ur_controller.urscript.tokens import INT_MAX
+
+_NUMBERS = frozenset({int, float})
+
+
+class Pose(list[float]):
+    """p[x, y, z, rx, ry, rz]."""
+
+
+def kind(value: Any) -> str:
+    """What a message calls a value."""
+    if value is None:
+        return "nothing"
+    names = {bool: "a boolean", int: "an integer", float: "a float", str: "a text", list: "a list", Pose: "a pose"}
+    return names.get(type(value), "a thread")
+
+
+def numbers(a: Any, b: Any) -> None:
+    if type(a) not in _NUMBERS or type(b) not in _NUMBERS:
+        raise TypeError(f"expected two numbers, got {kind(a)} and {kind(b)}")
+
+
+def fitting(value: Any) -> Any:
+    if type(value) is int and not -INT_MAX - 1 <= value <= INT_MAX:
+        raise OverflowError("an integer does not fit 32 bits")
+    return value
+
+
+def add(a: Any, b: Any) -> Any:
+    numbers(a, b)
+    return fitting(a + b)
+
+
+def subtract(a: Any, b: Any) -> Any:
+    numbers(a, b)
+    return fitting(a - b)
+
+
+def multiply(a: Any, b: Any) -> Any:
+    numbers(a, b)
+    return fitting(a * b)
+
+
+def divide(a: Any, b: Any) -> Any:
+    """Always a float."""
+    numbers(a, b)
+    return a / b
+
+
+def modulo(a: Any, b: Any) -> Any:
+    """The remainder with the divisor's sign."""
+    numbers(a, b)
+    return a % b
+
+
+def negate(a: Any) -> Any:
+    numbers(a, 0)
+    return fitting(-a)
+
+
+def truth(value: Any) -> bool:
+    if value is True or value is False:
+        return value
+    raise TypeError(f"expected a boolean, got {kind(value)}")
+
+
+def _position(values: Any, index: Any) -> int:
+    if not isinstance(values, list):
+        raise TypeError(f"expected a list, got {kind(values)}")
+    if type(index) is not int:
+        raise TypeError(f"expected an integer as the index, got {kind(index)}")
+    if not 0 <= index < len(values):
+        raise IndexError(f"index {index} is outside a list of {len(values)}")
+    return index
+
+
+def item(values: Any, index: Any) -> Any:
+    return values[_position(values, index)]
+
+
+def set_item(values: Any, index: Any, value: Any) -> None:
+    at = _position(values, index)
+    if type(values) is Pose:
+        numbers(value, 0)
+    values[at] = value
+
+
+def pose(*items: Any) -> Pose:
+    for value in items:
+        numbers(value, 0)
+    return Pose(items)
+
+
+def copied(value: Any) -> Any:
+    """The value itself, or a copy of a list."""
+    if isinstance(value, list):
+        return type(value)(copied(each) for each in value)
+    return value
+
+
+def text(value: Any) -> str:
+    """As `textmsg` and `to_str` write it."""
+    if isinstance(value, list):
+        return ("p[" if type(value) is Pose else "[") + ", ".join(map(text, value)) + "]"
+    if type(value) is float:
+        return f"{value:.6g}"
+    return str(value)
