@@ -1,12 +1,12 @@
-"""`toolee hammer`: the whole job on the simulated station."""
+"""`toolee hammer`: the whole job on a simulated station."""
 
 from __future__ import annotations
 
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -15,6 +15,7 @@ from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
 from toolee_robot.config import StationConfig, load_station
 from toolee_robot.errors import UserError
+from toolee_robot.types import ArmModel
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,8 @@ class Hammer:
     """Take a hammer from a person, look at it, and drive the nail (simulated station).
 
     Example: toolee hammer --seed 100 --json
+
+    Example: toolee hammer --arm ur-rtde --robot-host 127.0.0.2 --world pybullet
 
     Exit code 0: the nail is flush; 1: it is not, and the reason is said; 2: the input was wrong; 130: interrupted,
     the arm was stopped.
@@ -33,6 +36,14 @@ class Hammer:
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
     no_correction: Flag = False
     """Strike as if the tool were where it nominally is in the hand: the baseline."""
+    arm: Literal["sim", "ur-rtde"] = "sim"
+    """The simulated arm itself, or a UR arm through the driver that a real one gets."""
+    robot_host: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="")] = None
+    """Of the UR controller, with --arm ur-rtde; with --world a loopback address, where a stand-in will serve."""
+    world: Annotated[Literal["pybullet"] | None, tyro.conf.arg(metavar="pybullet", help_behavior_hint="")] = None
+    """What is behind the UR controller: a stand-in is started, with the simulated station as its world."""
+    robot: Annotated[ArmModel | None, tyro.conf.arg(metavar="UR10|UR10e", help_behavior_hint="")] = None
+    """Which arm, instead of the configuration's."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """A station: any subset of the fields of toolee_robot/config.py."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
@@ -49,7 +60,10 @@ class Hammer:
             raise UserError("--gui needs a screen and DISPLAY is not set: leave it out, headless does the same job")
         if self.perfect_perception and self.no_correction:
             raise UserError("--perfect-perception with --no-correction changes nothing: leave one out")
+        host = self._host()
         config = StationConfig() if self.config is None else load_station(self.config)
+        if self.robot is not None:
+            config = replace(config, arm=replace(config.arm, model=self.robot))
         console = Console(stderr=self.json, highlight=False)
 
         from toolee_robot.cli.run_folder import run_folder
@@ -59,10 +73,28 @@ class Hammer:
             from toolee_robot.cli.job import HammerJob  # seconds of loading: after everything that can be wrong at once
 
             correction, perfect = not self.no_correction, self.perfect_perception
-            job = HammerJob(config, self.seed, correction=correction, perfect_perception=perfect, gui=self.gui)
+            job = HammerJob(
+                config, self.seed, correction=correction, perfect_perception=perfect, gui=self.gui, host=host
+            )
             report = job.run(folder.path, console)
             folder.keep()
         console.print(report.panel(folder.path))
         if self.json:
             print(json_line({**report.figures, "run_folder": str(folder.path)}), flush=True)
         return report.exit_code
+
+    def _host(self) -> str | None:
+        """Of the stand-in that the arm is driven through; None for the simulated arm itself."""
+        if self.arm == "sim":
+            if self.robot_host is not None:
+                raise UserError("--robot-host without --arm ur-rtde: the simulated arm has no address")
+            return None
+        if self.world is None:
+            raise UserError(
+                "--arm ur-rtde on a real robot: this project has no drivers for a real hand and a real camera yet, so "
+                "no job can be done there. Add --world pybullet for the simulated station behind the real driver; "
+                "`toolee doctor --arm ur-rtde --robot-host ...` checks a real arm"
+            )
+        if self.robot_host is None:
+            raise UserError("--arm ur-rtde needs --robot-host: a loopback address such as 127.0.0.2")
+        return self.robot_host

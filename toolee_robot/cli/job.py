@@ -1,4 +1,4 @@
-"""One hammering job on the simulated station: put together, run, judged and written down."""
+"""One hammering job on a simulated station: put together, run, judged and written down."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from rich.markup import escape
 from rich.panel import Panel
 
 import toolee_robot
+from toolee_robot.cli.backend import open_backend
 from toolee_robot.cli.console import ConsoleObserver
 from toolee_robot.cli.output import json_line, write_whole
 from toolee_robot.cli.perfect import PerfectPerception
@@ -24,7 +25,6 @@ from toolee_robot.recorder import RunRecorder
 from toolee_robot.robots import load_robot, nominal_X_hand_tool
 from toolee_robot.sim_backend.judge import BlowTruth, Verdict
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.sim_backend.station import SimStation
 from toolee_robot.tasks.hammering import Grasp, HammeringTask
 from toolee_robot.tasks.observer import Observers
 from toolee_robot.tasks.outcome import HammerResult, Outcome
@@ -68,13 +68,15 @@ class HammerReport:
 
 @dataclass(frozen=True)
 class HammerJob:
-    """What is to be done. perfect_perception: poses from the ground truth, for tests and the ablation only."""
+    """What is to be done. perfect_perception: poses from the ground truth, for tests and the ablation only. host: of a
+    controller stand-in to drive the arm through, with the real driver; None: straight to the simulated station."""
 
     config: StationConfig
     seed: int
     correction: bool = True
     perfect_perception: bool = False
     gui: bool = False
+    host: str | None = None
 
     def run(self, folder: Path, console: Console) -> HammerReport:
         """Do the job and write summary.json, recording.mcap and picture.png into `folder`, whatever the ending.
@@ -87,7 +89,7 @@ class HammerJob:
         screen, album = ConsoleObserver(console, work.nail_protrusion, flush), Album(work.nail_protrusion, flush)
         metadata = {"seed": str(self.seed), "correction": str(self.correction)}
         with (
-            SimStation.build(self.config, self.seed, SimOptions(gui=self.gui)) as sim,
+            open_backend(self.config, self.seed, SimOptions(gui=self.gui), self.host) as sim,
             RunRecorder(folder / "recording.mcap", metadata) as recorder,
         ):
             console.print(f"[bold]{_words(sim.tool)}[/bold]  [dim]seed {self.seed}{self._mode()}[/dim]")
@@ -119,9 +121,10 @@ class HammerJob:
         return HammerReport(figures)
 
     def _mode(self) -> str:
+        words = "" if self.host is None else f", {self.config.arm.model} over ur_rtde at {self.host}"
         if self.perfect_perception:
-            return ", poses from the simulation's ground truth"
-        return "" if self.correction else ", no correction: the nominal in-hand pose is believed"
+            return f"{words}, poses from the simulation's ground truth"
+        return words if self.correction else f"{words}, no correction: the nominal in-hand pose is believed"
 
     def _figures(self, result: HammerResult, verdict: Verdict, tool: Tool, seconds: float) -> dict[str, Any]:
         success, outcome, reason = result.success, str(result.outcome), result.reason
@@ -148,6 +151,8 @@ class HammerJob:
             "seconds": round(seconds, 3),
             "seed": self.seed,
             "tool": tool.name,
+            "arm": "sim" if self.host is None else "ur-rtde",
+            "robot": str(self.config.arm.model),
             "correction": self.correction,
             "perfect_perception": self.perfect_perception,
         }

@@ -8,7 +8,7 @@ import numpy as np
 
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse
-from toolee_robot.sim_backend.judge import Judge
+from toolee_robot.sim_backend.judge import Truth
 from toolee_robot.types import Category, Detection, InHandEstimate, RgbdFrame, ToolEstimate
 
 _SIGMA = 1e-4
@@ -18,7 +18,7 @@ _SIGMA = 1e-4
 class PerfectPerception:
     """Stands where ToolPerception stands and tells the truth. Never what a robot could do."""
 
-    def __init__(self, judge: Judge) -> None:
+    def __init__(self, judge: Truth) -> None:
         self._judge = judge
 
     def estimate(self, frame: RgbdFrame, X_camera_hand: Array | None = None) -> list[ToolEstimate]:
