@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 import pybullet as pb
 
-from toolee_robot.frames import Array, rotation_angle
+from toolee_robot.frames import Array
 from toolee_robot.sim_backend.bodies import cross
 
 STIFFNESS = 3e4  # [N/m]
@@ -95,7 +95,8 @@ class AssistedGrip:
     @property
     def slip_angle(self) -> float:
         """How far it has turned in the hand for good [rad]."""
-        return rotation_angle(self._R_start.T @ self._R_rest)
+        turn = _rotation_vector(self._R_start.T @ self._R_rest)
+        return float(np.sqrt(turn @ turn))
 
     def before_step(self, dt: float) -> None:
         """Apply the grip's force and torque for the step of dt [s] to come; let go when it has slipped too far."""
