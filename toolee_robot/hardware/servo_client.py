@@ -81,8 +81,7 @@ class ServoClient:
         self.send(order)
         reply = self.receive(HANDSHAKE_TIMEOUT)
         if reply is None:
-            self.kill()
-            raise ServoCrashError(f"the servo process did not answer for {HANDSHAKE_TIMEOUT} s: reset the arm")
+            raise self.crash(hung=True)
         if isinstance(reply, Refused):
             raise (NotReadyError if reply.not_ready else DeviceError)(reply.message)
         return reply
@@ -103,10 +102,10 @@ class ServoClient:
             raise self.crash() from error
         return reply
 
-    def crash(self) -> ServoCrashError:
-        """The error for a process that is gone, with its last words; makes sure that it is gone."""
+    def crash(self, hung: bool = False) -> ServoCrashError:
+        """The error for a process that is gone, or hangs, with its last words; makes sure that it is gone."""
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(0.2)
+            self._process.wait(0.0 if hung else 0.2)
         code = self._process.poll()
         self.kill()
         how = "hung" if code is None else f"ended with code {code}" if code >= 0 else _signal_name(-code)

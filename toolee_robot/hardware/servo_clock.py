@@ -1,6 +1,9 @@
 """Time for the servo loop: an absolute schedule on CLOCK_MONOTONIC, and what the system grants a real-time process.
 
-A relative sleep drifts (125 Hz became 123.4 Hz in 5 s); deadlines that are all counted from one start do not.
+A relative sleep drifts (125 Hz became 123.4 Hz in 5 s); deadlines that are all counted from one start do not. But the
+controller counts its cycles by another crystal: at a difference of 50 ppm a fixed schedule would slip by one of its
+cycles every 40 to 160 s, and a command would be lost or come twice. So the schedule follows the controller's packets, by
+so little a cycle that their jitter does not matter.
 """
 
 from __future__ import annotations
@@ -10,11 +13,14 @@ import gc
 import os
 import resource
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
 SPIN = 1e-4
 """[s] Sleep until so long before a deadline, then watch the clock: the kernel wakes late, never early."""
+FOLLOW = 1e-4
+"""Of a period, the most by which a slot moves against the one before: more than crystals differ."""
 PRIORITY = 40
 """Of SCHED_FIFO: over everything ordinary, under the kernel's own interrupt threads (50)."""
 
@@ -32,6 +38,14 @@ class Schedule:
     def deadline(self) -> float:
         """Of the next slot [s]. Counted from the start: no rounding adds up."""
         return self._start + self._slot * self._period
+
+    def follow(self, arrived: Callable[[], bool]) -> None:
+        """Wait for the middle between two slots, ask there whether the controller's packet has come already, and move
+        the slots towards having it come right then: half a period away from both of their neighbours."""
+        pause = self.deadline - self._period / 2 - time.monotonic()
+        if pause > 0:
+            time.sleep(pause)
+            self._start += self._period * (-FOLLOW if arrived() else FOLLOW)
 
     def wait(self) -> tuple[float, int]:
         """Wait for the next slot. Returns how late it is [s] and how many slots were missed whole.

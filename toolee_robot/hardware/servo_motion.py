@@ -50,6 +50,7 @@ class Motion:
         q = link.reading[StateColumn.COMMANDED].copy()
         settled = 0
         while self._row < len(self._memory.rows):
+            self._schedule.follow(link.read)
             lateness, missed = self._schedule.wait()
             link.read()
             self._judge(lateness, missed)
@@ -72,8 +73,10 @@ class Motion:
         words[Word.OVERRUNS] += late
         self._streak = self._streak + late if late else 0
         age = time.monotonic() - reading[StateColumn.SEEN]
-        if age > watch.data_cycles * self._period:
-            self._end(Cause.DATA if self._link.connected else Cause.LINK)
+        if not self._link.connected:
+            self._end(Cause.LINK)
+        elif age > watch.data_cycles * self._period:
+            self._end(Cause.DATA)
         elif self._link.status is not ArmStatus.READY:
             self._end(Cause.STOPPED_BY_ROBOT)
         elif not self._link.playing:

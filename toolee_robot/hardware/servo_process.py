@@ -57,6 +57,7 @@ class ServoProcess:
         link, memory = self._link, self._memory
         schedule = self._aligned()
         while True:
+            schedule.follow(link.read)
             schedule.wait()
             link.read()
             self._judge()
@@ -114,6 +115,7 @@ class ServoProcess:
         if cause >= Cause.DATA:
             self._fault = cause
         if cause is Cause.LINK:
+            self._pipe.send(Moved(cause))
             os._exit(EXIT_LINK_LOST)
         return cause
 

@@ -97,6 +97,11 @@ class UrArm:
         """What the system granted the servo process."""
         return self._open().realtime
 
+    @property
+    def servo_pid(self) -> int:
+        """Of the process that talks to the robot."""
+        return self._open().pid
+
     def state(self, max_age: float = 0.1) -> ArmState:
         """The newest reading, stamped with this machine's `time.monotonic()` when it came. Raises StaleDataError."""
         state = self._open().memory.read_state()
@@ -252,7 +257,7 @@ class UrArm:
             if done != cycles:
                 cycles, since = done, now
             elif now - since > self._config.hang_timeout:
-                raise servo.crash()
+                raise servo.crash(hung=True)
 
     @staticmethod
     def _status_now(servo: ServoClient) -> ArmStatus:

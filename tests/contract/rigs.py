@@ -1,0 +1,282 @@
+"""The arms that the contract suite runs on, and what can be done to each from outside."""
+
+from __future__ import annotations
+
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+
+import numpy as np
+import pybullet as pb
+
+from tests.sim_backend.kinematics import joints_for_hand, line
+from toolee_robot.config import ArmLimits, StationConfig
+from toolee_robot.errors import DeviceError
+from toolee_robot.frames import Array, transform
+from toolee_robot.hal import Arm, ContactGuard, MotionReport, MotionWatch
+from toolee_robot.hardware.ur_arm import UrArm
+from toolee_robot.hardware.ur_config import UrArmConfig
+from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.sim_backend.arm import SimArm
+from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
+from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.types import ArmModel, Trajectory
+
+HOME = np.array([-0.6, -1.7, 1.6, -1.47, -1.57, 0.0])
+NUDGE = np.array([0.25, -0.15, 0.2, 0.1, -0.2, 0.3])
+# The suite has to pass on a machine that is busy with other things; how well the servo loop keeps time is measured by
+# `toolee bench-servo`.
+PATIENT = MotionWatch(tracking_error=0.05, data_cycles=40.0, overruns=40)
+
+
+class Rig(ABC):
+    """An entered arm. rate: [Hz] expected. limits: it was made with. tracking: measured against commanded at rest
+    [rad]. faults: whether stops, contacts and cuts can be brought about without a person."""
+
+    arm: Arm
+    rate: float
+    limits: ArmLimits
+    tracking = 1e-3
+    faults = True
+
+    def start(self) -> Array:
+        """The commanded position that the next motion starts from."""
+        return self.arm.state().joints.q
+
+    def nudge(self, duration: float = 1.0, share: float = 1.0) -> Trajectory:
+        """Away from where the arm is and back the next time, so that tests follow one another."""
+        q = self.start()
+        towards = HOME + NUDGE if np.abs(q - HOME).max() < 0.12 else HOME
+        return line([q, q + share * (towards - q)], duration)
+
+    def execute(self, trajectory: Trajectory, guard: ContactGuard | None = None) -> MotionReport:
+        return self.arm.execute(trajectory, guard, PATIENT)
+
+    @abstractmethod
+    def now(self) -> float: ...
+
+    @abstractmethod
+    def sleep(self, duration: float) -> None: ...
+
+    @abstractmethod
+    def after(self, delay: float, action: Callable[[], object]) -> None:
+        """Do it `delay` [s] from now, while the arm moves; from another thread where the arm has one of its own."""
+
+    @abstractmethod
+    def true_joints(self) -> tuple[Array, Array]:
+        """q, qd as the robot itself has them."""
+
+    @abstractmethod
+    def contact(self) -> tuple[Trajectory, ContactGuard]:
+        """A motion that will meet something after a while."""
+
+    @abstractmethod
+    def protective_stop(self) -> None: ...
+
+    @abstractmethod
+    def emergency_stop(self) -> None: ...
+
+    @abstractmethod
+    def make_ready(self) -> None:
+        """What a person does at the robot after a stop."""
+
+    @abstractmethod
+    def cut(self) -> None:
+        """From now on no data comes."""
+
+    @abstractmethod
+    def restore(self) -> None: ...
+
+    @abstractmethod
+    def reopened(self) -> Arm:
+        """The same arm, not entered."""
+
+    def recover(self) -> None:
+        """Ready for the next test."""
+        self.restore()
+        self.make_ready()
+        deadline = time.monotonic() + 10.0
+        while True:
+            try:
+                self.arm.reset()
+                return
+            except DeviceError:
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(0.1)
+
+
+class SimRig(Rig):
+    """The arm in the pybullet world: time goes on only while it moves or sleeps."""
+
+    rate = 125.0
+
+    def __init__(self, simulation: SimStation, limits: ArmLimits) -> None:
+        self._simulation, self.limits = simulation, limits
+        arm = simulation.station.arm
+        assert isinstance(arm, SimArm)
+        self.arm: SimArm = arm
+
+    def now(self) -> float:
+        return self._simulation.station.clock.now()
+
+    def sleep(self, duration: float) -> None:
+        self._simulation.station.clock.sleep(duration)
+
+    def after(self, delay: float, action: Callable[[], object]) -> None:
+        due, done = self.now() + delay, [False]
+
+        def look(_sample: object) -> None:
+            if not done[0] and self.now() >= due:
+                done[0] = True
+                action()
+
+        self._simulation.observers.append(look)
+
+    def true_joints(self) -> tuple[Array, Array]:
+        return self._simulation.world.robot.arm_state()
+
+    def contact(self) -> tuple[Trajectory, ContactGuard]:
+        world = self._simulation.world
+        hand = world.X_base_hand()
+        down = joints_for_hand(transform(p=[0.0, 0.0, -0.25]) @ hand, HOME)
+        tip = (hand @ [0.0, 0.0, 0.15, 1.0])[:3]
+        shape = pb.createCollisionShape(pb.GEOM_BOX, halfExtents=[0.1, 0.1, 0.05], physicsClientId=world.client)
+        pb.createMultiBody(0.0, shape, -1, [tip[0], tip[1], tip[2] - 0.13 - 0.05], physicsClientId=world.client)
+        return line([self.start(), down], 1.5), ContactGuard(force=15.0, after=0.05)
+
+    def protective_stop(self) -> None:
+        self.arm.protective_stop()
+
+    def emergency_stop(self) -> None:
+        self.arm.emergency_stop()
+
+    def make_ready(self) -> None:
+        self.arm.make_ready()
+
+    def cut(self) -> None:
+        self.arm.cut_link()
+
+    def restore(self) -> None:
+        self.arm.restore_link()
+
+    def reopened(self) -> Arm:
+        return self.arm
+
+
+class StandInRig(Rig):
+    """UrArm on the controller stand-in, over the loopback address `host`."""
+
+    def __init__(self, arm: UrArm, controller: ControllerProcess, model: ArmModel, limits: ArmLimits) -> None:
+        self.arm: UrArm = arm
+        self.controller, self.limits = controller, limits
+        self.rate = 500.0 if model is ArmModel.UR10E else 125.0
+
+    def start(self) -> Array:
+        return self.arm.q_commanded
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def sleep(self, duration: float) -> None:
+        time.sleep(duration)
+
+    def after(self, delay: float, action: Callable[[], object]) -> None:
+        timer = threading.Timer(delay, action)
+        timer.daemon = True
+        timer.start()
+
+    def true_joints(self) -> tuple[Array, Array]:
+        state = self.controller.state()
+        return np.array(state["q"]), np.array(state["qd"])
+
+    def contact(self) -> tuple[Trajectory, ContactGuard]:
+        self.after(0.5, lambda: self.controller.fault("force", wrench=[30.0, 0, 0, 0, 0, 0], seconds=0.5))
+        return self.nudge(1.5), ContactGuard(force=15.0, after=0.05)
+
+    def protective_stop(self) -> None:
+        self.controller.fault("protective_stop")
+
+    def emergency_stop(self) -> None:
+        self.controller.fault("emergency_stop")
+
+    def make_ready(self) -> None:
+        self.controller.fault("reset")
+
+    def cut(self) -> None:
+        self.controller.fault("half_open", port="rtde")
+
+    def restore(self) -> None:
+        """The dead connections stay dead; new ones work."""
+
+    def reopened(self) -> Arm:
+        return UrArm(UrArmConfig(self.controller.host), self.limits)
+
+
+class HardwareRig(Rig):
+    """A robot that stands somewhere. Motions are small and slow; nothing here brings it to harm on purpose."""
+
+    faults = False
+    tracking = 5e-3
+
+    def __init__(self, arm: UrArm, limits: ArmLimits) -> None:
+        self.arm: UrArm = arm
+        self.limits, self.rate = limits, arm.rate
+        self._home = arm.q_commanded
+
+    def start(self) -> Array:
+        return self.arm.q_commanded
+
+    def nudge(self, duration: float = 1.0, share: float = 1.0) -> Trajectory:
+        q = self.start()
+        towards = self._home + 0.1 * NUDGE if np.abs(q - self._home).max() < 0.005 else self._home
+        return line([q, q + share * (towards - q)], 3.0 * duration)
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def sleep(self, duration: float) -> None:
+        time.sleep(duration)
+
+    def after(self, delay: float, action: Callable[[], object]) -> None:
+        threading.Timer(3.0 * delay, action).start()
+
+    def true_joints(self) -> tuple[Array, Array]:
+        joints = self.arm.state().joints
+        return joints.q, joints.qd
+
+    def contact(self) -> tuple[Trajectory, ContactGuard]:
+        raise NotImplementedError
+
+    protective_stop = emergency_stop = make_ready = cut = restore = lambda _self: None
+
+    def reopened(self) -> Arm:
+        raise NotImplementedError
+
+
+@contextmanager
+def sim_rig() -> Iterator[Rig]:
+    config = StationConfig()
+    with SimStation.build(config, 0, SimOptions(q_start=HOME, hands_over=False)) as simulation:
+        yield SimRig(simulation, config.arm)
+
+
+@contextmanager
+def stand_in_rig(model: ArmModel, host: str) -> Iterator[Rig]:
+    limits = ArmLimits(model=model)
+    with ExitStack() as stack:
+        controller = stack.enter_context(
+            ControllerProcess(model=model.value, host=host, plant=partial(JointPlant, q=HOME))
+        )
+        arm = stack.enter_context(UrArm(UrArmConfig(host), limits))
+        yield StandInRig(arm, controller, model, limits)
+
+
+@contextmanager
+def hardware_rig(model: ArmModel, host: str) -> Iterator[Rig]:
+    limits = ArmLimits(model=model)
+    with UrArm(UrArmConfig(host), limits) as arm:
+        yield HardwareRig(arm, limits)

@@ -1,0 +1,42 @@
+"""A task of its own process that swings the arm until something happens to it: `python -m tests.hardware.swinger HOST
+MODEL`. Says "swinging" when the arm is under way, and how it ended."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+
+from tests.hardware.swings import swing
+from toolee_robot.config import ArmLimits
+from toolee_robot.errors import DeviceError
+from toolee_robot.hal import MotionWatch
+from toolee_robot.hardware.ur_arm import UrArm
+from toolee_robot.hardware.ur_config import UrArmConfig
+from toolee_robot.types import ArmModel
+
+PATIENT = MotionWatch(tracking_error=0.1, data_cycles=40.0, overruns=40)
+
+
+def main() -> None:
+    host, model = sys.argv[1], ArmModel(sys.argv[2])
+    with UrArm(UrArmConfig(host), ArmLimits(model=model)) as arm:
+        trajectory = swing(arm.q_commanded)
+
+        def say() -> None:
+            time.sleep(0.4 * trajectory.duration)
+            print("swinging", time.monotonic(), flush=True)
+
+        threading.Thread(target=say, daemon=True).start()
+        try:
+            arm.execute(trajectory, None, PATIENT)
+            print("completed", flush=True)
+        except KeyboardInterrupt:
+            print("interrupted", float(abs(arm.state(1.0).joints.qd).max()), flush=True)
+            raise
+        except DeviceError as error:
+            print(type(error).__name__, flush=True)
+
+
+if __name__ == "__main__":
+    main()
