@@ -14,7 +14,7 @@ import toolee_robot
 from toolee_robot import hal
 
 _ROOT = Path(toolee_robot.__file__).parent
-_BLIND = ("tasks", "perception", "control", "hardware")
+_BLIND = ("tasks", "doctor", "perception", "control", "hardware")
 
 _IMPORT_ALL = """
 import importlib, pkgutil, sys

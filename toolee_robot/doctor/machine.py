@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from toolee_robot.findings import Finding, Level
+from toolee_robot.hardware.servo_clock import PRIORITY
 
 CPUS = 4
 """The servo process, the task with its planner, the perception, and the rest of the system."""
-MEMORY_LOCK = 256 << 20  # [bytes] that the servo process keeps from being swapped out
 DISK_FULL, DISK_LOW = 200 << 20, 5 << 30  # [bytes]; a job's recording takes some tens of megabytes
 LATE = 1e-3  # [s] that a command may be late
 _GOVERNORS = "cpu*/cpufreq/scaling_governor"
@@ -67,15 +67,14 @@ def check_real_time(rate: float) -> Iterator[Finding]:
             "SCHED_FIFO is not allowed",
             "other programs can delay the servo loop: set rtprio in /etc/security/limits.conf",
         )
-    lock = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-    if lock == resource.RLIM_INFINITY or lock >= MEMORY_LOCK:
-        yield Finding(Level.OK, "memory lock", "unlimited" if lock == resource.RLIM_INFINITY else f"{lock >> 20} MiB")
+    if _may_lock():
+        yield Finding(Level.OK, "memory", "may be locked")
     else:
         yield Finding(
             Level.WARN,
-            "memory lock",
-            f"{lock / 2**20:.3g} MiB",
-            "memory can be swapped out in mid-swing: set memlock in /etc/security/limits.conf",
+            "memory",
+            "may not be locked",
+            "it can be paged out in mid-swing: set memlock to unlimited in /etc/security/limits.conf",
         )
     late = wake_up_lateness(rate, 0.5)
     p99 = float(np.percentile(late, 99))
@@ -120,11 +119,22 @@ def _flag(path: str) -> bool:
 
 
 def _may_schedule() -> bool:
-    """Tried, and undone at once: permissions come from too many places to be read."""
+    """Tried as the servo process does, and undone at once: permissions come from too many places to be read."""
     policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     except OSError:
         return False
     os.sched_setscheduler(0, policy, parameter)
+    return True
+
+
+def _may_lock() -> bool:
+    """Likewise."""
+    before = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    try:
+        resource.setrlimit(resource.RLIMIT_MEMLOCK, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    except (ValueError, OSError):
+        return False
+    resource.setrlimit(resource.RLIMIT_MEMLOCK, before)
     return True

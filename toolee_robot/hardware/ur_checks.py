@@ -167,12 +167,12 @@ def _version(version: tuple[int, int, int, int]) -> Finding:
 def _model(report: UrReport, version: tuple[int, int, int, int], expected: UrExpected) -> Finding:
     e_series = version[0] > 3
     named = "a robot" if report.model is None else report.model + ("e" if e_series else "")
-    generation = "e-Series" if e_series else "CB3"
+    generation, article = ("e-Series", "an") if e_series else ("CB3", "a")
     wrong_name = report.model is not None and report.model != "UR10"
     if wrong_name or e_series != (expected.model is ArmModel.UR10E):
         return _fail(
             "robot model",
-            f"{named} on a {generation} controller, the configuration says {expected.model}",
+            f"{named} on {article} {generation} controller, the configuration says {expected.model}",
             "set arm.model in the station file, or connect to the right robot",
         )
     if report.model is None:
