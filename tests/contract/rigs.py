@@ -42,9 +42,9 @@ class Rig(ABC):
     tracking = 1e-3
     faults = True
 
+    @abstractmethod
     def start(self) -> Array:
         """The commanded position that the next motion starts from."""
-        return self.arm.state().joints.q
 
     def nudge(self, duration: float = 1.0, share: float = 1.0) -> Trajectory:
         """Away from where the arm is and back the next time, so that tests follow one another."""
@@ -84,6 +84,10 @@ class Rig(ABC):
         """What a person does at the robot after a stop."""
 
     @abstractmethod
+    def hold_up(self) -> None:
+        """From now on a joint is not where it was commanded to."""
+
+    @abstractmethod
     def cut(self) -> None:
         """From now on no data comes."""
 
@@ -119,6 +123,9 @@ class SimRig(Rig):
         arm = simulation.station.arm
         assert isinstance(arm, SimArm)
         self.arm: SimArm = arm
+
+    def start(self) -> Array:
+        return self.arm.q_commanded
 
     def now(self) -> float:
         return self._simulation.station.clock.now()
@@ -156,6 +163,9 @@ class SimRig(Rig):
 
     def make_ready(self) -> None:
         self.arm.make_ready()
+
+    def hold_up(self) -> None:
+        self.arm.stick(0)
 
     def cut(self) -> None:
         self.arm.cut_link()
@@ -206,6 +216,9 @@ class StandInRig(Rig):
     def make_ready(self) -> None:
         self.controller.fault("reset")
 
+    def hold_up(self) -> None:
+        self.controller.fault("joint_offset", offset=[0.1, 0, 0, 0, 0, 0])
+
     def cut(self) -> None:
         self.controller.fault("half_open", port="rtde")
 
@@ -251,7 +264,7 @@ class HardwareRig(Rig):
     def contact(self) -> tuple[Trajectory, ContactGuard]:
         raise NotImplementedError
 
-    protective_stop = emergency_stop = make_ready = cut = restore = lambda _self: None
+    protective_stop = emergency_stop = make_ready = hold_up = cut = restore = lambda _self: None
 
     def reopened(self) -> Arm:
         raise NotImplementedError

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tests.contract.rigs import PATIENT, Rig
+from tests.contract.rigs import Rig
 from tests.sim_backend.kinematics import line
 from toolee_robot.errors import (
     DeviceError,
@@ -21,7 +21,7 @@ from toolee_robot.errors import (
     TrackingError,
 )
 from toolee_robot.frames import Array
-from toolee_robot.hal import Arm, ArmStatus, ContactGuard, MotionOutcome, MotionReport, MotionWatch
+from toolee_robot.hal import Arm, ArmStatus, ContactGuard, MotionOutcome, MotionReport
 from toolee_robot.types import Payload, Trajectory
 
 AT_REST = 0.02  # [rad/s]
@@ -217,8 +217,9 @@ def test_a_stop_by_the_robot_at_rest_latches_too(rig: Rig) -> None:
 def test_an_arm_that_does_not_follow_is_stopped_on_its_path(rig: Rig) -> None:
     needs_faults(rig)
     trajectory = rig.nudge(1.5)
+    rig.after(0.5, rig.hold_up)
     with pytest.raises(TrackingError) as caught:
-        rig.arm.execute(trajectory, None, MotionWatch(1e-12, PATIENT.data_cycles, PATIENT.overruns))
+        rig.execute(trajectory)
     report = caught.value.report
     assert report is not None
     assert along(report, trajectory)[-1] < 0.9

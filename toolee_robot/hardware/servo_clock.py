@@ -1,8 +1,8 @@
 """Time for the servo loop: an absolute schedule on CLOCK_MONOTONIC, and what the system grants a real-time process.
 
 A relative sleep drifts (125 Hz became 123.4 Hz in 5 s); deadlines that are all counted from one start do not. But the
-controller counts its cycles by another crystal: at a difference of 50 ppm a fixed schedule would slip by one of its
-cycles every 40 to 160 s, and a command would be lost or come twice. So the schedule follows the controller's packets, by
+controller counts its cycles by another crystal: 50 ppm apart, a fixed schedule would slip by one of the controller's
+cycles every 40 to 160 s, and a command would be lost or come twice. So the schedule follows its packets, by
 so little a cycle that their jitter does not matter.
 """
 

@@ -123,18 +123,15 @@ class Motion:
         return float(np.sqrt(force @ force)) > guard.force
 
     def _tracking_error(self) -> float:
-        """[rad] Between the newest reading and what was commanded the servo's lag before it."""
+        """[rad] How far the newest reading lies outside of what was commanded within the servo's lag before it."""
         reading = self._link.reading
         rows = self._memory.rows[max(self._row - self._window, 0) : self._row]
-        then = reading[StateColumn.SEEN] - self._order.lag
-        i = int(np.searchsorted(rows[:, Column.SENT], then)) if len(rows) else 0
-        if i == 0:
+        sent = rows[:, Column.SENT]
+        i, j = np.searchsorted(sent, (reading[StateColumn.SEEN] - self._order.lag, reading[StateColumn.SEEN]))
+        if j == 0:
             return 0.0
-        before, after = rows[i - 1], rows[min(i, len(rows) - 1)]
-        span = after[Column.SENT] - before[Column.SENT]
-        part = (then - before[Column.SENT]) / span if span > 0 else 0.0
-        commanded = (1 - part) * before[Column.COMMANDED] + part * after[Column.COMMANDED]
-        return float(np.abs(reading[StateColumn.Q] - commanded).max())
+        commanded, q = rows[max(i - 1, 0) : j, Column.COMMANDED], reading[StateColumn.Q]
+        return float(np.maximum(q - commanded.max(axis=0), commanded.min(axis=0) - q).max())
 
     def _at_rest(self, settled: int) -> bool:
         """Standstill, seen in fresh data and after the servo's lag, or no more time to wait for it."""

@@ -29,7 +29,7 @@ class Cause(IntEnum):
 @dataclass(frozen=True)
 class MotionOrder:
     """What the task sends with a path. samples, knots: as `ServoMemory.write_path` returned them. stop: the value of
-    the task's stop counter when it was sent. acceleration, jerk: of braking. lag [s]."""
+    the task's stop counter when it was sent. acceleration, jerk: of braking. lag [s]: the most of the servo."""
 
     samples: int
     knots: int

@@ -89,7 +89,7 @@ class UrArm:
 
     @property
     def lag(self) -> float:
-        """[s] How much later than its command a measured position is, as assumed here."""
+        """[s] The most by which a measured position comes later than its command, as assumed here."""
         return self._lag
 
     @property

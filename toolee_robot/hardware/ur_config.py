@@ -12,8 +12,8 @@ class UrArmConfig:
     """host: the controller's address. The ports are fixed by the controller.
 
     lookahead [s] (0.03 to 0.2) and gain (100 to 2000): of servoj; the smallest lookahead follows a blow best.
-    lag: how much later than its command the measured position is [s], network and servo included; taken off before a
-    tracking error is judged. None: of the controller's generation, as `servo_lag` says.
+    lag: the most by which a measured position comes later than its command [s], network and servo included; it is taken
+    off before a tracking error is judged. None: as `servo_lag` says.
     watchdog: the robot stops the program when it gets no command for 1/watchdog [Hz].
     connect_timeout: for the connection, once the servo process runs [s]. link_timeout: at rest, no new data for so long
     is a lost link [s]; the wheel itself gives up after 2.5 s and is then not to be trusted. hang_timeout: in motion, no
@@ -50,5 +50,5 @@ def servo_rate(major: int) -> float:
 
 
 def servo_lag(config: UrArmConfig, rate: float) -> float:
-    """[s] The configured lag, or the controller generation's usual one: servoj's lookahead and three cycles."""
+    """[s] The configured lag, or the usual one: servoj's lookahead and three cycles."""
     return config.lookahead + 3.0 / rate if config.lag is None else config.lag
