@@ -1,0 +1,109 @@
+"""`toolee bench-servo`: how well the servo loop keeps its time on this machine."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from toolee_robot.cli.machine import describe_machine
+from toolee_robot.cli.options import Flag
+from toolee_robot.cli.output import json_line
+from toolee_robot.cli.servo_trace import TraceFigures, TraceRecorder, compare
+from toolee_robot.config import ArmLimits, SceneConfig
+from toolee_robot.errors import UserError
+from toolee_robot.types import ArmModel
+
+if TYPE_CHECKING:
+    from toolee_robot.hardware.servo_benchmark import ServoFigures
+
+_PERIOD_TARGET_MS = 1.0
+
+
+@dataclass(frozen=True)
+class BenchServo:
+    """Servo a controller stand-in on this machine and measure the driver's timing and tracking, memory and load.
+
+    Example: toolee bench-servo --model UR10e --seconds 600 --json
+
+    The stand-in runs in a process of its own beside the servo process and this one: on an idle machine of two cores the
+    figures are the driver's, on a busy one they are the machine's. Exit code 1: a figure misses its target.
+    """
+
+    model: ArmModel = ArmModel.UR10
+    """UR10: 125 Hz; UR10e: 500 Hz."""
+    seconds: Annotated[float, tyro.conf.arg(metavar="S")] = 30.0
+    """How long to servo."""
+    host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.29"
+    """A loopback address of its own for the stand-in."""
+    json: Flag = False
+    """Print one line of JSON last on standard output; everything for people goes to standard error."""
+
+    def run(self) -> int:
+        if not 5.0 <= self.seconds <= 3600.0:
+            raise UserError(f"--seconds {self.seconds:g}: give 5 to 3600")
+        from toolee_robot.hardware.servo_benchmark import servo_benchmark
+        from toolee_robot.hardware.ur_arm import UrArm
+        from toolee_robot.hardware.ur_config import UrArmConfig
+        from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
+        from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+
+        console = Console(stderr=self.json, highlight=False)
+        config = UrArmConfig(self.host, longest_motion=self.seconds + 10.0)
+        plant = partial(JointPlant, q=np.array(SceneConfig().home))
+        load = os.getloadavg()[0]
+        with (
+            ControllerProcess(model=self.model.value, host=self.host, plant=plant) as controller,
+            UrArm(config, ArmLimits(model=self.model)) as arm,
+        ):
+            recorder = TraceRecorder(controller.trace, int(controller.state()["tick"]))
+            with console.status(f"servoing at {arm.rate:.0f} Hz for {self.seconds:g} s"):
+                figures, report = servo_benchmark(arm, self.seconds)
+            trace = compare(report, *recorder.finish(), arm.rate)
+        met = {
+            "period error p99 under 1 ms": figures.period_error_p99 * 1e3 < _PERIOD_TARGET_MS,
+            "no missed cycle unreported": trace.unreported == 0,
+            "no drift": abs(figures.drift) < 0.5 / figures.rate,
+            "tracking to 1e-6 rad plus the lag": trace.lag_error < 1e-6,
+        }
+        console.print(_table(figures, trace, met))
+        if self.json:
+            record = {
+                "machine": asdict(describe_machine()),
+                "load_before": load,
+                "model": self.model.value,
+                "servo": asdict(figures),
+                "trace": asdict(trace),
+                "targets": met,
+            }
+            print(json_line(record), flush=True)
+        return 0 if all(met.values()) else 1
+
+
+def _table(servo: ServoFigures, trace: TraceFigures, met: dict[str, bool]) -> Table:
+    table = Table(show_header=False)
+    rows = {
+        "commands": f"{servo.cycles} at {servo.rate:.0f} Hz in {servo.seconds:.2f} s",
+        "period error": f"p50 {servo.period_error_p50 * 1e3:.3f}, p99 {servo.period_error_p99 * 1e3:.3f}, "
+        f"max {servo.period_error_max * 1e3:.3f} ms",
+        "late cycles, by the driver": f"{servo.overruns}",
+        "at the robot": f"{trace.ticks} ticks ({trace.late_ticks} late themselves); {trace.held} without a command, "
+        f"{trace.skipped} commands overtaken; {trace.unreported} not explained",
+        "drift": f"{servo.drift * 1e3:+.3f} ms",
+        "lag": f"{trace.lag * 1e3:.2f} ms from sending to the joint",
+        "tracking, lag taken off": f"{trace.lag_error:.1e} rad at most",
+        "memory of the servo process": f"{servo.memory_growth / 1024:+.0f} KiB",
+        "its load": f"{servo.cpu:.0%} of a core; SCHED_FIFO {'yes' if servo.fifo else 'no'}, "
+        f"memory locked {'yes' if servo.locked else 'no'}",
+    }
+    for name, text in rows.items():
+        table.add_row(name, text)
+    for name, ok in met.items():
+        table.add_row(name, "[green]met[/green]" if ok else "[red]missed[/red]")
+    return table
