@@ -42,7 +42,7 @@ class Hammer:
     """Of the UR controller, with --arm ur-rtde; with --world a loopback address, where a stand-in will serve."""
     world: Annotated[Literal["pybullet"] | None, tyro.conf.arg(metavar="pybullet", help_behavior_hint="")] = None
     """What is behind the UR controller: a stand-in is started, with the simulated station as its world."""
-    robot: Annotated[ArmModel | None, tyro.conf.arg(metavar="UR10|UR10e", help_behavior_hint="")] = None
+    robot: Annotated[Literal["UR10", "UR10e"] | None, tyro.conf.arg(metavar="UR10|UR10e", help_behavior_hint="")] = None
     """Which arm, instead of the configuration's."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """A station: any subset of the fields of toolee_robot/config.py."""
@@ -63,7 +63,7 @@ class Hammer:
         host = self._host()
         config = StationConfig() if self.config is None else load_station(self.config)
         if self.robot is not None:
-            config = replace(config, arm=replace(config.arm, model=self.robot))
+            config = replace(config, arm=replace(config.arm, model=ArmModel(self.robot)))
         console = Console(stderr=self.json, highlight=False)
 
         from toolee_robot.cli.run_folder import run_folder

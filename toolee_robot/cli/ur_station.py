@@ -1,0 +1,47 @@
+"""The simulated station with its arm behind a controller and the real arm's driver."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Self
+
+from toolee_robot.config import StationConfig
+from toolee_robot.hal import Station
+from toolee_robot.hardware.clock import MonotonicClock
+from toolee_robot.hardware.ur_arm import UrArm
+from toolee_robot.hardware.ur_config import UrArmConfig
+from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.sim_backend.remote_station import RemoteJudge, remote_station
+from toolee_robot.sim_backend.remote_world import RemoteWorld
+from toolee_robot.sim_backend.station import draw_handover
+
+
+class UrStation:
+    """The station of a seed as `SimStation.build` has it, in real time. The arm is driven by `UrArm` over ur_rtde; its
+    controller is a stand-in on a loopback `host`, with the simulated world as its plant, in a process of its own."""
+
+    station: Station
+
+    def __init__(self, config: StationConfig, seed: int, options: SimOptions, host: str) -> None:
+        self._config, self._seed, self._host = config, seed, host
+        self.tool, _ = draw_handover(seed, options)
+        self._world = RemoteWorld(config, seed, options, host)
+        self.judge = RemoteJudge(self._world)
+        self._open = ExitStack()
+
+    def __enter__(self) -> Self:
+        """Raises UserError for a host that cannot be served, DeviceError when the arm cannot be had."""
+        config = self._config
+        with ExitStack() as stack:
+            world = stack.enter_context(self._world)
+            # The last to come is the first to go: a client outlives no controller.
+            arm = stack.enter_context(UrArm(UrArmConfig(self._host), config.arm))
+            self.station = remote_station(world, config, self._seed, self.tool, arm, MonotonicClock())
+            self._open = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open.__exit__(kind, error, trace)
