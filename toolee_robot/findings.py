@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from toolee_robot.errors import TooleeError
+
 
 class Level(StrEnum):
     """FAIL: do not move. WARN: it works, but worse or less surely than it could. OK: as it should be."""
@@ -24,6 +26,12 @@ class Finding:
     name: str
     says: str
     do: str = ""
+
+    @classmethod
+    def of_error(cls, name: str, error: TooleeError, do: str) -> Finding:
+        """FAIL, in the error's own words; they end in what to do after a colon, or else `do` says it."""
+        says, colon, remedy = str(error).rpartition(": ")
+        return cls(Level.FAIL, name, says, remedy) if colon else cls(Level.FAIL, name, str(error), do)
 
     def __str__(self) -> str:
         return f"{self.name}: {self.says}" + (f": {self.do}" if self.do else "")

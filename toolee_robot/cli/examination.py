@@ -93,7 +93,7 @@ class Examination:
             with UrArm(UrArmConfig(host), self.config.arm) as arm:
                 yield from self._devices(remote_station(world, self.config, _SEED, tool, arm, MonotonicClock()))
         except DeviceError as error:
-            yield Finding(Level.FAIL, "arm", "its driver does not connect", str(error))
+            yield Finding.of_error("arm", error, "first mend what is said of the robot")
 
     def _devices(self, station: Station) -> Iterator[Finding]:
         self._robot_serial, self._camera_serial = station.robot_serial, station.camera_serial

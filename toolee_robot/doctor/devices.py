@@ -22,7 +22,7 @@ def check_arm(arm: Arm, hand: Hand, config: StationConfig) -> Finding:
         state = arm.state(config.supervisor.max_data_age)
         q_hand = hand.state().joints.q
     except TooleeError as error:
-        return Finding(Level.FAIL, "arm", str(error), "check its connection")
+        return Finding.of_error("arm", error, "check its connection")
     if state.status is not ArmStatus.READY:
         return Finding(Level.FAIL, "arm", state.status.replace("_", " "), "make it ready at the teach pendant")
     q = state.joints.q
@@ -47,7 +47,7 @@ def check_hand(hand: Hand, config: StationConfig) -> Finding:
     try:
         state = hand.state()
     except TooleeError as error:
-        return Finding(Level.FAIL, "hand", str(error), "check its cable and its power")
+        return Finding.of_error("hand", error, "check its cable and its power")
     if hand.joint_names != robot.description.hand_joints:
         return Finding(Level.FAIL, "hand", "its joints are not the model's", "use a driver for this hand")
     if state.fault:
@@ -69,7 +69,7 @@ def check_camera(camera: RgbdCamera, clock: Clock, config: StationConfig) -> Ite
         first = camera.read()
         second = camera.read()
     except TooleeError as error:
-        yield Finding(Level.FAIL, name, str(error), "check its cable; plug it into a port of its own")
+        yield Finding.of_error(name, error, "check its cable; plug it into a port of its own")
         return
     age = clock.now() - second.stamp
     if not second.stamp > first.stamp:

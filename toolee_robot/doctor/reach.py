@@ -28,7 +28,7 @@ def check_reach(config: StationConfig) -> Iterator[Finding]:
     tools = [make_tool(kind, _seed(kind)) for kind in KINDS]
     grips = [nominal_X_hand_tool(float(np.mean(t.handle.radii_at(0.0)))) @ _face(t) for t in tools]
     yield _views(robot, config, home, model.hand_closed, grips[0])
-    yield _blows(robot, config, home, model.hand_closed, tools, grips)
+    yield _blows(robot, config, home, model.hand_closed, grips)
 
 
 def _seed(kind: ToolKind) -> int:
@@ -44,7 +44,7 @@ def _handover(robot: RobotModel, config: StationConfig, home: Array, q_hand: Arr
     try:
         plan_handover(robot, config, CollisionWorld(robot, config, q_hand), home, q_hand)
     except PlanningError as error:
-        return Finding(Level.FAIL, "handover", str(error), "move scene.handover_position")
+        return Finding.of_error("handover", error, "move scene.handover_position")
     return Finding(Level.OK, "handover", "the hand reaches the place of the handover")
 
 
@@ -53,30 +53,27 @@ def _views(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array,
     try:
         plan_views(robot, config, world, home, q_hand, X_hand_ee, count=config.task.views)
     except PlanningError as error:
-        return Finding(Level.FAIL, "views", str(error), "move the camera, or lower task.views")
+        return Finding.of_error("views", error, "move the camera, or lower task.views")
     return Finding(Level.OK, "views", f"the camera sees the tool from {config.task.views} sides")
 
 
-def _blows(
-    robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, tools: list[Tool], grips: list[Array]
-) -> Finding:
-    X_base_nail, wanted = config.work.X_base_nail(), config.strike.speed
+def _blows(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, grips: list[Array]) -> Finding:
+    name, X_base_nail, wanted = "blow", config.work.X_base_nail(), config.strike.speed
     speeds: list[float] = []
-    failures: list[str] = []
-    for tool, X_hand_ee in zip(tools, grips, strict=True):
+    failures: list[Finding] = []
+    for X_hand_ee in grips:
         world = CollisionWorld(robot, config, q_hand, X_hand_ee)
         try:
             plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, X_base_nail)
         except PlanningError as error:
-            failures.append(f"{tool.kind.replace('_', ' ')}: {error}")
+            failures.append(Finding.of_error(name, error, "move the nail (work.nail_xy), or raise the stand"))
         else:
             speeds.append(plan.speed)
-    name = "blow"
     if not speeds:
-        return Finding(Level.FAIL, name, failures[0], "move the nail (work.nail_xy), or raise the stand")
-    says = f"{len(speeds)} of {len(tools)} kinds of hammers strike the nail, at {min(speeds):.2f} m/s or more"
+        return failures[0]
+    says = f"{len(speeds)} of {len(grips)} kinds of hammers strike the nail, at {min(speeds):.2f} m/s or more"
     if failures:
-        return Finding(Level.WARN, name, f"{says}; {failures[0]}", "move the nail (work.nail_xy), or raise the stand")
+        return Finding(Level.WARN, name, f"{says}; with another, {failures[0].says}", failures[0].do)
     if min(speeds) < SLOWER * wanted:
         return Finding(Level.WARN, name, f"{says}; {wanted} m/s were wanted", "move the nail, or lower strike.speed")
     return Finding(Level.OK, name, says)

@@ -16,5 +16,5 @@ def check_weights(folder: Path | None = None) -> Finding:
     try:
         ToolPerception.load(folder)
     except AssetError as error:
-        return Finding(Level.FAIL, "networks", str(error), "reinstall the package")
+        return Finding.of_error("networks", error, "reinstall the package")
     return Finding(Level.OK, "networks", f"loaded in {time.perf_counter() - began:.1f} s")

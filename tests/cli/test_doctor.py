@@ -1,0 +1,117 @@
+"""`toolee doctor` as a person meets it: exit codes, JSON, and every finding with what to do."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from toolee_robot.cli.app import run
+from toolee_robot.config import StationConfig
+from toolee_robot.doctor.robot import expected_robot
+from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+
+_HOST, _SERIAL = "127.0.0.48", "20185500001"
+_LAB = f"""
+calibration:
+  measured_on: "2026-11-10"
+  robot_serial: "{_SERIAL}"
+  camera_serial: cam7
+  residual: 0.001
+  valid_days: null
+"""
+
+
+@pytest.fixture(scope="module")
+def robot() -> Iterator[ControllerProcess]:
+    """A stand-in that somebody has set up at the pendant as the station file wants it."""
+    payload = expected_robot(StationConfig()).payload
+    assert payload is not None
+    with ControllerProcess(model="UR10", host=_HOST) as process:
+        process.fault("payload", mass=payload.mass, cog=payload.center_of_mass.tolist())
+        yield process
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> str:
+    (tmp_path / "lab.yaml").write_text(_LAB)
+    return str(tmp_path / "lab.yaml")
+
+
+def _doctor(capsys: pytest.CaptureFixture[str], *args: str) -> tuple[int, dict[str, Any], str]:
+    code = run(["doctor", *args, "--json"])
+    captured = capsys.readouterr()
+    return code, json.loads(captured.out.splitlines()[-1]), captured.err
+
+
+def test_the_simulated_station_is_ready(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    code, record, said = _doctor(capsys, "--out", str(tmp_path / "runs"))
+    assert code == 0, said
+    assert "Ready for the job" in said
+    assert record["worst"] in ("ok", "warn")
+    assert {f["section"] for f in record["findings"]} == {"Devices", "Station file", "This computer"}
+    assert not (tmp_path / "runs").exists(), "a look leaves nothing behind"
+
+
+def test_a_robot_that_is_set_up_is_ready_for_slow_motions(
+    robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = robot.state()
+    code, record, said = _doctor(capsys, "--arm", "ur-rtde", "--robot-host", _HOST, "--config", lab)
+    assert code == 0, said
+    assert "Ready for slow, attended motions" in said
+    assert record["robot_serial"] == _SERIAL
+    assert record["arm_calibration"]["delta_a"] == pytest.approx([0.0] * 6, abs=1e-9)
+    levels = {f["name"]: f["level"] for f in record["findings"]}
+    assert (levels["hand"], levels["camera"], levels["calibration"]) == ("warn", "warn", "warn"), "nobody looked"
+    after = robot.state()
+    assert (after["q"], after["uploads"]) == (before["q"], before["uploads"])
+
+
+def test_a_robot_that_is_not_ready_is_exit_1_with_what_to_do(
+    robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "160")
+    robot.fault("emergency_stop")
+    try:
+        code = run(["doctor", "--arm", "ur-rtde", "--robot-host", _HOST, "--config", lab])
+    finally:
+        robot.fault("reset")
+    said = capsys.readouterr().out
+    assert code == 1
+    assert "✗  safety              robot emergency stop" in said
+    assert "→ release the emergency stop" in said
+    assert "Not ready:" in said
+
+
+def test_no_robot_there_is_exit_1_and_the_rest_is_still_looked_at(capsys: pytest.CaptureFixture[str]) -> None:
+    code, record, said = _doctor(capsys, "--arm", "ur-rtde", "--robot-host", "127.0.0.49")
+    assert code == 1
+    assert record["worst"] == "fail"
+    assert record["robot_serial"] is None
+    assert "check the cable" in said
+    assert {"blow", "networks", "schedule"} <= {f["name"] for f in record["findings"]}
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (["--arm", "ur-rtde"], "--robot-host"),
+        (["--robot-host", "127.0.0.49"], "--robot-host without --arm ur-rtde"),
+        (["--world", "pybullet"], "--world without --arm ur-rtde"),
+        (["--config", "none.yaml"], "none.yaml"),
+        (["--arm", "ur5"], "ur5"),
+    ],
+)
+def test_bad_input_is_exit_2(args: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        code = run(["doctor", *args])
+    except SystemExit as stop:  # the parser's own
+        code = int(str(stop.code))
+    captured = capsys.readouterr()
+    assert code == 2
+    assert says in captured.err.replace("\n", " ")
+    assert not captured.out

@@ -1,0 +1,168 @@
+"""What the doctor says of arm, hand, camera and person, on the simulated station with things broken in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from toolee_robot import doctor
+from toolee_robot.config import StationConfig
+from toolee_robot.errors import DeviceError
+from toolee_robot.findings import Finding, Level
+from toolee_robot.hal import HandState, RgbdCamera
+from toolee_robot.sim_backend import SimStation
+from toolee_robot.sim_backend.arm import SimArm
+from toolee_robot.sim_backend.camera import SimCamera
+from toolee_robot.sim_backend.hand import SimHand
+from toolee_robot.types import RgbdFrame
+
+_CONFIG = StationConfig()
+
+
+@pytest.fixture(scope="module")
+def simulation() -> Iterator[SimStation]:
+    with SimStation.build(_CONFIG) as simulation:
+        yield simulation
+
+
+@pytest.fixture
+def arm(simulation: SimStation) -> Iterator[SimArm]:
+    arm = simulation.station.arm
+    assert isinstance(arm, SimArm)
+    yield arm
+    arm.restore_link()
+    arm.make_ready()
+    arm.reset()
+
+
+def _arm(simulation: SimStation, config: StationConfig = _CONFIG) -> Finding:
+    return doctor.check_arm(simulation.station.arm, simulation.station.hand, config)
+
+
+def test_devices_as_they_should_be(simulation: SimStation) -> None:
+    station = simulation.station
+    findings = [
+        _arm(simulation),
+        doctor.check_hand(station.hand, _CONFIG),
+        *doctor.check_camera(station.camera, station.clock, _CONFIG),
+        doctor.check_person(station.person),
+    ]
+    assert {f.level for f in findings} == {Level.OK}, findings
+    assert [f.name for f in findings] == ["arm", "hand", "camera", "depth", "person"]
+
+
+def test_nothing_moves(simulation: SimStation) -> None:
+    station = simulation.station
+    before = station.arm.state().joints.q, station.hand.state().joints.q
+    _arm(simulation)
+    doctor.check_hand(station.hand, _CONFIG)
+    np.testing.assert_allclose(station.arm.state().joints.q, before[0], atol=1e-4)
+    np.testing.assert_allclose(station.hand.state().joints.q, before[1], atol=1e-2)
+
+
+def test_a_stopped_arm(simulation: SimStation, arm: SimArm) -> None:
+    arm.protective_stop()
+    assert (_arm(simulation).level, _arm(simulation).says) == (Level.FAIL, "protective stop")
+    arm.make_ready()
+    arm.emergency_stop()
+    assert (_arm(simulation).level, _arm(simulation).says) == (Level.FAIL, "emergency stop")
+
+
+def test_an_arm_that_tells_nothing_new(simulation: SimStation, arm: SimArm) -> None:
+    arm.cut_link()
+    simulation.station.clock.sleep(0.5)
+    finding = _arm(simulation)
+    assert finding.level is Level.FAIL
+    assert "old" in finding.says
+
+
+@pytest.mark.parametrize(
+    ("section", "changes", "says"),
+    [
+        ("scene", {"workspace_lower": (-1.0, -1.2, 1.2), "workspace_upper": (1.2, 1.2, 1.6)}, "outside the workspace"),
+        ("strike", {"clearance": 0.2}, "stands too near"),
+    ],
+)
+def test_an_arm_that_cannot_be_planned_for(
+    simulation: SimStation, section: str, changes: dict[str, Any], says: str
+) -> None:
+    finding = _arm(simulation, replace(_CONFIG, **{section: replace(getattr(_CONFIG, section), **changes)}))
+    assert finding.level is Level.FAIL
+    assert says in finding.says
+
+
+class _BrokenHand(SimHand):
+    """The simulated hand with something else to say."""
+
+    def __init__(self, simulation: SimStation, **says: Any) -> None:
+        super().__init__(simulation.world, 0.9)
+        self._says = says
+
+    def state(self, max_age: float = 0.1) -> HandState:
+        if not self._says:
+            raise DeviceError("the hand does not answer: check its cable")
+        return replace(super().state(max_age), **self._says)
+
+
+@pytest.mark.parametrize(
+    ("says_itself", "level", "says"),
+    [
+        ({}, Level.FAIL, "does not answer"),
+        ({"fault": "index finger stalled"}, Level.FAIL, "index finger stalled"),
+        ({"temperature": 71.0}, Level.FAIL, "71 °C, 65 °C are allowed"),
+        ({"temperature": 40.0}, Level.OK, "40 °C"),
+        ({"holding": True}, Level.WARN, "holds something"),
+    ],
+)
+def test_a_hand_that_is_not_well(simulation: SimStation, says_itself: dict[str, Any], level: Level, says: str) -> None:
+    finding = doctor.check_hand(_BrokenHand(simulation, **says_itself), _CONFIG)
+    assert finding.level is level
+    assert says in finding.says
+
+
+def test_a_camera_that_is_frozen(simulation: SimStation) -> None:
+    station = simulation.station
+    assert isinstance(station.camera, SimCamera)
+    station.camera.freeze()
+    try:
+        (finding,) = doctor.check_camera(station.camera, station.clock, _CONFIG)
+    finally:
+        station.camera.thaw()
+    assert finding.level is Level.FAIL
+    assert "no new frame" in finding.says
+
+
+class _OtherCamera:
+    """Passes the simulated camera's frames on, changed."""
+
+    def __init__(self, camera: RgbdCamera, **changes: Any) -> None:
+        self._camera, self._changes = camera, changes
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._camera, name)
+
+    def read(self, max_age: float = 0.5) -> RgbdFrame:
+        frame = self._camera.read(max_age)
+        return replace(frame, **{k: change(getattr(frame, k)) for k, change in self._changes.items()})
+
+
+@pytest.mark.parametrize(
+    ("changes", "name", "says"),
+    [
+        ({"stamp": lambda _: 1.0}, "camera", "repeats"),
+        ({"stamp": lambda t: t - 2.0}, "camera", "2.00 s old"),
+        ({"stamp": lambda t: t + 2.0}, "camera", "-2.00 s old"),
+        ({"depth": np.zeros_like}, "depth", "0% of the image"),
+        ({"intrinsics": lambda k: replace(k, fx=k.fx + 3.0)}, "intrinsics", "not the station file's"),
+    ],
+)
+def test_a_camera_that_is_not_well(simulation: SimStation, changes: dict[str, Any], name: str, says: str) -> None:
+    station = simulation.station
+    camera: Any = _OtherCamera(station.camera, **changes)
+    found = {f.name: f for f in doctor.check_camera(camera, station.clock, _CONFIG)}
+    assert found[name].level is Level.FAIL
+    assert says in found[name].says

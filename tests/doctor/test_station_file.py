@@ -1,0 +1,114 @@
+"""What the doctor says of a station file: figures that do not fit together, a calibration of something else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from toolee_robot import doctor
+from toolee_robot.config import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig, StationConfig
+from toolee_robot.findings import Finding, Level, worst
+from toolee_robot.types import ArmModel
+
+_TODAY = date(2026, 11, 20)
+_CALIBRATION = CalibrationConfig("2026-11-10", "2018550001", "cam7", 0.0012)
+
+
+def _changed(section: str, **changes: Any) -> StationConfig:
+    config = StationConfig()
+    return replace(config, **{section: replace(getattr(config, section), **changes)})
+
+
+def _only(findings: list[Finding]) -> Finding:
+    assert len(findings) == 1, findings
+    return findings[0]
+
+
+@pytest.mark.parametrize("model", list(ArmModel))
+def test_the_shipped_station_is_well(model: ArmModel) -> None:
+    config = _changed("arm", model=model)
+    findings = [*doctor.check_limits(config), *doctor.check_reach(config)]
+    assert {f.level for f in findings} == {Level.OK}, findings
+    assert all(f.says and not f.do for f in findings)
+
+
+@pytest.mark.parametrize(
+    ("section", "changes", "name", "level", "says"),
+    [
+        ("arm", {"velocity": (2.09, 2.09, 3.5, 3.14, 3.14, 3.14)}, "limits", Level.FAIL, "elbow_joint is 3.50 rad/s"),
+        ("scene", {"home": (0.0, -1.9, 7.0, -1.57, -1.57, 0.0)}, "limits", Level.FAIL, "scene.home puts elbow_joint"),
+        ("strike", {"speed": 1.6}, "limits", Level.FAIL, "hammering_speed 1.5"),
+        ("scene", {"handover_position": (0.4, -1.3, 0.65)}, "limits", Level.FAIL, "outside the workspace"),
+        ("supervisor", {"handover_speed": 0.4}, "handover speed", Level.WARN, "0.4 m/s"),
+        ("supervisor", {"hammering_speed": 2.5}, "swing speed", Level.WARN, "2.5 m/s"),
+    ],
+)
+def test_limits_that_do_not_fit(section: str, changes: dict[str, Any], name: str, level: Level, says: str) -> None:
+    found = {f.name: f for f in doctor.check_limits(_changed(section, **changes))}
+    assert found[name].level is level
+    assert says in found[name].says
+    assert found[name].do
+
+
+@pytest.mark.parametrize(
+    ("section", "changes", "name", "level"),
+    [
+        ("scene", {"handover_position": (1.1, -1.1, 1.5)}, "handover", Level.FAIL),
+        ("camera", {"position": (3.5, -3.0, 2.5)}, "views", Level.FAIL),
+        ("work", {"nail_xy": (1.5, 0.1)}, "blow", Level.FAIL),
+        ("arm", {"velocity": (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)}, "blow", Level.WARN),
+    ],
+)
+def test_what_is_out_of_reach(section: str, changes: dict[str, Any], name: str, level: Level) -> None:
+    found = {f.name: f for f in doctor.check_reach(_changed(section, **changes))}
+    assert found[name].level is level, found
+    assert found[name].do
+
+
+@pytest.mark.parametrize(
+    ("calibration", "robot", "camera", "level", "says"),
+    [
+        (SIMULATED_CALIBRATION, SIMULATED, SIMULATED, Level.OK, "residual 0.0 mm"),
+        (_CALIBRATION, "2018550001", "cam7", Level.OK, "of 2026-11-10, residual 1.2 mm"),
+        (_CALIBRATION, "2018550001", None, Level.WARN, "not compared with the camera"),
+        (_CALIBRATION, None, None, Level.WARN, "the robot and the camera"),
+        (_CALIBRATION, "2018550002", "cam7", Level.FAIL, "robot '2018550002'"),
+        (_CALIBRATION, "2018550001", "cam8", Level.FAIL, "camera 'cam8'"),
+        (_CALIBRATION, "2018550002", "cam8", Level.FAIL, "(and 1 more)"),
+        (replace(_CALIBRATION, measured_on="2026-10-01"), "2018550001", "cam7", Level.FAIL, "50 days old"),
+        (replace(_CALIBRATION, measured_on="2026-12-01"), "2018550001", "cam7", Level.FAIL, "still to come"),
+        (replace(_CALIBRATION, residual=0.009), "2018550001", "cam7", Level.FAIL, "9.0 mm"),
+        (None, "2018550001", "cam7", Level.FAIL, "none"),
+    ],
+)
+def test_calibrations(
+    calibration: CalibrationConfig | None, robot: str | None, camera: str | None, level: Level, says: str
+) -> None:
+    config = replace(StationConfig(), calibration=calibration)
+    finding = doctor.check_calibration(config, robot, camera, _TODAY)
+    assert finding.level is level
+    assert says in finding.says
+    assert bool(finding.do) == (level is not Level.OK)
+
+
+def test_missing_weights_are_named(tmp_path: Path) -> None:
+    finding = doctor.check_weights(tmp_path)
+    assert finding.level is Level.FAIL
+    assert str(tmp_path) in finding.says
+    assert doctor.check_weights().level is Level.OK
+
+
+def test_the_worst_finding_decides() -> None:
+    ok, warn, fail = (Finding(level, "x", "y") for level in (Level.OK, Level.WARN, Level.FAIL))
+    assert worst([]) is Level.OK
+    assert worst([ok, warn, ok]) is Level.WARN
+    assert worst([warn, fail, ok]) is Level.FAIL
+
+
+def test_the_shipped_station_with_the_heaviest_hammer_is_what_the_arm_carries() -> None:
+    finding = _only(list(doctor.check_limits(StationConfig())))
+    assert "of 10.0 kg payload" in finding.says
