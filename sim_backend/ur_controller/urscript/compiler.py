@@ -50,6 +50,22 @@ HELPERS: dict[str, Callable[..., Any]] = {
 
 
 @dataclass(frozen=True)
+class Builtin:
+    """A function that the script may call. waits: it is a generator function."""
+
+    signature: inspect.Signature
+    waits: bool
+
+    @classmethod
+    def of(cls, function: Callable[..., Any], method: bool = False) -> Builtin:
+        """method: the first parameter is not the script's."""
+        signature = inspect.signature(function)
+        if method:
+            signature = signature.replace(parameters=list(signature.parameters.values())[1:])
+        return cls(signature, inspect.isgeneratorfunction(function))
+
+
+@dataclass(frozen=True)
 class Compiled:
     """code: to be executed with `HELPERS`, the built-in functions as `b_...` and the scheduler's `_budget`, `_run`,
     `_kill`, `_join`, `_critical` and `_halt` as its globals; it defines the generator function `MAIN`."""
@@ -59,8 +75,8 @@ class Compiled:
     secondary: bool
 
 
-def compile_script(source: str, builtins: Mapping[str, Callable[..., Any]]) -> Compiled:
-    """builtins: by name; the generator functions among them wait. Raises ScriptError."""
+def compile_script(source: str, builtins: Mapping[str, Builtin]) -> Compiled:
+    """builtins: by name. Raises ScriptError."""
     program = parse(source)
     try:
         module = _Compiler(program, builtins).module()
@@ -83,7 +99,7 @@ def _nodes(tree: Any) -> Iterator[Any]:
 
 
 class _Compiler:
-    def __init__(self, program: syntax.Program, builtins: Mapping[str, Callable[..., Any]]) -> None:
+    def __init__(self, program: syntax.Program, builtins: Mapping[str, Builtin]) -> None:
         self._program, self._builtins = program, builtins
         self._all = [program.main, *program.functions.values()]
         self._globals = {
@@ -95,7 +111,7 @@ class _Compiler:
 
     def _find_waiting(self) -> set[str]:
         """Names of the functions, of the script and built in, that may wait."""
-        waiting = {name for name, f in self._builtins.items() if inspect.isgeneratorfunction(f)}
+        waiting = {name for name, builtin in self._builtins.items() if builtin.waits}
         if self._program.main.kind == "sec":
             for node in _nodes(tuple(self._all)):
                 if isinstance(node, syntax.Call) and (node.name in waiting or node.thread):
@@ -261,7 +277,7 @@ class _Compiler:
                 raise ScriptError(f"there is no thread {e.name}", e.line)
             if e.name not in self._builtins:
                 raise ScriptError(f"there is no function {e.name}()", e.line)
-            _bind(e, inspect.signature(self._builtins[e.name]))
+            _bind(e, self._builtins[e.name].signature)
             named = [ast.keyword(name, self._expression(value)) for name, value in e.named]
             call: ast.expr = _call(f"b_{e.name}", *positional)
         else:

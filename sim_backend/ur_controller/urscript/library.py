@@ -139,7 +139,7 @@ def length(v: Any) -> int:
 
 @_function
 def get_list_length(v: Any) -> int:
-    return length(v)  # type: ignore[no-any-return]
+    return length(v)
 
 
 @_function

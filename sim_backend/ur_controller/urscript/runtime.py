@@ -2,28 +2,193 @@
 
 from __future__ import annotations
 
-from toolee_robot.sim_backend.ur_controller.machine import Machine
+from collections.abc import Generator
+from functools import lru_cache
+from types import TracebackType
+from typing import Any
+
+from toolee_robot.errors import TooleeError
+from toolee_robot.sim_backend.ur_controller.machine import Event, EventKind, Machine
+from toolee_robot.sim_backend.ur_controller.urscript.compiler import (
+    FILE,
+    HELPERS,
+    MAIN,
+    Builtin,
+    Compiled,
+    compile_script,
+)
 from toolee_robot.sim_backend.ur_controller.urscript.errors import ScriptError
+from toolee_robot.sim_backend.ur_controller.urscript.library import LIBRARY
+from toolee_robot.sim_backend.ur_controller.urscript.robot_functions import RobotFunctions, function_names
+from toolee_robot.sim_backend.ur_controller.watchdog import Action
+
+BUDGET = 20_000
+"""So many loop passes and calls may a thread make in one tick; more is an endless loop without `sync()`."""
+SCRIPT_FAULTS = (
+    ArithmeticError,
+    IndexError,
+    NameError,
+    RecursionError,
+    TooleeError,
+    TypeError,
+    ValueError,
+)
+
+
+class _End(Exception):
+    """`halt`, or a thread that kills itself."""
+
+
+class _Thread:
+    def __init__(self, generator: Generator[None, None, Any]) -> None:
+        self.generator, self.alive = generator, True
+
+
+@lru_cache(maxsize=16)
+def _compiled(source: str, e_series: bool) -> Compiled:
+    return compile_script(source, _builtins(e_series))
+
+
+@lru_cache(maxsize=2)
+def _builtins(e_series: bool) -> dict[str, Builtin]:
+    library = {name: Builtin.of(f) for name, f in LIBRARY.items()}
+    robot = {name: Builtin.of(getattr(RobotFunctions, name), method=True) for name in function_names(e_series)}
+    return {**library, **robot}
 
 
 class ScriptRuntime:
     """A program on a controller.
 
-    source: text of one program (`def name(): ... end`, or `sec`) as it came over port 30001..30003; it starts with
-    the next `step`. Raises ScriptError when it does not parse (a controller then shows the message and runs nothing).
+    source: text of one program (`def name(): ... end`, or `sec`, or bare statements) as it came over port
+    30001..30003; it starts with the next `step`. Raises ScriptError when it does not parse or calls what does not
+    exist (a controller then shows the message and runs nothing).
+
+    name: of the program. secondary: it is a `sec`: it takes no time and leaves the arm alone. error: why it ended.
+    Threads take turns in the order of their start; within a tick each runs until it waits. In a critical section only
+    the thread that is in it runs. The program ends with its main function.
     """
 
     def __init__(self, source: str, machine: Machine) -> None:
-        self._machine = machine
-        self.name = ""
+        compiled = _compiled(source, machine.model.e_series)
+        self.name, self.secondary = compiled.name, compiled.secondary
         self.error: ScriptError | None = None
         self.running = True
+        self._machine = machine
+        functions = RobotFunctions(machine)
+        names: dict[str, Any] = {
+            **HELPERS,
+            **{f"b_{name}": f for name, f in LIBRARY.items()},
+            **{f"b_{name}": getattr(functions, name) for name in function_names(machine.model.e_series)},
+            "_budget": self._spend,
+            "_run": self._run,
+            "_kill": self._kill,
+            "_join": self._join,
+            "_critical": self._set_critical,
+            "_halt": self._halt,
+        }
+        exec(compiled.code, names)
+        self._main = _Thread(names[MAIN]())
+        self._threads = [self._main]
+        self._current = self._main
+        self._critical: _Thread | None = None
+        self._left = BUDGET
 
     def step(self, dt: float) -> None:
         """Run every thread until it blocks or syncs; dt [s]: since the last step.
 
         On a script error the program ends: `running` falls, `error` is set and the arm decelerates.
         """
+        if not self.running or (not self.secondary and self._silent(dt)):
+            return
+        at = 0
+        while at < len(self._threads):
+            thread = self._threads[at]
+            at += 1
+            if not thread.alive or self._critical not in (None, thread):
+                continue
+            self._turn(thread)
+            if not self._main.alive:
+                self.stop()
+                return
+        self._threads = [thread for thread in self._threads if thread.alive]
 
     def stop(self) -> None:
         """End the program (stop button, dashboard, fault): threads end and the arm decelerates."""
+        if not self.running:
+            return
+        self.running = False
+        for thread in self._threads:
+            thread.alive = False
+            thread.generator.close()
+        if not self.secondary:
+            self._machine.end_program()
+
+    def _silent(self, dt: float) -> bool:
+        found = self._machine.watchdogs.step(dt)
+        if found is None:
+            return False
+        variable, action = found
+        self._machine.events.append(Event(EventKind.TEXT, f"RTDE watchdog: {variable} was not written in time"))
+        if action is Action.STOP:
+            self.stop()
+        else:
+            self._machine.events.append(Event(EventKind.PAUSE, variable))
+        return True
+
+    def _turn(self, thread: _Thread) -> None:
+        self._current, self._left = thread, BUDGET
+        try:
+            next(thread.generator)
+        except (StopIteration, _End):
+            thread.alive = False
+        except SCRIPT_FAULTS as error:
+            thread.alive = self._main.alive = False
+            self.error = _described(error)
+        if not thread.alive and self._critical is thread:
+            self._critical = None
+
+    def _spend(self) -> None:
+        self._left -= 1
+        if self._left < 0:
+            raise RecursionError("an endless loop: no sync() or other waiting function in it")
+
+    def _run(self, generator: Generator[None, None, Any]) -> _Thread:
+        thread = _Thread(generator)
+        self._threads.append(thread)
+        return thread
+
+    def _kill(self, thread: Any) -> None:
+        """Scripts keep a 0 where no thread runs: killing that is nothing."""
+        if not isinstance(thread, _Thread) or not thread.alive:
+            return
+        thread.alive = False
+        if thread is self._current:
+            raise _End
+        thread.generator.close()
+
+    def _join(self, thread: Any) -> Generator[None, None, None]:
+        while isinstance(thread, _Thread) and thread.alive:
+            yield
+
+    def _set_critical(self, on: bool) -> None:
+        self._critical = self._current if on else None
+
+    def _halt(self) -> None:
+        self._main.alive = False
+        self._machine.events.append(Event(EventKind.HALT))
+        raise _End
+
+
+def _described(error: Exception) -> ScriptError:
+    """With the script's line, out of the traceback."""
+    line = 0
+    trace: TracebackType | None = error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == FILE:
+            line = trace.tb_lineno
+        trace = trace.tb_next
+    message = str(error)
+    if isinstance(error, NameError):
+        name = message.split("'")[1][2:] if "'" in message else "?"
+        message = f"the variable {name} has no value yet"
+    return ScriptError(message, line)

@@ -1,0 +1,230 @@
+"""URScript's functions that move the arm. Names, arguments, defaults and units as in the Script Manual."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from math import ceil, isfinite
+from typing import Any
+
+import numpy as np
+
+from toolee_robot.frames import Array
+from toolee_robot.sim_backend.ur_controller import poses
+from toolee_robot.sim_backend.ur_controller.cartesian import Path, PathMove, ServoC, SpeedL, StopL, arc, line
+from toolee_robot.sim_backend.ur_controller.compliance import FREEDRIVE_GAIN, Compliance
+from toolee_robot.sim_backend.ur_controller.kinematics import forward, inverse
+from toolee_robot.sim_backend.ur_controller.machine import Machine
+from toolee_robot.sim_backend.ur_controller.motion import Brake, JointMove, Motion, MotionError, Move, ServoJ, SpeedJ
+from toolee_robot.sim_backend.ur_controller.urscript.library import matrix, six
+from toolee_robot.sim_backend.ur_controller.urscript.values import Pose, numbers
+
+Wait = Generator[None, None, None]
+
+
+def positive(value: Any, what: str) -> float:
+    """A finite number above 0. Raises TypeError or ValueError."""
+    numbers(value, 0)
+    if not (isfinite(value) and value > 0):
+        raise ValueError(f"{what} has to be above 0, not {value}")
+    return float(value)
+
+
+class MotionFunctions:
+    """Functions that wait are generators: one `yield` for every tick."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+
+    # -- moves
+
+    def movej(self, q: Any, a: float = 1.4, v: float = 1.05, t: float = 0, r: float = 0) -> Wait:
+        machine = self._machine
+        goal = self._joints(q)
+        move = JointMove(
+            machine.model, machine.X_flange_tcp, goal, positive(a, "a"), positive(v, "v"), _time(t), _blend(r)
+        )
+        yield from self._move(move)
+
+    def movel(self, pose: Any, a: float = 1.2, v: float = 0.25, t: float = 0, r: float = 0) -> Wait:
+        X = self._pose(pose)
+        yield from self._path(lambda start: line(start, X), a, v, t, r)
+
+    def movep(self, pose: Any, a: float = 1.2, v: float = 0.25, r: float = 0) -> Wait:
+        """As `movel`: the speed is kept through the blends as far as blending does."""
+        yield from self.movel(pose, a, v, 0, r)
+
+    def movec(self, pose_via: Any, pose_to: Any, a: float = 1.2, v: float = 0.25, r: float = 0, mode: int = 0) -> Wait:
+        """mode 0: turning evenly; 1: the orientation is fixed to the circle."""
+        via, X = self._pose(pose_via)[:3, 3], self._pose(pose_to)
+        yield from self._path(lambda start: arc(start, via, X, mode == 1), a, v, 0, r)
+
+    def _path(self, path: Callable[[Array], Path], a: float, v: float, t: float, r: float) -> Wait:
+        machine = self._machine
+        a, v = positive(a, "a"), positive(v, "v")
+        yield from self._move(PathMove(machine.model, machine.X_flange_tcp, path, a, v, _time(t), _blend(r)))
+
+    def _move(self, move: Move) -> Wait:
+        self._machine.take(move)
+        try:
+            while not (move.done or move.blending):
+                yield
+        finally:
+            self._machine.release(move)
+
+    def _joints(self, q: Any) -> Array:
+        """Of joints or a pose, as a move takes either."""
+        if isinstance(q, Pose):
+            return np.array(self._reach(matrix(q)))
+        goal = np.array(six(q, "joint vector"))
+        if np.any(np.abs(goal) > self._machine.model.position):
+            raise MotionError(f"the joints {goal.round(3).tolist()} are outside their limits")
+        return goal
+
+    def _pose(self, pose: Any) -> Array:
+        """X_base_tcp of a pose or of joints. Raises MotionError out of reach."""
+        if isinstance(pose, Pose):
+            X = matrix(pose)
+            self._reach(X)
+            return X
+        return forward(self._machine.model, self._joints(pose)) @ self._machine.X_flange_tcp
+
+    def _reach(self, X_base_tcp: Array) -> list[float]:
+        machine = self._machine
+        q = inverse(machine.model, X_base_tcp @ poses.inverse(machine.X_flange_tcp), machine.q_target)
+        if q is None:
+            raise MotionError(f"no joints reach the pose {np.round(poses.vector(X_base_tcp), 4).tolist()}")
+        return q
+
+    # -- servo and speed
+
+    def servoj(
+        self,
+        q: Any,
+        a: float = 0,
+        v: float = 0,
+        t: float = 0.002,
+        lookahead_time: float = 0.1,
+        gain: float = 300,
+    ) -> Wait:
+        """a and v are not used, as on the robot; lookahead_time and gain: see `ServoJ`."""
+        numbers(a, v)
+        numbers(lookahead_time, gain)
+        goal = self._joints(list(six(q, "joint vector")))
+        yield from self._for(ServoJ(self._machine.model, goal, positive(t, "t")), t)
+
+    def servoc(self, pose: Any, a: float = 1.2, v: float = 0.25, r: float = 0) -> Wait:
+        machine = self._machine
+        motion = ServoC(
+            machine.model, machine.X_flange_tcp, self._pose(pose), positive(a, "a"), positive(v, "v"), _blend(r)
+        )
+        machine.take(motion)
+        try:
+            yield
+            while not motion.done:
+                yield
+        finally:
+            machine.release(motion)
+
+    def speedj(self, qd: Any, a: float = 1.4, t: float = 0) -> Wait:
+        motion = SpeedJ(self._machine.model, np.array(six(qd, "joint speeds")), positive(a, "a"))
+        yield from self._for(motion, t, motion.reached)
+
+    def speedl(self, xd: Any, a: float = 1.4, t: float = 0, aRot: Any = "a") -> Wait:
+        machine = self._machine
+        turning = positive(a if aRot == "a" else aRot, "aRot")
+        goal = np.array(six(xd, "tool speed"))
+        motion = SpeedL(machine.model, machine.X_flange_tcp, goal, positive(a, "a"), turning)
+        yield from self._for(motion, t, motion.reached)
+
+    def _for(self, motion: Motion, t: float, reached: Callable[[], bool] = bool) -> Wait:
+        """Wait for t [s], at least a tick; with t = 0 until the speed is reached."""
+        numbers(t, 0)
+        if not (isfinite(t) and t >= 0):
+            raise ValueError(f"t has to be 0 or more, not {t}")
+        machine = self._machine
+        machine.take(motion)
+        try:
+            yield
+            if t > 0:
+                for _ in range(ceil(t * machine.model.rate - 1e-6) - 1):
+                    yield
+            else:
+                while not (reached() or motion.done):
+                    yield
+        finally:
+            machine.release(motion)
+
+    def stopj(self, a: float = 2.0) -> Wait:
+        yield from self._until_rest(Brake(min(positive(a, "a"), self._machine.model.acceleration)))
+
+    def stopl(self, a: float = 2.0, aRot: Any = "a") -> Wait:  # noqa: ARG002
+        """The TCP turns and goes as one: aRot is not used."""
+        machine = self._machine
+        yield from self._until_rest(StopL(machine.model, machine.X_flange_tcp, positive(a, "a")))
+
+    def _until_rest(self, motion: Brake) -> Wait:
+        machine = self._machine
+        machine.take(motion)
+        try:
+            while not motion.done:
+                yield
+        finally:
+            machine.release(motion)
+
+    # -- giving way
+
+    def force_mode(self, task_frame: Any, selection_vector: Any, wrench: Any, type: int, limits: Any) -> None:
+        """type 2 only: the task frame as it is given."""
+        if type != 2:
+            raise ValueError(f"force_mode of type {type}: the stand-in has type 2 only")
+        machine = self._machine
+        R, axes = matrix(task_frame)[:3, :3], np.array(six(selection_vector, "selection vector"))
+        force, speed = np.array(six(wrench, "wrench")), np.abs(six(limits, "limits"))
+        if machine.compliance is None or machine.freedrive:
+            machine.compliance = Compliance(R, axes, force, speed, machine.force_gain)
+            machine.freedrive = False
+        else:
+            now = machine.compliance
+            now.R, now.axes, now.wrench, now.speed, now.gain = R, axes, force, speed, machine.force_gain
+
+    def end_force_mode(self) -> None:
+        self._machine.compliance, self._machine.freedrive = None, False
+
+    def force_mode_set_damping(self, damping: float) -> None:
+        """0..1; accepted, the stand-in's time constant is fixed."""
+        numbers(damping, 0)
+
+    def force_mode_set_gain_scaling(self, scaling: float) -> None:
+        """0..2."""
+        numbers(scaling, 0)
+        self._machine.force_gain = max(0.0, min(2.0, float(scaling)))
+
+    def freedrive_mode(self, freeAxes: Any = None, feature: Any = None) -> None:
+        axes = [1] * 6 if freeAxes is None else freeAxes
+        R = np.eye(3) if feature is None else matrix(feature)[:3, :3]
+        speed = np.array([0.25] * 3 + [1.0] * 3)
+        self._machine.compliance = Compliance(R, np.array(six(axes)), np.zeros(6), speed, FREEDRIVE_GAIN)
+        self._machine.freedrive = True
+
+    def end_freedrive_mode(self) -> None:
+        self.end_force_mode()
+
+    def get_freedrive_status(self) -> int:
+        """0: as it should be, also when it is off."""
+        return 0
+
+    def teach_mode(self) -> None:
+        self.freedrive_mode()
+
+    def end_teach_mode(self) -> None:
+        self.end_force_mode()
+
+
+def _time(t: float) -> float:
+    numbers(t, 0)
+    return max(float(t), 0.0)
+
+
+def _blend(r: float) -> float:
+    numbers(r, 0)
+    return max(float(r), 0.0)
