@@ -7,6 +7,7 @@ from multiprocessing.connection import Connection
 
 from toolee_robot.config import SIMULATED, StationConfig
 from toolee_robot.robots import load_robot
+from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.ur_controller.controller import Controller
 from toolee_robot.sim_backend.ur_controller.model import ControllerModel
@@ -35,12 +36,15 @@ class WorldJob:
 
     def setup(self, controller: Controller) -> None:
         """Serve hand, person and judge in the controller's loop; set the robot up as a lab does at the pendant: the
-        bare hand is its payload."""
+        bare hand is its payload. The arm's calibration is the controller's too."""
         assert self._service is not None, "the plant comes first"
         robot, model = controller.robot, load_robot(self.config.arm.model, self.config.arm.calibration)
         hand = model.hand_payload(model.hand_open)
         robot.machine.payload, robot.machine.payload_cog = hand.mass, hand.center_of_mass
         robot.plant.set_payload(hand.mass, hand.center_of_mass)
-        robot.identity.serial = SIMULATED
+        dh, identity = DhParameters.of(self.config.arm.model, self.config.arm.calibration), robot.identity
+        identity.serial = SIMULATED
+        identity.a, identity.d = dh.a.tolist(), dh.d.tolist()
+        identity.alpha, identity.theta = dh.alpha.tolist(), dh.theta.tolist()
         self._service.ended = controller.stop
         controller.add_service(self._service)
