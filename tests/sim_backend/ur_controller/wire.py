@@ -1,0 +1,95 @@
+"""Raw ends of the controller's protocols, for tests: a recording sink, packets, a robot without sockets."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+
+from toolee_robot.sim_backend.ur_controller.model import MODELS
+from toolee_robot.sim_backend.ur_controller.process import resting_joints
+from toolee_robot.sim_backend.ur_controller.robot import Robot
+from toolee_robot.sim_backend.ur_controller.rtde import RtdeFaults, RtdeSession
+from toolee_robot.sim_backend.ur_controller.rtde_inputs import Inputs
+from toolee_robot.sim_backend.ur_controller.rtde_types import HEADER, packet
+from toolee_robot.sim_backend.ur_controller.rtde_variables import Outputs
+
+
+@dataclass
+class Recorder:
+    """A sink that keeps what is sent."""
+
+    data: bytearray = field(default_factory=bytearray)
+    open: bool = True
+    backlog: int = 0
+
+    def send(self, data: bytes) -> None:
+        self.data += data
+
+    def close(self, reset: bool = False) -> None:  # noqa: ARG002
+        self.open = False
+
+    def take(self) -> bytes:
+        """What has been sent since the last call."""
+        data = bytes(self.data)
+        self.data.clear()
+        return data
+
+
+def robot(model: str = "UR10") -> Robot:
+    return Robot(MODELS[model], resting_joints(MODELS[model]))
+
+
+class RtdeServer:
+    """The RTDE side of a robot without sockets."""
+
+    def __init__(self, model: str = "UR10") -> None:
+        self.robot = robot(model)
+        self.outputs, self.inputs, self.faults = Outputs(self.robot), Inputs(self.robot), RtdeFaults()
+
+    def connect(self, version: int = 2) -> RtdeClient:
+        client = RtdeClient(self)
+        assert client.ask("V", struct.pack(">H", version)) == b"\x01"
+        return client
+
+
+class RtdeClient:
+    """One client of it."""
+
+    def __init__(self, server: RtdeServer) -> None:
+        self.server, self.sink = server, Recorder()
+        self.session = RtdeSession(self.sink, server.robot, server.outputs, server.inputs, server.faults)
+
+    def send(self, kind: str, payload: bytes = b"") -> list[tuple[str, bytes]]:
+        """Packets that come back."""
+        self.session.feed(packet(ord(kind), payload))
+        return packets(self.sink.take())
+
+    def ask(self, kind: str, payload: bytes = b"") -> bytes:
+        """The payload of the one answer, which must be of the same type."""
+        ((answered, answer),) = self.send(kind, payload)
+        assert answered == kind
+        return answer
+
+    def outputs(self, *names: str, frequency: float | None = None) -> bytes:
+        rate = self.server.robot.model.rate if frequency is None else frequency
+        return self.ask("O", struct.pack(">d", rate) + "".join(f"{name}," for name in names).encode())
+
+    def inputs(self, *names: str) -> bytes:
+        return self.ask("I", "".join(f"{name}," for name in names).encode())
+
+    def tick(self) -> list[tuple[str, bytes]]:
+        """The next tick of the robot, and what this client is sent."""
+        self.server.robot.step()
+        self.session.tick()
+        return packets(self.sink.take())
+
+
+def packets(data: bytes) -> list[tuple[str, bytes]]:
+    """(type, payload) of each packet; nothing may be left over."""
+    found, at = [], 0
+    while at < len(data):
+        size, kind = HEADER.unpack_from(data, at)
+        assert at + size <= len(data)
+        found.append((chr(kind), data[at + HEADER.size : at + size]))
+        at += size
+    return found
