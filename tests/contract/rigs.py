@@ -7,12 +7,12 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from functools import partial
 
 import numpy as np
 import pybullet as pb
 
 from tests.sim_backend.kinematics import joints_for_hand, line
+from tests.stand_in import HOME, stand_in
 from toolee_robot.config import ArmLimits, StationConfig
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array, transform
@@ -21,11 +21,9 @@ from toolee_robot.hardware.ur_arm import UrArm
 from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.arm import SimArm
-from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel, Trajectory
 
-HOME = np.array([-0.6, -1.7, 1.6, -1.47, -1.57, 0.0])
 NUDGE = np.array([0.25, -0.15, 0.2, 0.1, -0.2, 0.3])
 # The suite has to pass on a machine that is busy with other things; how well the servo loop keeps time is measured by
 # `toolee bench-servo`.
@@ -281,9 +279,7 @@ def sim_rig() -> Iterator[Rig]:
 def stand_in_rig(model: ArmModel, host: str) -> Iterator[Rig]:
     limits = ArmLimits(model=model)
     with ExitStack() as stack:
-        controller = stack.enter_context(
-            ControllerProcess(model=model.value, host=host, plant=partial(JointPlant, q=HOME))
-        )
+        controller = stack.enter_context(stand_in(model, host))
         arm = stack.enter_context(UrArm(UrArmConfig(host), limits))
         yield StandInRig(arm, controller, model, limits)
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.sim_backend.kinematics import line
+from tests.stand_in import HOME
 from toolee_robot.config import ArmLimits
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.fault_client import Trace
 from toolee_robot.types import Trajectory
 
-HOME = np.array([-0.6, -1.7, 1.6, -1.47, -1.57, 0.0])
 WAY = np.array([0.9, 0.5, -0.6, 0.3, -0.4, 0.8])
 MOVING = 2e-3  # [rad/s]
 SLACK = 0.35  # [s] for a machine that is busy with other things

@@ -12,7 +12,8 @@ from functools import partial
 
 import pytest
 
-from tests.hardware.swings import HOME, SLACK, Stop, braked, stop_after, swing
+from tests.hardware.swings import SLACK, Stop, braked, stop_after, swing
+from tests.stand_in import HOME, stand_in
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import (
     DeviceError,
@@ -29,7 +30,6 @@ from toolee_robot.errors import (
 from toolee_robot.hal import ArmStatus, MotionOutcome, MotionWatch
 from toolee_robot.hardware.ur_arm import UrArm
 from toolee_robot.hardware.ur_config import UrArmConfig
-from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
@@ -41,7 +41,7 @@ WATCHDOG = 1.0 / UrArmConfig(HOST).watchdog
 
 @pytest.fixture(scope="module")
 def controller() -> Iterator[ControllerProcess]:
-    with ControllerProcess(model="UR10", host=HOST, plant=partial(JointPlant, q=HOME)) as process:
+    with stand_in(ArmModel.UR10, HOST) as process:
         yield process
 
 

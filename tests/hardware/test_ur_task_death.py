@@ -8,16 +8,16 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from functools import partial
 
 import numpy as np
 import pytest
 
-from tests.hardware.swings import HOME, braked, stop_after, swing
+from tests.hardware.swings import braked, stop_after, swing
+from tests.stand_in import stand_in
 from toolee_robot.config import ArmLimits
 from toolee_robot.hardware.ur_config import UrArmConfig
-from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.types import ArmModel
 
 HOST = "127.0.0.24"
 LIMITS = ArmLimits()
@@ -26,7 +26,7 @@ HEARTBEAT = UrArmConfig(HOST).heartbeat_timeout
 
 @pytest.fixture(scope="module")
 def controller() -> Iterator[ControllerProcess]:
-    with ControllerProcess(model="UR10", host=HOST, plant=partial(JointPlant, q=HOME)) as process:
+    with stand_in(ArmModel.UR10, HOST) as process:
         yield process
 
 

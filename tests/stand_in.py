@@ -1,0 +1,26 @@
+"""The controller stand-in as tests want it: at home, and first in line for a busy machine's time, as a robot's own
+controller is."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+
+import numpy as np
+
+from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
+from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.types import ArmModel
+
+HOME = np.array([-0.6, -1.7, 1.6, -1.47, -1.57, 0.0])
+_NICE = -15
+
+
+@contextmanager
+def stand_in(model: ArmModel, host: str) -> Iterator[ControllerProcess]:
+    with ControllerProcess(model=model.value, host=host, plant=partial(JointPlant, q=HOME)) as controller:
+        with suppress(PermissionError):
+            os.setpriority(os.PRIO_PROCESS, controller.pid, _NICE)
+        yield controller
