@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolee_robot.errors import AssetError
-from toolee_robot.perception.dataset.storage import load_shards
+from toolee_robot.perception.dataset.storage import load_scenes, scene_folders
 from toolee_robot.perception.segmentation_model import STRIDE, normalise
 
 _CHUNK = 512
@@ -195,10 +195,10 @@ def _hide(images: Tensor, maps: Tensor, strength: float, count: int = 2) -> tupl
     return images, maps
 
 
-class ShardStream:
-    """The shards of part (i, n) of a data set folder, each decoded on a thread once it is there.
+class SceneStream:
+    """The scenes of part (i, n) of a split's folder, each decoded on a thread once it is there.
 
-    Training can begin while `toolee_robot.perception.dataset.generate` still writes.
+    Training can begin while `toolee dataset generate` still writes.
     """
 
     def __init__(self, folder: Path, part: tuple[int, int] = (0, 1)) -> None:
@@ -229,12 +229,12 @@ class ShardStream:
 
     def _watch(self) -> None:
         while not self._closed.is_set():
-            for path in sorted(self._folder.glob("shard-*.npz")):
-                if path in self._seen or int(path.stem.split("-")[1]) % self._part[1] != self._part[0]:
+            for path in scene_folders(self._folder):
+                if path in self._seen or int(path.name) % self._part[1] != self._part[0]:
                     continue
                 self._seen.add(path)
                 try:
-                    self._decoded.put(load_shards([path], threads=4))
+                    self._decoded.put(load_scenes([path], threads=4))
                 except AssetError as error:
                     self._decoded.put(error)
                 if self._closed.is_set():

@@ -3,7 +3,7 @@
     python -m toolee_robot.perception.train_segmentation --data data/train --out runs/segmentation --minutes 12
     torchrun --nproc-per-node 4 -m toolee_robot.perception.train_segmentation --data data/train --out runs/seg
 
-The whole data set is held on the device as bytes (each rank its share); shards that appear while it trains are taken
+The whole data set is held on the device as bytes (each rank its share); scenes that appear while it trains are taken
 in, so generation may still run. Targets and augmentation are made on the device. The learning rate follows the clock:
 a run ends annealed whatever the machine's speed. A run that is interrupted continues from its last checkpoint with
 `--resume`; `--init DIR` starts from the weights that another run exported. Every checkpoint, and the last act, writes
@@ -29,7 +29,7 @@ from torch import Tensor, nn
 
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.assets import load_weights, save_weights
-from toolee_robot.perception.segmentation_data import DeviceImages, SegmentationImages, ShardStream, augment
+from toolee_robot.perception.segmentation_data import DeviceImages, SceneStream, SegmentationImages, augment
 from toolee_robot.perception.segmentation_losses import DetectorLoss, instances_from_maps
 from toolee_robot.perception.segmentation_model import (
     CLASSES,
@@ -44,7 +44,7 @@ from toolee_robot.perception.segmentation_model import (
 @dataclass(frozen=True)
 class SegmentationTraining:
     """A training run. minutes: wall-clock budget of the optimisation, loading excluded. batch: images a rank.
-    patience [s]: how long to wait for the first shard of a data set that is still being generated."""
+    patience [s]: how long to wait for the first scene of a data set that is still being generated."""
 
     data: Path
     out: Path
@@ -120,11 +120,11 @@ def train(config: SegmentationTraining, images: SegmentationImages | None = None
     with _ranks(config.device) as ranks:
         torch.manual_seed(config.seed + 1000 * ranks.rank)
         torch.backends.cudnn.benchmark = True
-        stream = ShardStream(config.data, (ranks.rank, ranks.world)) if images is None else None
+        stream = SceneStream(config.data, (ranks.rank, ranks.world)) if images is None else None
         try:
             first = [images] if images is not None else stream.take(config.patience) if stream else []
             if not first:
-                raise UserError(f"{config.data} holds no shard for rank {ranks.rank}: generate the data set first")
+                raise UserError(f"{config.data} holds no scene for rank {ranks.rank}: generate the data set first")
             run = _Run(config, ranks, first, stream)
             run.loop()
             if ranks.first:
@@ -143,7 +143,7 @@ class _Run:
         config: SegmentationTraining,
         ranks: _Ranks,
         first: list[SegmentationImages],
-        stream: ShardStream | None,
+        stream: SceneStream | None,
     ) -> None:
         self.config, self.ranks, self.stream = config, ranks, stream
         self.data = DeviceImages(first[0], ranks.device)

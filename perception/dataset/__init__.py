@@ -1,5 +1,9 @@
-"""The synthetic data set: rendered RGB-D images of hand-held tools with end-effector masks and poses.
+"""The synthetic data set: rendered RGB-D images of hand-held tools with end-effector masks, poses and clouds.
 
-python -m toolee_robot.perception.dataset.generate data/train --size 4096 --seed 1 --workers 4
-python -m toolee_robot.perception.dataset.inspect data/train montage.png
+    toolee dataset generate --config hard --size 1000 --out data/hard
+    from toolee_robot.perception.dataset.storage import load
+    images = load(Path("data/hard/train"))
+
+`spec` (what is asked for), `example` (one example from its seed: scenes `hard`, `station`, `paper`), `storage` (BOP
+scenes), `generate` and `finish` (the folder), `validate`, `pictures`, `plots` and `shapes` (looking at it).
 """

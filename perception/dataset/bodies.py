@@ -45,9 +45,12 @@ def forget_tools() -> None:
     make_tool.cache_clear()
 
 
-def tool_bodies(tool: Tool, X_world_tool: Array, body_id: int, rng: np.random.Generator) -> list[Body]:
-    """The tool in its own colours or, half of the time, in others."""
-    repaint = rng.random() < 0.5
+def tool_bodies(
+    tool: Tool, X_world_tool: Array, body_id: int, rng: np.random.Generator, repaint: bool | None = None
+) -> list[Body]:
+    """The tool in its own colours or (repaint None: half of the time) in others."""
+    if repaint is None:
+        repaint = bool(rng.random() < 0.5)
     bodies = []
     present = [part for part in range(len(tool.parts)) if np.any(tool.face_parts == part)]
     finishes: dict[str, Material] = {}

@@ -6,37 +6,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, transform
-from toolee_robot.render import Body, Material, Mesh, Pattern
+from toolee_robot.perception.dataset.surfaces import Surfaces
+from toolee_robot.render import Body, Mesh
 from toolee_robot.render.mesh import FloatArray, box, cylinder, plane, sphere, tube
-from toolee_robot.render.palette import any_color, finish, linear
-
-_FINISHES = ("plastic", "wood", "steel_bright", "rubber", "concrete", "skin")
+from toolee_robot.render.palette import any_color, linear
 
 
-def any_material(rng: np.random.Generator, scale: float = 0.03) -> Material:
-    """Any plain or patterned surface; `scale` [m] is the middle of its pattern's sizes."""
-    if rng.random() < 0.4:
-        name = str(rng.choice(_FINISHES))
-        metallic = float(name.startswith("steel"))
-        return finish(name, any_color(rng), float(rng.uniform(0.2, 0.9)), metallic, rng, axis=int(rng.integers(3)))
-    pattern = list(Pattern)[rng.integers(len(Pattern))]
-    return Material(
-        linear(any_color(rng)),
-        linear(any_color(rng)),
-        pattern,
-        float(scale * np.exp(rng.normal(0.0, 0.7))),
-        int(rng.integers(3)),
-        float(rng.uniform(0.15, 0.95)),
-        float(rng.random() < 0.12),
-        float(rng.uniform(0.0, 0.5)),
-        (float(rng.uniform(-1, 1)), float(rng.uniform(-1, 1)), float(rng.uniform(-1, 1))),
-    )
-
-
-def any_object(rng: np.random.Generator, X: Array, body_id: int, size: float) -> list[Body]:
+def any_object(rng: np.random.Generator, surfaces: Surfaces, X: Array, body_id: int, size: float) -> list[Body]:
     """One object of about `size` [m] at X: a single shape, or a bracket, T or can of several."""
     kind = rng.random()
-    material = any_material(rng)
+    material = surfaces.material(rng)
     if kind < 0.3:
         return [Body(box(size * rng.uniform(0.15, 1.0, 3)), X, material, body_id)]
     if kind < 0.5:
@@ -52,7 +31,7 @@ def any_object(rng: np.random.Generator, X: Array, body_id: int, size: float) ->
     radius = float(length * rng.uniform(0.02, 0.07))
     parts = [Body(cylinder(radius, length, 16), X, material, body_id)]
     for _ in range(rng.integers(1, 3)):
-        other = any_material(rng)
+        other = surfaces.material(rng)
         place = transform(
             Rotation.random(rng=rng) if rng.random() < 0.3 else None, (0.0, 0.0, length * float(rng.uniform(-0.5, 0.5)))
         )
@@ -74,37 +53,39 @@ def cable(rng: np.random.Generator, length: float, radius: float) -> Mesh:
     return tube(np.asarray(points - points[16]), radius)
 
 
-def walls(rng: np.random.Generator, body_id: int, floor_height: float) -> list[Body]:
-    """A room of random surfaces around the origin: floor at `floor_height` [m], four walls, a ceiling, things."""
-    bodies = [Body(plane(14.0), transform(p=(0.0, 0.0, floor_height)), any_material(rng, 0.2), body_id)]
+def walls(rng: np.random.Generator, surfaces: Surfaces, body_id: int, floor_height: float) -> list[Body]:
+    """A room of the split around the origin: floor at `floor_height` [m], four walls, a ceiling, things."""
+    rng = surfaces.room(rng)
+    bodies = [Body(plane(14.0), transform(p=(0.0, 0.0, floor_height)), surfaces.material(rng, 0.2), body_id)]
     bodies.append(
         Body(
             plane(14.0),
             transform(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, floor_height + 3.5)),
-            any_material(rng, 0.5),
+            surfaces.material(rng, 0.5),
             body_id,
         )
     )
-    wall = any_material(rng, 0.2)
+    wall = surfaces.material(rng, 0.2)
     turn = rng.uniform(0.0, np.pi)
     for k in range(4):
         yaw = turn + k * np.pi / 2
         distance = float(rng.uniform(1.0, 3.5))
         R = Rotation.from_euler("z", yaw) * Rotation.from_euler("y", -np.pi / 2)
         if rng.random() < 0.4:
-            wall = any_material(rng, 0.2)
+            wall = surfaces.material(rng, 0.2)
         bodies.append(
             Body(plane(14.0), transform(R, Rotation.from_euler("z", yaw).apply([distance, 0, 0])), wall, body_id)
         )
         for _ in range(rng.integers(0, 5)):
             p = Rotation.from_euler("z", yaw).apply([distance - rng.uniform(0.1, 0.5), *rng.uniform(-1.2, 1.2, 2)])
             R_object = Rotation.from_euler("z", yaw) if rng.random() < 0.7 else Rotation.random(rng=rng)
-            bodies += any_object(rng, transform(R_object, p), body_id, float(rng.uniform(0.1, 0.9)))
+            bodies += any_object(rng, surfaces, transform(R_object, p), body_id, float(rng.uniform(0.1, 0.9)))
     return bodies
 
 
-def picture(rng: np.random.Generator, height: int, width: int) -> FloatArray:
+def picture(rng: np.random.Generator, surfaces: Surfaces, height: int, width: int) -> FloatArray:
     """(H, W, 3) linear RGB: a flat backdrop without depth, of gradients and random shapes."""
+    rng = surfaces.backdrop(rng)
     y, x = np.mgrid[0:height, 0:width].astype(np.float32) / np.float32(width)
     corners = rng.uniform(0.0, 0.7, (3, 3)).astype(np.float32)
     image = corners[0] + x[..., None] * (corners[1] - corners[0]) + y[..., None] * (corners[2] - corners[0])

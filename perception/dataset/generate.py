@@ -1,111 +1,203 @@
-"""Generate a data set on several processes; the same bytes for any number of them.
+"""Generate a data set on several processes, or on a Ray cluster; the same bytes for any number of them.
 
-python -m toolee_robot.perception.dataset.generate data/train --size 4096 --seed 1 --workers 4
-python -m toolee_robot.perception.dataset.generate data/test --size 512 --seed 2 --split test
+python -m toolee_robot.perception.dataset.generate --config hard --size 58000 --out data/hard --workers 16
+
+This is `toolee dataset generate` for machines without the command line's libraries. A run that was killed goes on
+where it stopped when it is started again.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import multiprocessing
 import os
+import shutil
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.dataset.bodies import forget_tools
-from toolee_robot.perception.dataset.example import BLOCK, make_example
-from toolee_robot.perception.dataset.storage import shard_path, write_shard
+from toolee_robot.perception.dataset.example import examples_of
+from toolee_robot.perception.dataset.finish import finish, is_finished
+from toolee_robot.perception.dataset.models import write_models
+from toolee_robot.perception.dataset.spec import CONFIGS, DESCRIPTION, SPLITS, DatasetSpec, SceneJob
+from toolee_robot.perception.dataset.storage import SUMS, json_by_line, read_json, write_scene
+
+T = TypeVar("T")
+Progress = Callable[[int, int], None]
+"""Called with the examples that are there and those wanted."""
+CLUSTERS = ("local", "ray")
 
 
 def generate(
-    out: Path,
-    size: int,
-    seed: int,
-    workers: int = 1,
-    start: int = 0,
-    split: str = "train",
-    progress: Callable[[int, int], None] | None = None,
-) -> None:
-    """Write examples start .. start + size - 1 of data set `seed` into the folder `out`, one shard for each 64.
+    spec: DatasetSpec, out: Path, workers: int = 1, progress: Progress | None = None, cluster: str = "local"
+) -> bool:
+    """Write the data set into the folder `out`; False if it was there already. Scenes that exist are kept.
 
-    start: a multiple of 64, so that runs can be joined. Shards that exist already are kept. split: "train" or "test"
-    (held-out tools). progress(done, total) is called after each shard. A `dataset.json` says what is there.
+    cluster: "local" for `workers` processes here; "ray" for as many on a Ray cluster, whose machines share `out`.
+    Raises UserError when `out` holds another data set, TooleeError when a worker dies.
     """
-    if size < 1 or start < 0 or start % BLOCK or workers < 1 or split not in ("train", "test"):
-        raise UserError(
-            f"size and workers must be positive, start a multiple of {BLOCK} and split train or test; "
-            f"got size {size}, workers {workers}, start {start}, split {split!r}"
-        )
+    if workers < 1:
+        raise UserError(f"--workers {workers}: give 1 or more")
+    if cluster not in CLUSTERS:
+        raise UserError(f"--cluster {cluster}: choose one of {', '.join(CLUSTERS)}")
+    begin(spec, out)
+    if is_finished(out):
+        return False
+    jobs = spec.jobs()
+    todo = [job for job in jobs if not (job.folder(out) / SUMS).exists()]
+    done = spec.size - sum(job.last - job.first for job in todo)
+    if progress is not None:
+        progress(done, spec.size)
+    run: Callable[..., Iterator[SceneJob]] = on_processes
+    if cluster == "ray":
+        from toolee_robot.perception.dataset.cluster import on_ray
+
+        run = on_ray
+    for job in run(partial(make_scene_folder, spec, out), todo, workers):
+        done += job.last - job.first
+        if progress is not None:
+            progress(done, spec.size)
+    _clear(out)  # a killed run's workers outlive it by a moment
+    finish(spec, out)
+    return True
+
+
+def begin(spec: DatasetSpec, out: Path) -> None:
+    """Make or check the folder, and clear away what a killed run left half done."""
     try:
-        out.mkdir(parents=True, exist_ok=True)
+        for split in SPLITS:
+            (out / split).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot make the folder {out}: {error}") from error
-    description = {"seed": seed, "split": split, "examples_per_shard": BLOCK}
-    about = out / "dataset.json"
-    if about.exists() and json.loads(about.read_text()) != description:
-        raise UserError(f"{out} holds another data set ({about.read_text().strip()}): choose an empty folder")
-    about.write_text(json.dumps(description) + "\n")
-    last = start + size
-    jobs = [(first, min(first + BLOCK, last)) for first in range(start, last, BLOCK)]
-    todo = [job for job in jobs if not shard_path(out, job[0] // BLOCK).exists()]
-    done = len(jobs) - len(todo)
-    work = partial(_make_shard, out, seed, split)
-    if workers == 1:
-        for job in todo:
-            work(job)
-            done += 1
-            if progress is not None:
-                progress(done, len(jobs))
-        return
-    # Fresh processes: a fork would inherit embree's threads in an undefined state.
-    with multiprocessing.get_context("spawn").Pool(workers, _use_one_core) as pool:
-        for _ in pool.imap_unordered(work, todo):
-            done += 1
-            if progress is not None:
-                progress(done, len(jobs))
+    path = out / DESCRIPTION
+    wanted = spec.to_json()
+    if path.exists():
+        there = read_json(path)
+        if there != wanted:
+            raise UserError(f"{out} holds another data set ({there}), not {wanted}: choose an empty folder")
+    elif any(p.name not in SPLITS for p in out.iterdir()) or any(any((out / s).iterdir()) for s in SPLITS):
+        raise UserError(f"{out} is not empty and no data set: choose another folder")
+    else:
+        scratch = out / f".{DESCRIPTION}.part"
+        scratch.write_bytes(json_by_line(wanted))
+        scratch.replace(path)
+    _clear(out)
+    for split in SPLITS:
+        for scene in (out / split).glob("[0-9]*"):
+            if not (scene / SUMS).exists():
+                shutil.rmtree(scene)
 
 
-def _make_shard(out: Path, seed: int, split: str, job: tuple[int, int]) -> None:
-    first, last = job
-    write_shard(shard_path(out, first // BLOCK), [make_example(seed, i, split) for i in range(first, last)])
+def _clear(out: Path) -> None:
+    """Remove what killed processes left half written."""
+    for left in [*out.glob(".*.part"), *out.glob("*/.*.part")]:
+        if left.is_dir():
+            shutil.rmtree(left, ignore_errors=True)
+        else:
+            left.unlink(missing_ok=True)
+
+
+def make_scene_folder(spec: DatasetSpec, out: Path, job: SceneJob) -> SceneJob:
+    """Write one scene and the models of its tools."""
+    folder = job.folder(out)
+    write_scene(folder, examples_of(spec, job.split, job.first, job.last), partial(write_models, out))
     forget_tools()
+    return job
 
 
-def _use_one_core() -> None:
-    """Pin this worker: embree and BLAS would each start a thread per core, and the workers fight over them."""
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[variable] = "1"
-    identity = multiprocessing.current_process()._identity
-    if hasattr(os, "sched_setaffinity") and identity:
-        cores = sorted(os.sched_getaffinity(0))
+def on_processes(make: Callable[[SceneJob], T], jobs: list[SceneJob], workers: int) -> Iterator[T]:
+    """make(job) for every job on so many processes, as they are done.
+
+    Fresh processes, even a single one: a fork would inherit embree's threads in an undefined state, and a process
+    of its own computes with one thread whatever this one was started with."""
+    if not jobs:
+        return
+    context = multiprocessing.get_context("spawn")
+    cores = context.Queue()
+    for k in range(workers):
+        cores.put(k)
+    with _environment(ONE_THREAD), ProcessPoolExecutor(min(workers, len(jobs)), context, _prepare, (cores,)) as pool:
+        futures = {pool.submit(make, job) for job in jobs}
+        try:
+            for future in as_completed(futures):
+                futures.discard(future)
+                yield future.result()
+        except BrokenProcessPool as error:
+            raise TooleeError(
+                "a worker process died (out of memory?): run the same command again, with fewer --workers; it resumes"
+            ) from error
+        finally:
+            for future in futures:
+                future.cancel()
+
+
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Embree and BLAS would each start a thread per core, and the workers fight over them."""
+
+
+@contextlib.contextmanager
+def _environment(variables: dict[str, str]) -> Iterator[None]:
+    """These environment variables, for the processes started inside."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name)
+            else:
+                os.environ[name] = value
+
+
+def _prepare(cores: multiprocessing.Queue[int]) -> None:
+    """Pin this worker to a core, and let it end with its parent: a killed parent cannot stop it any more."""
+    number = cores.get()
+    if hasattr(os, "sched_setaffinity"):
+        own = sorted(os.sched_getaffinity(0))
         with contextlib.suppress(OSError):  # some containers forbid it: then the workers are only slower
-            os.sched_setaffinity(0, {cores[(identity[0] - 1) % len(cores)]})
+            os.sched_setaffinity(0, {own[number % len(own)]})
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
-def main() -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path, help="folder for the shards")
-    parser.add_argument("--size", type=int, required=True, help="number of examples")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--config", choices=CONFIGS, required=True)
+    parser.add_argument("--size", type=int, required=True, help="number of examples, train and test")
+    parser.add_argument("--out", type=Path, required=True, help="folder for the data set")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--start", type=int, default=0, help="first example, a multiple of 64")
-    parser.add_argument("--split", choices=("train", "test"), default="train", help="test: held-out tools")
-    options = parser.parse_args()
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--test-share", type=float, default=DatasetSpec.test_share, help="of the examples")
+    options = parser.parse_args(arguments)
     began = time.monotonic()
+    first: list[int] = []
 
     def report(done: int, total: int) -> None:
-        rate = done * BLOCK / (time.monotonic() - began)
-        print(f"{done}/{total} shards, {rate:.1f} examples/s", flush=True)
+        first.append(done)
+        rate = (done - first[0]) / (time.monotonic() - began)
+        left = f", {(total - done) / rate:.0f} s left" if rate > 0 else ""
+        print(f"{done}/{total} examples, {rate:.1f}/s{left}", flush=True)
 
     try:
-        generate(options.out, options.size, options.seed, options.workers, options.start, options.split, report)
+        spec = DatasetSpec(options.config, options.size, options.seed, options.test_share)
+        generate(spec, options.out, options.workers, report)
     except TooleeError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2 if isinstance(error, UserError) else 1

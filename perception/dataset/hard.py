@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.frames import Array, inverse, transform, transform_points
+from toolee_robot.frames import Array, frame_from_axes, inverse, transform, transform_points
 from toolee_robot.perception.dataset.bodies import (
     HandStyle,
     X_base_hand_of,
@@ -14,7 +14,7 @@ from toolee_robot.perception.dataset.bodies import (
     hand_bodies,
     tool_bodies,
 )
-from toolee_robot.perception.dataset.clutter import any_material, any_object, picture, walls
+from toolee_robot.perception.dataset.clutter import any_object, picture, walls
 from toolee_robot.perception.dataset.placement import (
     PlacedTool,
     Pool,
@@ -28,11 +28,12 @@ from toolee_robot.perception.dataset.placement import (
     ray,
     tool_in_view,
 )
-from toolee_robot.perception.dataset.records import HEIGHT, WIDTH
+from toolee_robot.perception.dataset.records import FARTHEST, HEIGHT, NEAREST, WIDTH
+from toolee_robot.perception.dataset.surfaces import Surfaces
 from toolee_robot.render import Body, Scene
 from toolee_robot.render.lab import environment, lamps
-from toolee_robot.render.mesh import box
-from toolee_robot.tools import Tool
+from toolee_robot.render.mesh import box, cylinder
+from toolee_robot.tools import Tool, ee_radius
 from toolee_robot.types import CameraIntrinsics
 
 ROOM, HAND, ARM, OBJECT = 100, 101, 102, 103
@@ -65,9 +66,9 @@ def hard_scene(rng: np.random.Generator, pool: Pool, with_tools: bool = True) ->
         else:
             placed.append(PlacedTool(tool, np.full((4, 4), np.nan), None, False, len(placed) + 1))  # on the table
     if not with_tools and rng.random() < 0.6:
-        grasp = pool.grasps[int(rng.integers(len(pool.grasps)))]
+        grasp = pool.any_grasp(rng)
         X = X_world_camera @ transform(
-            Rotation.random(rng=rng), ray(intrinsics, random_pixel(rng)) * rng.uniform(0.4, 1.1)
+            Rotation.random(rng=rng), ray(intrinsics, random_pixel(rng)) * rng.uniform(NEAREST, FARTHEST)
         )
         bodies += hand_bodies(grasp, HandStyle.random(rng), X, HAND)
     for item in placed:
@@ -76,17 +77,18 @@ def hard_scene(rng: np.random.Generator, pool: Pool, with_tools: bool = True) ->
             lowest = min(lowest, float(points[:, 2].min()))
     table = _table_height(rng, lowest)
     if table is not None:
-        bodies.append(_table(rng, X_world_camera, table))
+        bodies.append(_table(rng, pool.surfaces, X_world_camera, table))
     placed = [_settled(item, rng, intrinsics, X_world_camera, table) for item in placed]
     for item in placed:
         bodies += tool_bodies(item.tool, item.X_world_tool, item.body_id, rng)
-    bodies += _objects(rng, intrinsics, X_world_camera, table)
-    bodies += _occluders(rng, X_world_camera, placed)
+    bodies += _objects(rng, pool.surfaces, intrinsics, X_world_camera, table)
+    bodies += _occluders(rng, pool.surfaces, X_world_camera, placed)
     background = None
     if rng.random() < 0.85:
-        bodies += walls(rng, ROOM, (min(lowest, 0.0) if table is None else table) - float(rng.uniform(0.3, 1.2)))
+        floor = (min(lowest, 0.0) if table is None else table) - float(rng.uniform(0.3, 1.2))
+        bodies += walls(rng, pool.surfaces, ROOM, floor)
     else:
-        background = picture(rng, HEIGHT, WIDTH)
+        background = picture(rng, pool.surfaces, HEIGHT, WIDTH)
     scene = Scene(bodies, lamps(rng), environment(rng), background)
     return SceneSample(scene, intrinsics, X_world_camera, tuple(placed), 0 if with_tools else 2)
 
@@ -116,12 +118,12 @@ def _table_height(rng: np.random.Generator, lowest: float) -> float | None:
     return float(min(lowest if np.isfinite(lowest) else -0.3, -0.2) - drop)
 
 
-def _table(rng: np.random.Generator, X_world_camera: Array, height: float) -> Body:
+def _table(rng: np.random.Generator, surfaces: Surfaces, X_world_camera: Array, height: float) -> Body:
     """A table top (or the ground) under what the camera looks at."""
     size = rng.uniform(0.6, 2.5, 2)
     ahead = X_world_camera[:3, 2] * rng.uniform(0.3, 1.0)
     X = transform(Rotation.from_euler("z", rng.uniform(0, np.pi)), (ahead[0], ahead[1], height - 0.02))
-    return Body(box((float(size[0]), float(size[1]), 0.04)), X, any_material(rng, 0.1), ROOM)
+    return Body(box((float(size[0]), float(size[1]), 0.04)), X, surfaces.material(rng, 0.1), ROOM)
 
 
 def _settled(
@@ -134,13 +136,17 @@ def _settled(
     """The tool, put on the table (or in the air where the camera sees none) if it has no pose yet."""
     if np.all(np.isfinite(item.X_world_tool)):
         return item
-    point = None if table is None else on_plane(intrinsics, X_world_camera, table, random_pixel(rng))
+    point = None if table is None else on_plane(intrinsics, X_world_camera, table, random_pixel(rng), NEAREST, FARTHEST)
     X = X_world_camera @ tool_in_view(item.tool, intrinsics, rng) if point is None else lying(item.tool, point, rng)
     return PlacedTool(item.tool, X, None, False, item.body_id)
 
 
 def _objects(
-    rng: np.random.Generator, intrinsics: CameraIntrinsics, X_world_camera: Array, table: float | None
+    rng: np.random.Generator,
+    surfaces: Surfaces,
+    intrinsics: CameraIntrinsics,
+    X_world_camera: Array,
+    table: float | None,
 ) -> list[Body]:
     """Things on the table and in the air."""
     bodies: list[Body] = []
@@ -154,21 +160,38 @@ def _objects(
         else:
             p = X_world_camera[:3, :3] @ ray(intrinsics, pixel) * rng.uniform(0.7, 2.2)
             X = transform(Rotation.random(rng=rng), p)
-        bodies += any_object(rng, X, OBJECT, size)
+        bodies += any_object(rng, surfaces, X, OBJECT, size)
     return bodies
 
 
-def _occluders(rng: np.random.Generator, X_world_camera: Array, placed: list[PlacedTool]) -> list[Body]:
-    """Now and then something between the camera and an EE."""
+def _occluders(
+    rng: np.random.Generator, surfaces: Surfaces, X_world_camera: Array, placed: list[PlacedTool]
+) -> list[Body]:
+    """In most scenes something before most EEs, hiding 0 to about 70 % of each."""
     bodies: list[Body] = []
-    if not placed or rng.random() < 0.5:
+    if rng.random() < 0.15:
         return bodies
-    for _ in range(rng.integers(1, 3)):
-        item = placed[int(rng.integers(len(placed)))]
-        ee = item.tool.ees[int(rng.integers(len(item.tool.ees)))]
-        p = (item.X_world_tool @ ee.X_tool_ee)[:3, 3] - X_world_camera[:3, 3]
-        share = rng.uniform(0.4, 0.92)
-        size = float(np.exp(rng.uniform(np.log(0.02), np.log(0.12)))) * share
-        X = transform(Rotation.random(rng=rng), X_world_camera[:3, 3] + p * share + rng.normal(0.0, 0.03, 3))
-        bodies += any_object(rng, X, OBJECT, size)
+    for item, ee in [(tool, ee) for tool in placed for ee in tool.tool.ees]:
+        if rng.random() < 0.4:
+            continue
+        sight = (item.X_world_tool @ ee.X_tool_ee)[:3, 3] - X_world_camera[:3, 3]
+        share = rng.uniform(0.45, 0.93)
+        reach = share * ee_radius(ee.category)  # of the EE as it looks at the occluder's distance
+        R = frame_from_axes(z=sight, x=np.cross(sight, rng.normal(size=3)), p=np.zeros(3))[:3, :3]
+        if rng.random() < 0.3:
+            p = R[:, 0] * rng.uniform(0.2, 1.3) * reach
+            X = transform(Rotation.random(rng=rng), X_world_camera[:3, 3] + share * sight + p)
+            bodies += any_object(rng, surfaces, X, OBJECT, float(reach * rng.uniform(1.0, 3.0)))
+            continue
+        # A board or a rod, one edge of which passes before the EE.
+        board = rng.random() < 0.6
+        half = reach * (rng.uniform(0.8, 3.0) if board else rng.uniform(0.15, 0.7))
+        size = (2.0 * half, reach * rng.uniform(2.0, 6.0), 0.01) if board else (half, reach * rng.uniform(3.0, 8.0))
+        p = R[:, 0] * (half + rng.uniform(-0.5, 0.9) * reach)
+        R = R @ Rotation.from_rotvec(rng.normal(0.0, 0.25, 3)).as_matrix()
+        mesh = box(np.asarray(size)) if board else cylinder(size[0], size[1], 16)
+        if not board:
+            R = R @ Rotation.from_euler("x", np.pi / 2).as_matrix()
+        X = transform(R, X_world_camera[:3, 3] + share * sight + p)
+        bodies.append(Body(mesh, X, surfaces.material(rng), OBJECT))
     return bodies

@@ -9,55 +9,63 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, frame_from_axes, inverse, transform, transform_points
 from toolee_robot.perception.dataset.bodies import Grasp, random_grasp
-from toolee_robot.perception.dataset.records import HEIGHT, WIDTH
+from toolee_robot.perception.dataset.records import FARTHEST, HEIGHT, INSTANCES, NEAREST, WIDTH
+from toolee_robot.perception.dataset.surfaces import Surfaces, draw
 from toolee_robot.render import Scene
-from toolee_robot.tools import KINDS_BY_FAMILY, Family, Tool, make_tool
+from toolee_robot.tools import KINDS_BY_FAMILY, Family, Tool, ToolKind, make_tool
 from toolee_robot.types import CameraIntrinsics
 
 _GRASP_RADII = (0.006, 0.009, 0.012, 0.0145, 0.017, 0.021)
-_GRASPS_EACH = 4
-_INSTANCES = 3000
-"""Training instances are seeds below this one, of each kind."""
+_GRASPS_EACH = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """The tools and grasps that one block of examples draws from: making them costs more than rendering them."""
+    """The tools and grasps that one scene folder's examples draw from: making them costs more than rendering them, so
+    they are made when first drawn and kept. split: "train" or "test" (held-out instances and surfaces)."""
 
-    tools: tuple[Tool, ...]
-    grasps: tuple[Grasp, ...]
+    instances: tuple[tuple[ToolKind, int], ...]
+    surfaces: Surfaces
+    _grasp_seed: int
+    _grasps: dict[int, Grasp]
 
     @staticmethod
     def random(rng: np.random.Generator, split: str) -> Pool:
-        """Half hammers, the rest screwdrivers and wrenches; split "train" or "test" (held-out instances)."""
-        families = [Family.HAMMERS] * 11 + [Family.SCREWDRIVERS] * 7 + [Family.WRENCHES] * 6
-        tools = []
-        for family in families:
+        """A dozen tools of the split: half hammers, the rest screwdrivers and wrenches."""
+        instances = []
+        for family in [Family.HAMMERS] * 6 + [Family.SCREWDRIVERS] * 3 + [Family.WRENCHES] * 3:
             kinds = KINDS_BY_FAMILY[family]
             weights = np.ones(len(kinds))
             if family is Family.HAMMERS:
                 weights[0] = 6.0  # the only kind with a claw, the fourth category
             kind = kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]
-            block = int(rng.integers(_INSTANCES // 5)) * 5
-            seed = block + 4 if split == "test" else block + int(rng.integers(4))
-            tools.append(make_tool(kind, seed))
-        grasps = [random_grasp(radius, rng) for radius in _GRASP_RADII for _ in range(_GRASPS_EACH)]
-        return Pool(tuple(tools), tuple(grasps))
+            instances.append((kind, draw(rng, split, INSTANCES)))
+        return Pool(tuple(instances), Surfaces(split), int(rng.integers(2**31)), {})
 
     def tool(self, rng: np.random.Generator) -> Tool:
         """Any tool of the pool."""
-        return self.tools[int(rng.integers(len(self.tools)))]
+        return make_tool(*self.instances[int(rng.integers(len(self.instances)))])
 
     def hammer(self, rng: np.random.Generator) -> Tool:
         """Any hammer of the pool."""
-        hammers = [tool for tool in self.tools if tool.kind.family is Family.HAMMERS]
-        return hammers[int(rng.integers(len(hammers)))]
+        hammers = [instance for instance in self.instances if instance[0].family is Family.HAMMERS]
+        return make_tool(*hammers[int(rng.integers(len(hammers)))])
 
     def grasp(self, tool: Tool, rng: np.random.Generator) -> Grasp:
         """A grasp made for about the radius of the tool's handle."""
         radius = float(np.mean(tool.handle.radii_at(0.0)))
-        order = np.argsort([abs(grasp.radius - radius) for grasp in self.grasps], kind="stable")
-        return self.grasps[int(order[rng.integers(_GRASPS_EACH)])]
+        nearest = int(np.argmin(np.abs(np.asarray(_GRASP_RADII) - radius)))
+        return self._grasp(nearest * _GRASPS_EACH + int(rng.integers(_GRASPS_EACH)))
+
+    def any_grasp(self, rng: np.random.Generator) -> Grasp:
+        """A grasp of whatever radius."""
+        return self._grasp(int(rng.integers(len(_GRASP_RADII) * _GRASPS_EACH)))
+
+    def _grasp(self, number: int) -> Grasp:
+        if number not in self._grasps:
+            rng = np.random.default_rng([self._grasp_seed, number])
+            self._grasps[number] = random_grasp(_GRASP_RADII[number // _GRASPS_EACH], rng)
+        return self._grasps[number]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,13 +81,15 @@ class PlacedTool:
 
 @dataclass(frozen=True, eq=False)
 class SceneSample:
-    """A scene to be rendered, and what is in it. kind: 0 hard, 1 station, 2 without tools."""
+    """A scene to be rendered, and what is in it. kind: index in `records.SCENES`. circle: an EE is what its tool shows
+    within this many pixels of the EE's origin, instead of within `ee_radius`; None for the latter."""
 
     scene: Scene
     intrinsics: CameraIntrinsics
     X_world_camera: Array
     tools: tuple[PlacedTool, ...]
     kind: int
+    circle: float | None = None
 
 
 def random_intrinsics(rng: np.random.Generator) -> CameraIntrinsics:
@@ -111,12 +121,12 @@ def random_pixel(rng: np.random.Generator, margin: float = 0.08) -> Array:
 
 def tool_in_view(tool: Tool, intrinsics: CameraIntrinsics, rng: np.random.Generator) -> Array:
     """X_camera_tool: any orientation, with one of its EEs (or, a quarter of the time, its grip) at a pixel of the
-    image, 0.35 to 1.1 m away."""
+    image, 0.4 to 1.1 m away."""
     R = Rotation.random(rng=rng).as_matrix()
     anchor = np.zeros(3)
     if rng.random() < 0.75:
         anchor = tool.ees[int(rng.integers(len(tool.ees)))].X_tool_ee[:3, 3]
-    p = ray(intrinsics, random_pixel(rng)) * rng.uniform(0.35, 1.1)
+    p = ray(intrinsics, random_pixel(rng)) * rng.uniform(NEAREST, FARTHEST)
     return transform(R, p - R @ anchor)
 
 
@@ -129,23 +139,30 @@ def lying(tool: Tool, point: Array, rng: np.random.Generator) -> Array:
     return X
 
 
-def on_plane(intrinsics: CameraIntrinsics, X_world_camera: Array, height: float, pixel: Array) -> Array | None:
-    """(3,) where the ray through the pixel meets the plane z = height, between 0.3 and 1.6 m depth, or None."""
+def on_plane(
+    intrinsics: CameraIntrinsics,
+    X_world_camera: Array,
+    height: float,
+    pixel: Array,
+    nearest: float = 0.3,
+    farthest: float = 1.6,
+) -> Array | None:
+    """(3,) where the ray through the pixel meets the plane z = height, `nearest` to `farthest` [m] deep, or None."""
     direction = X_world_camera[:3, :3] @ ray(intrinsics, pixel)
     if direction[2] > -1e-3:
         return None
     depth = (height - X_world_camera[2, 3]) / direction[2]
-    if not 0.3 < depth < 1.6:
+    if not nearest < depth < farthest:
         return None
     return np.asarray(X_world_camera[:3, 3] + depth * direction)
 
 
 def sees_an_ee(tool: Tool, X_camera_tool: Array, intrinsics: CameraIntrinsics) -> bool:
-    """Whether the origin of one of the tool's EEs is in the image and 0.3 to 1.1 m away."""
+    """Whether the origin of one of the tool's EEs is in the image and 0.4 to 1.1 m away."""
     for ee in tool.ees:
         x, y, z = (X_camera_tool @ ee.X_tool_ee)[:3, 3]
         u, v = intrinsics.fx * x / z + intrinsics.cx, intrinsics.fy * y / z + intrinsics.cy
-        if 0.3 < z < 1.1 and 0 <= u < WIDTH and 0 <= v < HEIGHT:
+        if NEAREST < z < FARTHEST and 0 <= u < WIDTH and 0 <= v < HEIGHT:
             return True
     return False
 

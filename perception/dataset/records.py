@@ -17,6 +17,15 @@ CATEGORIES = tuple(Category)
 """Class index k + 1 is CATEGORIES[k]; 0 is no EE."""
 MIN_POINTS = 50
 """An EE with fewer visible pixels counts as not labelled: neither to be found nor a false alarm."""
+NEAREST, FARTHEST = 0.4, 1.1
+"""Depths [m] at which EEs are placed."""
+MOST_HIDDEN = 0.7
+"""An EE of which more is hidden is no target."""
+INSTANCES = 150
+"""Tools of each kind, by seed; every fifth is held out."""
+SCENES = ("hard", "station", "empty", "paper")
+"""Kinds of scenes; `Example.scene` is an index in it. Hard: anything, anywhere; station: a UR10 and a hand show a
+tool; empty: no tool."""
 
 FloatArray = NDArray[np.float32]
 
@@ -65,12 +74,22 @@ class EeTable:
         full = np.maximum(self.unoccluded, 1)
         return np.clip(1.0 - self.visible / full, 0.0, 1.0).astype(np.float32)
 
+    @property
+    def targets(self) -> NDArray[np.bool_]:
+        """The EEs that are to be found and whose pose is asked for: at least 50 pixels seen, at most 70 % hidden, 0.4
+        to 1.1 m away."""
+        depth = self.X_camera_ee[..., 2, 3]
+        known = (self.category > 0) & (self.visible >= MIN_POINTS) & (self.occlusion <= MOST_HIDDEN)
+        with np.errstate(invalid="ignore"):
+            return known & (depth >= NEAREST) & (depth <= FARTHEST)
+
 
 @dataclass(frozen=True, eq=False)
 class Example:
     """rgb (H, W, 3) uint8. depth_mm (H, W) uint16, the noisy sensor's, 0 where unknown. ee (H, W) uint8: id of the EE
     whose sphere (`toolee_robot.tools.ee_radius`) holds the tool's pixel (the nearer one where two overlap), 0 for
-    none. tool (H, W) uint8: id of the tool, 0 for none. scene: uint8, 0 hard, 1 station, 2 without tools."""
+    none. tool (H, W) uint8: id of the tool, 0 for none. scene: index in `SCENES`. full (H, W) uint8: bit k - 1 is set
+    where EE k would be seen if nothing but its tool were there."""
 
     rgb: NDArray[np.uint8]
     depth_mm: NDArray[np.uint16]
@@ -79,6 +98,7 @@ class Example:
     table: EeTable
     intrinsics: CameraIntrinsics
     scene: int
+    full: NDArray[np.uint8]
 
     @property
     def frame(self) -> RgbdFrame:

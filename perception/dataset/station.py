@@ -21,10 +21,10 @@ from toolee_robot.perception.dataset.bodies import (
     tool_bodies,
     tuple_of,
 )
-from toolee_robot.perception.dataset.clutter import any_material
 from toolee_robot.perception.dataset.hard import ARM, HAND, OBJECT, ROOM
 from toolee_robot.perception.dataset.placement import PlacedTool, Pool, SceneSample, look, sees_an_ee
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH
+from toolee_robot.perception.dataset.surfaces import Surfaces
 from toolee_robot.render import Body, Scene
 from toolee_robot.render.lab import laboratory
 from toolee_robot.render.mesh import box, cylinder, sphere
@@ -84,8 +84,8 @@ def station_scene(rng: np.random.Generator, pool: Pool) -> SceneSample | None:
     lowest = transform_points(X_base_tool, np.asarray(tool.mesh.vertices))[:, 2].min()
     if lowest < 0.02 or not sees_an_ee(tool, X_camera_tool, intrinsics):
         return None
-    room = laboratory(rng, ROOM)
-    bodies = [*room.bodies, *arm_bodies(q_arm, np.eye(4), ARM, rng), *_work(rng)]
+    room = laboratory(pool.surfaces.room(rng), ROOM)
+    bodies = [*room.bodies, *arm_bodies(q_arm, np.eye(4), ARM, rng), *_work(rng, pool.surfaces)]
     bodies += hand_bodies(grasp, _robot_hand(rng), X_base_hand, HAND)
     bodies += tool_bodies(tool, X_base_tool, 1, rng)
     if rng.random() < 0.35:
@@ -125,7 +125,7 @@ def _robot_hand(rng: np.random.Generator) -> HandStyle:
     return HandStyle(False, style.palm, style.tips, style.sleeve)
 
 
-def _work(rng: np.random.Generator) -> list[Body]:
+def _work(rng: np.random.Generator, surfaces: Surfaces) -> list[Body]:
     """Stand, wooden block and nail."""
     x, y = _NAIL + rng.normal(0.0, 0.03, 2)
     stand_height, block = float(rng.uniform(0.12, 0.28)), rng.uniform([0.08, 0.08, 0.04], [0.16, 0.16, 0.09])
@@ -133,7 +133,7 @@ def _work(rng: np.random.Generator) -> list[Body]:
     wood = finish("wood_block", (0.80, 0.63, 0.42), 0.6, 0.0, rng, axis=int(rng.integers(2)))
     stand = finish("aluminium", tuple_of(rng.uniform(0.25, 0.7)), 0.4, 0.6, rng)
     if rng.random() < 0.3:
-        stand = any_material(rng)
+        stand = surfaces.material(rng)
     steel = finish("steel_bright", (0.7, 0.7, 0.72), 0.3, 1.0, rng)
     top = stand_height + float(block[2])
     out = float(rng.uniform(0.0, 0.03))

@@ -1,13 +1,25 @@
-"""Shards on disk and back: `shard-00000.npz`, ... of consecutive examples; equal content gives equal bytes.
+"""A scene of examples on disk in BOP's layout, and back. Equal examples give equal bytes.
 
-A shard holds colour as JPEG (quality 95, full chroma), depth as PNG (uint16, mm), the id maps deflated, and the tables
-as plain arrays. `load` decodes a folder into the arrays that training wants.
+    train/000000/rgb/000000.jpg            quality 95, full chroma
+    train/000000/depth/000000.png          uint16 [mm], 0 where unknown
+    train/000000/tool/000000.png           id of the tool at each pixel, 0 for none
+    train/000000/mask/000000_000000.png    the EE (its place in scene_gt), nothing in front of its tool
+    train/000000/mask_visib/...            the EE as far as it is seen
+    train/000000/scene_{camera,gt,gt_info,gt_coco,instances}.json
+    train/000000/clouds.npz                see `clouds`
+    train/000000/SHA256SUMS
+
+This is the one storage: training reads these files (`load`, `load_scenes`). BOP's fields have BOP's meaning and units
+(mm); what BOP has no field for stands beside them under other names.
 """
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Sequence
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from io import BytesIO
@@ -19,44 +31,201 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from toolee_robot.errors import AssetError
-from toolee_robot.perception.dataset.records import HEIGHT, WIDTH, EeTable, Example
+from toolee_robot.perception.dataset import rle
+from toolee_robot.perception.dataset.clouds import CloudWriter
+from toolee_robot.perception.dataset.instances import instance_name, object_id, object_of
+from toolee_robot.perception.dataset.records import (
+    CATEGORIES,
+    HEIGHT,
+    MIN_POINTS,
+    SCENES,
+    WIDTH,
+    EeTable,
+    Example,
+    FloatArray,
+)
+from toolee_robot.tools import ToolKind
 from toolee_robot.types import CameraIntrinsics
 
+SUMS = "SHA256SUMS"
+COCO_CATEGORIES = [
+    {"id": k + 1, "name": str(name), "supercategory": "end_effector"} for k, name in enumerate(CATEGORIES)
+]
+COCO_CATEGORIES.append({"id": len(CATEGORIES) + 1, "name": "tool", "supercategory": "tool"})
 _TABLE = tuple(field.name for field in fields(EeTable))
+_KINDS = tuple(ToolKind)
+_POSES = {"m2c": "X_camera_ee", "t2c": "X_camera_tool", "h2c": "X_camera_hand"}
+"""Suffixes of cam_R_ and cam_t_: EE (BOP's model), tool, hand to camera."""
 
 
-def shard_path(folder: Path, number: int) -> Path:
-    """Where shard `number` of a data set lies."""
-    return folder / f"shard-{number:05d}.npz"
+def write_scene(
+    folder: Path, examples: Iterable[Example], write_models: Callable[[Iterable[int]], None] | None = None
+) -> None:
+    """Write examples as the BOP scene `folder` (its name is the scene's number), whole or not at all.
+
+    write_models is called with the obj_ids of all that is in it before the folder appears.
+    """
+    scratch = folder.with_name(f".{folder.name}.{os.getpid()}.part")
+    shutil.rmtree(scratch, ignore_errors=True)
+    writer = _SceneWriter(scratch)
+    for example in examples:
+        writer.add(example)
+    writer.close()
+    if write_models is not None:
+        write_models(writer.objects)
+    if folder.exists():  # somebody else was as quick: the same bytes
+        shutil.rmtree(scratch)
+    else:
+        scratch.rename(folder)
 
 
-def write_shard(path: Path, examples: Sequence[Example]) -> None:
-    """Write examples as one shard, whole or not at all."""
-    arrays: dict[str, NDArray[Any]] = {}
-    for name, blobs in (
-        ("rgb", [_jpeg(e.rgb) for e in examples]),
-        ("depth", [_png(e.depth_mm) for e in examples]),
-        ("ids", [zlib.compress((e.tool << 4 | e.ee).tobytes(), 6) for e in examples]),
-    ):
-        arrays[name] = np.frombuffer(b"".join(blobs), np.uint8)
-        arrays[name + "_ends"] = np.cumsum([len(blob) for blob in blobs]).astype(np.int64)
-    for name in _TABLE:
-        arrays[name] = np.stack([getattr(e.table, name) for e in examples])
-    arrays["intrinsics"] = np.array(
-        [(e.intrinsics.fx, e.intrinsics.fy, e.intrinsics.cx, e.intrinsics.cy) for e in examples], np.float64
-    )
-    arrays["scene"] = np.array([e.scene for e in examples], np.uint8)
-    scratch = path.with_suffix(".part")
-    with scratch.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
-    scratch.replace(path)
+class _SceneWriter:
+    """Takes one example after another; only their descriptions stay in memory."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._sums: dict[str, str] = {}
+        self._camera: dict[str, Any] = {}
+        self._gt: dict[str, Any] = {}
+        self._info: dict[str, Any] = {}
+        self._annotations: list[dict[str, Any]] = []
+        self._instances: dict[str, dict[str, Any]] = {}
+        self._clouds = CloudWriter()
+        for name in ("rgb", "depth", "tool", "mask", "mask_visib"):
+            (folder / name).mkdir(parents=True)
+
+    def add(self, e: Example) -> None:
+        """The next example."""
+        im_id = len(self._camera)
+        key, name = str(im_id), f"{im_id:06d}"
+        self._file(f"rgb/{name}.jpg", _jpeg(e.rgb))
+        self._file(f"depth/{name}.png", _png(e.depth_mm))
+        self._file(f"tool/{name}.png", _png(e.tool))
+        K = e.intrinsics
+        cam_K = [K.fx, 0.0, K.cx, 0.0, K.fy, K.cy, 0.0, 0.0, 1.0]
+        self._camera[key] = {"cam_K": cam_K, "depth_scale": 1.0, "scene": SCENES[e.scene]}
+        self._gt[key], self._info[key] = [], []
+        targets = e.table.targets
+        for gt, row in enumerate(np.flatnonzero(e.table.category)):
+            visible, full = e.ee == row + 1, (e.full >> np.uint8(row)) & 1 > 0
+            self._file(f"mask/{name}_{gt:06d}.png", _png(full))
+            self._file(f"mask_visib/{name}_{gt:06d}.png", _png(visible))
+            entry = _gt_entry(e.table, int(row))
+            self._gt[key].append(entry)
+            self._info[key].append(_info_entry(visible, full, e, bool(targets[row])))
+            instance: dict[str, Any] = {
+                "kind": str(_KINDS[e.table.kind[row]]),
+                "seed": int(e.table.seed[row]),
+                "objects": {},
+            }
+            instance = self._instances.setdefault(entry["instance"], instance)
+            instance["objects"][str(entry["obj_id"])] = str(CATEGORIES[entry["category_id"] - 1])
+            self._annotate(visible, im_id, entry["category_id"], {"obj_id": entry["obj_id"], "gt_id": gt})
+            if visible.any():
+                self._clouds.add(im_id, gt, visible, e)
+        for tool_id in np.flatnonzero(np.bincount(e.tool.ravel())[1:]) + 1:
+            self._annotate(e.tool == tool_id, im_id, len(COCO_CATEGORIES), {"tool_id": int(tool_id)})
+
+    @property
+    def objects(self) -> set[int]:
+        """The obj_ids met so far."""
+        return {entry["obj_id"] for entries in self._gt.values() for entry in entries}
+
+    def close(self) -> None:
+        """Write what is known of the whole scene."""
+        images = [
+            {"id": i, "file_name": f"rgb/{i:06d}.jpg", "width": WIDTH, "height": HEIGHT}
+            for i in range(len(self._camera))
+        ]
+        coco = {"images": images, "categories": COCO_CATEGORIES, "annotations": self._annotations}
+        self._file("scene_camera.json", json_by_line(self._camera))
+        self._file("scene_gt.json", json_by_line(self._gt))
+        self._file("scene_gt_info.json", json_by_line(self._info))
+        self._file("scene_gt_coco.json", json.dumps(coco, separators=(",", ":")).encode() + b"\n")
+        self._file("scene_instances.json", json_by_line(dict(sorted(self._instances.items()))))
+        self._file("clouds.npz", self._clouds.to_bytes())
+        write_sums(self._folder, self._sums)
+
+    def _file(self, name: str, data: bytes) -> None:
+        (self._folder / name).write_bytes(data)
+        self._sums[name] = hashlib.sha256(data).hexdigest()
+
+    def _annotate(self, mask: NDArray[np.bool_], im_id: int, category: int, more: dict[str, Any]) -> None:
+        """A COCO annotation; what shows too little to be found is crowd: neither found nor missed."""
+        area = int(np.count_nonzero(mask))
+        if area == 0:
+            return
+        entry = {"id": len(self._annotations), "image_id": im_id, "category_id": category, "bbox": bbox(mask)}
+        crowd = int(area < MIN_POINTS)
+        self._annotations.append({**entry, "area": area, "iscrowd": crowd, "segmentation": rle.encode(mask), **more})
+
+
+def _gt_entry(table: EeTable, row: int) -> dict[str, Any]:
+    kind, seed = _KINDS[table.kind[row]], int(table.seed[row])
+    place = row - int(np.flatnonzero(table.tool == table.tool[row])[0])
+    entry: dict[str, Any] = {"obj_id": object_id(kind, seed, place)}
+    for suffix, name in _POSES.items():
+        X = np.asarray(getattr(table, name)[row], np.float64)
+        if np.all(np.isfinite(X)):
+            # Nine digits give a float32 back exactly.
+            entry[f"cam_R_{suffix}"] = [float(f"{v:.9g}") for v in X[:3, :3].reshape(-1)]
+            entry[f"cam_t_{suffix}"] = [float(f"{1e3 * v:.9g}") for v in X[:3, 3]]
+    more = {"category_id": int(table.category[row]), "tool_id": int(table.tool[row])}
+    return {**entry, **more, "instance": instance_name(kind, seed), "left_hand": bool(table.mirrored[row])}
+
+
+def _info_entry(visible: NDArray[np.bool_], full: NDArray[np.bool_], e: Example, target: bool) -> dict[str, Any]:
+    seen, all_ = int(np.count_nonzero(visible)), int(np.count_nonzero(full))
+    return {
+        "bbox_obj": bbox(full),
+        "bbox_visib": bbox(visible),
+        "px_count_all": all_,
+        "px_count_valid": int(np.count_nonzero(e.depth_mm[visible])),
+        "px_count_visib": seen,
+        "visib_fract": round(min(seen / all_, 1.0), 6) if all_ else 0.0,
+        "target": target,
+    }
+
+
+def bbox(mask: NDArray[np.bool_]) -> list[int]:
+    """x, y, width, height [px] of a mask; -1 everywhere for an empty one, as BOP writes it."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    if not len(rows):
+        return [-1, -1, -1, -1]
+    return [int(columns[0]), int(rows[0]), int(columns[-1] - columns[0]) + 1, int(rows[-1] - rows[0]) + 1]
+
+
+def json_by_line(entries: dict[str, Any]) -> bytes:
+    """A JSON object with an entry a line: a person can read it, a difference shows."""
+    lines = [f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in entries.items()]
+    return ("{\n" + ",\n".join(lines) + "\n}\n").encode()
+
+
+def write_sums(folder: Path, sums: dict[str, str]) -> None:
+    """The SHA256SUMS of a folder (as `sha256sum -c` reads it), written whole."""
+    text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
+    scratch = folder / f".{SUMS}.{os.getpid()}.part"
+    scratch.write_text(text)
+    scratch.replace(folder / SUMS)
+
+
+def read_sums(folder: Path) -> dict[str, str]:
+    """File -> SHA-256 of a folder's SHA256SUMS. Raises AssetError."""
+    try:
+        lines = (folder / SUMS).read_text().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise AssetError(f"cannot read {folder / SUMS}: {error}") from error
+    sums = {line[66:]: line[:64] for line in lines if len(line) > 66 and line[64:66] == "  "}
+    if len(sums) != len(lines) or not sums:
+        raise AssetError(f"{folder / SUMS} is not a list of checksums")
+    return sums
 
 
 @dataclass(frozen=True, eq=False)
 class SegmentationSet:
     """A loaded data set of N images. rgb (N, H, W, 3) uint8; depth_mm (N, H, W) uint16 or None if not asked for;
     ee, tool (N, H, W) uint8 ids, 0 for none; table: `EeTable` with leading shape (N, 8); intrinsics (N, 4): fx, fy, cx,
-    cy [px]; scene (N,): 0 hard, 1 station, 2 without tools."""
+    cy [px]; scene (N,): index in `records.SCENES`."""
 
     rgb: NDArray[np.uint8]
     depth_mm: NDArray[np.uint16] | None
@@ -74,81 +243,131 @@ class SegmentationSet:
         """(N, 8) class index (1..4, the order of `Category`) of EE id 1..8, 0 where there is none."""
         return self.table.category
 
-    def example(self, i: int) -> Example:
-        """Image i on its own."""
+    def camera(self, i: int) -> CameraIntrinsics:
+        """Of image i."""
         fx, fy, cx, cy = (float(v) for v in self.intrinsics[i])
-        table = EeTable(**{name: getattr(self.table, name)[i] for name in _TABLE})
-        depth = np.zeros((HEIGHT, WIDTH), np.uint16) if self.depth_mm is None else self.depth_mm[i]
-        return Example(
-            self.rgb[i],
-            depth,
-            self.ee[i],
-            self.tool[i],
-            table,
-            CameraIntrinsics(fx, fy, cx, cy, WIDTH, HEIGHT),
-            int(self.scene[i]),
-        )
+        return CameraIntrinsics(fx, fy, cx, cy, WIDTH, HEIGHT)
+
+    def row(self, i: int) -> EeTable:
+        """The table of image i."""
+        return EeTable(**{name: getattr(self.table, name)[i] for name in _TABLE})
+
+
+def scene_folders(split: Path) -> list[Path]:
+    """The finished scenes of a split's folder, by number."""
+    return sorted(p for p in split.glob("[0-9]*") if (p / SUMS).is_file())
 
 
 def load(folder: Path, depth: bool = False, limit: int | None = None, threads: int = 8) -> SegmentationSet:
-    """Read (the first `limit` images of) a data set. Raises AssetError naming a missing or broken file."""
-    paths = sorted(folder.glob("shard-*.npz"))
-    if not paths:
+    """Read (the first `limit` images of) a split. Raises AssetError naming a missing or broken file."""
+    scenes = scene_folders(folder)
+    if not scenes:
         raise AssetError(
-            f"no shard-*.npz in {folder}: make them with `python -m toolee_robot.perception.dataset.generate`"
+            f"no BOP scene in {folder}: give the folder train or test of a data set made by `toolee dataset generate`"
         )
-    return load_shards(paths, depth, limit, threads)
+    return load_scenes(scenes, depth, limit, threads)
 
 
-def load_shards(
-    paths: Sequence[Path], depth: bool = False, limit: int | None = None, threads: int = 8
+def load_scenes(
+    scenes: Sequence[Path], depth: bool = False, limit: int | None = None, threads: int = 8
 ) -> SegmentationSet:
-    """Read (the first `limit` images of) some shards. Raises AssetError naming a missing or broken file."""
-    shards: list[dict[str, NDArray[Any]]] = []
-    count = 0
-    for path in paths:
-        if limit is not None and count >= limit:
+    """Read (the first `limit` images of) some scenes. Raises AssetError naming a missing or broken file."""
+    jobs: list[tuple[Path, int]] = []
+    described: list[_Description] = []
+    for scene in scenes:
+        if limit is not None and len(jobs) >= limit:
             break
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                shards.append({name: file[name] for name in file.files if depth or not name.startswith("depth")})
-        except (OSError, ValueError, KeyError, EOFError) as error:
-            raise AssetError(f"cannot read {path}: {error}; generate it again") from error
-        count += len(shards[-1]["scene"])
-    total = count if limit is None else min(count, limit)
+        description = _Description.read(scene)
+        described.append(description)
+        jobs += [(scene, i) for i in range(len(description.scene))]
+    total = len(jobs) if limit is None else min(len(jobs), limit)
+    table = EeTable(**{n: np.concatenate([getattr(d.table, n) for d in described])[:total] for n in _TABLE})
     rgb = np.empty((total, HEIGHT, WIDTH, 3), np.uint8)
-    ids = np.empty((total, HEIGHT, WIDTH), np.uint8)
+    ee, tool = np.zeros((total, HEIGHT, WIDTH), np.uint8), np.empty((total, HEIGHT, WIDTH), np.uint8)
     depth_mm = np.empty((total, HEIGHT, WIDTH), np.uint16) if depth else None
-    where = [(shard, k) for shard in shards for k in range(len(shard["scene"]))][:total]
 
     def decode(i: int) -> None:
-        shard, k = where[i]
-        rgb[i] = np.asarray(Image.open(BytesIO(_blob(shard, "rgb", k))))
-        ids[i] = np.frombuffer(zlib.decompress(_blob(shard, "ids", k)), np.uint8).reshape(HEIGHT, WIDTH)
+        scene, im_id = jobs[i]
+        rgb[i] = read_image(scene / f"rgb/{im_id:06d}.jpg")
+        tool[i] = read_image(scene / f"tool/{im_id:06d}.png")
+        for row in np.flatnonzero(table.visible[i]):
+            ee[i][read_image(scene / f"mask_visib/{im_id:06d}_{row:06d}.png") > 0] = row + 1
         if depth_mm is not None:
-            depth_mm[i] = np.asarray(Image.open(BytesIO(_blob(shard, "depth", k))))
+            depth_mm[i] = read_image(scene / f"depth/{im_id:06d}.png")
 
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(decode, range(total)))
-    joined = {
-        name: np.concatenate([shard[name] for shard in shards])[:total] for name in (*_TABLE, "intrinsics", "scene")
-    }
-    table = EeTable(**{name: joined[name] for name in _TABLE})
+    intrinsics = np.concatenate([d.intrinsics for d in described])[:total]
     return SegmentationSet(
-        rgb,
-        depth_mm,
-        ids & np.uint8(15),
-        ids >> np.uint8(4),
-        table,
-        joined["intrinsics"].astype(np.float64),
-        joined["scene"].astype(np.uint8),
+        rgb, depth_mm, ee, tool, table, intrinsics, np.concatenate([d.scene for d in described])[:total]
     )
 
 
-def _blob(shard: dict[str, NDArray[Any]], name: str, k: int) -> bytes:
-    ends = shard[name + "_ends"]
-    start = int(ends[k - 1]) if k else 0
-    return shard[name][start : int(ends[k])].tobytes()
+def read_image(path: Path) -> NDArray[Any]:
+    """The pixels of a file of this storage. Raises AssetError naming it when it is missing, broken or of another
+    size."""
+    try:
+        with Image.open(path) as image:
+            pixels = np.asarray(image)
+    except (OSError, ValueError, SyntaxError) as error:
+        raise AssetError(f"cannot read {path}: {error}; delete its scene and generate the data set again") from error
+    if pixels.shape[:2] != (HEIGHT, WIDTH):
+        raise AssetError(f"{path} is {pixels.shape[1]}x{pixels.shape[0]}, not {WIDTH}x{HEIGHT}")
+    return pixels
+
+
+@dataclass(frozen=True)
+class _Description:
+    """What a scene's JSON files say, as arrays over its images."""
+
+    table: EeTable
+    intrinsics: NDArray[np.float64]
+    scene: NDArray[np.uint8]
+
+    @staticmethod
+    def read(folder: Path) -> _Description:
+        camera, gt, info = (read_json(folder / f"scene_{name}.json") for name in ("camera", "gt", "gt_info"))
+        try:
+            rows = [table_of(gt[str(i)], info[str(i)]) for i in range(len(camera))]
+            K = np.array([[camera[str(i)]["cam_K"][k] for k in (0, 4, 2, 5)] for i in range(len(camera))], np.float64)
+            kinds = np.array([SCENES.index(camera[str(i)]["scene"]) for i in range(len(camera))], np.uint8)
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise AssetError(
+                f"{folder}/scene_*.json do not fit together: {error!r}; generate the scene again"
+            ) from error
+        table = EeTable(**{name: np.stack([getattr(row, name) for row in rows]) for name in _TABLE})
+        return _Description(table, K, kinds)
+
+
+def table_of(gt: list[dict[str, Any]], info: list[dict[str, Any]]) -> EeTable:
+    """The EEs of one image from its entries in scene_gt and scene_gt_info. Raises KeyError, ValueError."""
+    table = EeTable.empty()
+    for row, (entry, seen) in enumerate(zip(gt, info, strict=True)):
+        kind, seed, _ = object_of(entry["obj_id"])
+        table.category[row], table.tool[row] = entry["category_id"], entry["tool_id"]
+        table.kind[row], table.seed[row] = _KINDS.index(kind), seed
+        for suffix, name in _POSES.items():
+            if f"cam_R_{suffix}" in entry:
+                getattr(table, name)[row] = pose_of(entry, suffix)
+        table.mirrored[row] = entry["left_hand"]
+        table.visible[row], table.unoccluded[row] = seen["px_count_visib"], seen["px_count_all"]
+    return table
+
+
+def pose_of(entry: dict[str, Any], suffix: str = "m2c") -> FloatArray:
+    """X_camera_* (4x4) [m] of an entry of scene_gt. Raises KeyError, ValueError."""
+    X = np.eye(4)
+    X[:3, :3] = np.reshape(entry[f"cam_R_{suffix}"], (3, 3))
+    X[:3, 3] = np.reshape(entry[f"cam_t_{suffix}"], 3) * 1e-3
+    return X.astype(np.float32)
+
+
+def read_json(path: Path) -> Any:
+    """Raises AssetError naming the file."""
+    try:
+        return json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise AssetError(f"cannot read {path}: {error}; delete its scene and generate the data set again") from error
 
 
 def _jpeg(rgb: NDArray[np.uint8]) -> bytes:
@@ -157,7 +376,8 @@ def _jpeg(rgb: NDArray[np.uint8]) -> bytes:
     return buffer.getvalue()
 
 
-def _png(depth: NDArray[np.uint16]) -> bytes:
+def _png(pixels: NDArray[Any]) -> bytes:
+    """uint16, uint8 or bool (one bit a pixel)."""
     buffer = BytesIO()
-    Image.fromarray(depth).save(buffer, "PNG", compress_level=1)
+    Image.fromarray(pixels).save(buffer, "PNG", compress_level=1)
     return buffer.getvalue()

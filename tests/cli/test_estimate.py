@@ -13,7 +13,7 @@ import pytest
 
 from toolee_robot.cli.app import run
 from toolee_robot.frames import is_rigid
-from toolee_robot.perception.dataset.example import make_example, make_scene
+from toolee_robot.perception.dataset.example import make_example, take_shot
 from toolee_robot.perception.dataset.records import CATEGORIES, Example
 from toolee_robot.types import Category
 
@@ -34,7 +34,7 @@ def _clear_view(example: Example) -> bool:
 def examples() -> list[Example]:
     found = []
     for index in range(200):
-        if make_scene(7, index, "test")[0].kind == _STATION:
+        if take_shot(7, index, "test").sample.kind == _STATION:
             example = make_example(7, index, "test")
             found += [example] if _clear_view(example) else []
         if len(found) == 3:

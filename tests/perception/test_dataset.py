@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolee_robot.errors import AssetError, UserError
+from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, is_rigid
-from toolee_robot.perception.dataset.example import label, make_example, make_scene
-from toolee_robot.perception.dataset.generate import generate
-from toolee_robot.perception.dataset.inspect import montage
-from toolee_robot.perception.dataset.records import CATEGORIES, MAX_EES, Example
-from toolee_robot.perception.dataset.storage import load, write_shard
-from toolee_robot.render.renderer import cast, pixel_rays
+from toolee_robot.perception.dataset.example import label, make_example, take_shot
+from toolee_robot.perception.dataset.paper import CIRCLE, DEPTHS, FOCAL
+from toolee_robot.perception.dataset.records import CATEGORIES, FARTHEST, MAX_EES, NEAREST, SCENES, Example
+from toolee_robot.perception.dataset.storage import load, write_scene
+from toolee_robot.perception.dataset.surfaces import Surfaces, draw
+from toolee_robot.render.renderer import pixel_rays
 from toolee_robot.tools import ToolKind, ee_radius, make_tool, split
 from toolee_robot.types import CameraIntrinsics
 
@@ -32,22 +32,29 @@ def examples() -> list[Example]:
 
 def test_examples_cover_scenes_and_show_tools(examples: list[Example]) -> None:
     assert {e.scene for e in examples} >= {0, 1}
-    assert sum(bool(np.any(e.table.visible >= 50)) for e in examples) >= 5
+    for e in examples:
+        assert e.table.targets.any() or SCENES[e.scene] == "empty"
+        depth = e.table.X_camera_ee[e.table.targets][:, 2, 3]
+        assert np.all((depth >= NEAREST) & (depth <= FARTHEST))
+        assert np.all(e.table.occlusion[e.table.targets] <= 0.7)
     assert any(np.all(np.isfinite(e.table.X_camera_hand[0])) for e in examples)
 
 
 def test_ee_masks_are_the_tools_pixels_within_the_sphere() -> None:
     checked = 0
     for index in range(4):
-        sample, _ = make_scene(5, index)
-        depth, ids = cast(sample.scene.bodies, sample.intrinsics, sample.X_world_camera)
-        ee, tool, table = label(sample, depth, ids)
+        taken = take_shot(5, index)
+        sample, depth = taken.sample, taken.shot.depth
+        ee, tool, full, table = label(sample, depth, taken.shot.body_ids)
         points = back_project(depth.astype(np.float64), sample.intrinsics)
         assert not np.any((ee > 0) & (tool == 0))
         near_some_ee = np.zeros(ee.shape, bool)
         for row in np.flatnonzero(table.category):
             mask = ee == row + 1
             assert mask.sum() == table.visible[row]
+            alone = (full >> row) & 1 > 0
+            assert alone.sum() == table.unoccluded[row]
+            assert not np.any(mask & ~alone)
             assert table.visible[row] <= table.unoccluded[row]
             assert np.all(tool[mask] == table.tool[row])
             distance = np.linalg.norm(points - table.X_camera_ee[row, :3, 3], axis=-1)
@@ -90,20 +97,47 @@ def test_held_out_tools_only_in_the_test_split() -> None:
     assert all(split(int(seed)) == "test" for seed in e.table.seed[rows])
 
 
-def test_same_bytes_for_any_number_of_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    one, two = tmp_path / "one", tmp_path / "two"
-    generate(one, size=3, seed=3, workers=1, start=64)
-    generate(two, size=3, seed=3, workers=2, start=64)
-    names = sorted(p.name for p in one.iterdir())
-    assert names == ["dataset.json", "shard-00001.npz"]
-    assert names == sorted(p.name for p in two.iterdir())
-    for name in names:
-        assert (one / name).read_bytes() == (two / name).read_bytes()
+def test_surfaces_of_the_splits_are_disjoint() -> None:
+    rng = np.random.default_rng(0)
+    train, test = ({draw(rng, split, 1000) for _ in range(4000)} for split in ("train", "test"))
+    assert len(train) > 700
+    assert len(test) == 200
+    assert not train & test
+    rooms = [{Surfaces(split).room(rng).integers(2**60) for _ in range(300)} for split in ("train", "test")]
+    assert not rooms[0] & rooms[1]
+
+
+def test_the_papers_protocol() -> None:
+    """Upright tool, no roll, one grasp, exact depth, a circle of pixels; held-out tools only in the test split."""
+    grips = []
+    for index in range(3):
+        taken = take_shot(6, index, "test", "paper")
+        sample, table = taken.sample, taken.labels[3]
+        (placed,) = sample.tools
+        assert split(placed.tool.seed) == "test"
+        np.testing.assert_allclose(placed.X_world_tool[:3, 2], [0, 0, 1], atol=1e-12)
+        assert abs(sample.X_world_camera[2, 0]) < 1e-12, "the image's rows are level"
+        assert sample.intrinsics.fx == FOCAL
+        e = make_example(6, index, "test", "paper")
+        assert np.array_equal(e.depth_mm, (taken.shot.depth * np.float32(1000) + np.float32(0.5)).astype(np.uint16))
+        rows, columns = np.nonzero(e.ee)
+        assert len(rows) >= 50
+        reaches = []
+        for row in np.flatnonzero(table.category):
+            x, y, z = table.X_camera_ee[row, :3, 3]
+            u, v = FOCAL * x / z + sample.intrinsics.cx, FOCAL * y / z + sample.intrinsics.cy
+            reaches.append(np.hypot(columns - u, rows - v))
+        assert np.min(reaches, axis=0).max() <= CIRCLE + 1e-3
+        assert any(DEPTHS[0] - 1e-6 <= d <= DEPTHS[1] + 1e-6 for d in table.X_camera_ee[table.category > 0][:, 2, 3])
+        assert placed.X_world_hand is not None
+        grips.append(np.linalg.inv(placed.X_world_hand) @ placed.X_world_tool)
+        assert not placed.mirrored
+    for X in grips:
+        np.testing.assert_allclose(X[:3, :3], grips[0][:3, :3], atol=1e-9)
 
 
 def test_stored_and_loaded(tmp_path: Path, examples: list[Example]) -> None:
-    write_shard(tmp_path / "shard-00000.npz", examples)
+    write_scene(tmp_path / "000000", examples)
     data = load(tmp_path, depth=True)
     assert len(data) == len(examples)
     assert data.categories.shape == (len(examples), MAX_EES)
@@ -114,17 +148,15 @@ def test_stored_and_loaded(tmp_path: Path, examples: list[Example]) -> None:
         assert np.array_equal(data.depth_mm[i], e.depth_mm)
         assert np.abs(data.rgb[i].astype(int) - e.rgb).mean() < 4.0
         for field in dataclasses.fields(e.table):
-            np.testing.assert_array_equal(getattr(data.table, field.name)[i], getattr(e.table, field.name))
-        assert data.example(i).intrinsics == e.intrinsics
+            np.testing.assert_array_equal(getattr(data.row(i), field.name), getattr(e.table, field.name))
+        assert data.camera(i) == e.intrinsics
     assert len(load(tmp_path, limit=5)) == 5
-    assert montage(examples[:2], columns=2).shape == (848, 1024, 3)
 
 
-def test_misuse_says_what_to_do(tmp_path: Path) -> None:
-    with pytest.raises(AssetError, match="no shard"):
+def test_misuse_says_what_to_do(tmp_path: Path, examples: list[Example]) -> None:
+    with pytest.raises(AssetError, match="no BOP scene"):
         load(tmp_path)
-    with pytest.raises(UserError, match="multiple of 64"):
-        generate(tmp_path, size=1, seed=0, start=3)
-    (tmp_path / "shard-00000.npz").write_bytes(b"not a shard")
-    with pytest.raises(AssetError, match="generate it again"):
+    write_scene(tmp_path / "000000", examples[:2])
+    (tmp_path / "000000/rgb/000001.jpg").write_bytes(b"not an image")
+    with pytest.raises(AssetError, match=r"000001\.jpg"):
         load(tmp_path)

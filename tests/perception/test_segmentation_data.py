@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +13,8 @@ import torch
 from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.errors import AssetError
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH, EeTable, Example
-from toolee_robot.perception.dataset.storage import load, shard_path, write_shard
-from toolee_robot.perception.segmentation_data import DeviceImages, ShardStream, augment
+from toolee_robot.perception.dataset.storage import load, write_scene
+from toolee_robot.perception.segmentation_data import DeviceImages, SceneStream, augment
 from toolee_robot.perception.segmentation_evaluation import true_instances
 from toolee_robot.perception.segmentation_losses import instances_from_maps
 from toolee_robot.perception.segmentation_model import STRIDE, TOOL
@@ -31,8 +32,9 @@ def folder(tmp_path: Path) -> Path:
         depth = np.full((HEIGHT, WIDTH), 800, np.uint16)
         camera = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, WIDTH, HEIGHT)
         table = replace(table, category=category)
-        examples.append(Example(scenes.rgb[i], depth, scenes.ee[i], scenes.tool[i], table, camera, 0))
-    write_shard(shard_path(tmp_path, 0), examples)
+        table.visible[0] = np.count_nonzero(scenes.ee[i])
+        examples.append(Example(scenes.rgb[i], depth, scenes.ee[i], scenes.tool[i], table, camera, 0, scenes.ee[i]))
+    write_scene(tmp_path / "000000", examples)
     return tmp_path
 
 
@@ -62,12 +64,12 @@ def test_evaluation_sees_the_same_instances(folder: Path) -> None:
 
 
 def test_ranks_share_a_data_set_without_overlap_while_it_grows(folder: Path) -> None:
-    streams = [ShardStream(folder, (rank, 2)) for rank in range(2)]
+    streams = [SceneStream(folder, (rank, 2)) for rank in range(2)]
     try:
         assert [len(images.rgb) for images in streams[0].take(5.0)] == [3]
         assert streams[1].take() == []
-        shard_path(folder, 1).with_suffix(".part").write_bytes(shard_path(folder, 0).read_bytes())
-        shard_path(folder, 1).with_suffix(".part").replace(shard_path(folder, 1))
+        shutil.copytree(folder / "000000", folder / ".000001.part")
+        (folder / ".000001.part").rename(folder / "000001")
         assert [len(images.rgb) for images in streams[1].take(5.0)] == [3]
         assert streams[0].take() == []
     finally:

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from toolee_robot.cli.bench import Bench
+from toolee_robot.cli.dataset import Dataset
 from toolee_robot.cli.doctor import Doctor
 from toolee_robot.cli.estimate import Estimate
 from toolee_robot.cli.hammer import Hammer
@@ -30,6 +31,7 @@ Command = (
     Annotated[Hammer, tyro.conf.subcommand("hammer")]
     | Annotated[Estimate, tyro.conf.subcommand("estimate")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
+    | Annotated[Dataset, tyro.conf.subcommand("dataset")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[UrController, tyro.conf.subcommand("ur-controller")]
 )
@@ -49,7 +51,7 @@ def main(args: Sequence[str] | None = None) -> None:
 
 def run(args: Sequence[str] | None = None) -> int:
     """As `main`, but returns the exit code; only the parser itself exits (0 for --help, 2 for a bad option)."""
-    command: Hammer | Estimate | Bench | Doctor | UrController = tyro.cli(
+    command: Hammer | Estimate | Bench | Dataset | Doctor | UrController = tyro.cli(
         Command,
         prog="toolee",
         description="A robot that is handed a hammer, looks at it, and drives the nail.",
@@ -78,7 +80,10 @@ def _terminate(_signum: int, _frame: FrameType | None) -> None:
 
 
 def _complain(
-    console: Console, command: Hammer | Estimate | Bench | Doctor | UrController, error: TooleeError, outcome: str
+    console: Console,
+    command: Hammer | Estimate | Bench | Dataset | Doctor | UrController,
+    error: TooleeError,
+    outcome: str,
 ) -> None:
     # Not wrapped: a path that is cut in two cannot be copied or searched for.
     console.print(f"[bold red]error:[/bold red] {escape(str(error))}", soft_wrap=True)

@@ -36,31 +36,45 @@ def render(
     pixel's centre). exposure: factor on the linear colour before the sRGB curve.
     auto_exposure: in [0, 1], how much the camera makes up for a dark or bright scene.
     """
-    height, width = intrinsics.height, intrinsics.width
-    caster = Caster(scene, X_world_camera)
-    directions = pixel_rays(intrinsics).reshape(-1, 3)
-    depth, body, hits = caster.cast(directions)
-    color = _background(scene, caster, intrinsics, directions)
-    lit, shiny = caster.shade(hits, (height, width))
-    color[hits.ray] = lit
-    cos = np.zeros(len(depth), np.float32)
-    cos[hits.ray] = np.clip(np.einsum("ij,ij->i", hits.normals, hits.views), 0.0, 1.0)
-    shininess = np.zeros(len(depth), np.float32)
-    shininess[hits.ray] = shiny
-    grid = (height, width)
-    if antialias:
-        _smooth_outlines(caster, intrinsics, color, depth.reshape(grid), body.reshape(grid))
-    if auto_exposure > 0:
-        mean = float(np.minimum(color, 1.0).mean())
-        exposure *= float(np.clip((_MIDDLE_GREY / max(mean, 1e-3)) ** auto_exposure, 0.4, 6.0))
-    ids = np.array([b.body_id for b in scene.bodies] + [-1], np.int16)[body]  # body -1 takes the last entry
-    return Rendering(
-        rgb=to_srgb(color.reshape(height, width, 3) * np.float32(exposure)),
-        depth=depth.reshape(grid),
-        body_ids=ids.reshape(grid),
-        cos_incidence=cos.reshape(grid),
-        shininess=shininess.reshape(grid),
-    )
+    return Shot(scene, intrinsics, X_world_camera).develop(antialias, exposure, auto_exposure)
+
+
+class Shot:
+    """A scene seen by a camera before it is shaded: depth (H, W) float32 [m] and body_ids (H, W) int16 as in
+    `Rendering`. Whoever dislikes what is seen need not pay for the colours."""
+
+    def __init__(self, scene: Scene, intrinsics: CameraIntrinsics, X_world_camera: Array) -> None:
+        self._scene, self._intrinsics = scene, intrinsics
+        self._caster = Caster(scene, X_world_camera)
+        self._directions = pixel_rays(intrinsics).reshape(-1, 3)
+        depth, self._body, self._hits = self._caster.cast(self._directions)
+        ids = np.array([b.body_id for b in scene.bodies] + [-1], np.int16)[self._body]  # body -1 takes the last entry
+        grid = (intrinsics.height, intrinsics.width)
+        self.depth, self.body_ids = depth.reshape(grid), ids.reshape(grid)
+
+    def develop(self, antialias: bool = True, exposure: float = 1.0, auto_exposure: float = 0.0) -> Rendering:
+        """Shade it; arguments as for `render`."""
+        grid = self.depth.shape
+        caster, hits = self._caster, self._hits
+        color = _background(self._scene, caster, self._intrinsics, self._directions, self._body)
+        lit, shiny = caster.shade(hits, grid)
+        color[hits.ray] = lit
+        cos = np.zeros(self.depth.size, np.float32)
+        cos[hits.ray] = np.clip(np.einsum("ij,ij->i", hits.normals, hits.views), 0.0, 1.0)
+        shininess = np.zeros(self.depth.size, np.float32)
+        shininess[hits.ray] = shiny
+        if antialias:
+            _smooth_outlines(caster, self._intrinsics, color, self.depth, self._body.reshape(grid))
+        if auto_exposure > 0:
+            mean = float(np.minimum(color, 1.0).mean())
+            exposure *= float(np.clip((_MIDDLE_GREY / max(mean, 1e-3)) ** auto_exposure, 0.4, 6.0))
+        return Rendering(
+            rgb=to_srgb(color.reshape(*grid, 3) * np.float32(exposure)),
+            depth=self.depth,
+            body_ids=self.body_ids,
+            cos_incidence=cos.reshape(grid),
+            shininess=shininess.reshape(grid),
+        )
 
 
 def cast(
@@ -103,15 +117,20 @@ def _srgb_table() -> NDArray[np.uint8]:
 _SRGB = _srgb_table()
 
 
-def _background(scene: Scene, caster: Caster, intrinsics: CameraIntrinsics, directions: FloatArray) -> FloatArray:
-    """(H*W, 3) linear colour where nothing is hit."""
+def _background(
+    scene: Scene, caster: Caster, intrinsics: CameraIntrinsics, directions: FloatArray, body: NDArray[np.int32]
+) -> FloatArray:
+    """(H*W, 3) linear colour where nothing is hit (body -1); anything elsewhere."""
     if scene.background is not None:
         shape = (intrinsics.height, intrinsics.width, 3)
         if scene.background.shape != shape:
             raise ValueError(f"background is {scene.background.shape}, the camera's image is {shape}")
         return scene.background.reshape(-1, 3).astype(np.float32, copy=True)
-    sharp = np.zeros(len(directions), np.float32)
-    return caster.environment.specular(unit(directions @ caster.R_world_camera.T), sharp)
+    color = np.empty_like(directions)
+    missed = np.flatnonzero(body < 0)
+    sharp = np.zeros(len(missed), np.float32)
+    color[missed] = caster.environment.specular(unit(directions[missed] @ caster.R_world_camera.T), sharp)
+    return color
 
 
 def _smooth_outlines(

@@ -1,0 +1,197 @@
+"""The data card: what a data set holds, in numbers (JSON) and for a person (Markdown). A function of the content
+alone: no dates, no machine."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from toolee_robot.perception.dataset.instances import instance_name, instances, kind_categories
+from toolee_robot.perception.dataset.records import CATEGORIES, MIN_POINTS
+from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec
+from toolee_robot.perception.dataset.storage import pose_of
+from toolee_robot.perception.dataset.surfaces import BACKDROPS, ROOMS, TEXTURES
+
+EDGES: dict[str, list[float]] = {
+    "depth_m": [round(0.3 + 0.05 * k, 2) for k in range(19)],
+    "hidden_share": [round(0.05 * k, 2) for k in range(21)],
+    "visible_pixels": [0, 50, 100, 200, 400, 800, 1600, 3200, 6400, 12800, 51200],
+    "points_with_depth": [0, 50, 100, 200, 400, 800, 1600, 3200, 6400, 12800, 51200],
+    "view_angle_deg": [10.0 * k for k in range(19)],
+    "in_image_angle_deg": [-180.0 + 20.0 * k for k in range(19)],
+    "tool_off_vertical_deg": [10.0 * k for k in range(19)],
+}
+"""Histograms over the EEs that are to be found. view_angle: between the EE's z axis and the way back to the camera;
+in_image: direction of the tool's axis in the image, 0 is up; off_vertical: the tool's axis against the image's up."""
+
+
+class Card:
+    """Counts what scenes say; memory does not grow with them."""
+
+    def __init__(self, spec: DatasetSpec) -> None:
+        self._spec = spec
+        self._scenes = {split: Counter[str]() for split in SPLITS}
+        self._ees = {split: {c: Counter[str]() for c in CATEGORIES} for split in SPLITS}
+        self._hands = {split: Counter[str]() for split in SPLITS}
+        self._names: dict[str, dict[str, set[str]]] = {split: {c: set() for c in CATEGORIES} for split in SPLITS}
+        self._histograms = {
+            split: {c: {k: np.zeros(len(e) - 1, np.int64) for k, e in EDGES.items()} for c in CATEGORIES}
+            for split in SPLITS
+        }
+
+    def add(self, split: str, camera: dict[str, Any], gt: dict[str, Any], info: dict[str, Any]) -> None:
+        """One scene's JSON files."""
+        for im_id, entry in camera.items():
+            self._scenes[split][entry["scene"]] += 1
+            seen: set[int] = set()
+            for ee, about in zip(gt[im_id], info[im_id], strict=True):
+                self._count(split, ee, about)
+                if ee["tool_id"] not in seen:
+                    seen.add(ee["tool_id"])
+                    side = "left_hand" if ee["left_hand"] else "right_hand"
+                    self._hands[split][side if "cam_R_h2c" in ee else "no_hand"] += 1
+
+    def _count(self, split: str, ee: dict[str, Any], about: dict[str, Any]) -> None:
+        category = CATEGORIES[ee["category_id"] - 1]
+        counts = self._ees[split][category]
+        counts["in_scene"] += 1
+        counts["labelled"] += about["px_count_visib"] >= MIN_POINTS
+        if not about["target"]:
+            return
+        counts["targets"] += 1
+        self._names[split][category].add(ee["instance"])
+        X, X_tool = pose_of(ee).astype(np.float64), pose_of(ee, "t2c").astype(np.float64)
+        sight = X[:3, 3] / np.linalg.norm(X[:3, 3])
+        up = X_tool[:3, 2]
+        values = {
+            "depth_m": X[2, 3],
+            "hidden_share": 1.0 - about["visib_fract"],
+            "visible_pixels": about["px_count_visib"],
+            "points_with_depth": about["px_count_valid"],
+            "view_angle_deg": np.rad2deg(np.arccos(np.clip(-sight @ X[:3, 2], -1.0, 1.0))),
+            "in_image_angle_deg": np.rad2deg(np.arctan2(up[0], -up[1])),
+            "tool_off_vertical_deg": np.rad2deg(np.arccos(np.clip(-up[1], -1.0, 1.0))),
+        }
+        for name, value in values.items():
+            edges = EDGES[name]
+            k = int(np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(edges) - 2))
+            self._histograms[split][category][name][k] += 1
+
+    def to_json(self) -> dict[str, Any]:
+        splits = {}
+        for split in SPLITS:
+            splits[split] = {
+                "examples": sum(self._scenes[split].values()),
+                "scenes": dict(sorted(self._scenes[split].items())),
+                "tools": dict(sorted(self._hands[split].items())),
+                "categories": {
+                    str(c): {
+                        **{k: self._ees[split][c][k] for k in ("in_scene", "labelled", "targets")},
+                        "instances": sorted(self._names[split][c]),
+                        "histograms": {k: h.tolist() for k, h in self._histograms[split][c].items()},
+                    }
+                    for c in CATEGORIES
+                },
+            }
+        return {
+            "spec": self._spec.to_json(),
+            "splits": splits,
+            "histogram_edges": EDGES,
+            "catalogue": {split: _catalogue(split) for split in SPLITS},
+            "held_out_rule": _RULE,
+            "surfaces": {
+                split: {k: n * (4 if split == "train" else 1) // 5 for k, n in _SURFACES.items()} for split in SPLITS
+            },
+        }
+
+    def to_markdown(self) -> str:
+        data = self.to_json()
+        spec = data["spec"]
+        lines = [
+            f"# TOOLEE data set `{spec['config']}`, {spec['size']} examples, seed {spec['seed']}",
+            "",
+            _ABOUT[spec["config"]],
+            "",
+        ]
+        lines += [
+            f"Generated by {spec['generator']}; licence {spec['licence']}. Synthetic: nobody is shown. Made with "
+            f"`toolee dataset generate --config {spec['config']} --size {spec['size']} --seed {spec['seed']}"
+            f" --test-share {spec['test_share']:g}`; the same command gives the same bytes.",
+            "",
+            _FILES,
+            "",
+        ]
+        for split in SPLITS:
+            part = data["splits"][split]
+            if not part["examples"]:
+                continue
+            kinds = ", ".join(f"{n} {k}" for k, n in part["scenes"].items())
+            hands = ", ".join(f"{n} {k.replace('_', ' ')}" for k, n in part["tools"].items())
+            lines += [f"## {split}: {part['examples']} examples", "", f"Scenes: {kinds}. Tools: {hands}.", ""]
+            lines += [
+                "| end effector | labelled (50 pixels or more) | to be found | instances shown | in the catalogue |",
+                "|---|---|---|---|---|",
+            ]
+            for c, about in part["categories"].items():
+                of = len(data["catalogue"][split][c])
+                lines.append(f"| {c} | {about['labelled']} | {about['targets']} | {len(about['instances'])} | {of} |")
+            lines += ["", *_histogram_table(part), ""]
+        lines += [
+            "## Splits",
+            "",
+            f"By instance: {data['held_out_rule']}. Textures, rooms, backdrops: "
+            + "; ".join(
+                f"{split} " + ", ".join(f"{n} {k}" for k, n in s.items()) for split, s in data["surfaces"].items()
+            )
+            + ". Colours of tools, hands and arm are drawn anew each time. All names, shown or not, are in "
+            "`card.json`; held out (test) and shown here:",
+            "",
+        ]
+        for c, about in data["splits"]["test"]["categories"].items():
+            lines += [f"- {c}: {', '.join(about['instances']) or 'none'}"]
+        lines += ["", "Shown in training:", ""]
+        for c, about in data["splits"]["train"]["categories"].items():
+            lines += [f"- {c}: {', '.join(about['instances']) or 'none'}"]
+        return "\n".join(lines) + "\n"
+
+
+_SURFACES = {"textures": TEXTURES, "rooms": ROOMS, "backdrops": BACKDROPS}
+_RULE = "tools, textures, rooms and backdrops whose number leaves 4 when divided by 5 are the test split's"
+_ABOUT = {
+    "paper": "The paper's protocol: an upright tool held in one grasp by one right hand, a camera never rolled, "
+    "0.42 to 0.98 m, no noise; the end effector (EE) is what its tool shows within a circle of pixels (60 of 1920) "
+    "about the EE's origin.",
+    "hard": "Any orientation of tool and camera, 0.4 to 1.1 m, left, right, robot and human hands in many grasps, "
+    "other tools and things, up to 70 % of the end effector (EE) hidden, a noisy depth camera (flying pixels, dropout) "
+    "and a colour camera with its faults. The EE is what its tool shows within a sphere about the EE's origin.",
+}
+_FILES = (
+    "`train`, `test`: BOP scenes. `models`: each EE's mesh (an object in BOP's sense) with symmetries in "
+    "models_info.json. `tools`: whole tools. `coco`: instances with run-length masks. `clouds.npz` in each scene: what "
+    "the depth camera sees of each EE. Poses are in the OpenCV camera frame, mm. See docs/dataset.md of the project."
+)
+
+
+def _catalogue(split: str) -> dict[str, list[str]]:
+    kinds = kind_categories()
+    tools = instances(split)
+    return {c: [instance_name(k, s) for k, s in tools if c in kinds[k]] for c in map(str, CATEGORIES)}
+
+
+def _histogram_table(part: dict[str, Any]) -> list[str]:
+    """Quartiles of the distributions, by category."""
+    lines = ["| to be found | depth [m] | hidden | pixels | view angle [deg] |", "|---|---|---|---|---|"]
+    for c, about in part["categories"].items():
+        cells = []
+        for name in ("depth_m", "hidden_share", "visible_pixels", "view_angle_deg"):
+            counts = np.array(about["histograms"][name])
+            if not counts.sum():
+                cells.append("-")
+                continue
+            at = [int(np.searchsorted(np.cumsum(counts), q * counts.sum())) for q in (0.05, 0.5, 0.95)]
+            low, middle, high = EDGES[name][at[0]], EDGES[name][at[1]], EDGES[name][at[2] + 1]
+            cells.append(f"{low:g} .. {middle:g} .. {high:g}")
+        lines.append(f"| {c} | " + " | ".join(cells) + " |")
+    return [*lines, "", "(5 %, median, 95 % to the histogram's bins, which are in `card.json`)"]

@@ -1,0 +1,91 @@
+"""What a data set is asked to be, and into which scenes that divides."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from toolee_robot import __version__
+from toolee_robot.errors import UserError
+
+CONFIGS = ("paper", "hard")
+SPLITS = ("train", "test")
+LICENCE = "MIT"
+FORMAT = 1
+DESCRIPTION = "dataset.json"
+
+
+@dataclass(frozen=True)
+class SceneJob:
+    """Examples first .. last - 1 of a split, written as one BOP scene."""
+
+    split: str
+    scene: int
+    first: int
+    last: int
+
+    def folder(self, root: Path) -> Path:
+        return root / self.split / f"{self.scene:06d}"
+
+
+@dataclass(frozen=True)
+class DatasetSpec:
+    """config: "paper" or "hard". size: examples in all; test_share of them show held-out instances, textures and
+    backgrounds. scene_size: examples in a BOP scene, which share a dozen tools. Equal specs give equal bytes."""
+
+    config: str
+    size: int
+    seed: int = 0
+    test_share: float = 0.1
+    scene_size: int = 32
+
+    def __post_init__(self) -> None:
+        if self.config not in CONFIGS:
+            raise UserError(f"--config {self.config}: choose one of {', '.join(CONFIGS)}")
+        if self.size < 1 or self.scene_size < 1:
+            raise UserError(f"--size {self.size}, scenes of {self.scene_size}: both must be 1 or more")
+        if not 0 <= self.seed < 2**31:
+            raise UserError(f"--seed {self.seed}: give a whole number from 0 to {2**31 - 1}")
+        if not 0.0 <= self.test_share <= 1.0:
+            raise UserError(f"--test-share {self.test_share}: give a share from 0 to 1")
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Examples of each split."""
+        test = round(self.size * self.test_share)
+        if 0.0 < self.test_share < 1.0 and self.size > 1:
+            test = min(max(test, 1), self.size - 1)
+        return {"train": self.size - test, "test": test}
+
+    def jobs(self) -> list[SceneJob]:
+        """Every scene, those of the test split last."""
+        step = self.scene_size
+        return [
+            SceneJob(split, k, first, min(first + step, count))
+            for split, count in self.counts.items()
+            for k, first in enumerate(range(0, count, step))
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        return {"format": FORMAT, **asdict(self), "generator": f"toolee_robot {__version__}", "licence": LICENCE}
+
+    @staticmethod
+    def read(root: Path) -> DatasetSpec:
+        """The spec of the data set in a folder. Raises UserError where there is none or another version's."""
+        path = root / DESCRIPTION
+        try:
+            data = json.loads(path.read_text())
+            spec = DatasetSpec(
+                data["config"], data["size"], data["seed"], float(data["test_share"]), data["scene_size"]
+            )
+        except FileNotFoundError as error:
+            raise UserError(
+                f"{root} holds no data set ({path} is missing): make one with `toolee dataset generate`"
+            ) from error
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise UserError(f"{path} cannot be read ({error!r}): generate the data set again") from error
+        if data.get("format") != FORMAT:
+            raise UserError(f"{path} is of format {data.get('format')}, this program reads {FORMAT}: generate it again")
+        return spec

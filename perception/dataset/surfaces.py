@@ -1,0 +1,65 @@
+"""Textures, rooms and backdrops by number, every fifth of them held out: what surrounds the tools in the test split
+never surrounds them in training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from toolee_robot.render import Material, Pattern
+from toolee_robot.render.palette import any_color, finish, linear
+
+TEXTURES, ROOMS, BACKDROPS = 1000, 1000, 1000
+_TEXTURE, _ROOM, _BACKDROP = 101, 102, 103
+_FINISHES = ("plastic", "wood", "steel_bright", "rubber", "concrete", "skin")
+_SCALE = 0.03
+
+
+def draw(rng: np.random.Generator, split: str, count: int) -> int:
+    """A number under `count` (a multiple of 5) that belongs to the split: every fifth one is held out."""
+    five = 5 * int(rng.integers(count // 5))
+    return five + 4 if split == "test" else five + int(rng.integers(4))
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """The surfaces of one split, "train" or "test"."""
+
+    split: str
+
+    def material(self, rng: np.random.Generator, scale: float = _SCALE) -> Material:
+        """A texture, its pattern's features about `scale` [m] large, placed anywhere."""
+        texture = _texture(draw(rng, self.split, TEXTURES))
+        x, y, z = (float(v) for v in rng.uniform(-1.0, 1.0, 3))
+        return replace(texture, scale=texture.scale * scale / _SCALE, offset=(x, y, z))
+
+    def room(self, rng: np.random.Generator) -> np.random.Generator:
+        """The generator of a room: what it makes depends on the room's number alone."""
+        return np.random.default_rng([_ROOM, draw(rng, self.split, ROOMS)])
+
+    def backdrop(self, rng: np.random.Generator) -> np.random.Generator:
+        """The generator of a flat backdrop, likewise."""
+        return np.random.default_rng([_BACKDROP, draw(rng, self.split, BACKDROPS)])
+
+
+@lru_cache(maxsize=TEXTURES)
+def _texture(number: int) -> Material:
+    """Any plain or patterned surface."""
+    rng = np.random.default_rng([_TEXTURE, number])
+    if rng.random() < 0.4:
+        name = str(rng.choice(_FINISHES))
+        metallic = float(name.startswith("steel"))
+        return finish(name, any_color(rng), float(rng.uniform(0.2, 0.9)), metallic, rng, axis=int(rng.integers(3)))
+    pattern = list(Pattern)[rng.integers(len(Pattern))]
+    return Material(
+        linear(any_color(rng)),
+        linear(any_color(rng)),
+        pattern,
+        float(_SCALE * np.exp(rng.normal(0.0, 0.7))),
+        int(rng.integers(3)),
+        float(rng.uniform(0.15, 0.95)),
+        float(rng.random() < 0.12),
+        float(rng.uniform(0.0, 0.5)),
+    )

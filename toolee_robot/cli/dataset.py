@@ -1,0 +1,239 @@
+"""`toolee dataset`: make a data set, look at it, check it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from toolee_robot.cli.options import Flag
+from toolee_robot.cli.output import json_line, write_whole
+from toolee_robot.errors import UserError
+
+_Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+
+
+@dataclass(frozen=True)
+class Generate:
+    """Generate RGB-D examples with masks, poses and clouds: BOP scenes and COCO files.
+
+    Example: toolee dataset generate --config hard --size 1000 --out data/hard
+
+    The same options give the same bytes, with any number of workers. A run that was interrupted or killed goes on
+    where it stopped when it is started again. Train with DIR/train; DIR/test shows held-out tools.
+    """
+
+    config: Literal["paper", "hard"]
+    """paper: upright tool, no roll, one grasp, no noise. hard: any orientation, hands, occlusion, noise."""
+    size: Annotated[int, tyro.conf.arg(metavar="N")]
+    """Examples in all."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Folder for the data set."""
+    workers: Annotated[int | None, tyro.conf.arg(metavar="W", help_behavior_hint="(default: one per core)")] = None
+    """Processes (or Ray tasks) at a time."""
+    seed: int = 0
+    """Which data set of that kind."""
+    test_share: float = 0.1
+    """Share of the examples with held-out tools, textures and backgrounds, from 0 to 1."""
+    cluster: Literal["local", "ray"] = "local"
+    """ray: on the Ray cluster that RAY_ADDRESS names (extra `cluster`), whose machines share DIR."""
+    json: Flag = False
+    """Print one line of JSON last on standard output; everything for people goes to standard error."""
+
+    def run(self) -> int:
+        from toolee_robot.perception.dataset.generate import generate
+        from toolee_robot.perception.dataset.spec import DatasetSpec
+
+        spec = DatasetSpec(self.config, self.size, self.seed, self.test_share)
+        workers = _cores() if self.workers is None else self.workers
+        console = Console(stderr=self.json, highlight=False)
+        began = time.monotonic()
+        with _progress(console, "rendering", "examples") as report:
+            made = generate(spec, self.out, workers, report, self.cluster)
+        seconds = time.monotonic() - began
+        if made:
+            console.print(f"{spec.size} examples in {escape(str(self.out))}, {seconds:.0f} s", soft_wrap=True)
+        else:
+            console.print(f"{escape(str(self.out))} holds these {spec.size} examples already", soft_wrap=True)
+        if self.json:
+            print(
+                json_line({"out": str(self.out), "spec": spec.to_json(), "made": made, "seconds": seconds}), flush=True
+            )
+        return 0
+
+
+@dataclass(frozen=True)
+class Inspect:
+    """Draw a data set: montage, distributions, and how alike the tools are (the paper's Fig. 3).
+
+    Example: toolee dataset inspect data/hard --out pictures
+
+    Fig. 3 compares instances of a category as whole objects and at their end effectors only, by Chamfer, Hausdorff
+    and Earth-Mover's distance.
+    """
+
+    folder: _Folder
+    """A data set made by `toolee dataset generate`."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: DIR-inspection)")] = None
+    """Where montage_train.png, montage_test.png, distributions.png, shapes.png and inspection.json go."""
+    count: Annotated[int, tyro.conf.arg(metavar="N")] = 12
+    """Images of each split in the montage."""
+    pairs: Annotated[int, tyro.conf.arg(metavar="N")] = 100
+    """Pairs of instances a category in Fig. 3."""
+    json: Flag = False
+    """Print one line of JSON last on standard output; everything for people goes to standard error."""
+
+    def run(self) -> int:
+        if self.count < 1 or self.pairs < 1:
+            raise UserError("--count and --pairs must be 1 or more")
+        from toolee_robot.perception.dataset import finish, pictures, plots, shapes
+        from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec
+        from toolee_robot.perception.dataset.storage import read_json, scene_folders
+
+        spec = DatasetSpec.read(self.folder)
+        if not finish.is_finished(self.folder):
+            raise UserError(f"{self.folder} is not finished: run its `toolee dataset generate` again")
+        out = self.folder.with_name(f"{self.folder.resolve().name}-inspection") if self.out is None else self.out
+        out.mkdir(parents=True, exist_ok=True)
+        console = Console(stderr=self.json, highlight=False)
+        card = read_json(self.folder / finish.CARD)
+        with console.status("drawing"):
+            for split in SPLITS:
+                if scene_folders(self.folder / split):
+                    pictures.montage(self.folder / split, self.count).save(out / f"montage_{split}.png")
+            plots.distributions(card).savefig(out / "distributions.png", dpi=110)
+            found = shapes.shape_distances(self.folder, self.pairs)
+            plots.shape_figure(found).savefig(out / "shapes.png", dpi=110)
+        record = {"spec": spec.to_json(), "splits": _summary(card), "shape_distances": found.to_json()}
+        write_whole(out / "inspection.json", (json_line(record) + "\n").encode())
+        console.print(_shape_table(found.to_json()))
+        console.print(f"pictures in {escape(str(out))}", soft_wrap=True)
+        if self.json:
+            print(json_line({"out": str(out), **record}), flush=True)
+        return 0
+
+
+@dataclass(frozen=True)
+class Validate:
+    """Check every file of a data set: broken, missing, changed or contradicting another.
+
+    Example: toolee dataset validate data/hard
+
+    Exit code 0: sound; 1: it is not, and each faulty file is named.
+    """
+
+    folder: _Folder
+    """A data set made by `toolee dataset generate`."""
+    workers: Annotated[int, tyro.conf.arg(metavar="W")] = 1
+    """Processes."""
+    json: Flag = False
+    """Print one line of JSON last on standard output; everything for people goes to standard error."""
+
+    def run(self) -> int:
+        from toolee_robot.perception.dataset.validate import validate
+
+        if self.workers < 1:
+            raise UserError(f"--workers {self.workers}: give 1 or more")
+        console = Console(stderr=self.json, highlight=False)
+        with _progress(console, "checking", "examples") as report:
+            faults = validate(self.folder, self.workers, report)
+        for fault in faults:
+            console.print(f"[red]{escape(fault.file)}[/red]: {escape(fault.problem)}", soft_wrap=True)
+        verdict = f"[bold red]{len(faults)} faults[/bold red]" if faults else "[green]sound[/green]"
+        console.print(f"{escape(str(self.folder))}: {verdict}", soft_wrap=True)
+        if self.json:
+            print(json_line({"sound": not faults, "faults": [asdict(fault) for fault in faults]}), flush=True)
+        return 1 if faults else 0
+
+
+_Action = (
+    Annotated[Generate, tyro.conf.subcommand("generate")]
+    | Annotated[Inspect, tyro.conf.subcommand("inspect")]
+    | Annotated[Validate, tyro.conf.subcommand("validate")]
+)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Make a synthetic data set, look at it, check it.
+
+    Example: toolee dataset generate --config hard --size 1000 --out data/hard
+    """
+
+    action: Annotated[_Action, tyro.conf.arg(name="")]
+
+    def run(self) -> int:
+        return self.action.run()
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def _progress(console: Console, doing: str, what: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar with an estimate of the time left; on a stream that is no terminal a line now and then."""
+    bar = Progress(
+        TextColumn(doing),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(what),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        # Scenes come in bursts: the mean over a long time tells more than that over 30 s.
+        TimeRemainingColumn(),
+        console=console,
+        speed_estimate_period=600.0,
+        disable=not console.is_terminal,
+    )
+    task = bar.add_task(doing, total=None)
+    began, first, told = time.monotonic(), -1, -1e9
+
+    def report(done: int, total: int) -> None:
+        nonlocal first, told
+        first = done if first < 0 else first
+        bar.update(task, completed=done, total=total)
+        now = time.monotonic()
+        if not console.is_terminal and (now - told > 10.0 or done == total):
+            told = now
+            rate = (done - first) / max(now - began, 1e-9)
+            left = f", {rate:.1f}/s, {(total - done) / rate:.0f} s left" if rate > 0 else ""
+            console.print(f"{doing}: {done}/{total} {what}{left}")
+
+    with bar:
+        yield report
+
+
+def _summary(card: dict[str, Any]) -> dict[str, Any]:
+    return {
+        split: {
+            "examples": part["examples"],
+            "categories": {
+                c: {"targets": about["targets"], "instances": len(about["instances"])}
+                for c, about in part["categories"].items()
+            },
+        }
+        for split, part in card["splits"].items()
+    }
+
+
+def _shape_table(found: dict[str, Any]) -> Table:
+    """Mean (variance) of each measure, object-centric against EE-centric."""
+    table = Table(title=escape("distance between instances of a category: mean [mm] (variance [mm²])"))
+    for name in ("category", "", "Chamfer", "Hausdorff", "Earth-Mover's"):
+        table.add_column(name, justify="left" if name in ("category", "") else "right")
+    for category, views in found.items():
+        for view, name in (("object", "whole object"), ("ee", "end effector")):
+            cells = [f"{m['mean_mm']:.1f} ({m['variance_mm2']:.1f})" for m in views[view].values()]
+            table.add_row(category if view == "object" else "", name, *cells)
+    return table
