@@ -32,13 +32,14 @@ PATIENT = MotionWatch(tracking_error=0.05, data_cycles=40.0, overruns=40)
 
 class Rig(ABC):
     """An entered arm. rate: [Hz] expected. limits: it was made with. tracking: measured against commanded at rest
-    [rad]. faults: whether stops, contacts and cuts can be brought about without a person."""
+    [rad]. faults: whether stops, contacts and cuts can be brought about without a person. disturbed: one was."""
 
     arm: Arm
     rate: float
     limits: ArmLimits
     tracking = 1e-3
     faults = True
+    disturbed = False
 
     @abstractmethod
     def start(self) -> Array:
@@ -98,8 +99,11 @@ class Rig(ABC):
 
     def recover(self) -> None:
         """Ready for the next test."""
-        self.restore()
-        self.make_ready()
+        if self.disturbed:
+            self.restore()
+            self.make_ready()
+            self.sleep(0.15)
+            self.disturbed = False
         deadline = time.monotonic() + 10.0
         while True:
             try:

@@ -30,6 +30,7 @@ AT_REST = 0.02  # [rad/s]
 def needs_faults(rig: Rig) -> None:
     if not rig.faults:
         pytest.skip("needs a fault that nobody brings about on a robot")
+    rig.disturbed = True
 
 
 def stands(rig: Rig) -> None:
