@@ -33,6 +33,7 @@ from toolee_robot.sim_backend.ur_controller.service import Service
 
 DASHBOARD_PORT, PRIMARY_PORT, SECONDARY_PORT, REALTIME_PORT, RTDE_PORT = 29999, 30001, 30002, 30003, 30004
 FAULT_PORT = 30020
+COLLECT_TICKS = 5000  # between two runs of the garbage collector, while nobody is connected
 TRACE_TICKS = 30000  # 4 min at 125 Hz, 1 min at 500 Hz
 
 
@@ -166,6 +167,8 @@ class Controller:
         )
         for service in self.services:
             service.on_tick(robot.model.period)
+        if robot.ticks % COLLECT_TICKS == 0 and not any(port.clients for port in self.ports.values()):
+            gc.collect()
         self.schedule.statistics.busy += time.monotonic() - began
 
     def close(self) -> None:

@@ -9,6 +9,7 @@ import inspect
 import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from pydantic import ConfigDict, Field, ValidationError, validate_call
 
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.sim_backend.ur_controller.link import Connection, LinkFaults, Sink
+from toolee_robot.sim_backend.ur_controller.model import MODELS
 from toolee_robot.sim_backend.ur_controller.robot import Identity
 from toolee_robot.sim_backend.ur_controller.rtde import RtdeSession
 from toolee_robot.sim_backend.ur_controller.rtde_inputs import INPUTS
@@ -287,11 +289,16 @@ class Faults:
 
     @_hook
     def kinematics(self, a: Six, d: Six) -> None:
-        """The factory calibration differs from the nominal DH parameters by this much [m]; the checksum changes."""
-        identity, nominal = self._robot.identity, self._robot.model
-        identity.a = [x + dx for x, dx in zip(nominal.a, a, strict=True)]
-        identity.d = [x + dx for x, dx in zip(nominal.d, d, strict=True)]
-        identity.checksum = [(number ^ 0x5A5A5A5A) & 0xFFFFFFFF for number in Identity.of(nominal).checksum]
+        """This arm's DH parameters differ from the nominal ones by so much [m]: in what it reports, with another
+        checksum, and in its own kinematics."""
+        nominal = MODELS[self._controller.options.model]
+        self._robot.calibrate(
+            replace(
+                nominal,
+                a=tuple(x + dx for x, dx in zip(nominal.a, a, strict=True)),
+                d=tuple(x + dx for x, dx in zip(nominal.d, d, strict=True)),
+            )
+        )
 
     @_hook
     def reboot(self, seconds: Seconds = 1.0, powered: bool = False) -> None:
@@ -348,7 +355,9 @@ class Faults:
         robot.plant.external_force = np.zeros(6)
         self._force_until, self._boot_until = np.inf, None
         robot.joint_offset = np.zeros(6)
-        robot.identity = Identity.of(robot.model)
+        nominal = MODELS[controller.options.model]
+        robot.identity = Identity.of(nominal)
+        robot.calibrate(nominal)
         robot.machine.speed_fraction = controller.options.speed_slider
         robot.safety.remote = controller.options.remote
         robot.safety.restore()

@@ -27,7 +27,7 @@ class StateSession(ScriptSession):
 
     def __init__(self, sink: Sink, robot: Robot) -> None:
         super().__init__(sink, robot)
-        self._calibration: list[int] = []
+        self._calibration: tuple[int, ...] = ()
         self._seen = robot.said
         self._every = max(1, round(robot.model.rate / STATE_RATE))
         self._sink.send(version_message(robot))
@@ -37,7 +37,7 @@ class StateSession(ScriptSession):
         if robot.ticks % self._every or self._sink.backlog > SKIP_BACKLOG:
             return
         changed = self._calibration != robot.identity.checksum
-        self._calibration = list(robot.identity.checksum)
+        self._calibration = robot.identity.checksum
         self._sink.send(robot_state(robot, kinematics=changed))
         for _, text in list(robot.messages)[max(0, len(robot.messages) - (robot.said - self._seen)) :]:
             self._sink.send(text_message(robot, text))

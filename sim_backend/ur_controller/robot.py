@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -25,21 +27,26 @@ MESSAGES = 100  # of the script that are kept
 @dataclass
 class Identity:
     """What the controller says it is: faults may make it lie. version: major, minor, bugfix, build. a, d (6,) [m],
-    theta, alpha (6,) [rad]: DH parameters of the factory calibration. checksum (6,): of the calibration, per joint."""
+    theta, alpha (6,) [rad]: DH parameters of the factory calibration."""
 
     model: str
     version: tuple[int, int, int, int]
     serial: str
-    a: list[float]
-    d: list[float]
-    alpha: list[float]
-    theta: list[float] = field(default_factory=lambda: [0.0] * 6)
-    checksum: list[int] = field(default_factory=lambda: [0x1A5C0D00 + joint for joint in range(6)])
+    a: tuple[float, ...]
+    d: tuple[float, ...]
+    alpha: tuple[float, ...]
+    theta: tuple[float, ...] = (0.0,) * 6
 
     @classmethod
     def of(cls, model: ControllerModel) -> Identity:
         """The truth about a controller of this model."""
-        return cls(model.name, model.version, "20185500001", list(model.a), list(model.d), list(model.alpha))
+        return cls(model.name, model.version, "20185500001", model.a, model.d, model.alpha)
+
+    @property
+    def checksum(self) -> tuple[int, ...]:
+        """(6,) of the calibration, a joint each: equal for equal parameters, as a real controller's."""
+        rows = zip(self.theta, self.a, self.d, self.alpha, strict=True)
+        return tuple(zlib.crc32(struct.pack(">4d", *row)) for row in rows)
 
 
 class Robot:
@@ -116,6 +123,11 @@ class Robot:
                 self.program.pause()
             else:
                 self.program.stop()
+
+    def calibrate(self, model: ControllerModel) -> None:
+        """Give the arm these DH parameters: it reports them and reckons with them."""
+        self.model = self.machine.model = model
+        self.identity.a, self.identity.d = model.a, model.d
 
     def reboot(self) -> None:
         """As after the power button: the program is gone, registers and settings are lost, the arm is off."""

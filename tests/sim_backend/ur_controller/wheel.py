@@ -1,0 +1,124 @@
+"""The unmodified ur_rtde wheel in a process of its own: its constructors hold the interpreter's lock, its calls may
+block for minutes, and it may die of a dropped link. None of that may take the tests with it."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from types import TracebackType
+from typing import Any, Self
+
+TIMEOUT = 30.0  # [s] for a call that should take seconds, on a loaded machine
+
+
+class WheelDiedError(Exception):
+    """The process with the wheel has gone. code: its exit code, negative for a signal."""
+
+    def __init__(self, code: int | None) -> None:
+        super().__init__(f"the wheel's process ended with {code}")
+        self.code = code
+
+
+class WheelHungError(Exception):
+    """A call did not return in time."""
+
+
+class Wheel:
+    """Interfaces of the wheel to one robot: "control", "receive", "io", "dashboard"."""
+
+    def __init__(self, host: str) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_work, args=(theirs, host), daemon=True)
+        self._process.start()
+        theirs.close()
+
+    def open(self, *interfaces: str) -> None:
+        """Construct interfaces; raises RuntimeError with the wheel's message."""
+        for name in interfaces:
+            self._request(("open", name), TIMEOUT)
+
+    def close(self, *interfaces: str) -> None:
+        """Disconnect interfaces."""
+        for name in interfaces:
+            self._request(("close", name), TIMEOUT)
+
+    def call(self, interface: str, method: str, *arguments: object, timeout: float = TIMEOUT) -> Any:
+        """A method of an interface; raises RuntimeError with the wheel's message."""
+        return self._request(("call", interface, method, arguments), timeout)
+
+    def control(self, method: str, *arguments: object) -> Any:
+        return self.call("control", method, *arguments)
+
+    def receive(self, method: str, *arguments: object) -> Any:
+        return self.call("receive", method, *arguments)
+
+    def run(self, function: Callable[..., Any], *arguments: object, timeout: float = TIMEOUT) -> Any:
+        """function(interfaces, *arguments) in the wheel's process; function is importable by name."""
+        return self._request(("run", function, arguments), timeout)
+
+    def kill(self) -> None:
+        """End the process at once, as with SIGKILL."""
+        self._process.kill()
+        self._process.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.kill()
+        self._pipe.close()
+
+    def _request(self, request: tuple[Any, ...], timeout: float) -> Any:
+        try:
+            self._pipe.send(request)
+            if not self._pipe.poll(timeout):
+                raise WheelHungError(f"{request[:3]} did not return within {timeout} s")
+            done, value = self._pipe.recv()
+        except (EOFError, OSError) as error:
+            self._process.join(5.0)
+            raise WheelDiedError(self._process.exitcode) from error
+        if not done:
+            raise RuntimeError(value)
+        return value
+
+
+def _work(pipe: Connection, host: str) -> None:
+    from dashboard_client import DashboardClient
+    from rtde_control import RTDEControlInterface
+    from rtde_io import RTDEIOInterface
+    from rtde_receive import RTDEReceiveInterface
+
+    def dashboard(host: str) -> Any:
+        client = DashboardClient(host)
+        client.connect()
+        return client
+
+    makers: dict[str, Callable[[str], Any]] = {
+        "control": RTDEControlInterface,
+        "receive": RTDEReceiveInterface,
+        "io": RTDEIOInterface,
+        "dashboard": dashboard,
+    }
+    interfaces: dict[str, Any] = {}
+    while True:
+        try:
+            request = pipe.recv()
+        except EOFError:
+            return
+        try:
+            value = None
+            if request[0] == "open":
+                interfaces[request[1]] = makers[request[1]](host)
+            elif request[0] == "close":
+                interfaces.pop(request[1]).disconnect()
+            elif request[0] == "call":
+                value = getattr(interfaces[request[1]], request[2])(*request[3])
+            else:
+                value = request[1](interfaces, *request[2])
+            pipe.send((True, value))
+        except Exception as error:  # noqa: BLE001
+            pipe.send((False, f"{type(error).__name__}: {error}"))
