@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 
-from toolee_robot.config import SIMULATED, StationConfig
+from toolee_robot.config import StationConfig
 from toolee_robot.robots import load_robot
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.options import SimOptions
@@ -48,7 +48,6 @@ class WorldJob:
         robot.machine.payload, robot.machine.payload_cog = hand.mass, hand.center_of_mass
         robot.plant.set_payload(hand.mass, hand.center_of_mass)
         dh, identity = DhParameters.of(self.config.arm.model, self.config.arm.calibration), robot.identity
-        identity.serial = SIMULATED
         identity.a, identity.d = dh.a.tolist(), dh.d.tolist()
         identity.alpha, identity.theta = dh.alpha.tolist(), dh.theta.tolist()
         self._service.ended = controller.stop
