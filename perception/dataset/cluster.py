@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -20,9 +21,12 @@ def on_ray(make: Callable[[SceneJob], SceneJob], jobs: list[SceneJob], workers: 
 
     started = not ray.is_initialized()
     if started:
-        ray.init(
-            ignore_reinit_error=True, include_dashboard=False, log_to_driver=False, runtime_env={"env_vars": ONE_THREAD}
+        # Without a cluster to join: one on this machine, that nobody else can reach.
+        where: dict[str, Any] = (
+            {} if "RAY_ADDRESS" in os.environ else {"address": "local", "_node_ip_address": "127.0.0.1"}
         )
+        environment = {"env_vars": ONE_THREAD}
+        ray.init(include_dashboard=False, log_to_driver=False, runtime_env=environment, **where)
     try:
         remote: Any = ray.remote(num_cpus=1, max_retries=2)(make_one)
         waiting = list(reversed(jobs))

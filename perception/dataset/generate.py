@@ -62,7 +62,7 @@ def generate(
         from toolee_robot.perception.dataset.cluster import on_ray
 
         run = on_ray
-    for job in run(partial(make_scene_folder, spec, out), todo, workers):
+    for job in run(partial(make_scene_folder, spec, out.resolve()), todo, workers):
         done += job.last - job.first
         if progress is not None:
             progress(done, spec.size)
