@@ -15,7 +15,7 @@ from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.model import ControllerModel
 from toolee_robot.sim_backend.ur_controller.poses import Vector
 
-WRIST_SINGULAR = 1e-7  # below this |sin q5| axes 4 and 6 count as parallel
+WRIST_SINGULAR = 1e-9  # below this |sin q5| axes 4 and 6 count as parallel
 STRETCH = 1e-9  # by so much may a cosine be over 1 through rounding
 
 

@@ -72,7 +72,7 @@ class Machine:
         ticks = round(HISTORY * model.rate)
         self.history: deque[Array] = deque([plant.q], maxlen=ticks)
         self.force_history: deque[Array] = deque(maxlen=ticks)
-        self.set_tcp(np.zeros(6))
+        self.tcp = np.zeros(6)
         self._motion: Motion | None = None
         self._stop: Motion | None = None  # the last stop that came from outside the script
         self._held = False  # a script function waits for the motion
@@ -82,10 +82,13 @@ class Machine:
 
     # -- settings
 
-    def set_tcp(self, pose: poses.Vector) -> None:
-        """pose (6,) of the TCP in the flange."""
-        self.tcp = np.array(pose, dtype=np.float64)
-        self.X_flange_tcp = poses.matrix(self.tcp)
+    @property
+    def tcp(self) -> Array:
+        return self._tcp
+
+    @tcp.setter
+    def tcp(self, pose: Array) -> None:
+        self._tcp, self.X_flange_tcp = pose, poses.matrix(pose)
 
     def set_payload(self, mass: float, cog: poses.Vector) -> None:
         """mass [kg], cog (3,) [m] in the flange."""
@@ -147,6 +150,7 @@ class Machine:
             raise MotionError("another thread is already controlling the robot")
         if isinstance(motion, Move) and self._running_out:
             motion.start(self._running_out[-1].q_end)
+        motion.follow(self._motion)
         self._motion, self._held = motion, True
 
     def release(self, motion: Motion) -> None:
@@ -163,7 +167,8 @@ class Machine:
 
     def stop(self, deceleration: float | None = None) -> None:
         """Every joint comes to rest with this [rad/s^2]; default: the model's stop_deceleration. Script functions that
-        wait for a motion see it as finished."""
+        wait for a motion see it as finished; force mode and freedrive end."""
+        self.compliance, self.freedrive = None, False
         if self._motion is not None:
             self._motion.done = True
         self._running_out.clear()
@@ -173,10 +178,15 @@ class Machine:
     def end_program(self) -> None:
         """A program is over: a moving arm decelerates, force mode, freedrive and watchdogs end."""
         self.watchdogs.clear()
-        self.compliance, self.freedrive, self.external_sensor = None, False, False
-        self.paused = False
-        if self._motion is not self._stop or self._running_out:
+        self.external_sensor, self.paused = False, False
+        if self._motion is None or self._motion is not self._stop:
             self.stop()
+
+    def end_compliance(self) -> None:
+        """End force mode or freedrive; what moves without a motion of its own comes to rest."""
+        self.compliance, self.freedrive = None, False
+        if self._motion is None:
+            self._motion = Brake(self.model.stop_deceleration)
 
     def step(self, dt: float) -> None:
         """Advance the motion by one tick [s], command the plant and step it."""
@@ -191,8 +201,10 @@ class Machine:
             self.events.append(Event(EventKind.PROTECTIVE_STOP, str(error)))
             self.stop(self.model.safety_deceleration)
             qd = self._way(dt) / dt
-        self.qdd_target = (qd - self.qd_target) / dt
-        self.q_target, self.qd_target = self.q_target + qd * dt, qd
+        over = self._motion is None or self._motion.done
+        final = np.zeros(6) if over and not self._running_out and self.compliance is None else qd
+        self.q_target = self.q_target + qd * dt
+        self.qd_target, self.qdd_target = final, (final - self.qd_target) / dt
         self.plant.command(self.q_target, self.qd_target)
         self.plant.step(dt)
         self.history.append(self.plant.q)

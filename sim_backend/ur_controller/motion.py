@@ -31,6 +31,9 @@ class Motion(ABC):
     def __init__(self) -> None:
         self.done = False
 
+    def follow(self, before: Motion | None) -> None:
+        """Told which motion this one takes the place of."""
+
     @abstractmethod
     def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:
         """The way (6,) [rad] of one tick of dt [s], from the set-point q, qd (6,).
@@ -67,8 +70,9 @@ class ServoJ(Motion):
 
     The speed is (goal - set-point) / time left, so a stream of set-points, each due one tick later, is followed
     exactly: the servo's lag is the one tick. lookahead_time and gain do not filter (a real arm lags by about its
-    lookahead). A set-point that would take more than the model's acceleration or speed is approached with those and
-    without overshoot from rest; an arm that is fast when its goal stands still passes it and comes back.
+    lookahead). A goal that would take more than the model's acceleration or speed, or that stands still, is approached
+    within those and without overshoot (but for a grain of acceleration dt^2 / 8); an arm that is already too fast for
+    that passes it and comes back.
     """
 
     stays = True
@@ -77,18 +81,23 @@ class ServoJ(Motion):
         super().__init__()
         self._goal, self._left = q_goal, time
         self._velocity, self._acceleration = np.array(model.velocity), model.acceleration
+        self._standing = np.zeros(6, dtype=bool)
+
+    def follow(self, before: Motion | None) -> None:
+        if isinstance(before, ServoJ):
+            self._standing = self._goal == before._goal
 
     def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:
         way = self._goal - q
         share = 1.0 if self._left <= dt * (1 + 1e-6) else dt / self._left
         wanted = way * (share * (scaled / dt) / dt)
-        self._left -= scaled
         change = self._acceleration * dt
-        fast = np.abs(wanted - qd) > change * (1 + 1e-9)
-        if fast.any():
+        careful = (np.abs(wanted - qd) > change * (1 + 1e-9)) | self._standing | (self._left < 0.5 * dt)
+        self._left -= scaled
+        if careful.any():
             brakable = np.sqrt(2 * self._acceleration * np.abs(way) + (change / 2) ** 2) - change / 2
             calm = np.clip(np.clip(wanted, -brakable, brakable), qd - change, qd + change)
-            wanted = np.where(fast, calm, wanted)
+            wanted = np.where(careful, calm, wanted)
         return np.clip(wanted, -self._velocity, self._velocity) * dt
 
 

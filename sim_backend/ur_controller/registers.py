@@ -6,7 +6,7 @@ REGISTERS = 48
 
 
 class Registers:
-    """Inputs are written by RTDE clients, outputs by the script; 64 booleans, 48 integers and 48 doubles each way."""
+    """Inputs are written by RTDE clients, outputs by the script; 128 booleans, 48 integers and 48 doubles each way."""
 
     def __init__(self) -> None:
         self.bool_in, self.bool_out = [False] * 128, [False] * 128

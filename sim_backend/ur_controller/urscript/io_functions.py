@@ -39,13 +39,12 @@ class IoFunctions:
 
     def popup(
         self, s: Any, title: str = "Popup", warning: bool = False, error: bool = False, blocking: bool = False
-    ) -> Generator[None, None, None]:
+    ) -> None:
         """blocking: the program pauses until a person lets it go on."""
         del warning, error
         self._event(EventKind.POPUP, f"{title}: {text(s)}")
         if blocking:
             self._event(EventKind.PAUSE, "popup")
-            yield
 
     def protective_stop(self) -> None:
         self._event(EventKind.PROTECTIVE_STOP, "asked for by the program")

@@ -188,7 +188,7 @@ class MotionFunctions:
             now.R, now.axes, now.wrench, now.speed, now.gain = R, axes, force, speed, machine.force_gain
 
     def end_force_mode(self) -> None:
-        self._machine.compliance, self._machine.freedrive = None, False
+        self._machine.end_compliance()
 
     def force_mode_set_damping(self, damping: float) -> None:
         """0..1; accepted, the stand-in's time constant is fixed."""

@@ -157,7 +157,7 @@ class StateFunctions:
 
     def set_tcp(self, pose: Any, tcp_name: str = "") -> None:
         del tcp_name
-        self._machine.set_tcp(six(pose, "pose"))
+        self._machine.tcp = np.array(six(pose, "pose"))
 
     def get_tcp_offset(self) -> Pose:
         return Pose(_list(self._machine.tcp))

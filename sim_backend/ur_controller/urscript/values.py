@@ -23,7 +23,7 @@ def kind(value: Any) -> str:
     if value is None:
         return "nothing"
     names = {bool: "a boolean", int: "an integer", float: "a float", str: "a text", list: "a list", Pose: "a pose"}
-    return names.get(type(value), "a thread")
+    return names.get(type(value), f"a {type(value).__name__.strip('_').lower()}")
 
 
 def numbers(a: Any, b: Any) -> None:
