@@ -87,6 +87,15 @@ def test_a_robot_that_is_not_ready_is_exit_1_with_what_to_do(
     assert "Not ready:" in said
 
 
+def test_a_rehearsal_sees_every_device_behind_the_stand_in(capsys: pytest.CaptureFixture[str]) -> None:
+    code, record, said = _doctor(capsys, "--arm", "ur-rtde", "--robot-host", "127.0.0.49", "--world", "pybullet")
+    assert code == 0, said
+    assert "Ready for the job" in said
+    levels = {f["name"]: f["level"] for f in record["findings"]}
+    assert (levels["robot model"], levels["payload"], levels["arm"], levels["hand"]) == ("ok",) * 4
+    assert levels["calibration"] == "ok", "of these devices, all of which were asked"
+
+
 def test_no_robot_there_is_exit_1_and_the_rest_is_still_looked_at(capsys: pytest.CaptureFixture[str]) -> None:
     code, record, said = _doctor(capsys, "--arm", "ur-rtde", "--robot-host", "127.0.0.49")
     assert code == 1

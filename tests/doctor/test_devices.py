@@ -136,6 +136,19 @@ def test_a_camera_that_is_frozen(simulation: SimStation) -> None:
     assert "no new frame" in finding.says
 
 
+def test_a_camera_that_is_slow(simulation: SimStation) -> None:
+    station = simulation.station
+    assert isinstance(station.camera, SimCamera)
+
+    def late(image: object) -> object:
+        station.clock.sleep(0.8)
+        return image
+
+    slow: Any = _OtherCamera(station.camera, rgb=late)
+    found = {f.name: f for f in doctor.check_camera(slow, station.clock, _CONFIG)}
+    assert (found["camera"].level, found["camera"].says) == (Level.WARN, "a frame takes 0.80 s")
+
+
 class _OtherCamera:
     """Passes the simulated camera's frames on, changed."""
 
@@ -154,8 +167,8 @@ class _OtherCamera:
     ("changes", "name", "says"),
     [
         ({"stamp": lambda _: 1.0}, "camera", "repeats"),
-        ({"stamp": lambda t: t - 2.0}, "camera", "2.00 s old"),
-        ({"stamp": lambda t: t + 2.0}, "camera", "-2.00 s old"),
+        ({"stamp": lambda t: t - 2.0}, "camera", "is 2.00 s old"),
+        ({"stamp": lambda t: t + 2.0}, "camera", "is -2.00 s old"),
         ({"depth": np.zeros_like}, "depth", "0% of the image"),
         ({"intrinsics": lambda k: replace(k, fx=k.fx + 3.0)}, "intrinsics", "not the station file's"),
     ],

@@ -24,15 +24,16 @@ _PAYLOAD = Payload(5.0, np.array([0.0, 0.0, 0.15]))
 _LISTEN = 0.15  # [s]
 
 
-@pytest.fixture(scope="module", params=list(ArmModel))
-def controller(request: pytest.FixtureRequest) -> Iterator[ControllerProcess]:
-    with ControllerProcess(model=request.param, host=_HOSTS[request.param]) as process:
-        yield process
+@pytest.fixture(scope="module")
+def controllers() -> Iterator[dict[ArmModel, ControllerProcess]]:
+    with ExitStack() as stack:
+        yield {m: stack.enter_context(ControllerProcess(model=m, host=host)) for m, host in _HOSTS.items()}
 
 
-@pytest.fixture
-def robot(controller: ControllerProcess) -> ControllerProcess:
+@pytest.fixture(params=list(ArmModel))
+def robot(controllers: dict[ArmModel, ControllerProcess], request: pytest.FixtureRequest) -> ControllerProcess:
     """As it should be: the hand's payload set, the TCP at the flange."""
+    controller = controllers[request.param]
     controller.fault("reset")
     controller.fault("payload", mass=_PAYLOAD.mass, cog=_PAYLOAD.center_of_mass.tolist())
     controller.fault("tcp", pose=[0.0] * 6)
@@ -135,7 +136,11 @@ _FAULTS: list[tuple[str, dict[str, Any], str, Level, str]] = [
 ]
 
 
-@pytest.mark.parametrize(("fault", "arguments", "name", "level", "says"), _FAULTS)
+@pytest.mark.parametrize(
+    ("robot", "fault", "arguments", "name", "level", "says"),
+    [(list(ArmModel)[i % 2], *row) for i, row in enumerate(_FAULTS)],  # in turn: none concerns one model alone
+    indirect=["robot"],
+)
 def test_each_fault_is_found(
     robot: ControllerProcess, fault: str, arguments: dict[str, Any], name: str, level: Level, says: str
 ) -> None:
