@@ -1,9 +1,10 @@
-"""Robot model, inverse kinematics, in-hand correction, collision check and strike planning.
+"""Robot model, inverse kinematics, in-hand correction, collision check, strike planning, and the supervisor.
 
     robot = RobotModel.load()
     world = CollisionWorld(robot, config, q_hand, X_hand_ee)
     plan = plan_strike(robot, config, world, q_arm, q_hand, X_hand_ee, X_base_nail)
-    arm.execute(plan.approach); arm.execute(plan.strike, ContactGuard(...)); arm.execute(plan.retract)
+    arm = Supervisor(station.arm, station.person, robot, config, lambda: world)  # every motion passes it
+    arm.execute(plan.approach); arm.swing(plan.strike, ContactGuard(...), plan.expected_contact)
 
 Import it as `toolee_robot.control`.
 """
@@ -13,29 +14,37 @@ if __name__ != "toolee_robot.control":
 
 from toolee_robot.control.collision import Clearance, CollisionWorld
 from toolee_robot.control.collision_shapes import ToolEnvelope
+from toolee_robot.control.contact import ContactVerdict, ExpectedContact, Meeting
 from toolee_robot.control.limits import check_trajectory
-from toolee_robot.control.records import StrikePlan, TouchPlan, View, ViewPlan
+from toolee_robot.control.modes import Mode, paced
+from toolee_robot.control.records import StrikePlan, View, ViewPlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.slip import merge, protrusion, slip
-from toolee_robot.control.strike import plan_straight, plan_strike, plan_touch
+from toolee_robot.control.strike import plan_over_nail, plan_straight, plan_strike
+from toolee_robot.control.supervisor import Supervisor
 from toolee_robot.control.transfer import plan_transfer
 from toolee_robot.control.views import plan_handover, plan_views
 
 __all__ = [
     "Clearance",
     "CollisionWorld",
+    "ContactVerdict",
+    "ExpectedContact",
+    "Meeting",
+    "Mode",
     "RobotModel",
     "StrikePlan",
+    "Supervisor",
     "ToolEnvelope",
-    "TouchPlan",
     "View",
     "ViewPlan",
     "check_trajectory",
     "merge",
+    "paced",
     "plan_handover",
+    "plan_over_nail",
     "plan_straight",
     "plan_strike",
-    "plan_touch",
     "plan_transfer",
     "plan_views",
     "protrusion",

@@ -1,4 +1,4 @@
-"""The last check before a trajectory goes out: finite, at rest at its start, inside every limit."""
+"""The last check before a trajectory goes out: finite, from rest to rest, inside every limit, no step in anything."""
 
 from __future__ import annotations
 
@@ -12,45 +12,39 @@ from toolee_robot.types import Trajectory
 
 TOLERANCE = 1e-3
 """Relative slack of the comparisons: rounding is no violation."""
+ROUNDING = 1e-6
+"""[rad], and [rad/s]: what inverse kinematics leaves."""
+REST = 1e-3
+"""[rad/s] that counts as standing still."""
 
 
-def check_trajectory(
-    trajectory: Trajectory,
-    arm: ArmKinematics,
-    limits: ArmLimits,
-    scene: SceneConfig,
-    *,
-    starts_at_rest: bool = True,
-) -> None:
-    """Raise LimitError unless the trajectory is finite, consistent, within the joints' position, velocity and
-    acceleration limits and keeps the flange inside the workspace.
+def check_trajectory(trajectory: Trajectory, arm: ArmKinematics, limits: ArmLimits, scene: SceneConfig) -> None:
+    """Raise LimitError unless the trajectory is finite, begins and ends at rest, is within the joints' position,
+    velocity, acceleration and jerk limits, and keeps the flange inside the workspace.
 
-    Velocities and accelerations are checked as given and as finite differences of the positions, so a step cannot
-    hide between samples.
+    The limits are checked at the samples, and the samples against each other: what the positions do between two of them
+    must be what the velocities say, and so on, to within what the jerk limit allows (the trapezoidal rule's error
+    bounds: h^3 J / 12 for positions, h^2 J / 4 for velocities, h J for accelerations). So no step can hide anywhere.
     """
     t, q, qd, qdd = trajectory.times, trajectory.q, trajectory.qd, trajectory.qdd
     if q.shape[1] != 6:
         raise LimitError(f"the trajectory has {q.shape[1]} joints, the arm has 6")
     if not all(np.all(np.isfinite(x)) for x in (t, q, qd, qdd)):
         raise LimitError("the trajectory holds NaN or infinite values: nothing is sent")
-    if starts_at_rest and np.max(np.abs(qd[0])) > 1e-3:
-        raise LimitError(f"the trajectory does not start at rest (joint speed {np.max(np.abs(qd[0])):.3f} rad/s)")
+    for where, row in (("start", 0), ("end", -1)):
+        if np.max(np.abs(qd[row])) > REST:
+            raise LimitError(f"the trajectory does not {where} at rest ({np.max(np.abs(qd[row])):.3f} rad/s)")
     velocity = np.asarray(limits.velocity)
     slack = TOLERANCE * (arm.upper - arm.lower)
     _within("position", "rad", q, arm.lower - slack, arm.upper + slack, t)
     _within("velocity", "rad/s", qd, -velocity * (1 + TOLERANCE), velocity * (1 + TOLERANCE), t)
     top = np.full(6, limits.acceleration * (1 + TOLERANCE))
     _within("acceleration", "rad/s^2", qdd, -top, top, t)
-    # What the arm would be asked to do between two samples; a cubic's slope exceeds neither by more than this slack.
-    slope = np.diff(q, axis=0) / np.diff(t)[:, None]
-    _within("velocity between samples", "rad/s", slope, -velocity * 1.01, velocity * 1.01, t)
-    change = np.diff(qd, axis=0) / np.diff(t)[:, None]
-    _within("acceleration between samples", "rad/s^2", change, -top * 1.02 - 0.05, top * 1.02 + 0.05, t)
-    p = arm.fk(q)[:, :3, 3]
+    _no_step(trajectory, velocity, limits.jerk * (1 + TOLERANCE))
     _within(
         "flange position",
         "m",
-        p,
+        arm.fk(q)[:, :3, 3],
         np.array(scene.workspace_lower),
         np.array(scene.workspace_upper),
         t,
@@ -58,15 +52,33 @@ def check_trajectory(
     )
 
 
+def _no_step(trajectory: Trajectory, velocity: Array, jerk: float) -> None:
+    t, q, qd, qdd = trajectory.times, trajectory.q, trajectory.qd, trajectory.qdd
+    h = np.diff(t)[:, None]
+    _within("velocity between samples", "rad/s", np.diff(q, axis=0) / h, -1.01 * velocity, 1.01 * velocity, t)
+    # From rest, into rest: an acceleration there would be a step.
+    change = np.diff(np.vstack([np.zeros(6), qdd, np.zeros(6)]), axis=0) / np.vstack([h[:1], h, h[-1:]])
+    _within("jerk", "rad/s^3", change, np.full(6, -jerk), np.full(6, jerk), np.append(t, t[-1]))
+    for what, unit, x, slope, allowed in (
+        ("position", "rad", q, qd, h**3 * jerk / 12 + ROUNDING),
+        ("velocity", "rad/s", qd, qdd, h**2 * jerk / 4 + ROUNDING),
+    ):
+        gap = np.diff(x, axis=0) - 0.5 * h * (slope[1:] + slope[:-1])
+        limit = np.broadcast_to(allowed, gap.shape)
+        _within(f"step in {what}", unit, gap, -limit, limit, t)
+
+
 def _within(
     what: str, unit: str, x: Array, lower: Array, upper: Array, t: Array, axes: tuple[str, ...] | None = None
 ) -> None:
+    """lower, upper: of every column (n,), or of every value (N, n)."""
     bad = (x < lower) | (x > upper)
     if not np.any(bad):
         return
+    lower, upper = np.broadcast_to(lower, x.shape), np.broadcast_to(upper, x.shape)
     row, column = np.argwhere(bad)[0]
     name = axes[column] if axes else f"joint {column + 1}"
     raise LimitError(
-        f"{what} of {name} is {x[row, column]:.3f} {unit} at {t[row]:.3f} s, outside "
-        f"[{lower[column]:.3f}, {upper[column]:.3f}]: nothing is sent; slow down or move the target"
+        f"{what} of {name} is {x[row, column]:.5g} {unit} at {t[row]:.3f} s, outside "
+        f"[{lower[row, column]:.3g}, {upper[row, column]:.3g}]: nothing is sent; slow down or move the target"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from toolee_robot.control.collision import Clearance
+from toolee_robot.control.contact import ExpectedContact
 from toolee_robot.frames import Array
 from toolee_robot.types import Trajectory
 
@@ -16,9 +17,9 @@ class StrikePlan:
     theta: the chosen spin of the hammer about the nail's axis [rad]. q_standoff, q_contact: (6,) [rad], at rest before
     the run-up, and where face and nail are expected to meet. approach: transfer from where the arm is to q_standoff.
     strike: from rest at q_standoff through the contact to the standstill; at `contact_time` [s] on it the face arrives
-    with `speed` [m/s] and braking begins; it ends brake_length [m] further down. retract: straight back from that end
-    to q_standoff. wanted_speed: what was asked for; attainable_speed: what the joints' velocities alone would allow
-    there. clearance: of the strike; margin: least distance to a joint's limit [rad].
+    with `speed` [m/s] and braking begins; it ends brake_length [m] further down. wanted_speed: what was asked for;
+    attainable_speed: what the joints' velocities alone would allow there. clearance: of the strike; margin: least
+    distance to a joint's limit [rad].
     X_base_ee_contact: 4x4, equals the nail's pose up to the spin.
     """
 
@@ -27,7 +28,6 @@ class StrikePlan:
     q_contact: Array
     approach: Trajectory
     strike: Trajectory
-    retract: Trajectory
     contact_time: float
     speed: float
     wanted_speed: float
@@ -39,19 +39,10 @@ class StrikePlan:
     X_base_ee_contact: Array
     planning_time: float
 
-
-@dataclass(frozen=True)
-class TouchPlan:
-    """A slow guarded motion that finds where the face meets the nail.
-
-    approach: transfer to the start of the touch; touch: straight down at the touch's speed, from `before` [m] above the
-    expected contact to `past` [m] below; a contact must end it. retract is planned from where it ends.
-    """
-
-    approach: Trajectory
-    touch: Trajectory
-    before: float
-    past: float
+    @property
+    def expected_contact(self) -> ExpectedContact:
+        """Where face and nail should meet."""
+        return ExpectedContact(self.q_contact, self.X_base_ee_contact[:3, 2], self.contact_time)
 
 
 @dataclass(frozen=True)

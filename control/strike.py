@@ -17,7 +17,7 @@ from toolee_robot.control.collision import BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Cle
 from toolee_robot.control.correction import Candidates, candidates, flange_targets, rank
 from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.line import Line, PathLimits, blow_limits, line_derivatives
-from toolee_robot.control.records import StrikePlan, TouchPlan
+from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.timing import (
     brake_profile,
@@ -99,8 +99,6 @@ def _plan(
             world.check(strike.q[: contact + 1 : 4], need, "the run-up", RUN_UP_EXEMPT)
             world.check(strike.q[contact + 1 :: 4], need, "braking after the blow", BRAKE_EXEMPT)
             check_trajectory(strike, robot.arm, config.arm, config.scene)
-            retract = _travel(line, config, brake, -config.strike.run_up)
-            check_trajectory(retract, robot.arm, config.arm, config.scene)
             approach = plan_transfer(robot, config, world, q_start, strike.q[0])
         except (UnreachableError, LimitError, CollisionError) as error:
             failure = failure or error
@@ -111,7 +109,6 @@ def _plan(
             q_contact=strike.q[contact],
             approach=approach,
             strike=strike,
-            retract=retract,
             contact_time=contact_time,
             speed=limits.speed,
             wanted_speed=wanted,
@@ -127,30 +124,15 @@ def _plan(
     raise failure
 
 
-def plan_touch(
-    robot: RobotModel,
-    config: StationConfig,
-    world: CollisionWorld,
-    q_start: Array,
-    plan: StrikePlan,
-    *,
-    before: float = 0.030,
-    past: float = 0.012,
-) -> TouchPlan:
-    """The slow guarded approach along the blow's line: from `before` [m] above the expected contact to `past` under it.
-
-    Run it with a ContactGuard of config.strike.touch_force; where it ends, `toolee_robot.control.protrusion` tells how
-    far the nail stands out.
-    """
+def plan_over_nail(
+    robot: RobotModel, config: StationConfig, world: CollisionWorld, q_start: Array, plan: StrikePlan, before: float
+) -> Trajectory:
+    """To rest on the blow's line, `before` [m] above the expected contact: where a slow touch begins."""
     line = _line_of(robot, plan)
-    touch = _travel(line, config, -before, past, speed=config.strike.touch_speed)
-    world.check(touch.q[:: max(1, len(touch.q) // 20)], config.strike.clearance, "the touch", RUN_UP_EXEMPT)
     lower = _travel(line, config, -plan.run_up, -before)
-    approach = plan_transfer(robot, config, world, q_start, plan.q_standoff)
-    approach = concatenate(approach, lower)
-    for trajectory in (approach, touch):
-        check_trajectory(trajectory, robot.arm, config.arm, config.scene)
-    return TouchPlan(approach, touch, before, past)
+    approach = concatenate(plan_transfer(robot, config, world, q_start, plan.q_standoff), lower)
+    check_trajectory(approach, robot.arm, config.arm, config.scene)
+    return approach
 
 
 def plan_straight(

@@ -29,7 +29,7 @@ class SimCamera:
     same instant sleeps on the station's clock until the next frame is exposed.
 
     seed: decides the room, the surfaces' patterns and the noise; the same seed and the same calls give the same
-    frames.
+    frames. Faults to be had: `freeze`, `repeat`, blinded (no depth anywhere); `thaw` ends them.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class SimCamera:
         self._materials: dict[str, Material] = {}
         self._last: RgbdFrame | None = None
         self._open = True
-        self._frozen = False
+        self._frozen, self._repeats, self.blinded = False, False, False
 
     def __enter__(self) -> Self:
         self._open = True
@@ -71,9 +71,13 @@ class SimCamera:
         """Stop exposing, as a camera with a pulled cable: from now on `read` has only old frames to offer."""
         self._frozen = True
 
+    def repeat(self) -> None:
+        """From now on `read` gives the newest frame again and again, as a driver that has lost its camera."""
+        self._repeats = True
+
     def thaw(self) -> None:
         """Expose again."""
-        self._frozen = False
+        self._frozen, self._repeats, self.blinded = False, False, False
 
     def read(self, max_age: float = 0.5) -> RgbdFrame:
         """A frame exposed now. Raises StaleDataError after `freeze`, DeviceError when the camera is closed."""
@@ -85,6 +89,8 @@ class SimCamera:
             raise StaleDataError(
                 f"the camera gave no new frame within {max_age:.2f} s (newest: {newest}); check its cable and driver"
             )
+        if self._repeats and self._last is not None:
+            return self._last
         now = self._clock.now()
         if self._last is not None and now < self._last.stamp + self._period:
             self._clock.sleep(self._last.stamp + self._period - now)
@@ -93,6 +99,8 @@ class SimCamera:
         depth = measure_depth(
             rendering.depth, rendering.cos_incidence, rendering.shininess, self.intrinsics, self._noise, self._rng
         )
+        if self.blinded:
+            depth = np.zeros_like(depth)
         frame = RgbdFrame(photograph(rendering.rgb, self._photo, self._rng), depth, self.intrinsics, float(now))
         self._last = frame
         return frame

@@ -17,6 +17,7 @@ from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import JointState
 
 TICK = 0.01  # [s]
+ROOM_TEMPERATURE = 24.0  # [deg C]
 CLOSING_SPEED = 4.0  # [rad/s] of the targets
 LEAD = 0.25  # [rad] by which a target runs ahead of a joint that is blocked: enough for full torque
 STILL = 0.05  # [rad/s]
@@ -32,7 +33,11 @@ CLOSING_ORDER = (("FFJ3", "MFJ3", "RFJ3", "LFJ3"), ("FFJ2", "MFJ2", "RFJ2", "LFJ
 
 
 class SimHand:
-    """A `hal.Hand` that moves the simulated Shadow Hand. The wrist holds its rest pose with its limited torque."""
+    """A `hal.Hand` that moves the simulated Shadow Hand. The wrist holds its rest pose with its limited torque.
+
+    Faults to be had: `cut_link`, `hang` (motions time out), temperature, fault (see `hal.HandState`); `recover` ends
+    them all.
+    """
 
     def __init__(self, world: SimWorld, friction: float) -> None:
         self._world = world
@@ -41,6 +46,8 @@ class SimHand:
         self._target = world.robot.q_hand_target.copy()
         self._holding_forces: dict[str, float] | None = None
         self._open_device = True
+        self.temperature, self.fault = ROOM_TEMPERATURE, ""
+        self._hangs = False
         self._last: HandState | None = None  # the newest state that arrived, while the link is down
 
     def __enter__(self) -> Self:
@@ -75,20 +82,32 @@ class SimHand:
         """They arrive again."""
         self._last = None
 
+    def hang(self) -> None:
+        """From now on the fingers do not move, whatever they are told; they keep what they hold."""
+        self._hangs = True
+
+    def recover(self) -> None:
+        """Everything is as it should be again."""
+        self.restore_link()
+        self._hangs = False
+        self.temperature, self.fault = ROOM_TEMPERATURE, ""
+
     def _read(self) -> HandState:
         q, qd = self._world.robot.hand_state()
         grip = self._world.grip
         assisted = grip is not None and grip.holding
         if assisted and self._holding_forces is not None:
-            forces = dict(self._holding_forces)
+            forces, holding = dict(self._holding_forces), True
         else:
             forces, links = self._contact_forces()
-            return HandState(JointState(q, qd, self._world.time), forces, self._touches_enough(forces, links))
-        return HandState(JointState(q, qd, self._world.time), forces, holding=True, assisted=True)
+            assisted, holding = False, self._touches_enough(forces, links)
+        joints = JointState(q, qd, self._world.time)
+        return HandState(joints, forces, holding, assisted, self.temperature, self.fault)
 
     def open(self, timeout: float = 5.0) -> None:
         """Let go and spread the fingers."""
         self._check_open()
+        self._check_moves(timeout)
         if self._world.grip is not None:
             self._world.grip.release()
         self._holding_forces = None
@@ -99,6 +118,7 @@ class SimHand:
     def close(self, timeout: float = 5.0) -> None:
         """Close until the fingers hold or are shut. Where thumb and fingers hold something, the grip begins."""
         self._check_open()
+        self._check_moves(timeout)
         goal = self._robot.hand_closed
         end = self._world.time + timeout
         for joints in CLOSING_ORDER:
@@ -117,6 +137,11 @@ class SimHand:
     def _check_open(self) -> None:
         if not self._open_device:
             raise DeviceError("the hand is closed: use it inside its `with` block")
+
+    def _check_moves(self, timeout: float) -> None:
+        if self._hangs:
+            self._world.advance(timeout)
+            raise DeviceError(f"the hand did not move within {timeout:.1f} s; it stays as it is, its grip too")
 
     def _move(self, joints: tuple[str, ...], goal: np.ndarray, timeout: float) -> None:
         """Move some joints to their goals, or as far as they get. Raises DeviceError on time-out; targets stay."""

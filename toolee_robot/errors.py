@@ -88,6 +88,11 @@ class MotionFaultError(DeviceError):
         self.report = report
 
 
+class PersonNearError(MotionFaultError):
+    """A person is or may be where they must not be, or has not confirmed what only a person can. report: None where
+    nothing was moved."""
+
+
 class TrackingError(MotionFaultError):
     """The arm did not follow its commands."""
 

@@ -17,9 +17,9 @@ from toolee_robot.control import (
     RobotModel,
     StrikePlan,
     check_trajectory,
+    plan_over_nail,
     plan_straight,
     plan_strike,
-    plan_touch,
     protrusion,
 )
 from toolee_robot.control.collision import BRAKE_EXEMPT
@@ -107,7 +107,7 @@ def test_braking_begins_at_the_contact(plan: StrikePlan, robot: RobotModel, q_ha
 
 
 def test_limits_hold_on_the_dense_trajectory(robot: RobotModel, config: StationConfig, plan: StrikePlan) -> None:
-    for trajectory in (plan.approach, plan.strike, plan.retract):
+    for trajectory in (plan.approach, plan.strike):
         check_trajectory(trajectory, robot.arm, config.arm, config.scene)
         assert np.max(np.diff(trajectory.times)) <= 0.0041
         qd = np.gradient(trajectory.q, trajectory.times, axis=0)
@@ -115,8 +115,6 @@ def test_limits_hold_on_the_dense_trajectory(robot: RobotModel, config: StationC
         qdd = np.gradient(trajectory.qd, trajectory.times, axis=0)
         assert np.max(np.abs(qdd)) < 1.03 * config.arm.acceleration
     assert np.allclose(plan.approach.q[-1], plan.strike.q[0])
-    assert np.allclose(plan.strike.q[-1], plan.retract.q[0], atol=1e-9)
-    assert np.allclose(plan.retract.q[-1], plan.q_standoff, atol=1e-9)
 
 
 def test_the_arms_motors_can_do_it(robot: RobotModel, plan: StrikePlan, q_hand: Array) -> None:
@@ -223,17 +221,17 @@ def test_touch_is_slow_straight_and_measures_the_protrusion(
     X_hand_ee: Array,
     plan: StrikePlan,
 ) -> None:
-    touch = plan_touch(robot, config, world, home, plan)
-    X = faces(robot, touch.touch.q, q_hand, X_hand_ee)
-    assert X[0, 2, 3] - X[-1, 2, 3] == pytest.approx(touch.before + touch.past, abs=1e-6)
-    assert np.max(np.abs(np.gradient(X[:, 2, 3], touch.touch.times))) <= config.strike.touch_speed * 1.01
-    wood = config.work.X_base_nail(0.0)
-    stands_out = [protrusion(x, wood) for x in X]
-    nominal = config.work.nail_protrusion
-    assert stands_out[0] == pytest.approx(nominal + touch.before, abs=1e-6)
-    assert stands_out[-1] == pytest.approx(nominal - touch.past, abs=1e-6)
+    over = plan_over_nail(robot, config, world, home, plan, before=0.03)
+    wood, nominal = config.work.X_base_nail(0.0), config.work.nail_protrusion
+    above = faces(robot, over.q[-1:], q_hand, X_hand_ee)[0]
+    assert protrusion(above, wood) == pytest.approx(nominal + 0.03, abs=1e-6)
+    assert np.linalg.norm((above[:3, 3] - wood[:3, 3])[:2]) < 1e-6
+    touch = plan_straight(robot, config, world, over.q[-1], -0.042, speed=config.strike.touch_speed)
+    X = faces(robot, touch.q, q_hand, X_hand_ee)
+    assert np.max(np.abs(np.gradient(X[:, 2, 3], touch.times))) <= config.strike.touch_speed * 1.01
+    assert protrusion(X[-1], wood) == pytest.approx(nominal - 0.012, abs=1e-6)
     # And away again, from wherever it met the nail.
-    up = plan_straight(robot, config, world, touch.touch.q[len(X) // 2], 0.15)
+    up = plan_straight(robot, config, world, touch.q[len(X) // 2], 0.15)
     X_up = faces(robot, up.q, q_hand, X_hand_ee)
     assert X_up[-1, 2, 3] - X_up[0, 2, 3] == pytest.approx(0.15, abs=1e-6)
     assert np.max(np.linalg.norm(X_up[:, :2, 3] - X_up[0, :2, 3], axis=-1)) < 1e-6

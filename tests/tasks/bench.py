@@ -42,8 +42,27 @@ class People:
         self, gives: bool = True, steps_back: bool = True, on_release: Callable[[], None] | None = None
     ) -> None:
         self.gives, self.steps_back = gives, steps_back
+        self.takes, self.confirms = True, True
+        self.is_inside, self.attends = False, True
         self.on_release = on_release
         self.asked: list[str] = []
+
+    def take_tool(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        self.asked.append("take")
+        return self.takes
+
+    def confirm_swing(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        self.asked.append("swing")
+        return self.confirms
+
+    def inside(self) -> bool:
+        return self.is_inside
+
+    def attending(self) -> bool:
+        return self.attends
+
+    def step_in(self) -> None:
+        self.is_inside = True
 
     def request_handover(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
         self.asked.append("handover")
@@ -57,11 +76,13 @@ class People:
 
 
 class ClosedHand:
-    """The simulated hand with the hammer in it: already closed, and it does not open."""
+    """The simulated hand with the hammer in it: already closed, and it does not open. closed: whether it says so; it
+    feels what it holds only from then on."""
 
     def __init__(self, hand: SimHand) -> None:
         self._hand = hand
         self.opened = 0
+        self.closed = False
 
     def __enter__(self) -> Self:
         return self
@@ -75,12 +96,15 @@ class ClosedHand:
         return self._hand.joint_names
 
     def state(self, max_age: float = 0.1) -> HandState:
-        return self._hand.state(max_age)
+        state = self._hand.state(max_age)
+        return state if self.closed else replace(state, holding=False)
 
     def open(self, timeout: float = 5.0) -> None:  # noqa: ARG002
         self.opened += 1
+        self.closed = False
 
-    def close(self, timeout: float = 5.0) -> None: ...
+    def close(self, timeout: float = 5.0) -> None:  # noqa: ARG002
+        self.closed = True
 
     def stop(self) -> None:
         self._hand.stop()
@@ -162,7 +186,7 @@ class Bench:
         assert isinstance(self.sim.station.hand, SimHand)
         assert isinstance(self.sim.station.camera, SimCamera)
         self.sim_hand, self.camera = self.sim.station.hand, self.sim.station.camera
-        self.sim_hand.restore_link()
+        self.sim_hand.recover()
         self.camera.thaw()
         self.arm = SimArm(world)
         self.hand: ClosedHand = ClosedHand(self.sim_hand)

@@ -111,6 +111,9 @@ class ConsoleObserver(TaskObserver):
         )
 
     def blow(self, blow: Blow) -> None:
+        if blow.protrusion is None:
+            self._console.print(f"  blow {blow.number:>2}  [red]the nail could not be measured after it[/red]")
+            return
         gained = (self._last - blow.protrusion) * 1e3
         self._last = blow.protrusion
         left = max(blow.protrusion, 0.0) / max(self._start, 1e-9)

@@ -84,8 +84,8 @@ class RecordingObserver(TaskObserver):
         self._recorder.record_contact(stamp, force, X_base_ee)
 
     def blow(self, blow: Blow) -> None:
-        data = {"number": blow.number, "protrusion": blow.protrusion}
-        data |= {"speed": blow.speed, "peak_force": blow.peak_force}
+        data: dict[str, Any] = {"number": blow.number, "protrusion": blow.protrusion}
+        data |= {"speed": blow.speed, "peak_force": blow.peak_force, "meeting": str(blow.meeting)}
         self._recorder.record_event(blow.stamp, "blow", data)
 
     def ended(self, result: HammerResult) -> None:
@@ -116,5 +116,6 @@ class Album(TaskObserver):
         """PNG, or None when no frame was taken."""
         if self._best is None:
             return None
-        nail = NailCurve((self._protrusion_mm, *(b.protrusion * 1e3 for b in self.blows)), self._flush_mm)
+        measured = (b.protrusion * 1e3 for b in self.blows if b.protrusion is not None)
+        nail = NailCurve((self._protrusion_mm, *measured), self._flush_mm)
         return draw(*self._best, nail, title=title, note=note, focus=Category.HAMMER_HEAD)

@@ -9,7 +9,7 @@ import numpy as np
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.errors import DeviceError, PerceptionError, UserError
+from toolee_robot.errors import DeviceError, PerceptionError, StaleDataError, UserError
 from toolee_robot.frames import Array, angle_between, inverse
 from toolee_robot.hal import Station
 from toolee_robot.tasks.observer import TaskObserver
@@ -18,6 +18,8 @@ from toolee_robot.types import Category, InHandEstimate, RgbdFrame, ToolEstimate
 MAX_DISPLACEMENT = 0.10
 """[m] A face further than this from where a nominal grasp has it is not believed: no hand holds a tool like that."""
 MAX_MISALIGNMENT = np.deg2rad(60.0)
+MIN_DEPTH = 0.3
+"""Share of a frame's pixels that must have a depth: less is a camera that is blinded or covered."""
 
 
 class Perceiver(Protocol):
@@ -56,7 +58,13 @@ class Look:
 
     def take(self) -> None:
         """Read a frame where the arm stands now and estimate what is in it."""
+        asked = self._station.clock.now()
         frame = self._station.camera.read()
+        if frame.stamp < asked:
+            raise StaleDataError(
+                f"the camera gave a frame {asked - frame.stamp:.2f} s older than it was asked: it repeats old ones; "
+                "restart it"
+            )
         q_arm = self._station.arm.state().joints.q
         q_hand = self._station.hand.state().joints.q
         X_camera_hand = self._X_camera_base @ self._robot.fk(q_arm, q_hand)[1]
@@ -65,6 +73,10 @@ class Look:
         except UserError as error:  # it is the camera that made this frame
             raise DeviceError(f"the camera's frame is of no use: {error}") from error
         self._observer.frame(frame, estimates, X_camera_hand)
+        known = float(np.mean(frame.depth > 0.0))  # NaN included
+        if known < MIN_DEPTH:
+            self._observer.message(f"only {100 * known:.0f} % of the frame's depth is known: it does not count")
+            estimates = []
         self._seen.append([e for e in estimates if self._plausible(e, X_camera_hand)])
         self._hands.append(X_camera_hand)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from toolee_robot.control.contact import Meeting
 from toolee_robot.types import InHandEstimate
 
 
@@ -18,6 +19,7 @@ class Outcome(StrEnum):
     BENT = "bent"
     STUCK = "stuck"
     OUT_OF_BLOWS = "out_of_blows"
+    NOT_READY = "not_ready"
     NO_HANDOVER = "no_handover"
     NO_GRIP = "no_grip"
     TOOL_LOST = "tool_lost"
@@ -53,14 +55,15 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True)
 class Blow:
-    """One blow as the robot knows it: stamp [s], planned face speed [m/s], peak sensed force [N], and the protrusion
-    [m] of the head over the wood that the touch after it measured."""
+    """One blow as the robot knows it: stamp [s], planned face speed [m/s], peak sensed force [N], how it met the nail,
+    and the protrusion [m] of the head over the wood that the touch after it measured; None where it could not."""
 
     number: int
     stamp: float
     speed: float
     peak_force: float
-    protrusion: float
+    meeting: Meeting
+    protrusion: float | None
 
 
 @dataclass(frozen=True)

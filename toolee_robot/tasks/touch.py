@@ -8,7 +8,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.slip import protrusion
-from toolee_robot.control.strike import plan_straight, plan_touch
+from toolee_robot.control.strike import plan_over_nail, plan_straight
 from toolee_robot.frames import transform
 from toolee_robot.hal import ContactGuard
 from toolee_robot.tasks.motions import UP, Motions
@@ -44,8 +44,9 @@ class NailGauge:
     def begin(self, plan: StrikePlan) -> None:
         """Go to a nail of known height and touch it and the wood: what is off is the face's place along its normal."""
         motions, config = self._motions, self._config
-        touch = plan_touch(self._robot, config, motions.world(), motions.q, plan, before=CLEAR)
-        motions.execute("to the touch", touch.approach)
+        motions.transfer(
+            "to the touch", plan_over_nail(self._robot, config, motions.world(), motions.q, plan, before=CLEAR)
+        )
         known = config.work.nail_protrusion
         measured = self.measure(known)
         self._reference = known - measured
@@ -84,7 +85,7 @@ class NailGauge:
             motions.straight("up", UP, CLEAR)
             raise Ended(missed, f"before the {what} was touched the arm felt a force: the tool leans against something")
         down = plan_straight(self._robot, self._config, motions.world(), motions.q, -reach, UP, strike.touch_speed)
-        report = motions.execute(f"touch the {what}", down, ContactGuard(strike.touch_force))
+        report = motions.execute(f"touch the {what}", down, ContactGuard(strike.touch_force), at_work=True)
         if report.contact is None:
             motions.straight("up", UP, reach)
             raise Ended(missed, f"the face was lowered to where the {what} should be and met nothing")
