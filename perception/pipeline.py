@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.cloud import check_depth_unit, ee_cloud
-from toolee_robot.perception.pose import PoseEstimator, fuse_in_hand
+from toolee_robot.perception.pose import CloudEstimator, PoseEstimator, fuse_in_hand
 from toolee_robot.perception.segmentation import Segmenter
 from toolee_robot.types import Category, Detection, InHandEstimate, RgbdFrame, ToolEstimate
 
@@ -46,7 +46,7 @@ class StageTimes:
 class ToolPerception:
     """Detector, cloud and pose estimator in one. Calls keep no state: the same frame gives the same estimates."""
 
-    def __init__(self, detector: EeDetector, pose: PoseEstimator) -> None:
+    def __init__(self, detector: EeDetector, pose: CloudEstimator) -> None:
         self.detector = detector
         self.pose = pose
 

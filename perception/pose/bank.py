@@ -29,7 +29,7 @@ REGION = 1.15
 """Samples count as the EE's up to this factor of its radius; only those are dense."""
 
 # What breaks the rotational symmetry of a hammer's face when it is seen.
-_ASYMMETRIC = ("handle", "shaft", "grip", "claw")
+ASYMMETRIC = ("handle", "shaft", "grip", "claw")
 
 Float32 = NDArray[np.float32]
 
@@ -62,7 +62,7 @@ def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
     tool = make_tool(kind, seed)
     rng = np.random.default_rng([seed, list(ToolKind).index(kind), 7])
     points, normals, parts = tool.sample_surface(60_000, rng)
-    asymmetric = np.array([part.label in _ASYMMETRIC for part in tool.parts])[parts]
+    asymmetric = np.array([part.label in ASYMMETRIC for part in tool.parts])[parts]
     shininess = np.array([part.material.metallic * (1 - part.material.roughness) for part in tool.parts])[parts]
     rows: list[_Row] = []
     for ee in tool.ees:

@@ -14,6 +14,7 @@ import torch
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception.pose.canonical import MIN_POINTS, PATCHES, POINTS, CanonicalCloud, canonicalize
+from toolee_robot.perception.pose.flow import Process, Sampler
 from toolee_robot.perception.pose.network import DIRECTION_DIM
 from toolee_robot.perception.pose.spin import fix_spin, nominal_R_tool_ee, with_spin_variance
 from toolee_robot.symmetry import SymmetryKind
@@ -54,12 +55,15 @@ class CloudEstimator(ABC):
     """From a cloud to a pose. Calls keep no state.
 
     points, ordered: how many points the network takes, and how many of them are farthest-point samples, first.
-    candidates: samples drawn for a pose.
+    candidates: samples drawn for a pose, by `sampler` from `process`. of_tool: it wants the whole tool's cloud.
     """
 
     points: int = POINTS
     ordered: int = PATCHES
     candidates: int = CANDIDATES
+    of_tool: bool = False
+    process: Process
+    sampler: Sampler
 
     def radius(self, category: Category) -> float:
         """Radius [m] of the sphere that holds what the cloud shows."""

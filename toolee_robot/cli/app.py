@@ -21,6 +21,7 @@ from toolee_robot.cli.bench import Bench
 from toolee_robot.cli.dataset import Dataset
 from toolee_robot.cli.doctor import Doctor
 from toolee_robot.cli.estimate import Estimate
+from toolee_robot.cli.evaluate import Evaluate
 from toolee_robot.cli.hammer import Hammer
 from toolee_robot.cli.ur_controller import UrController
 from toolee_robot.errors import TooleeError, UserError
@@ -33,6 +34,7 @@ Command = (
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Dataset, tyro.conf.subcommand("dataset")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
+    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[UrController, tyro.conf.subcommand("ur-controller")]
 )
 
@@ -51,7 +53,7 @@ def main(args: Sequence[str] | None = None) -> None:
 
 def run(args: Sequence[str] | None = None) -> int:
     """As `main`, but returns the exit code; only the parser itself exits (0 for --help, 2 for a bad option)."""
-    command: Hammer | Estimate | Bench | Dataset | Doctor | UrController = tyro.cli(
+    command: Hammer | Estimate | Bench | Dataset | Doctor | Evaluate | UrController = tyro.cli(
         Command,
         prog="toolee",
         description="A robot that is handed a hammer, looks at it, and drives the nail.",
@@ -81,7 +83,7 @@ def _terminate(_signum: int, _frame: FrameType | None) -> None:
 
 def _complain(
     console: Console,
-    command: Hammer | Estimate | Bench | Dataset | Doctor | UrController,
+    command: Hammer | Estimate | Bench | Dataset | Doctor | Evaluate | UrController,
     error: TooleeError,
     outcome: str,
 ) -> None:

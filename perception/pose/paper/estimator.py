@@ -68,8 +68,8 @@ class PaperEstimator(CloudEstimator):
         """sampler: the paper's RK45 if None."""
         self._net = net.to(device).eval()
         self._device = torch.device(device)
-        self.column, self.process = column, PROCESS
-        self.sampler: Sampler = sampler or Rk45()
+        self.column, self.of_tool = column, column.of_tool
+        self.process, self.sampler = PROCESS, sampler or Rk45()
 
     @classmethod
     def load(cls, weights_dir: Path, device: str = "cpu") -> PaperEstimator:

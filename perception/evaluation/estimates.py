@@ -1,0 +1,172 @@
+"""One estimator over all clouds of a data set: what it says, beside the truth."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolee_robot.errors import AssetError, PerceptionError
+from toolee_robot.frames import Array
+from toolee_robot.perception.evaluation import metrics
+from toolee_robot.perception.evaluation.examples import Case, Examples, Instance
+from toolee_robot.perception.evaluation.shapes import ee_shape, spin_is_told
+from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult, with_hand
+from toolee_robot.perception.pose.estimator import PoseEstimator
+from toolee_robot.perception.pose.paper import PaperEstimator
+from toolee_robot.perception.pose.paper.estimator import NAME as PAPER
+from toolee_robot.perception.pose.paper.representation import class_ambiguity
+from toolee_robot.symmetry import SymmetryKind
+from toolee_robot.types import Category
+
+CATEGORIES = tuple(Category)
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimates:
+    """One row per instance that was asked for, (N,) each; no estimate is an infinite error and confidence 0.
+
+    category: index; held_out; angle [rad] modulo the group, position [m]; paper_angle [rad] by the paper's rule; axis
+    [rad]: between the z axes; mssd [m] and its ratio to the diameter, mspd [px of an image 640 wide]; spin, spin_fixed
+    [rad]: the whole rotation error of a continuously symmetric EE without and with the hand's pose, NaN elsewhere;
+    confidence, usable; spin_told: whether the view tells a hammer's spin; spin_observable: what the estimator says of
+    that; class_ambiguity_right: whether its S is the class's; ms: wall-clock time of the estimate.
+    """
+
+    category: NDArray[np.int64]
+    held_out: NDArray[np.bool_]
+    angle: Array
+    position: Array
+    paper_angle: Array
+    axis: Array
+    mssd_share: Array
+    mspd: Array
+    spin: Array
+    spin_fixed: Array
+    confidence: Array
+    usable: NDArray[np.bool_]
+    spin_told: NDArray[np.bool_]
+    spin_observable: Array
+    class_ambiguity_right: NDArray[np.bool_]
+    ms: Array
+
+    def __len__(self) -> int:
+        return len(self.category)
+
+    def rows(self, chosen: NDArray[np.bool_]) -> Estimates:
+        """The rows of a mask."""
+        return Estimates(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
+
+    @property
+    def made(self) -> NDArray[np.bool_]:
+        """Where there is an estimate at all."""
+        return np.isfinite(self.position)
+
+
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """A detection in a ranking. score: the detector's times the pose's confidence."""
+
+    image: int
+    category: Category
+    score: float
+    X_camera_ee: Array
+    usable: bool
+
+
+def load_estimator(folder: Path | None, device: str = "cpu") -> CloudEstimator:
+    """The estimator whose weights lie in a folder (the shipped one if None): ours or the paper's. Raises AssetError."""
+    if folder is None or (folder / "pose.json").is_file():
+        return PoseEstimator.load(folder, device)
+    if (folder / f"{PAPER}.json").is_file():
+        return PaperEstimator.load(folder, device)
+    raise AssetError(
+        f"{folder} holds neither pose.json nor {PAPER}.json: give the folder of a `train_pose` run (its --out)"
+    )
+
+
+def estimate_case(estimator: CloudEstimator, case: Case, seed: int) -> tuple[PoseResult | None, float]:
+    """The estimate from one cloud, without the hand; None where it is refused; and the time it took [ms]."""
+    points = case.tool_points if estimator.of_tool else case.cloud.points
+    if not estimator.of_tool and not case.cloud.usable:
+        return None, 0.0
+    begun = time.perf_counter()
+    try:
+        result = estimator.estimate(points, case.category, case.cloud.direction, seed=seed)
+    except PerceptionError:
+        return None, 0.0
+    return result, 1e3 * (time.perf_counter() - begun)
+
+
+def estimate_all(
+    estimator: CloudEstimator, examples: Examples, masks: str, progress: Progress | None = None
+) -> tuple[Estimates, list[Ranked]]:
+    """Every instance that is asked for, by its best mask; and every detection, for the rankings.
+
+    An estimator of whole tools is only asked for the first of like ends.
+    """
+    results: dict[int, tuple[PoseResult | None, float]] = {}
+    ranked = []
+    cases = examples.cases[masks]
+    for k, case in enumerate(cases):
+        result, ms = estimate_case(estimator, case, seed=k)
+        results[id(case)] = result, ms
+        if result is not None and (case.instance is None or examples.instances[case.instance].target):
+            score = case.score * result.confidence
+            ranked.append(Ranked(case.image, case.category, score, result.X_camera_ee, result.usable))
+        if progress is not None:
+            progress(k + 1, len(cases))
+    best = examples.of(masks)
+    rows = []
+    for number, instance in enumerate(examples.instances):
+        if not instance.target or (estimator.of_tool and not instance.first_end):
+            continue
+        found = best.get(number)
+        rows.append(_row(instance, found, *(results[id(found)] if found is not None else (None, 0.0))))
+    return Estimates(*(np.array([row[k] for row in rows], kind) for k, kind in enumerate(_TYPES))), ranked
+
+
+_TYPES = (int, bool, *[float] * 9, bool, bool, float, bool, float)
+_INF = float("inf")
+
+
+def _row(instance: Instance, case: Case | None, result: PoseResult | None, ms: float) -> tuple[object, ...]:
+    category, X_true = instance.category, instance.X_camera_ee
+    index = CATEGORIES.index(category)
+    told = case is not None and case.cloud.usable and spin_is_told(instance, case)
+    if result is None:
+        nan = float("nan")
+        errors = (_INF, _INF, _INF, _INF, _INF, _INF, nan, nan)
+        return (index, instance.held_out, *errors, 0.0, False, told, nan, False, ms)
+    X, group = result.X_camera_ee, category.symmetry
+    shape = ee_shape(instance.kind, instance.seed, instance.ee)
+    K = instance.intrinsics
+    spin = spin_fixed = float("nan")
+    if group.kind is SymmetryKind.CINF and instance.X_camera_hand is not None:
+        spin = metrics.paper_rule_angle(X[:3, :3], X_true[:3, :3], np.zeros(3))
+        fixed = with_hand(result, instance.X_camera_hand).X_camera_ee
+        spin_fixed = metrics.paper_rule_angle(fixed[:3, :3], X_true[:3, :3], np.zeros(3))
+    said = np.asarray(result.ambiguous) > 0.5
+    return (
+        index,
+        instance.held_out,
+        group.rotation_error(X[:3, :3], X_true[:3, :3]),
+        float(np.linalg.norm(X[:3, 3] - X_true[:3, 3])),
+        metrics.paper_rule_angle(X[:3, :3], X_true[:3, :3], result.ambiguous),
+        metrics.paper_rule_angle(X[:3, :3], X_true[:3, :3], np.array([0.0, 0.0, 1.0])),
+        metrics.mssd(X, X_true, shape.vertices, group) / shape.diameter,
+        metrics.mspd(X, X_true, shape.vertices, group, K.matrix) * 640 / K.width,
+        spin,
+        spin_fixed,
+        result.confidence,
+        result.usable,
+        told,
+        result.hypotheses.spin_observable,
+        bool((said == class_ambiguity()[index].numpy().astype(bool)).all()),
+        ms,
+    )

@@ -1,0 +1,194 @@
+"""The end effectors of a data set as the evaluation asks for them: true poses, and clouds under true or found masks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolee_robot.errors import AssetError
+from toolee_robot.frames import Array
+from toolee_robot.perception.cloud import EeCloud, back_project, ee_cloud, without_flying_pixels
+from toolee_robot.perception.dataset.records import CATEGORIES, SCENES, EeTable
+from toolee_robot.perception.dataset.storage import load_scenes, scene_folders
+from toolee_robot.perception.pipeline import EeDetector
+from toolee_robot.tools.catalog import split
+from toolee_robot.tools.model import ToolKind
+from toolee_robot.types import CameraIntrinsics, Category, Detection, RgbdFrame
+
+SPLITS = ("test", "train")
+MATCH_IOU = 0.5
+"""A found mask is that of the EE which it overlaps by this much."""
+
+
+@dataclass(frozen=True, eq=False)
+class Instance:
+    """One EE in one image. image: its number in this evaluation. kind, seed, ee: which tool, which of its ends.
+    X_camera_ee: 4x4; X_camera_hand: 4x4 of the right hand that holds the tool, or None. visible [px]; occlusion in
+    [0, 1]. target: whether it is asked for; a hardly visible one is neither found nor missed. first_end: no earlier end
+    of its tool is of its category."""
+
+    image: int
+    category: Category
+    kind: ToolKind
+    seed: int
+    ee: int
+    X_camera_ee: Array
+    X_camera_hand: Array | None
+    intrinsics: CameraIntrinsics
+    visible: int
+    occlusion: float
+    target: bool
+    first_end: bool
+
+    @property
+    def held_out(self) -> bool:
+        """Whether the tool is one that training never shows."""
+        return split(self.seed) == "test"
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One mask, and the cloud under it. instance: index of what it shows, None for a false alarm. score: the
+    detector's. tool_points: (N, 3) [m] of the whole tool."""
+
+    instance: int | None
+    image: int
+    category: Category
+    score: float
+    cloud: EeCloud
+    tool_points: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Examples:
+    """What a data set holds. cases: by kind of mask, "truth" and, if a detector was given, "predicted". empty: frames
+    without any tool; images: how many there are in all."""
+
+    instances: list[Instance]
+    cases: dict[str, list[Case]]
+    empty: list[RgbdFrame]
+    images: int
+
+    def of(self, masks: str) -> dict[int, Case]:
+        """The best case of each instance."""
+        best: dict[int, Case] = {}
+        for case in self.cases[masks]:
+            if case.instance is not None and case.score > best.get(case.instance, _NOTHING).score:
+                best[case.instance] = case
+        return best
+
+
+def collect(folder: Path, detector: EeDetector | None = None, limit: int | None = None) -> Examples:
+    """Read a data set (or one split's folder), at most `limit` images of a split. Raises AssetError.
+
+    One scene is in memory at a time; of its images only the clouds stay, and the frames without tools.
+    """
+    cases: dict[str, list[Case]] = {"truth": []}
+    if detector is not None:
+        cases["predicted"] = []
+    found = Examples([], cases, [], 0)
+    images = 0
+    for scenes in _splits(folder):
+        left = limit
+        for scene in scenes:
+            if left is not None and left <= 0:
+                break
+            data = load_scenes([scene], depth=True, limit=left, threads=2)
+            left = None if left is None else left - len(data)
+            depth_mm = data.depth_mm
+            assert depth_mm is not None
+            for i in range(len(data)):
+                frame = RgbdFrame(data.rgb[i], depth_mm[i].astype(np.float32) * np.float32(1e-3), data.camera(i))
+                _add(found, images, frame, data.ee[i], data.tool[i], data.row(i), detector)
+                if SCENES[data.scene[i]] == "empty":
+                    found.empty.append(frame)
+                images += 1
+    return Examples(found.instances, found.cases, found.empty, images)
+
+
+def instances_of(image: int, table: EeTable, intrinsics: CameraIntrinsics) -> Iterator[tuple[int, Instance]]:
+    """The EEs of one image, each with its id in the id maps."""
+    for row in np.flatnonzero(table.category):
+        same_tool = np.flatnonzero(table.tool == table.tool[row])
+        X_hand = table.X_camera_hand[row].astype(np.float64)
+        held = bool(np.isfinite(X_hand).all()) and not table.mirrored[row]
+        yield (
+            int(row) + 1,
+            Instance(
+                image=image,
+                category=CATEGORIES[table.category[row] - 1],
+                kind=tuple(ToolKind)[table.kind[row]],
+                seed=int(table.seed[row]),
+                ee=int(row - same_tool[0]),
+                X_camera_ee=table.X_camera_ee[row].astype(np.float64),
+                X_camera_hand=X_hand if held else None,
+                intrinsics=intrinsics,
+                visible=int(table.visible[row]),
+                occlusion=float(table.occlusion[row]),
+                target=bool(table.targets[row]),
+                first_end=bool(row == same_tool[table.category[same_tool] == table.category[row]][0]),
+            ),
+        )
+
+
+def _add(
+    found: Examples,
+    image: int,
+    frame: RgbdFrame,
+    ee: NDArray[np.uint8],
+    tool: NDArray[np.uint8],
+    table: EeTable,
+    detector: EeDetector | None,
+) -> None:
+    here: dict[int, NDArray[np.bool_]] = {}
+    for ee_id, instance in instances_of(image, table, frame.intrinsics):
+        number = len(found.instances)
+        found.instances.append(instance)
+        mask = ee == ee_id
+        here[number] = mask
+        if instance.target:
+            detection = Detection(instance.category, 1.0, mask, (0.0, 0.0, 0.0, 0.0), tool == table.tool[ee_id - 1])
+            found.cases["truth"].append(_case(number, image, frame, detection))
+    if detector is None:
+        return
+    taken: set[int] = set()
+    for detection in detector.detect(frame.rgb):
+        overlaps = {
+            n: _iou(mask, detection.mask)
+            for n, mask in here.items()
+            if found.instances[n].category == detection.category and n not in taken
+        }
+        best = max(overlaps, key=lambda n: overlaps[n], default=None)
+        if best is not None and overlaps[best] < MATCH_IOU:
+            best = None
+        if best is not None:
+            taken.add(best)
+        found.cases["predicted"].append(_case(best, image, frame, detection))
+
+
+def _case(instance: int | None, image: int, frame: RgbdFrame, detection: Detection) -> Case:
+    tool_mask = detection.mask if detection.tool_mask is None else detection.tool_mask
+    tool_points = back_project(frame.depth, without_flying_pixels(frame.depth, tool_mask), frame.intrinsics)
+    return Case(instance, image, detection.category, detection.score, ee_cloud(frame, detection), tool_points)
+
+
+def _splits(folder: Path) -> list[list[Path]]:
+    """The scenes of each split of a data set, or of the one split whose folder this is."""
+    splits = [scene_folders(folder / name) for name in SPLITS]
+    if not any(splits):
+        splits = [scene_folders(folder)]
+    if not any(splits):
+        raise AssetError(f"no BOP scene in {folder}: give the folder of a data set made by `toolee dataset generate`")
+    return splits
+
+
+def _iou(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
+    union = int(np.count_nonzero(a | b))
+    return int(np.count_nonzero(a & b)) / union if union else 0.0
+
+
+_NOTHING = Case(None, -1, Category.HAMMER_HEAD, -1.0, EeCloud(np.empty((0, 3)), None, ""), np.empty((0, 3)))

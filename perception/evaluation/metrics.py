@@ -1,0 +1,134 @@
+"""Metrics on poses and confidences. Only the category's symmetry group decides an error, never a prediction."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolee_robot.frames import Array, angle_between, rotation_angle
+from toolee_robot.symmetry import SymmetryGroup
+
+THRESHOLDS: dict[str, tuple[float, float]] = {
+    "5deg2cm": (5.0, 0.02),
+    "5deg5cm": (5.0, 0.05),
+    "10deg5cm": (10.0, 0.05),
+    "10deg2cm": (10.0, 0.02),
+    "5deg1cm": (5.0, 0.01),
+    "5deg5mm": (5.0, 0.005),
+    "2deg2mm": (2.0, 0.002),
+}
+"""[deg], [m]. The first three are the paper's."""
+
+
+def within(angle: Array, position: Array, degrees: float, metres: float) -> NDArray[np.bool_]:
+    """Which errors ([rad], [m]; inf where there is no estimate) are under both thresholds."""
+    return np.asarray((angle < np.deg2rad(degrees)) & (position < metres))
+
+
+def shares(angle: Array, position: Array) -> dict[str, float]:
+    """Share under each of `THRESHOLDS`."""
+    return {name: float(within(angle, position, *limits).mean()) for name, limits in THRESHOLDS.items()}
+
+
+def paper_rule_angle(R: Array, R_true: Array, ambiguous: Array) -> float:
+    """The paper's own error [rad]: axes that the *prediction* calls ambiguous, `ambiguous` (3,) over 0.5, are left out.
+
+    None: the whole angle. One: the angle between that axis in both poses. Two or three: nothing is left, 0.
+    """
+    axes = np.flatnonzero(np.asarray(ambiguous) > 0.5)
+    if len(axes) == 0:
+        return rotation_angle(R.T @ R_true)
+    if len(axes) == 1:
+        return angle_between(R[:, axes[0]], R_true[:, axes[0]])
+    return 0.0
+
+
+def mssd(X: Array, X_true: Array, vertices: Array, group: SymmetryGroup) -> float:
+    """Maximum symmetry-aware surface distance [m] (BOP): over the group, the least of the largest distances between the
+    vertices (V, 3) in the two poses. A continuous symmetry in 64 steps."""
+    estimated = vertices @ X[:3, :3].T + X[:3, 3]
+    true = (vertices @ np.swapaxes(group.elements(), 1, 2)) @ X_true[:3, :3].T + X_true[:3, 3]
+    return float(np.linalg.norm(true - estimated, axis=-1).max(-1).min())
+
+
+def mspd(X: Array, X_true: Array, vertices: Array, group: SymmetryGroup, K: Array) -> float:
+    """Maximum symmetry-aware projection distance [px] (BOP); inf for a pose behind the camera. K: 3x3."""
+    estimated = _project(vertices @ X[:3, :3].T + X[:3, 3], K)
+    true = _project((vertices @ np.swapaxes(group.elements(), 1, 2)) @ X_true[:3, :3].T + X_true[:3, 3], K)
+    distance = np.linalg.norm(true - estimated, axis=-1).max(-1).min()
+    return float(distance) if np.isfinite(distance) else float("inf")
+
+
+def average_recall(errors: Array, unit: Array | float) -> float:
+    """BOP's recall, the mean over ten thresholds 0.05 .. 0.5 (times `unit`) of the share of errors under them; for MSSD
+    the unit is the object's diameter, for MSPD 100 px at an image width of 640."""
+    limits = np.linspace(0.05, 0.5, 10)
+    return float(np.mean([(errors < limit * unit).mean() for limit in limits])) if len(errors) else float("nan")
+
+
+def average_precision(score: Array, correct: NDArray[np.bool_], targets: int) -> float:
+    """Area under the interpolated precision-recall curve of ranked detections; `targets`: how many there were to find.
+    Equal scores keep their order."""
+    if targets == 0:
+        return float("nan")
+    hits = correct[np.argsort(-score, kind="stable")]
+    precision = np.cumsum(hits) / np.arange(1, len(hits) + 1)
+    envelope = np.maximum.accumulate(precision[::-1])[::-1]
+    return float((envelope * hits).sum() / targets)
+
+
+def calibration_error(confidence: Array, success: NDArray[np.bool_], bins: int = 10) -> float:
+    """Expected calibration error: the mean gap between confidence and success in equal bins, weighted by their size."""
+    if len(confidence) == 0:
+        return float("nan")
+    gaps = [abs(c - s) * n for c, s, n in reliability(confidence, success, bins)]
+    return float(np.sum(gaps) / len(confidence))
+
+
+def reliability(confidence: Array, success: NDArray[np.bool_], bins: int = 10) -> list[tuple[float, float, int]]:
+    """Mean confidence, share of successes and size of each bin that is not empty."""
+    which = np.clip((confidence * bins).astype(int), 0, bins - 1)
+    rows = [which == b for b in range(bins)]
+    return [(float(confidence[r].mean()), float(success[r].mean()), int(r.sum())) for r in rows if r.any()]
+
+
+def risk_coverage(confidence: Array, success: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Coverage and risk (share of failures) when only the most confident are kept, from one to all."""
+    failed = ~success[np.argsort(-confidence, kind="stable")]
+    n = np.arange(1, len(failed) + 1)
+    return n / max(len(failed), 1), np.cumsum(failed) / n
+
+
+def refusing(confidence: Array, success: NDArray[np.bool_], share: float = 0.1) -> dict[str, float]:
+    """Share of failures of all, and of those left when the least confident `share` is refused."""
+    kept = np.argsort(-confidence, kind="stable")[: round(len(confidence) * (1 - share))]
+    before, after = float((~success).mean()), float((~success[kept]).mean())
+    return {"failures": before, "failures_kept": after, "ratio": after / before if before else float("nan")}
+
+
+def box_iou(X: Array, X_true: Array, low: Array, high: Array, group: SymmetryGroup, steps: int = 10) -> float:
+    """Overlap (intersection over union) of one box, corners `low` and `high` (3,) [m], in two poses; on a grid of
+    `steps`^3 points. The rotation is first aligned modulo the group, as NOCS does."""
+    aligned = X.copy()
+    aligned[:3, :3] = group.canonical(X[:3, :3], X_true[:3, :3])
+    centres = (np.arange(steps) + 0.5) / steps
+    grid = np.stack(np.meshgrid(centres, centres, centres, indexing="ij"), -1).reshape(-1, 3)
+    points = (low + grid * (high - low)) @ aligned[:3, :3].T + aligned[:3, 3]
+    local = (points - X_true[:3, 3]) @ X_true[:3, :3]
+    inside = float(((local >= low) & (local <= high)).all(1).mean())
+    return inside / (2 - inside)
+
+
+def quantiles(values: Array) -> dict[str, Any]:
+    """Median and 95th percentile, None where there is nothing."""
+    if len(values) == 0:
+        return {"median": None, "p95": None}
+    return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95))}
+
+
+def _project(points: Array, K: Array) -> Array:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        uv = points @ K.T
+        return np.where(uv[..., 2:] > 1e-6, uv[..., :2] / uv[..., 2:], np.inf)

@@ -1,0 +1,206 @@
+"""The tables of `toolee evaluate pose`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolee_robot.perception.evaluation import metrics
+from toolee_robot.perception.evaluation.estimates import CATEGORIES, Estimates, Ranked
+from toolee_robot.perception.evaluation.examples import Examples, Instance
+from toolee_robot.perception.evaluation.shapes import ee_shape
+from toolee_robot.types import Category
+
+GROUPS = ("held-out", "seen")
+IOU = 0.1
+"""A detection belongs to an EE whose box its own overlaps by this much (NOCS)."""
+KEPT = 0.85
+"""The share of estimates that the best-kept figures are given for."""
+
+
+def tables(estimates: Estimates) -> dict[str, Any]:
+    """Everything that is measured on one estimator and one kind of masks, for held-out and for seen instances."""
+    result: dict[str, Any] = {}
+    for group, chosen in (("held-out", estimates.held_out), ("seen", ~estimates.held_out)):
+        part = estimates.rows(chosen)
+        if len(part):
+            result[group] = {
+                "accuracy": by_category(part, lambda e: metrics.shares(e.angle, e.position)),
+                "paper_rule": by_category(part, lambda e: metrics.shares(e.paper_angle, e.position)),
+                "errors": by_category(part, _errors),
+                "bop": by_category(part, _bop),
+                "symmetry": _symmetry(part),
+                "confidence": confidence(part),
+                "kept": {c.value: _kept(part.rows(part.category == i)) for i, c in enumerate(CATEGORIES)},
+            }
+    return result
+
+
+def by_category(estimates: Estimates, row: Any) -> dict[str, dict[str, Any]]:
+    """row(estimates) of each category that there is, and as "average" the mean of the categories' numbers."""
+    table = {}
+    for i, category in enumerate(CATEGORIES):
+        part = estimates.rows(estimates.category == i)
+        if len(part):
+            table[category.value] = {"instances": len(part), **row(part)}
+    rows = list(table.values())
+    average: dict[str, Any] = {"instances": len(estimates)}
+    for key in (k for k in rows[0] if k != "instances") if rows else ():
+        known = [r[key] for r in rows if r[key] is not None and np.isfinite(r[key])]
+        average[key] = float(np.mean(known)) if known else None
+    return {**table, "average": average}
+
+
+def _errors(e: Estimates) -> dict[str, Any]:
+    made = e.rows(e.made)
+    position, angle = metrics.quantiles(1e3 * made.position), metrics.quantiles(np.rad2deg(made.angle))
+    spin = e.rows(np.isfinite(e.spin))
+    return {
+        "estimated": float(e.made.mean()),
+        "median_mm": position["median"],
+        "p95_mm": position["p95"],
+        "median_deg": angle["median"],
+        "p95_deg": angle["p95"],
+        "spin_median_deg": metrics.quantiles(np.rad2deg(spin.spin))["median"],
+        "spin_with_hand_median_deg": metrics.quantiles(np.rad2deg(spin.spin_fixed))["median"],
+    }
+
+
+def _bop(e: Estimates) -> dict[str, float]:
+    AR_mssd, AR_mspd = metrics.average_recall(e.mssd_share, 1.0), metrics.average_recall(e.mspd, 100.0)
+    return {"AR_MSSD": AR_mssd, "AR_MSPD": AR_mspd, "AR": (AR_mssd + AR_mspd) / 2}
+
+
+def _symmetry(e: Estimates) -> dict[str, Any]:
+    """Share of views whose S is the class's constant, and of hammer heads whose spin is rightly said to be told."""
+    hammers = e.rows(e.made & (e.category == CATEGORIES.index(Category.HAMMER_HEAD)))
+    right = (hammers.spin_observable > 0.5) == hammers.spin_told
+    each = [
+        float(right[hammers.spin_told == told].mean()) for told in (True, False) if (hammers.spin_told == told).any()
+    ]
+    return {
+        "class_symmetry_accuracy": float(e.class_ambiguity_right[e.made].mean()) if e.made.any() else None,
+        "spin_observability_accuracy": float(right.mean()) if len(right) else None,
+        "spin_observability_balanced": float(np.mean(each)) if each else None,
+        "views_that_tell_the_spin": float(hammers.spin_told.mean()) if len(hammers) else None,
+    }
+
+
+def confidence(e: Estimates) -> dict[str, Any] | None:
+    """How much the confidence is worth over the estimates that were made; None for an estimator without one."""
+    made = e.rows(e.made)
+    if len(made) < 2 or np.ptp(made.confidence) == 0:
+        return None
+    success = metrics.within(made.angle, made.position, *metrics.THRESHOLDS["10deg2cm"])
+    strict = metrics.within(made.angle, made.position, *metrics.THRESHOLDS["5deg1cm"])
+    curves = {}
+    for name, good in (("10deg2cm", success), ("5deg1cm", strict)):
+        coverage, risk = metrics.risk_coverage(made.confidence, good)
+        pick = np.unique(np.linspace(0, len(risk) - 1, min(len(risk), 100)).round().astype(int))
+        curves[name] = {"coverage": coverage[pick].tolist(), "risk": risk[pick].tolist()}
+    return {
+        "expected_calibration_error": metrics.calibration_error(made.confidence, success),
+        "reliability": metrics.reliability(made.confidence, success),
+        "usable_share": float(made.usable.mean()),
+        "usable_right_10deg2cm": float(success[made.usable].mean()) if made.usable.any() else None,
+        "usable_right_5deg1cm": float(strict[made.usable].mean()) if made.usable.any() else None,
+        "refusing_worst_10_percent": {
+            "10deg2cm": metrics.refusing(made.confidence, success),
+            "5deg1cm": metrics.refusing(made.confidence, strict),
+        },
+        "risk_coverage": curves,
+    }
+
+
+def _kept(e: Estimates) -> dict[str, Any]:
+    """Errors of the EE's origin [mm] and of its z axis [deg] (a hammer's face: centre and normal) for the estimates
+    that the confidence calls usable, and for its best 85 %."""
+    order = np.argsort(-e.confidence, kind="stable")
+    best = np.zeros(len(e), dtype=bool)
+    best[order[: int(np.ceil(KEPT * len(e)))]] = True
+    result: dict[str, Any] = {}
+    for name, chosen in (("usable", e.usable), ("best_85_percent", best)):
+        part = e.rows(chosen & e.made)
+        position, axis = metrics.quantiles(1e3 * part.position), metrics.quantiles(np.rad2deg(part.axis))
+        result[name] = {
+            "share": len(part) / len(e) if len(e) else None,
+            "centre_median_mm": position["median"],
+            "centre_p95_mm": position["p95"],
+            "normal_median_deg": axis["median"],
+            "normal_p95_deg": axis["p95"],
+        }
+    return result
+
+
+def ranked_ap(examples: Examples, ranked: list[Ranked]) -> dict[str, dict[str, float | None]]:
+    """Class AP over detections ranked by score, jointly under n deg and m cm, at IoU over 0.1 (NOCS); and the mean."""
+    by_image: dict[tuple[int, Category], list[Instance]] = {}
+    for instance in examples.instances:
+        by_image.setdefault((instance.image, instance.category), []).append(instance)
+    table: dict[str, dict[str, float | None]] = {}
+    for category in CATEGORIES:
+        targets = sum(i.target and i.category is category for i in examples.instances)
+        if targets == 0:
+            continue
+        own = sorted((r for r in ranked if r.category is category), key=lambda r: -r.score)
+        overlaps = [_overlaps(r, by_image.get((r.image, category), [])) for r in own]
+        row: dict[str, float | None] = {}
+        for name, limits in metrics.THRESHOLDS.items():
+            correct, counted = _matched(own, overlaps, limits)
+            score = np.array([r.score for r in own])[counted]
+            row[name] = metrics.average_precision(score, correct[counted], targets)
+        table[category.value] = row
+    if table:
+        table["average"] = {k: float(np.mean([r[k] for r in table.values()])) for k in metrics.THRESHOLDS}
+    return table
+
+
+_Overlap = list[tuple[float, Instance]]
+
+
+def _overlaps(detection: Ranked, instances: list[Instance]) -> _Overlap:
+    """The instances that a detection may belong to, the best overlap first."""
+    found = []
+    for instance in instances:
+        distance = float(np.linalg.norm(detection.X_camera_ee[:3, 3] - instance.X_camera_ee[:3, 3]))
+        shape = ee_shape(instance.kind, instance.seed, instance.ee)
+        if distance > 2 * shape.diameter:
+            continue
+        group = instance.category.symmetry
+        iou = metrics.box_iou(detection.X_camera_ee, instance.X_camera_ee, shape.low, shape.high, group)
+        if iou > IOU:
+            found.append((iou, instance))
+    return sorted(found, key=lambda pair: -pair[0])
+
+
+def _matched(
+    ranked: list[Ranked], overlaps: list[_Overlap], limits: tuple[float, float]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which detections, best score first, are right, and which count at all (those of hardly visible EEs do not)."""
+    correct, counted = np.zeros(len(ranked), dtype=bool), np.ones(len(ranked), dtype=bool)
+    taken: set[int] = set()
+    for k, (detection, candidates) in enumerate(zip(ranked, overlaps, strict=True)):
+        for _, instance in candidates:
+            if id(instance) in taken:
+                continue
+            if not instance.target:
+                counted[k] = False
+                break
+            X, X_true = detection.X_camera_ee, instance.X_camera_ee
+            angle = instance.category.symmetry.rotation_error(X[:3, :3], X_true[:3, :3])
+            distance = np.linalg.norm(X[:3, 3] - X_true[:3, 3])
+            if bool(metrics.within(np.asarray(angle), np.asarray(distance), *limits)):
+                correct[k] = True
+                taken.add(id(instance))
+                break
+    return correct, counted
+
+
+def latency(estimates: Estimates) -> dict[str, float | None]:
+    """Wall-clock time of one estimate (encoder, sampling, pooling), the first five calls left out."""
+    ms = estimates.ms[estimates.made][5:]
+    if len(ms) == 0:
+        return {"median_ms": None, "p90_ms": None}
+    return {"median_ms": float(np.median(ms)), "p90_ms": float(np.percentile(ms, 90))}

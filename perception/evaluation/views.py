@@ -1,0 +1,170 @@
+"""Frames that no data set holds: one held hammer seen in five poses of the hand, and clutter without any tool."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.errors import PerceptionError
+from toolee_robot.frames import Array, inverse, transform
+from toolee_robot.perception.dataset.example import label, take_shot
+from toolee_robot.perception.dataset.hard import ARM, HAND, hard_scene
+from toolee_robot.perception.dataset.placement import PlacedTool, Pool, SceneSample
+from toolee_robot.perception.dataset.records import EeTable
+from toolee_robot.perception.evaluation import metrics
+from toolee_robot.perception.pipeline import ToolPerception
+from toolee_robot.render.photo import Photo, photograph
+from toolee_robot.render.renderer import Shot
+from toolee_robot.render.sensor import DepthNoise, measure_depth
+from toolee_robot.types import Category, RgbdFrame
+
+VIEWS = 5
+_TURN, _SHIFT = np.deg2rad(60.0), 0.05
+_TRIES = 60
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class HeldHammer:
+    """Frames of a hammer that does not move in the hand. Xs_camera_hand: 4x4 of each; Xs_hand_ee: the true poses of its
+    striking faces in the hand (a club hammer has two)."""
+
+    frames: list[RgbdFrame]
+    Xs_camera_hand: list[Array]
+    Xs_hand_ee: list[Array]
+
+
+def held_hammers(count: int, seed: int, split: str = "test") -> Iterator[HeldHammer]:
+    """`count` hammers in a right hand among the clutter of the hard scenes, the hand turned by up to 60 deg and moved
+    by 5 cm between the frames; a face is a target (`EeTable.targets`) in each."""
+    made, index = 0, 0
+    while made < count:
+        taken = take_shot(seed, index, split)
+        index += 1
+        hammer = _held_hammer(taken.sample, taken.labels[3])
+        if hammer is None:
+            continue
+        frames, Xs = [taken_frame(taken.sample, taken.shot, taken.rng)], [_X_camera_hand(taken.sample, hammer)]
+        for _ in range(_TRIES):
+            if len(frames) == VIEWS:
+                break
+            sample = _moved(taken.sample, hammer, taken.rng)
+            shot = Shot(sample.scene, sample.intrinsics, sample.X_world_camera)
+            moved = _held_hammer(sample, label(sample, shot.depth, shot.body_ids)[3])
+            if moved is not None:
+                frames.append(taken_frame(sample, shot, taken.rng))
+                Xs.append(_X_camera_hand(sample, moved))
+        if len(frames) == VIEWS and hammer.X_world_hand is not None:
+            faces = [ee.X_tool_ee for ee in hammer.tool.ees if ee.category is Category.HAMMER_HEAD]
+            X_hand_tool = inverse(hammer.X_world_hand) @ hammer.X_world_tool
+            made += 1
+            yield HeldHammer(frames, Xs, [X_hand_tool @ X for X in faces])
+
+
+def empty_frames(count: int, seed: int) -> Iterator[RgbdFrame]:
+    """`count` cluttered frames of the hard scenes without a tool, in many of them an empty hand."""
+    for index in range(count):
+        rng = np.random.default_rng([seed, index, 3])
+        sample = hard_scene(rng, Pool.random(rng, "test"), with_tools=False)
+        yield taken_frame(sample, Shot(sample.scene, sample.intrinsics, sample.X_world_camera), rng)
+
+
+def taken_frame(sample: SceneSample, shot: Shot, rng: np.random.Generator) -> RgbdFrame:
+    """The frame with a random camera's and sensor's noise."""
+    rendering = shot.develop(exposure=float(rng.uniform(0.75, 1.35)), auto_exposure=float(rng.uniform(0.3, 1.0)))
+    incidence, shininess = rendering.cos_incidence, rendering.shininess
+    depth = measure_depth(shot.depth, incidence, shininess, sample.intrinsics, DepthNoise.random(rng), rng)
+    return RgbdFrame(photograph(rendering.rgb, Photo.random(rng), rng), depth.astype(np.float32), sample.intrinsics)
+
+
+def fused(perception: ToolPerception, hammers: Iterator[HeldHammer], count: int, progress: Progress) -> dict[str, Any]:
+    """Accuracy of the pose in the hand fused over the frames, and of the first frame alone, over all hammers."""
+    rows: dict[str, list[tuple[float, float]]] = {"one_frame": [], "five_frames": []}
+    usable = 0
+    for k, hammer in enumerate(hammers):
+        looks = [
+            perception.estimate(frame, X, [Category.HAMMER_HEAD])
+            for frame, X in zip(hammer.frames, hammer.Xs_camera_hand, strict=True)
+        ]
+        for name, n in (("one_frame", 1), ("five_frames", VIEWS)):
+            try:
+                estimate = perception.fuse(looks[:n], hammer.Xs_camera_hand[:n], Category.HAMMER_HEAD)
+            except PerceptionError:
+                rows[name].append((np.inf, np.inf))
+                continue
+            usable += n == VIEWS and estimate.usable
+            rows[name].append(_nearest_error(estimate.X_hand_ee, hammer.Xs_hand_ee))
+        progress(k + 1, count)
+    result: dict[str, Any] = {"hammers": count, "usable_share": usable / count if count else None}
+    for name, errors in rows.items():
+        angle, position = np.array(errors).reshape(-1, 2).T
+        made = np.isfinite(position)
+        result[name] = {
+            **metrics.shares(angle, position),
+            "median_mm": metrics.quantiles(1e3 * position[made])["median"],
+            "median_deg": metrics.quantiles(np.rad2deg(angle[made]))["median"],
+        }
+    return result
+
+
+def no_tool(perception: ToolPerception, frames: Iterator[RgbdFrame], count: int, progress: Progress) -> dict[str, Any]:
+    """How often a frame without a tool gives a detection, and how often a pose that claims to be usable."""
+    detected = usable = 0
+    for k, frame in enumerate(frames):
+        estimates = perception.estimate(frame)
+        detected += bool(estimates)
+        usable += any(e.usable for e in estimates)
+        progress(k + 1, count)
+    quiet = 1 - usable / count if count else None
+    return {"frames": count, "with_a_detection": detected, "with_a_usable_pose": usable, "share_without": quiet}
+
+
+def _held_hammer(sample: SceneSample, table: EeTable) -> PlacedTool | None:
+    """The one tool that a right hand holds, if it is a hammer with a face in view and no other hand is there."""
+    held = [t for t in sample.tools if t.X_world_hand is not None]
+    if len(held) != 1 or held[0].mirrored:
+        return None
+    row = 0
+    for tool in sample.tools:
+        for ee in tool.tool.ees:
+            if row >= len(table.targets):
+                return None
+            if tool is held[0] and ee.category is Category.HAMMER_HEAD and table.targets[row]:
+                return tool
+            row += 1
+    return None
+
+
+def _moved(sample: SceneSample, hammer: PlacedTool, rng: np.random.Generator) -> SceneSample:
+    """The scene with hand, arm and hammer turned about the hammer's face."""
+    pivot = (hammer.X_world_tool @ hammer.tool.ee(Category.HAMMER_HEAD).X_tool_ee)[:3, 3]
+    axis = rng.normal(size=3)
+    R = Rotation.from_rotvec(axis / np.linalg.norm(axis) * rng.uniform(0.2, 1.0) * _TURN)
+    T = transform(R, pivot + rng.uniform(-_SHIFT, _SHIFT, 3)) @ transform(p=-pivot)
+    moving = {hammer.body_id, HAND, ARM}
+    bodies = [
+        replace(body, X_world_body=T @ body.X_world_body) if body.body_id in moving else body
+        for body in sample.scene.bodies
+    ]
+    assert hammer.X_world_hand is not None
+    turned = replace(hammer, X_world_tool=T @ hammer.X_world_tool, X_world_hand=T @ hammer.X_world_hand)
+    tools = tuple(turned if tool is hammer else tool for tool in sample.tools)
+    return replace(sample, scene=replace(sample.scene, bodies=bodies), tools=tools)
+
+
+def _X_camera_hand(sample: SceneSample, hammer: PlacedTool) -> Array:
+    assert hammer.X_world_hand is not None
+    return inverse(sample.X_world_camera) @ hammer.X_world_hand
+
+
+def _nearest_error(X: Array, candidates: list[Array]) -> tuple[float, float]:
+    """Angle [rad] modulo the group and distance [m] to the nearest of the true poses."""
+    group = Category.HAMMER_HEAD.symmetry
+    X_true = min(candidates, key=lambda C: float(np.linalg.norm(C[:3, 3] - X[:3, 3])))
+    distance = float(np.linalg.norm(X[:3, 3] - X_true[:3, 3]))
+    return group.rotation_error(X[:3, :3], X_true[:3, :3]), distance

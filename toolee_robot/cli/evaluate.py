@@ -1,0 +1,311 @@
+"""`toolee evaluate`: the benchmark's tables, pictures and report."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from toolee_robot.cli.machine import describe_machine
+from toolee_robot.cli.options import Flag
+from toolee_robot.cli.output import json_line, write_whole
+from toolee_robot.errors import UserError
+
+if TYPE_CHECKING:
+    from toolee_robot.perception.evaluation.run import Evaluation, Plan
+    from toolee_robot.perception.evaluation.run import Progress as Report
+
+_SHOWN = ("5deg2cm", "10deg5cm", "5deg1cm", "5deg5mm")
+"""What the terminal shows; the report has all thresholds."""
+
+_Dir = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
+_Out = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
+_Limit = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
+_Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[LABEL=]DIR", help_behavior_hint="")]
+_Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
+_Count = Annotated[int, tyro.conf.arg(metavar="N")]
+
+
+@dataclass(frozen=True)
+class EvaluatePose:
+    """The paper's Table I and stricter ones, confidence, samplers, fused views, frames without a tool.
+
+    Example: toolee evaluate pose data/hard --out report
+
+    Example: toolee evaluate pose data/hard --weights ours=runs/pose paper=runs/paper --hammers 200 --no-tool 1000
+
+    Writes report.json, pictures and one self-contained report.html. docs/benchmark.md defines every figure.
+    """
+
+    data: _Dir
+    """A data set made by `toolee dataset generate`, with a seed not used in training; or one split's folder of it."""
+    out: _Out = None
+    """Folder for the report (none if left out)."""
+    weights: _Weights = ()
+    """Folders of trainings, each with a label; the shipped weights, called ours, if left out. The first one is also the
+    one whose samplers, fused views and frames without a tool are evaluated."""
+    detector: _Folder = None
+    """Folder with the detector's weights (the shipped ones if left out)."""
+    true_masks_only: Flag = False
+    """No detector: leave out predicted masks, fused views and frames without a tool."""
+    limit: _Limit = None
+    """Only so many images of each split."""
+    samplers: _Count = 0
+    """Clouds for the table of samplers; 0 leaves it out."""
+    hammers: _Count = 0
+    """Held hammers to look at from five views; they are rendered, about 2 s each."""
+    no_tool: _Count = 0
+    """Cluttered frames without a tool; those that the data set lacks are rendered."""
+    device: Annotated[str, tyro.conf.arg(metavar="DEVICE")] = "cpu"
+    """Where the networks run: cpu or cuda."""
+    json: Flag = False
+    """Print the whole report as one line of JSON; everything for people goes to standard error."""
+
+    def run(self) -> int:
+        from toolee_robot.perception.evaluation.run import Plan
+
+        console = Console(stderr=self.json, highlight=False)
+        plan = Plan(
+            self.data,
+            _labelled(self.weights),
+            self.limit,
+            0 if self.true_masks_only else self.hammers,
+            0 if self.true_masks_only else self.no_tool,
+            self.samplers,
+        )
+        evaluation = _evaluated(console, plan, self.detector, not self.true_masks_only, self.device)
+        if self.out is not None:
+            from toolee_robot.perception.evaluation.report import page, pictures
+
+            images = pictures(evaluation)
+            _write(console, self.out, evaluation.report, images, page(evaluation, images, _subtitle()))
+        for table in _pose_tables(evaluation.report):
+            console.print(table)
+        if self.json:
+            print(json_line(evaluation.report))
+        return 0
+
+
+@dataclass(frozen=True)
+class EvaluateSamplers:
+    """Accuracy of the pose against network evaluations and time: RK45, the paper's, beside few fixed steps.
+
+    Example: toolee evaluate samplers data/hard --weights runs/pose --clouds 500
+    """
+
+    data: _Dir
+    """A data set made by `toolee dataset generate`, or one split's folder of it."""
+    out: _Out = None
+    """Folder for the report (none if left out)."""
+    weights: _Folder = None
+    """Folder of a training (the shipped weights if left out)."""
+    clouds: _Count = 500
+    """So many clouds under true masks, held-out tools first."""
+    device: Annotated[str, tyro.conf.arg(metavar="DEVICE")] = "cpu"
+    """Where the network runs: cpu or cuda."""
+    json: Flag = False
+    """Print one line of JSON; everything for people goes to standard error."""
+
+    def run(self) -> int:
+        from toolee_robot.perception.evaluation.estimates import load_estimator
+        from toolee_robot.perception.evaluation.examples import collect
+        from toolee_robot.perception.evaluation.samplers import sampler_table
+
+        if self.clouds < 1:
+            raise UserError(f"--clouds {self.clouds}: give 1 or more")
+        console = Console(stderr=self.json, highlight=False)
+        estimator = load_estimator(self.weights, self.device)
+        with _progress(console) as report:
+            examples = collect(self.data, limit=self.clouds)
+            rows = sampler_table(estimator, examples, self.clouds, lambda k, n: report("samplers", k, n))
+        record = {"machine": asdict(describe_machine()), "samplers": rows}
+        if self.out is not None:
+            from toolee_robot.perception.evaluation.figures import sampler_figure
+            from toolee_robot.perception.evaluation.report import sampler_page
+
+            images = {"samplers.png": sampler_figure(rows, "Samplers, one cloud at a time")}
+            _write(console, self.out, record, images, sampler_page(rows, images, _subtitle()))
+        console.print(_sampler_table(rows))
+        if self.json:
+            print(json_line(record))
+        return 0
+
+
+@dataclass(frozen=True)
+class EvaluateSegmentation:
+    """COCO mask AP of the detector, per category.
+
+    Example: toolee evaluate segmentation data/hard/test --out report
+    """
+
+    data: _Dir
+    """One split's folder of a data set made by `toolee dataset generate`."""
+    out: _Out = None
+    """Folder for the report (none if left out)."""
+    weights: _Folder = None
+    """Folder of a training (the shipped weights if left out)."""
+    limit: _Limit = None
+    """Only so many images."""
+    json: Flag = False
+    """Print one line of JSON; everything for people goes to standard error."""
+
+    def run(self) -> int:
+        from toolee_robot.perception.segmentation_evaluation import STATISTICS, evaluate
+
+        console = Console(stderr=self.json, highlight=False)
+        with console.status("the detector looks at every image"):
+            found = evaluate(self.data, self.weights, self.limit)
+        table = Table(title="Segmentation, COCO mask AP", title_justify="left")
+        rows = []
+        for name, row in found.items():
+            if isinstance(row, dict):
+                instances = str(row.get("instances", ""))
+                values = ["–" if row[k] is None else f"{100 * row[k]:.2f}" for k in STATISTICS]
+                rows.append([name.replace("_", " "), instances, *values])
+        for column in ("class", "instances", *STATISTICS):
+            table.add_column(column, justify="left" if column == "class" else "right")
+        for cells in rows:
+            table.add_row(*cells)
+        record = {"machine": asdict(describe_machine()), "data": self.data.name, **found}
+        if self.out is not None:
+            from toolee_robot.perception.evaluation.report import segmentation_page
+
+            _write(console, self.out, record, {}, segmentation_page(found, rows, STATISTICS, _subtitle()))
+        console.print(table)
+        if self.json:
+            print(json_line(record))
+        return 0
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Measure the perception on a data set."""
+
+    what: tyro.conf.OmitSubcommandPrefixes[
+        Annotated[EvaluatePose, tyro.conf.subcommand("pose")]
+        | Annotated[EvaluateSegmentation, tyro.conf.subcommand("segmentation")]
+        | Annotated[EvaluateSamplers, tyro.conf.subcommand("samplers")]
+    ]
+
+    def run(self) -> int:
+        return self.what.run()
+
+
+def _evaluated(console: Console, plan: Plan, detector: Path | None, with_detector: bool, device: str) -> Evaluation:
+    from toolee_robot.perception import Segmenter
+    from toolee_robot.perception.evaluation.run import evaluate_pose
+
+    segmenter = Segmenter.load(detector, device) if with_detector else None
+    with _progress(console) as report:
+        evaluation = evaluate_pose(plan, segmenter, device, report)
+    evaluation.report["machine"] = asdict(describe_machine())
+    return evaluation
+
+
+def _labelled(weights: tuple[str, ...]) -> dict[str, Path | None]:
+    if not weights:
+        return {"ours": None}
+    labelled: dict[str, Path | None] = {}
+    for text in weights:
+        label, equals, folder = text.partition("=")
+        path = Path(folder if equals else text)
+        name = label if equals else path.name
+        if name in labelled:
+            raise UserError(f"--weights: two trainings are called {name}; give each a label, LABEL=DIR")
+        labelled[name] = path
+    return labelled
+
+
+@contextmanager
+def _progress(console: Console) -> Iterator[Report]:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as bars:
+        tasks: dict[str, Any] = {}
+
+        def report(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bars.add_task(what, total=total)
+            bars.update(tasks[what], completed=done)
+
+        yield report
+
+
+def _write(console: Console, out: Path, report: dict[str, Any], images: dict[str, bytes], html: str) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the folder {out}: {error.strerror or error}; choose another place") from error
+    write_whole(out / "report.json", json_line(report).encode() + b"\n")
+    for name, data in images.items():
+        write_whole(out / name, data)
+    write_whole(out / "report.html", html.encode())
+    console.print(f"report: {escape(str(out / 'report.html'))}", soft_wrap=True)
+
+
+def _subtitle() -> str:
+    machine = describe_machine()
+    now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+    command = "toolee " + shlex.join(sys.argv[1:])
+    return f"{now} · {machine.cpu}, {machine.cores} cores · {command}"
+
+
+def _pose_tables(report: dict[str, Any]) -> Iterator[Table]:
+    for masks in ("truth", "predicted"):
+        for group in ("held-out", "seen"):
+            table = Table(title=f"{group} instances, {masks} masks", title_justify="left")
+            for column in ("category", "estimator", "n", *_SHOWN):
+                table.add_column(
+                    column, justify="left" if column in ("category", "estimator") else "right", no_wrap=True
+                )
+            for label, record in report["estimators"].items():
+                rows = record.get(masks, {}).get("groups", {}).get(group, {}).get("accuracy", {})
+                for category, row in rows.items():
+                    shares = [f"{row[k]:.3f}" for k in _SHOWN]
+                    table.add_row(category.replace("_", " "), label, str(row["instances"]), *shares)
+            if table.row_count:
+                yield table
+    if "samplers" in report:
+        yield _sampler_table(report["samplers"])
+    if "fused" in report:
+        table = Table(title=f"{report['fused']['hammers']} hammers in the hand", title_justify="left")
+        for column in ("", *_SHOWN):
+            table.add_column(column, justify="right" if column else "left")
+        for key, name in (("one_frame", "one frame"), ("five_frames", "five views fused")):
+            table.add_row(name, *(f"{report['fused'][key][k]:.3f}" for k in _SHOWN))
+        yield table
+    if "no_tool" in report:
+        n = report["no_tool"]
+        table = Table(title="frames without a tool", title_justify="left")
+        for column in ("frames", "with a detection", "with a usable pose"):
+            table.add_column(column, justify="right")
+        table.add_row(str(n["frames"]), str(n["with_a_detection"]), str(n["with_a_usable_pose"]))
+        yield table
+
+
+def _sampler_table(rows: list[dict[str, Any]]) -> Table:
+    table = Table(title="samplers", title_justify="left")
+    for column in ("sampler", "evals", "ms", "faster", "5deg2cm", "5deg1cm", "5deg5mm", "median mm"):
+        table.add_column(column, justify="left" if column == "sampler" else "right", no_wrap=True)
+    for r in rows:
+        shares = [f"{r['average'][k]:.3f}" for k in ("5deg2cm", "5deg1cm", "5deg5mm")]
+        millimetres = "–" if r["median_mm"] is None else f"{r['median_mm']:.2f}"
+        table.add_row(
+            r["sampler"],
+            f"{r['evaluations']:.1f}",
+            f"{r['median_ms']:.2f}",
+            f"{r['speed_up']:.1f}",
+            *shares,
+            millimetres,
+        )
+    return table
