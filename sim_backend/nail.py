@@ -181,8 +181,13 @@ class Nail:
 
     def head_pose(self) -> Array:
         """X_world_nail now, 4x4."""
-        R = Rotation.from_euler("XY", [self._joint(HINGE_X), self._joint(HINGE_Y)])
-        return self.X_world_surface @ transform(R) @ transform(p=[0.0, 0.0, -self.protrusion])
+        # Asked for at every step of a blow: written out, Rx(a) Ry(b) and then up along the nail.
+        a, b, up = self._joint(HINGE_X), self._joint(HINGE_Y), -self.protrusion
+        sa, ca, sb, cb = np.sin(a), np.cos(a), np.sin(b), np.cos(b)
+        x, y, z = (cb, sa * sb, -ca * sb), (0.0, ca, sa), (sb, -sa * cb, ca * cb)
+        X = np.eye(4)
+        X[:3, 0], X[:3, 1], X[:3, 2], X[:3, 3] = x, y, z, np.multiply(z, up)
+        return self.X_world_surface @ X
 
     @property
     def outcome(self) -> NailOutcome:

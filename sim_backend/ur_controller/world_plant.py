@@ -24,7 +24,7 @@ class WorldPlant:
     """
 
     def __init__(self, world: SimWorld, period: float) -> None:
-        """period: of the controller's tick [s]."""
+        """period: of the controller's tick [s], and of every `step`: the sensor's means are those of the ticks."""
         self.external_force = np.zeros(6)
         self._world = world
         self._sensor = FlangeSensor(world, Payload(0.0), period)
@@ -48,13 +48,13 @@ class WorldPlant:
 
     def set_payload(self, mass: float, cog: Array) -> None:
         self._sensor.payload = Payload(mass, np.array(cog, dtype=np.float64))
+        self._sensor.begin()
 
     def command(self, q: Array, qd: Array) -> None:  # noqa: ARG002  (the path between set-points is straight)
         self._target = np.array(q, dtype=np.float64)
 
     def step(self, dt: float) -> None:
         self._world.robot.command_arm(self._held, (self._target - self._held) / dt)
-        self._sensor.begin()
         self._world.run(dt)
         self._held = self._target
         self._q, self._qd = self._world.robot.arm_state()

@@ -1,0 +1,111 @@
+"""`toolee hammer --arm ur-rtde --world pybullet` from outside: real driver, controller stand-in, a nail driven."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+
+from toolee_robot.cli.app import run
+
+# What a motion tolerates before it stops is for a robot PC; a test machine that does other things as well may be late.
+_STATION = "supervisor: {data_cycles: 15, overruns: 15}\n"
+
+
+def _start(folder: Path, host: str, *args: str) -> subprocess.Popen[str]:
+    (folder / "shared_machine.yaml").write_text(_STATION)
+    code = "from toolee_robot.cli import main; main()"
+    options = ["--arm", "ur-rtde", "--robot-host", host, "--world", "pybullet", "--config", "shared_machine.yaml"]
+    return subprocess.Popen(
+        [sys.executable, "-c", code, "hammer", *options, "--perfect-perception", "--seed", "101", "--json", *args],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=folder,
+    )
+
+
+def _record(out: str) -> dict[str, Any]:
+    (line,) = out.splitlines()
+    return dict(json.loads(line))
+
+
+def _nobody_serves(host: str) -> bool:
+    with socket.socket() as probe:
+        probe.settimeout(1.0)
+        return probe.connect_ex((host, 30004)) != 0
+
+
+def test_the_nail_is_driven_through_the_real_driver(tmp_path: Path) -> None:
+    """The acceptance: handover, looks, touches and blows over the unmodified ur_rtde, to a flush nail."""
+    process = _start(tmp_path, "127.0.0.34")
+    out, err = process.communicate(timeout=400)
+    record = _record(out)
+    assert process.returncode == 0, err
+    assert (record["success"], record["outcome"], record["nail"]) == (True, "flush", "flush")
+    assert (record["arm"], record["robot"]) == ("ur-rtde", "UR10")
+    assert record["blows"] >= 3
+    assert record["strike_offset_mm"] < 6.0
+    assert record["contact_speed"] > 0.9
+    assert "Traceback" not in err
+    assert "pybullet build" not in err
+    assert _nobody_serves("127.0.0.34"), "the stand-in ends with the job"
+    folder = next((tmp_path / "runs").iterdir())
+    assert sorted(p.name for p in folder.iterdir()) == ["picture.png", "recording.mcap", "summary.json"]
+    summary = json.loads((folder / "summary.json").read_text())
+    stamps = [blow["stamp"] for blow in summary["blow_log"]]
+    truths = [blow["stamp"] for blow in summary["blow_truth"]]
+    # One clock for task, driver, controller and judge: each blow is felt when it happens, give or take the link.
+    for stamp in stamps:
+        assert min(abs(stamp - truth) for truth in truths) < 0.3
+    with (folder / "recording.mcap").open("rb") as file:
+        counts = make_reader(file).get_summary()
+        assert counts is not None
+        assert counts.statistics is not None
+        topics = {c.topic: counts.statistics.channel_message_counts[i] for i, c in counts.channels.items()}
+    assert topics["/arm/measured"] > 500
+
+
+def test_an_interrupt_stops_the_arm_and_ends_client_and_server_in_order(tmp_path: Path) -> None:
+    process = _start(tmp_path, "127.0.0.35")
+    assert process.stderr is not None
+    for text in process.stderr:
+        if text.startswith("Handover"):
+            break
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    record = _record(out)
+    assert process.returncode == 130, err
+    assert (record["success"], record["outcome"]) == (False, "interrupted")
+    assert "the arm was stopped" in record["reason"]
+    assert "Traceback" not in err
+    assert _nobody_serves("127.0.0.35")
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (["--arm", "ur-rtde"], "no drivers for a real hand and a real camera"),
+        (["--arm", "ur-rtde", "--robot-host", "192.168.1.10"], "toolee doctor"),
+        (["--arm", "ur-rtde", "--world", "pybullet"], "needs --robot-host"),
+        (["--robot-host", "127.0.0.36"], "without --arm ur-rtde"),
+        (["--world", "pybullet", "--robot-host", "192.168.1.10", "--arm", "ur-rtde"], "not a loopback address"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_before_anything_moves(
+    args: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["hammer", *args, "--json", "--perfect-perception", "--out", str(tmp_path)]) == 2
+    record = _record(capsys.readouterr().out)
+    assert record["outcome"] == "user_error"
+    assert says in record["reason"]
+    assert list(tmp_path.iterdir()) == []
