@@ -54,7 +54,8 @@ class ControllerOptions:
 
 @dataclass(frozen=True)
 class TraceRow:
-    """One tick. stamp: `time.monotonic` at its end [s]. q, qd: measured. q_target: the set-point. safety: mode.
+    """One tick. stamp: `time.monotonic` at its end [s]. q, qd: true, without the offset that a fault adds to what
+    is measured. q_target: the set-point. safety: mode.
     program: runtime state."""
 
     tick: int
@@ -158,8 +159,8 @@ class Controller:
             TraceRow(
                 robot.ticks,
                 time.monotonic(),
-                robot.reading.q,
-                robot.reading.qd,
+                robot.plant.q.copy(),
+                robot.plant.qd.copy(),
                 machine.q_target.copy(),
                 int(robot.safety.mode),
                 int(robot.program.state),

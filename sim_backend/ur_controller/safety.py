@@ -43,8 +43,8 @@ class SafetyMode(IntEnum):
     FAULT = 9
 
 
-# bit of `safety_status_bits` of each mode; an emergency stop also sets 7, every stop sets 10
-_STATUS_BIT = {mode: mode - 1 for mode in SafetyMode}
+# bit of `safety_status_bits` of each mode; any emergency stop also sets 7, every stop sets 10
+_STATUS_BIT = {mode: mode - 1 if mode < SafetyMode.VIOLATION else int(mode) for mode in SafetyMode}
 _EMERGENCY = (SafetyMode.ROBOT_EMERGENCY_STOP, SafetyMode.SYSTEM_EMERGENCY_STOP)
 _RUNS = (SafetyMode.NORMAL, SafetyMode.REDUCED)
 
@@ -138,10 +138,9 @@ class Safety:
             self._power(RobotMode.POWER_OFF)
 
     def safeguard_stop(self) -> None:
-        """The light curtain is broken: stop and hold, the program pauses."""
+        """The light curtain is broken: the program pauses, the arm stops on its path."""
         if self.mode in _RUNS:
             self._pause_program()
-            self._machine.stop(self._machine.model.safety_deceleration)
             self._enter(SafetyMode.SAFEGUARD_STOP, "safeguard input")
 
     def release_safeguard_stop(self) -> None:

@@ -196,7 +196,7 @@ def test_a_lost_framing_ends_the_connection() -> None:
     assert not client.sink.open
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.data())
 def test_packets_survive_any_cut(data: st.DataObject) -> None:
     stream = b"".join(
