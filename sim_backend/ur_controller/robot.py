@@ -76,7 +76,8 @@ class Robot:
             pause_program=self.program.pause,
         )
         self.joint_offset = np.zeros(6)
-        self.ticks = 0
+        self.ticks = 0  # ever: a trace is told by them across a reboot
+        self._boot_tick = 0
         self.messages: deque[tuple[float, str]] = deque(maxlen=MESSAGES)
         self.said = 0
         self.popup = ""
@@ -84,8 +85,8 @@ class Robot:
 
     @property
     def timestamp(self) -> float:
-        """The controller's time [s]: ticks done, not the wall's clock."""
-        return self.ticks * self.model.period
+        """The controller's time [s] since it was switched on: ticks done, not the wall's clock."""
+        return (self.ticks - self._boot_tick) * self.model.period
 
     @property
     def status_bits(self) -> int:
@@ -136,7 +137,7 @@ class Robot:
         self.safety.robot_mode = RobotMode.POWER_OFF
         fresh = Registers()
         self.registers.__dict__.update(fresh.__dict__)
-        self.ticks = 0
+        self._boot_tick = self.ticks
         self.popup = ""
 
 
