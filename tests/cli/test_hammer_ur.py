@@ -16,14 +16,10 @@ from mcap.reader import make_reader
 
 from toolee_robot.cli.app import run
 
-# What a motion tolerates before it stops is for a robot PC; a test machine that does other things as well may be late.
-_STATION = "supervisor: {data_cycles: 15, overruns: 15}\n"
-
 
 def _start(folder: Path, host: str, *args: str) -> subprocess.Popen[str]:
-    (folder / "shared_machine.yaml").write_text(_STATION)
     code = "from toolee_robot.cli import main; main()"
-    options = ["--arm", "ur-rtde", "--robot-host", host, "--world", "pybullet", "--config", "shared_machine.yaml"]
+    options = ["--arm", "ur-rtde", "--robot-host", host, "--world", "pybullet"]
     return subprocess.Popen(
         [sys.executable, "-c", code, "hammer", *options, "--perfect-perception", "--seed", "101", "--json", *args],
         stdout=subprocess.PIPE,
