@@ -1,4 +1,8 @@
-"""Motions of the TCP in the controller's base frame: lines, arcs, speeds, stopping."""
+"""Motions of the TCP in the controller's base frame: lines, arcs, speeds, stopping.
+
+Their accelerations are the TCP's; of the joints only the speeds are bounded. Where a joint would have to be faster, as
+near a singularity, the motion ends with a protective stop.
+"""
 
 from __future__ import annotations
 

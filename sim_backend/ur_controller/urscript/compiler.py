@@ -45,6 +45,7 @@ HELPERS: dict[str, Callable[..., Any]] = {
         values.set_item,
         values.pose,
         values.copied,
+        values.flat,
     )
 }
 
@@ -228,6 +229,12 @@ class _Compiler:
         value = self._expression(e)
         return _call("_copied", value) if isinstance(e, syntax.Name | syntax.Index) else value
 
+    def _element(self, e: syntax.Expression) -> ast.expr:
+        value = self._value(e)
+        return (
+            _call("_flat", value) if isinstance(e, syntax.Name | syntax.Index | syntax.ListOf | syntax.Call) else value
+        )
+
     def _condition(self, e: syntax.Expression) -> ast.expr:
         value = self._expression(e)
         known = isinstance(e, syntax.Unary) and e.operator == "not"
@@ -249,7 +256,7 @@ class _Compiler:
             case syntax.ListOf():
                 if e.pose:
                     return _call("_pose", *(self._expression(each) for each in e.items))
-                return ast.List([self._value(each) for each in e.items], ast.Load())
+                return ast.List([self._element(each) for each in e.items], ast.Load())
             case syntax.Index():
                 return _call("_item", self._expression(e.base), self._expression(e.index))
             case syntax.Unary(operator="not"):

@@ -24,6 +24,8 @@ from toolee_robot.sim_backend.ur_controller.watchdog import Action
 
 BUDGET = 20_000
 """So many loop passes and calls may a thread make in one tick; more is an endless loop without `sync()`."""
+THREADS = 100
+"""So many threads may a program have; those that ended count until the end of the tick."""
 SCRIPT_FAULTS = (
     ArithmeticError,
     IndexError,
@@ -153,6 +155,8 @@ class ScriptRuntime:
             raise RecursionError("an endless loop: no sync() or other waiting function in it")
 
     def _run(self, generator: Generator[None, None, Any]) -> _Thread:
+        if len(self._threads) >= THREADS:
+            raise RecursionError(f"more than {THREADS} threads")
         thread = _Thread(generator)
         self._threads.append(thread)
         return thread

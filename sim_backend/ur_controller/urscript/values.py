@@ -89,8 +89,16 @@ def item(values: Any, index: Any) -> Any:
     return values[_position(values, index)]
 
 
+def flat(value: Any) -> Any:
+    """The value, unless it is a list of lists: those are not put into lists again. Raises TypeError."""
+    if isinstance(value, list) and any(isinstance(each, list) for each in value):
+        raise TypeError("lists are nested twice at most")
+    return value
+
+
 def set_item(values: Any, index: Any, value: Any) -> None:
     at = _position(values, index)
+    flat(value)
     if type(values) is Pose:
         numbers(value, 0)
     values[at] = value

@@ -120,6 +120,35 @@ end"""
     assert np.all(np.abs(robot.speeds()) <= np.array(UR10.velocity) * (1 + 1e-6))
 
 
+def test_servoc_reaches_its_pose_within_its_limits() -> None:
+    robot = ScriptRobot(UR10E)
+    runtime = robot.run(
+        """def a():
+ goal = pose_trans(get_actual_tcp_pose(), p[0.05, 0, -0.1, 0, 0.2, 0])
+ servoc(goal, a=0.8, v=0.2)
+end"""
+    )
+    assert runtime.error is None
+    goal = forward(UR10E, READY) @ poses.matrix([0.05, 0, -0.1, 0, 0.2, 0])
+    np.testing.assert_allclose(robot.machine.tcp_pose(), goal, atol=1e-5)
+    speed = np.linalg.norm(np.diff(tcp_path(robot), axis=0), axis=1) * 500
+    assert speed.max() == pytest.approx(0.2, rel=0.01)
+    assert np.abs(np.diff(speed)).max() * 500 <= 0.8 * 1.1
+
+
+def test_freedrive_goes_where_it_is_pushed_and_stops_when_it_is_let_go() -> None:
+    robot = ScriptRobot(UR10E)
+    robot.start("def a():\n freedrive_mode()\n sleep(1)\n end_freedrive_mode()\n sleep(1)\nend")
+    start = robot.machine.tcp_pose()[:3, 3]
+    robot.plant.external_force = np.array([0.0, 10.0, 0.0, 0.0, 0.0, 0.0])
+    robot.tick(400)
+    moved = robot.machine.tcp_pose()[:3, 3] - start
+    assert moved[1] > 0.05
+    assert np.abs(moved[[0, 2]]).max() < 0.01
+    robot.tick(200)
+    assert not robot.machine.moving
+
+
 # -- servo
 
 STREAM = """def a():
