@@ -118,7 +118,7 @@ def test_json_tells_the_users_fault_on_its_line_too(
     assert "nail_diametre" in line["reason"]
 
 
-@pytest.mark.parametrize("command", ["hammer", "estimate", "bench"])
+@pytest.mark.parametrize("command", ["hammer", "estimate", "bench", "doctor"])
 def test_help_is_quick_and_shows_how(command: str, tmp_path: Path) -> None:
     done = _toolee(command, "--help", folder=tmp_path)
     assert done.returncode == 0

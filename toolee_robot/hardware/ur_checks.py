@@ -56,6 +56,8 @@ _SAFETY_REMEDY = {
 
 MASS_TOLERANCE, COG_TOLERANCE = 0.1, 0.02  # [kg], [m]
 TCP_TOLERANCE, TCP_ANGLE_TOLERANCE = 1e-3, np.deg2rad(0.5)  # [m], [rad]
+ABSURD = 100.0
+"""No joint [rad, rad/s] and no TCP [m, rad] reads so much, and arithmetic with what is far more would overflow."""
 FITS, FITS_NOMINALLY = 1e-3, 0.02
 """[m] What agrees; and how far an arm may be from its nominal model. UR10 and UR10e are 50 mm apart."""
 
@@ -83,8 +85,8 @@ def check(report: UrReport, expected: UrExpected) -> list[Finding]:
         why = "; ".join(p for p in report.problems if p.startswith("RTDE")) or "no data came"
         return [*findings, _fail("RTDE", why, f"check that port {RTDE_PORT} is open on the robot (Settings, Security)")]
     offset = np.zeros(6) if state.tcp_offset is None else state.tcp_offset
-    if not all(np.all(np.isfinite(v)) for v in (state.q, state.qd, state.tcp_pose, offset)):
-        return [*findings, _fail("RTDE", "joint positions or the TCP are not finite", "restart the controller")]
+    if not all(np.all(np.abs(v) < ABSURD) for v in (state.q, state.qd, state.tcp_pose, offset)):
+        return [*findings, _fail("RTDE", "joints or TCP are not finite, or absurd", "restart the controller")]
     findings += [
         _robot_mode(state),
         _safety(state),
