@@ -259,6 +259,40 @@ end"""
     assert took == pytest.approx(1.0 / model.stop_deceleration, abs=4 * model.period)
 
 
+MOTIONS = [
+    "movej([1.3, -1.0, 1.2, -1.8, -1.0, 0.2], a=4, v=1.5)",
+    "movel(pose_trans(get_actual_tcp_pose(), p[0.1, 0.1, -0.15, 0, 0, 0.5]), a=2, v=0.5)",
+    "movec(pose_add(get_actual_tcp_pose(), p[0.05, 0, 0.05, 0, 0, 0]), pose_add(get_actual_tcp_pose(), "
+    "p[0.1, 0, 0, 0, 0, 0]), a=1, v=0.3)",
+    "speedl([0.1, -0.2, 0.1, 0, 0, 0.3], a=1, t=5)",
+    "servoj([0.8, -1.4, 1.6, -1.8, -1.5, 0.2], t=0.8)",
+    "servoc(pose_trans(get_actual_tcp_pose(), p[0.1, 0.1, -0.15, 0, 0, 0.5]), a=1, v=0.3)",
+    "force_mode(p[0, 0, 0, 0, 0, 0], [1, 1, 1, 0, 0, 0], [50, 40, 30, 0, 0, 0], 2, [0.2, 0.2, 0.2, 1, 1, 1])\n sync()",
+]
+
+
+@given(st.sampled_from(MOTIONS), st.floats(0.0, 1.0), st.sampled_from([UR10, UR10E]), st.booleans())
+@settings(max_examples=40, deadline=None)
+def test_every_motion_can_be_stopped_at_any_time(motion: str, when: float, model: ControllerModel, hard: bool) -> None:
+    """The program's stop and the safety system's: in the direction of the moment, at the deceleration stated."""
+    robot = ScriptRobot(model)
+    runtime = robot.start(f"def a():\n {motion}\n sleep(10)\nend")
+    robot.tick(round(when * model.rate))
+    speed = robot.machine.qd_target
+    before = len(robot.trace)
+    if hard:
+        robot.machine.stop(model.safety_deceleration)
+    runtime.stop()
+    deceleration = model.safety_deceleration if hard else model.stop_deceleration
+    robot.tick(round((np.abs(speed).max() / deceleration + 0.02) * model.rate) + 1)
+    assert not robot.machine.moving
+    after = np.vstack([speed, robot.speeds()[before - 1 :]])
+    assert np.abs(np.diff(after, axis=0)).max() * model.rate <= deceleration * (1 + 1e-6)
+    along = after @ speed / (float(speed @ speed) + 1e-30)
+    np.testing.assert_allclose(after, np.outer(along, speed), atol=1e-9)
+    assert np.all(np.diff(along) <= 1e-9)
+
+
 def test_speedj_without_a_time_returns_at_its_speed() -> None:
     robot = ScriptRobot(UR10E)
     robot.run("def a():\n speedj([0, 0, 0, 0, 0.6, 0], a=2)\n textmsg(get_target_joint_speeds()[4])\n stopj(3)\nend")
