@@ -17,7 +17,7 @@ from toolee_robot.sim_backend.ur_controller.cartesian import tcp_twist
 from toolee_robot.sim_backend.ur_controller.compliance import Compliance
 from toolee_robot.sim_backend.ur_controller.kinematics import chain, forward
 from toolee_robot.sim_backend.ur_controller.model import ControllerModel
-from toolee_robot.sim_backend.ur_controller.motion import STANDSTILL, Brake, Motion, MotionError, Move
+from toolee_robot.sim_backend.ur_controller.motion import STANDSTILL, Brake, Motion, MotionError, Move, ServoJ
 from toolee_robot.sim_backend.ur_controller.plant import Plant
 from toolee_robot.sim_backend.ur_controller.registers import Registers
 from toolee_robot.sim_backend.ur_controller.watchdog import Watchdogs
@@ -150,7 +150,8 @@ class Machine:
             raise MotionError("another thread is already controlling the robot")
         if isinstance(motion, Move) and self._running_out:
             motion.start(self._running_out[-1].q_end)
-        motion.follow(self._motion)
+        if isinstance(motion, ServoJ) and isinstance(self._motion, ServoJ):
+            motion.follow(self._motion)
         self._motion, self._held = motion, True
 
     def release(self, motion: Motion) -> None:

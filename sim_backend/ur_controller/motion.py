@@ -31,9 +31,6 @@ class Motion(ABC):
     def __init__(self) -> None:
         self.done = False
 
-    def follow(self, before: Motion | None) -> None:
-        """Told which motion this one takes the place of."""
-
     @abstractmethod
     def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:
         """The way (6,) [rad] of one tick of dt [s], from the set-point q, qd (6,).
@@ -83,9 +80,9 @@ class ServoJ(Motion):
         self._velocity, self._acceleration = np.array(model.velocity), model.acceleration
         self._standing = np.zeros(6, dtype=bool)
 
-    def follow(self, before: Motion | None) -> None:
-        if isinstance(before, ServoJ):
-            self._standing = self._goal == before._goal
+    def follow(self, before: ServoJ) -> None:
+        """Takes the place of this one: a joint whose goal is the same has a goal that stands still."""
+        self._standing = self._goal == before._goal
 
     def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:
         way = self._goal - q
