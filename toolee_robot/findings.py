@@ -41,3 +41,15 @@ def worst(findings: Iterable[Finding]) -> Level:
     """The level that decides; OK for none."""
     levels = {f.level for f in findings}
     return next((level for level in (Level.FAIL, Level.WARN) if level in levels), Level.OK)
+
+
+def ok(name: str, says: str) -> Finding:
+    return Finding(Level.OK, name, says)
+
+
+def warn(name: str, says: str, do: str) -> Finding:
+    return Finding(Level.WARN, name, says, do)
+
+
+def fail(name: str, says: str, do: str) -> Finding:
+    return Finding(Level.FAIL, name, says, do)

@@ -12,7 +12,7 @@ from typing import Any
 from toolee_robot import doctor
 from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError
-from toolee_robot.findings import Finding, Level
+from toolee_robot.findings import Finding, warn
 from toolee_robot.hal import Station
 from toolee_robot.hardware.clock import MonotonicClock
 from toolee_robot.hardware.ur_arm import UrArm
@@ -105,4 +105,4 @@ class Examination:
 
 def _without_driver() -> Iterator[Finding]:
     for name in ("hand", "camera"):
-        yield Finding(Level.WARN, name, "has no driver here yet: nothing was checked", "look after it yourself")
+        yield warn(name, "has no driver here yet: nothing was checked", "look after it yourself")

@@ -9,7 +9,7 @@ import numpy as np
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
-from toolee_robot.findings import Finding, Level
+from toolee_robot.findings import Finding, fail, ok, warn
 
 REDUCED_SPEED = 0.25
 """[m/s] ISO 10218-1's reduced speed, the most with a person in reach."""
@@ -41,18 +41,16 @@ def check_limits(config: StationConfig) -> Iterator[Finding]:
     )
     if not inside:
         wrong.append("scene.handover_position is outside the workspace")
-    yield from (Finding(Level.FAIL, "limits", says, "change it in the station file") for says in wrong)
+    yield from (fail("limits", says, "change it in the station file") for says in wrong)
     if not wrong:
-        yield Finding(
-            Level.OK, "limits", f"within the {arm.model}'s; {load:.1f} kg of {PAYLOAD[arm.model]:.1f} kg payload"
-        )
+        yield ok("limits", f"within the {arm.model}'s; {load:.1f} kg of {PAYLOAD[arm.model]:.1f} kg payload")
     if supervisor.handover_speed > REDUCED_SPEED:
         says = f"handovers at up to {supervisor.handover_speed} m/s"
         do = f"ISO 10218-1 allows {REDUCED_SPEED} m/s near a person: lower supervisor.handover_speed"
-        yield Finding(Level.WARN, "handover speed", says, do)
+        yield warn("handover speed", says, do)
     if supervisor.hammering_speed > USUAL_SPEED:
         says = f"up to {supervisor.hammering_speed} m/s"
-        yield Finding(Level.WARN, "swing speed", says, "compare it with the robot's own TCP speed limit")
+        yield warn("swing speed", says, "compare it with the robot's own TCP speed limit")
 
 
 def check_calibration(
@@ -61,9 +59,7 @@ def check_calibration(
     """robot_serial, camera_serial: what the devices say; None where one does not tell or was not asked."""
     calibration = config.calibration
     if calibration is None:
-        return Finding(
-            Level.FAIL, "calibration", "none", "calibrate the camera to the robot, enter it in the station file"
-        )
+        return fail("calibration", "none", "calibrate the camera to the robot, enter it in the station file")
     problems = calibration.problems(
         calibration.robot_serial if robot_serial is None else robot_serial,
         calibration.camera_serial if camera_serial is None else camera_serial,
@@ -72,10 +68,10 @@ def check_calibration(
     if problems:
         says, _, do = problems[0].rpartition(": ")
         others = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        return Finding(Level.FAIL, "calibration", f"{says}{others}", do)
+        return fail("calibration", f"{says}{others}", do)
     unknown = [what for what, serial in (("robot", robot_serial), ("camera", camera_serial)) if serial is None]
     says = f"of {calibration.measured_on}, residual {calibration.residual * 1e3:.1f} mm"
     if unknown:
         says += f"; not compared with the {' and the '.join(unknown)}"
-        return Finding(Level.WARN, "calibration", says, "make sure that it is of these devices")
-    return Finding(Level.OK, "calibration", says)
+        return warn("calibration", says, "make sure that it is of these devices")
+    return ok("calibration", says)

@@ -9,7 +9,7 @@ import numpy as np
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel
 from toolee_robot.errors import TooleeError
-from toolee_robot.findings import Finding, Level
+from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.hal import Arm, ArmStatus, Clock, Hand, Person, RgbdCamera
 
 DEPTH_KNOWN = 0.3
@@ -26,21 +26,21 @@ def check_arm(arm: Arm, hand: Hand, config: StationConfig) -> Finding:
     except TooleeError as error:
         return Finding.of_error("arm", error, "check its connection")
     if state.status is not ArmStatus.READY:
-        return Finding(Level.FAIL, "arm", state.status.replace("_", " "), "make it ready at the teach pendant")
+        return fail("arm", state.status.replace("_", " "), "make it ready at the teach pendant")
     q = state.joints.q
     robot = RobotModel.load(config.arm.model, config.arm.calibration)
     lower, upper = robot.description.lower[:6], robot.description.upper[:6]
     if not (q.shape == (6,) and np.all(np.isfinite(q)) and np.all((lower <= q) & (q <= upper))):
-        return Finding(Level.FAIL, "arm", f"joints {np.round(q, 2)} rad are outside the limits", "jog it back inside")
+        return fail("arm", f"joints {np.round(q, 2)} rad are outside the limits", "jog it back inside")
     flange = robot.arm.fk(q)[:3, 3]
     scene = config.scene
     if not (np.all(flange >= scene.workspace_lower) and np.all(flange <= scene.workspace_upper)):
         says = f"the flange, at {np.round(flange, 2)} m, is outside the workspace"
-        return Finding(Level.FAIL, "arm", says, "jog it inside, or change scene.workspace_lower and _upper")
+        return fail("arm", says, "jog it inside, or change scene.workspace_lower and _upper")
     closest = CollisionWorld(robot, config, q_hand).closest(q)
     if closest.distance < config.strike.clearance:
-        return Finding(Level.FAIL, "arm", f"stands too near: {closest}", "jog it away, or correct the station file")
-    return Finding(Level.OK, "arm", f"ready, {arm.rate:.0f} Hz, clear of everything by {closest.distance * 1e3:.0f} mm")
+        return fail("arm", f"stands too near: {closest}", "jog it away, or correct the station file")
+    return ok("arm", f"ready, {arm.rate:.0f} Hz, clear of everything by {closest.distance * 1e3:.0f} mm")
 
 
 def check_hand(hand: Hand, config: StationConfig) -> Finding:
@@ -51,17 +51,17 @@ def check_hand(hand: Hand, config: StationConfig) -> Finding:
     except TooleeError as error:
         return Finding.of_error("hand", error, "check its cable and its power")
     if hand.joint_names != robot.description.hand_joints:
-        return Finding(Level.FAIL, "hand", "its joints are not the model's", "use a driver for this hand")
+        return fail("hand", "its joints are not the model's", "use a driver for this hand")
     if state.fault:
-        return Finding(Level.FAIL, "hand", state.fault, "clear the fault in its own software, then look again")
+        return fail("hand", state.fault, "clear the fault in its own software, then look again")
     hottest = state.temperature
     if hottest is not None and hottest > config.supervisor.max_hand_temperature:
         most = config.supervisor.max_hand_temperature
-        return Finding(Level.FAIL, "hand", f"{hottest:.0f} °C, {most:.0f} °C are allowed", "let it cool down")
+        return fail("hand", f"{hottest:.0f} °C, {most:.0f} °C are allowed", "let it cool down")
     if state.holding:
-        return Finding(Level.WARN, "hand", "it holds something", "take it out: a job begins with an empty hand")
+        return warn("hand", "it holds something", "take it out: a job begins with an empty hand")
     warmth = "" if hottest is None else f", {hottest:.0f} °C"
-    return Finding(Level.OK, "hand", f"answers, empty, {len(state.joints.q)} joints{warmth}")
+    return ok("hand", f"answers, empty, {len(state.joints.q)} joints{warmth}")
 
 
 def check_camera(camera: RgbdCamera, clock: Clock, config: StationConfig) -> Iterator[Finding]:
@@ -76,33 +76,30 @@ def check_camera(camera: RgbdCamera, clock: Clock, config: StationConfig) -> Ite
         yield Finding.of_error(name, error, "check its cable; plug it into a port of its own")
         return
     if not second.stamp > first.stamp:
-        yield Finding(Level.FAIL, name, "it repeats the same frame", "restart the camera's driver")
+        yield fail(name, "it repeats the same frame", "restart the camera's driver")
     elif not asked - EARLY <= second.stamp <= now + EARLY:
         says = f"a frame asked for now says that it is {now - second.stamp:.2f} s old"
-        yield Finding(Level.FAIL, name, says, "its clock is not the station's, or its frames queue: correct its driver")
+        yield fail(name, says, "its clock is not the station's, or its frames queue: correct its driver")
     elif now - asked > SLOW:
         says = f"a frame takes {now - asked:.2f} s"
-        yield Finding(Level.WARN, name, says, "jobs take longer: look for load on this machine and on its port")
+        yield warn(name, says, "jobs take longer: look for load on this machine and on its port")
     else:
-        yield Finding(Level.OK, name, f"new frames, {(now - second.stamp) * 1e3:.0f} ms old when they are here")
+        yield ok(name, f"new frames, {(now - second.stamp) * 1e3:.0f} ms old when they are here")
     if second.intrinsics != config.camera.intrinsics:
-        yield Finding(
-            Level.FAIL,
+        yield fail(
             "intrinsics",
             "the camera's are not the station file's",
             "enter what the camera says under camera",
         )
     known = float(np.mean(np.isfinite(second.depth) & (second.depth > 0)))
     if known < DEPTH_KNOWN:
-        yield Finding(
-            Level.FAIL, "depth", f"known for {known:.0%} of the image", "look for sun, glass, or a covered lens"
-        )
+        yield fail("depth", f"known for {known:.0%} of the image", "look for sun, glass, or a covered lens")
     else:
-        yield Finding(Level.OK, "depth", f"known for {known:.0%} of the image")
+        yield ok("depth", f"known for {known:.0%} of the image")
 
 
 def check_person(person: Person) -> Finding:
     """Whether anybody is inside: no mistake before a handover, but nothing fast moves then."""
     if person.inside():
-        return Finding(Level.OK, "person", "somebody is inside, or the station cannot tell: nothing fast will move")
-    return Finding(Level.OK, "person", "nobody is inside")
+        return ok("person", "somebody is inside, or the station cannot tell: nothing fast will move")
+    return ok("person", "nobody is inside")

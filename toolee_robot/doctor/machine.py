@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from toolee_robot.findings import Finding, Level
+from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.hardware.servo_clock import PRIORITY
 
 CPUS = 4
@@ -27,22 +27,21 @@ def check_processor(cpus: Path = Path("/sys/devices/system/cpu")) -> Iterator[Fi
     """Cores that this process may use, and whether they run at full speed. cpus: the system's folder of them."""
     n = len(os.sched_getaffinity(0))
     if n < 2:
-        yield Finding(Level.FAIL, "cores", f"{n}", "the servo loop needs one of its own: use a machine with 4")
+        yield fail("cores", f"{n}", "the servo loop needs one of its own: use a machine with 4")
     elif n < CPUS:
-        yield Finding(Level.WARN, "cores", f"{n}", f"with {CPUS}, perception and planning cannot delay the servo loop")
+        yield warn("cores", f"{n}", f"with {CPUS}, perception and planning cannot delay the servo loop")
     else:
-        yield Finding(Level.OK, "cores", f"{n}")
+        yield ok("cores", f"{n}")
     governors = set()
     for path in cpus.glob(_GOVERNORS):
         with suppress(OSError):
             governors.add(path.read_text().strip())
     if not governors:
-        yield Finding(Level.OK, "frequency", "not adjustable on this machine")
+        yield ok("frequency", "not adjustable on this machine")
     elif governors <= {"performance"}:
-        yield Finding(Level.OK, "frequency", "governor performance")
+        yield ok("frequency", "governor performance")
     else:
-        yield Finding(
-            Level.WARN,
+        yield warn(
             "frequency",
             f"governor {', '.join(sorted(governors))}",
             "cores that sleep wake late: sudo cpupower frequency-set -g performance",
@@ -53,25 +52,21 @@ def check_real_time(rate: float) -> Iterator[Finding]:
     """What a servo loop at a rate [Hz] needs of the system; half a second of it is tried."""
     kernel = "PREEMPT_RT" in platform.version() or _flag("/sys/kernel/realtime")
     if kernel:
-        yield Finding(Level.OK, "kernel", "real-time (PREEMPT_RT)")
+        yield ok("kernel", "real-time (PREEMPT_RT)")
     else:
-        yield Finding(
-            Level.WARN, "kernel", "not a real-time one", "install one with PREEMPT_RT: see docs/real_robot.md"
-        )
+        yield warn("kernel", "not a real-time one", "install one with PREEMPT_RT: see docs/real_robot.md")
     if _may_schedule():
-        yield Finding(Level.OK, "priority", "SCHED_FIFO is allowed")
+        yield ok("priority", "SCHED_FIFO is allowed")
     else:
-        yield Finding(
-            Level.WARN,
+        yield warn(
             "priority",
             "SCHED_FIFO is not allowed",
             "other programs can delay the servo loop: set rtprio in /etc/security/limits.conf",
         )
     if _may_lock():
-        yield Finding(Level.OK, "memory", "may be locked")
+        yield ok("memory", "may be locked")
     else:
-        yield Finding(
-            Level.WARN,
+        yield warn(
             "memory",
             "may not be locked",
             "it can be paged out in mid-swing: set memlock to unlimited in /etc/security/limits.conf",
@@ -80,25 +75,23 @@ def check_real_time(rate: float) -> Iterator[Finding]:
     p99 = float(np.percentile(late, 99))
     says = f"{rate:.0f} Hz: 99 % of the cycles less than {p99 * 1e3:.2f} ms late, the worst {late.max() * 1e3:.2f} ms"
     if p99 > LATE:
-        yield Finding(
-            Level.WARN, "schedule", says, "stop other programs; commands later than half a cycle count as overruns"
-        )
+        yield warn("schedule", says, "stop other programs; commands later than half a cycle count as overruns")
     else:
-        yield Finding(Level.OK, "schedule", says)
+        yield ok("schedule", says)
 
 
 def check_disk(folder: Path) -> Finding:
     """Room for the recordings in a folder that need not exist yet."""
     there = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
     if not there.is_dir() or not os.access(there, os.W_OK):
-        return Finding(Level.FAIL, "recordings", f"{there} cannot be written", "choose another --out")
+        return fail("recordings", f"{there} cannot be written", "choose another --out")
     free = shutil.disk_usage(there).free
     says = f"{free / 2**30:.1f} GiB free in {folder}"
     if free < DISK_FULL:
-        return Finding(Level.FAIL, "recordings", says, "make room, or choose another --out")
+        return fail("recordings", says, "make room, or choose another --out")
     if free < DISK_LOW:
-        return Finding(Level.WARN, "recordings", says, "make room before a long series")
-    return Finding(Level.OK, "recordings", says)
+        return warn("recordings", says, "make room before a long series")
+    return ok("recordings", says)
 
 
 def wake_up_lateness(rate: float, duration: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

@@ -9,7 +9,7 @@ import numpy as np
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover, plan_strike, plan_views
 from toolee_robot.errors import PlanningError
-from toolee_robot.findings import Finding, Level
+from toolee_robot.findings import Finding, ok, warn
 from toolee_robot.frames import Array
 from toolee_robot.robots import nominal_X_hand_tool
 from toolee_robot.tools import Tool, ToolKind, make_tool
@@ -45,7 +45,7 @@ def _handover(robot: RobotModel, config: StationConfig, home: Array, q_hand: Arr
         plan_handover(robot, config, CollisionWorld(robot, config, q_hand), home, q_hand)
     except PlanningError as error:
         return Finding.of_error("handover", error, "move scene.handover_position")
-    return Finding(Level.OK, "handover", "the hand reaches the place of the handover")
+    return ok("handover", "the hand reaches the place of the handover")
 
 
 def _views(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_hand_ee: Array) -> Finding:
@@ -54,7 +54,7 @@ def _views(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array,
         plan_views(robot, config, world, home, q_hand, X_hand_ee, count=config.task.views)
     except PlanningError as error:
         return Finding.of_error("views", error, "move the camera, or lower task.views")
-    return Finding(Level.OK, "views", f"the camera sees the tool from {config.task.views} sides")
+    return ok("views", f"the camera sees the tool from {config.task.views} sides")
 
 
 def _blows(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, grips: list[Array]) -> Finding:
@@ -73,7 +73,7 @@ def _blows(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array,
         return failures[0]
     says = f"{len(speeds)} of {len(grips)} kinds of hammers strike the nail, at {min(speeds):.2f} m/s or more"
     if failures:
-        return Finding(Level.WARN, name, f"{says}; with another, {failures[0].says}", failures[0].do)
+        return warn(name, f"{says}; with another, {failures[0].says}", failures[0].do)
     if min(speeds) < SLOWER * wanted:
-        return Finding(Level.WARN, name, f"{says}; {wanted} m/s were wanted", "move the nail, or lower strike.speed")
-    return Finding(Level.OK, name, says)
+        return warn(name, f"{says}; {wanted} m/s were wanted", "move the nail, or lower strike.speed")
+    return ok(name, says)

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from toolee_robot.errors import AssetError
-from toolee_robot.findings import Finding, Level
+from toolee_robot.findings import Finding, ok
 from toolee_robot.perception import ToolPerception
 
 
@@ -17,4 +17,4 @@ def check_weights(folder: Path | None = None) -> Finding:
         ToolPerception.load(folder)
     except AssetError as error:
         return Finding.of_error("networks", error, "reinstall the package")
-    return Finding(Level.OK, "networks", f"loaded in {time.perf_counter() - began:.1f} s")
+    return ok("networks", f"loaded in {time.perf_counter() - began:.1f} s")
