@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -13,12 +13,12 @@ from toolee_robot import doctor
 from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError
 from toolee_robot.findings import Finding, Level
-from toolee_robot.hal import HandState, RgbdCamera
+from toolee_robot.hal import Clock, HandState, RgbdCamera
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.arm import SimArm
 from toolee_robot.sim_backend.camera import SimCamera
 from toolee_robot.sim_backend.hand import SimHand
-from toolee_robot.types import RgbdFrame
+from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 _CONFIG = StationConfig()
 
@@ -136,46 +136,54 @@ def test_a_camera_that_is_frozen(simulation: SimStation) -> None:
     assert "no new frame" in finding.says
 
 
-def test_a_camera_that_is_slow(simulation: SimStation) -> None:
-    station = simulation.station
-    assert isinstance(station.camera, SimCamera)
+class _ReplayedCamera:
+    """Gives one frame of the simulated camera again and again as if exposed now, changed. slow: [s] that it takes."""
 
-    def late(image: object) -> object:
-        station.clock.sleep(0.8)
-        return image
+    def __init__(self, clock: Clock, frame: RgbdFrame, slow: float = 0.0, **changes: Callable[[Any], Any]) -> None:
+        self._clock, self._frame, self._slow, self._changes = clock, frame, slow, changes
 
-    slow: Any = _OtherCamera(station.camera, rgb=late)
-    found = {f.name: f for f in doctor.check_camera(slow, station.clock, _CONFIG)}
-    assert (found["camera"].level, found["camera"].says) == (Level.WARN, "a frame takes 0.80 s")
+    @property
+    def intrinsics(self) -> CameraIntrinsics:
+        return self._frame.intrinsics
 
+    def __enter__(self) -> Self:
+        return self
 
-class _OtherCamera:
-    """Passes the simulated camera's frames on, changed."""
+    def __exit__(self, *_: object) -> None: ...
 
-    def __init__(self, camera: RgbdCamera, **changes: Any) -> None:
-        self._camera, self._changes = camera, changes
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._camera, name)
-
-    def read(self, max_age: float = 0.5) -> RgbdFrame:
-        frame = self._camera.read(max_age)
+    def read(self, max_age: float = 0.5) -> RgbdFrame:  # noqa: ARG002
+        frame = replace(self._frame, stamp=self._clock.now())
+        self._clock.sleep(1 / 30 + self._slow)
         return replace(frame, **{k: change(getattr(frame, k)) for k, change in self._changes.items()})
+
+
+@pytest.fixture(scope="module")
+def frame(simulation: SimStation) -> RgbdFrame:
+    return simulation.station.camera.read()
+
+
+def _camera(simulation: SimStation, camera: RgbdCamera) -> dict[str, Finding]:
+    return {f.name: f for f in doctor.check_camera(camera, simulation.station.clock, _CONFIG)}
+
+
+def test_a_camera_that_is_slow(simulation: SimStation, frame: RgbdFrame) -> None:
+    found = _camera(simulation, _ReplayedCamera(simulation.station.clock, frame, slow=0.8))
+    assert (found["camera"].level, found["camera"].says) == (Level.WARN, "a frame takes 0.83 s")
 
 
 @pytest.mark.parametrize(
     ("changes", "name", "says"),
     [
         ({"stamp": lambda _: 1.0}, "camera", "repeats"),
-        ({"stamp": lambda t: t - 2.0}, "camera", "is 2.00 s old"),
-        ({"stamp": lambda t: t + 2.0}, "camera", "is -2.00 s old"),
+        ({"stamp": lambda t: t - 2.0}, "camera", "is 2.03 s old"),
+        ({"stamp": lambda t: t + 2.0}, "camera", "is -1.97 s old"),
         ({"depth": np.zeros_like}, "depth", "0% of the image"),
         ({"intrinsics": lambda k: replace(k, fx=k.fx + 3.0)}, "intrinsics", "not the station file's"),
     ],
 )
-def test_a_camera_that_is_not_well(simulation: SimStation, changes: dict[str, Any], name: str, says: str) -> None:
-    station = simulation.station
-    camera: Any = _OtherCamera(station.camera, **changes)
-    found = {f.name: f for f in doctor.check_camera(camera, station.clock, _CONFIG)}
-    assert found[name].level is Level.FAIL
-    assert says in found[name].says
+def test_a_camera_that_is_not_well(
+    simulation: SimStation, frame: RgbdFrame, changes: dict[str, Any], name: str, says: str
+) -> None:
+    finding = _camera(simulation, _ReplayedCamera(simulation.station.clock, frame, **changes))[name]
+    assert finding.level is Level.FAIL
+    assert says in finding.says
