@@ -11,7 +11,6 @@ import pytest
 
 from toolee_robot import doctor
 from toolee_robot.config import StationConfig
-from toolee_robot.errors import DeviceError
 from toolee_robot.findings import Finding, Level
 from toolee_robot.hal import Clock, HandState, RgbdCamera
 from toolee_robot.sim_backend import SimStation
@@ -95,33 +94,42 @@ def test_an_arm_that_cannot_be_planned_for(
     assert says in finding.says
 
 
-class _BrokenHand(SimHand):
-    """The simulated hand with something else to say."""
+@pytest.fixture
+def hand(simulation: SimStation) -> Iterator[SimHand]:
+    hand = simulation.station.hand
+    assert isinstance(hand, SimHand)
+    yield hand
+    hand.recover()
 
-    def __init__(self, simulation: SimStation, **says: Any) -> None:
-        super().__init__(simulation.world, 0.9)
-        self._says = says
+
+def test_a_hand_that_is_not_well(simulation: SimStation, hand: SimHand) -> None:
+    def found() -> tuple[Level, str]:
+        finding = doctor.check_hand(hand, _CONFIG)
+        return finding.level, finding.says
+
+    hand.temperature = 40.0
+    assert found() == (Level.OK, "answers, empty, 24 joints, 40 °C")
+    hand.temperature = 71.0
+    assert found() == (Level.FAIL, "71 °C, 65 °C are allowed")
+    hand.fault = "index finger stalled"
+    assert found() == (Level.FAIL, "index finger stalled")
+    hand.cut_link()
+    simulation.station.clock.sleep(0.5)
+    level, says = found()
+    assert level is Level.FAIL
+    assert "old" in says
+
+
+class _FullHand(SimHand):
+    """Holds something."""
 
     def state(self, max_age: float = 0.1) -> HandState:
-        if not self._says:
-            raise DeviceError("the hand does not answer: check its cable")
-        return replace(super().state(max_age), **self._says)
+        return replace(super().state(max_age), holding=True)
 
 
-@pytest.mark.parametrize(
-    ("says_itself", "level", "says"),
-    [
-        ({}, Level.FAIL, "does not answer"),
-        ({"fault": "index finger stalled"}, Level.FAIL, "index finger stalled"),
-        ({"temperature": 71.0}, Level.FAIL, "71 °C, 65 °C are allowed"),
-        ({"temperature": 40.0}, Level.OK, "40 °C"),
-        ({"holding": True}, Level.WARN, "holds something"),
-    ],
-)
-def test_a_hand_that_is_not_well(simulation: SimStation, says_itself: dict[str, Any], level: Level, says: str) -> None:
-    finding = doctor.check_hand(_BrokenHand(simulation, **says_itself), _CONFIG)
-    assert finding.level is level
-    assert says in finding.says
+def test_a_hand_that_holds_something(simulation: SimStation) -> None:
+    finding = doctor.check_hand(_FullHand(simulation.world, 0.9), _CONFIG)
+    assert (finding.level, finding.says) == (Level.WARN, "it holds something")
 
 
 def test_a_camera_that_is_frozen(simulation: SimStation) -> None:
