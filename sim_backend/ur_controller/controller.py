@@ -150,7 +150,7 @@ class Controller:
     def tick(self) -> None:
         """One tick, now."""
         self.schedule.begin()
-        began = time.monotonic()
+        began = time.thread_time()
         self.faults.step()
         robot = self.robot
         robot.step()
@@ -170,7 +170,7 @@ class Controller:
             service.on_tick(robot.model.period)
         if robot.ticks % COLLECT_TICKS == 0 and not any(port.clients for port in self.ports.values()):
             gc.collect()
-        self.schedule.statistics.busy += time.monotonic() - began
+        self.schedule.statistics.busy += time.thread_time() - began
 
     def close(self) -> None:
         """Close every port and every service."""
@@ -181,6 +181,7 @@ class Controller:
         """Read from whoever sends until the time `due` [s]; at least once."""
         if (wait := self.frozen_until - time.monotonic()) > 0.0:
             time.sleep(wait)
+        self.inputs.catching_up = time.monotonic() > due + self.schedule.period
         while True:
             readers = {fd: service for service in self.services for fd in service.filenos()}
             timeout = max(0.0, due - time.monotonic())

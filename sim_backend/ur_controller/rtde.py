@@ -20,6 +20,7 @@ from toolee_robot.sim_backend.ur_controller.rtde_types import Recipe
 from toolee_robot.sim_backend.ur_controller.rtde_variables import Outputs
 
 MAX_RECIPES = 255  # an id is a byte, 0 means refused
+MAX_WAITING = 1 << 20  # [bytes] from a client that could not be taken yet; one that sends more is dropped
 SKIP_BACKLOG = 65536  # [bytes] unread by the client over which data packets are left out
 _WARNING = 2  # level of a text message
 
@@ -51,9 +52,12 @@ class RtdeSession:
         self._to_skip = 0
         self._drop_after, faults.drop_after = faults.drop_after, None
         self._ended = False
+        self._written = False  # since the last tick
 
     def feed(self, data: bytes) -> None:
         self._buffer += data
+        if len(self._buffer) > MAX_WAITING:
+            self._end()
         while not self._ended and len(self._buffer) >= wire.HEADER.size:
             size, kind = wire.HEADER.unpack_from(self._buffer)
             if size < wire.HEADER.size:  # the framing is lost
@@ -61,12 +65,19 @@ class RtdeSession:
                 return
             if len(self._buffer) < size:
                 return
+            if kind == wire.DATA and self._written and self._inputs.catching_up:
+                return
             payload = bytes(self._buffer[wire.HEADER.size : size])
             del self._buffer[:size]
             self._handle(kind, payload)
 
     def tick(self) -> None:
-        """Publish what the client has subscribed to, if it is due."""
+        """Publish what the client has subscribed to, if it is due; take what it had to wait with."""
+        self._publish()
+        self._written = False
+        self.feed(b"")
+
+    def _publish(self) -> None:
         recipe = self._output
         if not self._started or recipe is None or self._ended or self._robot.ticks < self._due:
             return
@@ -181,4 +192,5 @@ class RtdeSession:
         if len(payload) - 1 != recipe.layout.size:
             self.text(f"data of {len(payload) - 1} bytes for input recipe {number} of {recipe.layout.size} bytes")
             return
+        self._written = True
         self._inputs.write(recipe.names, recipe.layout.unpack(payload[1:]))

@@ -11,8 +11,8 @@ CATCH_UP = 0.05  # [s] of being late that is caught up by ticks back to back; be
 @dataclass
 class TickStatistics:
     """ticks: done. late: begun later than half a period after their time. slipped: periods by which the schedule had
-    to be moved, because the machine or the physics was too slow for real time. worst_late [s]. busy [s]: spent on
-    work in all ticks."""
+    to be moved, because the machine or the physics was too slow for real time. worst_late [s]. busy [s]: of
+    the processor, spent on all ticks."""
 
     ticks: int = 0
     late: int = 0
@@ -22,15 +22,16 @@ class TickStatistics:
 
 
 class Schedule:
-    """When the next tick is due. Times are of `time.monotonic` [s].
+    """When the next tick is due. Times are of `time.monotonic` [s]. catch_up [s]: see CATCH_UP.
 
     A late tick is followed by the next ones without a pause until the schedule is met again, so that the rate is kept
-    on average; after more than CATCH_UP the schedule moves by whole periods instead, which is counted: robot time then
-    runs behind the wall's clock, and no tick is left out.
+    on average; after more than `catch_up` the schedule moves by whole periods instead, which is counted: robot time
+    then runs behind the wall's clock, and no tick is left out.
     """
 
     def __init__(self, period: float) -> None:
         self.period = period
+        self.catch_up = CATCH_UP
         self.statistics = TickStatistics()
         self._start, self._count = time.monotonic(), 0
 
@@ -43,7 +44,7 @@ class Schedule:
         """The tick that is due begins; returns its time on the schedule."""
         due, statistics = self.due, self.statistics
         late = time.monotonic() - due
-        if late > CATCH_UP:
+        if late > self.catch_up:
             periods = int(late / self.period)
             statistics.slipped += periods
             self._start += periods * self.period

@@ -18,6 +18,8 @@ from toolee_robot.sim_backend.ur_controller.world_service import WorldService
 
 PRIORITY = 20
 """Of SCHED_FIFO: under the driver's servo loop."""
+CATCH_UP = 0.1
+"""[s] A blow is computed in less than real time: some 10 ms are lost in it, on a busy machine more."""
 
 
 @dataclass
@@ -52,6 +54,7 @@ class WorldJob:
         identity.alpha, identity.theta = dh.alpha.tolist(), dh.theta.tolist()
         self._service.ended = controller.stop
         controller.add_service(self._service)
+        controller.schedule.catch_up = CATCH_UP
         _first_in_line()
 
 
