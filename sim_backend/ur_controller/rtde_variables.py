@@ -155,4 +155,4 @@ class Outputs:
 
     def _count_down(self) -> None:
         if self.not_a_number:
-            self.not_a_number = {name: left - 1 for name, left in self.not_a_number.items() if left > 0}
+            self.not_a_number = {name: left - 1 for name, left in self.not_a_number.items() if left > 1}
