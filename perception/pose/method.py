@@ -18,9 +18,9 @@ from toolee_robot.perception.pose.bank import Float32, ToolBank
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
 from toolee_robot.perception.pose.clouds import CloudBatch, CloudConfig, CloudGenerator
 from toolee_robot.perception.pose.estimator import PoseEstimator
-from toolee_robot.perception.pose.flow import Process
+from toolee_robot.perception.pose.flow import Process, Sampler
 from toolee_robot.perception.pose.losses import augment, pose_loss, without_directions
-from toolee_robot.perception.pose.network import FLOW, NetworkConfig, PoseNet
+from toolee_robot.perception.pose.network import FLOW, SAMPLER, NetworkConfig, PoseNet
 from toolee_robot.perception.pose.weights import Calibration
 
 Net = TypeVar("Net", bound=nn.Module)
@@ -82,6 +82,7 @@ class Ours:
     direction_dropout: float = 0.5
     augmentation: bool = True
     process: Process = FLOW
+    sampler: Sampler = SAMPLER
     name: str = weights.NAME
 
     def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
@@ -103,7 +104,7 @@ class Ours:
 
     def estimator(self, net: PoseNet, calibration: Calibration, device: str) -> PoseEstimator:
         """See `Method`."""
-        return PoseEstimator(net, calibration, device, self.process)
+        return PoseEstimator(net, calibration, device, self.process, self.sampler)
 
     def judged(self, batch: CloudBatch, bank: ToolBank) -> CloudBatch:  # noqa: ARG002 - others need it
         """See `Method`."""
@@ -126,11 +127,11 @@ class Ours:
 
     def save(self, folder: Path, net: PoseNet, calibration: Calibration, report: dict[str, Any]) -> None:
         """See `Method`."""
-        weights.save(folder, net, calibration, report)
+        weights.save(folder, net, calibration, report, self.name)
 
     def load(self, folder: Path) -> PoseNet:
         """See `Method`."""
-        return weights.load(folder)[0]
+        return weights.load(folder, self.name)[0]
 
 
 def _half(batch: CloudBatch, evaluated: validation.Evaluated, parity: int) -> validation.Evaluated:

@@ -19,6 +19,7 @@ from toolee_robot.perception.pose.bank import Float32, ToolBank, load_hands, too
 from toolee_robot.perception.pose.clouds import CloudBatch
 from toolee_robot.perception.pose.method import Method, Net, Ours
 from toolee_robot.perception.pose.weights import Calibration
+from toolee_robot.perception.training_log import Scalars
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,7 @@ class Trainer(Generic[Net]):
         self._held_out = method.clouds(banks[1], hands, self.device, 10_000 + config.seed)
         self._g = torch.Generator(self.device).manual_seed(config.seed + 2)
         self.steps, self.elapsed = 0, 0.0
+        self._scalars = Scalars(out)
         out.mkdir(parents=True, exist_ok=True)
 
     def log(self, **record: Any) -> None:
@@ -117,6 +119,7 @@ class Trainer(Generic[Net]):
         print(line, flush=True)
         with (self.out / "log.jsonl").open("a") as file:
             file.write(line + "\n")
+        self._scalars.add(self.steps, record)
 
     def run(self) -> dict[str, Any]:
         """Train until the time is used up, then validate, calibrate and write the weights. Returns the report."""
@@ -126,7 +129,7 @@ class Trainer(Generic[Net]):
         if c.compile and self.device.type == "cuda":
             forward = self._compiled()
         reservoir = Reservoir(self._generator.collect(max(c.first_fill, c.batch), c.chunk), c.capacity)
-        held_out = self._judged()
+        held_out = self.judged()
         self.log(event="start", device=str(self.device), parameters=sum(p.numel() for p in self.net.parameters()))
         before, begun = self.elapsed, time.monotonic()
         base, last_save, last_log, logged_steps = reservoir.made, begun, begun, self.steps
@@ -172,11 +175,11 @@ class Trainer(Generic[Net]):
         self.ema.load_state_dict(self.method.load(self.out).state_dict())
         described = json.loads((self.out / f"{self.method.name}.json").read_text())["report"]
         self.steps, self.elapsed = int(described["steps"]), 60.0 * float(described["minutes"])
-        return self.finish(self._judged())
+        return self.finish(self.judged())
 
     def finish(self, held_out: CloudBatch) -> dict[str, Any]:
         """Validate and calibrate on held-out tools, and save."""
-        report, calibration = self.method.report(self._export(), held_out, self.device.type)
+        report, calibration = self.method.report(self.export(), held_out, self.device.type)
         self.log(event="finished", **{k: v for k, v in report.items() if k != "clouds"})
         report |= {
             "calibrated": True,
@@ -184,11 +187,11 @@ class Trainer(Generic[Net]):
             "minutes": round(self.elapsed / 60, 2),
             "train": asdict(self.config),
         }
-        self.method.save(self.out, self._export(), calibration, report)
+        self.method.save(self.out, self.export(), calibration, report)
         return report
 
-    def _judged(self) -> CloudBatch:
-        """The held-out clouds."""
+    def judged(self) -> CloudBatch:
+        """The next held-out clouds."""
         return self.method.judged(self._held_out.collect(self.config.validation, self.config.chunk), self._test_bank)
 
     def _progress(self) -> float:
@@ -196,7 +199,7 @@ class Trainer(Generic[Net]):
         c = self.config
         return self.steps / c.max_steps if c.max_steps else self.elapsed / (60 * c.minutes)
 
-    def _export(self) -> Net:
+    def export(self) -> Net:
         """The averaged network as it will be loaded: rounded to half precision."""
         net = copy.deepcopy(self.ema)
         for value in net.state_dict().values():
@@ -242,13 +245,13 @@ class Trainer(Generic[Net]):
         part.replace(self.out / "checkpoint.pt")
         self.method.save(
             self.out,
-            self._export(),
+            self.export(),
             Calibration(),
             {"calibrated": False, "steps": self.steps, "minutes": round(self.elapsed / 60, 2)},
         )
         if held_out is not None:
             few = held_out.select(torch.arange(min(512, len(held_out)), device=self.device))
-            estimator = self.method.estimator(self._export(), Calibration(), self.device.type)
+            estimator = self.method.estimator(self.export(), Calibration(), self.device.type)
             self.log(event="validation", **validation.metrics(validation.evaluate(estimator, few, 20)))
 
     def _resume(self) -> None:

@@ -28,7 +28,7 @@ class Calibration:
     confidence: ConfidenceModel = _UNFITTED
 
 
-def save(folder: Path, net: PoseNet, calibration: Calibration, report: dict[str, Any]) -> None:
+def save(folder: Path, net: PoseNet, calibration: Calibration, report: dict[str, Any], name: str = NAME) -> None:
     """Write both files. report: free-form record of the training, its settings and metrics."""
     card = {
         "network": net.config.to_dict(),
@@ -36,12 +36,12 @@ def save(folder: Path, net: PoseNet, calibration: Calibration, report: dict[str,
         "confidence": calibration.confidence.to_dict(),
         "report": report,
     }
-    assets.save_weights(folder, NAME, net.state_dict(), card)
+    assets.save_weights(folder, name, net.state_dict(), card)
 
 
-def load(folder: Path | None = None) -> tuple[PoseNet, Calibration]:
+def load(folder: Path | None = None, name: str = NAME) -> tuple[PoseNet, Calibration]:
     """The network (float32, eval mode, CPU) and its calibration. Raises AssetError if missing or unreadable."""
-    tensors, card = assets.load_weights(folder, NAME)
+    tensors, card = assets.load_weights(folder, name)
     try:
         net = PoseNet(NetworkConfig(**card["network"]))
         net.load_state_dict(tensors)

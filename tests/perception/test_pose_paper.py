@@ -153,7 +153,7 @@ def test_every_column_trains_and_its_weights_load(
     assert (tmp_path / "checkpoint.pt").is_file()
     points = np.random.default_rng(0).uniform(-0.02, 0.02, (400, 3)) + np.array([0.0, 0.0, 0.5])
     loaded = PaperEstimator.load(tmp_path).estimate(points, Category.WRENCH_HEAD, seed=1)
-    before = method.estimator(trainer._export(), Calibration(), "cpu").estimate(points, Category.WRENCH_HEAD, seed=1)
+    before = method.estimator(trainer.export(), Calibration(), "cpu").estimate(points, Category.WRENCH_HEAD, seed=1)
     np.testing.assert_allclose(loaded.X_camera_ee, before.X_camera_ee, atol=1e-4)
     assert loaded.hypotheses.Xs_camera_ee.shape == (20, 4, 4)
     if column != "symmetry-aware":

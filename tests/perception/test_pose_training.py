@@ -139,7 +139,7 @@ def test_training_writes_weights_that_load_to_the_same_network(
     a = PoseEstimator.load(trained).estimate(points, Category.HAMMER_HEAD, seed=1)
     b = PoseEstimator.load(trained).estimate(points, Category.HAMMER_HEAD, seed=1)
     np.testing.assert_array_equal(a.X_camera_ee, b.X_camera_ee)
-    exported = PoseEstimator(trainer._export(), PoseEstimator.load(trained).calibration)
+    exported = PoseEstimator(trainer.export(), PoseEstimator.load(trained).calibration)
     c = exported.estimate(points, Category.HAMMER_HEAD, seed=1)
     np.testing.assert_allclose(a.X_camera_ee, c.X_camera_ee, atol=1e-6)
 
