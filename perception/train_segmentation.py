@@ -39,6 +39,9 @@ from toolee_robot.perception.segmentation_model import (
     load_detector,
     working_size,
 )
+from toolee_robot.perception.training_log import Scalars
+
+CHECKPOINT = "checkpoint.pt"
 
 
 @dataclass(frozen=True)
@@ -162,7 +165,8 @@ class _Run:
         )
         self.step, self.elapsed = 0, 0.0
         self.log: list[dict[str, float]] = []
-        self.checkpoint_path = config.out / "checkpoint.pt"
+        self.scalars = Scalars(config.out)
+        self.checkpoint_path = config.out / CHECKPOINT
         if config.resume:
             self._restore()
         self.module: nn.Module = self.loss
@@ -271,6 +275,7 @@ class _Run:
     def _record(self, entry: dict[str, float]) -> None:
         self.log.append(entry)
         if self.ranks.first:
+            self.scalars.add(self.step, entry)
             print(" ".join(f"{k} {v:.4g}" for k, v in entry.items()), flush=True)
             (self.config.out / "training_log.json").write_text(json.dumps(self.log))
 
@@ -298,6 +303,8 @@ class _Run:
         self.average = state["average"]
         self.optimizer.load_state_dict(state["optimizer"])
         self.step, self.elapsed, self.log = state["step"], state["elapsed"], state["log"]
+        # Other images, other augmentation than the first process began with.
+        torch.manual_seed(self.config.seed + 1000 * self.ranks.rank + 1_000_003 * self.step)
 
 
 def _device_name(ranks: _Ranks) -> str:

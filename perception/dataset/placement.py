@@ -16,7 +16,7 @@ from toolee_robot.tools import KINDS_BY_FAMILY, Family, Tool, ToolKind, make_too
 from toolee_robot.types import CameraIntrinsics
 
 _GRASP_RADII = (0.006, 0.009, 0.012, 0.0145, 0.017, 0.021)
-_GRASPS_EACH = 3
+_GRASPS_EACH = 2
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ from toolee_robot.cli.doctor import Doctor
 from toolee_robot.cli.estimate import Estimate
 from toolee_robot.cli.evaluate import Evaluate
 from toolee_robot.cli.hammer import Hammer
+from toolee_robot.cli.train import Train
 from toolee_robot.cli.ur_controller import UrController
 from toolee_robot.errors import TooleeError, UserError
 
@@ -35,6 +36,7 @@ Command = (
     | Annotated[Dataset, tyro.conf.subcommand("dataset")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[UrController, tyro.conf.subcommand("ur-controller")]
 )
 
@@ -53,7 +55,7 @@ def main(args: Sequence[str] | None = None) -> None:
 
 def run(args: Sequence[str] | None = None) -> int:
     """As `main`, but returns the exit code; only the parser itself exits (0 for --help, 2 for a bad option)."""
-    command: Hammer | Estimate | Bench | Dataset | Doctor | Evaluate | UrController = tyro.cli(
+    command: Hammer | Estimate | Bench | Dataset | Doctor | Evaluate | Train | UrController = tyro.cli(
         Command,
         prog="toolee",
         description="A robot that is handed a hammer, looks at it, and drives the nail.",
@@ -83,7 +85,7 @@ def _terminate(_signum: int, _frame: FrameType | None) -> None:
 
 def _complain(
     console: Console,
-    command: Hammer | Estimate | Bench | Dataset | Doctor | Evaluate | UrController,
+    command: Hammer | Estimate | Bench | Dataset | Doctor | Evaluate | Train | UrController,
     error: TooleeError,
     outcome: str,
 ) -> None:

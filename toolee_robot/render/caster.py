@@ -7,7 +7,7 @@ ray parameter of a hit is its depth.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -59,7 +59,11 @@ class Caster:
             starts.append(starts[-1] + len(body.mesh.faces))
         self.corner_normals = np.concatenate(normals) if normals else np.zeros((0, 9), np.float32)
         self.face_starts = np.asarray(starts, np.int64)
-        self.environment = EnvironmentMap(scene.environment)
+
+    @cached_property
+    def environment(self) -> EnvironmentMap:
+        """The light from all around; not made where only depths are asked for."""
+        return EnvironmentMap(self.scene.environment)
 
     def cast(self, directions: FloatArray) -> tuple[FloatArray, NDArray[np.int32], Hits]:
         """depth (N,) [m] (0: nothing), body index (N,) (-1: nothing) and the hits of rays (N, 3) with z = 1."""

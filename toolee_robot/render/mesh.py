@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,49 +79,81 @@ def corner_normals(vertices: FloatArray, faces: NDArray[np.int32], crease_deg: f
     return out.reshape(-1, 3, 3)
 
 
-def box(size: tuple[float, float, float] | Array) -> Mesh:
-    """Axis-aligned box of the given side lengths [m], centred on the origin."""
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
-    faces = [
+_BOX_CORNERS: FloatArray = np.array(
+    [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)], np.float32
+)
+_BOX_FACES = np.array(
+    [
         [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
         [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
-    ]  # fmt: skip
-    return Mesh.build(signs * (np.asarray(size, np.float32) / 2), faces)
+    ],
+    np.int32,
+)  # fmt: skip
+_SQUARE = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]], np.float32)
+_SQUARE_FACES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+
+
+@lru_cache(maxsize=2)
+def _flat_normals(what: str) -> FloatArray:
+    """Corner normals of a box or a square, the same for all sizes."""
+    vertices, faces = (_BOX_CORNERS, _BOX_FACES) if what == "box" else (_SQUARE, _SQUARE_FACES)
+    return corner_normals(vertices, faces, 35.0)
+
+
+def box(size: tuple[float, float, float] | Array) -> Mesh:
+    """Axis-aligned box of the given side lengths [m], centred on the origin."""
+    return Mesh(_BOX_CORNERS * np.asarray(size, np.float32), _BOX_FACES, _flat_normals("box"))
 
 
 def plane(size: float) -> Mesh:
     """Square in z = 0 facing +z, side `size` [m]."""
-    h = size / 2
-    return Mesh.build([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]], [[0, 1, 2], [0, 2, 3]])
+    return Mesh(_SQUARE * np.float32(size), _SQUARE_FACES, _flat_normals("plane"))
 
 
 def cylinder(radius: float, length: float, sections: int = 24, top_radius: float | None = None) -> Mesh:
-    """Cylinder (or cone frustum) along z, centred [m]."""
+    """Cylinder (or cone frustum) along z, centred [m]: smooth sides, flat ends."""
     top = radius if top_radius is None else top_radius
+    ring, faces = _ring(sections), _cylinder_faces(sections)
+    vertices = np.zeros((2 * sections + 2, 3), np.float32)
+    vertices[:sections, :2], vertices[sections : 2 * sections, :2] = radius * ring, top * ring
+    vertices[:sections, 2] = vertices[2 * sections, 2] = -length / 2
+    vertices[sections : 2 * sections, 2] = vertices[2 * sections + 1, 2] = length / 2
+    # The sides' normals lean by the frustum's slope.
+    out, up = length / np.hypot(length, radius - top), (radius - top) / np.hypot(length, radius - top)
+    side = np.column_stack([out * ring, np.full(sections, up)]).astype(np.float32)
+    normals = np.empty((len(faces), 3, 3), np.float32)
+    normals[: 2 * sections] = side[faces[: 2 * sections] % sections]
+    normals[2 * sections : 3 * sections], normals[3 * sections :] = (0, 0, -1), (0, 0, 1)
+    return Mesh(vertices, faces, normals)
+
+
+@lru_cache(maxsize=16)
+def _ring(sections: int) -> FloatArray:
+    """(N, 2) points of the unit circle."""
     angle = 2 * np.pi * np.arange(sections) / sections
-    ring = np.column_stack([np.cos(angle), np.sin(angle)])
-    low = np.column_stack([ring * radius, np.full(sections, -length / 2)])
-    high = np.column_stack([ring * top, np.full(sections, length / 2)])
-    vertices = np.vstack([low, high, [[0, 0, -length / 2], [0, 0, length / 2]]])
-    i = np.arange(sections)
-    j = (i + 1) % sections
-    n = sections
-    faces = np.vstack(
-        [
-            np.column_stack([i, j, j + n]),
-            np.column_stack([i, j + n, i + n]),
-            np.column_stack([np.full(n, 2 * n), j, i]),
-            np.column_stack([np.full(n, 2 * n + 1), i + n, j + n]),
-        ]
-    )
-    return Mesh.build(vertices, faces)
+    return np.column_stack([np.cos(angle), np.sin(angle)]).astype(np.float32)
+
+
+@lru_cache(maxsize=16)
+def _cylinder_faces(n: int) -> NDArray[np.int32]:
+    """Sides, then lower and upper end."""
+    i = np.arange(n)
+    j = (i + 1) % n
+    low, high = np.full(n, 2 * n), np.full(n, 2 * n + 1)
+    sides = [np.column_stack([i, j, j + n]), np.column_stack([i, j + n, i + n])]
+    return np.vstack([*sides, np.column_stack([low, j, i]), np.column_stack([high, i + n, j + n])]).astype(np.int32)
 
 
 def sphere(radius: float, subdivisions: int = 3) -> Mesh:
     """Icosphere [m]; its vertices lie on the sphere."""
+    return _unit_sphere(subdivisions).scaled(radius)
+
+
+@lru_cache(maxsize=4)
+def _unit_sphere(subdivisions: int) -> Mesh:
     import trimesh
 
-    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
     return Mesh.build(ball.vertices, ball.faces, crease_deg=80.0)
 
 
@@ -130,14 +163,13 @@ def tube(points: Array, radius: float, sections: int = 10) -> Mesh:
     tangent = np.gradient(p, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     reference = np.eye(3)[np.argmin(np.abs(tangent[0]))]
-    rings = []
-    for t, c in zip(tangent, p, strict=True):
-        reference = reference - np.dot(reference, t) * t
-        reference /= np.linalg.norm(reference)
-        angle = 2 * np.pi * np.arange(sections) / sections
-        rings.append(
-            c + radius * (np.outer(np.cos(angle), reference) + np.outer(np.sin(angle), np.cross(t, reference)))
-        )
+    references = np.empty_like(p)
+    for k, t in enumerate(tangent):
+        reference = reference - (reference @ t) * t
+        reference /= np.sqrt(reference @ reference)
+        references[k] = reference
+    ring = _ring(sections).astype(np.float64)
+    around = ring[:, :1] * references[:, None] + ring[:, 1:] * np.cross(tangent, references)[:, None]
     i = np.arange(sections)
     j = (i + 1) % sections
     base = (np.arange(len(p) - 1) * sections)[:, None]
@@ -145,4 +177,7 @@ def tube(points: Array, radius: float, sections: int = 10) -> Mesh:
         np.stack([base + i, base + j, base + sections + j], -1),
         np.stack([base + i, base + sections + j, base + sections + i], -1),
     ]
-    return Mesh.build(np.vstack(rings), np.vstack([q.reshape(-1, 3) for q in quads]), crease_deg=80.0)
+    faces = np.vstack([q.reshape(-1, 3) for q in quads]).astype(np.int32)
+    normals = around.reshape(-1, 3).astype(np.float32)
+    vertices = (p[:, None] + radius * around).reshape(-1, 3).astype(np.float32)
+    return Mesh(vertices, faces, normals[faces])

@@ -27,7 +27,7 @@ def _table() -> FloatArray:
 
 def noise(points: FloatArray | Array) -> FloatArray:
     """(N,) in [0, 1] at points (N, 3) in noise units; features about one unit large, period 8 units."""
-    cells = np.floor(points * np.float32(_FEATURE)).astype(np.int32) % _SIZE
+    cells = np.floor(points * np.float32(_FEATURE)).astype(np.int32) & (_SIZE - 1)  # a power of two
     index = (cells[:, 0] * _SIZE + cells[:, 1]) * _SIZE + cells[:, 2]
     return _table()[index]
 

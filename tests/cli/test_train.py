@@ -1,0 +1,72 @@
+"""`toolee train` at the smallest size: it learns, resumes, keeps its configuration, and refuses another."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.perception.toy_scenes import toy_scenes
+from toolee_robot.cli.app import run
+from toolee_robot.perception.dataset.records import HEIGHT, WIDTH, EeTable, Example
+from toolee_robot.perception.dataset.storage import write_scene
+from toolee_robot.types import CameraIntrinsics
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("train")
+    scenes = toy_scenes(3, height=HEIGHT, width=WIDTH)
+    camera = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, WIDTH, HEIGHT)
+    examples = []
+    for i in range(3):
+        table = EeTable.empty()
+        table.category[0], table.visible[0] = scenes.categories[i, 0], np.count_nonzero(scenes.ee[i])
+        depth = np.full((HEIGHT, WIDTH), 800, np.uint16)
+        examples.append(Example(scenes.rgb[i], depth, scenes.ee[i], scenes.tool[i], table, camera, 0, scenes.ee[i]))
+    write_scene(folder / "000000", examples)
+    return folder
+
+
+def test_segmentation_resumes_and_keeps_its_configuration(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, options = tmp_path / "out", tmp_path / "options.yaml"
+    options.write_text("batch: 1\nlog_every: 1\nlr: 0.01\n")
+    command = ["train", "segmentation", "--data", str(data), "--out", str(out), "--config", str(options), "--json"]
+    command += ["--device", "cpu", "--lr", "0.0005"]
+    assert run([*command, "--max-steps", "1"]) == 0
+    config = json.loads((out / "config.json").read_text())
+    assert (config["batch"], config["lr"], config["seed"]) == (1, 0.0005, 0), "the command line wins over the file"
+    described = json.loads((out / "segmentation.json").read_text())
+    assert described["training"]["lr"] == 0.0005
+    assert list((out / "tensorboard").glob("events*"))
+    capsys.readouterr()
+    assert run([*command, "--max-steps", "2"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["resumed"]
+    log = json.loads((out / "training_log.json").read_text())
+    assert [entry["step"] for entry in log] == [1, 2]
+    assert run([*command, "--max-steps", "3", "--seed", "5"]) == 2
+    assert "another seed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "says"), [("lrr: 1", "has no option lrr"), ("- 1", "no mapping"), ("{", "cannot be read")]
+)
+def test_a_bad_configuration_is_named(
+    text: str, says: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bad.yaml").write_text(text)
+    arguments = ["--out", str(tmp_path / "out"), "--config", str(tmp_path / "bad.yaml")]
+    assert run(["train", "segmentation", "--data", str(data), *arguments]) == 2
+    assert says in capsys.readouterr().err
+    assert run(["train", "pose", *arguments]) == 2
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_pose_needs_a_column_of_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["train", "pose", "--out", str(tmp_path / "out"), "--column", "ee"]) == 2
+    assert "--estimator paper" in capsys.readouterr().err

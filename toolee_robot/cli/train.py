@@ -1,0 +1,193 @@
+"""`toolee train`: the detector and the pose network."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+import yaml
+
+from toolee_robot.cli.options import Flag
+from toolee_robot.cli.output import json_line, write_whole
+from toolee_robot.errors import UserError
+
+if TYPE_CHECKING:
+    from toolee_robot.perception.pose.training import TrainConfig
+
+_CONFIG = "config.json"
+"""Beside the checkpoint: the configuration it was made with."""
+_Out = Annotated[Path, tyro.conf.arg(metavar="DIR")]
+_File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
+_Number = Annotated[float | None, tyro.conf.arg(metavar="X", help_behavior_hint="")]
+_Count = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """Train the detector (masks of end effectors and tools).
+
+    Example: toolee train segmentation --data data/hard/train --out runs/segmentation --minutes 20
+
+    The same command again continues from the last checkpoint in DIR. Several GPUs: torchrun --nproc-per-node 4 -m
+    toolee_robot.perception.train_segmentation, with the same options.
+    """
+
+    data: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """The training split of a data set, which may still be growing."""
+    out: _Out
+    """Checkpoint, weights with their configuration, log, TensorBoard curves (extra `train`)."""
+    config: _File = None
+    """YAML or JSON of options, any subset; the command line's win."""
+    minutes: _Number = None
+    """Wall-clock of the optimisation (default: 12)."""
+    max_steps: _Count = None
+    """End after so many steps, if that is sooner."""
+    batch: _Count = None
+    """Images a GPU (default: 32)."""
+    lr: _Number = None
+    """Learning rate (default: 0.001)."""
+    seed: _Count = None
+    """Of weights, order and augmentation (default: 0)."""
+    checkpoint_minutes: _Number = None
+    """Between checkpoints (default: 2)."""
+    device: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    """cpu, cuda, cuda:1 (default: a GPU if there is one)."""
+    init: _File = None
+    """Folder of exported weights to start from."""
+    json: Flag = False
+    """Print one line of JSON last on standard output."""
+
+    def run(self) -> int:
+        if not self.data.is_dir():
+            raise UserError(f"--data {self.data} is not a folder: make it with `toolee dataset generate`")
+        from toolee_robot.perception.train_segmentation import CHECKPOINT, SegmentationTraining, train
+
+        names = {f.name for f in fields(SegmentationTraining)} - {"data", "out", "resume", "model", "init"}
+        options = _options(self, self.config, names)
+        resume = (self.out / CHECKPOINT).is_file()
+        training = SegmentationTraining(
+            self.data, self.out, resume=resume, init=None if resume else self.init, **options
+        )
+        _remember(self.out, resume, {name: getattr(training, name) for name in sorted(names)})
+        train(training)
+        if self.json:
+            print(json_line({"out": str(self.out), "resumed": resume}), flush=True)
+        return 0
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Train the pose network on clouds that are made as they are needed.
+
+    Example: toolee train pose --out runs/pose --minutes 20
+
+    The same command again continues from the last checkpoint in DIR.
+    """
+
+    out: _Out
+    """Checkpoint, weights with configuration and calibration, log, TensorBoard curves (extra `train`)."""
+    config: _File = None
+    """YAML or JSON of options, any subset of those of toolee_robot.perception.train_pose; the command line's win."""
+    estimator: Literal["ours", "paper"] = "ours"
+    """paper: ToolEENet's own."""
+    column: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    """Of the paper's Table I, for --estimator paper (default: symmetry-aware)."""
+    minutes: _Number = None
+    """Wall-clock of the optimisation (default: 9)."""
+    max_steps: _Count = None
+    """Budget in steps instead of minutes."""
+    batch: _Count = None
+    """Clouds a step (default: 256)."""
+    learning_rate: _Number = None
+    """(default: 0.001)"""
+    seed: _Count = None
+    """Of weights, clouds and order (default: 0)."""
+    checkpoint_seconds: _Number = None
+    """Between checkpoints (default: 120)."""
+    hands: _File = None
+    """Hand samples, for machines without the hand's model."""
+    json: Flag = False
+    """Print one line of JSON last on standard output."""
+
+    def run(self) -> int:
+        from toolee_robot.perception.pose.method import Ours
+        from toolee_robot.perception.pose.paper import COLUMNS, PaperMethod
+        from toolee_robot.perception.pose.training import TrainConfig, train
+
+        if self.column is not None and (self.estimator != "paper" or self.column not in COLUMNS):
+            raise UserError(f"--column {self.column}: with --estimator paper one of {', '.join(COLUMNS)}")
+        options = _options(self, self.config, {f.name for f in fields(TrainConfig) if f.default is not MISSING})
+        config: TrainConfig = TrainConfig(**options)
+        resume = (self.out / "checkpoint.pt").is_file()
+        column = (self.column or "symmetry-aware") if self.estimator == "paper" else None
+        about = {f.name: getattr(config, f.name) for f in fields(TrainConfig)}
+        _remember(self.out, resume, {**about, "estimator": self.estimator, "column": column})
+        method: Any = Ours() if column is None else PaperMethod(COLUMNS[column])
+        report = train(self.out, config, method, self.hands)
+        if self.json:
+            print(json_line({"out": str(self.out), "resumed": resume, "report": report}), flush=True)
+        return 0
+
+
+_Action = Annotated[Segmentation, tyro.conf.subcommand("segmentation")] | Annotated[Pose, tyro.conf.subcommand("pose")]
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train the detector or the pose network.
+
+    Example: toolee train segmentation --data data/hard/train --out runs/segmentation
+    """
+
+    action: Annotated[_Action, tyro.conf.arg(name="")]
+
+    def run(self) -> int:
+        return self.action.run()
+
+
+def _options(command: Segmentation | Pose, file: Path | None, names: set[str]) -> dict[str, Any]:
+    """The training's options: those of the file, then those of the command line."""
+    options: dict[str, Any] = {}
+    if file is not None:
+        try:
+            read = yaml.safe_load(file.read_text())  # JSON is YAML
+        except (OSError, yaml.YAMLError) as error:
+            raise UserError(f"--config {file}: cannot be read ({error})") from error
+        if not isinstance(read, dict) or (unknown := sorted(set(map(str, read)) - names)):
+            what = f"has no option {', '.join(unknown)}" if isinstance(read, dict) else "is no mapping of options"
+            raise UserError(f"--config {file}: {what}; there are {', '.join(sorted(names))}")
+        options |= read
+    given = {f.name: getattr(command, f.name) for f in fields(command) if f.name in names}
+    return options | {name: value for name, value in given.items() if value is not None}
+
+
+def _remember(out: Path, resume: bool, config: dict[str, Any]) -> None:
+    """Store the configuration, or check that a run goes on with the one it began with."""
+    path = out / _CONFIG
+    if resume and path.is_file():
+        before = json.loads(path.read_text())
+        # How long it goes on may change; what is learnt from may not.
+        changed = {k for k in before.keys() | config.keys() if before.get(k) != config.get(k)} - _MAY_CHANGE
+        if changed:
+            raise UserError(
+                f"{out} was begun with another {', '.join(sorted(changed))} ({path}): use those values or another --out"
+            )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the folder {out}: {error.strerror or error}") from error
+    write_whole(path, (json.dumps(config, indent=1, default=str) + "\n").encode())
+
+
+_MAY_CHANGE = {
+    "minutes",
+    "max_steps",
+    "session_minutes",
+    "device",
+    "checkpoint_minutes",
+    "checkpoint_seconds",
+    "patience",
+}
