@@ -29,6 +29,7 @@ from toolee_robot.control.supervisor_checks import (
     check_ready,
     check_speed,
     check_start,
+    is_finite,
 )
 from toolee_robot.errors import DeviceError, LatchedError, LimitError, MotionFaultError, PersonNearError
 from toolee_robot.frames import Array
@@ -44,7 +45,8 @@ class Supervisor:
     person. Raises, in this order, LatchedError, LimitError, StaleDataError, NotReadyError, PersonNearError,
     CollisionError before anything moves; MotionFaultError or PersonNearError after the arm has stopped.
 
-    A fault latches: nothing moves until `reset(confirmed=True)`, said by a person. It never clears a protective stop.
+    A fault latches, and so does a command with NaN or infinite values: nothing moves until `reset(confirmed=True)`,
+    said by a person. It never clears a protective stop.
     """
 
     def __init__(
@@ -161,6 +163,11 @@ class Supervisor:
         if self._latched:
             raise LatchedError(f"{self._latched}: nothing moves until a person has looked and reset it")
         config = self._config
+        if not is_finite(trajectory):
+            # Whoever sends this computes with rubbish: nothing else of theirs is carried out either.
+            self._arm.stop()
+            self._latch("a command held NaN or infinite values", None)
+            raise LimitError(f"{self._latched}: nothing was sent; find out where they come from, then reset")
         check_limits(trajectory, self._robot, config)
         world = self._world()
         check_speed(trajectory, world, self._mode.speed(config.supervisor), self._mode)

@@ -27,6 +27,11 @@ AT_REST = 0.05
 """[rad/s]"""
 
 
+def is_finite(trajectory: Trajectory) -> bool:
+    """No NaN and no infinity anywhere in it."""
+    return all(np.all(np.isfinite(x)) for x in (trajectory.times, trajectory.q, trajectory.qd, trajectory.qdd))
+
+
 def check_limits(trajectory: Trajectory, robot: RobotModel, config: StationConfig) -> None:
     """Raise LimitError: not finite, or outside the configuration's limits, the model's, or the workspace."""
     velocity = np.minimum(config.arm.velocity, robot.description.velocity[:6])

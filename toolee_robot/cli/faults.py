@@ -1,0 +1,89 @@
+"""`toolee faults`: the fault matrix, measured and printed."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Literal
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from toolee_robot.cli.options import Flag
+from toolee_robot.cli.output import json_line
+from toolee_robot.types import ArmModel
+
+if TYPE_CHECKING:
+    from toolee_robot.faults.record import FaultRow
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Inject every fault that arm, supervisor and task must survive, and print what they do about it.
+
+    On the simulation and the controller stand-in; nothing here touches a real robot.
+
+    Example: toolee faults --robot UR10 --json
+
+    Exit code 0: every row is handled; 1: one is not.
+    """
+
+    robot: Literal["both", "UR10", "UR10e"] = "both"
+    """Under which arm's controller stand-in."""
+    host: str = "127.0.0.70"
+    """A loopback address for the stand-in."""
+    json: Flag = False
+    """Print one line of JSON last on standard output; everything for people goes to standard error."""
+
+    def run(self) -> int:
+        console = Console(stderr=self.json, highlight=False)
+        from toolee_robot.faults.matrix import ELSEWHERE, MatrixOptions, run_matrix
+
+        models = tuple(ArmModel) if self.robot == "both" else (ArmModel(self.robot),)
+        rows: list[FaultRow] = []
+        with console.status("planning the swing") as status:
+            for row in run_matrix(MatrixOptions(self.host, models)):
+                rows.append(row)
+                status.update(f"{len(rows)} rows; last: {row.number} {row.fault}, {row.phase}")
+                if not row.handled:
+                    console.print(f"[red]not handled:[/red] {row.number} {escape(row.fault)}, {row.phase}: {row.why}")
+        rows.sort(key=lambda row: (row.number, row.fault, row.on))
+        console.print(_table(rows))
+        handled = sum(row.handled for row in rows)
+        numbers = sorted({row.number for row in rows if row.number})
+        console.print(
+            f"\n[bold]{handled} of {len(rows)} rows handled[/bold], faults {', '.join(map(str, numbers))} of 27. "
+            f"Of the hand's own driver, which does not exist yet: {', '.join(map(str, ELSEWHERE))}."
+        )
+        console.print(
+            "[dim]reaction, standstill: after the fault, as the joints of the simulated robot show it. Software guards "
+            "are not safety-rated: the robot's own safety system is what protects people.[/dim]"
+        )
+        if self.json:
+            record = {"handled": handled, "rows": [asdict(row) for row in rows], "not_covered": ELSEWHERE}
+            print(json_line(record), flush=True)
+        return int(handled < len(rows))
+
+
+def _table(rows: list[FaultRow]) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("", "#", "fault", "when", "arm", "got", "reaction", "standstill", "allowed", "off path"):
+        table.add_column(name, justify="right" if name in ("#", "reaction", "standstill", "allowed") else "left")
+    for row in rows:
+        table.add_row(
+            "[green]✓[/green]" if row.handled else "[bold red]✗[/bold red]",
+            str(row.number or "-"),
+            escape(row.fault),
+            str(row.phase),
+            row.on,
+            escape(row.got) + (", latched" if row.latched and "latched" not in row.got else ""),
+            _ms(row.reaction),
+            _ms(row.standstill),
+            _ms(row.allowed),
+            "" if row.off_path is None else f"{row.off_path * 1e3:.1f} mrad",
+        )
+    return table
+
+
+def _ms(seconds: float | None) -> str:
+    return "" if seconds is None else f"{seconds * 1e3:.0f} ms"

@@ -1,0 +1,9 @@
+"""Inject every fault that the arm, the supervisor and the task must survive, and measure what they do about it.
+
+    for row in run_matrix(MatrixOptions()):
+        print(row.number, row.fault, row.handled)
+
+Arm and network faults are injected into the controller stand-in under the real driver, faults of commands into the
+supervisor in front of it, faults of hand, camera, person and nail into the simulated station under the real task. The
+numbers are those of the list in docs/real_robot.md.
+"""

@@ -1,0 +1,116 @@
+"""Faults of the task's own process: Ctrl-C, SIGKILL, a stall. The servo process must bring the arm to rest."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from toolee_robot.braking import brake_on_path
+from toolee_robot.errors import DeviceError, TooleeError
+from toolee_robot.faults.arm_rows import AT_REST, BUSY, HEARTBEAT, OFF_PATH
+from toolee_robot.faults.joints_path import MOVING, stop_after
+from toolee_robot.faults.record import FaultRow, Phase
+from toolee_robot.faults.rig import BEFORE_CONTACT, SETTLE_TIME, START_TIME
+from toolee_robot.faults.strikes import plan_swing
+from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
+from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.types import ArmModel
+
+BEAT = 0.02  # [s] between two heartbeats
+READY_TIME = 60.0  # [s] for the task to start and plan
+
+
+@dataclass(frozen=True)
+class TaskFault:
+    """notice: how long the servo process may take to see it [s]."""
+
+    fault: str
+    signal: signal.Signals
+    notice: float
+
+
+TASK_FAULTS = (
+    TaskFault(
+        "task gets Ctrl-C", signal.SIGINT, 0.03
+    ),  # the interpreter sees a signal between two bytecodes, and polls
+    TaskFault("task killed (SIGKILL)", signal.SIGKILL, 0.005),
+    TaskFault("task stalls (SIGSTOP)", signal.SIGSTOP, HEARTBEAT + BEAT),
+)
+
+
+def process_rows(model: ArmModel, host: str) -> Iterator[FaultRow]:
+    """Each task fault in mid-swing and at rest, each with a task and a stand-in of its own."""
+    name = f"{model.value}, {500 if model is ArmModel.UR10E else 125} Hz"
+    for fault in TASK_FAULTS:
+        for phase in (Phase.SWING, Phase.REST):
+            try:
+                yield _row(fault, phase, model, host, name)
+            except TooleeError as error:
+                why = f"{type(error).__name__}: {error}"
+                yield FaultRow(11, fault.fault, phase, name, "brakes on the path", "not measured", False, False, why)
+
+
+def _row(fault: TaskFault, phase: Phase, model: ArmModel, host: str, name: str) -> FaultRow:
+    swing = plan_swing(model)
+    strike, limits = swing.plan.strike, swing.config.arm
+    with ControllerProcess(model=model.value, host=host, plant=partial(JointPlant, q=strike.q[0])) as controller:
+        task = subprocess.Popen(
+            [sys.executable, "-m", "toolee_robot.faults.swinger", host, model.value],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+        )  # fmt: skip
+        try:
+            assert task.stdin is not None
+            assert task.stdout is not None
+            if task.stdout.readline().strip() != "ready":
+                raise DeviceError("the task did not get ready")
+            before = controller.state()["tick"]
+            if phase is Phase.SWING:
+                task.stdin.write("go\n")
+                task.stdin.flush()
+                _await_motion(controller)
+                time.sleep(swing.plan.contact_time - BEFORE_CONTACT)
+            at = time.monotonic()
+            task.send_signal(fault.signal)
+            time.sleep(1.0 + SETTLE_TIME)
+            trace = controller.trace(before)
+            program_ended = controller.state()["program_state"] != "PLAYING"
+        finally:
+            task.kill()
+            task.wait()
+    if phase is Phase.REST:
+        moved = float(np.ptp(trace.q_target, axis=0).max())
+        wrong = [] if moved < AT_REST else [f"the arm moved by {moved:.4f} rad"]
+        got = "stands still, program ended" if program_ended else "stands still"
+        return FaultRow(
+            11, fault.fault, phase, name, "stands still", got, program_ended, not wrong, "; ".join(wrong),
+            off_path=moved,
+        )  # fmt: skip
+    stop = stop_after(trace, strike, at)
+    period = 1 / 500 if model is ArmModel.UR10E else 1 / 125
+    braking = brake_on_path(strike, stop.path_time + fault.notice, period, limits.stop_acceleration, limits.stop_jerk)
+    allowed = fault.notice + len(list(braking)) * period + 2 * period + BUSY
+    wrong = []
+    if stop.standstill > allowed:
+        wrong.append(f"standstill after {stop.standstill * 1e3:.0f} ms, {allowed * 1e3:.0f} allowed")
+    if stop.off_path > OFF_PATH:
+        wrong.append(f"the joints left the path by {stop.off_path:.4f} rad")
+    return FaultRow(
+        11, fault.fault, phase, name, "brakes on the path", "at rest, program ended" if program_ended else "at rest",
+        program_ended, not wrong, "; ".join(wrong),
+        stop.reaction, stop.standstill, allowed, stop.speed, stop.off_path,
+    )  # fmt: skip
+
+
+def _await_motion(controller: ControllerProcess) -> None:
+    began = time.monotonic()
+    while np.abs(controller.state()["qd"]).max() < MOVING:
+        if time.monotonic() > began + START_TIME:
+            raise DeviceError("the task does not swing")
+        time.sleep(1e-3)
