@@ -35,6 +35,7 @@ _CHECKSUM = [0xDEADBEEF + i for i in range(6)]
 _GOOD = _message(16, _message(0, bytes(38)) + _info(_CHECKSUM, DhParameters.of(ArmModel.UR10)))
 
 
+@settings(deadline=None)
 @given(
     theta=_six,
     a=_six,

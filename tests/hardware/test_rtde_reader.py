@@ -29,6 +29,7 @@ _BY_TYPE: dict[str, st.SearchStrategy[object]] = {
 _typed = st.sampled_from(sorted(FORMATS)).flatmap(lambda t: st.tuples(st.just(t), _BY_TYPE[t]))
 
 
+@settings(deadline=None)
 @given(
     packets=st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=300)), max_size=8),
     cuts=st.lists(st.integers(0, 2000), max_size=20),
@@ -41,6 +42,7 @@ def test_a_stream_cut_anywhere_gives_the_same_packets(packets: list[tuple[int, b
     assert found == packets
 
 
+@settings(deadline=None)
 @given(fields=st.lists(_typed, min_size=1, max_size=8), text=st.binary(max_size=50), recipe=st.integers(0, 255))
 def test_what_the_controller_says_comes_through(fields: list[tuple[str, object]], text: bytes, recipe: int) -> None:
     types, values = [t for t, _ in fields], [v for _, v in fields]
@@ -68,7 +70,7 @@ def test_unknown_variables_are_named() -> None:
         assert RtdeReader(sock).subscribe(["timestamp", "payload", "tcp"], 125.0, soon()) == ["payload", "tcp"]
 
 
-def _talk(sock_bytes: tuple[bytes, ...], pause: float = 0.0, seconds: float = 1.0, close: bool = True) -> None:
+def _talk(sock_bytes: tuple[bytes, ...], pause: float = 0.0, seconds: float = 10.0, close: bool = True) -> None:
     deadline = soon(seconds)
     with peer_sends(*sock_bytes, pause=pause, close=close) as sock:
         reader = RtdeReader(sock)
@@ -124,7 +126,7 @@ def test_a_slow_or_chatty_controller_does_not_hold_us_up(
     began = time.monotonic()
     with pytest.raises(error):
         _talk(chunks, pause, seconds=0.2, close=False)
-    assert time.monotonic() - began < 2.0
+    assert time.monotonic() - began < 3.0
 
 
 @pytest.mark.parametrize(
@@ -163,6 +165,7 @@ def test_values_that_are_no_numbers_pass_as_such() -> None:
 _HELLO = b"Connected: Universal Robots Dashboard Server\n"
 
 
+@settings(deadline=None)
 @given(st.text(st.characters(codec="utf-8", exclude_categories=["C", "Z"]), min_size=1, max_size=80))
 def test_the_dashboards_answer_comes_through(answer: str) -> None:
     with peer_sends(_HELLO, answer.encode() + b"\n") as sock:

@@ -55,6 +55,6 @@ def peer_sends(*chunks: bytes, pause: float = 0.0, close: bool = True) -> Iterat
         far.close()
 
 
-def soon(seconds: float = 1.0) -> float:
-    """A deadline."""
+def soon(seconds: float = 10.0) -> float:
+    """A deadline; by default one that a busy machine keeps, too."""
     return time.monotonic() + seconds

@@ -61,6 +61,11 @@ _SAFETY_REMEDY = {
 ABSURD = 100.0
 """No joint [rad, rad/s] and no TCP [m, rad] reads so much, and arithmetic with what is far more would overflow."""
 
+LOST = 0.3
+"""Share of a second's readings whose loss is not a busy machine any more."""
+CLOCK_OFF, CLOCK_WRONG = 0.02, 0.3
+"""Seconds per second: one stutter of either machine while listening, and a controller that is not in real time."""
+
 __all__ = ["UrExpected", "check"]
 
 
@@ -220,7 +225,7 @@ def _data(quality: RtdeQuality) -> Iterator[Finding]:
     share = q.lost / (q.lost + q.samples)
     lost = f"{q.lost} of {q.lost + q.samples} readings lost"
     says = f"99 % of the gaps under {q.gap_p99 * 1e3:.1f} ms, the longest {q.gap_max * 1e3:.1f} ms; {lost}"
-    if q.backward or share > 0.1:
+    if q.backward or share > LOST:
         says += f", {q.backward} timestamps do not advance" if q.backward else ""
         yield fail("RTDE jitter", says, network)
     elif q.lost or q.gap_p99 > 1.5 * period + 1e-3:
@@ -228,9 +233,9 @@ def _data(quality: RtdeQuality) -> Iterator[Finding]:
     else:
         yield ok("RTDE jitter", says)
     drift = f"the controller's clock runs at {q.clock_ratio:.4f} of this machine's"
-    if not abs(q.clock_ratio - 1.0) <= 0.1:
+    if not abs(q.clock_ratio - 1.0) <= CLOCK_WRONG:
         yield fail("clock", drift, "the controller does not run in real time: restart it, or the simulator is too slow")
-    elif not abs(q.clock_ratio - 1.0) <= 0.02:
+    elif not abs(q.clock_ratio - 1.0) <= CLOCK_OFF:
         yield warn("clock", drift, "look for load on this machine and on the network, and try again")
     else:
         yield ok("clock", drift)
