@@ -10,12 +10,20 @@ from functools import partial
 
 import numpy as np
 
+from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
 HOME = np.array([-0.6, -1.7, 1.6, -1.47, -1.57, 0.0])
 _NICE = -15
+
+
+def patient(host: str) -> UrArmConfig:
+    """For a machine that is busy with other things; `toolee bench-servo` says what the driver can do on an idle one."""
+    return UrArmConfig(
+        host, watchdog=5.0, connect_timeout=15.0, handshake_timeout=5.0, hang_timeout=1.0, heartbeat_timeout=0.3
+    )
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import numpy as np
 import pybullet as pb
 
 from tests.sim_backend.kinematics import joints_for_hand, line
-from tests.stand_in import HOME, stand_in
+from tests.stand_in import HOME, patient, stand_in
 from toolee_robot.config import ArmLimits, StationConfig
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array, transform
@@ -228,7 +228,7 @@ class StandInRig(Rig):
         """The dead connections stay dead; new ones work."""
 
     def reopened(self) -> Arm:
-        return UrArm(UrArmConfig(self.controller.host), self.limits)
+        return UrArm(patient(self.controller.host), self.limits)
 
 
 class HardwareRig(Rig):
@@ -284,7 +284,7 @@ def stand_in_rig(model: ArmModel, host: str) -> Iterator[Rig]:
     limits = ArmLimits(model=model)
     with ExitStack() as stack:
         controller = stack.enter_context(stand_in(model, host))
-        arm = stack.enter_context(UrArm(UrArmConfig(host), limits))
+        arm = stack.enter_context(UrArm(patient(host), limits))
         yield StandInRig(arm, controller, model, limits)
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import sys
 import threading
-import time
 
-from tests.hardware.swings import swing
+from tests.hardware.swings import swing, wait_for_mid_swing
+from tests.stand_in import patient
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import DeviceError
 from toolee_robot.hal import MotionWatch
 from toolee_robot.hardware.ur_arm import UrArm
-from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.types import ArmModel
 
 PATIENT = MotionWatch(tracking_error=0.1, data_cycles=40.0, overruns=40)
@@ -20,12 +19,12 @@ PATIENT = MotionWatch(tracking_error=0.1, data_cycles=40.0, overruns=40)
 
 def main() -> None:
     host, model = sys.argv[1], ArmModel(sys.argv[2])
-    with UrArm(UrArmConfig(host), ArmLimits(model=model)) as arm:
+    with UrArm(patient(host), ArmLimits(model=model)) as arm:
         trajectory = swing(arm.q_commanded)
 
         def say() -> None:
-            time.sleep(0.4 * trajectory.duration)
-            print("swinging", time.monotonic(), flush=True)
+            wait_for_mid_swing(arm, trajectory)
+            print("swinging", flush=True)
 
         threading.Thread(target=say, daemon=True).start()
         try:

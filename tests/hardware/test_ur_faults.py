@@ -10,10 +10,12 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 
+import numpy as np
 import pytest
 
-from tests.hardware.swings import SLACK, Stop, braked, stop_after, swing
-from tests.stand_in import HOME, stand_in
+from tests.hardware.swings import SLACK, Stop, braked, stop_after, swing, wait_for_mid_swing
+from tests.sim_backend.kinematics import line
+from tests.stand_in import HOME, patient, stand_in
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import (
     DeviceError,
@@ -29,14 +31,14 @@ from toolee_robot.errors import (
 )
 from toolee_robot.hal import ArmStatus, MotionOutcome, MotionWatch
 from toolee_robot.hardware.ur_arm import UrArm
-from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
 HOST = "127.0.0.23"
 LIMITS = ArmLimits(model=ArmModel.UR10)
 PATIENT = MotionWatch(tracking_error=0.1, data_cycles=40.0, overruns=40)
-WATCHDOG = 1.0 / UrArmConfig(HOST).watchdog
+CONFIG = patient(HOST)
+WATCHDOG = 1.0 / CONFIG.watchdog
 
 
 @pytest.fixture(scope="module")
@@ -47,21 +49,26 @@ def controller() -> Iterator[ControllerProcess]:
 
 @pytest.fixture(scope="module")
 def shared_arm(controller: ControllerProcess) -> Iterator[UrArm]:
-    with UrArm(UrArmConfig(controller.host), LIMITS) as arm:
+    with UrArm(patient(controller.host), LIMITS) as arm:
         yield arm
 
 
 @pytest.fixture
 def arm(shared_arm: UrArm, controller: ControllerProcess) -> Iterator[UrArm]:
-    yield shared_arm
-    controller.fault("reset")
-    deadline = time.monotonic() + 10.0
+    """Ready and at home."""
+    deadline = time.monotonic() + 20.0
     while True:
         try:
-            return shared_arm.reset()
+            shared_arm.reset()
+            break
         except DeviceError:
             assert time.monotonic() < deadline
             time.sleep(0.1)
+    if np.abs(shared_arm.q_commanded - HOME).max() > 1e-3:
+        shared_arm.execute(line([shared_arm.q_commanded, HOME], 1.2), None, PATIENT)
+    yield shared_arm
+    controller.fault("reset")  # ends the program too, which the arm has to see
+    time.sleep(0.2)
 
 
 def happens(
@@ -73,10 +80,11 @@ def happens(
     at: list[float] = []
 
     def act() -> None:
+        wait_for_mid_swing(arm, trajectory)
         at.append(time.monotonic())
         event()
 
-    timer = threading.Timer(0.5 * trajectory.duration, act)
+    timer = threading.Thread(target=act)
     timer.start()
     error: Exception | None = None
     try:
@@ -145,12 +153,12 @@ def test_half_open_link(arm: UrArm, controller: ControllerProcess) -> None:
         arm.state(0.1)
 
 
-def test_a_stall_of_a_second_stops_the_motion_and_the_connection_survives(
+def test_a_controller_that_pauses_at_rest_is_stale_meanwhile_and_no_more(
     arm: UrArm, controller: ControllerProcess
 ) -> None:
     pid = arm.servo_pid
     time.sleep(0.1)
-    controller.fault("stall", seconds=1.0, port="rtde")
+    controller.fault("freeze", seconds=0.8)
     time.sleep(0.5)
     with pytest.raises(StaleDataError):
         arm.state(0.1)
@@ -158,6 +166,15 @@ def test_a_stall_of_a_second_stops_the_motion_and_the_connection_survives(
     assert arm.state(0.5).status is ArmStatus.READY
     arm.reset()
     assert arm.servo_pid == pid
+    assert arm.execute(swing(arm.q_commanded), None, PATIENT).outcome is MotionOutcome.COMPLETED
+
+
+def test_a_network_that_is_stuck_for_a_second_stops_the_motion(arm: UrArm, controller: ControllerProcess) -> None:
+    _, error = happens(arm, controller, lambda: controller.fault("stall", seconds=1.0, port="rtde"))
+    # Its data were missing, or its watchdog had ended the program.
+    assert isinstance(error, MotionFaultError)
+    expect_latch(arm)
+    arm.reset()
     assert arm.execute(swing(arm.q_commanded), None, PATIENT).outcome is MotionOutcome.COMPLETED
 
 
@@ -190,6 +207,7 @@ def test_killed_servo_process(arm: UrArm, controller: ControllerProcess) -> None
 def test_hanging_servo_process(arm: UrArm, controller: ControllerProcess) -> None:
     stop, error = happens(arm, controller, partial(os.kill, arm.servo_pid, signal.SIGSTOP))
     assert isinstance(error, ServoCrashError)
+    assert "hung" in str(error)
     assert stop.time < WATCHDOG + 0.4 + SLACK
 
 

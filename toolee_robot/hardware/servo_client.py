@@ -24,9 +24,9 @@ from toolee_robot.hardware.ur_config import UrArmConfig
 BEAT: Final = 0.01  # [s]
 START_TIMEOUT: Final = 15.0
 """[s] For Python and numpy in the new process: the host's matter, not the robot's."""
-HANDSHAKE_TIMEOUT: Final = 3.0
-CLOSE_TIMEOUT: Final = 2.0
-_LAST_WORDS: Final = 300  # characters
+MORE: Final = 1.0
+"""[s] The servo process ends itself when the robot does not answer in time; it gets so much longer here."""
+_LAST_WORDS: Final = 600  # characters
 
 _PROGRAM = "from toolee_robot.hardware.servo_process import main; main()"
 
@@ -79,7 +79,8 @@ class ServoClient:
     def ask(self, order: Order) -> Reply:
         """A short order and its answer. Raises DeviceError when refused, ServoCrashError when there is no answer."""
         self.send(order)
-        reply = self.receive(HANDSHAKE_TIMEOUT)
+        # The payload is acknowledged, then read back.
+        reply = self.receive(2 * self._config.handshake_timeout + MORE)
         if reply is None:
             raise self.crash(hung=True)
         if isinstance(reply, Refused):
@@ -104,13 +105,15 @@ class ServoClient:
 
     def crash(self, hung: bool = False) -> ServoCrashError:
         """The error for a process that is gone, or hangs, with its last words; makes sure that it is gone."""
+        if hung:
+            self._process.send_signal(signal.SIGABRT)  # it then says where it is
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(0.0 if hung else 0.2)
+            self._process.wait(0.2)
         code = self._process.poll()
         self.kill()
-        how = "hung" if code is None else f"ended with code {code}" if code >= 0 else _signal_name(-code)
+        how = "hung" if hung or code is None else f"ended with code {code}" if code >= 0 else _signal_name(-code)
         self._errors.seek(0)
-        words = self._errors.read().decode(errors="replace").strip()[-_LAST_WORDS:]
+        words = self._errors.read().decode(errors="replace").split("Extension modules")[0].strip()[-_LAST_WORDS:]
         return ServoCrashError(
             f"the process that talks to the arm {how}; the robot's watchdog stops the arm. See to it, then reset"
             + (f" (its last words: {words})" if words else "")
@@ -121,7 +124,7 @@ class ServoClient:
         with suppress(DeviceError):
             self.send(Close())
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(CLOSE_TIMEOUT)
+            self._process.wait(self._config.handshake_timeout + MORE)
         self.kill()
 
     def kill(self) -> None:

@@ -6,6 +6,7 @@ task gets a typed error. When the task's process ends or stalls it is this one t
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import select
 import signal
@@ -150,7 +151,7 @@ class ServoProcess:
         while len(arrivals) < _ALIGNMENT and time.monotonic() < end:
             if self._link.read():
                 arrivals.append(self._link.reading[StateColumn.SEEN])
-                if self._fault is Cause.NONE:
+                if self._fault is Cause.NONE and self._link.playing:
                     self._link.kick()
             time.sleep(5e-5)
         now = time.monotonic()
@@ -170,6 +171,7 @@ def main() -> None:
     # Ctrl-C goes to every process of the terminal; this one waits for what the task says.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    faulthandler.enable()  # the wheel's crashes say where they were
     pipe = Connection(int(sys.argv[1]))
     memory = ServoMemory(int(sys.argv[2]), float(sys.argv[3]))
     order: Any = pipe.recv()

@@ -15,7 +15,8 @@ class UrArmConfig:
     lag: the most by which a measured position comes later than its command [s], network and servo included; it is taken
     off before a tracking error is judged. None: as `servo_lag` says.
     watchdog: the robot stops the program when it gets no command for 1/watchdog [Hz].
-    connect_timeout: for the connection, once the servo process runs [s]. link_timeout: at rest, no new data for so long
+    connect_timeout: for the connection, once the servo process runs [s]. handshake_timeout: for anything that the
+    control script has to acknowledge: payload, freedrive, the end [s]. link_timeout: at rest, no new data for so long
     is a lost link [s]; the wheel itself gives up after 2.5 s and is then not to be trusted. hang_timeout: in motion, no
     sign of life of the servo process for so long is a crash [s]. heartbeat_timeout: the task's process shows no life
     for so long, and the arm brakes [s]. longest_motion [s].
@@ -27,6 +28,7 @@ class UrArmConfig:
     lag: float | None = None
     watchdog: float = 10.0
     connect_timeout: float = 3.0
+    handshake_timeout: float = 1.0
     link_timeout: float = 1.5
     hang_timeout: float = 0.2
     heartbeat_timeout: float = 0.1
@@ -39,7 +41,10 @@ class UrArmConfig:
             raise ConfigError(f"gain {self.gain}: servoj takes 100 to 2000")
         if not 0 < self.link_timeout < 2.5:
             raise ConfigError(f"link_timeout {self.link_timeout} s: must be under 2.5, when ur_rtde gives up")
-        positive = (self.watchdog, self.connect_timeout, self.hang_timeout, self.heartbeat_timeout, self.longest_motion)
+        positive = (
+            *(self.watchdog, self.connect_timeout, self.handshake_timeout),
+            *(self.hang_timeout, self.heartbeat_timeout, self.longest_motion),
+        )
         if min(positive) <= 0 or (self.lag is not None and self.lag < 0):
             raise ConfigError("timeouts, the watchdog's rate and longest_motion must be positive, the lag not negative")
 

@@ -25,8 +25,6 @@ from toolee_robot.hardware.servo_memory import StateColumn
 from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.hardware.ur_status import RUNTIME_PLAYING, advice, arm_status
 
-HANDSHAKE = 1.0
-"""[s] The most that a call which waits for the control script may take."""
 PAYLOAD_TOLERANCE = 1e-3
 """[kg], [m] Between what was set and what the controller reports."""
 
@@ -107,16 +105,16 @@ class UrLink:
 
     def kick(self) -> None:
         """Feed the robot's watchdog. Not in a cycle that has sent a position: of two commands that reach the robot in
-        one of its cycles it takes the later."""
+        one of its cycles it takes the later. Not without a program: the wheel may wait 3 s for it to get ready."""
         self._control.kickWatchdog()
 
     def set_payload(self, mass: float, center_of_mass: list[float]) -> None:
         """[kg], [m] in the flange. Raises DeviceError unless the controller reports it back, where its version can."""
-        with bounded(HANDSHAKE):
+        with bounded(self._config.handshake_timeout):
             accepted = self._control.setPayload(mass, center_of_mass)
         if not accepted:
             raise DeviceError("the robot did not take the payload: its program does not run; reset the arm")
-        deadline = time.monotonic() + HANDSHAKE
+        deadline = time.monotonic() + self._config.handshake_timeout
         while True:
             self.kick()
             time.sleep(1.0 / self.rate)
@@ -130,7 +128,7 @@ class UrLink:
                 )
 
     def start_freedrive(self) -> None:
-        with bounded(HANDSHAKE):
+        with bounded(self._config.handshake_timeout):
             if self.servoing:
                 self._control.servoStop()
                 self.servoing = False
@@ -138,13 +136,13 @@ class UrLink:
                 raise DeviceError("the robot did not go into freedrive: its program does not run; reset the arm")
 
     def end_freedrive(self) -> None:
-        with bounded(HANDSHAKE):
+        with bounded(self._config.handshake_timeout):
             self._control.endTeachMode()
         self.reading[StateColumn.COMMANDED] = self._receive.getTargetQ()
 
     def close(self) -> None:
         """End the robot's program, at rest, and the connections; whatever does not end by itself ends the process."""
-        with bounded(HANDSHAKE):
+        with bounded(self._config.handshake_timeout):
             if self.connected and self.playing and self.status is ArmStatus.READY:
                 if self.servoing:
                     self._control.servoStop()
