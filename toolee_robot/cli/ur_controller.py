@@ -68,14 +68,16 @@ class UrController:
             limits=limits,
         )
         controller = Controller(options, resting_joints, log)
-        controller.listen()
-        model = controller.robot.model
-        version = ".".join(str(number) for number in model.version)
-        console.print(f"[bold]{model.name}[/bold], controller software {version}, {model.rate:.0f} Hz, on {self.host}")
-        for port in (*controller.ports.values(), controller.fault_port):
-            console.print(f"  {port.number}  {port.name}")
-        console.print("[dim]Ctrl-C ends it; end its clients first.[/dim]")
         try:
+            controller.listen()
+            model = controller.robot.model
+            version = ".".join(str(number) for number in model.version)
+            console.print(
+                f"[bold]{model.name}[/bold], controller software {version}, {model.rate:.0f} Hz, on {self.host}"
+            )
+            for port in (*controller.ports.values(), controller.fault_port):
+                console.print(f"  {port.number}  {port.name}")
+            console.print("[dim]Ctrl-C ends it; end its clients first.[/dim]")
             controller.run()
         except KeyboardInterrupt:
             statistics = controller.schedule.statistics

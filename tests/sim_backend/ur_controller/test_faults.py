@@ -21,6 +21,7 @@ from tests.sim_backend.ur_controller.wire import RtdeSocket
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.sim_backend.ur_controller import faults
 from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
+from toolee_robot.sim_backend.ur_controller.fault_client import FaultClient
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess, resting_joints
 from toolee_robot.sim_backend.ur_controller.rtde_types import packet
 
@@ -357,9 +358,9 @@ def test_a_flood_does_not_stop_the_ticks(controller: ControllerProcess) -> None:
     assert controller.state()["ticks"]["worst_late"] < 1.0  # on a loaded machine; alone it is a few milliseconds
 
 
-def test_a_used_port_is_said_plainly() -> None:
-    with ControllerProcess(host="127.0.0.16"), pytest.raises(UserError, match=r"127\.0\.0\.16:29999.*choose another"):
-        ControllerProcess(host="127.0.0.16").__enter__()
+def test_a_used_port_is_said_plainly(controller: ControllerProcess) -> None:
+    with pytest.raises(UserError, match=r"127\.0\.0\.15:29999.*choose another"):
+        ControllerProcess(host=controller.host).__enter__()
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.10", "robot"])
@@ -368,19 +369,13 @@ def test_only_loopback_is_served(host: str) -> None:
         Controller(ControllerOptions(host=host), resting_joints)
 
 
-def test_clients_go_before_the_controller_and_the_child_with_its_parent() -> None:
+def test_clients_are_closed_before_the_controller() -> None:
     order: list[str] = []
     with ControllerProcess(host="127.0.0.17") as controller:
         controller.on_exit(lambda: order.append(controller.state()["model"]))
     assert order == ["UR10"]
-    with pytest.raises(DeviceError):
-        faults_of_the_dead()
-
-
-def faults_of_the_dead() -> None:
-    from toolee_robot.sim_backend.ur_controller.fault_client import FaultClient
-
-    FaultClient("127.0.0.17", timeout=1.0)
+    with pytest.raises(DeviceError, match="toolee ur-controller --host"):
+        FaultClient("127.0.0.17", timeout=1.0)
 
 
 def _reachable(port: int) -> bool:

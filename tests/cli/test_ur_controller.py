@@ -1,0 +1,39 @@
+"""`toolee ur-controller` as a person meets it."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+COMMAND = [sys.executable, "-c", "from toolee_robot.cli import main; main()", "ur-controller"]
+
+
+def test_says_what_listens_where_and_ends_cleanly_with_ctrl_c() -> None:
+    with subprocess.Popen([*COMMAND, "--host", "127.0.0.19"], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        lines = []
+        while not (lines and lines[-1].startswith("Ctrl-C ends it")):
+            lines.append(process.stdout.readline())
+            assert lines[-1], "it ended by itself"
+        process.send_signal(signal.SIGINT)
+        rest = process.stdout.read()
+        assert process.wait(30.0) == 0
+    text = "".join(lines)
+    assert "UR10, controller software 3.15" in text
+    assert [port for port in (29999, 30001, 30002, 30003, 30004, 30020) if str(port) not in text] == []
+    assert "Ended after" in rest
+    assert "Traceback" not in rest
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [(["--host", "10.0.0.1"], "not a loopback address"), (["--speed-slider", "2"], "between 0 and 1")],
+)
+def test_says_what_to_change(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    from toolee_robot.cli.app import run
+
+    assert run(["ur-controller", *arguments]) == 2
+    assert message in capsys.readouterr().err
