@@ -14,7 +14,7 @@ COMMAND = [sys.executable, "-c", "from toolee_robot.cli import main; main()", "u
 def test_says_what_listens_where_and_ends_cleanly_with_ctrl_c() -> None:
     with subprocess.Popen([*COMMAND, "--host", "127.0.0.19"], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        lines = []
+        lines: list[str] = []
         while not (lines and lines[-1].startswith("Ctrl-C ends it")):
             lines.append(process.stdout.readline())
             assert lines[-1], "it ended by itself"
