@@ -52,7 +52,7 @@ _quality = st.builds(
     clock_ratio=_any,
 )
 _parameters = st.builds(DhParameters, *[st.lists(st.floats(-1e4, 1e4), min_size=6, max_size=6).map(np.array)] * 4)
-_text = st.none() | st.text(max_size=30)
+_text = st.none() | st.text(min_size=1, max_size=30)
 _report = st.builds(
     UrReport,
     host=st.just("192.168.1.10"),
