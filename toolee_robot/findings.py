@@ -44,12 +44,15 @@ def worst(findings: Iterable[Finding]) -> Level:
 
 
 def ok(name: str, says: str) -> Finding:
+    """As it should be."""
     return Finding(Level.OK, name, says)
 
 
 def warn(name: str, says: str, do: str) -> Finding:
+    """It works, but worse or less surely than it could."""
     return Finding(Level.WARN, name, says, do)
 
 
 def fail(name: str, says: str, do: str) -> Finding:
+    """Nothing may move before it is mended."""
     return Finding(Level.FAIL, name, says, do)
