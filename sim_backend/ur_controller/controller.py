@@ -181,7 +181,7 @@ class Controller:
         """Read from whoever sends until the time `due` [s]; at least once."""
         if (wait := self.frozen_until - time.monotonic()) > 0.0:
             time.sleep(wait)
-        self.inputs.catching_up = time.monotonic() > due + self.schedule.period
+        self.inputs.catching_up = time.monotonic() > due
         while True:
             readers = {fd: service for service in self.services for fd in service.filenos()}
             timeout = max(0.0, due - time.monotonic())

@@ -20,6 +20,7 @@ from toolee_robot.sim_backend.ur_controller.rtde_types import Recipe
 from toolee_robot.sim_backend.ur_controller.rtde_variables import Outputs
 
 MAX_RECIPES = 255  # an id is a byte, 0 means refused
+QUEUE = 64  # packets of a stream that wait for their ticks, at most
 MAX_WAITING = 1 << 20  # [bytes] from a client that could not be taken yet; one that sends more is dropped
 SKIP_BACKLOG = 65536  # [bytes] unread by the client over which data packets are left out
 _WARNING = 2  # level of a text message
@@ -52,7 +53,8 @@ class RtdeSession:
         self._to_skip = 0
         self._drop_after, faults.drop_after = faults.drop_after, None
         self._ended = False
-        self._written = False  # since the last tick
+        self._written = 0  # the input recipe that came last since the last tick
+        self._queueing = False  # a stream's packets wait for their ticks
 
     def feed(self, data: bytes) -> None:
         self._buffer += data
@@ -65,7 +67,8 @@ class RtdeSession:
                 return
             if len(self._buffer) < size:
                 return
-            if kind == wire.DATA and self._written and self._inputs.catching_up:
+            if kind == wire.DATA and self._must_wait(size):
+                self._queueing = True
                 return
             payload = bytes(self._buffer[wire.HEADER.size : size])
             del self._buffer[:size]
@@ -74,8 +77,17 @@ class RtdeSession:
     def tick(self) -> None:
         """Publish what the client has subscribed to, if it is due; take what it had to wait with."""
         self._publish()
-        self._written = False
+        self._written = 0
+        self._queueing = bool(self._buffer)
         self.feed(b"")
+
+    def _must_wait(self, size: int) -> bool:
+        """Whether the next packet is of a stream of which one has been taken in this tick, on a late computer. What
+        began to queue goes on one by one until something else comes: no step later on either."""
+        if not self._written or len(self._buffer) > QUEUE * size:
+            return False
+        same = len(self._buffer) > wire.HEADER.size and self._buffer[wire.HEADER.size] == self._written
+        return same and (self._queueing or self._inputs.catching_up)
 
     def _publish(self) -> None:
         recipe = self._output
@@ -192,5 +204,5 @@ class RtdeSession:
         if len(payload) - 1 != recipe.layout.size:
             self.text(f"data of {len(payload) - 1} bytes for input recipe {number} of {recipe.layout.size} bytes")
             return
-        self._written = True
+        self._written = number
         self._inputs.write(recipe.names, recipe.layout.unpack(payload[1:]))

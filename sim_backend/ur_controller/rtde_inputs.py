@@ -40,8 +40,8 @@ _LAST_DIGITAL = 18
 class Inputs:
     """Input variables of one controller. owners: variable -> who has claimed it; any hashable object is an owner.
 
-    catching_up: ticks follow one another without a pause, since this computer was late. What clients sent meanwhile is
-    then taken one packet a tick, as it would have come: all at once, a servo's path would have a step.
+    catching_up: this tick is overdue, since the computer was late. What a client streamed meanwhile is then taken one
+    packet a tick, as it would have come: all at once, a servo's path would have a step.
     """
 
     def __init__(self, robot: Robot) -> None:
