@@ -17,7 +17,8 @@ from dataclasses import dataclass, field
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.dashboard import DashboardSession
-from toolee_robot.sim_backend.ur_controller.faults import Faults, FaultSession
+from toolee_robot.sim_backend.ur_controller.fault_session import FaultSession
+from toolee_robot.sim_backend.ur_controller.faults import Faults
 from toolee_robot.sim_backend.ur_controller.model import MODELS, ControllerModel
 from toolee_robot.sim_backend.ur_controller.plant import Plant
 from toolee_robot.sim_backend.ur_controller.port import Port

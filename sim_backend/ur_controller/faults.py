@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import inspect
-import json
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,19 +15,19 @@ import numpy as np
 from pydantic import ConfigDict, Field, ValidationError, validate_call
 
 from toolee_robot.errors import TooleeError, UserError
-from toolee_robot.sim_backend.ur_controller.link import Connection, LinkFaults, Sink
+from toolee_robot.sim_backend.ur_controller.describe import describe
+from toolee_robot.sim_backend.ur_controller.link import Connection, LinkFaults
 from toolee_robot.sim_backend.ur_controller.model import MODELS
 from toolee_robot.sim_backend.ur_controller.robot import Identity
 from toolee_robot.sim_backend.ur_controller.rtde import RtdeSession
 from toolee_robot.sim_backend.ur_controller.rtde_inputs import INPUTS
 from toolee_robot.sim_backend.ur_controller.rtde_variables import OUTPUTS
-from toolee_robot.sim_backend.ur_controller.safety import UNLOCK_DELAY, RobotMode, SafetyMode
+from toolee_robot.sim_backend.ur_controller.safety import UNLOCK_DELAY, RobotMode
 
 if TYPE_CHECKING:
     from toolee_robot.sim_backend.ur_controller.controller import Controller
     from toolee_robot.sim_backend.ur_controller.port import Port
 
-MAX_LINE = 65536  # [bytes] of a request
 TRACE_PAGE = 250  # rows in one answer: more would hold up the tick
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -392,73 +391,3 @@ class Faults:
             if name not in OUTPUTS:
                 raise UserError(f"no output variable {name!r}")
         return variables
-
-
-def describe(controller: Controller) -> dict[str, Any]:
-    """The answer of the `state` hook."""
-    robot = controller.robot
-    machine, safety, program, statistics = robot.machine, robot.safety, robot.program, controller.schedule.statistics
-    return {
-        "model": robot.model.name,
-        "timestamp": robot.timestamp,
-        "stamp": time.monotonic(),
-        "tick": robot.ticks,
-        "q": robot.plant.q.tolist(),
-        "qd": robot.plant.qd.tolist(),
-        "q_target": machine.q_target.tolist(),
-        "qd_target": machine.qd_target.tolist(),
-        "tcp_pose": robot.reading.tcp_pose,
-        "tcp_force": robot.reading.tcp_force.tolist(),
-        "moving": machine.moving,
-        "robot_mode": RobotMode(safety.robot_mode).name,
-        "safety_mode": SafetyMode(safety.mode).name,
-        "safety_reason": safety.reason,
-        "remote": safety.remote,
-        "program_state": program.state.name,
-        "program_name": program.name,
-        "program_error": program.last_error,
-        "uploads": program.uploads,
-        "payload": machine.payload,
-        "payload_cog": list(machine.payload_cog),
-        "tcp": list(machine.tcp),
-        "speed_slider": machine.speed_fraction,
-        "popup": robot.popup,
-        "messages": [text for _, text in list(robot.messages)[-10:]],
-        "clients": {name: len(port.clients) for name, port in controller.ports.items()},
-        "ticks": {
-            "done": statistics.ticks,
-            "late": statistics.late,
-            "slipped": statistics.slipped,
-            "worst_late": statistics.worst_late,
-            "mean_work": statistics.busy / max(1, statistics.ticks),
-        },
-    }
-
-
-class FaultSession:
-    """A client of the fault port."""
-
-    def __init__(self, sink: Sink, faults: Faults) -> None:
-        self._sink, self._faults = sink, faults
-        self._buffer = bytearray()
-
-    def feed(self, data: bytes) -> None:
-        self._buffer += data
-        while (end := self._buffer.find(b"\n")) >= 0:
-            line = bytes(self._buffer[:end])
-            del self._buffer[: end + 1]
-            if line.strip():
-                self._sink.send(json.dumps(self._answer(line)).encode() + b"\n")
-        if len(self._buffer) > MAX_LINE:
-            self._sink.close()
-
-    def tick(self) -> None: ...
-
-    def close(self) -> None: ...
-
-    def _answer(self, line: bytes) -> dict[str, Any]:
-        try:
-            request = json.loads(line)
-        except (ValueError, RecursionError) as error:
-            return {"ok": False, "error": f"not JSON: {error}"}
-        return self._faults.do(request)
