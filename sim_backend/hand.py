@@ -35,7 +35,7 @@ CLOSING_ORDER = (("FFJ3", "MFJ3", "RFJ3", "LFJ3"), ("FFJ2", "MFJ2", "RFJ2", "LFJ
 class SimHand:
     """A `hal.Hand` that moves the simulated Shadow Hand. The wrist holds its rest pose with its limited torque.
 
-    Faults to be had: `cut_link`, `hang` (motions time out), temperature, fault (see `hal.HandState`); `recover` ends
+    Faults to be had: `cut_link`; hangs (motions time out), temperature, fault (see `hal.HandState`); `recover` ends
     them all.
     """
 
@@ -47,7 +47,7 @@ class SimHand:
         self._holding_forces: dict[str, float] | None = None
         self._open_device = True
         self.temperature, self.fault = ROOM_TEMPERATURE, ""
-        self._hangs = False
+        self.hangs = False
         self._last: HandState | None = None  # the newest state that arrived, while the link is down
 
     def __enter__(self) -> Self:
@@ -82,14 +82,10 @@ class SimHand:
         """They arrive again."""
         self._last = None
 
-    def hang(self) -> None:
-        """From now on the fingers do not move, whatever they are told; they keep what they hold."""
-        self._hangs = True
-
     def recover(self) -> None:
         """Everything is as it should be again."""
         self.restore_link()
-        self._hangs = False
+        self.hangs = False
         self.temperature, self.fault = ROOM_TEMPERATURE, ""
 
     def _read(self) -> HandState:
@@ -139,7 +135,7 @@ class SimHand:
             raise DeviceError("the hand is closed: use it inside its `with` block")
 
     def _check_moves(self, timeout: float) -> None:
-        if self._hangs:
+        if self.hangs:
             self._world.advance(timeout)
             raise DeviceError(f"the hand did not move within {timeout:.1f} s; it stays as it is, its grip too")
 

@@ -10,13 +10,13 @@ import pybullet as pb
 import pytest
 
 from tests.tasks.bench import CONFIG, Bench, Log, People, at_rest, grip_kept, is_home
-from toolee_robot.cli.job import nominal_grasp
-from toolee_robot.cli.perfect import PerfectPerception
 from toolee_robot.control import Meeting, RobotModel
 from toolee_robot.errors import PerceptionError, UserError
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.nail import HINGE_X, SLIDE
+from toolee_robot.sim_backend.perfect import PerfectPerception
+from toolee_robot.tasks.grasp import nominal_grasp
 from toolee_robot.tasks.hammering import HammeringTask
 from toolee_robot.tasks.look import Look
 from toolee_robot.tasks.observer import TaskObserver

@@ -8,15 +8,15 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
-from toolee_robot.cli.job import nominal_grasp
-from toolee_robot.cli.perfect import PerfectPerception
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
 from toolee_robot.errors import PlanningError, TooleeError
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.options import InHandOffset
+from toolee_robot.sim_backend.perfect import PerfectPerception
 from toolee_robot.sim_backend.person import handed_over
 from toolee_robot.sim_backend.station import SimStation
+from toolee_robot.tasks.grasp import nominal_grasp
 from toolee_robot.tasks.hammering import Grasp, HammeringTask
 from toolee_robot.tasks.observer import TaskObserver
 from toolee_robot.types import RgbdFrame, ToolEstimate

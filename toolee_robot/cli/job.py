@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.panel import Panel
@@ -17,19 +16,19 @@ import toolee_robot
 from toolee_robot.cli.backend import open_backend
 from toolee_robot.cli.console import ConsoleObserver
 from toolee_robot.cli.output import json_line, write_whole
-from toolee_robot.cli.perfect import PerfectPerception
 from toolee_robot.cli.recording import Album, RecordingObserver
 from toolee_robot.config import StationConfig
 from toolee_robot.perception import ToolPerception
 from toolee_robot.recorder import RunRecorder
-from toolee_robot.robots import load_robot, nominal_X_hand_tool
+from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.judge import BlowTruth, Verdict
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.tasks.hammering import Grasp, HammeringTask
+from toolee_robot.sim_backend.perfect import PerfectPerception
+from toolee_robot.tasks.grasp import nominal_grasp
+from toolee_robot.tasks.hammering import HammeringTask
 from toolee_robot.tasks.observer import Observers
 from toolee_robot.tasks.outcome import HammerResult, Outcome
 from toolee_robot.tools import Tool
-from toolee_robot.types import Category
 
 EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
 
@@ -192,13 +191,6 @@ class HammerJob:
         picture = album.picture(title, f"{_words(tool)}, seed {self.seed}{self._mode()}")
         if picture is not None:
             write_whole(folder / "picture.png", picture)
-
-
-def nominal_grasp(tool: Tool) -> Grasp:
-    """How the tool lies in the hand nominally, from its data sheet: its true pose in the hand is not known."""
-    radius = float(np.mean(tool.handle.radii_at(0.0)))
-    X_tool_ee = tool.ee(Category.HAMMER_HEAD).X_tool_ee
-    return Grasp(nominal_X_hand_tool(radius), X_tool_ee, tool.mass, tool.center_of_mass)
 
 
 def _words(tool: Tool) -> str:
