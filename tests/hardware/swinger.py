@@ -14,7 +14,7 @@ from toolee_robot.hal import MotionWatch
 from toolee_robot.hardware.ur_arm import UrArm
 from toolee_robot.types import ArmModel
 
-PATIENT = MotionWatch(tracking_error=0.1, data_cycles=40.0, overruns=40)
+PATIENT = MotionWatch(tracking_error=0.5, data_cycles=40.0, overruns=40)
 
 
 def main() -> None:

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from tests.hardware.swings import SLACK, Stop, braked, stop_after, swing, wait_for_mid_swing
+from tests.hardware.swings import SLACK, Stop, braked, shortest_stop, stop_after, swing, wait_for_mid_swing
 from tests.sim_backend.kinematics import line
 from tests.stand_in import HOME, patient, stand_in
 from toolee_robot.config import ArmLimits
@@ -36,7 +36,7 @@ from toolee_robot.types import ArmModel
 
 HOST = "127.0.0.23"
 LIMITS = ArmLimits(model=ArmModel.UR10)
-PATIENT = MotionWatch(tracking_error=0.1, data_cycles=40.0, overruns=40)
+PATIENT = MotionWatch(tracking_error=0.5, data_cycles=40.0, overruns=40)
 CONFIG = patient(HOST)
 WATCHDOG = 1.0 / CONFIG.watchdog
 
@@ -146,7 +146,7 @@ def test_dropped_link(arm: UrArm, controller: ControllerProcess, reset: bool) ->
 
 
 def test_half_open_link(arm: UrArm, controller: ControllerProcess) -> None:
-    stop, error = happens(arm, controller, lambda: controller.fault("half_open", port="rtde"), MotionWatch(0.1, 10, 40))
+    stop, error = happens(arm, controller, lambda: controller.fault("half_open", port="rtde"), MotionWatch(0.5, 10, 40))
     assert isinstance(error, LinkLostError)
     assert stop.time < WATCHDOG + 0.5 + SLACK
     with pytest.raises(StaleDataError):
@@ -219,8 +219,8 @@ def test_late_commands(arm: UrArm, controller: ControllerProcess) -> None:
         time.sleep(0.06)
         os.kill(pid, signal.SIGCONT)
 
-    stop, error = happens(arm, controller, hold_up, MotionWatch(0.2, 40.0, 3))
+    stop, error = happens(arm, controller, hold_up, MotionWatch(0.5, 40.0, 3))
     assert isinstance(error, OverrunError)
     assert error.report is not None
     assert error.report.overruns >= 3
-    braked(stop, LIMITS, 0.1)
+    assert stop.time < shortest_stop(LIMITS, stop.speed) + 0.1 + SLACK

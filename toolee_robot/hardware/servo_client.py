@@ -72,6 +72,15 @@ class ServoClient:
     def alive(self) -> bool:
         return self._process.poll() is None
 
+    def cycles_within(self, timeout: float) -> bool:
+        """Whether its loop does another cycle within so long [s]; comes back as soon as it has."""
+        done, deadline = int(self.memory.words[Word.CYCLES]), time.monotonic() + timeout
+        while int(self.memory.words[Word.CYCLES]) == done:
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(1e-3)
+        return True
+
     def ask_to_stop(self) -> None:
         """Brake in the next cycle; any thread."""
         self.memory.words[Word.STOP] += 1

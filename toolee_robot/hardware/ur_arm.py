@@ -228,6 +228,8 @@ class UrArm:
             self._latch(fault(cause, self._status_now(servo), None))
         elif not servo.alive:
             self._latch(servo.crash())
+        elif not servo.cycles_within(self._config.hang_timeout):
+            self._latch(servo.crash(hung=True))
 
     def _latch(self, error: MotionFaultError) -> MotionFaultError:
         if self._fault is None:
