@@ -1,22 +1,18 @@
-"""COCO mask AP of a detector, by category, with faster-coco-eval (the `test` extra).
-
-python -m toolee_robot.perception.segmentation_evaluation --data data/test --weights runs/segmentation
-"""
+"""COCO mask AP of a detector, by category, with faster-coco-eval (the `test` extra): `toolee evaluate segmentation`."""
 
 from __future__ import annotations
 
-import argparse
-import json
+import copy
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from toolee_robot.errors import UserError
-from toolee_robot.perception.dataset.storage import load
+from toolee_robot.errors import AssetError, UserError
+from toolee_robot.perception.dataset.storage import load_scenes, scene_folders
 from toolee_robot.perception.segmentation import EVERYTHING, Segmenter
 from toolee_robot.perception.segmentation_data import SegmentationImages
 from toolee_robot.perception.segmentation_model import CLASSES, TOOL
@@ -27,23 +23,61 @@ STATISTICS = ("AP", "AP50", "AP75", "AP_S", "AP_M", "AP_L")
 """COCO's first six: the mean over IoU .50 to .95, at .50, at .75, and by area (under 32^2, to 96^2, over) [px]."""
 
 
-def evaluate(dataset_dir: Path, weights: Path | None = None, limit: int | None = None) -> dict[str, Any]:
-    """Mask AP of the detector in `weights` (the shipped one if None) on the data set: see `evaluate_masks`."""
-    return evaluate_masks(Segmenter.load(weights), load(dataset_dir), limit)
+@dataclass(frozen=True)
+class CocoTask:
+    """truth: a COCO data set as a dictionary; results: a COCO result list; times: of each image [s]."""
+
+    truth: dict[str, Any]
+    results: list[dict[str, Any]]
+    times: list[float]
+
+    def joined(self, other: CocoTask) -> CocoTask:
+        """Both, the other's images and annotations numbered after these."""
+        images, annotations = len(self.truth["images"]), len(self.truth["annotations"])
+        moved = {
+            "images": [{**v, "id": v["id"] + images} for v in other.truth["images"]],
+            "categories": other.truth["categories"],
+            "annotations": [
+                {**v, "id": v["id"] + annotations, "image_id": v["image_id"] + images}
+                for v in other.truth["annotations"]
+            ],
+        }
+        results = [{**v, "image_id": v["image_id"] + images} for v in other.results]
+        truth = {
+            **moved,
+            "images": [*self.truth["images"], *moved["images"]],
+            "annotations": [*self.truth["annotations"], *moved["annotations"]],
+        }
+        return CocoTask(truth, [*self.results, *results], [*self.times, *other.times])
 
 
-def evaluate_masks(segmenter: Segmenter, images: SegmentationImages, limit: int | None = None) -> dict[str, Any]:
-    """For each class, and as "average" over the four EE categories: AP, AP50, AP75, AP_S, AP_M, AP_L (None: no such
-    instance), images, instances, and the median time of an image [ms]. Instances of under 50 visible pixels
-    are crowd: neither found nor missed."""
-    try:
-        from faster_coco_eval import COCO, COCOeval_faster
-        from faster_coco_eval.core import mask as coco_mask
-    except ImportError as error:
-        raise UserError("evaluation needs faster-coco-eval: python -m pip install -e '.[test]'") from error
+def evaluate(
+    dataset_dir: Path, weights: Path | None = None, limit: int | None = None, device: str = "cpu"
+) -> dict[str, Any]:
+    """Mask AP of the detector in `weights` (the shipped one if None) on a split of a data set: see `evaluate_masks`.
+
+    One scene of images is in memory at a time. Raises AssetError.
+    """
+    segmenter = Segmenter.load(weights, device)
+    scenes = scene_folders(dataset_dir)
+    if not scenes:
+        raise AssetError(f"no BOP scene in {dataset_dir}: give the folder train or test of a data set")
+    task = coco_task(segmenter, load_scenes(scenes[:1], limit=limit))
+    for scene in scenes[1:]:
+        left = None if limit is None else limit - len(task.times)
+        if left is not None and left <= 0:
+            break
+        task = task.joined(coco_task(segmenter, load_scenes([scene], limit=left)))
+    return _report(task)
+
+
+def coco_task(segmenter: Segmenter, images: SegmentationImages, limit: int | None = None) -> CocoTask:
+    """What the detector finds in (the first `limit` of) the images, and what is there, both as COCO has it. Instances
+    of under 50 visible pixels are crowd. Raises UserError without faster-coco-eval."""
+    encode = _coco_library()[2].encode
 
     def encoded(mask: NDArray[np.bool_]) -> dict[str, Any]:
-        rle: dict[str, Any] = coco_mask.encode(np.asfortranarray(mask.astype(np.uint8)))
+        rle: dict[str, Any] = encode(np.asfortranarray(mask.astype(np.uint8)))
         return rle
 
     count = len(images.rgb) if limit is None else min(limit, len(images.rgb))
@@ -65,17 +99,35 @@ def evaluate_masks(segmenter: Segmenter, images: SegmentationImages, limit: int 
             entry = {"image_id": i + 1, "category_id": label, "score": score}
             results.append({**entry, "segmentation": encoded(mask)})
     height, width = images.rgb.shape[1:3]
-    truth = COCO(
-        {
-            "images": [{"id": i + 1, "height": height, "width": width} for i in range(count)],
-            "categories": [{"id": k, "name": name} for k, name in enumerate(CLASSES) if k > 0],
-            "annotations": annotations,
-        }
-    )
-    report: dict[str, Any] = {"images": count, "median_ms": 1000 * float(np.median(times)) if times else None}
-    found = truth.loadRes(results) if results else None
+    truth = {
+        "images": [{"id": i + 1, "height": height, "width": width} for i in range(count)],
+        "categories": [{"id": k, "name": name} for k, name in enumerate(CLASSES) if k > 0],
+        "annotations": annotations,
+    }
+    return CocoTask(truth, results, times)
+
+
+def evaluate_masks(segmenter: Segmenter, images: SegmentationImages, limit: int | None = None) -> dict[str, Any]:
+    """For each class, and as "average" over the four EE categories: AP, AP50, AP75, AP_S, AP_M, AP_L (None: no such
+    instance), images, instances, and the median time of an image [ms]. Instances of under 50 visible pixels
+    are crowd: neither found nor missed."""
+    return _report(coco_task(segmenter, images, limit))
+
+
+def _report(task: CocoTask) -> dict[str, Any]:
+    count = len(task.truth["images"])
+    median_ms = 1000 * float(np.median(task.times)) if task.times else None
+    return {"images": count, "median_ms": median_ms, **statistics(task)}
+
+
+def statistics(task: CocoTask) -> dict[str, Any]:
+    """COCO's statistics for each class, and as "average" over the four EE categories."""
+    COCO, COCOeval_faster, _ = _coco_library()
+    truth = COCO(copy.deepcopy(task.truth))
+    found = truth.loadRes([dict(r) for r in task.results]) if task.results else None
+    report: dict[str, Any] = {}
     for label in range(1, len(CLASSES)):
-        n = sum(a["category_id"] == label and not a["iscrowd"] for a in annotations)
+        n = sum(a["category_id"] == label and not a["iscrowd"] for a in task.truth["annotations"])
         values: list[float | None] = [0.0 if n else None] * len(STATISTICS)
         if found is not None and n:
             run = COCOeval_faster(truth, found, "segm", print_function=lambda *_: None)
@@ -93,6 +145,15 @@ def evaluate_masks(segmenter: Segmenter, images: SegmentationImages, limit: int 
     return report
 
 
+def _coco_library() -> tuple[Any, Any, Any]:
+    try:
+        from faster_coco_eval import COCO, COCOeval_faster
+        from faster_coco_eval.core import mask
+    except ImportError as error:
+        raise UserError("evaluation needs faster-coco-eval: python -m pip install -e '.[test]'") from error
+    return COCO, COCOeval_faster, mask
+
+
 def true_instances(images: SegmentationImages, index: int) -> list[tuple[int, NDArray[np.bool_]]]:
     """(label, mask) of every instance of one image of which at least a pixel is seen."""
     found = []
@@ -104,18 +165,3 @@ def true_instances(images: SegmentationImages, index: int) -> list[tuple[int, ND
         if tool_id:
             found.append((TOOL, images.tool[index] == tool_id))
     return found
-
-
-def _main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--weights", type=Path, help="folder of a training run; the shipped weights if left out")
-    parser.add_argument("--limit", type=int, help="only the first so many images")
-    parser.add_argument("--threads", type=int, default=2)
-    options = parser.parse_args()
-    torch.set_num_threads(options.threads)
-    print(json.dumps(evaluate(options.data, options.weights, options.limit), indent=1))
-
-
-if __name__ == "__main__":
-    _main()

@@ -157,6 +157,8 @@ class EvaluateSegmentation:
     """Folder of a training (the shipped weights if left out)."""
     limit: _Limit = None
     """Only so many images."""
+    device: Annotated[str, tyro.conf.arg(metavar="DEVICE")] = "cpu"
+    """Where the network runs: cpu or cuda."""
     json: Flag = False
     """Print one line of JSON; everything for people goes to standard error."""
 
@@ -165,7 +167,7 @@ class EvaluateSegmentation:
 
         console = Console(stderr=self.json, highlight=False)
         with console.status("the detector looks at every image"):
-            found = evaluate(self.data, self.weights, self.limit)
+            found = evaluate(self.data, self.weights, self.limit, self.device)
         table = Table(title="Segmentation, COCO mask AP", title_justify="left")
         rows = []
         for name, row in found.items():

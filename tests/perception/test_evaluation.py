@@ -1,0 +1,234 @@
+"""The evaluation on a data set of a few rendered frames: clouds and truth belong together, tables, report, command."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from toolee_robot.cli.app import run
+from toolee_robot.errors import AssetError
+from toolee_robot.frames import transform
+from toolee_robot.perception.dataset.example import examples_of
+from toolee_robot.perception.dataset.spec import DatasetSpec
+from toolee_robot.perception.dataset.storage import write_scene
+from toolee_robot.perception.evaluation import metrics, pose, views
+from toolee_robot.perception.evaluation.estimates import Ranked, estimate_all, load_estimator
+from toolee_robot.perception.evaluation.examples import Examples, collect
+from toolee_robot.perception.evaluation.html import Page
+from toolee_robot.perception.evaluation.report import page, pictures
+from toolee_robot.perception.evaluation.run import Evaluation
+from toolee_robot.perception.evaluation.samplers import sampler_table
+from toolee_robot.perception.evaluation.shapes import ee_shape
+from toolee_robot.perception.pose import PoseEstimator
+from toolee_robot.perception.segmentation import Segmenter
+from toolee_robot.perception.segmentation_evaluation import STATISTICS, coco_task, statistics
+from toolee_robot.tools import ee_radius
+
+FRAMES = 4
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("data")
+    (root / "test").mkdir()
+    write_scene(root / "test" / "000000", examples_of(DatasetSpec("hard", 8, 5, 0.5), "test", 0, FRAMES))
+    return root
+
+
+@pytest.fixture(scope="module")
+def examples(folder: Path) -> Examples:
+    return collect(folder, Segmenter.load())
+
+
+def test_clouds_lie_on_the_ends_that_they_are_said_to_show(examples: Examples) -> None:
+    assert examples.images == FRAMES
+    assert any(i.target for i in examples.instances)
+    for case in examples.cases["truth"]:
+        assert case.instance is not None
+        instance = examples.instances[case.instance]
+        assert instance.target
+        assert instance.held_out
+        if case.cloud.usable:
+            X = instance.X_camera_ee
+            local = (case.cloud.points - X[:3, 3]) @ X[:3, :3]
+            assert np.median(np.linalg.norm(local, axis=1)) < ee_radius(instance.category) + 0.01
+            shape = ee_shape(instance.kind, instance.seed, instance.ee)
+            assert 0.02 < shape.diameter < 2.1 * ee_radius(instance.category)
+    for case in examples.cases["predicted"]:
+        if case.instance is not None:
+            assert examples.instances[case.instance].category is case.category
+    matched = [c.instance for c in examples.cases["predicted"] if c.instance is not None]
+    assert len(matched) == len(set(matched))
+
+
+def test_a_folder_without_data_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(AssetError, match="dataset generate"):
+        collect(tmp_path)
+    with pytest.raises(AssetError, match="train_pose"):
+        load_estimator(tmp_path)
+
+
+def test_perfect_detections_rank_perfectly_and_confident_mistakes_cost(examples: Examples) -> None:
+    perfect = [
+        Ranked(i.image, i.category, 0.9 - 0.01 * k, i.X_camera_ee, True)
+        for k, i in enumerate(examples.instances)
+        if i.target
+    ]
+    table = pose.ranked_ap(examples, perfect)
+    assert table["average"]["2deg2mm"] == pytest.approx(1.0)
+    shifted = [replace(r, score=1.0, X_camera_ee=r.X_camera_ee @ transform(p=(0.0, 0.0, 0.006))) for r in perfect]
+    mistaken = pose.ranked_ap(examples, [*perfect, *shifted])
+    assert (mistaken["average"]["2deg2mm"] or 0) == pytest.approx(0.5, abs=0.2)
+    assert mistaken["average"]["5deg1cm"] == pytest.approx(1.0)
+    missed = pose.ranked_ap(examples, perfect[:-1])
+    assert (missed["average"]["2deg2mm"] or 0) < 1.0
+
+
+def test_tables_and_the_report(examples: Examples) -> None:
+    estimator = PoseEstimator.load()
+    fused = {**dict.fromkeys(metrics.THRESHOLDS, 1.0), "median_mm": 1.0}
+    report: dict[str, object] = {
+        "data": {"folder": "<data>", "images": 4, "targets": 3, "targets_held_out": 3, "held_out_tools": 2},
+        "samplers": sampler_table(estimator, examples, 2, lambda *_: None),
+        "fused": {"hammers": 1, "usable_share": 1.0, "one_frame": fused, "five_frames": fused},
+        "no_tool": {"frames": 2, "with_a_detection": 1, "with_a_usable_pose": 0, "share_without": 1.0},
+    }
+    record: dict[str, object] = {"method": {"name": "ours", "candidates": 32, "sampler": "Euler(steps=5)"}}
+    kinds = {}
+    for masks in ("truth", "predicted"):
+        rows, ranked = estimate_all(estimator, examples, masks)
+        assert len(rows) == sum(i.target for i in examples.instances)
+        assert np.all(rows.position[~rows.made] == np.inf)
+        kinds[masks] = rows
+        groups = pose.tables(rows)
+        assert set(groups) == {"held-out"}
+        for category, row in groups["held-out"]["accuracy"].items():
+            assert row["2deg2mm"] <= row["5deg5mm"] <= row["5deg1cm"] <= row["5deg2cm"] <= row["10deg5cm"], category
+        latency = {**pose.latency(rows), "device": "cpu", "torch_threads": 1}
+        record[masks] = {"groups": groups, "ranked_ap": pose.ranked_ap(examples, ranked), "latency": latency}
+    report["estimators"] = {"ours & more": record}
+    evaluation = Evaluation(report, {"ours & more": kinds})
+    images = pictures(evaluation)
+    assert {"accuracy_held-out_truth.png", "samplers.png"} <= set(images)
+    html = page(evaluation, images, "now · here")
+    check_self_contained(html)
+    assert html.count("data:image/png;base64,") == len(images)
+    assert "ours &amp; more" in html
+    assert "&lt;data&gt;" in html
+    json.dumps(report, default=float)
+    table = report["samplers"]
+    assert isinstance(table, list)
+    assert table[0]["sampler"] == "RK45"
+    assert [r["evaluations"] for r in table[1:]] == [1, 2, 3, 5, 10, 20]
+    assert table[0]["evaluations"] > 20
+
+
+def check_self_contained(html: str) -> None:
+    """Well-formed, with nothing in it that a browser would fetch."""
+    assert not re.search(r"https?://|<script|<link|@import|url\(", html)
+    for source in re.findall(r'src="([^"]*)"', html):
+        assert base64.b64decode(source.removeprefix("data:image/png;base64,")).startswith(b"\x89PNG")
+    targets = set(re.findall(r'id="([^"]*)"', html))
+    assert set(re.findall(r'href="#([^"]*)"', html)) == targets
+
+    class Balance(HTMLParser):
+        stack: list[str]
+
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:  # noqa: ARG002
+            if tag not in ("meta", "img"):
+                self.stack.append(tag)
+
+        def handle_endtag(self, tag: str) -> None:
+            assert self.stack.pop() == tag
+
+    parser = Balance()
+    parser.stack = []
+    parser.feed(html)
+    assert parser.stack == []
+
+
+def test_a_page_escapes_what_it_is_given() -> None:
+    out = Page("<b>", "a & b")
+    out.section("Über 5° 2 cm")
+    out.table(["<i>"], [["<script>alert(1)</script>"], [("1 < 2", True)]])
+    check_self_contained(out.text())
+
+
+def test_the_command_writes_the_report(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "report"
+    arguments = ["--true-masks-only", "--limit", "2", "--json", "--out", str(out)]
+    assert run(["evaluate", "pose", str(folder), *arguments]) == 0
+    printed = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert printed == json.loads((out / "report.json").read_text())
+    assert "machine" in printed
+    check_self_contained((out / "report.html").read_text())
+    assert run(["evaluate", "pose", str(tmp_path / "none"), "--true-masks-only"]) == 1
+    assert run(["evaluate", "pose", str(folder), "--weights", "a=x", "a=y"]) == 2
+
+
+def test_the_segmentation_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("faster_coco_eval")
+    assert (
+        run(["evaluate", "segmentation", str(folder / "test"), "--limit", "2", "--json", "--out", str(tmp_path)]) == 0
+    )
+    printed = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert printed["images"] == 2
+    assert set(STATISTICS) <= set(printed["average"])
+    check_self_contained((tmp_path / "report.html").read_text())
+
+
+def test_coco_figures_are_pycocotools_own(folder: Path) -> None:
+    pytest.importorskip("faster_coco_eval")
+    pycocotools = pytest.importorskip("pycocotools.coco")
+    from pycocotools.cocoeval import COCOeval
+
+    from toolee_robot.perception.dataset.storage import load
+    from toolee_robot.perception.segmentation_model import CLASSES
+
+    task = coco_task(Segmenter.load(), load(folder / "test"))
+    ours = statistics(task)
+    truth = pycocotools.COCO()
+    truth.dataset = task.truth
+    truth.createIndex()
+    found = truth.loadRes([dict(r) for r in task.results])
+    for label, name in enumerate(CLASSES):
+        if label == 0 or not ours[name]["instances"]:
+            continue
+        run_ = COCOeval(truth, found, "segm")
+        run_.params.catIds = [label]
+        run_.evaluate()
+        run_.accumulate()
+        run_.summarize()
+        theirs = [None if v < 0 else v for v in run_.stats[: len(STATISTICS)]]
+        for key, value in zip(STATISTICS, theirs, strict=True):
+            assert ours[name][key] == (None if value is None else pytest.approx(value, abs=1e-6)), (name, key)
+
+
+def test_five_views_of_a_held_hammer_and_empty_frames() -> None:
+    (hammer,) = views.held_hammers(1, seed=3)
+    assert len(hammer.frames) == len(hammer.Xs_camera_hand) == views.VIEWS
+    faces = [np.stack([X @ X_hand_ee for X in hammer.Xs_camera_hand]) for X_hand_ee in hammer.Xs_hand_ee]
+    # The views differ, and a face is in every image, before the camera.
+    for Xs in faces[:1]:
+        turns = [np.arccos(np.clip(Xs[0, :3, 2] @ X[:3, 2], -1, 1)) for X in Xs[1:]]
+        assert np.rad2deg(max(turns)) > 5
+        assert np.all(Xs[:, 2, 3] > 0.2)
+    K = hammer.frames[0].intrinsics
+    for number, frame in enumerate(hammer.frames):
+        seen = []
+        for Xs in faces:
+            x, y, z = Xs[number, :3, 3]
+            u, v = K.fx * x / z + K.cx, K.fy * y / z + K.cy
+            if 0 <= u < K.width and 0 <= v < K.height:
+                patch = frame.depth[max(int(v) - 6, 0) : int(v) + 7, max(int(u) - 6, 0) : int(u) + 7]
+                seen.append(bool((np.abs(patch - z) < 0.08).any()))
+        assert any(seen)
+    (frame,) = views.empty_frames(1, seed=3)
+    assert frame.depth.max() > 0.3
