@@ -18,10 +18,12 @@ from rich.console import Console
 from rich.markup import escape
 
 from toolee_robot.cli.bench import Bench
+from toolee_robot.cli.bench_servo import BenchServo
 from toolee_robot.cli.dataset import Dataset
 from toolee_robot.cli.doctor import Doctor
 from toolee_robot.cli.estimate import Estimate
 from toolee_robot.cli.evaluate import Evaluate
+from toolee_robot.cli.faults import Faults
 from toolee_robot.cli.hammer import Hammer
 from toolee_robot.cli.train import Train
 from toolee_robot.cli.ur_controller import UrController
@@ -33,9 +35,11 @@ Command = (
     Annotated[Hammer, tyro.conf.subcommand("hammer")]
     | Annotated[Estimate, tyro.conf.subcommand("estimate")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
+    | Annotated[BenchServo, tyro.conf.subcommand("bench-servo")]
     | Annotated[Dataset, tyro.conf.subcommand("dataset")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Faults, tyro.conf.subcommand("faults")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[UrController, tyro.conf.subcommand("ur-controller")]
 )
@@ -55,7 +59,7 @@ def main(args: Sequence[str] | None = None) -> None:
 
 def run(args: Sequence[str] | None = None) -> int:
     """As `main`, but returns the exit code; only the parser itself exits (0 for --help, 2 for a bad option)."""
-    command: Hammer | Estimate | Bench | Dataset | Doctor | Evaluate | Train | UrController = tyro.cli(
+    command: Hammer | Estimate | Bench | BenchServo | Dataset | Doctor | Evaluate | Faults | Train | UrController = tyro.cli(
         Command,
         prog="toolee",
         description="A robot that is handed a hammer, looks at it, and drives the nail.",
@@ -85,7 +89,7 @@ def _terminate(_signum: int, _frame: FrameType | None) -> None:
 
 def _complain(
     console: Console,
-    command: Hammer | Estimate | Bench | Dataset | Doctor | Evaluate | Train | UrController,
+    command: Hammer | Estimate | Bench | BenchServo | Dataset | Doctor | Evaluate | Faults | Train | UrController,
     error: TooleeError,
     outcome: str,
 ) -> None:
