@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array
 from toolee_robot.perception.cloud import EeCloud, back_project, ee_cloud, without_flying_pixels
-from toolee_robot.perception.dataset.records import CATEGORIES, SCENES, EeTable
+from toolee_robot.perception.dataset.records import CATEGORIES, MIN_POINTS, SCENES, EeTable
 from toolee_robot.perception.dataset.storage import load_scenes, scene_folders
 from toolee_robot.perception.pipeline import EeDetector
 from toolee_robot.tools.catalog import split
@@ -28,8 +28,8 @@ MATCH_IOU = 0.5
 class Instance:
     """One EE in one image. image: its number in this evaluation. kind, seed, ee: which tool, which of its ends.
     X_camera_ee: 4x4; X_camera_hand: 4x4 of the right hand that holds the tool, or None. visible [px]; occlusion in
-    [0, 1]. target: whether it is asked for; a hardly visible one is neither found nor missed. first_end: no earlier end
-    of its tool is of its category."""
+    [0, 1]. target: whether it is asked for; one with under 50 points is neither found nor missed. first_end: no earlier
+    end of its tool is of its category."""
 
     image: int
     category: Category
@@ -147,8 +147,10 @@ def _add(
     here: dict[int, NDArray[np.bool_]] = {}
     for ee_id, instance in instances_of(image, table, frame.intrinsics):
         number = len(found.instances)
-        found.instances.append(instance)
         mask = ee == ee_id
+        if np.count_nonzero(frame.depth[mask] > 0) < MIN_POINTS:
+            instance = replace(instance, target=False)
+        found.instances.append(instance)
         here[number] = mask
         if instance.target:
             detection = Detection(instance.category, 1.0, mask, (0.0, 0.0, 0.0, 0.0), tool == table.tool[ee_id - 1])

@@ -18,6 +18,7 @@ from toolee_robot.perception.ablation.variants import POOLINGS, UncentredGenerat
 from toolee_robot.perception.pose.bank import hand_bank, tool_bank
 from toolee_robot.perception.pose.clouds import CloudConfig, CloudGenerator
 from toolee_robot.perception.pose.flow import Euler, Process, RectifiedFlow
+from toolee_robot.perception.pose.method import Ours
 from toolee_robot.perception.pose.network import NetworkConfig
 from toolee_robot.perception.pose.paper.diffusion import VarianceExploding
 from toolee_robot.perception.pose.paper.rk45 import Rk45
@@ -101,7 +102,11 @@ def test_uncentred_clouds_are_the_same_clouds() -> None:
 def test_rows_train_resume_and_are_tabulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiny = NetworkConfig(width=32, layers=1, heads=2, neighbours=8, flow_width=32, flow_blocks=1)
     names = ("base", "edm", "no-direction")
-    rows = {n: replace(r, method=replace(r.method, config=tiny)) for n, r in ablations.ROWS.items() if n in names}
+    rows = {}
+    for name in names:
+        method = ablations.ROWS[name].method
+        assert isinstance(method, Ours)
+        rows[name] = replace(ablations.ROWS[name], method=replace(method, config=tiny))
     monkeypatch.setattr(ablations, "ROWS", rows)
     monkeypatch.setattr(ablations, "KS", (2,))
     monkeypatch.setattr(ablations, "STEPS", (2,))
