@@ -24,6 +24,7 @@ from toolee_robot.types import Trajectory
 AMPLITUDE: Final = 0.1  # [rad]
 FREQUENCIES: Final = (0.20, 0.23, 0.29, 0.31, 0.37, 0.41)  # [Hz] of the joints: they never all stand at once
 SAMPLE_PERIOD: Final = 0.004  # [s] of the trajectory
+_PATIENT: Final = MotionWatch(tracking_error=1.0, data_cycles=500.0, overruns=500)
 WARM_UP: Final = 2.0  # [s] after which memory is first looked at
 
 
@@ -79,7 +80,7 @@ def servo_benchmark(arm: UrArm, seconds: float) -> tuple[ServoFigures, MotionRep
     cpu = _cpu_time(pid)
     watcher.start()
     try:
-        report = arm.execute(wave(arm.q_commanded, seconds), None, MotionWatch(0.05, arm.rate, round(arm.rate)))
+        report = arm.execute(wave(arm.q_commanded, seconds), None, _PATIENT)
         cpu = _cpu_time(pid) - cpu
     finally:
         ended.set()
