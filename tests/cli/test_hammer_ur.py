@@ -16,10 +16,14 @@ from mcap.reader import make_reader
 
 from toolee_robot.cli.app import run
 
+# In real time: a nail that stands out little, and few looks.
+_STATION = "work: {nail_protrusion: 0.008}\ntask: {views: 2, views_again: 2}\n"
+
 
 def _start(folder: Path, host: str, *args: str) -> subprocess.Popen[str]:
+    (folder / "short.yaml").write_text(_STATION)
     code = "from toolee_robot.cli import main; main()"
-    options = ["--arm", "ur-rtde", "--robot-host", host, "--world", "pybullet"]
+    options = ["--arm", "ur-rtde", "--robot-host", host, "--world", "pybullet", "--config", "short.yaml"]
     return subprocess.Popen(
         [sys.executable, "-c", code, "hammer", *options, "--perfect-perception", "--seed", "101", "--json", *args],
         stdout=subprocess.PIPE,
@@ -59,9 +63,11 @@ def test_the_nail_is_driven_through_the_real_driver(tmp_path: Path) -> None:
     summary = json.loads((folder / "summary.json").read_text())
     stamps = [blow["stamp"] for blow in summary["blow_log"]]
     truths = [blow["stamp"] for blow in summary["blow_truth"]]
-    # One clock for task, driver, controller and judge: each blow is felt when it happens, give or take the link.
-    for stamp in stamps:
-        assert min(abs(stamp - truth) for truth in truths) < 0.3
+    # One clock for task, driver, controller and judge: each blow is felt when it happens, give or take the link. (A
+    # blow on a flush nail meets the wood: the judge does not count it.)
+    assert len(truths) >= 3
+    for truth in truths:
+        assert min(abs(stamp - truth) for stamp in stamps) < 0.3
     with (folder / "recording.mcap").open("rb") as file:
         counts = make_reader(file).get_summary()
         assert counts is not None
