@@ -166,6 +166,8 @@ class SimArm:
             # After an exception as well as after the last sample: the arm comes to rest before anyone goes on.
             self._brake(trajectory, t, log)
             self._moving = False
+        # What was stopped for another reason, a contact say, may not have followed either.
+        fault = fault or self._fault(watch, log)
         report = log.report(outcome, contact)
         if fault is not None:
             error, what = fault

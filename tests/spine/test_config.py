@@ -49,6 +49,7 @@ def test_an_empty_file_is_the_default_station(tmp_path: Path) -> None:
         ("calibration: {measured_on: 20th of May, robot_serial: a, camera_serial: b, residual: 0}", "measured_on"),
         ("calibration: {measured_on: '2026-05-20'}", "calibration"),
         ("supervisor: {hammering_speed: 0}", "supervisor.hammering_speed"),
+        ("strike: {speed: 1.6}", "supervisor.hammering_speed"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, says: str) -> None:

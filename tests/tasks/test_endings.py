@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,7 @@ import pytest
 from tests.tasks.bench import CONFIG, Bench, Log, People, at_rest, grip_kept, is_home
 from toolee_robot.control import Meeting, RobotModel
 from toolee_robot.errors import PerceptionError, UserError
+from toolee_robot.faults.told import Told, moved, unsure
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.nail import HINGE_X, SLIDE
@@ -21,7 +22,7 @@ from toolee_robot.tasks.hammering import HammeringTask
 from toolee_robot.tasks.look import Look
 from toolee_robot.tasks.observer import TaskObserver
 from toolee_robot.tasks.outcome import Outcome, Stage
-from toolee_robot.types import Category, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import RgbdFrame, ToolEstimate
 
 
 @pytest.fixture(scope="module")
@@ -178,33 +179,6 @@ def test_the_tool_is_lost_in_a_motion(bench: Bench, where: Stage | str, motion: 
     assert at_rest(bench.sim)
 
 
-class _Told(PerfectPerception):
-    """Perfect perception whose fused answers are changed, one change for each look, the last one for good."""
-
-    def __init__(self, bench: Bench, *changes: Callable[[InHandEstimate], InHandEstimate]) -> None:
-        super().__init__(bench.sim.judge)
-        self._changes = list(changes)
-        self.hands: list[Array] = []
-
-    def fuse(
-        self,
-        estimates_per_frame: Sequence[Sequence[ToolEstimate]],
-        Xs_camera_hand: Sequence[Array],
-        category: Category | None = None,
-    ) -> InHandEstimate:
-        self.hands.append(Xs_camera_hand[-1])
-        change = self._changes.pop(0) if len(self._changes) > 1 else self._changes[0]
-        return change(super().fuse(estimates_per_frame, Xs_camera_hand, category))
-
-
-def _unsure(estimate: InHandEstimate) -> InHandEstimate:
-    return replace(estimate, usable=False, reason="sigma 31 mm")
-
-
-def _moved(p: Sequence[float]) -> Callable[[InHandEstimate], InHandEstimate]:
-    return lambda e: replace(e, X_hand_ee=e.X_hand_ee @ transform(p=p))
-
-
 @pytest.mark.parametrize(
     ("X", "reason"),
     [
@@ -215,7 +189,7 @@ def _moved(p: Sequence[float]) -> Callable[[InHandEstimate], InHandEstimate]:
 )
 def test_a_pose_that_no_held_hammer_has_is_not_believed(bench: Bench, X: Array, reason: str) -> None:
     nominal = bench.true_grasp.X_hand_ee
-    perceiver = _Told(bench, lambda e: replace(e, X_hand_ee=nominal @ X))
+    perceiver = Told(bench.sim.judge, lambda e: replace(e, X_hand_ee=nominal @ X))
     look = Look(bench.station, CONFIG, RobotModel.load(), perceiver, Log(), nominal)
     look.take()
     with pytest.raises(PerceptionError, match=reason):
@@ -223,7 +197,7 @@ def test_a_pose_that_no_held_hammer_has_is_not_believed(bench: Bench, X: Array, 
 
 
 def test_a_detection_that_no_held_hammer_can_be_is_left_out(bench: Bench) -> None:
-    perceiver = _Told(bench, lambda e: e)
+    perceiver = Told(bench.sim.judge, lambda e: e)
     far = bench.true_grasp.X_hand_ee @ transform(p=[0.0, 0.4, 0.0])
     look = Look(bench.station, CONFIG, RobotModel.load(), perceiver, Log(), far)
     look.take()
@@ -243,8 +217,8 @@ def test_a_camera_whose_frames_perception_refuses_is_a_device_fault(bench: Bench
     assert grip_kept(bench.sim)
 
 
-def test_perception_stays_unsure(bench: Bench) -> None:
-    log, perceiver = Log(), _Told(bench, _unsure)
+def test_perception_staysunsure(bench: Bench) -> None:
+    log, perceiver = Log(), Told(bench.sim.judge, unsure)
     result = bench.seeing_task(log, perceiver=perceiver).run()
     assert result.outcome is Outcome.POSE_UNKNOWN
     assert "sigma 31 mm" in result.reason
@@ -259,7 +233,7 @@ def test_perception_stays_unsure(bench: Bench) -> None:
 
 def test_the_second_look_saves_the_job_and_a_slip_between_looks_ends_it(bench: Bench) -> None:
     config = replace(CONFIG, task=replace(CONFIG.task, max_blows=2, blows_between_looks=1))
-    told = _Told(bench, _unsure, lambda e: e, _moved([0.0, 0.02, 0.0]))
+    told = Told(bench.sim.judge, unsure, lambda e: e, moved([0.0, 0.02, 0.0]))
     log = Log()
     result = bench.seeing_task(log, config, told).run()
     assert result.outcome is Outcome.TOOL_SLIPPED

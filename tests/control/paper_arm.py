@@ -1,0 +1,128 @@
+"""An arm on paper: it follows anything exactly and checks nothing, so what a supervisor lets through shows."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from toolee_robot.braking import brake_on_path
+from toolee_robot.errors import DeviceError, MotionFaultError, StaleDataError
+from toolee_robot.frames import Array
+from toolee_robot.hal import ArmState, ArmStatus, ContactGuard, MotionOutcome, MotionReport, MotionWatch
+from toolee_robot.types import JointState, Payload, Trajectory
+
+STOP_ACCELERATION, STOP_JERK = 15.0, 1500.0
+
+
+class PaperArm:
+    """driven: every sample (6,) that it went through, at `rate`. tick: called after each of them. fault: what the next
+    motion ends with half-way. pause: wall-clock time of a sample [s]. meets: share of the next motion at which it feels
+    a contact; lag: by how much its measured joints are behind then [rad of path time, s]. fresh: whether data comes."""
+
+    rate = 125.0
+
+    def __init__(self, q: Array) -> None:
+        self.q = np.array(q)
+        self.driven: list[Array] = []
+        self.watches: list[MotionWatch | None] = []
+        self.tick: Callable[[], None] = lambda: None
+        self.fault: type[MotionFaultError] | None = None
+        self.pause, self.lag = 0.0, 0.0
+        self.meets: float | None = None
+        self.fresh = True
+        self.status = ArmStatus.READY
+        self.measured_off = np.zeros(6)
+        self.resets = 0
+        self._stop = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def state(self, max_age: float = 0.1) -> ArmState:
+        if not self.fresh:
+            raise StaleDataError(f"nothing for {max_age} s: check the link")
+        return ArmState(JointState(self.q + self.measured_off, np.zeros(6), 0.0), np.zeros(6), self.status)
+
+    def execute(
+        self, trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None
+    ) -> MotionReport:
+        self.watches.append(watch)
+        self._stop = False
+        begun = len(self.driven)
+        contact, outcome = None, MotionOutcome.COMPLETED
+        period = 1 / self.rate
+        t = 0.0
+        fault = self.fault
+        for k in range(1, int(np.ceil(trajectory.duration * self.rate - 1e-9)) + 1):
+            t = min(k * period, trajectory.duration)
+            self._go(trajectory.sample(t)[0])
+            if guard is not None and self.meets is not None and t >= self.meets * trajectory.duration:
+                outcome = MotionOutcome.CONTACT
+                contact = JointState(trajectory.sample(t - self.lag)[0], np.zeros(6), t)
+                break
+            if self._stop or (fault is not None and t > trajectory.duration / 2):
+                outcome = MotionOutcome.STOPPED
+                break
+        for q, _ in brake_on_path(trajectory, t, period, STOP_ACCELERATION, STOP_JERK):
+            self._go(q)
+        rows = np.array(self.driven[begun:])
+        stamps = np.array([k * period for k in range(len(rows))])
+        report = MotionReport(outcome, stamps, rows, rows, np.zeros((len(rows), 6)), contact)
+        if fault is not None:
+            raise fault("it failed", report)
+        return report
+
+    def _go(self, q: Array) -> None:
+        self.q = np.array(q)
+        self.driven.append(self.q)
+        self.tick()
+        if self.pause:
+            time.sleep(self.pause)
+
+    def set_payload(self, payload: Payload) -> None:
+        self.payload = payload
+
+    def stop(self) -> None:
+        self._stop = True
+
+    def reset(self) -> None:
+        if self.status is not ArmStatus.READY:
+            raise DeviceError("the robot is not ready")
+        self.fault = None
+        self.resets += 1
+
+
+class Bystander:
+    """A person who is where a test puts them."""
+
+    def __init__(self) -> None:
+        self.here, self.holds, self.confirms = False, True, True
+        self.asked = 0
+
+    def request_handover(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        return True
+
+    def release(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        return True
+
+    def take_tool(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        return True
+
+    def confirm_swing(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        self.asked += 1
+        return self.confirms
+
+    def inside(self) -> bool:
+        return self.here
+
+    def attending(self) -> bool:
+        return self.holds

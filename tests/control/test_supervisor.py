@@ -1,0 +1,378 @@
+"""The supervisor lets safe motions through as they are, refuses every other one before anything moves, and latches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.control.paper_arm import Bystander, PaperArm
+from toolee_robot.config import StationConfig, SupervisorConfig
+from toolee_robot.control import CollisionWorld, Meeting, Mode, RobotModel, StrikePlan, Supervisor, paced, plan_strike
+from toolee_robot.control.collision_shapes import box_body
+from toolee_robot.control.modes import carried_speed
+from toolee_robot.control.timing import joint_move
+from toolee_robot.errors import (
+    CollisionError,
+    DeviceError,
+    EmergencyStopError,
+    LatchedError,
+    LimitError,
+    LinkLostError,
+    MotionFaultError,
+    NotReadyError,
+    OverrunError,
+    PersonNearError,
+    ProtectiveStopError,
+    StaleDataError,
+    TrackingError,
+)
+from toolee_robot.frames import Array
+from toolee_robot.hal import Arm, ArmStatus, ContactGuard, MotionOutcome
+from toolee_robot.types import Trajectory
+
+GUARD = ContactGuard(15.0)
+
+
+class Desk:
+    """A supervisor over an arm on paper, at home."""
+
+    def __init__(self, robot: RobotModel, config: StationConfig, world: CollisionWorld, home: Array) -> None:
+        self.arm, self.person, self.world = PaperArm(home), Bystander(), world
+        self.config = config
+        self.supervisor = Supervisor(self.arm, self.person, robot, config, lambda: self.world)
+
+    def move(self, change: float, speed: float = 0.5) -> Trajectory:
+        """Turn the base, and the last wrist joint a little."""
+        to = self.arm.q + np.array([change, 0, 0, 0, 0, 0.1])
+        return joint_move(self.arm.q, to, np.full(6, speed), np.full(6, 3.0), np.full(6, 30.0))
+
+    def slow(self, change: float = 0.3) -> Trajectory:
+        return paced(self.move(change), self.world, self.config.supervisor.handover_speed)
+
+    def ready_to_swing(self, plan: StrikePlan) -> None:
+        self.arm.q = plan.strike.q[0].copy()
+        self.supervisor.mode = Mode.HAMMERING
+        self.supervisor.permit_swings(1.0)
+
+
+@pytest.fixture
+def desk(robot: RobotModel, config: StationConfig, world: CollisionWorld, home: Array) -> Desk:
+    return Desk(robot, config, world, home)
+
+
+@pytest.fixture(scope="module")
+def plan(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_hand_ee: Array) -> StrikePlan:
+    world = CollisionWorld(robot, config, q_hand, X_hand_ee)
+    return plan_strike(robot, config, world, home, q_hand, X_hand_ee, config.work.X_base_nail())
+
+
+def refused(desk: Desk, error: type[Exception], act: Callable[[], object], match: str | None = None) -> None:
+    """Nothing moved, and nothing latched."""
+    before = len(desk.arm.driven)
+    with pytest.raises(error, match=match):
+        act()
+    assert len(desk.arm.driven) == before
+    assert not desk.supervisor.latched or error is LatchedError
+
+
+# -- what passes -------------------------------------------------------------------------------------------------
+
+
+def test_it_is_an_arm_and_a_good_motion_passes_unchanged(desk: Desk) -> None:
+    assert isinstance(desk.supervisor, Arm)
+    move = desk.slow()
+    with desk.supervisor as arm:
+        report = arm.execute(move)
+    assert report.outcome is MotionOutcome.COMPLETED
+    assert np.allclose(desk.arm.q, move.q[-1])
+    watch, wanted = desk.arm.watches[0], desk.config.supervisor
+    assert watch is not None
+    assert (watch.tracking_error, watch.data_cycles, watch.overruns) == (
+        wanted.tracking_error,
+        wanted.data_cycles,
+        wanted.overruns,
+    )
+
+
+def test_a_blow_passes_as_planned_once_it_is_permitted(desk: Desk, plan: StrikePlan) -> None:
+    desk.ready_to_swing(plan)
+    desk.arm.meets = plan.contact_time / plan.strike.duration
+    report, verdict = desk.supervisor.swing(plan.strike, GUARD, plan.expected_contact)
+    assert report.outcome is MotionOutcome.CONTACT
+    assert verdict.meeting is Meeting.EXPECTED
+    assert abs(verdict.before) < 0.011, "a cycle of 8 ms at 1.2 m/s"
+    k = np.arange(1, 20)
+    np.testing.assert_allclose(np.array(desk.arm.driven)[k - 1], [plan.strike.sample(i / 125)[0] for i in k])
+
+
+# -- what does not ---------------------------------------------------------------------------------------------
+
+
+def _spoil(name: str, row: int, joint: int, value: float) -> Callable[[Trajectory], Trajectory]:
+    def change(t: Trajectory) -> Trajectory:
+        x = getattr(t, name).copy()
+        x[row, joint] += value
+        return replace(t, **{name: x})
+
+    return change
+
+
+def _from(name: str, row: int, value: float) -> Callable[[Trajectory], Trajectory]:
+    def change(t: Trajectory) -> Trajectory:
+        x = getattr(t, name).copy()
+        x[row:, 3] += value
+        return replace(t, **{name: x})
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (_from("q", 40, 0.0005), "step in position of joint 4"),
+        (_from("q", 40, 0.3), "velocity between samples of joint 4"),
+        (_spoil("qd", 40, 3, 0.01), "step in"),
+        (_spoil("qd", 0, 3, 0.2), "start at rest"),
+        (_from("qd", 40, 0.1), "end at rest"),
+        (_spoil("qdd", 40, 3, 3.0), "jerk of joint 4"),
+        (_spoil("qdd", -1, 3, 3.0), "jerk of joint 4"),
+        (_spoil("qdd", 40, 3, 30.0), "acceleration of joint 4"),
+        (lambda t: replace(t, times=t.times / 30, qd=t.qd * 30, qdd=t.qdd * 900), "velocity of joint"),
+        (lambda t: replace(t, q=t.q + 0.02), "starts 0.020 rad"),
+        (lambda t: replace(t, q=t.q + 0.2), "starts 0.200 rad"),
+        (lambda t: replace(t, q=t.q + np.array([0, 0, 3.0, 0, 0, 0])), "position of joint 3"),
+        (lambda t: replace(t, q=t.q[:, :5], qd=t.qd[:, :5], qdd=t.qdd[:, :5]), "5 joints"),
+    ],
+)
+def test_what_breaks_a_limit_is_refused(desk: Desk, change: Callable[[Trajectory], Trajectory], says: str) -> None:
+    desk.supervisor.execute(desk.slow(0.1))  # so that the commanded position is known
+    refused(desk, LimitError, lambda: desk.supervisor.execute(change(desk.slow())), says)
+    desk.supervisor.execute(desk.slow())  # it was the change, nothing else
+
+
+@pytest.mark.parametrize(
+    "change", [_spoil("q", 9, 2, np.nan), _spoil("qd", -1, 0, np.inf), _spoil("qdd", 0, 5, -np.inf)]
+)
+def test_values_that_are_not_finite_latch(desk: Desk, change: Callable[[Trajectory], Trajectory]) -> None:
+    with pytest.raises(LimitError, match="NaN"):
+        desk.supervisor.execute(change(desk.slow()))
+    assert not desk.arm.driven
+    refused(desk, LatchedError, lambda: desk.supervisor.execute(desk.slow()), "NaN")
+    desk.supervisor.reset(confirmed=True)
+    desk.supervisor.execute(desk.slow())
+
+
+def test_the_workspace_ends_somewhere(
+    robot: RobotModel, config: StationConfig, world: CollisionWorld, home: Array
+) -> None:
+    low = replace(config, scene=replace(config.scene, workspace_upper=(1.2, 1.2, 0.3)))
+    desk = Desk(robot, low, world, home)
+    refused(desk, LimitError, lambda: desk.supervisor.execute(desk.slow()), "flange position of z")
+
+
+def test_handover_is_slow_and_hammering_is_fast_but_not_any_fast(desk: Desk) -> None:
+    fast = desk.move(0.5, speed=0.9)
+    speed = float(np.max(carried_speed(fast, desk.world)))
+    assert 0.3 < speed < 1.5
+    refused(desk, LimitError, lambda: desk.supervisor.execute(fast), "0.25 m/s are allowed in handover mode")
+    slow = paced(fast, desk.world, 0.25)
+    assert slow.duration == pytest.approx(fast.duration * speed / (0.99 * 0.25))
+    assert paced(fast, desk.world, 2.0) is fast
+    desk.supervisor.execute(slow)
+    desk.supervisor.mode = Mode.HAMMERING
+    desk.supervisor.execute(desk.move(-0.5, speed=0.9))
+    faster = desk.move(0.9, speed=2.0)
+    faster = paced(faster, desk.world, 0.7)
+    tight = replace(desk.config, supervisor=SupervisorConfig(hammering_speed=0.6))
+    other = Supervisor(desk.arm, desk.person, desk.world.robot, tight, lambda: desk.world)
+    other.mode = Mode.HAMMERING
+    refused(desk, LimitError, lambda: other.execute(faster), "hammering mode")
+
+
+def test_a_way_through_something_is_refused_though_its_ends_are_free(
+    desk: Desk, robot: RobotModel, config: StationConfig, q_hand: Array, X_hand_ee: Array
+) -> None:
+    free, move = desk.world, desk.slow(0.9)
+    middle = robot.X_base_ee(move.sample(0.5 * move.duration)[0], q_hand, X_hand_ee)[:3, 3]
+    post = box_body("post", tuple(middle), (0.03, 0.03, 0.03))
+    desk.world = CollisionWorld(robot, config, q_hand, X_hand_ee, extra=(post,))
+    refused(desk, CollisionError, lambda: desk.supervisor.execute(move), "post")
+    refused(desk, CollisionError, lambda: desk.supervisor.execute(move, at_work=True), "post")
+    desk.world = free  # the task says what holds now
+    desk.supervisor.execute(move)
+
+
+def test_only_the_tool_and_only_at_work_may_touch_the_block(desk: Desk, plan: StrikePlan) -> None:
+    desk.supervisor.mode = Mode.HAMMERING
+    into = joint_move(plan.strike.q[0], plan.strike.q[-1], np.full(6, 0.2), np.full(6, 3.0), np.full(6, 30.0))
+    desk.arm.q = into.q[0].copy()
+    refused(desk, CollisionError, lambda: desk.supervisor.execute(into), "tool")
+    desk.supervisor.execute(into, at_work=True)
+
+
+def test_an_arm_that_is_not_ready_not_known_or_elsewhere_is_not_moved(desk: Desk) -> None:
+    move = desk.slow()
+    desk.arm.fresh = False
+    refused(desk, StaleDataError, lambda: desk.supervisor.execute(move))
+    desk.arm.fresh = True
+    for status in ArmStatus:
+        desk.arm.status = status
+        if status is not ArmStatus.READY:
+            refused(desk, NotReadyError, lambda: desk.supervisor.execute(move))
+    desk.arm.status = ArmStatus.READY
+    desk.arm.measured_off = np.array([0, 0.05, 0, 0, 0, 0])
+    refused(desk, LimitError, lambda: desk.supervisor.execute(move), "has somebody moved it")
+
+
+# -- people ------------------------------------------------------------------------------------------------------
+
+
+def test_no_swing_without_a_mode_a_confirmation_and_a_plan(desk: Desk, plan: StrikePlan) -> None:
+    def swing() -> object:
+        return desk.supervisor.swing(plan.strike, GUARD, plan.expected_contact)
+
+    desk.arm.q = plan.strike.q[0].copy()
+    refused(desk, LimitError, swing, "handover mode")
+    desk.supervisor.mode = Mode.HAMMERING
+    refused(desk, PersonNearError, swing, "confirmed")
+    desk.person.confirms = False
+    refused(desk, PersonNearError, lambda: desk.supervisor.permit_swings(1.0), "nobody confirmed")
+    refused(desk, PersonNearError, swing, "confirmed")
+    desk.person.confirms = True
+    desk.supervisor.permit_swings(1.0)
+    desk.person.here = True
+    refused(desk, PersonNearError, swing, "within the arm's reach")
+    desk.person.here = False
+    late = replace(plan.expected_contact, time=9.0)
+    refused(desk, LimitError, lambda: desk.supervisor.swing(plan.strike, GUARD, late), "not on its way")
+    swing()
+    assert desk.person.asked == 2, "asked once for all blows"
+    desk.supervisor.mode = Mode.HAMMERING
+    desk.arm.q = plan.strike.q[0].copy()
+    desk.supervisor.reset(confirmed=True)
+    desk.supervisor.mode = Mode.HAMMERING
+    refused(desk, PersonNearError, swing, "confirmed")
+
+
+def test_nobody_hammers_while_somebody_is_inside(desk: Desk) -> None:
+    desk.person.here = True
+    with pytest.raises(PersonNearError, match="handover mode"):
+        desk.supervisor.mode = Mode.HAMMERING
+    assert desk.supervisor.mode is Mode.HANDOVER
+    desk.supervisor.execute(desk.slow())  # slowly it may
+
+
+def test_somebody_steps_in_during_a_swing(desk: Desk, plan: StrikePlan) -> None:
+    desk.ready_to_swing(plan)
+    desk.arm.pause = 0.005
+
+    def step_in() -> None:
+        desk.person.here = desk.person.here or len(desk.arm.driven) >= 10
+
+    desk.arm.tick = step_in
+    with pytest.raises(PersonNearError, match="was stopped") as caught:
+        desk.supervisor.swing(plan.strike, GUARD, plan.expected_contact)
+    report = caught.value.report
+    assert report is not None
+    assert report.outcome is MotionOutcome.STOPPED
+    assert len(report.stamps) < 10 + 25, "asked every 10 ms, and braking takes 0.16 s at most"
+    np.testing.assert_allclose(desk.arm.q, report.q_commanded[-1])
+    desk.person.here = False
+    refused(desk, LatchedError, lambda: desk.supervisor.execute(desk.slow()), "arm's reach")
+
+
+def test_the_enabling_switch_stops_a_slow_motion_and_does_not_latch(desk: Desk) -> None:
+    desk.person.holds = False
+    refused(desk, PersonNearError, lambda: desk.supervisor.execute(desk.slow()), "enabling switch")
+    desk.person.holds = True
+    desk.arm.pause = 0.002
+
+    def let_go() -> None:
+        desk.person.holds = len(desk.arm.driven) < 20
+
+    desk.arm.tick = let_go
+    move = desk.slow(0.5)
+    with pytest.raises(PersonNearError, match="enabling switch"):
+        desk.supervisor.execute(move)
+    assert np.abs(desk.arm.q - move.q[-1]).max() > 0.1
+    assert not desk.supervisor.latched
+    desk.arm.tick, desk.person.holds = lambda: None, True
+    desk.supervisor.execute(desk.slow(0.1))
+
+
+def test_a_person_sensor_that_fails_stops_the_arm(desk: Desk) -> None:
+    desk.arm.pause = 0.002
+    calls: list[int] = []
+
+    def broken() -> bool:
+        calls.append(1)
+        if len(calls) > 2:
+            raise OSError("scanner unplugged")
+        return True
+
+    desk.person.attending = broken  # type: ignore[method-assign]
+    with pytest.raises(PersonNearError, match="scanner unplugged"):
+        desk.supervisor.execute(desk.slow(0.5))
+
+
+# -- faults --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "fault", [TrackingError, LinkLostError, OverrunError, ProtectiveStopError, EmergencyStopError, MotionFaultError]
+)
+def test_a_fault_latches_until_a_person_resets(desk: Desk, fault: type[MotionFaultError]) -> None:
+    desk.arm.fault = fault
+    with pytest.raises(fault):
+        desk.supervisor.execute(desk.slow())
+    desk.arm.fault = None
+    stood = desk.arm.q.copy()
+    refused(desk, LatchedError, lambda: desk.supervisor.execute(desk.slow()), "it failed")
+    with pytest.raises(DeviceError, match="person"):
+        desk.supervisor.reset()
+    assert desk.arm.resets == 0, "never by itself"
+    desk.arm.status = ArmStatus.PROTECTIVE_STOP
+    with pytest.raises(DeviceError, match="not ready"):
+        desk.supervisor.reset(confirmed=True)
+    refused(desk, LatchedError, lambda: desk.supervisor.execute(desk.slow()))
+    desk.arm.status = ArmStatus.READY
+    desk.supervisor.reset(confirmed=True)
+    assert desk.supervisor.mode is Mode.HANDOVER
+    np.testing.assert_array_equal(desk.arm.q, stood)
+    desk.supervisor.execute(desk.slow())
+
+
+# -- contact -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("share", "meeting"),
+    [
+        (0.7, Meeting.EARLY),
+        (0.9, Meeting.EARLY),
+        (0.985, Meeting.EXPECTED),
+        (1.03, Meeting.EXPECTED),
+        (1.2, Meeting.LATE),
+        (None, Meeting.NONE),
+    ],
+)
+def test_a_contact_is_judged_by_its_place(desk: Desk, plan: StrikePlan, share: float | None, meeting: Meeting) -> None:
+    """1.2 m/s for 0.33 s: a share of 0.01 is some 4 mm."""
+    desk.ready_to_swing(plan)
+    desk.arm.meets = None if share is None else share * plan.contact_time / plan.strike.duration
+    _, verdict = desk.supervisor.swing(plan.strike, GUARD, plan.expected_contact)
+    assert verdict.meeting is meeting
+    assert not desk.supervisor.latched, "a blow beside the nail is no fault of the arm"
+
+
+def test_a_servo_lag_is_no_early_contact(desk: Desk, plan: StrikePlan) -> None:
+    """A contact that is felt 60 ms after the command passed the place, with the joints only just there."""
+    desk.ready_to_swing(plan)
+    desk.arm.lag = 0.06
+    desk.arm.meets = (plan.contact_time + desk.arm.lag) / plan.strike.duration
+    _, verdict = desk.supervisor.swing(plan.strike, GUARD, plan.expected_contact)
+    assert verdict.meeting is Meeting.EXPECTED
+    assert abs(verdict.before) < 0.011

@@ -1,0 +1,184 @@
+"""Faults in mid-swing: how soon the arm stands, where, latched, and the hammer still in the hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from tests.tasks.bench import CONFIG, Bench, Log, at_rest, grip_kept
+from toolee_robot.control import CollisionWorld, Mode, RobotModel, StrikePlan, plan_strike
+from toolee_robot.errors import (
+    EmergencyStopError,
+    LatchedError,
+    LinkLostError,
+    MotionFaultError,
+    OverrunError,
+    PersonNearError,
+    ProtectiveStopError,
+    TrackingError,
+)
+from toolee_robot.frames import Array
+from toolee_robot.hal import MotionReport
+from toolee_robot.sim_backend.arm import RATE
+from toolee_robot.tasks.motions import Motions
+from toolee_robot.types import Trajectory
+
+BRAKING = 0.168
+"""[s] The longest stop of such a swing (tests/control/test_braking.py)."""
+SETTLING = 0.05
+"""[s] until the simulated motors have come to rest after the last command."""
+
+
+@dataclass
+class Swing:
+    """The hammer held over the nail, and the blow that comes next."""
+
+    bench: Bench
+    plan: StrikePlan
+    motions: Motions
+    log: Log
+
+    def run(self) -> MotionReport:
+        return self.motions.swing("strike", self.plan)[0]
+
+    def fails(self, error: type[MotionFaultError]) -> MotionReport:
+        """The swing ends with this error; the arm stands and goes on standing, on its path, before the nail; nothing
+        moves before a person has confirmed a reset. Returns what was done."""
+        with pytest.raises(error) as caught:
+            self.run()
+        report = caught.value.report
+        assert report is not None
+        assert on_path(report.q_commanded, self.plan.strike) < 1e-3
+        qd = np.diff(report.q_commanded, axis=0) * RATE
+        assert np.abs(np.diff(qd, axis=0)).max() * RATE < 1.05 * CONFIG.arm.stop_acceleration
+        assert grip_kept(self.bench.sim)
+        assert self.log.motions == ["strike"], "the recording has it, too"
+        with pytest.raises(LatchedError):
+            self.run()
+        return report
+
+
+def on_path(q: Array, path: Trajectory) -> float:
+    """The greatest distance [rad] of rows q (N, 6) from a trajectory's path."""
+    dense = np.array([path.sample(t)[0] for t in np.linspace(0.0, path.duration, 3000)])
+    return max(float(np.abs(dense - row).max(axis=1).min()) for row in q)
+
+
+@pytest.fixture(scope="module")
+def over_nail() -> Iterator[tuple[Bench, StrikePlan]]:
+    robot, bench = RobotModel.load(), Bench()
+    with bench.sim:
+        q, q_hand, X_hand_ee = bench.arm.q_commanded, bench.hand.state().joints.q, bench.true_grasp.X_hand_ee
+        world = CollisionWorld(robot, CONFIG, q_hand, X_hand_ee)
+        plan = plan_strike(robot, CONFIG, world, q, q_hand, X_hand_ee, CONFIG.work.X_base_nail())
+        bench.arm.execute(plan.approach)
+        bench.sim.world.advance(0.5)
+        bench.keep()
+        yield bench, plan
+
+
+@pytest.fixture
+def swing(over_nail: tuple[Bench, StrikePlan]) -> Swing:
+    bench, plan = over_nail
+    bench.reset()
+    bench.hand.closed = True
+    log = Log()
+    motions = Motions(bench.station, CONFIG, RobotModel.load(), log, bench.true_grasp.X_hand_ee)
+    motions.begin()
+    motions.held = True
+    motions.arm.mode = Mode.HAMMERING
+    motions.arm.permit_swings(1.0)
+    return Swing(bench, plan, motions, log)
+
+
+def test_the_blow_itself_meets_the_nail(swing: Swing) -> None:
+    report, verdict = swing.motions.swing("strike", swing.plan)
+    assert report.contact is not None
+    assert verdict.meeting == "expected"
+    # Two cycles of the arm and of the force at 1.2 m/s, and what wrist and wood give way.
+    assert -0.022 < verdict.before < 0.005
+    assert at_rest(swing.bench.sim)
+
+
+def _stick(swing: Swing) -> None:
+    swing.bench.arm.stick(int(np.abs(swing.plan.strike.qd).max(axis=0).argmax()))
+
+
+FAULTS: dict[str, tuple[Callable[[Swing], None], type[MotionFaultError], float]] = {
+    # How it comes about, what it is called, and how many cycles at most until the braking begins.
+    "protective stop": (lambda s: s.bench.arm.protective_stop(), ProtectiveStopError, 1),
+    "emergency stop": (lambda s: s.bench.arm.emergency_stop(), EmergencyStopError, 1),
+    "lost link": (lambda s: s.bench.arm.cut_link(), LinkLostError, 4),
+    "stuck joint": (_stick, TrackingError, 8),
+    "late clock": (lambda s: s.bench.arm.be_late(50), OverrunError, 5),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_in_mid_swing(swing: Swing, name: str) -> None:
+    cause, error, cycles = FAULTS[name]
+    bench, happened = swing.bench, []
+
+    def act() -> None:
+        happened.append(bench.sim.world.time)
+        cause(swing)
+
+    bench.soon(act, 0.2)()
+    report = swing.fails(error)
+    # Where the commands stop changing.
+    moving = np.abs(np.diff(report.q_commanded, axis=0)).max(axis=1) > 1e-9
+    stood = report.stamps[1:][moving][-1] - happened[0]
+    assert stood <= BRAKING + (cycles + 1) / RATE
+    assert report.stamps[-1] - happened[0] <= BRAKING + (cycles + 1) / RATE + SETTLING or name == "stuck joint"
+    # A joint that stops dead shakes the hammer, which feels like a contact: the arm brakes at once, and then finds out.
+    assert report.contact is None or name == "stuck joint"
+    if name == "late clock":
+        assert report.overruns > CONFIG.supervisor.overruns
+    if name != "stuck joint":
+        assert at_rest(bench.sim)
+    assert bench.sim.world.nail.protrusion == pytest.approx(CONFIG.work.nail_protrusion, abs=1e-4)
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_at_rest_and_the_way_out(swing: Swing, name: str) -> None:
+    """Nothing moves; after a person has made it ready and confirmed the reset it does, slowly at first."""
+    cause, error, _ = FAULTS[name]
+    bench, supervisor = swing.bench, swing.motions.arm
+    before = bench.sim.world.robot.arm_state()[0]
+    cause(swing)
+    bench.sim.world.advance(0.3)
+    if name in ("stuck joint", "late clock"):  # which only a motion tells
+        swing.fails(error)
+    else:
+        with pytest.raises(Exception, match=r"robot is in|newest state"):
+            swing.run()
+        np.testing.assert_allclose(bench.sim.world.robot.arm_state()[0], before, atol=1e-3)
+    bench.arm.make_ready()
+    if name in ("protective stop", "emergency stop"):
+        with pytest.raises(LatchedError):
+            swing.run()
+    bench.arm.restore_link()
+    supervisor.reset(confirmed=True)
+    swing.motions.begin()
+    assert supervisor.mode is Mode.HANDOVER
+    swing.motions.straight("up", (0.0, 0.0, 1.0), 0.02)
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
+
+
+def test_somebody_steps_in(swing: Swing) -> None:
+    """A thread of its own asks for it every 10 ms of real time: how many simulated cycles that takes depends on the
+    machine, hence a blow that never gets to the nail is all that is asked here."""
+    swing.bench.soon(swing.bench.people.step_in, 0.05)()
+    with pytest.raises(PersonNearError, match="was stopped") as caught:
+        swing.run()
+    assert caught.value.report is not None
+    assert on_path(caught.value.report.q_commanded, swing.plan.strike) < 1e-3
+    assert at_rest(swing.bench.sim)
+    assert grip_kept(swing.bench.sim)
+    swing.bench.people.is_inside = False
+    with pytest.raises(LatchedError):
+        swing.run()
