@@ -16,7 +16,6 @@ from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
 HOME = np.array([-0.6, -1.7, 1.6, -1.47, -1.57, 0.0])
-_NICE = -15
 
 
 def patient(host: str) -> UrArmConfig:
@@ -30,5 +29,5 @@ def patient(host: str) -> UrArmConfig:
 def stand_in(model: ArmModel, host: str) -> Iterator[ControllerProcess]:
     with ControllerProcess(model=model.value, host=host, plant=partial(JointPlant, q=HOME)) as controller:
         with suppress(PermissionError):
-            os.setpriority(os.PRIO_PROCESS, controller.pid, _NICE)
+            os.sched_setscheduler(controller.pid, os.SCHED_FIFO, os.sched_param(1))
         yield controller

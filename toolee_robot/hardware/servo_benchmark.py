@@ -32,7 +32,7 @@ WARM_UP: Final = 2.0  # [s] after which memory is first looked at
 class ServoFigures:
     """rate [Hz]. cycles: commands sent. period_error_*: of the time between two commands from its nominal value [s].
     overruns: cycles that the driver itself reported as late by half a cycle or more. drift: by how much the last
-    command was off its place on the schedule of the first [s], missed cycles taken off. memory_growth: of the servo
+    commands were off their places on the schedule of the first [s], missed cycles taken off. memory_growth: of the servo
     process from WARM_UP to the end [bytes], what it shares left out. cpu: cores' worth of time that it took. fifo,
     locked: what the system granted it."""
 
@@ -89,7 +89,9 @@ def servo_benchmark(arm: UrArm, seconds: float) -> tuple[ServoFigures, MotionRep
     stamps = report.stamps
     steps = np.diff(stamps)
     error = np.abs(steps - period)
-    missed = float(np.sum(np.round(steps / period) - 1.0))
+    # Where each command was on the schedule; single late ones do not count as drift.
+    place = stamps - period * np.concatenate([[0.0], np.cumsum(np.round(steps / period))])
+    ends = max(len(place) // 100, 1)
     figures = ServoFigures(
         rate=arm.rate,
         seconds=float(stamps[-1] - stamps[0]),
@@ -98,7 +100,7 @@ def servo_benchmark(arm: UrArm, seconds: float) -> tuple[ServoFigures, MotionRep
         period_error_p99=float(np.percentile(error, 99)),
         period_error_max=float(error.max()),
         overruns=report.overruns,
-        drift=float(stamps[-1] - stamps[0] - (len(steps) + missed) * period),
+        drift=float(np.median(place[-ends:]) - np.median(place[:ends])),
         memory_growth=memory[1] - memory[0],
         cpu=cpu / float(stamps[-1] - stamps[0]),
         fifo=realtime.fifo,

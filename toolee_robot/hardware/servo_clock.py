@@ -19,6 +19,9 @@ from dataclasses import dataclass
 
 SPIN = 1e-4
 """[s] Sleep until so long before a deadline, then watch the clock: the kernel wakes late, never early."""
+AFTER_PACKET = 0.3
+"""Of a period, from the controller's packet to a slot. The controller takes commands in when its cycle begins, sends
+its packet some way into the cycle, and this process is late at times but never early: this is the cycle's middle."""
 FOLLOW = 1e-4
 """Of a period, the most by which a slot moves against the one before: more than crystals differ."""
 PRIORITY = 40
@@ -40,9 +43,9 @@ class Schedule:
         return self._start + self._slot * self._period
 
     def follow(self, arrived: Callable[[], bool]) -> None:
-        """Wait for the middle between two slots, ask there whether the controller's packet has come already, and move
-        the slots towards having it come right then: half a period away from both of their neighbours."""
-        pause = self.deadline - self._period / 2 - time.monotonic()
+        """Wait until the controller's packet should come, AFTER_PACKET before the next slot, ask whether it has come
+        already, and move the slots towards having it come right then."""
+        pause = self.deadline - AFTER_PACKET * self._period - time.monotonic()
         if pause > 0:
             time.sleep(pause)
             self._start += self._period * (-FOLLOW if arrived() else FOLLOW)

@@ -17,7 +17,7 @@ from typing import Any
 
 from toolee_robot.errors import DeviceError, NotReadyError
 from toolee_robot.hal import ArmStatus
-from toolee_robot.hardware.servo_clock import Schedule, become_realtime
+from toolee_robot.hardware.servo_clock import AFTER_PACKET, Schedule, become_realtime
 from toolee_robot.hardware.servo_memory import ServoMemory, StateColumn, Word
 from toolee_robot.hardware.servo_motion import Motion
 from toolee_robot.hardware.servo_orders import (
@@ -143,8 +143,8 @@ class ServoProcess:
         return Cause.TASK_STALLED if now - self._since > self._config.heartbeat_timeout else Cause.NONE
 
     def _aligned(self) -> Schedule:
-        """A schedule whose slots lie half a cycle after the controller's packets come in, at the greatest distance from
-        both its cycles: no command meets another in one cycle, no reading is missed by a hair."""
+        """A schedule whose slots lie AFTER_PACKET after the controller's packets come in, so that no command meets
+        another in one cycle and no reading is missed by a hair."""
         period = 1.0 / self._link.rate
         arrivals: list[float] = []
         end = time.monotonic() + (_ALIGNMENT + 2) * period
@@ -160,7 +160,7 @@ class ServoProcess:
         # Arrivals are seen late, never early: the least late of them tells most.
         last = arrivals[-1]
         least_late = last + min((a - last + period / 2) % period - period / 2 for a in arrivals)
-        return Schedule(now + (least_late + period / 2 - now) % period, period)
+        return Schedule(now + (least_late + AFTER_PACKET * period - now) % period, period)
 
     def _terminate(self, _signum: int, _frame: object) -> None:
         self._terminated = True
