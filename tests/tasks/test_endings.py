@@ -217,7 +217,7 @@ def test_a_camera_whose_frames_perception_refuses_is_a_device_fault(bench: Bench
     assert grip_kept(bench.sim)
 
 
-def test_perception_staysunsure(bench: Bench) -> None:
+def test_perception_stays_unsure(bench: Bench) -> None:
     log, perceiver = Log(), Told(bench.sim.judge, unsure)
     result = bench.seeing_task(log, perceiver=perceiver).run()
     assert result.outcome is Outcome.POSE_UNKNOWN
