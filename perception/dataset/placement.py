@@ -31,9 +31,9 @@ class Pool:
 
     @staticmethod
     def random(rng: np.random.Generator, split: str) -> Pool:
-        """A dozen tools of the split: half hammers, the rest screwdrivers and wrenches."""
+        """A dozen tools of the split: 4 hammers (the station adds to them), 5 screwdrivers, 3 wrenches."""
         instances = []
-        for family in [Family.HAMMERS] * 6 + [Family.SCREWDRIVERS] * 3 + [Family.WRENCHES] * 3:
+        for family in [Family.HAMMERS] * 4 + [Family.SCREWDRIVERS] * 5 + [Family.WRENCHES] * 3:
             kinds = KINDS_BY_FAMILY[family]
             weights = np.ones(len(kinds))
             if family is Family.HAMMERS:
