@@ -21,7 +21,7 @@ HOME = np.array([-0.6, -1.7, 1.6, -1.47, -1.57, 0.0])
 def patient(host: str) -> UrArmConfig:
     """For a machine that is busy with other things; `toolee bench-servo` says what the driver can do on an idle one."""
     return UrArmConfig(
-        host, watchdog=5.0, connect_timeout=15.0, handshake_timeout=5.0, hang_timeout=1.0, heartbeat_timeout=0.3
+        host, watchdog=5.0, connect_timeout=15.0, handshake_timeout=5.0, hang_timeout=1.0, heartbeat_timeout=1.0
     )
 
 

@@ -53,7 +53,7 @@ def test_what_hits_the_task(controller: ControllerProcess, number: int, detectio
         if last_words:
             assert task.stdout.readline().startswith(last_words)
             assert task.wait(5.0) != 0
-        time.sleep(1.0)
+        time.sleep(1.0 + detection)
         braked(stop_after(controller.trace(before), trajectory, event), LIMITS, detection)
         if number == signal.SIGSTOP:
             task.send_signal(signal.SIGCONT)

@@ -32,9 +32,9 @@ WARM_UP: Final = 2.0  # [s] after which memory is first looked at
 class ServoFigures:
     """rate [Hz]. cycles: commands sent. period_error_*: of the time between two commands from its nominal value [s].
     overruns: cycles that the driver itself reported as late by half a cycle or more. drift: by how much the last
-    commands were off their places on the schedule of the first [s], missed cycles taken off. memory_growth: of the servo
-    process from WARM_UP to the end [bytes], what it shares left out. cpu: cores' worth of time that it took. fifo,
-    locked: what the system granted it."""
+    commands were off their places on the schedule of the first [s], missed cycles taken off. memory_growth: of the
+    servo process from WARM_UP to the end [bytes], what it shares left out. cpu: cores' worth of time that it took.
+    fifo, locked: what the system granted it."""
 
     rate: float
     seconds: float
