@@ -22,8 +22,8 @@ from toolee_robot.perception.ablation.processes import Edm
 from toolee_robot.perception.ablation.variants import POOLINGS, Uncentred, WithPointNet
 from toolee_robot.perception.pose import validation
 from toolee_robot.perception.pose.bank import load_hands, tool_bank
+from toolee_robot.perception.pose.cloud_batch import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
-from toolee_robot.perception.pose.clouds import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.estimator import PoseEstimator
 from toolee_robot.perception.pose.flow import Euler
 from toolee_robot.perception.pose.method import Method, Ours

@@ -12,7 +12,8 @@ from torch import Tensor, nn
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception.pose.bank import Float32, ToolBank
 from toolee_robot.perception.pose.canonical import POINTS
-from toolee_robot.perception.pose.clouds import CloudBatch, CloudGenerator
+from toolee_robot.perception.pose.cloud_batch import CloudBatch
+from toolee_robot.perception.pose.clouds import CloudGenerator
 from toolee_robot.perception.pose.method import Ours
 from toolee_robot.perception.pose.network import CONTEXT_DIM, DIRECTION_DIM, NetworkConfig, PoseNet
 from toolee_robot.perception.pose.paper.pointnet2 import PointNet2

@@ -6,7 +6,7 @@ out by an imperfect mask. A share are negatives: clouds of hands, of other parts
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -14,7 +14,8 @@ from torch import Tensor
 
 from toolee_robot.perception.pose import splat
 from toolee_robot.perception.pose.bank import Float32, ToolBank, random_grasps
-from toolee_robot.perception.pose.canonical import MIN_POINTS, PATCHES, POINTS, canonicalize
+from toolee_robot.perception.pose.canonical import MIN_POINTS, canonicalize
+from toolee_robot.perception.pose.cloud_batch import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.cloud_masks import cleaned, imperfect, pick
 from toolee_robot.perception.pose.cloud_scene import (
     Placement,
@@ -34,66 +35,6 @@ _CATEGORY_SHARE = {
     Category.SCREWDRIVER_HEAD: 0.20,
     Category.WRENCH_HEAD: 0.26,
 }
-
-
-@dataclass(frozen=True)
-class CloudConfig:
-    """What is varied. distance [m], focal [px]; shares are probabilities. sensor_level: None for random sensors.
-    radius [m] of the crop about the EE, None: the category's own. points, of which the first `ordered` are
-    farthest-point samples: what the network takes."""
-
-    distance: tuple[float, float] = (0.35, 1.1)
-    near_share: float = 0.65
-    near: float = 0.75
-    focal: tuple[float, float] = (350.0, 700.0)
-    kinect_share: float = 0.5
-    hand_share: float = 0.85
-    occluder_share: float = 0.4
-    mask_error_share: float = 0.8
-    chunk_share: float = 0.15
-    cleaned_share: float = 0.8
-    negative_share: float = 0.12
-    max_occlusion: float = 0.7
-    sensor_level: float | None = None
-    radius: float | None = None
-    points: int = POINTS
-    ordered: int = PATCHES
-
-
-@dataclass(frozen=True)
-class CloudBatch:
-    """Canonical clouds and their truth, all tensors with the batch first.
-
-    points (B, 512, 3), centre (B, 3), R_canonical (B, 3, 3): see `canonical.CanonicalCloud`. R (B, 3, 3), p (B, 3):
-    the EE's pose in the canonical frame. direction (B, 5): the token, given for all. tells_spin (B,): pixels in the
-    mask that tell the spin. category, item (B,); positive (B,): whether it is that category's EE at all;
-    visible (B,): native points; occlusion (B,) in [0, 1]; distance (B,) [m].
-    """
-
-    points: Tensor
-    centre: Tensor
-    R_canonical: Tensor
-    R: Tensor
-    p: Tensor
-    direction: Tensor
-    tells_spin: Tensor
-    category: Tensor
-    item: Tensor
-    positive: Tensor
-    visible: Tensor
-    occlusion: Tensor
-    distance: Tensor
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-    def select(self, index: Tensor) -> CloudBatch:
-        """The rows of an index or mask."""
-        return CloudBatch(*(getattr(self, f.name)[index] for f in fields(self)))
-
-    @staticmethod
-    def cat(batches: list[CloudBatch]) -> CloudBatch:
-        return CloudBatch(*(torch.cat([getattr(b, f.name) for b in batches]) for f in fields(CloudBatch)))
 
 
 @dataclass(frozen=True)

@@ -94,10 +94,11 @@ class ConfidenceModel:
         return ConfidenceModel(mean, std, weights, float(data["bias"]), float(data["threshold"]))
 
 
-def fit(x: Array, success: Array, precision: float = 0.95, ridge: float = 1.0) -> ConfidenceModel:
+def fit(x: Array, success: Array, precision: float = 0.95, ridge: float = 10.0) -> ConfidenceModel:
     """Fit on features (N, F) and success (N,) in {0, 1} by Newton's method on the ridge-penalised likelihood.
 
-    The threshold is the lowest one, 0.3 at least, above which the share of successes reaches `precision`.
+    ridge: with 1 instead of 10, the calibration error on other tools was twice as large. The threshold is the lowest
+    one, 0.3 at least, above which the share of successes reaches `precision`.
     """
     mean, std = x.mean(0), x.std(0) + 1e-3
     A = np.column_stack([(x - mean) / std, np.ones(len(x))])

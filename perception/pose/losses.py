@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from toolee_robot.perception.pose.canonical import CanonicalCloud
-from toolee_robot.perception.pose.clouds import CloudBatch
+from toolee_robot.perception.pose.cloud_batch import CloudBatch
 from toolee_robot.perception.pose.estimator import context_input
 from toolee_robot.perception.pose.flow import Process
 from toolee_robot.perception.pose.network import CATEGORIES, FLOW

@@ -15,8 +15,9 @@ from torch import Tensor, nn
 
 from toolee_robot.perception.pose import validation, weights
 from toolee_robot.perception.pose.bank import Float32, ToolBank
+from toolee_robot.perception.pose.cloud_batch import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
-from toolee_robot.perception.pose.clouds import CloudBatch, CloudConfig, CloudGenerator
+from toolee_robot.perception.pose.clouds import CloudGenerator
 from toolee_robot.perception.pose.estimator import PoseEstimator
 from toolee_robot.perception.pose.flow import Process, Sampler
 from toolee_robot.perception.pose.losses import augment, pose_loss, without_directions

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from toolee_robot.errors import TooleeError
 from toolee_robot.perception.pose import validation
 from toolee_robot.perception.pose.bank import Float32, ToolBank, load_hands, tool_bank
-from toolee_robot.perception.pose.clouds import CloudBatch
+from toolee_robot.perception.pose.cloud_batch import CloudBatch
 from toolee_robot.perception.pose.method import Method, Net, Ours
 from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.perception.training_log import Scalars
@@ -179,7 +179,7 @@ class Trainer(Generic[Net]):
 
     def finish(self, held_out: CloudBatch) -> dict[str, Any]:
         """Validate and calibrate on held-out tools, and save."""
-        report, calibration = self.method.report(self.export(), held_out, self.device.type)
+        report, calibration = self.method.report(self.export(), held_out, str(self.device))
         self.log(event="finished", **{k: v for k, v in report.items() if k != "clouds"})
         report |= {
             "calibrated": True,
@@ -251,7 +251,7 @@ class Trainer(Generic[Net]):
         )
         if held_out is not None:
             few = held_out.select(torch.arange(min(512, len(held_out)), device=self.device))
-            estimator = self.method.estimator(self.export(), Calibration(), self.device.type)
+            estimator = self.method.estimator(self.export(), Calibration(), str(self.device))
             self.log(event="validation", **validation.metrics(validation.evaluate(estimator, few, 20)))
 
     def _resume(self) -> None:

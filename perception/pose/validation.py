@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception.pose import confidence
 from toolee_robot.perception.pose.canonical import CanonicalCloud
+from toolee_robot.perception.pose.cloud_batch import CloudBatch
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
-from toolee_robot.perception.pose.clouds import CloudBatch
 from toolee_robot.perception.pose.pooling import SigmaScale, align, pairwise_angles
 from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.types import Category

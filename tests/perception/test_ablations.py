@@ -16,7 +16,8 @@ from toolee_robot.perception import ablations
 from toolee_robot.perception.ablation.processes import Edm
 from toolee_robot.perception.ablation.variants import POOLINGS, UncentredGenerator
 from toolee_robot.perception.pose.bank import hand_bank, tool_bank
-from toolee_robot.perception.pose.clouds import CloudConfig, CloudGenerator
+from toolee_robot.perception.pose.cloud_batch import CloudConfig
+from toolee_robot.perception.pose.clouds import CloudGenerator
 from toolee_robot.perception.pose.flow import Euler, Process, RectifiedFlow
 from toolee_robot.perception.pose.method import Ours
 from toolee_robot.perception.pose.network import NetworkConfig

@@ -144,11 +144,11 @@ def test_every_column_trains_and_its_weights_load(
 ) -> None:
     monkeypatch.setattr("toolee_robot.perception.pose.paper.pointnet2.LEVELS", SMALL)
     monkeypatch.setattr(PointNet2.__init__, "__defaults__", (SMALL,))
-    config = TrainConfig(max_steps=6, batch=8, chunk=24, first_fill=24, capacity=64, validation=12, reuse=100, ema=0.5)
+    config = TrainConfig(max_steps=3, batch=8, chunk=16, first_fill=16, capacity=32, validation=4, reuse=100, ema=0.5)
     method = replace(PaperMethod(COLUMNS[column]), draws=2)
     trainer = Trainer(tmp_path, config, (bank, bank), hands, method, device="cpu")
     report = trainer.run()
-    assert report["steps"] == 6
+    assert report["steps"] == 3
     assert "10deg_2cm" in report["K20"]["average"]
     assert (tmp_path / "checkpoint.pt").is_file()
     points = np.random.default_rng(0).uniform(-0.02, 0.02, (400, 3)) + np.array([0.0, 0.0, 0.5])

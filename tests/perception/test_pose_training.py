@@ -14,7 +14,8 @@ from toolee_robot.errors import AssetError, PerceptionError, TooleeError
 from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.pose.bank import Float32, ToolBank, hand_bank, load_hands, save_hands, tool_bank
 from toolee_robot.perception.pose.canonical import MIN_POINTS
-from toolee_robot.perception.pose.clouds import CloudBatch, CloudConfig, CloudGenerator
+from toolee_robot.perception.pose.cloud_batch import CloudBatch, CloudConfig
+from toolee_robot.perception.pose.clouds import CloudGenerator
 from toolee_robot.perception.pose.confidence import fit
 from toolee_robot.perception.pose.losses import augment, canonical_rotation, pose_loss
 from toolee_robot.perception.pose.method import Ours

@@ -15,8 +15,8 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
+from toolee_robot.cli.evaluate_tables import pose_tables, printed_samplers, segmentation_rows, text_table
 from toolee_robot.cli.machine import describe_machine
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line, write_whole
@@ -25,9 +25,6 @@ from toolee_robot.errors import UserError
 if TYPE_CHECKING:
     from toolee_robot.perception.evaluation.run import Evaluation, Plan
     from toolee_robot.perception.evaluation.run import Progress as Report
-
-_SHOWN = ("5deg2cm", "10deg5cm", "5deg1cm", "5deg5mm")
-"""What the terminal shows; the report has all thresholds."""
 
 _Dir = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
 _Out = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
@@ -90,7 +87,7 @@ class EvaluatePose:
 
             images = pictures(evaluation)
             _write(console, self.out, evaluation.report, images, page(evaluation, images, _subtitle()))
-        for table in _pose_tables(evaluation.report):
+        for table in pose_tables(evaluation.report):
             console.print(table)
         if self.json:
             print(json_line(evaluation.report))
@@ -136,7 +133,7 @@ class EvaluateSamplers:
 
             images = {"samplers.png": sampler_figure(rows, "Samplers, one cloud at a time")}
             _write(console, self.out, record, images, sampler_page(rows, images, _subtitle()))
-        console.print(_sampler_table(rows))
+        console.print(printed_samplers(rows))
         if self.json:
             print(json_line(record))
         return 0
@@ -168,23 +165,13 @@ class EvaluateSegmentation:
         console = Console(stderr=self.json, highlight=False)
         with console.status("the detector looks at every image"):
             found = evaluate(self.data, self.weights, self.limit, self.device)
-        table = Table(title="Segmentation, COCO mask AP", title_justify="left")
-        rows = []
-        for name, row in found.items():
-            if isinstance(row, dict):
-                instances = str(row.get("instances", ""))
-                values = ["–" if row[k] is None else f"{100 * row[k]:.2f}" for k in STATISTICS]
-                rows.append([name.replace("_", " "), instances, *values])
-        for column in ("class", "instances", *STATISTICS):
-            table.add_column(column, justify="left" if column == "class" else "right")
-        for cells in rows:
-            table.add_row(*cells)
+        rows = segmentation_rows(found)
         record = {"machine": asdict(describe_machine()), "data": self.data.name, **found}
         if self.out is not None:
             from toolee_robot.perception.evaluation.report import segmentation_page
 
             _write(console, self.out, record, {}, segmentation_page(found, rows, STATISTICS, _subtitle()))
-        console.print(table)
+        console.print(text_table("Segmentation, COCO mask AP [%]", ("class", "instances", *STATISTICS), rows))
         if self.json:
             print(json_line(record))
         return 0
@@ -260,54 +247,3 @@ def _subtitle() -> str:
     now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     command = "toolee " + shlex.join(sys.argv[1:])
     return f"{now} · {machine.cpu}, {machine.cores} cores · {command}"
-
-
-def _pose_tables(report: dict[str, Any]) -> Iterator[Table]:
-    for masks in ("truth", "predicted"):
-        for group in ("held-out", "seen"):
-            table = Table(title=f"{group} instances, {masks} masks", title_justify="left")
-            for column in ("category", "estimator", "n", *_SHOWN):
-                table.add_column(
-                    column, justify="left" if column in ("category", "estimator") else "right", no_wrap=True
-                )
-            for label, record in report["estimators"].items():
-                rows = record.get(masks, {}).get("groups", {}).get(group, {}).get("accuracy", {})
-                for category, row in rows.items():
-                    shares = [f"{row[k]:.3f}" for k in _SHOWN]
-                    table.add_row(category.replace("_", " "), label, str(row["instances"]), *shares)
-            if table.row_count:
-                yield table
-    if "samplers" in report:
-        yield _sampler_table(report["samplers"])
-    if "fused" in report:
-        table = Table(title=f"{report['fused']['hammers']} hammers in the hand", title_justify="left")
-        for column in ("", *_SHOWN):
-            table.add_column(column, justify="right" if column else "left")
-        for key, name in (("one_frame", "one frame"), ("five_frames", "five views fused")):
-            table.add_row(name, *(f"{report['fused'][key][k]:.3f}" for k in _SHOWN))
-        yield table
-    if "no_tool" in report:
-        n = report["no_tool"]
-        table = Table(title="frames without a tool", title_justify="left")
-        for column in ("frames", "with a detection", "with a usable pose"):
-            table.add_column(column, justify="right")
-        table.add_row(str(n["frames"]), str(n["with_a_detection"]), str(n["with_a_usable_pose"]))
-        yield table
-
-
-def _sampler_table(rows: list[dict[str, Any]]) -> Table:
-    table = Table(title="samplers", title_justify="left")
-    for column in ("sampler", "evals", "ms", "faster", "5deg2cm", "5deg1cm", "5deg5mm", "median mm"):
-        table.add_column(column, justify="left" if column == "sampler" else "right", no_wrap=True)
-    for r in rows:
-        shares = [f"{r['average'][k]:.3f}" for k in ("5deg2cm", "5deg1cm", "5deg5mm")]
-        millimetres = "–" if r["median_mm"] is None else f"{r['median_mm']:.2f}"
-        table.add_row(
-            r["sampler"],
-            f"{r['evaluations']:.1f}",
-            f"{r['median_ms']:.2f}",
-            f"{r['speed_up']:.1f}",
-            *shares,
-            millimetres,
-        )
-    return table

@@ -12,7 +12,8 @@ from torch import Tensor, nn
 from toolee_robot.perception.pose import validation
 from toolee_robot.perception.pose.bank import Float32, ToolBank
 from toolee_robot.perception.pose.canonical import CanonicalCloud
-from toolee_robot.perception.pose.clouds import CloudBatch, CloudConfig, CloudGenerator
+from toolee_robot.perception.pose.cloud_batch import CloudBatch, CloudConfig
+from toolee_robot.perception.pose.clouds import CloudGenerator
 from toolee_robot.perception.pose.paper import object_clouds
 from toolee_robot.perception.pose.paper.estimator import (
     COLUMNS,

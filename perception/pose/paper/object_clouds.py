@@ -10,8 +10,9 @@ from torch import Tensor
 
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.pose.bank import Float32, ToolBank
+from toolee_robot.perception.pose.cloud_batch import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.cloud_scene import Placement, rigid_inverse
-from toolee_robot.perception.pose.clouds import CloudBatch, CloudConfig, CloudGenerator, Target
+from toolee_robot.perception.pose.clouds import CloudGenerator, Target
 from toolee_robot.perception.pose.paper.estimator import OBJECT_RADIUS
 from toolee_robot.perception.pose.paper.pooling import mean_pose
 from toolee_robot.types import Category

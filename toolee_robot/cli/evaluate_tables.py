@@ -1,0 +1,77 @@
+"""The tables that `toolee evaluate` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from rich.table import Table
+
+_SHOWN = ("5deg2cm", "10deg5cm", "5deg1cm", "5deg5mm")
+"""What the terminal shows; the report has all thresholds."""
+
+
+def text_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> Table:
+    """A table of text; the first `left` columns are words, the others numbers."""
+    table = Table(title=title, title_justify="left")
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="left" if i < left else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def pose_tables(report: dict[str, Any]) -> Iterator[Table]:
+    """Accuracy for each group and kind of masks, and what else was evaluated."""
+    for masks in ("truth", "predicted"):
+        for group in ("held-out", "seen"):
+            rows = [
+                [category.replace("_", " "), label, str(row["instances"]), *(f"{row[k]:.3f}" for k in _SHOWN)]
+                for label, record in report["estimators"].items()
+                for category, row in _accuracy(record, masks, group).items()
+            ]
+            if rows:
+                title = f"{group} instances, {'true' if masks == 'truth' else masks} masks"
+                yield text_table(title, ("category", "estimator", "n", *_SHOWN), rows, left=2)
+    if "samplers" in report:
+        yield printed_samplers(report["samplers"])
+    if "fused" in report:
+        fused = report["fused"]
+        rows = [
+            [name, *(f"{fused[key][k]:.3f}" for k in _SHOWN)]
+            for key, name in (("one_frame", "one frame"), ("five_frames", "five views fused"))
+        ]
+        yield text_table(f"{fused['hammers']} hammers in the hand", ("", *_SHOWN), rows)
+    if "no_tool" in report:
+        n = report["no_tool"]
+        row = [str(n[k]) for k in ("frames", "with_a_detection", "with_a_usable_pose")]
+        yield text_table("without a tool", ("frames", "with a detection", "with a usable pose"), [row], left=0)
+
+
+def printed_samplers(samplers: list[dict[str, Any]]) -> Table:
+    """One row a sampler."""
+    rows = []
+    for r in samplers:
+        shares = [f"{r['average'][k]:.3f}" for k in ("5deg2cm", "5deg1cm", "5deg5mm")]
+        millimetres = "–" if r["median_mm"] is None else f"{r['median_mm']:.2f}"
+        times = [f"{r['evaluations']:.1f}", f"{r['median_ms']:.2f}", f"{r['speed_up']:.1f}"]
+        rows.append([r["sampler"], *times, *shares, millimetres])
+    head = ("sampler", "evals", "ms", "faster", "5deg2cm", "5deg1cm", "5deg5mm", "median mm")
+    return text_table("samplers", head, rows)
+
+
+def segmentation_rows(found: dict[str, Any]) -> list[list[str]]:
+    """Class, instances and COCO's statistics in percent."""
+    from toolee_robot.perception.segmentation_evaluation import STATISTICS
+
+    return [
+        [name.replace("_", " "), str(row.get("instances", ""))]
+        + ["–" if row[k] is None else f"{100 * row[k]:.2f}" for k in STATISTICS]
+        for name, row in found.items()
+        if isinstance(row, dict)
+    ]
+
+
+def _accuracy(record: dict[str, Any], masks: str, group: str) -> dict[str, Any]:
+    accuracy: dict[str, Any] = record.get(masks, {}).get("groups", {}).get(group, {}).get("accuracy", {})
+    return accuracy
