@@ -13,12 +13,10 @@ from rich.console import Console
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import StationConfig, SupervisorConfig, load_station
+from toolee_robot.cli.patience import patient_bounds
+from toolee_robot.config import StationConfig, load_station
 from toolee_robot.errors import UserError
 from toolee_robot.types import ArmModel
-
-LATE = 0.1
-"""[s] that a stand-in's data may be late, and commands with them."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ class Hammer:
         if self.robot is not None:
             config = replace(config, arm=replace(config.arm, model=ArmModel(self.robot)))
         if host is not None:
-            config = replace(config, supervisor=_patient(config))
+            config = replace(config, supervisor=patient_bounds(config))
         console = Console(stderr=self.json, highlight=False)
 
         from toolee_robot.cli.run_folder import run_folder
@@ -103,16 +101,3 @@ class Hammer:
         if self.robot_host is None:
             raise UserError("--arm ur-rtde needs --robot-host: a loopback address such as 127.0.0.2")
         return self.robot_host
-
-
-def _patient(config: StationConfig) -> SupervisorConfig:
-    """Bounds for a controller that shares its computer with a simulated world and the task: it may be late where a
-    real one never is. Everything else stays as strict as it is."""
-    cycles = LATE * (500.0 if config.arm.model is ArmModel.UR10E else 125.0)
-    bounds = config.supervisor
-    return replace(
-        bounds,
-        data_cycles=max(bounds.data_cycles, cycles),
-        overruns=max(bounds.overruns, round(cycles)),
-        max_data_age=max(bounds.max_data_age, 2 * LATE),
-    )

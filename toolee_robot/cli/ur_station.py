@@ -6,11 +6,11 @@ from contextlib import ExitStack
 from types import TracebackType
 from typing import Self
 
+from toolee_robot.cli.patience import patient_driver
 from toolee_robot.config import StationConfig
 from toolee_robot.hal import Station
 from toolee_robot.hardware.clock import MonotonicClock
 from toolee_robot.hardware.ur_arm import UrArm
-from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote_station import RemoteJudge, remote_station
 from toolee_robot.sim_backend.remote_world import RemoteWorld
@@ -36,7 +36,7 @@ class UrStation:
         with ExitStack() as stack:
             world = stack.enter_context(self._world)
             # The last to come is the first to go: a client outlives no controller.
-            arm = stack.enter_context(UrArm(_patient(self._host), config.arm))
+            arm = stack.enter_context(UrArm(patient_driver(self._host, config.arm.model), config.arm))
             self.station = remote_station(world, config, self._seed, self.tool, arm, MonotonicClock())
             self._open = stack.pop_all()
         return self
@@ -45,8 +45,3 @@ class UrStation:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._open.__exit__(kind, error, trace)
-
-
-def _patient(host: str) -> UrArmConfig:
-    """For a machine that computes robot, world and task at once: nothing here shortens what a late sample sets off."""
-    return UrArmConfig(host, connect_timeout=15.0, handshake_timeout=5.0, hang_timeout=1.0, heartbeat_timeout=0.3)
