@@ -81,8 +81,9 @@ def check_clear(q: Array, world: CollisionWorld, exempt: frozenset[tuple[str, st
     rows = np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], count)).clip(0, len(q) - 1))
     start = world.closest(q[0], CLEARANCE, exempt).distance
     need = min(CLEARANCE, start - 1e-6)
-    closest = world.closest(q[rows], max(need, 1e-6), exempt, first=True)
-    if closest.distance <= max(need, 0.0) - 1e-9 or start <= 0.0:
-        raise CollisionError(
-            f"the motion would bring {closest} together: nothing was moved; clear the way or move the target"
-        )
+    if need > 0.0 and world.free(q[rows], need, exempt):
+        return
+    closest = world.closest(q[rows], CLEARANCE, exempt)
+    raise CollisionError(
+        f"the motion would bring {closest} together: nothing was moved; clear the way or move the target"
+    )

@@ -186,7 +186,8 @@ def test_handover_is_slow_and_hammering_is_fast_but_not_any_fast(desk: Desk) -> 
     desk.supervisor.execute(desk.move(-0.5, speed=0.9))
     faster = desk.move(0.9, speed=2.0)
     faster = paced(faster, desk.world, 0.7)
-    tight = replace(desk.config, supervisor=SupervisorConfig(hammering_speed=0.6))
+    gentle = replace(desk.config.strike, speed=0.5)
+    tight = replace(desk.config, strike=gentle, supervisor=SupervisorConfig(hammering_speed=0.6))
     other = Supervisor(desk.arm, desk.person, desk.world.robot, tight, lambda: desk.world)
     other.mode = Mode.HAMMERING
     refused(desk, LimitError, lambda: other.execute(faster), "hammering mode")
