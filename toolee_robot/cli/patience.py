@@ -1,7 +1,7 @@
 """How late things may be where one computer is robot, world and task at once, as no real station is.
 
-On a robot PC with a robot at the other end of the cable the usual bounds hold; here they would end a job because another
-program wants the processor. What a late sample or a late task leads to stays the same.
+On a robot PC with a robot at the other end of the cable the usual bounds hold; here they would end a job because
+another program wants the processor. What a late sample or a late task leads to stays the same.
 """
 
 from __future__ import annotations
