@@ -23,7 +23,7 @@ def check_trajectory(trajectory: Trajectory, q_commanded: Array, lower: Array, u
     if not all(np.all(np.isfinite(a)) for a in (trajectory.times, trajectory.q, trajectory.qd, trajectory.qdd)):
         raise LimitError("the trajectory has values that are not finite; nothing was moved")
     jump = float(np.abs(trajectory.q[0] - q_commanded).max())
-    if jump > START_TOLERANCE:
+    if not jump <= START_TOLERANCE:  # NaN is a jump, too
         raise LimitError(
             f"the trajectory starts {jump:.3f} rad from the commanded position (allowed {START_TOLERANCE}); "
             "plan from the arm's present state"

@@ -75,7 +75,7 @@ class Motion:
         age = time.monotonic() - reading[StateColumn.SEEN]
         if not self._link.connected:
             self._end(Cause.LINK)
-        elif age > watch.data_cycles * self._period:
+        elif not self._link.sane or age > watch.data_cycles * self._period:
             self._end(Cause.DATA)
         elif self._link.status is not ArmStatus.READY:
             self._end(Cause.STOPPED_BY_ROBOT)

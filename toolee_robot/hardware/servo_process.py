@@ -12,7 +12,9 @@ import select
 import signal
 import sys
 import time
+import traceback
 from multiprocessing.connection import Connection
+from types import TracebackType
 from typing import Any
 
 from toolee_robot.errors import DeviceError, NotReadyError
@@ -82,6 +84,8 @@ class ServoProcess:
             self._latch(Cause.STOPPED_BY_ROBOT)
         elif not link.playing:
             self._latch(Cause.PROGRAM_ENDED)
+        elif not link.sane:
+            self._latch(Cause.DATA)
 
     def _latch(self, cause: Cause) -> None:
         if self._fault is Cause.NONE or Cause.PROGRAM_ENDED <= self._fault < cause:
@@ -171,6 +175,7 @@ def main() -> None:
     # Ctrl-C goes to every process of the terminal; this one waits for what the task says.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    sys.excepthook = _die
     faulthandler.enable()  # the wheel's crashes say where they were
     pipe = Connection(int(sys.argv[1]))
     memory = ServoMemory(int(sys.argv[2]), float(sys.argv[3]))
@@ -189,6 +194,13 @@ def main() -> None:
     memory.write_state(link.reading)
     pipe.send(Connected(realtime))
     process.run()
+
+
+def _die(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """What an error that nobody expected comes to. Not the interpreter's own end: the wheel's destructors may hang, or
+    connect again."""
+    traceback.print_exception(kind, error, trace)
+    os._exit(1)
 
 
 if __name__ == "__main__":

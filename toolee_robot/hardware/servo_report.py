@@ -49,7 +49,9 @@ def fault(cause: Cause, status: ArmStatus, report: MotionReport | None) -> Motio
         status = status if status is not ArmStatus.READY else ArmStatus.NOT_READY
         return MotionFaultError(advice(status), report)
     if cause is Cause.DATA:
-        return LinkLostError("the robot's data came late, and the arm was stopped: check the network, reset", report)
+        return LinkLostError(
+            "the robot's data came late or made no sense, and the arm was stopped: check the network, reset", report
+        )
     if cause is Cause.LINK:
         return LinkLostError("the link to the robot is lost; its watchdog stops it: check the network, reset", report)
     if cause is Cause.TRACKING:

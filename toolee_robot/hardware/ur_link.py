@@ -28,6 +28,11 @@ from toolee_robot.hardware.ur_status import RUNTIME_PLAYING, advice, arm_status
 PAYLOAD_TOLERANCE = 1e-3
 """[kg], [m] Between what was set and what the controller reports."""
 
+_ABSURD = np.repeat([100.0, 100.0, 1e4], 6)
+"""[rad], [rad/s], [N, Nm] No joint and no force of a robot reads so much, nor what is not a number."""
+
+_MEASURED = slice(StateColumn.Q.start, StateColumn.WRENCH.stop)
+
 # The controller's base is our base_link turned by pi about z: forces and torques change sign in x and y.
 _TURN = np.array([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
 
@@ -45,19 +50,22 @@ def bounded(seconds: float) -> Iterator[None]:
 
 class UrLink:
     """rate [Hz]: the controller's. reading: (StateColumn.COUNT,), the newest; its commanded position is what went out
-    last, or, before anything did, where the controller holds the arm. status, playing: what it says of the robot's
-    safety and of its program. servoing: the control script's servo thread runs, and holds the last position sent."""
+    last, or, before anything did, where the controller holds the arm. sane: False for good once data made no sense;
+    they are never taken in. status, playing: what it says of the robot's safety and of its program. servoing: the
+    control script's servo thread runs, and holds the last position sent."""
 
     def __init__(self, config: UrArmConfig, rate: float) -> None:
         """Connect; nothing moves. Raises NotReadyError while the robot's safety system or mode forbids motion, and
         DeviceError for what the wheel throws."""
         self._config, self.rate = config, rate
         self.reading: Array = np.zeros(StateColumn.COUNT)
+        self.sane = True
         self.status, self.playing, self.servoing = ArmStatus.NOT_READY, False, False
         with bounded(config.connect_timeout):
             try:
                 self._receive = RTDEReceiveInterface(config.host)
                 while not self.read():
+                    self._expect(self.sane)
                     time.sleep(1e-3)
                 if self.status is not ArmStatus.READY:
                     raise NotReadyError(advice(self.status))
@@ -66,11 +74,12 @@ class UrLink:
                 self._control.setTcp([0.0] * 6)
                 while not self.playing:
                     self.read()
+                    self._expect(self.sane)
                     time.sleep(1e-3)
                 self._control.setWatchdog(config.watchdog)
-            except RuntimeError as error:
+                self._take_target()
+            except (RuntimeError, ValueError, IndexError, MemoryError) as error:  # whatever C++ may throw
                 raise DeviceError(_explain(str(error), config.host)) from error
-        self.reading[StateColumn.COMMANDED] = self._receive.getTargetQ()
 
     @property
     def connected(self) -> bool:
@@ -78,8 +87,8 @@ class UrLink:
         return bool(self._receive.isConnected() and self._control.isConnected())
 
     def read(self) -> bool:
-        """Take the newest data in; False when nothing new has come. Never waits."""
-        receive, reading = self._receive, self.reading
+        """Take the newest data in; False when nothing new has come, or nothing that makes sense. Never waits."""
+        receive, reading = self._receive, self.reading.copy()
         timestamp = receive.getTimestamp()
         if timestamp == reading[StateColumn.TIMESTAMP]:
             return False
@@ -92,7 +101,13 @@ class UrLink:
             if timestamp == before:
                 break
         reading[StateColumn.WRENCH] *= _TURN
+        # The controller's clock only goes forward. NaN fails every comparison.
+        forward = self.reading[StateColumn.TIMESTAMP] < timestamp < np.inf
+        if not (forward and np.all(np.abs(reading[_MEASURED]) < _ABSURD)):
+            self.sane = False
+            return False
         reading[:5] = time.monotonic(), timestamp, safety, mode, runtime
+        self.reading[:] = reading
         self.status = arm_status(safety, mode)
         self.playing = runtime == RUNTIME_PLAYING
         return True
@@ -138,7 +153,7 @@ class UrLink:
     def end_freedrive(self) -> None:
         with bounded(self._config.handshake_timeout):
             self._control.endTeachMode()
-        self.reading[StateColumn.COMMANDED] = self._receive.getTargetQ()
+        self._take_target()
 
     def close(self) -> None:
         """End the robot's program, at rest, and the connections; whatever does not end by itself ends the process."""
@@ -149,6 +164,17 @@ class UrLink:
                 self._control.stopScript()
         # The wheel's own clean-up may hang, reconnect or crash; the kernel's does not.
         os._exit(0)
+
+    def _take_target(self) -> None:
+        """Where the controller holds the arm is where the next motion starts."""
+        target = np.array(self._receive.getTargetQ())
+        self._expect(bool(np.all(np.abs(target) < _ABSURD[:6])))
+        self.reading[StateColumn.COMMANDED] = target
+
+    @staticmethod
+    def _expect(sane: bool) -> None:
+        if not sane:
+            raise DeviceError("the robot's data make no sense (joints, forces or time): restart its controller")
 
     def _reported_payload(self) -> list[float] | None:
         """Mass and centre of gravity, or None from a controller that does not report them."""
