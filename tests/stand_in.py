@@ -10,12 +10,15 @@ from functools import partial
 
 import numpy as np
 
+from toolee_robot.hal import MotionWatch
 from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
 HOME = np.array([-0.6, -1.7, 1.6, -1.47, -1.57, 0.0])
+# For a machine that is busy with other things: nothing but what a test brings about may stop a motion.
+PATIENT = MotionWatch(tracking_error=0.5, data_cycles=100.0, overruns=100)
 
 
 def patient(host: str) -> UrArmConfig:
