@@ -12,11 +12,11 @@ import numpy as np
 import pybullet as pb
 
 from tests.sim_backend.kinematics import joints_for_hand, line
-from tests.stand_in import HOME, patient, stand_in
+from tests.stand_in import HOME, PATIENT, patient, stand_in
 from toolee_robot.config import ArmLimits, StationConfig
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array, transform
-from toolee_robot.hal import Arm, ContactGuard, MotionReport, MotionWatch
+from toolee_robot.hal import Arm, ContactGuard, MotionReport
 from toolee_robot.hardware.ur_arm import UrArm
 from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.sim_backend import SimOptions, SimStation
@@ -25,9 +25,6 @@ from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel, Trajectory
 
 NUDGE = np.array([0.25, -0.15, 0.2, 0.1, -0.2, 0.3])
-# The suite has to pass on a machine that is busy with other things; how well the servo loop keeps time is measured by
-# `toolee bench-servo`.
-PATIENT = MotionWatch(tracking_error=0.05, data_cycles=40.0, overruns=40)
 
 
 class Rig(ABC):

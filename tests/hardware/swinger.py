@@ -6,21 +6,18 @@ from __future__ import annotations
 import sys
 import threading
 
-from tests.hardware.swings import swing, wait_for_mid_swing
-from tests.stand_in import patient
+from tests.hardware.swings import LONG, swing, wait_for_mid_swing
+from tests.stand_in import PATIENT, patient
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import DeviceError
-from toolee_robot.hal import MotionWatch
 from toolee_robot.hardware.ur_arm import UrArm
 from toolee_robot.types import ArmModel
-
-PATIENT = MotionWatch(tracking_error=0.5, data_cycles=40.0, overruns=40)
 
 
 def main() -> None:
     host, model = sys.argv[1], ArmModel(sys.argv[2])
     with UrArm(patient(host), ArmLimits(model=model)) as arm:
-        trajectory = swing(arm.q_commanded)
+        trajectory = swing(arm.q_commanded, LONG)
 
         def say() -> None:
             wait_for_mid_swing(arm, trajectory)

@@ -17,6 +17,7 @@ from toolee_robot.types import Trajectory
 
 WAY = np.array([0.9, 0.5, -0.6, 0.3, -0.4, 0.8])
 MOVING = 2e-3  # [rad/s]
+LONG = 3.0  # [s] of a swing that lasts longer than a task may be silent
 SLACK = 0.35  # [s] for a machine that is busy with other things
 
 

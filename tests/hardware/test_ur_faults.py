@@ -15,7 +15,7 @@ import pytest
 
 from tests.hardware.swings import SLACK, Stop, braked, shortest_stop, stop_after, swing, wait_for_mid_swing
 from tests.sim_backend.kinematics import line
-from tests.stand_in import HOME, patient, stand_in
+from tests.stand_in import HOME, PATIENT, patient, stand_in
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import (
     DeviceError,
@@ -36,7 +36,6 @@ from toolee_robot.types import ArmModel
 
 HOST = "127.0.0.23"
 LIMITS = ArmLimits(model=ArmModel.UR10)
-PATIENT = MotionWatch(tracking_error=0.5, data_cycles=40.0, overruns=40)
 CONFIG = patient(HOST)
 WATCHDOG = 1.0 / CONFIG.watchdog
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tests.hardware.swings import braked, stop_after, swing
+from tests.hardware.swings import LONG, braked, stop_after, swing
 from tests.stand_in import patient, stand_in
 from toolee_robot.config import ArmLimits
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
@@ -41,7 +41,7 @@ def test_what_hits_the_task(controller: ControllerProcess, number: int, detectio
     host = controller.host
     controller.fault("reset")
     before = controller.state()["tick"]
-    trajectory = swing(np.array(controller.state()["q"]))
+    trajectory = swing(np.array(controller.state()["q"]), LONG)
     task = subprocess.Popen(
         [sys.executable, "-m", "tests.hardware.swinger", host, "UR10"], stdout=subprocess.PIPE, text=True
     )
