@@ -21,7 +21,8 @@ class TraceFigures:
     """ticks: of the robot during the motion. lag: the median time from sending to the joints being there [s].
     lag_error: the most that the joints were off the command so many ticks before, where none was lost [rad]. held:
     ticks without a new command; skipped: commands that a later one overtook; of both, those counted as unreported
-    coincide neither with a cycle that the driver sent late nor with a tick of the stand-in that was. late_ticks: those.
+    coincide neither with a cycle that the driver sent late (by half a cycle) nor with a tick of the stand-in that was
+    late (by a quarter, which is what a command sent in the middle of a cycle leaves). late_ticks: those.
     """
 
     ticks: int
@@ -80,7 +81,7 @@ def compare(report: MotionReport, stamps: Array, q: Array, rate: float) -> Trace
     steps = np.diff(k)
     irregular = np.flatnonzero(steps != 1) + 1
     late_sent = sent[1:][np.abs(np.diff(sent) - period) >= period / 2]
-    late_ticks = stamps[1:][np.abs(np.diff(stamps) - period) >= period / 2]
+    late_ticks = stamps[1:][np.abs(np.diff(stamps) - period) >= period / 4]
     excuses = np.sort(np.concatenate([late_sent, late_ticks]))
     unreported = sum(not _near(excuses, stamps[i], (_LATEST + 1) * period) for i in irregular)
     # After an irregular tick the joints need a few ticks to catch up.
