@@ -16,8 +16,6 @@ from toolee_robot.sim_backend.ur_controller.model import ControllerModel
 from toolee_robot.sim_backend.ur_controller.world_plant import WorldPlant
 from toolee_robot.sim_backend.ur_controller.world_service import WorldService
 
-PRIORITY = 20
-"""Of SCHED_FIFO: under the driver's servo loop."""
 CATCH_UP = 0.1
 """[s] A blow is computed in less than real time: some 10 ms are lost in it, on a busy machine more."""
 
@@ -60,7 +58,7 @@ class WorldJob:
 
 def _first_in_line() -> None:
     """A real controller shares its processor with nobody: this one goes before everything ordinary, where the system
-    permits it, and after the arm's driver. On a single core nothing else would get a turn while a blow is computed."""
-    if (os.cpu_count() or 1) > 1:
-        with suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    permits it. Not at a real-time priority: the kernel takes the processor from a busy one for 50 ms every second, and
+    from the driver's servo loop beside it."""
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, -20)
