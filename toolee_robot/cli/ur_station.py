@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
@@ -11,6 +12,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.hal import Station
 from toolee_robot.hardware.clock import MonotonicClock
 from toolee_robot.hardware.ur_arm import UrArm
+from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote_station import RemoteJudge, remote_station
 from toolee_robot.sim_backend.remote_world import RemoteWorld
@@ -36,7 +38,11 @@ class UrStation:
         with ExitStack() as stack:
             world = stack.enter_context(self._world)
             # The last to come is the first to go: a client outlives no controller.
-            arm = stack.enter_context(UrArm(patient_driver(self._host, config.arm.model), config.arm))
+            hand = load_robot(config.arm.model, config.arm.calibration)
+            driver = replace(
+                patient_driver(self._host, config.arm.model), payload=hand.hand_payload(hand.hand_open), tcp=(0.0,) * 6
+            )
+            arm = stack.enter_context(UrArm(driver, config.arm))
             self.station = remote_station(world, config, self._seed, self.tool, arm, MonotonicClock())
             self._open = stack.pop_all()
         return self

@@ -15,7 +15,7 @@ import numpy as np
 import pybullet as pb
 
 from toolee_robot.config import StationConfig, TaskConfig
-from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
+from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_handover
 from toolee_robot.frames import Array, inverse
 from toolee_robot.hal import Hand, HandState, MotionReport, Station
 from toolee_robot.sim_backend import SimOptions, SimStation
@@ -99,7 +99,9 @@ class ClosedHand:
         state = self._hand.state(max_age)
         return state if self.closed else replace(state, holding=False)
 
-    def open(self, timeout: float = 5.0) -> None:  # noqa: ARG002
+    def open(self, timeout: float = 5.0) -> None:
+        if self._hand.hangs:
+            self._hand.open(timeout)
         self.opened += 1
         self.closed = False
 
@@ -127,6 +129,7 @@ class Log(TaskObserver):
         self.stages: list[tuple[str, Stage]] = []
         self.messages: list[str] = []
         self.blows: list[Blow] = []
+        self.plan: StrikePlan | None = None
         self.last: HammerResult | None = None
         self.at, self.after = at or {}, after or {}
 
@@ -140,6 +143,9 @@ class Log(TaskObserver):
 
     def message(self, text: str) -> None:
         self.messages.append(text)
+
+    def planned(self, stamp: float, plan: StrikePlan) -> None:  # noqa: ARG002
+        self.plan = plan
 
     def motion(self, name: str, report: MotionReport, hand_joints: Array) -> None:
         assert len(report.stamps) > 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from toolee_robot.errors import ConfigError
+from toolee_robot.types import Payload
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,9 @@ class UrArmConfig:
     is a lost link [s]; the wheel itself gives up after 2.5 s and is then not to be trusted. hang_timeout: in motion, no
     sign of life of the servo process for so long is a crash [s]. heartbeat_timeout: the task's process shows no life
     for so long, and the arm brakes [s]. longest_motion [s].
+    payload, tcp: what the robot's installation must say at the start, tcp as x, y, z [m] and rotation vector [rad] in
+    the flange frame; None where it is not looked at: the driver sets its own, but what the pendant's programs run with
+    is the installation's.
     """
 
     host: str
@@ -33,6 +37,8 @@ class UrArmConfig:
     hang_timeout: float = 0.2
     heartbeat_timeout: float = 0.1
     longest_motion: float = 120.0
+    payload: Payload | None = None
+    tcp: tuple[float, float, float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
         if not 0.03 <= self.lookahead <= 0.2:

@@ -107,6 +107,11 @@ class HammeringTask:
         self._observer.ended(result)
         return result
 
+    @property
+    def latched(self) -> str:
+        """The fault that stopped the arm in this job and that nobody has reset; empty if none."""
+        return self._motions.arm.latched
+
     def result(self, outcome: Outcome, reason: str) -> HammerResult:
         """The record of the job as far as it went: what is left to say after an interruption."""
         return HammerResult(

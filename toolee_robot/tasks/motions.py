@@ -151,17 +151,21 @@ class Motions:
             if fault.report is not None and len(fault.report.stamps):
                 self.q = fault.report.q_commanded[-1]
                 with suppress(DeviceError):
-                    self._observer.motion(name, fault.report, self.q_hand)
+                    self._tell(name, fault.report)
             raise
 
     def _done(self, name: str, report: MotionReport) -> None:
         # The commanded position is what the arm holds and what the next motion must start from; a servo has a lag, but
         # none at rest.
         self.q = report.q_commanded[-1]
-        self._observer.motion(name, report, self.q_hand)
+        self._tell(name, report)
         if report.outcome is MotionOutcome.STOPPED:
             raise DeviceError(f"the arm was stopped during the motion {name!r}")
         self._check_grip()
+
+    def _tell(self, name: str, report: MotionReport) -> None:
+        # However old the hand's state is: one that has fallen silent must not keep a motion out of the record.
+        self._observer.motion(name, report, self._station.hand.state(max_age=np.inf).joints.q)
 
     def _check_grip(self) -> None:
         if self.held and not self._station.hand.state().holding:
