@@ -21,9 +21,11 @@ from rtde_receive import RTDEReceiveInterface
 from toolee_robot.errors import DeviceError, NotReadyError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmStatus
+from toolee_robot.hardware.rtde_reader import RTDE_PORT
 from toolee_robot.hardware.servo_memory import StateColumn
 from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.hardware.ur_status import RUNTIME_PLAYING, advice, arm_status
+from toolee_robot.hardware.wheel_sockets import WheelSockets
 
 PAYLOAD_TOLERANCE = 1e-3
 """[kg], [m] Between what was set and what the controller reports."""
@@ -78,13 +80,15 @@ class UrLink:
                     time.sleep(1e-3)
                 self._control.setWatchdog(config.watchdog)
                 self._take_target()
+                self._sockets = WheelSockets(RTDE_PORT)
             except (RuntimeError, ValueError, IndexError, MemoryError) as error:  # whatever C++ may throw
                 raise DeviceError(_explain(str(error), config.host)) from error
 
     @property
     def connected(self) -> bool:
-        """Whether the wheel still has both connections. True says nothing; False is the truth."""
-        return bool(self._receive.isConnected() and self._control.isConnected())
+        """Whether the wheel still has both connections, the ones of the beginning. True says nothing; False is the
+        truth."""
+        return bool(self._receive.isConnected() and self._control.isConnected() and self._sockets.same)
 
     def read(self) -> bool:
         """Take the newest data in; False when nothing new has come, or nothing that makes sense. Never waits."""
