@@ -67,7 +67,8 @@ class UrArm:
     def __enter__(self) -> Self:
         """Check the robot and connect; nothing moves. Raises NotReadyError, naming all that a person must do first, and
         what `reset` raises."""
-        expected = UrExpected(self._limits.model, self._limits.calibration)
+        tcp = None if self._config.tcp is None else np.array(self._config.tcp)
+        expected = UrExpected(self._limits.model, self._limits.calibration, self._config.payload, tcp)
         for _ in range(PROBES):
             report = probe(self._config.host)
             failed = [finding for finding in check(report, expected) if finding.level is Level.FAIL]
