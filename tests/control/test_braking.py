@@ -19,7 +19,7 @@ from toolee_robot.types import Trajectory
 
 ACCELERATION, JERK = 15.0, 1500.0
 PERIODS = (1 / 125, 1 / 500)
-OWN = 0.004 / 4
+OWN = 0.004 / 3
 """[s] times a trajectory's own jerk: what cubic interpolation of its samples adds to the finite differences of the
 acceleration (and the jerk itself to those of the jerk). The stop keeps the limits by itself."""
 
