@@ -292,7 +292,8 @@ def load_scenes(
         rgb[i] = read_image(scene / f"rgb/{im_id:06d}.jpg")
         tool[i] = read_image(scene / f"tool/{im_id:06d}.png")
         for row in np.flatnonzero(table.visible[i]):
-            ee[i][read_image(scene / f"mask_visib/{im_id:06d}_{row:06d}.png") > 0] = row + 1
+            mask = read_image(scene / f"mask_visib/{im_id:06d}_{row:06d}.png")
+            np.copyto(ee[i], np.uint8(row + 1), where=mask.astype(np.bool_, copy=False))
         if depth_mm is not None:
             depth_mm[i] = read_image(scene / f"depth/{im_id:06d}.png")
 
