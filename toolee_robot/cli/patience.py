@@ -12,7 +12,7 @@ from toolee_robot.config import StationConfig, SupervisorConfig
 from toolee_robot.hardware.ur_config import UrArmConfig, servo_lag, servo_rate
 from toolee_robot.types import ArmModel
 
-LATE = 0.1
+LATE = 0.2
 """[s] that a stand-in's data may be late, commands with them, and the joints behind their commands."""
 
 
