@@ -30,6 +30,9 @@ class Faults:
 
     robot: Literal["both", "UR10", "UR10e"] = "both"
     """Under which arm's controller stand-in."""
+    only: Literal["all", "arm", "job"] = "all"
+    """One part of the matrix: arm, which is driver and supervisor on the stand-in, or job, which is the task on the
+    simulated station."""
     host: str = "127.0.0.70"
     """A loopback address for the stand-in."""
     json: Flag = False
@@ -37,12 +40,12 @@ class Faults:
 
     def run(self) -> int:
         console = Console(stderr=self.json, highlight=False)
-        from toolee_robot.faults.matrix import ELSEWHERE, MatrixOptions, run_matrix
+        from toolee_robot.faults.matrix import ELSEWHERE, MatrixOptions, Part, run_matrix
 
         models = tuple(ArmModel) if self.robot == "both" else (ArmModel(self.robot),)
         rows: list[FaultRow] = []
         with console.status("planning the swing") as status:
-            for row in run_matrix(MatrixOptions(self.host, models)):
+            for row in run_matrix(MatrixOptions(self.host, models, Part(self.only))):
                 rows.append(row)
                 status.update(f"{len(rows)} rows; last: {row.number} {row.fault}, {row.phase}")
                 if not row.handled:

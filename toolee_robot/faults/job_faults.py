@@ -175,7 +175,7 @@ CAMERA = tuple(
             for name, inject, outcome, says in (
                 ("camera has no depth", _blind, UNKNOWN, "lies where a held hammer cannot"),
                 ("no points on the tool", _see_nothing, UNKNOWN, "lies where a held hammer cannot"),
-                ("pose jumps by 130 mm", _tell(moved([0.13, 0.0, 0.0])), UNKNOWN, "130 mm"),
+                ("pose jumps by 130 mm", _tell(moved([0.13, 0.0, 0.0])), UNKNOWN, "where a held hammer can"),
                 ("low confidence", _tell(unsure), UNKNOWN, "sigma 31 mm"),
             )
         ),

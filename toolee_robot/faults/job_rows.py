@@ -37,12 +37,10 @@ STILL = 2e-3  # [rad]
 FAST = replace(CONFIG, arm=replace(CONFIG.arm, transfer_velocity_scale=0.7, transfer_acceleration=5.0))
 
 
-def job_rows(faults: Sequence[JobFault] = JOB_FAULTS) -> Iterator[FaultRow]:
+def job_rows(bench: Bench, faults: Sequence[JobFault] = JOB_FAULTS) -> Iterator[FaultRow]:
     """Each fault in a job of its own, on a station that is put back in between."""
-    bench = Bench()
-    with bench.sim:
-        for fault in faults:
-            yield job_row(fault, bench)
+    for fault in faults:
+        yield job_row(fault, bench)
 
 
 def job_row(fault: JobFault, bench: Bench) -> FaultRow:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import StrEnum
 
 from toolee_robot.faults.arm_rows import arm_rows
+from toolee_robot.faults.job_bench import Bench
+from toolee_robot.faults.job_rows import job_rows
 from toolee_robot.faults.process_rows import process_rows
 from toolee_robot.faults.record import FaultRow
 from toolee_robot.faults.rig import rig
+from toolee_robot.faults.start_rows import calibration_rows, start_rows
 from toolee_robot.types import ArmModel
 
 ELSEWHERE = {
@@ -20,17 +24,42 @@ ELSEWHERE = {
 """Faults of the list that belong to the serial hand's driver, which does not exist yet."""
 
 
+class Part(StrEnum):
+    """ARM: the driver and the supervisor on the controller stand-in. JOB: the task on the simulated station."""
+
+    ALL = "all"
+    ARM = "arm"
+    JOB = "job"
+
+
 @dataclass(frozen=True)
 class MatrixOptions:
-    """host: a loopback address for the stand-ins. models: under which the arm's faults are injected."""
+    """host: a loopback address for the stand-ins. models: under which the arm's faults are injected. part: of the
+    matrix."""
 
     host: str = "127.0.0.70"
     models: tuple[ArmModel, ...] = (ArmModel.UR10, ArmModel.UR10E)
+    part: Part = Part.ALL
 
 
 def run_matrix(options: MatrixOptions) -> Iterator[FaultRow]:
     """Every row, sorted by nothing but the order of measuring."""
-    for model in options.models:
-        with rig(model, options.host) as arm_rig:
-            yield from arm_rows(arm_rig)
-        yield from process_rows(model, options.host)
+    if options.part is not Part.JOB:
+        for model in options.models:
+            yield from _arm_part(model, options.host)
+    if options.part is not Part.ARM:
+        yield from _job_part()
+
+
+def _arm_part(model: ArmModel, host: str) -> Iterator[FaultRow]:
+    yield from start_rows(model, host)
+    with rig(model, host) as arm_rig:
+        yield from arm_rows(arm_rig)
+    yield from process_rows(model, host)
+
+
+def _job_part() -> Iterator[FaultRow]:
+    bench = Bench()
+    with bench.sim:
+        yield from calibration_rows(bench)
+        yield from job_rows(bench)
