@@ -36,6 +36,7 @@ def patient_driver(host: str, model: ArmModel) -> UrArmConfig:
     usual = UrArmConfig(host)
     return replace(
         usual,
+        watchdog=2.0,
         lag=servo_lag(usual, _rate(model)) + LATE,
         connect_timeout=15.0,
         handshake_timeout=5.0,
