@@ -11,7 +11,7 @@ from toolee_robot.faults.record import Phase
 from toolee_robot.faults.told import Told
 from toolee_robot.tasks.outcome import Outcome, Stage
 
-IN_STRIKE = "strike"
+IN_STRIKE = "in mid-swing"
 
 
 @dataclass

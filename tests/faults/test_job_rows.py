@@ -1,0 +1,127 @@
+"""The quick rows of the job's part of the fault matrix are handled, and a row whose guard is taken away is not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from toolee_robot.control.person_watch import PersonWatch
+from toolee_robot.errors import MotionFaultError
+from toolee_robot.faults.job_bench import Bench
+from toolee_robot.faults.job_faults import JOB_FAULTS
+from toolee_robot.faults.job_record import JobFault
+from toolee_robot.faults.job_rows import job_row
+from toolee_robot.faults.record import FaultRow, Phase
+from toolee_robot.faults.start_rows import CALIBRATIONS, calibration_row
+from toolee_robot.sim_backend.arm import SimArm
+from toolee_robot.tasks.hammering import HammeringTask
+from toolee_robot.tasks.motions import Motions
+
+_QUICK = (
+    ("hand does not open in time", Phase.REST),
+    ("hand does not close in time", Phase.REST),
+    ("hand falls silent", Phase.SWING),
+    ("tool dropped", Phase.SWING),
+    ("camera repeats a frame", Phase.REST),
+    ("low confidence", Phase.REST),
+    ("nobody steps back", Phase.REST),
+    ("enabling switch not held", Phase.REST),
+    ("a person comes into reach", Phase.SWING),
+    ("network link cut", Phase.REST),
+    ("network link cut", Phase.SWING),
+)
+
+
+@pytest.fixture(scope="module")
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    with bench.sim:
+        yield bench
+
+
+def _fault(name: str, phase: Phase) -> JobFault:
+    (fault,) = (f for f in JOB_FAULTS if (f.fault, f.phase) == (name, phase))
+    return fault
+
+
+def test_every_fault_of_the_job_is_there_and_named_once() -> None:
+    names = [(f.number, f.fault, f.phase) for f in JOB_FAULTS]
+    assert len(set(names)) == len(names)
+    assert {15, 18, 21, 22, 23, 25, 26, 27} | {7, 9, 10, 12, 13} == {f.number for f in JOB_FAULTS}
+    for number in (15, 18, 21, 22, 23, 25, 26, 27, 9, 12, 13):
+        assert {f.phase for f in JOB_FAULTS if f.number == number} == {Phase.REST, Phase.SWING}
+
+
+@pytest.mark.parametrize(("name", "phase"), _QUICK)
+def test_a_fault_is_handled(bench: Bench, name: str, phase: Phase) -> None:
+    fault = _fault(name, phase)
+    row = job_row(fault, bench)
+    assert row.handled, row.why
+    assert (row.number, row.fault, row.phase) == (fault.number, name, phase)
+    assert row.latched is (fault.job_latches or fault.arm_latches)
+    if fault.braking is not None and fault.braking.cycles is not None:
+        assert row.reaction is not None
+        assert row.standstill is not None
+        assert row.allowed is not None
+        assert 0.0 < row.reaction < row.standstill <= row.allowed
+        assert row.speed is not None
+        assert row.speed > 1.0, "that is no swing"
+
+
+@pytest.mark.parametrize(("name", "calibration", "says"), CALIBRATIONS[:2])
+def test_a_calibration_that_does_not_hold(bench: Bench, name: str, calibration: None, says: str) -> None:
+    row = calibration_row(bench, name, calibration, says)
+    assert row.handled, row.why
+
+
+# -- the matrix can fail -------------------------------------------------------------------------------------------
+
+
+def _not_handled(row: FaultRow, why: str) -> None:
+    assert not row.handled
+    assert why in row.why
+
+
+def test_without_the_check_of_the_calibration(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(HammeringTask, "_check_calibration", lambda _: bench.people.__setattr__("gives", False))
+    _not_handled(calibration_row(bench, *CALIBRATIONS[0]), "it went on")
+
+
+def test_without_the_check_of_the_hand(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Motions, "check_hand", lambda _: None)
+    _not_handled(job_row(_fault("hand too hot", Phase.REST), bench), "1 blows were swung, 0 may be")
+
+
+def test_without_the_watch_of_the_person(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(PersonWatch, "_run", lambda _: None)
+    row = job_row(_fault("a person comes into reach", Phase.SWING), bench)
+    _not_handled(row, "supervisor did not latch")
+
+
+def test_an_arm_that_notices_late_and_does_not_latch(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    honest = SimArm._fault
+    seen: list[tuple[type[MotionFaultError], str]] = []
+
+    def late(self: SimArm, watch: object, log: object) -> tuple[type[MotionFaultError], str] | None:
+        fault = honest(self, watch, log)  # type: ignore[arg-type]
+        seen.extend([fault] if fault else [])
+        return fault if len(seen) > 8 else None
+
+    monkeypatch.setattr(SimArm, "_fault", late)
+    monkeypatch.setattr(SimArm, "_check_open", lambda self: setattr(self, "_latched", ""))
+    # Longer before the nail, which would stop the blow otherwise.
+    row = job_row(replace(_fault("network link cut", Phase.SWING), before=0.2), bench)
+    _not_handled(row, "allowed")
+    assert "the arm did not refuse to move" in row.why
+
+
+def test_a_hand_that_lets_go(bench: Bench) -> None:
+    fault = replace(_fault("hand too hot", Phase.REST), inject=lambda s: s.bench.drop())
+    _not_handled(job_row(fault, bench), "the hand let go")
+
+
+def test_a_fault_that_does_not_come(bench: Bench) -> None:
+    fault = replace(_fault("network link cut", Phase.SWING), inject=lambda _: None)
+    _not_handled(job_row(fault, bench), "device_fault expected")
