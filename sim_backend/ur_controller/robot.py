@@ -133,6 +133,7 @@ class Robot:
     def reboot(self) -> None:
         """As after the power button: the program is gone, registers and settings are lost, the arm is off."""
         self.program.stop()
+        self.machine.stop(self.model.safety_deceleration)  # the brakes fall in
         self.safety.restart()
         self.safety.robot_mode = RobotMode.POWER_OFF
         fresh = Registers()

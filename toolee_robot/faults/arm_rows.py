@@ -32,7 +32,8 @@ from toolee_robot.sim_backend.ur_controller.model import MODELS
 BUSY = 0.03  # [s] that a machine with other things to do may add
 AT_REST = 1e-3  # [rad]: what counts as standing still
 OFF_PATH = 5e-3  # [rad]
-OFF_PATH_BY_ROBOT = 30e-3  # [rad]: the controller stops each joint for itself
+OFF_PATH_BY_ROBOT = 30e-3  # [rad]: the controller stops along the joints' present direction
+OFF_PATH_BRAKES = 0.15  # [rad]: brakes know no path
 WATCHDOG = 0.1  # [s] of silence after which the controller stops the program: `UrArmConfig.watchdog`
 HEARTBEAT = 0.1  # [s] `UrArmConfig.heartbeat_timeout`
 REST_TIME = 0.4  # [s] that a fault at rest gets to be noticed
@@ -45,7 +46,8 @@ class ArmFault:
     that reports STOPPED. notice: the time that noticing it may take [s]. by_robot: whether the controller brakes, by
     its own deceleration, or the driver, along the path. at_rest: whether a fault at rest must latch; None where it is
     no fault at rest. emergency: whether it brakes as its safety system does. watch: the bounds under which it is
-    injected. rest: how long a fault at rest may take to be noticed [s].
+    injected. rest: how long a fault at rest may take to be noticed [s]. off_path: the most that the joints may leave
+    the path [rad]; None: as the driver, or the controller, brakes.
     """
 
     number: int
@@ -59,6 +61,7 @@ class ArmFault:
     at_rest: bool | None = True
     watch: MotionWatch = PATIENT
     rest: float = REST_TIME
+    off_path: float | None = None
 
 
 def _cycles(n: float) -> Callable[[Rig], float]:
@@ -109,8 +112,9 @@ ARM_FAULTS = (
         rest=QUIET_TIME,
     ),
     ArmFault(
-        9, "controller reboots", "robot stops, latches",
+        9, "controller reboots", "robot's brakes fall in, latches",
         lambda r: r.controller.fault("reboot", seconds=1.0, powered=True), DeviceError, _cycles(2), by_robot=True,
+        emergency=True, off_path=OFF_PATH_BRAKES,
     ),
     ArmFault(
         10, "servo loop late by 60 ms", "brakes on the path, latches",
@@ -163,7 +167,7 @@ def _in_swing(fault: ArmFault, rig: Rig) -> FaultRow:
     wrong = _wrong(fault, happened, latched)
     if stop.standstill > allowed:
         wrong.append(f"standstill after {stop.standstill * 1e3:.0f} ms, {allowed * 1e3:.0f} allowed")
-    if stop.off_path > (OFF_PATH_BY_ROBOT if fault.by_robot else OFF_PATH):
+    if stop.off_path > (fault.off_path or (OFF_PATH_BY_ROBOT if fault.by_robot else OFF_PATH)):
         wrong.append(f"the joints left the path by {stop.off_path:.4f} rad")
     got = type(happened.error).__name__ if happened.error else str(happened.report and happened.report.outcome)
     return FaultRow(

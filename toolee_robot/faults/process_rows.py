@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from toolee_robot.braking import brake_on_path
-from toolee_robot.errors import DeviceError, TooleeError
+from toolee_robot.errors import DeviceError, MotionFaultError, TooleeError
 from toolee_robot.faults.arm_rows import AT_REST, BUSY, HEARTBEAT, OFF_PATH
 from toolee_robot.faults.joints_path import MOVING, stop_after
 from toolee_robot.faults.record import FaultRow, Phase
@@ -81,6 +81,7 @@ def _row(fault: TaskFault, phase: Phase, model: ArmModel, host: str, name: str) 
             time.sleep(1.0 + SETTLE_TIME)
             trace = controller.trace(before)
             program_ended = controller.state()["program_state"] != "PLAYING"
+            said = _continued(task) if fault.signal is signal.SIGSTOP and phase is Phase.SWING else ""
         finally:
             task.kill()
             task.wait()
@@ -97,15 +98,25 @@ def _row(fault: TaskFault, phase: Phase, model: ArmModel, host: str, name: str) 
     braking = brake_on_path(strike, stop.path_time + fault.notice, period, limits.stop_acceleration, limits.stop_jerk)
     allowed = fault.notice + len(list(braking)) * period + 2 * period + BUSY
     wrong = []
+    latched = program_ended or said == MotionFaultError.__name__
+    if not latched:
+        wrong.append("the robot's program runs on, and the task was told nothing")
     if stop.standstill > allowed:
         wrong.append(f"standstill after {stop.standstill * 1e3:.0f} ms, {allowed * 1e3:.0f} allowed")
     if stop.off_path > OFF_PATH:
         wrong.append(f"the joints left the path by {stop.off_path:.4f} rad")
+    got = "at rest, program ended" if program_ended else f"at rest, then {said}"
     return FaultRow(
-        11, fault.fault, phase, name, "brakes on the path", "at rest, program ended" if program_ended else "at rest",
-        program_ended, not wrong, "; ".join(wrong),
+        11, fault.fault, phase, name, "brakes on the path", got, latched, not wrong, "; ".join(wrong),
         stop.reaction, stop.standstill, allowed, stop.speed, stop.off_path,
     )  # fmt: skip
+
+
+def _continued(task: subprocess.Popen[str]) -> str:
+    """What the task says of its motion once it goes on."""
+    assert task.stdout is not None
+    task.send_signal(signal.SIGCONT)
+    return task.stdout.readline().strip()
 
 
 def _await_motion(controller: ControllerProcess) -> None:

@@ -37,7 +37,7 @@ class Motion:
         self._link, self._memory, self._order, self._schedule, self._alive = link, memory, order, schedule, alive
         self._period = 1.0 / link.rate
         self._path = memory.path(order.knots)
-        self._cause = Cause.NONE
+        self._cause, self._silent = Cause.NONE, False
         self._time, self._row, self._streak, self._brakes = 0.0, 0, 0, False
         self._commands = self._reference()
         self._lag_cycles = order.lag / self._period
@@ -54,10 +54,10 @@ class Motion:
             lateness, missed = self._schedule.wait()
             link.read()
             self._judge(lateness, missed)
-            following = None if self._cause >= Cause.PROGRAM_ENDED else next(self._commands, None)
+            following = None if self._silent else next(self._commands, None)
             if following is not None:
                 q = following
-            if self._cause < Cause.PROGRAM_ENDED:
+            if not self._silent:
                 link.servo(q)
             self._log(q, lateness)
             if following is None:
@@ -96,6 +96,10 @@ class Motion:
             self._end(Cause.CONTACT)
 
     def _end(self, cause: Cause) -> None:
+        if cause >= Cause.PROGRAM_ENDED:
+            self._silent = True
+        if cause is Cause.PROGRAM_ENDED and self._cause >= Cause.DATA:
+            return  # the program ended because of the fault, which is what a person has to know
         if cause <= self._cause or (self._cause > Cause.NONE and cause < Cause.PROGRAM_ENDED):
             return
         self._cause = cause

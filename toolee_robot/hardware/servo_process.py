@@ -64,7 +64,8 @@ class ServoProcess:
             schedule.wait()
             link.read()
             self._judge()
-            if self._fault < Cause.PROGRAM_ENDED:
+            # A kick that meets an ended program would wait for it in vain.
+            if self._fault < Cause.PROGRAM_ENDED and link.playing:
                 link.kick()
             memory.words[Word.CYCLES] += 1
             memory.write_state(link.reading)
