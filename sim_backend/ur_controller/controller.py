@@ -112,6 +112,7 @@ class Controller:
         self.fault_port = Port("faults", host, options.fault_port, lambda c: FaultSession(c, self.faults), log)
         self.services: list[Service] = [*self.ports.values(), self.fault_port]
         self._running = False
+        self._turn = 0  # whose data are taken first
 
     def add_service(self, service: Service) -> None:
         """Hook descriptors and a tick callback of someone else into the loop; closed with the controller."""
@@ -187,8 +188,13 @@ class Controller:
             readers = {fd: service for service in self.services for fd in service.filenos()}
             timeout = max(0.0, due - time.monotonic())
             ready, _, _ = select.select(list(readers), [], [], timeout)
-            for fd in ready:
+            # A flood on many connections must not hold up the tick, nor one of them always come last.
+            enough = max(due, time.monotonic()) + self.schedule.period
+            self._turn = (self._turn + 1) % max(len(ready), 1)
+            for fd in ready[self._turn :] + ready[: self._turn]:
                 readers[fd].on_readable(fd)
+                if time.monotonic() > enough:
+                    break
             if time.monotonic() >= due:
                 return
 

@@ -8,7 +8,7 @@ from typing import Any
 from toolee_robot.sim_backend.ur_controller.faults import Faults
 from toolee_robot.sim_backend.ur_controller.link import Sink
 
-MAX_LINE = 65536  # [bytes] of a request; a client that sends more is dropped
+MAX_WAITING = 65536  # [bytes] of requests that wait; a client that sends more is dropped
 
 
 class FaultSession:
@@ -20,15 +20,18 @@ class FaultSession:
 
     def feed(self, data: bytes) -> None:
         self._buffer += data
-        while (end := self._buffer.find(b"\n")) >= 0:
+        # One at a time, the next one after the next tick: some take milliseconds.
+        if (end := self._buffer.find(b"\n")) >= 0:
             line = bytes(self._buffer[:end])
             del self._buffer[: end + 1]
             if line.strip():
                 self._sink.send(json.dumps(self._answer(line)).encode() + b"\n")
-        if len(self._buffer) > MAX_LINE:
+        if len(self._buffer) > MAX_WAITING:
             self._sink.close()
 
-    def tick(self) -> None: ...
+    def tick(self) -> None:
+        if self._buffer:
+            self.feed(b"")
 
     def close(self) -> None: ...
 

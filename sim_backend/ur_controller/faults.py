@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 TRACE_PAGE = 250  # rows in one answer: more would hold up the tick
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
+Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
 Seconds = Annotated[float, Field(ge=0.0, le=3600.0)]
 Count = Annotated[int, Field(ge=0)]
 Three = Annotated[list[Number], Field(min_length=3, max_length=3)]

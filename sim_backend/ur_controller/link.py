@@ -54,7 +54,7 @@ class Connection:
         self.half_open = False
         self._sock, self._faults = sock, faults
         self._queue: deque[tuple[float, bytes]] = deque()  # due [s], data
-        self._pending = b""  # due, and not taken by the kernel yet
+        self._pending = bytearray()  # due, and not taken by the kernel yet
         self._held: list[bytes] = []  # waiting to be coalesced
 
     def fileno(self) -> int:
@@ -110,15 +110,17 @@ class Connection:
             self._write(self._queue.popleft()[1])
 
     def _write(self, data: bytes) -> None:
-        data = self._pending + data
+        # Not joined and sent again for every little packet: with megabytes waiting that would hold up the tick.
+        full = bool(self._pending) and bool(data)
+        self._pending += data
+        if full or not self._pending:
+            return
         try:
-            sent = self._sock.send(data)
+            del self._pending[: self._sock.send(self._pending)]
         except BlockingIOError:
-            sent = 0
+            pass
         except OSError:
             self.close()
-            return
-        self._pending = data[sent:]
 
     def close(self, reset: bool = False) -> None:
         """End the connection: with FIN, or with RST if `reset`."""

@@ -11,6 +11,7 @@ from toolee_robot.errors import UserError
 from toolee_robot.sim_backend.ur_controller.link import Connection, LinkFaults
 
 CLIENTS = 16  # connections a port serves at once; more are closed at the door
+WAITING = 128  # connections that wait for the door; the kernel has the others try again a second later
 
 
 class Session(Protocol):
@@ -58,7 +59,7 @@ class Port:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind((self.host, self.number))
-            listener.listen(CLIENTS)
+            listener.listen(WAITING)
         except OSError as error:
             listener.close()
             raise UserError(

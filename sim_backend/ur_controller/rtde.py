@@ -20,6 +20,7 @@ from toolee_robot.sim_backend.ur_controller.rtde_types import Recipe
 from toolee_robot.sim_backend.ur_controller.rtde_variables import Outputs
 
 MAX_RECIPES = 255  # an id is a byte, 0 means refused
+MAX_NAMES = 512  # in a recipe: more than there are, and neither answer nor data outgrow a packet; for more it hangs up
 QUEUE = 64  # packets of a stream that wait for their ticks, at most
 MAX_WAITING = 1 << 20  # [bytes] from a client that could not be taken yet; one that sends more is dropped
 SKIP_BACKLOG = 65536  # [bytes] unread by the client over which data packets are left out
@@ -171,7 +172,8 @@ class RtdeSession:
                 self._answer(wire.OUTPUTS, b"\x00")
                 return
             (frequency,), names = struct.unpack(">d", payload[:8]), payload[8:]
-        recipe = self._recipe(names, self._outputs.type_of)
+        if (recipe := self._recipe(names, self._outputs.type_of)) is None:
+            return
         valid = bool(recipe.names) and "NOT_FOUND" not in recipe.types
         valid = valid and math.isfinite(frequency) and frequency > 0.0
         self._output = recipe if valid else None
@@ -181,7 +183,8 @@ class RtdeSession:
         self._answer(wire.OUTPUTS, prefix + ",".join(recipe.types).encode())
 
     def _set_inputs(self, payload: bytes) -> None:
-        recipe = self._recipe(payload, lambda name: self._inputs.claim(name, self))
+        if (recipe := self._recipe(payload, lambda name: self._inputs.claim(name, self))) is None:
+            return
         valid = bool(recipe.names) and not {"NOT_FOUND", "IN_USE"}.intersection(recipe.types)
         valid = valid and len(self._input_recipes) < MAX_RECIPES
         number = 0
@@ -190,9 +193,11 @@ class RtdeSession:
             number = len(self._input_recipes)
         self._answer(wire.INPUTS, bytes([number]) + ",".join(recipe.types).encode())
 
-    @staticmethod
-    def _recipe(payload: bytes, type_of: Callable[[str], str]) -> Recipe:
+    def _recipe(self, payload: bytes, type_of: Callable[[str], str]) -> Recipe | None:
         names = wire.split_names(payload)
+        if len(names) > MAX_NAMES:
+            self._end()
+            return None
         return Recipe(names, tuple(type_of(name) for name in names))
 
     def _write(self, payload: bytes) -> None:
