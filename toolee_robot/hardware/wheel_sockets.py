@@ -10,27 +10,25 @@ import os
 import socket
 import stat
 from contextlib import suppress
+from pathlib import Path
 
 
 class WheelSockets:
-    """The sockets of this process that are connected to a TCP port of a peer at the time of construction."""
+    """The sockets of this process that are connected to this TCP port of a peer at the time of construction."""
 
     def __init__(self, port: int) -> None:
         self._inodes: dict[int, int] = {}
-        for name in os.listdir("/proc/self/fd"):
-            with suppress(OSError):
-                state = os.stat(int(name))
-                if stat.S_ISSOCK(state.st_mode) and _peer_port(int(name)) == port:
-                    self._inodes[int(name)] = state.st_ino
-
-    def __len__(self) -> int:
-        return len(self._inodes)
+        for entry in Path("/proc/self/fd").iterdir():
+            with suppress(OSError):  # not connected, or the listing's own
+                fd, state = int(entry.name), os.fstat(int(entry.name))
+                if stat.S_ISSOCK(state.st_mode) and _peer_port(fd) == port:
+                    self._inodes[fd] = state.st_ino
 
     @property
     def same(self) -> bool:
         """Whether all of them are still those of the beginning. Some microseconds."""
         try:
-            return all(os.stat(fd).st_ino == inode for fd, inode in self._inodes.items())
+            return all(os.fstat(fd).st_ino == inode for fd, inode in self._inodes.items())
         except OSError:
             return False
 
