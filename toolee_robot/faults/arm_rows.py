@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
@@ -24,8 +25,8 @@ from toolee_robot.errors import (
     TrackingError,
 )
 from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.rig import Happening, Rig
-from toolee_robot.faults.watch import PATIENT, STRICT_AGE, STRICT_LOOP
+from toolee_robot.faults.rig import Happening, MissedMomentError, Rig
+from toolee_robot.faults.watch import PATIENT, SHORT_AGE, STRICT_AGE, STRICT_LOOP
 from toolee_robot.hal import MotionOutcome, MotionWatch
 from toolee_robot.sim_backend.ur_controller.model import MODELS
 
@@ -36,6 +37,7 @@ OFF_PATH_BY_ROBOT = 30e-3  # [rad]: the controller stops along the joints' prese
 OFF_PATH_BRAKES = 0.15  # [rad]: brakes know no path
 WATCHDOG = 0.1  # [s] of silence after which the controller stops the program: `UrArmConfig.watchdog`
 HEARTBEAT = 0.1  # [s] `UrArmConfig.heartbeat_timeout`
+ATTEMPTS = 3  # to catch the moment, on a busy machine
 REST_TIME = 0.4  # [s] that a fault at rest gets to be noticed
 QUIET_TIME = 2.2  # [s] the same for a link that dies without a word: `UrArmConfig.link_timeout` and some
 
@@ -109,7 +111,7 @@ ARM_FAULTS = (
     ArmFault(
         9, "half-open connection", "robot's watchdog stops it, latches",
         lambda r: r.controller.fault("half_open", port="rtde"), LinkLostError, _seconds(WATCHDOG), by_robot=True,
-        rest=QUIET_TIME,
+        rest=QUIET_TIME, watch=SHORT_AGE,
     ),
     ArmFault(
         9, "controller reboots", "robot's brakes fall in, latches",
@@ -154,6 +156,9 @@ def arm_rows(rig: Rig) -> Iterator[FaultRow]:
 def _guarded(fault: ArmFault, phase: Phase, rig: Rig, run: Callable[[], FaultRow]) -> FaultRow:
     """A row that could not be measured is a row that is not handled."""
     try:
+        for _ in range(ATTEMPTS - 1):
+            with suppress(MissedMomentError):
+                return run()
         return run()
     except TooleeError as error:
         why = f"{type(error).__name__}: {error}"

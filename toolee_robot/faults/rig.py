@@ -23,8 +23,13 @@ from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel, Trajectory
 
+FAST = 1.0  # [rad/s] of the fastest joint: what counts as mid-swing
 BEFORE_CONTACT = 0.02  # [s]: near the highest speed, before the planned braking
 START_TIME, SETTLE_TIME, RESET_TIME, NOTICE_TIME = 5.0, 0.6, 15.0, 0.2  # [s]
+
+
+class MissedMomentError(DeviceError):
+    """The swing was over, or had not begun, when the fault came."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +84,10 @@ class Rig:
             report = raised.report if isinstance(raised, MotionFaultError) else None
         thread.join()
         time.sleep(SETTLE_TIME)
-        return Happening(stop_after(self.controller.trace(before), self.strike, at[0]), error, report, answer[0])
+        stop = stop_after(self.controller.trace(before), self.strike, at[0])
+        if stop.speed < FAST:
+            raise MissedMomentError(f"the arm moved at {stop.speed:.2f} rad/s when the fault came: no mid-swing")
+        return Happening(stop, error, report, answer[0])
 
     def _act(self, action: Callable[[], object], at: list[float], answer: list[object]) -> None:
         began = time.monotonic()

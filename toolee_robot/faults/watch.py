@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from toolee_robot.hal import MotionWatch
 
-PATIENT = MotionWatch(tracking_error=0.05, data_cycles=30.0, overruns=30)
+PATIENT = MotionWatch(tracking_error=0.05, data_cycles=100.0, overruns=100)
 STRICT_AGE = replace(PATIENT, data_cycles=3.0)
-STRICT_LOOP = replace(PATIENT, overruns=3)
+SHORT_AGE = replace(PATIENT, data_cycles=10.0)
+STRICT_LOOP = replace(PATIENT, tracking_error=0.3, overruns=3)
