@@ -148,7 +148,11 @@ class ServoClient:
         deadline = time.monotonic() + START_TIMEOUT
         while (reply := self.receive(0.05)) is None:
             if time.monotonic() > deadline:
-                raise ServoCrashError("the servo process did not start: the machine is overloaded")
+                raise ServoCrashError(
+                    "the robot did not answer while it was connected to: check the network, then reset"
+                    if self.memory.words[Word.CONNECTING]
+                    else "the servo process did not start: the machine is overloaded"
+                )
             if started := int(self.memory.words[Word.CONNECTING]):
                 deadline = min(deadline, started * 1e-9 + self._config.connect_timeout)
         if isinstance(reply, Refused):

@@ -120,7 +120,7 @@ def nominal_rate(version: tuple[int, int, int, int]) -> float:
     return E_SERIES_RATE if version[0] > 3 else CB3_RATE
 
 
-def probe(host: str, timeout: float = 5.0, listen: float = 1.0) -> UrReport:
+def probe(host: str, timeout: float = 3.0, listen: float = 1.0) -> UrReport:
     """Ask, and listen to RTDE for `listen` [s]; for at most `timeout` [s] in all. Takes about 1.2 s on a robot that
     answers."""
     deadline = time.monotonic() + timeout

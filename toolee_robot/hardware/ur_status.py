@@ -5,6 +5,7 @@ from __future__ import annotations
 from toolee_robot.hal import ArmStatus
 
 # RTDE's safety_status_bits.
+_NORMAL_OR_REDUCED = 1 << 0 | 1 << 1
 _PROTECTIVE_STOP = 1 << 2
 _RECOVERY = 1 << 3
 _SAFEGUARD_STOP = 1 << 4
@@ -34,7 +35,8 @@ def arm_status(safety_bits: int, robot_mode: int) -> ArmStatus:
         return ArmStatus.PROTECTIVE_STOP
     if safety_bits & (_SAFEGUARD_STOP | _STOPPED_FOR_SAFETY):
         return ArmStatus.SAFEGUARD_STOP
-    if safety_bits & _RECOVERY or robot_mode != ROBOT_MODE_RUNNING:
+    moves = safety_bits & _NORMAL_OR_REDUCED and not safety_bits & _RECOVERY
+    if not moves or robot_mode != ROBOT_MODE_RUNNING:
         return ArmStatus.NOT_READY
     return ArmStatus.READY
 
