@@ -100,7 +100,7 @@ class _Row:
 
     def _task(self) -> HammeringTask:
         fault = self._fault
-        task = replace(FAST.task, max_blows=fault.blows, blows_between_looks=1, min_progress=5e-4)
+        task = replace(FAST.task, max_blows=fault.blows, views_again=1, blows_between_looks=1, min_progress=5e-4)
         config = replace(FAST, task=task)
         if fault.sees:
             return self._bench.seeing_task(self._log, config, self._scene.told)
