@@ -21,7 +21,7 @@ from toolee_robot.sim_backend.ur_controller.rtde_variables import Outputs
 
 MAX_RECIPES = 255  # an id is a byte, 0 means refused
 MAX_NAMES = 512  # in a recipe: more than there are, and neither answer nor data outgrow a packet; for more it hangs up
-QUEUE = 64  # packets of a stream that wait for their ticks, at most
+QUEUE = 512  # packets of a stream that wait for their ticks, at most
 MAX_WAITING = 1 << 20  # [bytes] from a client that could not be taken yet; one that sends more is dropped
 SKIP_BACKLOG = 65536  # [bytes] unread by the client over which data packets are left out
 _WARNING = 2  # level of a text message

@@ -16,7 +16,7 @@ from toolee_robot.sim_backend.ur_controller.model import ControllerModel
 from toolee_robot.sim_backend.ur_controller.world_plant import WorldPlant
 from toolee_robot.sim_backend.ur_controller.world_service import WorldService
 
-CATCH_UP = 0.2
+CATCH_UP = 1.0
 """[s] A blow is computed in less than real time: some 10 ms are lost in it, on a busy machine more."""
 
 

@@ -39,9 +39,7 @@ class UrStation:
             world = stack.enter_context(self._world)
             # The last to come is the first to go: a client outlives no controller.
             hand = load_robot(config.arm.model, config.arm.calibration)
-            driver = replace(
-                patient_driver(self._host, config.arm.model), payload=hand.hand_payload(hand.hand_open), tcp=(0.0,) * 6
-            )
+            driver = replace(patient_driver(self._host), payload=hand.hand_payload(hand.hand_open), tcp=(0.0,) * 6)
             arm = stack.enter_context(UrArm(driver, config.arm))
             self.station = remote_station(world, config, self._seed, self.tool, arm, MonotonicClock())
             self._open = stack.pop_all()
