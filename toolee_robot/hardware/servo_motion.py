@@ -79,7 +79,7 @@ class Motion:
             self._end(Cause.DATA)
         elif self._link.status is not ArmStatus.READY:
             self._end(Cause.STOPPED_BY_ROBOT)
-        elif not self._link.playing:
+        elif not self._link.playing or self._link.refused:
             self._end(Cause.PROGRAM_ENDED)
         if self._cause is not Cause.NONE:
             return

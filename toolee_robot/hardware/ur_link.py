@@ -53,7 +53,8 @@ def bounded(seconds: float) -> Iterator[None]:
 class UrLink:
     """rate [Hz]: the controller's. reading: (StateColumn.COUNT,), the newest; its commanded position is what went out
     last, or, before anything did, where the controller holds the arm. sane: False for good once data made no sense;
-    they are never taken in. status, playing: what it says of the robot's safety and of its program. servoing: the
+    they are never taken in. refused: True for good once the wheel did not send a position, since it believes that the
+    robot's program has ended, whatever the receiving end says. status, playing: what it says of the robot's safety and of its program. servoing: the
     control script's servo thread runs, and holds the last position sent."""
 
     def __init__(self, config: UrArmConfig, rate: float) -> None:
@@ -61,7 +62,7 @@ class UrLink:
         DeviceError for what the wheel throws."""
         self._config, self.rate = config, rate
         self.reading: Array = np.zeros(StateColumn.COUNT)
-        self.sane = True
+        self.sane, self.refused = True, False
         self.status, self.playing, self.servoing = ArmStatus.NOT_READY, False, False
         with bounded(config.connect_timeout):
             try:
@@ -118,7 +119,8 @@ class UrLink:
 
     def servo(self, q: Array) -> None:
         """Send one position (6,) [rad]; feeds the robot's watchdog as well."""
-        self._control.servoJ(q.tolist(), 0.0, 0.0, 1.0 / self.rate, self._config.lookahead, self._config.gain)
+        sent = self._control.servoJ(q.tolist(), 0.0, 0.0, 1.0 / self.rate, self._config.lookahead, self._config.gain)
+        self.refused = self.refused or not sent
         self.reading[StateColumn.COMMANDED] = q
         self.servoing = True
 
