@@ -54,8 +54,8 @@ class UrLink:
     """rate [Hz]: the controller's. reading: (StateColumn.COUNT,), the newest; its commanded position is what went out
     last, or, before anything did, where the controller holds the arm. sane: False for good once data made no sense;
     they are never taken in. refused: True for good once the wheel did not send a position, since it believes that the
-    robot's program has ended, whatever the receiving end says. status, playing: what it says of the robot's safety and of its program. servoing: the
-    control script's servo thread runs, and holds the last position sent."""
+    robot's program has ended, whatever the receiving end says. status, playing: what the robot says of its safety and
+    of its program. servoing: the control script's servo thread runs, and holds the last position sent."""
 
     def __init__(self, config: UrArmConfig, rate: float) -> None:
         """Connect; nothing moves. Raises NotReadyError while the robot's safety system or mode forbids motion, and
