@@ -185,7 +185,7 @@ def _few(examples: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
     )
 
 
-@_few(8)
+@_few(5)
 @given(rule=st.one_of(_streams, _orders), skip=st.integers(0, 3), moment=st.floats(0.0, 0.3))
 def test_any_corruption_in_mid_motion(
     arm: UrArm, proxy: EvilProxy, controller: ControllerProcess, rule: Rule, skip: int, moment: float
@@ -194,7 +194,7 @@ def test_any_corruption_in_mid_motion(
     _swing_while_struck(arm, proxy, controller, replace(rule, skip=skip), moment)
 
 
-@_few(6)
+@_few(4)
 @given(rule=st.one_of(_handshakes, _dashboard), skip=st.integers(0, 40))
 def test_any_corruption_while_connecting(
     arm: UrArm, proxy: EvilProxy, controller: ControllerProcess, rule: Rule, skip: int
