@@ -252,7 +252,7 @@ def _swing_while_struck(
     """The error, or None when the motion was completed; the arm is ready again."""
     _ready(arm)
     if min(np.abs(arm.q_commanded - end).max() for end in (HOME, HOME + WAY)) > 1e-3:
-        arm.execute(line([arm.q_commanded, HOME], 0.8), None, PATIENT)
+        arm.execute(line([arm.q_commanded, HOME], 1.0), None, PATIENT)
     trajectory = swing(arm.q_commanded, 1.0)
 
     def strike() -> None:
