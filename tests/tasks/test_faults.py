@@ -10,9 +10,9 @@ import numpy as np
 import pybullet as pb
 import pytest
 
-from tests.tasks.bench import CONFIG, Bench, Log, at_rest, grip_kept
 from toolee_robot.config import CalibrationConfig, StationConfig
 from toolee_robot.control import Meeting
+from toolee_robot.faults.job_bench import CONFIG, Bench, Log, at_rest, grip_kept
 from toolee_robot.frames import Array
 from toolee_robot.tasks.outcome import HammerResult, Outcome, Stage
 

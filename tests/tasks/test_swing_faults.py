@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from tests.tasks.bench import CONFIG, Bench, Log, at_rest, grip_kept
 from toolee_robot.control import CollisionWorld, Mode, RobotModel, StrikePlan, plan_strike
 from toolee_robot.errors import (
     EmergencyStopError,
@@ -20,6 +19,7 @@ from toolee_robot.errors import (
     ProtectiveStopError,
     TrackingError,
 )
+from toolee_robot.faults.job_bench import CONFIG, Bench, Log, at_rest, grip_kept
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
 from toolee_robot.sim_backend.arm import RATE
