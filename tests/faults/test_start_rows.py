@@ -13,7 +13,7 @@ from toolee_robot.types import ArmModel
 
 @pytest.fixture(scope="module")
 def controller() -> Iterator[ControllerProcess]:
-    with ControllerProcess(model=ArmModel.UR10E, host="127.0.0.62") as controller:
+    with ControllerProcess(model=ArmModel.UR10E, host="127.0.0.68") as controller:
         yield controller
 
 
