@@ -44,6 +44,8 @@ Command = (
     | Annotated[UrController, tyro.conf.subcommand("ur-controller")]
 )
 
+AnyCommand = Hammer | Estimate | Bench | BenchServo | Dataset | Doctor | Evaluate | Faults | Train | UrController
+
 
 def main(args: Sequence[str] | None = None) -> None:
     """Run `toolee` with `args` (the process's own if None) and exit with the command's code."""
@@ -59,7 +61,7 @@ def main(args: Sequence[str] | None = None) -> None:
 
 def run(args: Sequence[str] | None = None) -> int:
     """As `main`, but returns the exit code; only the parser itself exits (0 for --help, 2 for a bad option)."""
-    command: Hammer | Estimate | Bench | BenchServo | Dataset | Doctor | Evaluate | Faults | Train | UrController = tyro.cli(
+    command: AnyCommand = tyro.cli(
         Command,
         prog="toolee",
         description="A robot that is handed a hammer, looks at it, and drives the nail.",
@@ -89,7 +91,7 @@ def _terminate(_signum: int, _frame: FrameType | None) -> None:
 
 def _complain(
     console: Console,
-    command: Hammer | Estimate | Bench | BenchServo | Dataset | Doctor | Evaluate | Faults | Train | UrController,
+    command: AnyCommand,
     error: TooleeError,
     outcome: str,
 ) -> None:

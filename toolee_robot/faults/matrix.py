@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from toolee_robot.faults.arm_rows import arm_rows
+from toolee_robot.faults.command_rows import command_rows
 from toolee_robot.faults.job_bench import Bench
 from toolee_robot.faults.job_rows import job_rows
 from toolee_robot.faults.process_rows import process_rows
@@ -55,6 +56,7 @@ def _arm_part(model: ArmModel, host: str) -> Iterator[FaultRow]:
     yield from start_rows(model, host)
     with rig(model, host) as arm_rig:
         yield from arm_rows(arm_rig)
+        yield from command_rows(arm_rig)
     yield from process_rows(model, host)
 
 
