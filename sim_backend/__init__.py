@@ -11,9 +11,21 @@ Import it as `toolee_robot.sim_backend`.
 if __name__ != "toolee_robot.sim_backend":
     raise ImportError("import toolee_robot.sim_backend: the short name would make a second copy of every module")
 
-import toolee_robot.sim_backend.quiet  # noqa: F401  (first: it loads pybullet without its greeting)
-from toolee_robot.sim_backend.options import InHandOffset, SimOptions
-from toolee_robot.sim_backend.station import SimStation
-from toolee_robot.sim_backend.world import Sample
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from toolee_robot.sim_backend.options import InHandOffset, SimOptions
+    from toolee_robot.sim_backend.station import SimStation
+    from toolee_robot.sim_backend.world import Sample
 
 __all__ = ["InHandOffset", "Sample", "SimOptions", "SimStation"]
+
+_HOMES = {"InHandOffset": "options", "Sample": "world", "SimOptions": "options", "SimStation": "station"}
+
+
+def __getattr__(name: str) -> object:
+    """Load what is asked for: the controller stand-in, in a process of its own, needs no pybullet and no meshes."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -9,12 +9,12 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
-import pybullet as pb
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.config import StationConfig
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.sim_backend.convex_margin import shrink_convex
+from toolee_robot.sim_backend.quiet import pb
 from toolee_robot.tools import Tool
 
 TABLE_THICKNESS = 0.04  # [m]

@@ -20,10 +20,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pybullet as pb
 
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.bodies import cross
+from toolee_robot.sim_backend.quiet import pb
 
 STIFFNESS = 3e4  # [N/m]
 DAMPING = 60.0  # [N s/m]

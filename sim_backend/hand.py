@@ -6,13 +6,13 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-import pybullet as pb
 
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.frames import inverse
 from toolee_robot.hal import HandState
 from toolee_robot.robots import FINGERS, finger_of
 from toolee_robot.sim_backend.grip import AssistedGrip, GripLimits
+from toolee_robot.sim_backend.quiet import pb
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import JointState
 

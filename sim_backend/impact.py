@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import pybullet as pb
+from toolee_robot.sim_backend.quiet import pb
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-import pybullet as pb
 from scipy.spatial.transform import Rotation, Slerp
 
 from toolee_robot.errors import TooleeError
 from toolee_robot.frames import Array, angle_between, inverse, transform
 from toolee_robot.sim_backend.nail import SLIDE, Nail
+from toolee_robot.sim_backend.quiet import pb
 from toolee_robot.sim_backend.wood import driving_work
 from toolee_robot.types import Category, InHandEstimate
 

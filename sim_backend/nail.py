@@ -12,10 +12,10 @@ from __future__ import annotations
 from enum import StrEnum
 
 import numpy as np
-import pybullet as pb
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, transform
+from toolee_robot.sim_backend.quiet import pb
 from toolee_robot.sim_backend.wood import NailSpec, resistance
 
 IMPACT_DISTANCE = 0.006  # [m] between a body and the nail's head at which the impact window opens

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import pybullet as pb
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, transform
 from toolee_robot.robots import nominal_X_hand_tool
 from toolee_robot.sim_backend.bodies import fixed_box, set_body_pose
 from toolee_robot.sim_backend.options import InHandOffset
+from toolee_robot.sim_backend.quiet import pb
 from toolee_robot.sim_backend.world import SimWorld
 
 HOLDING_FORCE = 60.0  # [N] with which the person holds the tool against pushes

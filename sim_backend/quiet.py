@@ -1,6 +1,6 @@
-"""pybullet greets everybody with its build time on the standard error stream, from C: not here.
+"""pybullet, without the greeting that it writes to the standard error stream, from C, when it is loaded.
 
-Imported before anything else of the package, this loads it silently.
+from toolee_robot.sim_backend.quiet import pb
 """
 
 from __future__ import annotations
@@ -27,4 +27,6 @@ def quiet_stderr() -> Iterator[None]:
 
 
 with quiet_stderr():
-    import pybullet  # noqa: F401
+    import pybullet as pb
+
+__all__ = ["pb"]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pybullet as pb
 
 from toolee_robot.frames import Array
 from toolee_robot.robots import WRIST_JOINTS, RobotDescription
+from toolee_robot.sim_backend.quiet import pb
 
 ARM_GAIN = 100.0  # [1/s] of the arm's position loop
 FINGER_GAIN = 20.0  # [1/s]

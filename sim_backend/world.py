@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import pybullet as pb
 
 from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, UserError
@@ -22,6 +21,7 @@ from toolee_robot.sim_backend.grip import AssistedGrip
 from toolee_robot.sim_backend.impact import IMPACT, StepSettings
 from toolee_robot.sim_backend.nail import Nail
 from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.sim_backend.quiet import pb
 from toolee_robot.sim_backend.robot_body import RobotBody
 from toolee_robot.sim_backend.wood import NailSpec
 from toolee_robot.tools import Tool

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pybullet as pb
 
 from toolee_robot.frames import Array, inverse
 from toolee_robot.robots.description import X_FLANGE_FOREARM
 from toolee_robot.sim_backend.flange_sensor import FlangeSensor
+from toolee_robot.sim_backend.quiet import pb
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import Payload
 

@@ -216,7 +216,7 @@ class StandInRig(Rig):
         self.controller.fault("reset")
 
     def hold_up(self) -> None:
-        self.controller.fault("joint_offset", offset=[0.1, 0, 0, 0, 0, 0])
+        self.controller.fault("joint_offset", offset=[0.2, 0, 0, 0, 0, 0])
 
     def cut(self) -> None:
         self.controller.fault("half_open", port="rtde")

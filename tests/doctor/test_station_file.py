@@ -41,7 +41,6 @@ def test_the_shipped_station_is_well(model: ArmModel) -> None:
     [
         ("arm", {"velocity": (2.09, 2.09, 3.5, 3.14, 3.14, 3.14)}, "limits", Level.FAIL, "elbow_joint is 3.50 rad/s"),
         ("scene", {"home": (0.0, -1.9, 7.0, -1.57, -1.57, 0.0)}, "limits", Level.FAIL, "scene.home puts elbow_joint"),
-        ("strike", {"speed": 1.6}, "limits", Level.FAIL, "hammering_speed 1.5"),
         ("scene", {"handover_position": (0.4, -1.3, 0.65)}, "limits", Level.FAIL, "outside the workspace"),
         ("supervisor", {"handover_speed": 0.4}, "handover speed", Level.WARN, "0.4 m/s"),
         ("supervisor", {"hammering_speed": 2.5}, "swing speed", Level.WARN, "2.5 m/s"),

@@ -16,12 +16,12 @@ from rich.table import Table
 from toolee_robot.cli.machine import describe_machine
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.cli.servo_trace import TraceFigures, TraceRecorder, compare
 from toolee_robot.config import ArmLimits, SceneConfig
 from toolee_robot.errors import UserError
 from toolee_robot.types import ArmModel
 
 if TYPE_CHECKING:
+    from toolee_robot.cli.servo_trace import TraceFigures
     from toolee_robot.hardware.servo_benchmark import ServoFigures
 
 _PERIOD_TARGET_MS = 1.0
@@ -49,6 +49,7 @@ class BenchServo:
     def run(self) -> int:
         if not 5.0 <= self.seconds <= 3600.0:
             raise UserError(f"--seconds {self.seconds:g}: give 5 to 3600")
+        from toolee_robot.cli.servo_trace import TraceRecorder, compare
         from toolee_robot.hardware.servo_benchmark import servo_benchmark
         from toolee_robot.hardware.ur_arm import UrArm
         from toolee_robot.hardware.ur_config import UrArmConfig

@@ -20,7 +20,7 @@ PAYLOAD = {"UR10": 10.0, "UR10e": 12.5}  # [kg], data sheets
 
 
 def check_limits(config: StationConfig) -> Iterator[Finding]:
-    """Whether the planner's limits are within the arm's, and the supervisor's let the wanted motions pass."""
+    """Whether the planner's limits are within the arm's, the places within the workspace, and the load carried."""
     robot = RobotModel.load(config.arm.model, config.arm.calibration)
     model, arm, supervisor = robot.description, config.arm, config.supervisor
     wrong = []
@@ -30,9 +30,6 @@ def check_limits(config: StationConfig) -> Iterator[Finding]:
     for joint, q, low, high in zip(model.arm_joints, config.scene.home, model.lower, model.upper, strict=False):
         if not low <= q <= high:
             wrong.append(f"scene.home puts {joint} at {q:.2f} rad, outside {low:.2f} to {high:.2f}")
-    if config.strike.speed > supervisor.hammering_speed:
-        most = supervisor.hammering_speed
-        wrong.append(f"strike.speed {config.strike.speed} m/s is over supervisor.hammering_speed {most} m/s")
     load = model.hand_payload(model.hand_closed).mass + HEAVIEST_HAMMER
     if load > PAYLOAD[arm.model]:
         wrong.append(f"hand and hammer weigh {load:.1f} kg, the {arm.model} carries {PAYLOAD[arm.model]:.1f}")

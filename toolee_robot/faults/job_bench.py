@@ -12,7 +12,6 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-import pybullet as pb
 
 from toolee_robot.config import StationConfig, TaskConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_handover
@@ -23,6 +22,7 @@ from toolee_robot.sim_backend.arm import SimArm
 from toolee_robot.sim_backend.camera import SimCamera
 from toolee_robot.sim_backend.hand import SimHand
 from toolee_robot.sim_backend.perfect import PerfectPerception
+from toolee_robot.sim_backend.quiet import pb
 from toolee_robot.sim_backend.world import Sample
 from toolee_robot.tasks.grasp import nominal_grasp
 from toolee_robot.tasks.hammering import Grasp, HammeringTask

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import pybullet as pb
 
 from toolee_robot.control.contact import Meeting
 from toolee_robot.faults.job_bench import CONFIG
@@ -14,6 +13,7 @@ from toolee_robot.faults.job_record import IN_STRIKE, Braking, JobFault, Scene
 from toolee_robot.faults.record import Phase
 from toolee_robot.faults.told import Change, moved, unsure
 from toolee_robot.sim_backend.nail import HINGE_X, SLIDE
+from toolee_robot.sim_backend.quiet import pb
 from toolee_robot.tasks.outcome import Outcome, Stage
 
 REST, SWING = Phase.REST, Phase.SWING
