@@ -107,8 +107,7 @@ def test_nobody_confirms_the_first_swing(bench: Bench) -> None:
 
 
 def test_the_hand_does_not_close_in_time(bench: Bench) -> None:
-    bench.sim_hand.hangs = True
-    log = Log()
+    log = Log(after={"to the handover": lambda: setattr(bench.sim_hand, "hangs", True)})
     stands(bench, bench.blind_task(log).run(), Outcome.DEVICE_FAULT, "its grip too")
     assert log.motions == ["to the handover"]
 
