@@ -68,8 +68,9 @@ class ServoJ(Motion):
     The speed is (goal - set-point) / time left, so a stream of set-points, each due one tick later, is followed
     exactly: the servo's lag is the one tick. lookahead_time and gain do not filter (a real arm lags by about its
     lookahead). A goal that would take more than the model's acceleration or speed, or that stands still, is approached
-    within those and without overshoot (but for a grain of acceleration dt^2 / 8); an arm that is already too fast for
-    that passes it and comes back.
+    within those, relative to the speed of the goal itself, and without overshoot (but for a grain of acceleration
+    dt^2 / 8); an arm that is already too fast for that passes it and comes back. A goal that stands still for a tick
+    in a stream, because a packet was late, costs a tick or two until the stream is followed again.
     """
 
     stays = True
@@ -79,10 +80,15 @@ class ServoJ(Motion):
         self._goal, self._left = q_goal, time
         self._velocity, self._acceleration = np.array(model.velocity), model.acceleration
         self._standing = np.zeros(6, dtype=bool)
+        self._since, self._goal_speed = np.zeros(6), np.zeros(6)
 
     def follow(self, before: ServoJ) -> None:
-        """Takes the place of this one: a joint whose goal is the same has a goal that stands still."""
+        """Takes the place of this one: a joint whose goal is the same has a goal that stands still, any other goal
+        moves on as fast as it came here since it last changed."""
         self._standing = self._goal == before._goal
+        self._since = np.where(self._standing, before._since, 0.0)
+        moved = ~self._standing & (before._since > 0.0)
+        np.divide(self._goal - before._goal, before._since, out=self._goal_speed, where=moved)
 
     def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:
         way = self._goal - q
@@ -91,9 +97,12 @@ class ServoJ(Motion):
         change = self._acceleration * dt
         careful = (np.abs(wanted - qd) > change * (1 + 1e-9)) | self._standing | (self._left < 0.5 * dt)
         self._left -= scaled
+        self._since = self._since + scaled
         if careful.any():
-            brakable = np.sqrt(2 * self._acceleration * np.abs(way) + (change / 2) ** 2) - change / 2
-            calm = np.clip(np.clip(wanted, -brakable, brakable), qd - change, qd + change)
+            ahead = np.clip(self._goal_speed, -self._velocity, self._velocity)
+            behind = way - ahead * dt
+            brakable = np.sqrt(2 * self._acceleration * np.abs(behind) + (change / 2) ** 2) - change / 2
+            calm = np.clip(ahead + np.clip(wanted - ahead, -brakable, brakable), qd - change, qd + change)
             wanted = np.where(careful, calm, wanted)
         return np.clip(wanted, -self._velocity, self._velocity) * dt
 
