@@ -49,7 +49,8 @@ class Faults:
                 rows.append(row)
                 status.update(f"{len(rows)} rows; last: {row.number} {row.fault}, {row.phase}")
                 if not row.handled:
-                    console.print(f"[red]not handled:[/red] {row.number} {escape(row.fault)}, {row.phase}: {row.why}")
+                    why = f"{row.number} {escape(row.fault)}, {row.phase}, {row.on}: {escape(row.why)}"
+                    console.print(f"[red]not handled:[/red] {why}", soft_wrap=True)
         rows.sort(key=lambda row: (row.number, row.fault, row.on))
         console.print(_table(rows))
         handled = sum(row.handled for row in rows)

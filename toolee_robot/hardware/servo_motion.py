@@ -84,7 +84,8 @@ class Motion:
         if self._cause is not Cause.NONE:
             return
         if self._streak >= watch.overruns:
-            self._end(Cause.OVERRUN)
+            # After a gap the arm has already come to rest where it was last sent: there it stays.
+            self._end(Cause.OVERRUN, hold=missed >= watch.overruns)
         elif self._tracking_error() > watch.tracking_error:
             self._end(Cause.TRACKING)
         elif (lost := self._alive.lost()) is not Cause.NONE:
@@ -95,7 +96,7 @@ class Motion:
             words[Word.CONTACT_ROW] = self._row
             self._end(Cause.CONTACT)
 
-    def _end(self, cause: Cause) -> None:
+    def _end(self, cause: Cause, hold: bool = False) -> None:
         if cause >= Cause.PROGRAM_ENDED:
             self._silent = True
         if cause is Cause.PROGRAM_ENDED and self._cause >= Cause.DATA:
@@ -106,7 +107,7 @@ class Motion:
         self._memory.words[Word.CAUSE] = cause
         if cause < Cause.PROGRAM_ENDED and not self._brakes:
             self._brakes = True
-            self._commands = self._brake()
+            self._commands = iter(()) if hold else self._brake()
 
     def _reference(self) -> Iterator[Array]:
         samples, reference = self._order.samples, self._memory.reference
