@@ -220,7 +220,7 @@ def test_a_stop_by_the_robot_at_rest_latches_too(rig: Rig) -> None:
 def test_an_arm_that_does_not_follow_is_stopped_on_its_path(rig: Rig) -> None:
     needs_faults(rig)
     trajectory = rig.nudge(1.5)
-    rig.after(0.5, rig.hold_up)
+    rig.after(0.3, rig.hold_up)
     with pytest.raises(TrackingError) as caught:
         rig.arm.execute(trajectory, None, replace(PATIENT, tracking_error=0.1))
     report = caught.value.report
