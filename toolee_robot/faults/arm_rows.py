@@ -12,7 +12,6 @@ from functools import partial
 
 import numpy as np
 
-from toolee_robot.braking import brake_on_path
 from toolee_robot.errors import (
     DeviceError,
     EmergencyStopError,
@@ -24,6 +23,7 @@ from toolee_robot.errors import (
     TooleeError,
     TrackingError,
 )
+from toolee_robot.faults.joints_path import braking_time
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rig import Happening, MissedMomentError, Rig
 from toolee_robot.faults.watch import PATIENT, SHORT_AGE, STRICT_AGE, STRICT_LOOP
@@ -31,10 +31,9 @@ from toolee_robot.hal import MotionOutcome, MotionWatch
 from toolee_robot.sim_backend.ur_controller.model import MODELS
 
 BUSY = 0.03  # [s] that a machine with other things to do may add
-AT_REST = 1e-3  # [rad]: what counts as standing still
+AT_REST = 1e-4  # [rad]: what counts as standing still
 OFF_PATH = 5e-3  # [rad]
-OFF_PATH_BY_ROBOT = 50e-3  # [rad]: servoj without a new goal passes the last one, each joint by as much as it is fast
-OFF_PATH_BRAKES = 0.15  # [rad]: brakes know no path
+OFF_PATH_BY_ROBOT = 30e-3  # [rad]: servoj without a new goal passes the last one, each joint by as much as it is fast
 WATCHDOG = 0.1  # [s] of silence after which the controller stops the program: `UrArmConfig.watchdog`
 HEARTBEAT = 0.1  # [s] `UrArmConfig.heartbeat_timeout`
 ATTEMPTS = 3  # to catch the moment, on a busy machine
@@ -48,8 +47,7 @@ class ArmFault:
     that reports STOPPED. notice: the time that noticing it may take [s]. by_robot: whether the controller brakes, by
     its own deceleration, or the driver, along the path. at_rest: whether a fault at rest must latch; None where it is
     no fault at rest. emergency: whether it brakes as its safety system does. watch: the bounds under which it is
-    injected. rest: how long a fault at rest may take to be noticed [s]. off_path: the most that the joints may leave
-    the path [rad]; None: as the driver, or the controller, brakes.
+    injected. rest: how long a fault at rest may take to be noticed [s].
     """
 
     number: int
@@ -63,7 +61,6 @@ class ArmFault:
     at_rest: bool | None = True
     watch: MotionWatch = PATIENT
     rest: float = REST_TIME
-    off_path: float | None = None
 
 
 def _cycles(n: float) -> Callable[[Rig], float]:
@@ -116,7 +113,7 @@ ARM_FAULTS = (
     ArmFault(
         9, "controller reboots", "robot's brakes fall in, latches",
         lambda r: r.controller.fault("reboot", seconds=1.0, powered=True), DeviceError, _cycles(2), by_robot=True,
-        emergency=True, off_path=OFF_PATH_BRAKES,
+        emergency=True,
     ),
     ArmFault(
         10, "servo loop late by 60 ms", "brakes on the path, latches",
@@ -172,7 +169,7 @@ def _in_swing(fault: ArmFault, rig: Rig) -> FaultRow:
     wrong = _wrong(fault, happened, latched)
     if stop.standstill > allowed:
         wrong.append(f"standstill after {stop.standstill * 1e3:.0f} ms, {allowed * 1e3:.0f} allowed")
-    if stop.off_path > (fault.off_path or (OFF_PATH_BY_ROBOT if fault.by_robot else OFF_PATH)):
+    if stop.off_path > (OFF_PATH_BY_ROBOT if fault.by_robot else OFF_PATH):
         wrong.append(f"the joints left the path by {stop.off_path:.4f} rad")
     got = type(happened.error).__name__ if happened.error else str(happened.report and happened.report.outcome)
     return FaultRow(
@@ -203,9 +200,7 @@ def _braking(fault: ArmFault, rig: Rig, happened: Happening) -> float:
         model = MODELS[limits.model.value]
         return happened.stop.speed / (model.safety_deceleration if fault.emergency else model.stop_deceleration)
     path_time = happened.stop.path_time + fault.notice(rig)
-    return rig.period * len(
-        list(brake_on_path(rig.strike, path_time, rig.period, limits.stop_acceleration, limits.stop_jerk))
-    )
+    return braking_time(rig.strike, path_time, rig.period, limits)
 
 
 def _at_rest(fault: ArmFault, rig: Rig) -> FaultRow:

@@ -9,7 +9,6 @@ from functools import partial
 
 import numpy as np
 
-from toolee_robot.braking import brake_on_path
 from toolee_robot.control.modes import Mode
 from toolee_robot.control.strike import plan_strike
 from toolee_robot.control.supervisor import Supervisor
@@ -25,6 +24,7 @@ from toolee_robot.errors import (
 )
 from toolee_robot.faults import bad_commands as bad
 from toolee_robot.faults.arm_rows import AT_REST, BUSY, OFF_PATH
+from toolee_robot.faults.joints_path import braking_time
 from toolee_robot.faults.people import StandInPerson
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rig import Happening, Rig
@@ -189,10 +189,8 @@ def _refuses(supervisor: Supervisor, rig: Rig) -> bool:
 
 
 def _allowed(rig: Rig, happened: Happening, notice: float) -> float:
-    limits = rig.swing.config.arm
-    path_time = happened.stop.path_time + notice
-    braking = brake_on_path(rig.strike, path_time, rig.period, limits.stop_acceleration, limits.stop_jerk)
-    return notice + rig.period * (len(list(braking)) + 2) + BUSY
+    braking = braking_time(rig.strike, happened.stop.path_time + notice, rig.period, rig.swing.config.arm)
+    return notice + braking + 2 * rig.period + BUSY
 
 
 def _not_stopped(rig: Rig, happened: Happening, notice: float) -> list[str]:

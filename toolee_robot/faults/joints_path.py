@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from toolee_robot.braking import brake_on_path
+from toolee_robot.config import ArmLimits
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.fault_client import Trace
@@ -60,6 +62,11 @@ def stop_after(trace: Trace, trajectory: Trajectory, event: float) -> Stop:
         off_path=float(distance[i - 1 :].max()),
         reached=float(times.max()),
     )
+
+
+def braking_time(path: Trajectory, start: float, period: float, limits: ArmLimits) -> float:
+    """[s] The least that a stop on the path takes from time `start` [s] on it, in whole cycles of `period` [s]."""
+    return period * len(list(brake_on_path(path, start, period, limits.stop_acceleration, limits.stop_jerk)))
 
 
 def _projected(q: Array, trajectory: Trajectory) -> tuple[Array, Array]:

@@ -12,10 +12,9 @@ from functools import partial
 
 import numpy as np
 
-from toolee_robot.braking import brake_on_path
 from toolee_robot.errors import DeviceError, MotionFaultError, TooleeError
 from toolee_robot.faults.arm_rows import AT_REST, BUSY, HEARTBEAT, OFF_PATH
-from toolee_robot.faults.joints_path import MOVING, stop_after
+from toolee_robot.faults.joints_path import MOVING, braking_time, stop_after
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rig import BEFORE_CONTACT, SETTLE_TIME, START_TIME
 from toolee_robot.faults.strikes import plan_swing
@@ -95,8 +94,8 @@ def _row(fault: TaskFault, phase: Phase, model: ArmModel, host: str, name: str) 
         )  # fmt: skip
     stop = stop_after(trace, strike, at)
     period = 1 / 500 if model is ArmModel.UR10E else 1 / 125
-    braking = brake_on_path(strike, stop.path_time + fault.notice, period, limits.stop_acceleration, limits.stop_jerk)
-    allowed = fault.notice + len(list(braking)) * period + 2 * period + BUSY
+    braking = braking_time(strike, stop.path_time + fault.notice, period, limits)
+    allowed = fault.notice + braking + 2 * period + BUSY
     wrong = []
     latched = program_ended or said == MotionFaultError.__name__
     if not latched:
