@@ -71,6 +71,10 @@ class ServoJ(Motion):
     within those, relative to the speed of the goal itself, and without overshoot (but for a grain of acceleration
     dt^2 / 8); an arm that is already too fast for that passes it and comes back. A goal that stands still for a tick
     in a stream, because a packet was late, costs a tick or two until the stream is followed again.
+
+    The joints share what they are short of: the speed of all of them changes along one line, at the pace of the joint
+    that has most to change. One gain and one lookahead for all joints, which is all that a real servoj has, make its
+    error shrink along one line, too; the Script Manual has stopj, in the same words, "linear in joint space".
     """
 
     stays = True
@@ -79,32 +83,39 @@ class ServoJ(Motion):
         super().__init__()
         self._goal, self._left = q_goal, time
         self._velocity, self._acceleration = np.array(model.velocity), model.acceleration
-        self._standing = np.zeros(6, dtype=bool)
-        self._since, self._goal_speed = np.zeros(6), np.zeros(6)
+        self._standing = False
+        self._since, self._goal_speed = 0.0, np.zeros(6)
 
     def follow(self, before: ServoJ) -> None:
-        """Takes the place of this one: a joint whose goal is the same has a goal that stands still, any other goal
-        moves on as fast as it came here since it last changed."""
-        self._standing = self._goal == before._goal
-        self._since = np.where(self._standing, before._since, 0.0)
-        moved = ~self._standing & (before._since > 0.0)
-        np.divide(self._goal - before._goal, before._since, out=self._goal_speed, where=moved)
+        """Takes the place of this one: the same goal stands still, another one moves on as fast as it came here since
+        it last changed."""
+        self._standing = bool(np.all(self._goal == before._goal))
+        if self._standing:
+            self._since = before._since
+        elif before._since > 0.0:
+            self._goal_speed = self._within((self._goal - before._goal) / before._since)
 
     def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:
         way = self._goal - q
         share = 1.0 if self._left <= dt * (1 + 1e-6) else dt / self._left
         wanted = way * (share * (scaled / dt) / dt)
         change = self._acceleration * dt
-        careful = (np.abs(wanted - qd) > change * (1 + 1e-9)) | self._standing | (self._left < 0.5 * dt)
+        too_hard = float(np.abs(wanted - qd).max()) > change * (1 + 1e-9)
+        too_fast = bool(np.any(np.abs(wanted) > self._velocity))
+        careful = too_hard or too_fast or self._standing or self._left < 0.5 * dt
         self._left -= scaled
-        self._since = self._since + scaled
-        if careful.any():
-            ahead = np.clip(self._goal_speed, -self._velocity, self._velocity)
-            behind = way - ahead * dt
-            brakable = np.sqrt(2 * self._acceleration * np.abs(behind) + (change / 2) ** 2) - change / 2
-            calm = np.clip(ahead + np.clip(wanted - ahead, -brakable, brakable), qd - change, qd + change)
-            wanted = np.where(careful, calm, wanted)
-        return np.clip(wanted, -self._velocity, self._velocity) * dt
+        self._since += scaled
+        if not careful:
+            return wanted * dt
+        ahead = self._goal_speed
+        behind = float(np.abs(way - ahead * dt).max())
+        brakable = sqrt(2 * self._acceleration * behind + (change / 2) ** 2) - change / 2
+        calm = self._within(approach(ahead, wanted, brakable))
+        return approach(qd, calm, change) * dt
+
+    def _within(self, speed: Array) -> Array:
+        """Slowed down, all joints alike, to what the fastest joint may."""
+        return speed / max(1.0, float((np.abs(speed) / self._velocity).max()))
 
 
 class SpeedJ(Motion):
