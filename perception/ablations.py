@@ -54,11 +54,12 @@ def _ours(**changes: Any) -> Ours:
 
 
 ROWS: dict[str, Row] = {
-    "base": Row("base", "as shipped: patch transformer, flow matching, direction, centred, augmented", _ours()),
+    "base": Row("base", "as shipped: patch transformer, flow matching, rest of the tool, centred, augmented", _ours()),
     "pointnet2": Row("encoder", "the paper's PointNet++", WithPointNet(name=_NAME)),
     "score": Row("process", "score matching (VE), 20 steps", _ours(process=VarianceExploding(), sampler=Euler(20))),
     "edm": Row("process", "EDM", _ours(process=Edm())),
-    "no-direction": Row("direction to the rest of the tool", "without", _ours(direction_dropout=1.0)),
+    "no-rest": Row("rest of the tool", "its direction alone, no points", _ours(rest_dropout=1.0)),
+    "no-direction": Row("rest of the tool", "unknown", _ours(rest_dropout=1.0, direction_dropout=1.0)),
     "uncentred": Row("centring", "encoder sees the cloud in the camera's frame", Uncentred(name=_NAME)),
     "no-augmentation": Row("augmentation", "without", _ours(augmentation=False)),
     **{

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
+from toolee_robot.perception.pose.canonical import REST_LEAST, REST_REACH
 from toolee_robot.tools.model import ee_radius
 from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
 
@@ -20,21 +21,27 @@ TRIM_RADII = 1.8
 """The visible points' median lies off the EE's origin, on its near side, so the cut is wider than the EE's area."""
 NEAR_QUANTILE = 0.2
 """At least this share of a mask's depth is taken to be the tool, the rest may be background."""
-LEAST_TOOL_DISTANCE = 0.015
-"""The rest of the tool must lie this far [m] from the EE's centroid to give a direction."""
 
 
 @dataclass(frozen=True)
 class EeCloud:
     """points (N, 3) [m], camera frame, or the reason why there are none.
 
-    direction: unit vector (3,), camera frame, from the points' centroid to the visible rest of the tool; None where
-    that is not seen.
+    rest: (M, 3) [m], camera frame, the visible points of the rest of the tool.
     """
 
     points: Array
-    direction: Array | None
+    rest: Array
     reason: str = "ok"
+
+    @property
+    def direction(self) -> Array | None:
+        """Unit vector (3,), camera frame, from the points' centroid to the rest of the tool; None where unseen."""
+        if not self.usable or len(self.rest) < REST_LEAST:
+            return None
+        to_rest = np.median(self.rest, axis=0) - self.points.mean(axis=0)
+        norm = float(np.linalg.norm(to_rest))
+        return to_rest / norm if norm > 0 else None
 
     @property
     def usable(self) -> bool:
@@ -117,24 +124,16 @@ def ee_cloud(frame: RgbdFrame, detection: Detection) -> EeCloud:
         reason = (
             f"only {len(points)} of {seen} mask pixels have usable depth, {LEAST_POINTS} are needed: look from nearer"
         )
-        return EeCloud(np.empty((0, 3)), None, reason)
-    return EeCloud(points, direction_to_tool(frame, detection, points.mean(axis=0)))
+        return EeCloud(np.empty((0, 3)), np.empty((0, 3)), reason)
+    return EeCloud(points, rest_of_tool(frame, detection, points.mean(axis=0)))
 
 
-def direction_to_tool(frame: RgbdFrame, detection: Detection, centroid: Array) -> Array | None:
-    """Unit vector (3,), camera frame, from the EE's centroid to the visible rest of its tool; None where unseen."""
+def rest_of_tool(frame: RgbdFrame, detection: Detection, centroid: Array) -> Array:
+    """Points (M, 3) [m], camera frame, of the detection's tool but not of its EE; none where no tool was found.
+
+    centroid: (3,) of the EE's points; what is farther than any tool reaches is left out."""
     if detection.tool_mask is None:
-        return None
+        return np.empty((0, 3))
     rest = without_flying_pixels(frame.depth, detection.tool_mask & ~detection.mask)
     points = back_project(frame.depth, rest, frame.intrinsics)
-    # No tool of these is longer than 0.5 m: farther points are background that the mask caught.
-    distance = np.linalg.norm(points - centroid, axis=1)
-    points = points[(distance > LEAST_TOOL_DISTANCE) & (distance < 0.5)]
-    if len(points) < 20:
-        return None
-    return _unit(np.median(points, axis=0) - centroid)
-
-
-def _unit(v: Array) -> Array | None:
-    norm = float(np.linalg.norm(v))
-    return v / norm if norm > LEAST_TOOL_DISTANCE else None
+    return points[np.linalg.norm(points - centroid, axis=1) < REST_REACH]

@@ -58,36 +58,51 @@ class DeviceImages:
     """A data set, or one rank's part of it, as uint8 tensors on the device, sampled in shuffled epochs. It may grow."""
 
     def __init__(self, images: SegmentationImages, device: torch.device) -> None:
-        count, height, width = images.rgb.shape[:3]
-        self.rgb = torch.empty((count, height, width, 3), dtype=torch.uint8, device=device)
-        self.maps = torch.empty((count, 2, height, width), dtype=torch.uint8, device=device)
-        for start in range(0, count, _CHUNK):
-            part = slice(start, start + _CHUNK)
-            self.rgb[part] = torch.from_numpy(images.rgb[part]).to(device)
-            self.maps[part, 0] = torch.from_numpy(images.ee[part]).to(device)
-            self.maps[part, 1] = torch.from_numpy(images.tool[part]).to(device)
-        self.categories = torch.from_numpy(images.categories).to(device)
-        self.tools = max((int(m.max()) for m in torch.split(self.maps[:, 1], _CHUNK)), default=0) or 1
+        self._count = 0
+        height, width = images.rgb.shape[1:3]
+        self._rgb = torch.empty((0, height, width, 3), dtype=torch.uint8, device=device)
+        self._maps = torch.empty((0, 2, height, width), dtype=torch.uint8, device=device)
+        self._categories = torch.empty((0, images.categories.shape[1]), dtype=torch.uint8, device=device)
+        self.tools = 1
         self._order = torch.empty(0, dtype=torch.long, device=device)
+        self.extend(images)
 
     def __len__(self) -> int:
-        return len(self.rgb)
+        return self._count
 
-    def extend(self, more: DeviceImages) -> None:
+    def extend(self, more: SegmentationImages) -> None:
         """Take in more images; they are drawn from the next epoch on."""
-        self.rgb = torch.cat([self.rgb, more.rgb])
-        self.maps = torch.cat([self.maps, more.maps])
-        width = max(self.categories.shape[1], more.categories.shape[1])
-        self.categories = torch.cat([F.pad(c, (0, width - c.shape[1])) for c in (self.categories, more.categories)])
-        self.tools = max(self.tools, more.tools)
+        device, end = self._rgb.device, self._count + len(more.rgb)
+        if end > len(self._rgb):
+            # Room for more than is needed now, or each scene would copy all that came before it.
+            capacity = max(end, 3 * self._count // 2)
+            self._rgb, self._maps = _grown(self._rgb, capacity), _grown(self._maps, capacity)
+            self._categories = _grown(self._categories, capacity)
+        for start in range(0, len(more.rgb), _CHUNK):
+            part = slice(start, min(start + _CHUNK, len(more.rgb)))
+            place = slice(self._count + part.start, self._count + part.stop)
+            self._rgb[place] = torch.from_numpy(more.rgb[part]).to(device)
+            self._maps[place, 0] = torch.from_numpy(more.ee[part]).to(device)
+            self._maps[place, 1] = torch.from_numpy(more.tool[part]).to(device)
+        missing = more.categories.shape[1] - self._categories.shape[1]
+        self._categories = F.pad(self._categories, (0, max(missing, 0)))
+        self._categories[self._count : end] = F.pad(torch.from_numpy(more.categories).to(device), (0, max(-missing, 0)))
+        self.tools = max(self.tools, int(more.tool.max(initial=0)))
+        self._count = end
 
     def sample(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
         """rgb (B, H, W, 3) uint8, maps (B, 2, H, W) uint8, categories (B, E) of the next `count` images."""
         while len(self._order) < count:
-            fresh = torch.randperm(len(self.rgb), device=self.rgb.device)
+            fresh = torch.randperm(self._count, device=self._rgb.device)
             self._order = torch.cat([self._order, fresh])
         index, self._order = self._order[:count], self._order[count:]
-        return self.rgb[index], self.maps[index], self.categories[index]
+        return self._rgb[index], self._maps[index], self._categories[index]
+
+
+def _grown(rows: Tensor, capacity: int) -> Tensor:
+    larger = rows.new_zeros((capacity, *rows.shape[1:]))
+    larger[: len(rows)] = rows
+    return larger
 
 
 @torch.no_grad()

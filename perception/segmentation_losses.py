@@ -66,6 +66,11 @@ class DetectorLoss(nn.Module):
     def __init__(self, detector: Detector) -> None:
         super().__init__()
         self.detector = detector
+        self._rpn_losses = _rpn_losses
+
+    def compile_proposal_losses(self) -> None:
+        """Fuse them for the GPU: they go over all anchors of all images."""
+        self._rpn_losses = torch.compile(_rpn_losses, dynamic=False)
 
     def forward(self, images: Tensor, instances: Instances) -> dict[str, Tensor]:
         """Losses by name of normalised images (B, 3, H, W)."""
@@ -74,7 +79,7 @@ class DetectorLoss(nn.Module):
         pyramid = detector.backbone(images)
         scores, deltas = detector.rpn(pyramid)
         anchors = torch.cat(detector.anchors(height, width, images.device))
-        losses = _rpn_losses(torch.cat(scores, 1).float(), torch.cat(deltas, 1).float(), anchors, instances)
+        losses = self._rpn_losses(torch.cat(scores, 1).float(), torch.cat(deltas, 1).float(), anchors, instances)
         boxes, valid = detector.proposals(scores, deltas, height, width, 200, 200)
         rois = _sample_rois(boxes, valid, instances, height, width)
         flat = torch.cat([rois.image, rois.boxes], 1)

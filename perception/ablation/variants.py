@@ -15,7 +15,7 @@ from toolee_robot.perception.pose.canonical import POINTS
 from toolee_robot.perception.pose.cloud_batch import CloudBatch
 from toolee_robot.perception.pose.clouds import CloudGenerator
 from toolee_robot.perception.pose.method import Ours
-from toolee_robot.perception.pose.network import CONTEXT_DIM, DIRECTION_DIM, NetworkConfig, PoseNet
+from toolee_robot.perception.pose.network import NetworkConfig, PoseNet, Seen
 from toolee_robot.perception.pose.paper.pointnet2 import PointNet2
 from toolee_robot.perception.pose.paper.pooling import mean_pose
 from toolee_robot.perception.pose.pooling import align, pool
@@ -30,18 +30,17 @@ class PointNetPose(PoseNet):
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
-        for name in ("patch_in", "patch_out", "centre", "blocks", "norm"):
+        for name in ("ee", "blocks", "norm"):
             delattr(self, name)
         d = config.width
         self.points = PointNet2()
-        self.join = nn.Sequential(nn.Linear(self.points.size + 3 * d, 2 * d), nn.SiLU(), nn.Linear(2 * d, 2 * d))
+        self.join = nn.Sequential(nn.Linear(self.points.size + 4 * d, 2 * d), nn.SiLU(), nn.Linear(2 * d, 2 * d))
 
-    def encode(self, points: Tensor, category: Tensor, direction: Tensor, context: Tensor) -> Tensor:
+    def encode(self, seen: Seen) -> Tensor:
         """See `PoseNet`; the points come with all of their farthest-point order."""
-        assert direction.shape[-1] == DIRECTION_DIM
-        assert context.shape[-1] == CONTEXT_DIM
-        tokens = [self.category(category), self.direction(direction), self.context(context)]
-        feature: Tensor = self.join(torch.cat([self.points(points), *tokens], dim=-1))
+        tokens = [self.category(seen.category), self.direction(seen.direction), self.context(seen.context)]
+        rest = self.rest_tokens(seen).mean(1)
+        feature: Tensor = self.join(torch.cat([self.points(seen.points), *tokens, rest], dim=-1))
         return feature
 
 
@@ -69,6 +68,7 @@ class UncentredGenerator(CloudGenerator):
         return replace(
             batch,
             points=torch.einsum("bij,bnj->bni", back, batch.points) + batch.centre[:, None],
+            rest=torch.einsum("bij,bnj->bni", back, batch.rest) + batch.centre[:, None],
             R=back @ batch.R,
             p=torch.einsum("bij,bj->bi", back, batch.p),
             direction=direction,
@@ -92,7 +92,8 @@ class Uncentred(Ours):
     def network(self, bank: ToolBank) -> PoseNet:
         """See `Method`."""
         net = super().network(bank)
-        net.centre = nn.Sequential(_Scale(), *net.centre)
+        for patches in (net.ee, net.rest):
+            patches.place = nn.Sequential(_Scale(), *patches.place)
         return net
 
 

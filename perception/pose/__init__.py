@@ -1,7 +1,7 @@
 """From an EE's partial cloud to its 6D pose: network, flow-matching sampler, pooling, spin fix, confidence, fusion.
 
     from toolee_robot.perception.pose import PoseEstimator
-    result = PoseEstimator.load().estimate(points, category, direction_to_rest)
+    result = PoseEstimator.load().estimate(points, category, rest)
 
 Only numpy, scipy, torch and safetensors are needed here, so that training runs on a bare GPU machine.
 """

@@ -1,4 +1,5 @@
-"""The canonical view of a cloud: outliers trimmed, centred, turned so that the ray to its centre is z, 512 points.
+"""The canonical view of a cloud: outliers trimmed, centred, turned so that the ray to its centre is z, 512 points;
+beside it, in the same frame, a coarse cloud of what else is seen of the tool.
 
 Centring keeps the working distance out of the network, turning makes the result independent of where in the image the
 EE stands. One implementation for training (batches on the GPU) and inference (a batch of one).
@@ -6,7 +7,7 @@ EE stands. One implementation for training (batches on the GPU) and inference (a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -17,17 +18,28 @@ PATCHES = 64
 """The first this many points are farthest-point samples: the patches' centres."""
 MIN_POINTS = 50
 """Fewer visible points give no estimate."""
+REST_POINTS = 256
+"""Points of the rest of the tool that the network sees."""
+REST_PATCHES = 32
+"""The first this many of them are farthest-point samples."""
+REST_REACH = 0.5
+"""No tool of these is longer [m]: farther points are background that the mask caught."""
+REST_LEAST = 20
+"""Fewer points of the rest say nothing."""
 
 
 @dataclass(frozen=True)
 class CanonicalCloud:
     """points: (B, N, 3) [m], canonical frame. centre: (B, 3) [m] and R: (B, 3, 3) with
-    p_canonical = R @ (p_camera - centre). count: (B,) points that survived the trimming."""
+    p_canonical = R @ (p_camera - centre). count: (B,) points that survived the trimming. rest: (B, 256, 3) [m] of the
+    tool beyond its EE, canonical frame, zeros where rest_known (B,) is not; see `with_rest`."""
 
     points: Tensor
     centre: Tensor
     R: Tensor
     count: Tensor
+    rest: Tensor
+    rest_known: Tensor
 
 
 def canonicalize(
@@ -63,7 +75,27 @@ def canonicalize(
     # A cloud that lost everything becomes its centre: it is refused later, but must stay finite.
     chosen = torch.where((count > 0)[:, None, None], chosen, centre[:, None])
     local = torch.einsum("bij,bnj->bni", R, chosen - centre[:, None])
-    return CanonicalCloud(farthest_points_first(local, ordered), centre, R, count)
+    rest = local.new_zeros(len(local), REST_POINTS, 3)
+    unknown = torch.zeros(len(local), dtype=torch.bool, device=local.device)
+    return CanonicalCloud(farthest_points_first(local, ordered), centre, R, count, rest, unknown)
+
+
+def with_rest(
+    cloud: CanonicalCloud, points: Tensor, valid: Tensor, generator: torch.Generator | None = None
+) -> CanonicalCloud:
+    """The cloud with what else is seen of its tools: points (B, M, 3) [m], camera frame, with a mask (B, M).
+
+    Of fewer than 20 points within 0.5 m nothing is taken.
+    """
+    offset = points - cloud.centre[:, None]
+    kept = valid & (offset.norm(dim=-1) < REST_REACH)
+    count = kept.sum(1)
+    known = count >= REST_LEAST
+    key = torch.rand(valid.shape, device=points.device, generator=generator) + (~kept).float() * 2
+    pick = torch.arange(REST_POINTS, device=points.device)[None] % count.clamp(1, REST_POINTS)[:, None]
+    chosen = torch.einsum("bij,bnj->bni", cloud.R, _rows(offset, key.argsort(1).gather(1, pick)))
+    rest = farthest_points_first(torch.where(known[:, None, None], chosen, 0.0), REST_PATCHES)
+    return replace(cloud, rest=rest, rest_known=known)
 
 
 def ray_rotation(centre: Tensor) -> Tensor:

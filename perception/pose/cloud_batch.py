@@ -7,13 +7,15 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from toolee_robot.perception.pose.canonical import PATCHES, POINTS
+from toolee_robot.perception.pose.canonical import PATCHES, POINTS, CanonicalCloud
 
 
 @dataclass(frozen=True)
 class CloudConfig:
     """What is varied. distance [m], focal [px]; shares are probabilities. sensor_level: None for random sensors.
-    radius [m] of the crop about the EE, None: the category's own. points, of which the first `ordered` are
+    radius [m] of the crop about the EE, None: the category's own. rest: whether the rest of the tool is seen, too;
+    rest_error_share, rest_chunk_share: how often its mask is imperfect, a piece of it missing; wrong_rest_share: how
+    often it is another tool's. points, of which the first `ordered` are
     farthest-point samples: what the network takes."""
 
     distance: tuple[float, float] = (0.35, 1.1)
@@ -30,6 +32,10 @@ class CloudConfig:
     max_occlusion: float = 0.7
     sensor_level: float | None = None
     radius: float | None = None
+    rest: bool = True
+    rest_error_share: float = 0.7
+    rest_chunk_share: float = 0.3
+    wrong_rest_share: float = 0.02
     points: int = POINTS
     ordered: int = PATCHES
 
@@ -38,7 +44,8 @@ class CloudConfig:
 class CloudBatch:
     """Canonical clouds and their truth, all tensors with the batch first.
 
-    points (B, 512, 3), centre (B, 3), R_canonical (B, 3, 3): see `canonical.CanonicalCloud`. R (B, 3, 3), p (B, 3):
+    points (B, 512, 3), centre (B, 3), R_canonical (B, 3, 3), rest (B, 256, 3), rest_known (B,): see
+    `canonical.CanonicalCloud`. R (B, 3, 3), p (B, 3):
     the EE's pose in the canonical frame. direction (B, 5): the token, given for all. tells_spin (B,): pixels in the
     mask that tell the spin. category, item (B,); positive (B,): whether it is that category's EE at all;
     visible (B,): native points; occlusion (B,) in [0, 1]; distance (B,) [m].
@@ -47,6 +54,8 @@ class CloudBatch:
     points: Tensor
     centre: Tensor
     R_canonical: Tensor
+    rest: Tensor
+    rest_known: Tensor
     R: Tensor
     p: Tensor
     direction: Tensor
@@ -60,6 +69,11 @@ class CloudBatch:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    @property
+    def cloud(self) -> CanonicalCloud:
+        """What an estimator gets of it."""
+        return CanonicalCloud(self.points, self.centre, self.R_canonical, self.visible, self.rest, self.rest_known)
 
     def select(self, index: Tensor) -> CloudBatch:
         """The rows of an index or mask."""

@@ -13,7 +13,7 @@ import torch
 
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, transform
-from toolee_robot.perception.pose.canonical import MIN_POINTS, PATCHES, POINTS, CanonicalCloud, canonicalize
+from toolee_robot.perception.pose.canonical import MIN_POINTS, PATCHES, POINTS, CanonicalCloud, canonicalize, with_rest
 from toolee_robot.perception.pose.flow import Process, Sampler
 from toolee_robot.perception.pose.network import DIRECTION_DIM
 from toolee_robot.perception.pose.spin import fix_spin, nominal_R_tool_ee, with_spin_variance
@@ -73,17 +73,16 @@ class CloudEstimator(ABC):
         self,
         points: Array,
         category: Category,
-        direction_to_rest: Array | None = None,
+        rest: Array | None = None,
         X_camera_hand: Array | None = None,
         seed: int = 0,
         candidates: int | None = None,
     ) -> PoseResult:
         """The pose of the EE whose visible points (N, 3) [m] are given in the camera's frame (OpenCV axes).
 
-        direction_to_rest: (3,), from the EE's centroid toward the visible rest of the tool, camera axes, any length.
-        X_camera_hand: 4x4, the hand that holds the tool; gives the direction where the first is missing, and the
-        spin about a symmetric EE's axis. The same input and seed give the same result.
-        Raises PerceptionError with fewer than 50 finite points.
+        rest: (M, 3) [m], the visible points of the rest of the tool, camera frame. X_camera_hand: 4x4, the hand that
+        holds the tool; tells where the rest is if that is not seen, and the spin about a symmetric EE's axis.
+        The same input and seed give the same result. Raises PerceptionError with fewer than 50 finite points.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         points = points[np.isfinite(points).all(1)]
@@ -94,25 +93,23 @@ class CloudEstimator(ABC):
             )
         generator = torch.Generator().manual_seed(seed)
         visible = len(points)
-        if visible > MAX_INPUT:
-            points = points[torch.randperm(visible, generator=generator)[:MAX_INPUT].numpy()]
-        cloud = canonicalize(
-            torch.as_tensor(points, dtype=torch.float32)[None],
-            torch.ones(1, len(points), dtype=torch.bool),
-            torch.tensor([self.radius(category)]),
-            generator,
-            self.points,
-            self.ordered,
-        )
+        points = _thinned(points, generator)
+        radius = torch.tensor([self.radius(category)])
+        cloud = canonicalize(*_batch_of_one(points), radius, generator, self.points, self.ordered)
         if int(cloud.count[0]) < MIN_POINTS:
             raise PerceptionError(
                 f"the mask of the {category} covers no compact surface: {len(points)} scattered points"
             )
         kept = round(int(cloud.count[0]) / len(points) * visible)
-        from_hand = direction_to_rest is None and X_camera_hand is not None
-        if from_hand and X_camera_hand is not None:
-            direction_to_rest = X_camera_hand[:3, 3] - cloud.centre[0].double().numpy()
-        direction = direction_input(cloud, direction_to_rest, from_hand)
+        if rest is not None and len(rest):
+            cloud = with_rest(cloud, *_batch_of_one(_thinned(rest, generator)), generator)
+        from_hand = not bool(cloud.rest_known[0]) and X_camera_hand is not None
+        goal = None
+        if bool(cloud.rest_known[0]) and rest is not None:
+            goal = np.median(rest, axis=0)
+        elif X_camera_hand is not None:
+            goal = X_camera_hand[:3, 3]
+        direction = direction_input(cloud, None if goal is None else goal - cloud.centre[0].double().numpy(), from_hand)
         with torch.inference_mode():
             result = self.infer(
                 cloud, [category], direction, np.array([kept]), generator, candidates or self.candidates
@@ -134,6 +131,16 @@ class CloudEstimator(ABC):
         """Encode, sample and pool a batch of canonical clouds; direction (B, 5) as `direction_input` makes it.
 
         visible: (B,) how many points were seen. The generator lives on the CPU. No spin fix."""
+
+
+def _thinned(points: Array, generator: torch.Generator) -> Array:
+    if len(points) > MAX_INPUT:
+        points = points[torch.randperm(len(points), generator=generator)[:MAX_INPUT].numpy()]
+    return points
+
+
+def _batch_of_one(points: Array) -> tuple[torch.Tensor, torch.Tensor]:
+    return torch.as_tensor(points, dtype=torch.float32)[None], torch.ones(1, len(points), dtype=torch.bool)
 
 
 def with_hand(result: PoseResult, X_camera_hand: Array, spin_sigma: float = HAND_SPIN_SIGMA) -> PoseResult:

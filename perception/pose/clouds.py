@@ -14,7 +14,7 @@ from torch import Tensor
 
 from toolee_robot.perception.pose import splat
 from toolee_robot.perception.pose.bank import Float32, ToolBank, random_grasps
-from toolee_robot.perception.pose.canonical import MIN_POINTS, canonicalize
+from toolee_robot.perception.pose.canonical import MIN_POINTS, CanonicalCloud, canonicalize, with_rest
 from toolee_robot.perception.pose.cloud_batch import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.cloud_masks import cleaned, imperfect, pick
 from toolee_robot.perception.pose.cloud_scene import (
@@ -129,6 +129,8 @@ class CloudGenerator:
         points, valid, count = pick(usable, depth, rays)
         cloud = canonicalize(points, valid, radius, draws.generator, c.points, c.ordered)
         visible = cloud.count / valid.sum(1).clamp_min(1) * count * (placed.f_native / f) ** 2
+        if c.rest:
+            cloud = self._with_rest(cloud, placed, target)
         tells_spin = (usable & (labels == splat.TARGET_TELLS_SPIN)).sum((1, 2))
         direction = directions(placed, cloud.centre, cloud.R, draws)
 
@@ -141,6 +143,8 @@ class CloudGenerator:
             points=cloud.points,
             centre=cloud.centre,
             R_canonical=cloud.R,
+            rest=cloud.rest,
+            rest_known=cloud.rest_known,
             R=cloud.R @ R,
             p=torch.einsum("bij,bj->bi", cloud.R, p - cloud.centre),
             direction=direction,
@@ -153,6 +157,33 @@ class CloudGenerator:
             distance=placed.distance,
         )
         return result.select(shows)
+
+    def _with_rest(self, cloud: CanonicalCloud, placed: Placement, target: Target) -> CanonicalCloud:
+        """The clouds with the rest of their tools, seen by the same kind of camera through a window that holds it all:
+        its pixels are coarser than the camera's, for the network takes few points."""
+        c, draws = self.config, self._draws
+        middle = placed.rest.mean(1)
+        size = (placed.rest - middle[:, None]).norm(dim=-1).amax(1).clamp_min(0.06)
+        depth_middle = middle[:, 2].clamp_min(0.15)
+        f = torch.minimum(placed.f_native, GRID / 2 * (depth_middle - 0.5 * size).clamp_min(0.1) / size)
+        window = Window(
+            f,
+            (f * middle[:, 0] / depth_middle).round() - GRID // 2,
+            (f * middle[:, 1] / depth_middle).round() - GRID // 2,
+        )
+        # Splats of one pixel: wider ones would swell what is thin at this scale.
+        buffer = self._draw(placed, target, window, reach=1)[1]
+        rays = window.rays()
+        draw_backgrounds(buffer, middle, rays, draws)
+        truth, labels, cosine = buffer.images()
+        depth = splat.measure(truth, cosine, self._shininess[placed.item], f, draws.generator, c.sensor_level)
+        depth = torch.where(cleaned(depth, c.cleaned_share, draws), depth, 0.0)
+        mask = imperfect(labels == splat.TOOL, c.rest_error_share, c.rest_chunk_share, draws) & ~_is_target(labels)
+        points, valid, _ = pick(mask & (depth > 0), depth, rays)
+        other = (draws.uniform(len(points)) < c.wrong_rest_share)[:, None]
+        points = torch.where(other[..., None], points.roll(1, 0), points)
+        valid = torch.where(other, valid.roll(1, 0), valid)
+        return with_rest(cloud, points, valid, draws.generator)
 
     def _place(self, B: int) -> Placement:
         """Tools at random poses in the camera's frame, full SO(3), most of them in a hand."""
@@ -223,8 +254,8 @@ class CloudGenerator:
         """The pose wanted: R (B, 3, 3), p (B, 3), camera frame."""
         return placed.R, placed.p
 
-    def _draw(self, placed: Placement, target: Target, window: Window) -> tuple[ZBuffer, ZBuffer]:
-        """The tool alone, and with its hand."""
+    def _draw(self, placed: Placement, target: Target, window: Window, reach: int = 2) -> tuple[ZBuffer, ZBuffer]:
+        """The tool alone, and with its hand. reach: of splats without normals [px]."""
 
         def label(points: Tensor, usual: int, wanted: Tensor, tells: Tensor | None = None) -> Tensor:
             inside = (points - target.focus[:, None]).norm(dim=-1) < target.radius[:, None]
@@ -237,9 +268,9 @@ class CloudGenerator:
         alone = ZBuffer(window)
         tells = self._tells[placed.item]
         alone.draw(placed.ee, label(placed.ee, splat.TOOL, ~target.on_hand, tells), placed.normals, 1)
-        alone.draw(placed.rest, label(placed.rest, splat.TOOL, ~target.on_hand), None, 2)
+        alone.draw(placed.rest, label(placed.rest, splat.TOOL, ~target.on_hand), None, reach)
         buffer = alone.copy()
-        buffer.draw(placed.hand, label(placed.hand, splat.HAND, target.on_hand), None, 2)
+        buffer.draw(placed.hand, label(placed.hand, splat.HAND, target.on_hand), None, reach)
         return alone, buffer
 
 

@@ -1,7 +1,7 @@
 """The project's estimator: one cloud in, one pose with a covariance and a confidence out.
 
 estimator = PoseEstimator.load()
-result = estimator.estimate(points, Category.HAMMER_HEAD, direction_to_rest, X_camera_hand)
+result = estimator.estimate(points, Category.HAMMER_HEAD, rest, X_camera_hand)
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from toolee_robot.perception.pose import confidence
 from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
 from toolee_robot.perception.pose.flow import Process, Sampler
-from toolee_robot.perception.pose.network import CATEGORIES, CONTEXT_DIM, FLOW, SAMPLER, PoseNet, sample
+from toolee_robot.perception.pose.network import CATEGORIES, CONTEXT_DIM, FLOW, SAMPLER, PoseNet, Seen, sample
 from toolee_robot.perception.pose.pooling import Pooled, pairwise_angles, pool
 from toolee_robot.perception.pose.representation import T_SCALE, decode
 from toolee_robot.perception.pose.weights import Calibration, load
@@ -58,7 +58,7 @@ class PoseEstimator(CloudEstimator):
         device = self._device
         index = torch.tensor([CATEGORIES.index(c) for c in categories], device=device)
         context = context_input(cloud, torch.as_tensor(visible))
-        feature = self._net.encode(cloud.points.to(device), index, direction.to(device), context.to(device))
+        feature = self._net.encode(Seen.of(cloud, index, direction, context))
         u = sample(self._net, feature, candidates, generator, self.sampler, self.process)
         regression = {k: v.cpu() for k, v in self._net.regress(feature).items()}
         R, p, ambiguous = (x.double().numpy() for x in decode(u.float().cpu()))

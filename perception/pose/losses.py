@@ -8,11 +8,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_batch import CloudBatch
 from toolee_robot.perception.pose.estimator import context_input
 from toolee_robot.perception.pose.flow import Process
-from toolee_robot.perception.pose.network import CATEGORIES, FLOW
+from toolee_robot.perception.pose.network import CATEGORIES, FLOW, Seen
 from toolee_robot.perception.pose.representation import AMBIGUOUS, AXIS_X, AXIS_Z, DIM, POSITION, decode, encode
 from toolee_robot.types import Category
 
@@ -40,16 +39,21 @@ def augment(batch: CloudBatch, generator: torch.Generator) -> CloudBatch:
     return replace(
         batch,
         points=torch.einsum("bij,bnj->bni", G, batch.points),
+        rest=torch.einsum("bij,bnj->bni", G, batch.rest),
         R=G @ batch.R * D[:, None],
         p=torch.einsum("bij,bj->bi", G, batch.p),
         direction=direction,
     )
 
 
-def without_directions(batch: CloudBatch, share: float, generator: torch.Generator) -> CloudBatch:
-    """The batch with a random share of its directions taken away."""
-    keep = torch.rand(len(batch), device=batch.points.device, generator=generator) >= share
-    return replace(batch, direction=batch.direction * keep[:, None])
+def without_rest(batch: CloudBatch, share: float, direction_share: float, generator: torch.Generator) -> CloudBatch:
+    """The batch with a random share of the rests of the tools taken away; where none is known, of the directions to
+    them, too."""
+    device = batch.points.device
+    known = batch.rest_known & (torch.rand(len(batch), device=device, generator=generator) >= share)
+    directed = known | (torch.rand(len(batch), device=device, generator=generator) >= direction_share)
+    rest = torch.where(known[:, None, None], batch.rest, 0.0)
+    return replace(batch, rest=rest, rest_known=known, direction=batch.direction * directed[:, None])
 
 
 def canonical_rotation(R: Tensor, category: Tensor) -> Tensor:
@@ -79,7 +83,7 @@ def ambiguity(batch: CloudBatch) -> Tensor:
 
 def context(batch: CloudBatch) -> Tensor:
     """The network's context token of a training batch."""
-    return context_input(CanonicalCloud(batch.points, batch.centre, batch.R_canonical, batch.visible), batch.visible)
+    return context_input(batch.cloud, batch.visible)
 
 
 def pose_loss(
@@ -94,7 +98,8 @@ def pose_loss(
     noised = process.noised(target, draws, generator)
     autocast = torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda")
     with autocast:
-        velocity, regression = net(batch.points, batch.category, batch.direction, context(batch), noised.u, noised.t)
+        seen = Seen.of(batch.cloud, batch.category, batch.direction, context(batch))
+        velocity, regression = net(seen, noised.u, noised.t)
     positive = batch.positive.float()
     count = positive.sum().clamp_min(1)
 

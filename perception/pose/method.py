@@ -20,7 +20,7 @@ from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
 from toolee_robot.perception.pose.clouds import CloudGenerator
 from toolee_robot.perception.pose.estimator import PoseEstimator
 from toolee_robot.perception.pose.flow import Process, Sampler
-from toolee_robot.perception.pose.losses import augment, pose_loss, without_directions
+from toolee_robot.perception.pose.losses import augment, pose_loss, without_rest
 from toolee_robot.perception.pose.network import FLOW, SAMPLER, NetworkConfig, PoseNet
 from toolee_robot.perception.pose.weights import Calibration
 
@@ -74,12 +74,14 @@ class Method(Protocol, Generic[Net]):
 
 @dataclass(frozen=True)
 class Ours:
-    """`PoseNet` by flow matching. draws: noise draws a cloud; direction_dropout: how often the direction token is
-    withheld (1: never known, neither when it is judged); augmentation: random roll and mirror image, each time anew."""
+    """`PoseNet` by flow matching. draws: noise draws a cloud; rest_dropout: how often the rest of the tool is
+    withheld, direction_dropout: how often then the direction to it, too (1: never known, neither when it is judged);
+    augmentation: random roll and mirror image, each time anew."""
 
     config: NetworkConfig = field(default_factory=NetworkConfig)
     clouds_config: CloudConfig = field(default_factory=CloudConfig)
     draws: int = 8
+    rest_dropout: float = 0.35
     direction_dropout: float = 0.5
     augmentation: bool = True
     process: Process = FLOW
@@ -96,7 +98,7 @@ class Ours:
 
     def prepare(self, batch: CloudBatch, generator: torch.Generator) -> CloudBatch:
         """See `Method`."""
-        batch = without_directions(batch, self.direction_dropout, generator)
+        batch = without_rest(batch, self.rest_dropout, self.direction_dropout, generator)
         return augment(batch, generator) if self.augmentation else batch
 
     def loss(self, net: nn.Module, batch: CloudBatch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
@@ -109,14 +111,18 @@ class Ours:
 
     def judged(self, batch: CloudBatch, bank: ToolBank) -> CloudBatch:  # noqa: ARG002 - others need it
         """See `Method`."""
+        if self.rest_dropout == 1:
+            batch = validation.without_rest(batch)
         return batch if self.direction_dropout < 1 else validation.without_direction(batch)
 
     def report(self, net: PoseNet, held_out: CloudBatch, device: str) -> tuple[dict[str, Any], Calibration]:
         """Fits the calibration on one half of the tools and reports it on the other."""
         estimator = self.estimator(net, Calibration(), device)
         results = {k: validation.evaluate(estimator, held_out, k) for k in (20, 32)}
-        none = validation.without_direction(held_out)
+        no_rest = validation.without_rest(held_out)
+        none = validation.without_direction(no_rest)
         report: dict[str, Any] = {f"K{k}": validation.metrics(result) for k, result in results.items()}
+        report["K32_no_rest"] = validation.metrics(validation.evaluate(estimator, no_rest, 32))
         report["K32_no_direction"] = validation.metrics(validation.evaluate(estimator, none, 32))
         near = (held_out.distance < 0.75).cpu().numpy() & (held_out.occlusion < 0.2).cpu().numpy()
         report["K32_near_unoccluded"] = validation.metrics(results[32], near)

@@ -1,19 +1,21 @@
-"""The pose network: a patch transformer over the EE's cloud, a flow-matching head and a regression head.
+"""The pose network: a patch transformer over the EE's cloud and the rest of the tool, a flow-matching head and a
+regression head.
 
-Encoder: 64 patches of 32 points within 12 mm of their centres, a small PointNet each, then a transformer with tokens
-for the category and for the direction to the rest of the tool. Measured against PointNet++ at equal data it is better
-and faster. Flow head: the velocity of `flow.RectifiedFlow`, conditioned by FiLM. About 4.8 M parameters, pure PyTorch.
+Encoder: 64 patches of 32 points within 12 mm of their centres, and 32 coarser ones of the rest of the tool, a small
+PointNet each, then a transformer with tokens for the category and for the direction to the rest of the tool, for when
+no more is known of that. Measured against PointNet++ at equal data it is better and faster.
+Flow head: the velocity of `flow.RectifiedFlow`, conditioned by FiLM. About 5 M parameters, pure PyTorch.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from toolee_robot.perception.pose.canonical import PATCHES
+from toolee_robot.perception.pose.canonical import PATCHES, REST_PATCHES, CanonicalCloud
 from toolee_robot.perception.pose.flow import Euler, Process, RectifiedFlow, Sampler
 from toolee_robot.perception.pose.representation import DIM
 from toolee_robot.types import Category
@@ -29,18 +31,39 @@ CONTEXT_DIM = 2
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Sizes. ball: radius [m] of a patch of `neighbours` points."""
+    """Sizes. ball: radius [m] of a patch of `neighbours` points; rest_ball, rest_neighbours: of the rest's."""
 
     width: int = 256
     layers: int = 4
     heads: int = 8
     neighbours: int = 32
     ball: float = 0.012
+    rest_neighbours: int = 16
+    rest_ball: float = 0.03
     flow_width: int = 256
     flow_blocks: int = 3
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
+
+
+class Seen(NamedTuple):
+    """The network's input: a canonical cloud's points (B, 512, 3) and rest (B, 256, 3) [m] with rest_known (B,); the
+    category (B,); the tokens direction (B, 5) and context (B, 2)."""
+
+    points: Tensor
+    rest: Tensor
+    rest_known: Tensor
+    category: Tensor
+    direction: Tensor
+    context: Tensor
+
+    @staticmethod
+    def of(cloud: CanonicalCloud, category: Tensor, direction: Tensor, context: Tensor) -> Seen:
+        """On the category's device."""
+        to = category.device
+        tokens = direction.to(to), context.to(to)
+        return Seen(cloud.points.to(to), cloud.rest.to(to), cloud.rest_known.to(to), category, *tokens)
 
 
 class PoseNet(nn.Module):
@@ -50,9 +73,9 @@ class PoseNet(nn.Module):
         super().__init__()
         c = self.config = config or NetworkConfig()
         d = c.width
-        self.patch_in = nn.Sequential(nn.Linear(3, d // 4), nn.SiLU(), nn.Linear(d // 4, d // 2))
-        self.patch_out = nn.Sequential(nn.Linear(d, d), nn.SiLU(), nn.Linear(d, d))
-        self.centre = nn.Sequential(nn.Linear(3, d // 2), nn.SiLU(), nn.Linear(d // 2, d))
+        self.ee = Patches(d, PATCHES, c.neighbours, c.ball, 0.02)
+        self.rest = Patches(d, REST_PATCHES, c.rest_neighbours, c.rest_ball, 0.1)
+        self.no_rest = nn.Parameter(torch.zeros(d))
         self.category = nn.Embedding(len(CATEGORIES), d)
         self.direction = nn.Sequential(nn.Linear(DIRECTION_DIM, d), nn.SiLU(), nn.Linear(d, d))
         self.context = nn.Sequential(nn.Linear(CONTEXT_DIM, d // 2), nn.SiLU(), nn.Linear(d // 2, d))
@@ -63,46 +86,63 @@ class PoseNet(nn.Module):
         # mean of u (12; the S part as logits), log sigma of position, axis, spin; logit that this is an EE at all.
         self.regression = nn.Sequential(nn.Linear(f, d), nn.SiLU(), nn.Linear(d, d), nn.SiLU(), nn.Linear(d, DIM + 4))
 
-    def encode(self, points: Tensor, category: Tensor, direction: Tensor, context: Tensor) -> Tensor:
-        """Feature (B, 2 width) of clouds (B, 512, 3) [m, canonical frame], category (B,) and tokens (B, 5), (B, 2)."""
-        c = self.config
-        centres = points[:, :PATCHES]
-        with torch.no_grad():
-            squared = (centres[:, :, None] - points[:, None]).square().sum(-1)
-            near, index = squared.topk(c.neighbours, dim=-1, largest=False, sorted=False)
-            rows = index.flatten(1)[..., None].expand(-1, -1, 3)
-            patches = points.gather(1, rows).view(*index.shape, 3) - centres[:, :, None]
-            # A neighbour outside of the ball is replaced by the centre itself.
-            patches = torch.where((near < c.ball**2)[..., None], patches, 0.0) / c.ball
-        h = self.patch_in(patches)
-        # max(dim), not amax: under torch.compile in bfloat16 the gradient of amax was not finite.
-        pooled = h.max(2)[0]
-        h = self.patch_out(torch.cat([pooled, h.mean(2)], dim=-1))
+    def encode(self, seen: Seen) -> Tensor:
+        """Feature (B, 2 width) of what is seen."""
         tokens = torch.cat(
             [
-                self.category(category)[:, None],
-                self.direction(direction)[:, None],
-                self.context(context)[:, None],
-                h + self.centre(centres / 0.02),
+                self.category(seen.category)[:, None],
+                self.direction(seen.direction)[:, None],
+                self.context(seen.context)[:, None],
+                self.ee(seen.points),
+                self.rest_tokens(seen),
             ],
             dim=1,
         )
         for block in self.blocks:
             tokens = block(tokens)
         tokens = self.norm(tokens)
-        return torch.cat([tokens[:, 0], tokens[:, 3:].mean(1)], dim=-1)
+        return torch.cat([tokens[:, 0], tokens[:, 3 : 3 + PATCHES].mean(1)], dim=-1)
+
+    def rest_tokens(self, seen: Seen) -> Tensor:
+        """(B, 32, width) of the rest of the tool."""
+        return torch.where(seen.rest_known[:, None, None], self.rest(seen.rest), self.no_rest)
 
     def regress(self, feature: Tensor) -> dict[str, Tensor]:
         """mean (B, 12), log_sigma (B, 3) of position [units of T], axis [rad], spin [rad], validity logit (B,)."""
         out = self.regression(feature).float()
         return {"mean": out[:, :DIM], "log_sigma": out[:, DIM : DIM + 3].clamp(-6, 2), "valid": out[:, DIM + 3]}
 
-    def forward(
-        self, points: Tensor, category: Tensor, direction: Tensor, context: Tensor, u: Tensor, t: Tensor
-    ) -> tuple[Tensor, dict[str, Tensor]]:
+    def forward(self, seen: Seen, u: Tensor, t: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         """What training needs in one call: velocities (B, K, 12) at u (B, K, 12), t (B, K), and the regression."""
-        feature = self.encode(points, category, direction, context)
+        feature = self.encode(seen)
         return self.flow(u, t, self.flow.condition(feature)), self.regress(feature)
+
+
+class Patches(nn.Module):
+    """A small PointNet on the neighbourhood of each of a cloud's first points: tokens (B, count, width)."""
+
+    def __init__(self, width: int, count: int, neighbours: int, ball: float, scale: float) -> None:
+        """ball [m]: of a patch; scale [m]: of the places."""
+        super().__init__()
+        self._count, self._neighbours, self._ball, self._scale = count, neighbours, ball, scale
+        self.inner = nn.Sequential(nn.Linear(3, width // 4), nn.SiLU(), nn.Linear(width // 4, width // 2))
+        self.outer = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
+        self.place = nn.Sequential(nn.Linear(3, width // 2), nn.SiLU(), nn.Linear(width // 2, width))
+
+    def forward(self, points: Tensor) -> Tensor:
+        centres = points[:, : self._count]
+        with torch.no_grad():
+            squared = (centres[:, :, None] - points[:, None]).square().sum(-1)
+            near, index = squared.topk(self._neighbours, dim=-1, largest=False, sorted=False)
+            rows = index.flatten(1)[..., None].expand(-1, -1, 3)
+            patches = points.gather(1, rows).view(*index.shape, 3) - centres[:, :, None]
+            # A neighbour outside of the ball is replaced by the centre itself.
+            patches = torch.where((near < self._ball**2)[..., None], patches, 0.0) / self._ball
+        h = self.inner(patches)
+        # max(dim), not amax: under torch.compile in bfloat16 the gradient of amax was not finite.
+        pooled = h.max(2)[0]
+        tokens: Tensor = self.outer(torch.cat([pooled, h.mean(2)], dim=-1)) + self.place(centres / self._scale)
+        return tokens
 
 
 class Block(nn.Module):

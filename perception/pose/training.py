@@ -31,14 +31,14 @@ class TrainConfig:
     minutes: float = 9.0
     max_steps: int = 0
     session_minutes: float = 0.0
-    batch: int = 256
+    batch: int = 512
     learning_rate: float = 1e-3
     warm_up: int = 300
     weight_decay: float = 1e-4
     clip: float = 1.0
     ema: float = 0.999
-    reuse: float = 3.0
-    chunk: int = 1024
+    reuse: float = 4.0
+    chunk: int = 2048
     capacity: int = 65_536
     first_fill: int = 8192
     train_seeds: int = 80

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception.pose import confidence
-from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_batch import CloudBatch
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
 from toolee_robot.perception.pose.pooling import SigmaScale, align, pairwise_angles
@@ -60,16 +59,20 @@ def evaluate(estimator: CloudEstimator, batch: CloudBatch, candidates: int, seed
     with torch.inference_mode():
         for start in range(0, len(batch), 256):
             part = batch.select(torch.arange(start, min(start + 256, len(batch)), device=batch.points.device))
-            cloud = CanonicalCloud(part.points, part.centre, part.R_canonical, part.visible)
             named = [categories[int(i)] for i in part.category]
             visible = part.visible.cpu().numpy()
-            results += estimator.infer(cloud, named, part.direction, visible, generator, candidates)
+            results += estimator.infer(part.cloud, named, part.direction, visible, generator, candidates)
     return Evaluated(batch, results)
 
 
 def without_direction(batch: CloudBatch) -> CloudBatch:
-    """The batch as if nothing of the tool but its EE were seen."""
+    """The batch as if it were not known where the rest of the tool is."""
     return replace(batch, direction=torch.zeros_like(batch.direction))
+
+
+def without_rest(batch: CloudBatch) -> CloudBatch:
+    """The batch as if no points of the rest of the tool were seen."""
+    return replace(batch, rest=torch.zeros_like(batch.rest), rest_known=torch.zeros_like(batch.rest_known))
 
 
 def metrics(evaluated: Evaluated, rows: Array | None = None) -> dict[str, Any]:

@@ -105,7 +105,7 @@ def _perception(scene: BenchScene, repeats: int) -> Iterator[Latency]:
     yield measure("cloud, one end effector", lambda: ee_cloud(frame, detection), repeats=repeats)
     for k in _CANDIDATES:
         pose = partial(
-            perception.pose.estimate, cloud.points, detection.category, cloud.direction, X_camera_hand, candidates=k
+            perception.pose.estimate, cloud.points, detection.category, cloud.rest, X_camera_hand, candidates=k
         )
         target = _POSE_TARGET_MS if k == 32 else None
         yield measure(f"pose, K = {k}", pose, repeats=repeats, target_ms=target)

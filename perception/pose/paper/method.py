@@ -11,7 +11,6 @@ from torch import Tensor, nn
 
 from toolee_robot.perception.pose import validation
 from toolee_robot.perception.pose.bank import Float32, ToolBank
-from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_batch import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.clouds import CloudGenerator
 from toolee_robot.perception.pose.paper import object_clouds
@@ -43,7 +42,7 @@ class PaperMethod:
 
     def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
         """Clouds of the EE, or of the whole tool, as large as the paper's."""
-        config = replace(self.clouds_config, points=POINTS, ordered=ORDERED)
+        config = replace(self.clouds_config, points=POINTS, ordered=ORDERED, rest=False)
         make = object_clouds.ObjectCloudGenerator if self.column.of_tool else CloudGenerator
         return make(bank, hands, device, seed, config)
 
@@ -59,14 +58,13 @@ class PaperMethod:
 
     def loss(self, net: nn.Module, batch: CloudBatch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """Denoising score matching, weighted by sigma^2, over the clouds that do show what is claimed."""
-        cloud = CanonicalCloud(batch.points, batch.centre, batch.R_canonical, batch.visible)
         R_camera = batch.R_canonical.mT @ batch.R
         p_camera = torch.einsum("bji,bj->bi", batch.R_canonical, batch.p) + batch.centre
         S = class_ambiguity().to(batch.points)[batch.category] if self.column.predicts_ambiguity else None
         noised = PROCESS.noised(encode(R_camera, p_camera, S), self.draws, generator)
         device = batch.points.device.type
         with torch.autocast(device, torch.bfloat16, enabled=device == "cuda"):
-            predicted = net(in_camera(cloud), noised.u, noised.t)
+            predicted = net(in_camera(batch.cloud), noised.u, noised.t)
         positive = batch.positive.float()
         error = (predicted.float() - noised.goal).square().sum(-1).mean(1)
         loss = (error * positive).sum() / positive.sum().clamp_min(1)
