@@ -62,7 +62,7 @@ class UrLink:
         DeviceError for what the wheel throws."""
         self._config, self.rate = config, rate
         self.reading: Array = np.zeros(StateColumn.COUNT)
-        self.sane, self.refused = True, False
+        self.sane, self.refused, self._lost = True, False, False
         self.status, self.playing, self.servoing = ArmStatus.NOT_READY, False, False
         with bounded(config.connect_timeout):
             try:
@@ -89,7 +89,9 @@ class UrLink:
     def connected(self) -> bool:
         """Whether the wheel still has both connections, the ones of the beginning. True says nothing; False is the
         truth."""
-        return bool(self._receive.isConnected() and self._control.isConnected() and self._sockets.same)
+        return not self._lost and bool(
+            self._receive.isConnected() and self._control.isConnected() and self._sockets.same
+        )
 
     def read(self) -> bool:
         """Take the newest data in; False when nothing new has come, or nothing that makes sense. Never waits."""
@@ -119,15 +121,19 @@ class UrLink:
 
     def servo(self, q: Array) -> None:
         """Send one position (6,) [rad]; feeds the robot's watchdog as well."""
-        sent = self._control.servoJ(q.tolist(), 0.0, 0.0, 1.0 / self.rate, self._config.lookahead, self._config.gain)
-        self.refused = self.refused or not sent
+        with self._while_connected():
+            sent = self._control.servoJ(
+                q.tolist(), 0.0, 0.0, 1.0 / self.rate, self._config.lookahead, self._config.gain
+            )
+            self.refused = self.refused or not sent
         self.reading[StateColumn.COMMANDED] = q
         self.servoing = True
 
     def kick(self) -> None:
         """Feed the robot's watchdog. Not in a cycle that has sent a position: of two commands that reach the robot in
         one of its cycles it takes the later. Not without a program: the wheel may wait 3 s for it to get ready."""
-        self._control.kickWatchdog()
+        with self._while_connected():
+            self._control.kickWatchdog()
 
     def set_payload(self, mass: float, center_of_mass: list[float]) -> None:
         """[kg], [m] in the flange. Raises DeviceError unless the controller reports it back, where its version can."""
@@ -170,6 +176,14 @@ class UrLink:
                 self._control.stopScript()
         # The wheel's own clean-up may hang, reconnect or crash; the kernel's does not.
         os._exit(0)
+
+    @contextmanager
+    def _while_connected(self) -> Iterator[None]:
+        """A command that finds the connection gone makes the wheel try for another one, which it cannot have."""
+        try:
+            yield
+        except RuntimeError:
+            self._lost = True
 
     def _take_target(self) -> None:
         """Where the controller holds the arm is where the next motion starts."""
