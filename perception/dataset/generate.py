@@ -108,8 +108,9 @@ def _clear(out: Path) -> None:
 
 def make_scene_folder(spec: DatasetSpec, out: Path, job: SceneJob) -> SceneJob:
     """Write one scene and the models of its tools."""
-    folder = job.folder(out)
-    write_scene(folder, examples_of(spec, job.split, job.first, job.last), partial(write_models, out))
+    catalogue = spec.catalogue(out)
+    examples = examples_of(spec, job.split, job.first, job.last, catalogue)
+    write_scene(job.folder(out), examples, partial(write_models, out, catalogue), catalogue)
     forget_tools()
     return job
 

@@ -95,7 +95,7 @@ def describe(estimator: CloudEstimator) -> dict[str, Any]:
 
 def _data(folder: Path, examples: Examples) -> dict[str, Any]:
     targets = [i for i in examples.instances if i.target]
-    tools = {(i.kind, i.seed) for i in targets if i.held_out}
+    tools = {i.tool for i in targets if i.held_out}
     return {
         "folder": folder.name,
         "images": examples.images,

@@ -59,7 +59,7 @@ def test_clouds_lie_on_the_ends_that_they_are_said_to_show(examples: Examples) -
             X = instance.X_camera_ee
             local = (case.cloud.points - X[:3, 3]) @ X[:3, :3]
             assert np.median(np.linalg.norm(local, axis=1)) < ee_radius(instance.category) + 0.01
-            shape = ee_shape(instance.kind, instance.seed, instance.ee)
+            shape = ee_shape(instance.catalogue, instance.tool, instance.ee)
             assert 0.02 < shape.diameter < 2.1 * ee_radius(instance.category)
     for case in examples.cases["predicted"]:
         if case.instance is not None:
