@@ -16,22 +16,33 @@ from toolee_robot.types import Category
 MATERIALS: dict[str, Material] = {m.name: m for m in vars(materials).values() if isinstance(m, Material)}
 """What a handle or a head may be made of."""
 HANDLE, HEAD, CLAW = "handle", "head", "claw"
+_FINE, _CUTS = 0.006, 10
+"""Triangles across a border of parts are halved until their edges are that short [m], at most so many times."""
 _ON_HANDLE = 1.5
 """A surface belongs to the handle up to this factor of the handle's half-widths."""
 
 
 @dataclass(frozen=True)
 class OwnToolRecord:
-    """mesh_sha256: of the mesh in `tools/`. Xs_tool_ee: 16 numbers row by row for each of `categories`; handle: z,
+    """mesh_sha256: of the mesh in `tools/`. Xs_tool_ee: 16 numbers row by row for each of `categories`; sections: z,
     half-widths along x and along y as in `Handle`. handle_material, head_material: names in `MATERIALS`."""
 
     name: str
     mesh_sha256: str
     categories: tuple[Category, ...]
     Xs_tool_ee: tuple[tuple[float, ...], ...]
-    handle: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
+    sections: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
     handle_material: str
     head_material: str
+
+    @property
+    def ees(self) -> tuple[EndEffector, ...]:
+        rows = zip(self.categories, self.Xs_tool_ee, strict=True)
+        return tuple(EndEffector(category, np.reshape(X, (4, 4))) for category, X in rows)
+
+    @property
+    def handle(self) -> Handle:
+        return Handle(*(np.array(row) for row in self.sections))
 
     def to_json(self) -> dict[str, Any]:
         """Plain lists, for `dataset.json`."""
@@ -42,7 +53,7 @@ class OwnToolRecord:
                 {"category": str(c), "X_tool_ee": list(X)}
                 for c, X in zip(self.categories, self.Xs_tool_ee, strict=True)
             ],
-            "handle": dict(zip(("z", "radii_x", "radii_y"), map(list, self.handle), strict=True)),
+            "handle": dict(zip(("z", "radii_x", "radii_y"), map(list, self.sections), strict=True)),
             "materials": {HANDLE: self.handle_material, HEAD: self.head_material},
         }
 
@@ -61,6 +72,14 @@ class OwnToolRecord:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class OwnMesh:
+    """A tool as it was read from its user's folder. ply: its mesh, `tool` frame [mm], as `tools/` is to hold it."""
+
+    record: OwnToolRecord
+    ply: bytes
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class OwnTool(ToolShape):
     """A tool that a user brought. index: its place among the data set's own tools.
@@ -75,26 +94,37 @@ class OwnTool(ToolShape):
     @staticmethod
     def build(record: OwnToolRecord, index: int, vertices: Array, faces: NDArray[np.int64]) -> OwnTool:
         """vertices (V, 3): `tool` frame [m]."""
-        ees = tuple(
-            EndEffector(c, np.reshape(X, (4, 4))) for c, X in zip(record.categories, record.Xs_tool_ee, strict=True)
-        )
-        handle = Handle(*(np.array(row) for row in record.handle))
         head = MATERIALS[record.head_material]
         parts = (Part(HANDLE, MATERIALS[record.handle_material]), Part(HEAD, head), Part(CLAW, head))
         mesh = trimesh.Trimesh(vertices, faces, process=False)
+        ees, handle = record.ees, record.handle
         owner = _owners(vertices[faces].mean(axis=1), ees, handle)
         return OwnTool(record.name, parts, mesh, owner, ees, handle, index, record)
 
 
-def _owners(centres: Array, ees: tuple[EndEffector, ...], handle: Handle) -> NDArray[np.int64]:
-    """Index into the parts of each face, from its centre (F, 3), `tool` frame."""
-    owner = np.full(len(centres), 1)
+def cut_at_parts(record: OwnToolRecord, vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+    """The same surface, `tool` frame [m], the triangles across a border of parts cut until they are small: a drawing's
+    may run from head to claw."""
+    for _ in range(_CUTS):
+        owner = _owners(vertices, record.ees, record.handle)[faces]
+        corners = vertices[faces]
+        long = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1) > _FINE
+        across = np.flatnonzero((np.ptp(owner, axis=1) > 0) & long)
+        if not len(across):
+            break
+        vertices, faces = trimesh.remesh.subdivide(vertices, faces, across)  # type: ignore[no-untyped-call]
+    return vertices, faces
+
+
+def _owners(points: Array, ees: tuple[EndEffector, ...], handle: Handle) -> NDArray[np.int64]:
+    """Index into the parts of each point (N, 3) of the surface, `tool` frame."""
+    owner = np.full(len(points), 1)
     for ee in (ee for ee in ees if ee.category is Category.HAMMER_GRIP):
-        local = transform_points(inverse(ee.X_tool_ee), centres)
+        local = transform_points(inverse(ee.X_tool_ee), points)
         near = np.linalg.norm(local, axis=1) < ee_radius(ee.category)
         side = np.sign(ee.X_tool_ee[0, 3])
-        owner[near & (side * centres[:, 0] > handle.radii_at(handle.z_max)[0])] = 2
-    x, y = (np.interp(centres[:, 2], handle.z, radii) for radii in (handle.radii_x, handle.radii_y))
-    beside = np.hypot(centres[:, 0] / x, centres[:, 1] / y)
-    owner[(centres[:, 2] <= handle.z_max) & (beside < _ON_HANDLE)] = 0
+        owner[near & (side * points[:, 0] > handle.radii_at(handle.z_max)[0])] = 2
+    x, y = (np.interp(points[:, 2], handle.z, radii) for radii in (handle.radii_x, handle.radii_y))
+    beside = np.hypot(points[:, 0] / x, points[:, 1] / y)
+    owner[(points[:, 2] <= handle.z_max) & (beside < _ON_HANDLE)] = 0
     return owner
