@@ -52,7 +52,7 @@ class Faults:
     """
 
     def __init__(self, controller: Controller) -> None:
-        self._controller = controller
+        self._controller, self._clock = controller, controller.clock
         self._robot = controller.robot
         self._elsewhere = object()  # owner of the registers that are "in use"
         self._reopen: dict[str, float] = {}  # port -> time [s]
@@ -78,7 +78,7 @@ class Faults:
 
     def step(self) -> None:
         """What is over by now: a refused port opens again, a force goes away, a reboot is done."""
-        now = time.monotonic()
+        now = self._clock.now()
         for name in [name for name, due in self._reopen.items() if now >= due]:
             del self._reopen[name]
             self._controller.ports[name].listen()
@@ -106,7 +106,7 @@ class Faults:
             found.refuse()
             self._reopen.pop(found.name, None)
             if seconds is not None:
-                self._reopen[found.name] = time.monotonic() + seconds
+                self._reopen[found.name] = self._clock.now() + seconds
 
     @_hook
     def accept(self, port: str = "all") -> None:
@@ -119,18 +119,18 @@ class Faults:
     def stall(self, seconds: Seconds, port: str = "all") -> None:
         """The network is stuck: nothing goes in or out; afterwards everything arrives in one burst."""
         for found in self._ports(port):
-            found.faults.stalled_until = time.monotonic() + seconds
+            found.faults.stalled_until = time.monotonic() + self._clock.wall(seconds)
 
     @_hook
     def freeze(self, seconds: Seconds) -> None:
         """The controller's loop stands still: no ticks, no answers, no motion."""
-        self._controller.frozen_until = time.monotonic() + seconds
+        self._controller.frozen_until = self._clock.now() + seconds
 
     @_hook
     def delay(self, seconds: Seconds, port: str = "all") -> None:
         """Everything sent arrives so much later; 0 ends it."""
         for found in self._ports(port):
-            found.faults.delay = seconds
+            found.faults.delay = self._clock.wall(seconds)
 
     @_hook
     def half_open(self, port: str = "all") -> None:
@@ -243,7 +243,7 @@ class Faults:
     def force(self, wrench: Six, seconds: Seconds | None = None) -> None:
         """An extra wrench on the flange [N, Nm], base axes, for so long or until the next one."""
         self._robot.plant.external_force = np.array(wrench)
-        self._force_until = np.inf if seconds is None else time.monotonic() + seconds
+        self._force_until = np.inf if seconds is None else self._clock.now() + seconds
 
     @_hook
     def joint_offset(self, offset: Six) -> None:
@@ -309,7 +309,7 @@ class Faults:
         self._reopen.clear()
         self._robot.reboot()
         self._robot.safety.robot_mode = RobotMode.BOOTING
-        self._boot_until, self._power_after_boot = time.monotonic() + seconds, powered
+        self._boot_until, self._power_after_boot = self._clock.now() + seconds, powered
 
     # -- what tests want to know
 

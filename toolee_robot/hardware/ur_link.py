@@ -60,11 +60,11 @@ class UrLink:
     def __init__(self, config: UrArmConfig, rate: float) -> None:
         """Connect; nothing moves. Raises NotReadyError while the robot's safety system or mode forbids motion, and
         DeviceError for what the wheel throws."""
-        self._config, self.rate = config, rate
+        self._config, self.rate, self._clock = config, rate, config.clock
         self.reading: Array = np.zeros(StateColumn.COUNT)
         self.sane, self.refused, self._lost = True, False, False
         self.status, self.playing, self.servoing = ArmStatus.NOT_READY, False, False
-        with bounded(config.connect_timeout):
+        with bounded(self._clock.wall(config.connect_timeout)):
             try:
                 self._receive = RTDEReceiveInterface(config.host)
                 while not self.read():
@@ -113,7 +113,7 @@ class UrLink:
         if not (forward and np.all(np.abs(reading[_MEASURED]) < _ABSURD)):
             self.sane = False
             return False
-        reading[:5] = time.monotonic(), timestamp, safety, mode, runtime
+        reading[:5] = self._clock.now(), timestamp, safety, mode, runtime
         self.reading[:] = reading
         self.status = arm_status(safety, mode)
         self.playing = runtime == RUNTIME_PLAYING
@@ -137,25 +137,25 @@ class UrLink:
 
     def set_payload(self, mass: float, center_of_mass: list[float]) -> None:
         """[kg], [m] in the flange. Raises DeviceError unless the controller reports it back, where its version can."""
-        with bounded(self._config.handshake_timeout):
+        with bounded(self._clock.wall(self._config.handshake_timeout)):
             accepted = self._control.setPayload(mass, center_of_mass)
         if not accepted:
             raise DeviceError("the robot did not take the payload: its program does not run; reset the arm")
-        deadline = time.monotonic() + self._config.handshake_timeout
+        deadline = self._clock.now() + self._config.handshake_timeout
         while True:
             self.kick()
-            time.sleep(1.0 / self.rate)
+            self._clock.sleep(1.0 / self.rate)
             reported = self._reported_payload()
             if reported is None or np.abs(np.subtract(reported, [mass, *center_of_mass])).max() < PAYLOAD_TOLERANCE:
                 return
-            if time.monotonic() > deadline:
+            if self._clock.now() > deadline:
                 raise DeviceError(
                     f"the payload was set to {mass:.3f} kg at {np.round(center_of_mass, 3)} m, but the robot reports "
                     f"{reported[0]:.3f} kg at {np.round(reported[1:], 3)} m"
                 )
 
     def start_freedrive(self) -> None:
-        with bounded(self._config.handshake_timeout):
+        with bounded(self._clock.wall(self._config.handshake_timeout)):
             if self.servoing:
                 self._control.servoStop()
                 self.servoing = False
@@ -163,13 +163,13 @@ class UrLink:
                 raise DeviceError("the robot did not go into freedrive: its program does not run; reset the arm")
 
     def end_freedrive(self) -> None:
-        with bounded(self._config.handshake_timeout):
+        with bounded(self._clock.wall(self._config.handshake_timeout)):
             self._control.endTeachMode()
         self._take_target()
 
     def close(self) -> None:
         """End the robot's program, at rest, and the connections; whatever does not end by itself ends the process."""
-        with bounded(self._config.handshake_timeout):
+        with bounded(self._clock.wall(self._config.handshake_timeout)):
             if self.connected and self.playing and self.status is ArmStatus.READY:
                 if self.servoing:
                     self._control.servoStop()
