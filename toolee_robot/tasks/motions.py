@@ -15,6 +15,7 @@ from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.strike import plan_straight
 from toolee_robot.control.supervisor import Supervisor
+from toolee_robot.control.supervisor_checks import AT_REST
 from toolee_robot.errors import DeviceError, MotionFaultError, PlanningError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionOutcome, MotionReport, Station
@@ -25,6 +26,8 @@ from toolee_robot.types import Trajectory
 UP = (0.0, 0.0, 1.0)
 STRAIGHT_SPEED = 0.25  # [m/s]
 QUIET_TIME, QUIET_STEP, QUIET_PATIENCE = 0.1, 0.02, 2.0  # [s]
+STILL_PATIENCE = 1.0
+"""[s] for an arm that a contact has left swinging against what it touches; the supervisor refuses one that goes on."""
 RETREAT, RETREAT_SPEED = 0.20, 0.15  # [m], [m/s]
 
 
@@ -145,8 +148,9 @@ class Motions:
 
     @contextmanager
     def _watched(self, name: str) -> Iterator[HandWatch | None]:
-        """A motion: with the tool still in the hand, all the way; what a fault leaves of it is told to the observer,
-        too."""
+        """A motion: from a standstill, with the tool still in the hand, all the way; what a fault leaves of it is told
+        to the observer, too."""
+        self._wait_until_still()
         watch = HandWatch(self._station.hand, self.arm.stop) if self.held else None
         if self.held:
             check_held(self._station.hand)
@@ -159,6 +163,12 @@ class Motions:
                 with suppress(DeviceError):
                     self._tell(name, fault.report)
             raise
+
+    def _wait_until_still(self) -> None:
+        for _ in range(int(STILL_PATIENCE / QUIET_STEP)):
+            if np.abs(self.arm.state().joints.qd).max() < AT_REST:
+                return
+            self._station.clock.sleep(QUIET_STEP)
 
     def _done(self, name: str, report: MotionReport, hand: HandWatch | None) -> None:
         # The commanded position is what the arm holds and what the next motion must start from; a servo has a lag, but
