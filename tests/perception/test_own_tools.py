@@ -174,6 +174,18 @@ def test_any_frame_and_unit_give_the_same_tool(
         np.testing.assert_allclose(np.reshape(X_tool_ee, (4, 4))[:3, 3], [x, 0, LENGTH / 1e3 - 0.08], atol=1e-4)
 
 
+def test_the_example_in_the_documentation_is_read(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs/dataset.md").read_text()
+    bars = ([[0, -240, 0], [0, 10, 0]], [[0, 5, -60], [0, 5, 62]])
+    mesh: Any = trimesh.util.concatenate([trimesh.creation.cylinder(14.0, segment=np.array(bar)) for bar in bars])
+    (tmp_path / "hammer").mkdir()
+    mesh.export(tmp_path / "hammer/hammer.stl")
+    (tmp_path / "hammer/tool.yaml").write_text(text.split("```yaml\n")[1].split("```")[0])
+    (brought,) = read_own_tools(tmp_path)
+    assert brought.record.categories == (Category.HAMMER_HEAD, Category.HAMMER_GRIP)
+    assert brought.record.handle_material == "rubber"
+
+
 def ee(**change: Any) -> dict[str, Any]:
     return {"ees": [{"category": "hammer_head", "position": [60, 0, LENGTH], "z": [1, 0, 0]} | change]}
 
