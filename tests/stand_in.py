@@ -28,8 +28,8 @@ def patient(host: str) -> UrArmConfig:
 
 
 @contextmanager
-def stand_in(model: ArmModel, host: str) -> Iterator[ControllerProcess]:
+def stand_in(model: ArmModel, host: str, pace: float = 1.0) -> Iterator[ControllerProcess]:
     with ControllerProcess(
-        model=model.value, host=host, plant=partial(JointPlant, q=HOME), realtime=True
+        model=model.value, host=host, plant=partial(JointPlant, q=HOME), realtime=True, pace=pace
     ) as controller:
         yield controller

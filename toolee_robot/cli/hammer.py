@@ -15,7 +15,7 @@ from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
 from toolee_robot.config import StationConfig, load_station
 from toolee_robot.errors import UserError
-from toolee_robot.host_clock import check_pace
+from toolee_robot.host_clock import check_pace, is_loopback
 from toolee_robot.types import ArmModel
 
 WORLD_PACE = 0.25
@@ -111,6 +111,8 @@ class Hammer:
             )
         if self.robot_host is None:
             raise UserError("--arm ur-rtde needs --robot-host: a loopback address such as 127.0.0.2")
+        if not is_loopback(self.robot_host):
+            raise UserError(f"{self.robot_host!r} is not a loopback address: a stand-in serves this machine only")
         pace = WORLD_PACE if self.pace is None else self.pace
         check_pace(pace, self.robot_host)
         return self.robot_host, pace
