@@ -30,7 +30,7 @@ class Instance:
     """One EE in one image. image: its number in this evaluation. tool: number in the catalogue; ee: which of its ends.
     X_camera_ee: 4x4; X_camera_hand: 4x4 of the right hand that holds the tool, or None. visible [px]; occlusion in
     [0, 1]. target: whether it is asked for; one with under 50 points is neither found nor missed. first_end: no earlier
-    end of its tool is of its category."""
+    end of its tool is of its category. too_few_points: a target but for these 50 points."""
 
     image: int
     category: Category
@@ -44,6 +44,7 @@ class Instance:
     occlusion: float
     target: bool
     first_end: bool
+    too_few_points: bool = False
 
     @property
     def held_out(self) -> bool:
@@ -155,7 +156,7 @@ def _add(
         number = len(found.instances)
         mask = ee == ee_id
         if np.count_nonzero(frame.depth[mask] > 0) < MIN_POINTS:
-            instance = replace(instance, target=False)
+            instance = replace(instance, target=False, too_few_points=instance.target)
         found.instances.append(instance)
         here[number] = mask
         if instance.target:

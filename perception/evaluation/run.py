@@ -100,6 +100,7 @@ def _data(folder: Path, examples: Examples) -> dict[str, Any]:
         "folder": folder.name,
         "images": examples.images,
         "targets": len(targets),
+        "left_out_under_50_points": sum(i.too_few_points for i in examples.instances),
         "targets_held_out": sum(i.held_out for i in targets),
         "held_out_tools": len(tools),
         "frames_without_a_tool": len(examples.empty),
