@@ -26,7 +26,9 @@ MARGIN = 0.004
 TOUCH_TIME = 0.024
 """[s] over which a touch is felt: three readings of a CB3, 0.7 mm of way."""
 MAX_BLOW = 0.008
-"""[m] No blow of this arm drives a nail further: a head that sinks more has bent away, or was measured wrong."""
+"""[m] No blow of this arm drives a nail further: a head that sinks more has bent away."""
+DOUBTED = 0.004
+"""[m] Further than a blow usually drives a nail: the wood is touched once more before that is believed."""
 ASIDE = 0.032
 """[m] from the nail to where the wood is touched: a face of up to 25 mm radius clears the nail's head."""
 
@@ -77,7 +79,7 @@ class NailGauge:
         motions.straight("down", UP, -fast)
         reach = expected + LIFT + TOLERANCE - fast
         wood = self._touch("wood", reach, Outcome.NAIL_MISSED)
-        if nail - wood + self._reference < expected - MAX_BLOW:
+        if nail - wood + self._reference < expected - DOUBTED:
             # What is felt before the wood is there makes the nail seem driven. Nothing is felt below the wood.
             motions.straight("up", UP, LIFT)
             wood = min(wood, self._touch("wood", reach + LIFT, Outcome.NAIL_MISSED))
