@@ -165,10 +165,11 @@ class Motions:
             raise
 
     def _wait_until_still(self) -> None:
-        for _ in range(int(STILL_PATIENCE / QUIET_STEP)):
-            if np.abs(self.arm.state().joints.qd).max() < AT_REST:
-                return
-            self._station.clock.sleep(QUIET_STEP)
+        with suppress(DeviceError):  # an arm that does not say is refused by the supervisor, which knows more reasons
+            for _ in range(int(STILL_PATIENCE / QUIET_STEP)):
+                if np.abs(self.arm.state().joints.qd).max() < AT_REST:
+                    return
+                self._station.clock.sleep(QUIET_STEP)
 
     def _done(self, name: str, report: MotionReport, hand: HandWatch | None) -> None:
         # The commanded position is what the arm holds and what the next motion must start from; a servo has a lag, but
