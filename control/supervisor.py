@@ -21,7 +21,6 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import BRAKE_EXEMPT, RUN_UP_EXEMPT, CollisionWorld
 from toolee_robot.control.contact import ContactVerdict, ExpectedContact, judge_contact
 from toolee_robot.control.modes import Mode
-from toolee_robot.control.person_watch import PersonWatch
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.supervisor_checks import (
     check_clear,
@@ -31,10 +30,13 @@ from toolee_robot.control.supervisor_checks import (
     check_start,
     is_finite,
 )
+from toolee_robot.control.watcher import Watcher
 from toolee_robot.errors import DeviceError, LatchedError, LimitError, MotionFaultError, PersonNearError
 from toolee_robot.frames import Array
 from toolee_robot.hal import Arm, ArmState, ContactGuard, MotionReport, MotionWatch, Person
 from toolee_robot.types import Payload, Trajectory
+
+UNSURE = "the station cannot tell whether a person is near"
 
 
 class Supervisor:
@@ -189,7 +191,7 @@ class Supervisor:
         config = self._config.supervisor
         watch = watch or MotionWatch(config.tracking_error, config.data_cycles, config.overruns)
         try:
-            with PersonWatch(self._why_not, self._arm.stop) as person:
+            with Watcher(self._why_not, self._arm.stop, UNSURE) as person:
                 report = self._arm.execute(trajectory, guard, watch)
         except MotionFaultError as fault:
             self._latch(str(fault), fault.report)

@@ -157,8 +157,7 @@ class SimArm:
                 if fault is not None or self._stop_asked:
                     outcome = MotionOutcome.STOPPED
                     break
-                force = float(np.linalg.norm(self._sensor.wrench[:3]))
-                if guard is not None and t >= guard.after and force > guard.force:
+                if guard is not None and t >= guard.after and log.mean_force(guard.over) > guard.force:
                     outcome = MotionOutcome.CONTACT
                     contact = JointState(*self._world.robot.arm_state(), self._world.time)
                     break
@@ -264,6 +263,11 @@ class _Log:
         self.commanded.append(commanded.copy())
         self.measured.append(measured)
         self.wrenches.append(wrench)
+
+    def mean_force(self, duration: float) -> float:
+        """[N] Of the mean over the last `duration` [s], or of the last reading if shorter; 0 until it has passed."""
+        n = max(round(duration * RATE), 1)
+        return float(np.linalg.norm(np.mean(self.wrenches[-n:], axis=0)[:3])) if len(self.wrenches) >= n else 0.0
 
     def count(self, late: bool) -> None:
         self.late += late

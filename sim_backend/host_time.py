@@ -1,21 +1,20 @@
-"""Simulated truth stamped on the host's clock, for a world that a controller's tick loop runs in real time."""
+"""Simulated truth stamped on the host's clock, for a world that a controller's tick loop runs."""
 
 from __future__ import annotations
 
-import time
-
 from toolee_robot.frames import Array
+from toolee_robot.hal import Clock
 from toolee_robot.sim_backend.nail import Nail
 from toolee_robot.sim_backend.world import SimWorld
 
 
 class HostTimedTruth:
-    """A `TruthSource` whose time is the host's `time.monotonic()` at the step, which all of the station's stamps are
-    on. A tick's steps are computed in a burst, so within a tick stamps are closer together than the steps they mark.
+    """A `TruthSource` whose time is that of `clock`, the controller's, at the step: all of the station's stamps are on
+    it. A tick's steps are computed in a burst, so within a tick stamps are closer together than the steps they mark.
     """
 
-    def __init__(self, world: SimWorld) -> None:
-        self._world = world
+    def __init__(self, world: SimWorld, clock: Clock) -> None:
+        self._world, self._clock = world, clock
 
     @property
     def client(self) -> int:
@@ -23,7 +22,7 @@ class HostTimedTruth:
 
     @property
     def time(self) -> float:
-        return time.monotonic()
+        return self._clock.now()
 
     @property
     def nail(self) -> Nail:

@@ -28,7 +28,7 @@ class Channel:
         self._reader.start()
 
     def call(self, name: str, *arguments: Any, lasting: float = 0.0) -> Any:
-        """The answer to a request. lasting: how long what is asked for may take at most [s].
+        """The answer to a request. lasting: how long what is asked for may take at most [s of the wall].
 
         Raises what the other side raised; DeviceError when it has ended or does not answer.
         """

@@ -87,7 +87,7 @@ class RemotePerson:
 
 
 class RemoteJudge:
-    """A `Truth`: the judge in the world's process. Its stamps are on `time.monotonic()`."""
+    """A `Truth`: the judge in the world's process. Its stamps are on the world's clock."""
 
     def __init__(self, world: Caller) -> None:
         self._world = world
@@ -109,7 +109,7 @@ class RemoteJudge:
 def remote_station(world: Caller, config: StationConfig, seed: int, tool: Tool, arm: Arm, clock: Clock) -> Station:
     """A station on `world`; the camera renders in this process, so that the controller's ticks go on meanwhile.
 
-    tool: the one that the seed hands over. clock: on `time.monotonic()`, as the arm's stamps must be.
+    tool: the one that the seed hands over. clock: the world's and the arm's.
     """
 
     def state() -> SceneState:

@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from toolee_robot.config import StationConfig
+from toolee_robot.host_clock import HostClock
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote_channel import Channel
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
@@ -17,17 +18,24 @@ from toolee_robot.sim_backend.ur_controller.world_job import WorldJob
 class RemoteWorld:
     """The world of a seed, as `SimStation.build` has it, and the stand-in of `config.arm`'s model on a loopback host.
 
-    Time goes on in it by itself, as the wall's clock does. controller: for faults, and how well it keeps time. Leave
+    Time goes on in it by itself, on `clock`. controller: for faults, and how well it keeps time. Leave
     the context only after every client of the controller: the client library aborts the interpreter when the server
     goes first.
     """
 
-    def __init__(self, config: StationConfig, seed: int, options: SimOptions, host: str) -> None:
+    def __init__(self, config: StationConfig, seed: int, options: SimOptions, host: str, clock: HostClock) -> None:
+        self._clock = clock
         ours, theirs = socket.socketpair()
         self._theirs = theirs
-        job = WorldJob(theirs.fileno(), config, seed, options)
+        job = WorldJob(theirs.fileno(), config, seed, options, clock)
         self.controller = ControllerProcess(
-            plant=job.plant, setup=job.setup, inherit=(job.fd,), model=str(config.arm.model), host=host
+            plant=job.plant,
+            setup=job.setup,
+            inherit=(job.fd,),
+            model=str(config.arm.model),
+            host=host,
+            realtime=True,
+            pace=clock.pace,
         )
         self._channel = Channel(Connection(ours.detach()))
 
@@ -49,5 +57,5 @@ class RemoteWorld:
         self.controller.__exit__(kind, error, trace)
 
     def call(self, name: str, *arguments: Any, lasting: float = 0.0) -> Any:
-        """See `Channel.call`."""
-        return self._channel.call(name, *arguments, lasting=lasting)
+        """See `Channel.call`; lasting on the clock."""
+        return self._channel.call(name, *arguments, lasting=self._clock.wall(lasting))

@@ -3,9 +3,8 @@ controller is."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 
 import numpy as np
@@ -29,8 +28,8 @@ def patient(host: str) -> UrArmConfig:
 
 
 @contextmanager
-def stand_in(model: ArmModel, host: str) -> Iterator[ControllerProcess]:
-    with ControllerProcess(model=model.value, host=host, plant=partial(JointPlant, q=HOME)) as controller:
-        with suppress(PermissionError):
-            os.sched_setscheduler(controller.pid, os.SCHED_FIFO, os.sched_param(1))
+def stand_in(model: ArmModel, host: str, pace: float = 1.0) -> Iterator[ControllerProcess]:
+    with ControllerProcess(
+        model=model.value, host=host, plant=partial(JointPlant, q=HOME), realtime=True, pace=pace
+    ) as controller:
         yield controller

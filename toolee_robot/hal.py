@@ -52,12 +52,15 @@ class ContactGuard:
     """Watch for contact during a motion.
 
     force: sensed force [N] at the flange (payload-compensated) that counts as contact. after: time [s] on the
-    trajectory before which nothing counts (starting transients). On contact the arm brakes along the path from its
+    trajectory before which nothing counts (starting transients). over: time [s] over which the force is averaged, as a
+    vector, or one reading if shorter: what only shakes the arm (a late command, a tool that swings) comes and goes with
+    changing sign, what is in its way stays. On contact the arm brakes along the path from its
     last commanded state as fast as its limits allow, and the motion ends.
     """
 
     force: float
     after: float = 0.0
+    over: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ class MotionOutcome(StrEnum):
 class MotionReport:
     """What really happened. stamps (N,) [s]; q_commanded, q_measured (N, 6); wrenches (N, 6).
 
-    contact: the arm's measured state at the first sample over the guard's force, or None. overruns: command cycles
+    contact: the arm's measured state when the guard first felt its force, or None. overruns: command cycles
     that were late by half a cycle or more.
     """
 

@@ -22,15 +22,14 @@ from toolee_robot.robots import (
     wrap_fingers,
 )
 from toolee_robot.robots.description import HAND_FRAME, robot_tree
-from toolee_robot.tools import Tool, ToolKind, make_tool
+from toolee_robot.tools import ToolShape, make_tool
 
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 
 @lru_cache(maxsize=128)
-def tool_meshes(kind: ToolKind, seed: int) -> tuple[Mesh, ...]:
+def tool_meshes(tool: ToolShape) -> tuple[Mesh, ...]:
     """One mesh for each part of the tool: its share of the outer surface, `tool` frame."""
-    tool = make_tool(kind, seed)
     faces = np.asarray(tool.mesh.faces)
     return tuple(
         Mesh.build(tool.mesh.vertices, faces[tool.face_parts == part])
@@ -46,7 +45,7 @@ def forget_tools() -> None:
 
 
 def tool_bodies(
-    tool: Tool, X_world_tool: Array, body_id: int, rng: np.random.Generator, repaint: bool | None = None
+    tool: ToolShape, X_world_tool: Array, body_id: int, rng: np.random.Generator, repaint: bool | None = None
 ) -> list[Body]:
     """The tool in its own colours or (repaint None: half of the time) in others."""
     if repaint is None:
@@ -54,7 +53,7 @@ def tool_bodies(
     bodies = []
     present = [part for part in range(len(tool.parts)) if np.any(tool.face_parts == part)]
     finishes: dict[str, Material] = {}
-    for part, mesh in zip(present, tool_meshes(tool.kind, tool.seed), strict=True):
+    for part, mesh in zip(present, tool_meshes(tool), strict=True):
         m = tool.parts[part].material
         material = finishes.get(m.name)
         if material is None:

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.frames import Array, inverse
+from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, number_of
 from toolee_robot.perception.dataset.hard import hard_scene
+from toolee_robot.perception.dataset.instances import object_id
 from toolee_robot.perception.dataset.paper import paper_scene
 from toolee_robot.perception.dataset.placement import PlacedTool, Pool, SceneSample
 from toolee_robot.perception.dataset.records import CATEGORIES, HEIGHT, MAX_EES, WIDTH, EeTable, Example
@@ -20,23 +22,29 @@ from toolee_robot.render import Body
 from toolee_robot.render.photo import Photo, photograph
 from toolee_robot.render.renderer import Shot, cast
 from toolee_robot.render.sensor import DepthNoise, measure_depth
-from toolee_robot.tools import ToolKind, ee_radius
+from toolee_robot.tools import ee_radius
 from toolee_robot.types import CameraIntrinsics
 
 EMPTY_SHARE, STATION_SHARE = 0.10, 0.30
-_KINDS = tuple(ToolKind)
 _ATTEMPTS = 50
 
 
 @lru_cache(maxsize=2)
-def _pool(seed: int, block: int, split: str) -> Pool:
-    return Pool.random(np.random.default_rng([seed, SPLITS.index(split), 0, block]), split)
+def _pool(seed: int, block: int, split: str, catalogue: Catalogue) -> Pool:
+    return Pool.random(np.random.default_rng([seed, SPLITS.index(split), 0, block]), split, catalogue)
 
 
-def make_example(seed: int, index: int, split: str = "train", config: str = "hard", block: int = 32) -> Example:
+def make_example(
+    seed: int,
+    index: int,
+    split: str = "train",
+    config: str = "hard",
+    block: int = 32,
+    catalogue: Catalogue = GENERATED,
+) -> Example:
     """Example `index` of the data set `seed`; depends on nothing else. split: "train" or "test" (held-out tools).
-    block: so many consecutive examples share a dozen tools."""
-    taken = take_shot(seed, index, split, config, block)
+    block: so many consecutive examples share a dozen tools of the catalogue."""
+    taken = take_shot(seed, index, split, config, block, catalogue)
     sample, shot, rng = taken.sample, taken.shot, taken.rng
     ee, tool, full, table = taken.labels
     if config == "paper":
@@ -66,12 +74,19 @@ class Taken:
     rng: np.random.Generator
 
 
-def take_shot(seed: int, index: int, split: str = "train", config: str = "hard", block: int = 32) -> Taken:
+def take_shot(
+    seed: int,
+    index: int,
+    split: str = "train",
+    config: str = "hard",
+    block: int = 32,
+    catalogue: Catalogue = GENERATED,
+) -> Taken:
     """An example before it is developed; arguments as for `make_example`.
 
     A scene with tools none of whose EEs is a target (`EeTable.targets`) is drawn again.
     """
-    pool = _pool(seed, index // block, split)
+    pool = _pool(seed, index // block, split, catalogue)
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, SPLITS.index(split), 1, index, CONFIGS.index(config), attempt])
         sample = paper_scene(rng, pool) if config == "paper" else _hard_scene(rng, pool)
@@ -82,10 +97,12 @@ def take_shot(seed: int, index: int, split: str = "train", config: str = "hard",
     return Taken(sample, shot, labels, rng)
 
 
-def examples_of(spec: DatasetSpec, split: str, first: int, last: int) -> Iterator[Example]:
+def examples_of(
+    spec: DatasetSpec, split: str, first: int, last: int, catalogue: Catalogue = GENERATED
+) -> Iterator[Example]:
     """Examples first .. last - 1 of a split, one at a time."""
     for i in range(first, last):
-        yield make_example(spec.seed, i, split, spec.config, spec.scene_size)
+        yield make_example(spec.seed, i, split, spec.config, spec.scene_size, catalogue)
 
 
 def _hard_scene(rng: np.random.Generator, pool: Pool) -> SceneSample:
@@ -119,8 +136,7 @@ def label(sample: SceneSample, depth: NDArray[np.float32], body_ids: NDArray[np.
             row = next_id - 1 + k
             table.category[row] = CATEGORIES.index(ee.category) + 1
             table.tool[row] = placed.body_id
-            table.kind[row] = _KINDS.index(placed.tool.kind)
-            table.seed[row] = placed.tool.seed
+            table.obj_id[row] = object_id(number_of(placed.tool), k)
             table.X_camera_ee[row] = Xs_camera_ee[k]
             table.X_camera_tool[row] = X_camera_tool
             if placed.X_world_hand is not None:

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from toolee_robot.perception.dataset.card import Card
-from toolee_robot.perception.dataset.models import MODELS, TOOLS, write_models_info
+from toolee_robot.perception.dataset.instances import MODELS, TOOLS
+from toolee_robot.perception.dataset.models import write_models_info
 from toolee_robot.perception.dataset.paper import FOCAL, FULL_HEIGHT, FULL_WIDTH
 from toolee_robot.perception.dataset.records import CATEGORIES, HEIGHT, WIDTH
 from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec
@@ -45,7 +46,8 @@ def finish(spec: DatasetSpec, root: Path) -> None:
 def derive(spec: DatasetSpec, root: Path, out: Path) -> None:
     """Write what follows from the scenes and models in `root` into `out`."""
     (out / COCO).mkdir(exist_ok=True)
-    card = Card(spec)
+    catalogue = spec.catalogue(root)
+    card = Card(spec, catalogue)
     categories: dict[int, Category] = {}
     targets: list[dict[str, int]] = []
     for split in SPLITS:
@@ -61,7 +63,7 @@ def derive(spec: DatasetSpec, root: Path, out: Path) -> None:
                     categories |= {int(k): Category(v) for k, v in instance["objects"].items()}
                 if split == "test":
                     targets += _targets(int(scene.name), gt, info)
-    write_models_info(root, categories, out)
+    write_models_info(root, catalogue, categories, out)
     f, width, height = (FOCAL, FULL_WIDTH, FULL_HEIGHT) if spec.config == "paper" else (365.5, WIDTH, HEIGHT)
     cx, cy = (width / 2 - 0.5, height / 2 - 0.5) if spec.config == "paper" else (254.9, 205.4)
     nominal = {"cx": cx, "cy": cy, "depth_scale": 1.0, "fx": f, "fy": f, "height": height, "width": width}

@@ -16,7 +16,7 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
@@ -27,7 +27,9 @@ from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.dataset.bodies import forget_tools
 from toolee_robot.perception.dataset.example import examples_of
 from toolee_robot.perception.dataset.finish import finish, is_finished
-from toolee_robot.perception.dataset.models import write_models
+from toolee_robot.perception.dataset.instances import tool_path
+from toolee_robot.perception.dataset.models import write_models, write_whole
+from toolee_robot.perception.dataset.own import OwnMesh
 from toolee_robot.perception.dataset.spec import CONFIGS, DESCRIPTION, SPLITS, DatasetSpec, SceneJob
 from toolee_robot.perception.dataset.storage import SUMS, json_by_line, read_json, write_scene
 
@@ -38,18 +40,23 @@ CLUSTERS = ("local", "ray")
 
 
 def generate(
-    spec: DatasetSpec, out: Path, workers: int = 1, progress: Progress | None = None, cluster: str = "local"
+    spec: DatasetSpec,
+    out: Path,
+    workers: int = 1,
+    progress: Progress | None = None,
+    cluster: str = "local",
+    own: Sequence[OwnMesh] = (),
 ) -> bool:
     """Write the data set into the folder `out`; False if it was there already. Scenes that exist are kept.
 
-    cluster: "local" for `workers` processes here; "ray" for as many on a Ray cluster, whose machines share `out`.
-    Raises UserError when `out` holds another data set, TooleeError when a worker dies.
+    own: the meshes of `spec.tools`. cluster: "local" for `workers` processes here; "ray" for as many on a Ray cluster,
+    whose machines share `out`. Raises UserError when `out` holds another data set, TooleeError when a worker dies.
     """
     if workers < 1:
         raise UserError(f"--workers {workers}: give 1 or more")
     if cluster not in CLUSTERS:
         raise UserError(f"--cluster {cluster}: choose one of {', '.join(CLUSTERS)}")
-    begin(spec, out)
+    begin(spec, out, own)
     if is_finished(out):
         return False
     jobs = spec.jobs()
@@ -71,8 +78,8 @@ def generate(
     return True
 
 
-def begin(spec: DatasetSpec, out: Path) -> None:
-    """Make or check the folder, and clear away what a killed run left half done."""
+def begin(spec: DatasetSpec, out: Path, own: Sequence[OwnMesh] = ()) -> None:
+    """Make or check the folder, put a user's meshes into it, and clear away what a killed run left half done."""
     try:
         for split in SPLITS:
             (out / split).mkdir(parents=True, exist_ok=True)
@@ -83,7 +90,8 @@ def begin(spec: DatasetSpec, out: Path) -> None:
     if path.exists():
         there = read_json(path)
         if there != wanted:
-            raise UserError(f"{out} holds another data set ({there}), not {wanted}: choose an empty folder")
+            differ = ", ".join(sorted(k for k in {*there, *wanted} if there.get(k) != wanted.get(k)))
+            raise UserError(f"{out} holds another data set (other {differ}): choose an empty folder")
     elif any(p.name not in SPLITS for p in out.iterdir()) or any(any((out / s).iterdir()) for s in SPLITS):
         raise UserError(f"{out} is not empty and no data set: choose another folder")
     else:
@@ -91,6 +99,8 @@ def begin(spec: DatasetSpec, out: Path) -> None:
         scratch.write_bytes(json_by_line(wanted))
         scratch.replace(path)
     _clear(out)
+    for tool in own:
+        write_whole(tool_path(out, tool.record.name), tool.ply)
     for split in SPLITS:
         for scene in (out / split).glob("[0-9]*"):
             if not (scene / SUMS).exists():
@@ -108,8 +118,9 @@ def _clear(out: Path) -> None:
 
 def make_scene_folder(spec: DatasetSpec, out: Path, job: SceneJob) -> SceneJob:
     """Write one scene and the models of its tools."""
-    folder = job.folder(out)
-    write_scene(folder, examples_of(spec, job.split, job.first, job.last), partial(write_models, out))
+    catalogue = spec.catalogue(out)
+    examples = examples_of(spec, job.split, job.first, job.last, catalogue)
+    write_scene(job.folder(out), examples, partial(write_models, out, catalogue), catalogue)
     forget_tools()
     return job
 

@@ -33,7 +33,7 @@ from toolee_robot.perception.dataset.surfaces import Surfaces
 from toolee_robot.render import Body, Scene
 from toolee_robot.render.lab import environment, lamps
 from toolee_robot.render.mesh import box, cylinder
-from toolee_robot.tools import Tool, ee_radius
+from toolee_robot.tools import ToolShape, ee_radius
 from toolee_robot.types import CameraIntrinsics
 
 ROOM, HAND, ARM, OBJECT = 100, 101, 102, 103
@@ -94,7 +94,7 @@ def hard_scene(rng: np.random.Generator, pool: Pool, with_tools: bool = True) ->
 
 
 def _held(
-    rng: np.random.Generator, pool: Pool, tool: Tool, X_world_tool: Array, body_id: int
+    rng: np.random.Generator, pool: Pool, tool: ToolShape, X_world_tool: Array, body_id: int
 ) -> tuple[PlacedTool, list[Body], float]:
     """A hand around the tool's handle, seldom the arm behind it, and the lowest height of either."""
     grasp = pool.grasp(tool, rng)

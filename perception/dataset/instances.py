@@ -1,8 +1,8 @@
-"""Tools and their EEs as objects of a BOP data set: names, object ids, meshes in millimetres, symmetries."""
+"""Tools and their EEs as objects of a BOP data set: object ids, files, meshes in millimetres, symmetries."""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,51 +10,42 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
-from toolee_robot.errors import UserError
+from toolee_robot.errors import AssetError, UserError
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.perception.dataset.records import INSTANCES
 from toolee_robot.symmetry import SymmetryKind
-from toolee_robot.tools import Tool, ToolKind, ee_radius, make_tool
-from toolee_robot.tools.catalog import split as split_of
+from toolee_robot.tools import ToolShape, ee_radius
 from toolee_robot.types import Category
 
-_KINDS = tuple(ToolKind)
+MODELS, TOOLS = "models", "tools"
 _EES = 4
 _EDGE = 0.008
 """Longest edge [m] where an EE's mesh is cut out of its tool's."""
 
 
-def object_id(kind: ToolKind, seed: int, ee: int) -> int:
-    """The BOP obj_id (1 or more) of EE `ee` (its place in `Tool.ees`) of a tool. Object: one EE of one tool."""
-    return (_KINDS.index(kind) * INSTANCES + seed) * _EES + ee + 1
+def object_id(tool: int, ee: int) -> int:
+    """The BOP obj_id (1 or more) of EE `ee` (its place in `ToolShape.ees`) of a tool, by the tool's number in its
+    catalogue. Object: one EE of one tool."""
+    return tool * _EES + ee + 1
 
 
-def object_of(obj_id: int) -> tuple[ToolKind, int, int]:
-    """Kind, seed and EE of an obj_id. Raises UserError for numbers that are none."""
-    tool, ee = divmod(obj_id - 1, _EES)
-    kind, seed = divmod(tool, INSTANCES)
-    if obj_id < 1 or kind >= len(_KINDS):
+def object_of(obj_id: int) -> tuple[int, int]:
+    """Number of the tool and EE of an obj_id. Raises UserError for numbers that are none."""
+    if obj_id < 1:
         raise UserError(f"there is no object {obj_id}")
-    return _KINDS[kind], seed, ee
+    return divmod(obj_id - 1, _EES)
 
 
-def instance_name(kind: ToolKind, seed: int) -> str:
-    """As `Tool.name`, without making the tool."""
-    return f"{kind}-{seed:04d}"
+def model_path(root: Path, obj_id: int) -> Path:
+    """The EE's mesh, in its own frame [mm]."""
+    return root / MODELS / f"obj_{obj_id:06d}.ply"
 
 
-def instances(split: str) -> list[tuple[ToolKind, int]]:
-    """All tools of a split."""
-    return [(kind, seed) for kind in ToolKind for seed in range(INSTANCES) if split_of(seed) == split]
+def tool_path(root: Path, name: str) -> Path:
+    """The tool's mesh, `tool` frame [mm]."""
+    return root / TOOLS / f"{name}.ply"
 
 
-@lru_cache(maxsize=1)
-def kind_categories() -> dict[ToolKind, tuple[Category, ...]]:
-    """What EEs the tools of each kind have."""
-    return {kind: tuple(ee.category for ee in make_tool(kind, 0).ees) for kind in ToolKind}
-
-
-def ee_mesh(tool: Tool, ee: int) -> trimesh.Trimesh:
+def ee_mesh(tool: ToolShape, ee: int) -> trimesh.Trimesh:
     """The part of the tool's surface within `ee_radius` of the EE's origin, in the EE's frame [mm]."""
     end = tool.ees[ee]
     radius = ee_radius(end.category)
@@ -82,6 +73,25 @@ def ply_bytes(vertices: Array, faces: NDArray[np.int64]) -> bytes:
     rows = np.zeros(len(faces), np.dtype([("n", "u1"), ("v", "<i4", 3)]))
     rows["n"], rows["v"] = 3, faces
     return header.encode() + np.asarray(vertices, "<f4").tobytes() + rows.tobytes()
+
+
+def read_ply(path: Path) -> tuple[Array, NDArray[np.int64]]:
+    """Vertices (V, 3) float64 [mm] and faces (F, 3) of a mesh of this storage. Raises AssetError."""
+    try:
+        data = path.read_bytes()
+        end = data.index(b"end_header\n") + len(b"end_header\n")
+        header = data[:end].decode().split("\n")
+        V, F = (
+            int(next(line for line in header if line.startswith(f"element {n}")).split()[2]) for n in ("vertex", "face")
+        )
+        vertices = np.frombuffer(data, "<f4", 3 * V, end).reshape(V, 3).astype(np.float64)
+        rows = np.frombuffer(data, np.dtype([("n", "u1"), ("v", "<i4", 3)]), F, end + 12 * V)
+    except (OSError, ValueError, StopIteration, IndexError) as error:
+        raise AssetError(f"cannot read {path}: {error!r}; delete it and generate the data set again") from error
+    faces = rows["v"].astype(np.int64)
+    if not np.all(np.isfinite(vertices)) or (F and (faces.min() < 0 or faces.max() >= V)):
+        raise AssetError(f"{path} is no mesh: delete it and generate the data set again")
+    return vertices, faces
 
 
 def model_info(vertices: Array, category: Category) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,11 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, frame_from_axes, inverse, transform, transform_points
 from toolee_robot.perception.dataset.bodies import Grasp, random_grasp
-from toolee_robot.perception.dataset.records import FARTHEST, HEIGHT, INSTANCES, NEAREST, WIDTH
-from toolee_robot.perception.dataset.surfaces import Surfaces, draw
+from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue
+from toolee_robot.perception.dataset.records import FARTHEST, HEIGHT, NEAREST, WIDTH
+from toolee_robot.perception.dataset.surfaces import Surfaces
 from toolee_robot.render import Scene
-from toolee_robot.tools import KINDS_BY_FAMILY, Family, Tool, ToolKind, make_tool
-from toolee_robot.types import CameraIntrinsics
+from toolee_robot.tools import ToolShape
+from toolee_robot.types import CameraIntrinsics, Category
 
 _GRASP_RADII = (0.006, 0.009, 0.012, 0.0145, 0.017, 0.021)
 _GRASPS_EACH = 2
@@ -22,36 +24,32 @@ _GRASPS_EACH = 2
 @dataclass(frozen=True, eq=False)
 class Pool:
     """The tools and grasps that one scene folder's examples draw from: making them costs more than rendering them, so
-    they are made when first drawn and kept. split: "train" or "test" (held-out instances and surfaces)."""
+    they are made when first drawn and kept. tools: their numbers in the catalogue."""
 
-    instances: tuple[tuple[ToolKind, int], ...]
+    catalogue: Catalogue
+    tools: tuple[int, ...]
     surfaces: Surfaces
     _grasp_seed: int
     _grasps: dict[int, Grasp]
 
     @staticmethod
-    def random(rng: np.random.Generator, split: str) -> Pool:
-        """A dozen tools of the split: 4 hammers (the station adds to them), 5 screwdrivers, 3 wrenches."""
-        instances = []
-        for family in [Family.HAMMERS] * 4 + [Family.SCREWDRIVERS] * 5 + [Family.WRENCHES] * 3:
-            kinds = KINDS_BY_FAMILY[family]
-            weights = np.ones(len(kinds))
-            if family is Family.HAMMERS:
-                weights[0] = 6.0  # the only kind with a claw, the fourth category
-            kind = kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]
-            instances.append((kind, draw(rng, split, INSTANCES)))
-        return Pool(tuple(instances), Surfaces(split), int(rng.integers(2**31)), {})
+    def random(rng: np.random.Generator, split: str, catalogue: Catalogue = GENERATED) -> Pool:
+        """Tools and surfaces of a split, "train" or "test" (held out)."""
+        return Pool(catalogue, catalogue.pool(rng, split), Surfaces(split), int(rng.integers(2**31)), {})
 
-    def tool(self, rng: np.random.Generator) -> Tool:
+    def tool(self, rng: np.random.Generator) -> ToolShape:
         """Any tool of the pool."""
-        return make_tool(*self.instances[int(rng.integers(len(self.instances)))])
+        return self._any(self.tools, rng)
 
-    def hammer(self, rng: np.random.Generator) -> Tool:
-        """Any hammer of the pool."""
-        hammers = [instance for instance in self.instances if instance[0].family is Family.HAMMERS]
-        return make_tool(*hammers[int(rng.integers(len(hammers)))])
+    def hammer(self, rng: np.random.Generator) -> ToolShape:
+        """Any hammer of the pool, or any tool where there is none."""
+        hammers = [n for n in self.tools if Category.HAMMER_HEAD in self.catalogue.categories(n)]
+        return self._any(hammers or self.tools, rng)
 
-    def grasp(self, tool: Tool, rng: np.random.Generator) -> Grasp:
+    def _any(self, numbers: Sequence[int], rng: np.random.Generator) -> ToolShape:
+        return self.catalogue.tool(numbers[int(rng.integers(len(numbers)))])
+
+    def grasp(self, tool: ToolShape, rng: np.random.Generator) -> Grasp:
         """A grasp made for about the radius of the tool's handle."""
         radius = float(np.mean(tool.handle.radii_at(0.0)))
         nearest = int(np.argmin(np.abs(np.asarray(_GRASP_RADII) - radius)))
@@ -72,7 +70,7 @@ class Pool:
 class PlacedTool:
     """X_world_tool; X_world_hand or None; body_id: the tool's id (1..3) in the images."""
 
-    tool: Tool
+    tool: ToolShape
     X_world_tool: Array
     X_world_hand: Array | None
     mirrored: bool
@@ -119,7 +117,7 @@ def random_pixel(rng: np.random.Generator, margin: float = 0.08) -> Array:
     return rng.uniform([margin * WIDTH, margin * HEIGHT], [(1 - margin) * WIDTH, (1 - margin) * HEIGHT])
 
 
-def tool_in_view(tool: Tool, intrinsics: CameraIntrinsics, rng: np.random.Generator) -> Array:
+def tool_in_view(tool: ToolShape, intrinsics: CameraIntrinsics, rng: np.random.Generator) -> Array:
     """X_camera_tool: any orientation, with one of its EEs (or, a quarter of the time, its grip) at a pixel of the
     image, 0.4 to 1.1 m away."""
     R = Rotation.random(rng=rng).as_matrix()
@@ -130,7 +128,7 @@ def tool_in_view(tool: Tool, intrinsics: CameraIntrinsics, rng: np.random.Genera
     return transform(R, p - R @ anchor)
 
 
-def lying(tool: Tool, point: Array, rng: np.random.Generator) -> Array:
+def lying(tool: ToolShape, point: Array, rng: np.random.Generator) -> Array:
     """X_world_tool of a tool that lies flat on a horizontal plane at `point` (3,), on one of its four sides."""
     quarter = Rotation.from_euler("z", int(rng.integers(4)) * np.pi / 2)
     R = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)) * Rotation.from_euler("y", np.pi / 2) * quarter
@@ -157,7 +155,7 @@ def on_plane(
     return np.asarray(X_world_camera[:3, 3] + depth * direction)
 
 
-def sees_an_ee(tool: Tool, X_camera_tool: Array, intrinsics: CameraIntrinsics) -> bool:
+def sees_an_ee(tool: ToolShape, X_camera_tool: Array, intrinsics: CameraIntrinsics) -> bool:
     """Whether the origin of one of the tool's EEs is in the image and 0.4 to 1.1 m away."""
     for ee in tool.ees:
         x, y, z = (X_camera_tool @ ee.X_tool_ee)[:3, 3]

@@ -34,16 +34,15 @@ FloatArray = NDArray[np.float32]
 class EeTable:
     """What is known of the EEs of one image (leading shape (8,)) or of N (leading shape (N, 8)); id k is row k - 1.
 
-    category: uint8 class index, 0 where there is no EE. tool: uint8 id of its tool (1..3). kind: uint8 index in
-    `ToolKind`; seed: int32: which tool. X_camera_ee, X_camera_tool, X_camera_hand: (..., 4, 4) float32, the hand's NaN
-    where no hand holds the tool. mirrored: bool, a left hand. visible: int32 pixels of its mask; unoccluded: how many
-    there would be without anything in front.
+    category: uint8 class index, 0 where there is no EE. tool: uint8 id of its tool (1..3). obj_id: int32,
+    BOP's: which EE of which tool (`instances.object_of`). X_camera_ee, X_camera_tool, X_camera_hand: (..., 4, 4)
+    float32, the hand's NaN where no hand holds the tool. mirrored: bool, a left hand. visible: int32 pixels of its
+    mask; unoccluded: how many there would be without anything in front.
     """
 
     category: NDArray[np.uint8]
     tool: NDArray[np.uint8]
-    kind: NDArray[np.uint8]
-    seed: NDArray[np.int32]
+    obj_id: NDArray[np.int32]
     X_camera_ee: FloatArray
     X_camera_tool: FloatArray
     X_camera_hand: FloatArray
@@ -56,7 +55,6 @@ class EeTable:
         """A table of eight rows without any EE."""
         pose = np.full((MAX_EES, 4, 4), np.nan, np.float32)
         return EeTable(
-            np.zeros(MAX_EES, np.uint8),
             np.zeros(MAX_EES, np.uint8),
             np.zeros(MAX_EES, np.uint8),
             np.zeros(MAX_EES, np.int32),

@@ -15,14 +15,12 @@ from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.frames import Array, inverse, is_rigid, transform_points
 from toolee_robot.perception.dataset import rle
 from toolee_robot.perception.dataset.clouds import MAX_POINTS, back_projected, read_clouds
-from toolee_robot.perception.dataset.instances import instance_name, object_of
-from toolee_robot.perception.dataset.models import read_ply, tool_path
+from toolee_robot.perception.dataset.instances import object_of, read_ply, tool_path
 from toolee_robot.perception.dataset.paper import CIRCLE
 from toolee_robot.perception.dataset.records import CATEGORIES, HEIGHT, SCENES, WIDTH
 from toolee_robot.perception.dataset.spec import DatasetSpec, SceneJob
 from toolee_robot.perception.dataset.storage import COCO_CATEGORIES, bbox, pose_of, read_image, read_json
-from toolee_robot.tools import ee_radius, make_tool
-from toolee_robot.tools.catalog import split as split_of
+from toolee_robot.tools import ee_radius
 from toolee_robot.types import CameraIntrinsics
 
 Problem = tuple[str, str]
@@ -63,7 +61,8 @@ class _Checker:
     """One scene."""
 
     def __init__(self, spec: DatasetSpec, root: Path, folder: Path, split: str, data: dict[str, Any]) -> None:
-        self._spec, self._root, self._folder, self._split = spec, root, folder, split
+        self._root, self._folder, self._split = root, folder, split
+        self._catalogue = spec.catalogue(root)
         self._data = data
         self._surfaces: dict[str, cKDTree | None] = {}
         self._clouds: dict[tuple[int, int], tuple[int, Array]] | None = None
@@ -126,21 +125,18 @@ class _Checker:
         """Object, category, instance and split."""
         file = "scene_gt.json"
         try:
-            kind, seed, ee = object_of(entry["obj_id"])
-            tool = make_tool(kind, seed)
-            end = tool.ees[ee]
-        except (UserError, IndexError) as error:
+            number, ee = object_of(entry["obj_id"])
+            end = self._catalogue.tool(number).ees[ee]
+            name, split = self._catalogue.name(number), self._catalogue.split(number)
+        except (UserError, AssetError, IndexError) as error:
             yield file, f"{where}: obj_id {entry['obj_id']} is no end effector ({error})"
             return
         if entry["category_id"] != CATEGORIES.index(end.category) + 1:
             yield file, f"{where}: category_id {entry['category_id']}, but object {entry['obj_id']} is a {end.category}"
-        if entry["instance"] != instance_name(kind, seed):
-            yield (
-                file,
-                f"{where}: instance {entry['instance']}, but {entry['obj_id']} is of {instance_name(kind, seed)}",
-            )
-        if split_of(seed) != self._split:
-            yield file, f"{where}: {entry['instance']} belongs to the {split_of(seed)} split"
+        if entry["instance"] != name:
+            yield file, f"{where}: instance {entry['instance']}, but {entry['obj_id']} is of {name}"
+        if split != self._split:
+            yield file, f"{where}: {entry['instance']} belongs to the {split} split"
         X_ee, X_tool = pose_of(entry).astype(np.float64), pose_of(entry, "t2c").astype(np.float64)
         if not (is_rigid(X_ee, 1e-4) and is_rigid(X_tool, 1e-4)):
             yield file, f"{where}: a rotation is none"

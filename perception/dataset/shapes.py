@@ -15,9 +15,8 @@ import trimesh
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.perception.dataset.models import MODELS, model_path, read_ply, tool_path
+from toolee_robot.perception.dataset.instances import MODELS, model_path, read_ply, tool_path
 from toolee_robot.perception.dataset.records import CATEGORIES
 from toolee_robot.perception.dataset.storage import read_json
 
@@ -57,7 +56,8 @@ def distances(a: Array, b: Array) -> tuple[float, float, float]:
 
 
 def shape_distances(root: Path, pairs: int = PAIRS, seed: int = 0) -> ShapeDistances:
-    """Over up to `pairs` random pairs of a category's instances in the data set. Raises AssetError, UserError."""
+    """Over up to `pairs` random pairs of a category's instances in the data set; a category of which it shows fewer
+    than two is left out. Raises AssetError."""
     info = read_json(root / MODELS / "models_info.json")
     values: dict[str, dict[str, dict[str, Array]]] = {}
     for category in map(str, CATEGORIES):
@@ -79,8 +79,6 @@ def shape_distances(root: Path, pairs: int = PAIRS, seed: int = 0) -> ShapeDista
         for view in VIEWS:
             rows = np.array([distances(clouds[view][possible[k][0]], clouds[view][possible[k][1]]) for k in chosen])
             values[category][view] = {m: rows[:, i] for i, m in enumerate(MEASURES)}
-    if not values:
-        raise UserError(f"{root} shows fewer than two instances of every category: generate more examples")
     return ShapeDistances(values)
 
 

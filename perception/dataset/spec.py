@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from toolee_robot import __version__
 from toolee_robot.errors import UserError
+from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, OwnTools
+from toolee_robot.perception.dataset.own import OwnToolRecord
 
 CONFIGS = ("paper", "hard")
 SPLITS = ("train", "test")
@@ -33,13 +35,15 @@ class SceneJob:
 @dataclass(frozen=True)
 class DatasetSpec:
     """config: "paper" or "hard". size: examples in all; test_share of them show held-out instances, textures and
-    backgrounds. scene_size: examples in a BOP scene, which share a dozen tools. Equal specs give equal bytes."""
+    backgrounds. scene_size: examples in a BOP scene, which share a dozen tools. tools: a user's own, instead of the
+    generated ones; all of them are held out. Equal specs give equal bytes."""
 
     config: str
     size: int
     seed: int = 0
     test_share: float = 0.1
     scene_size: int = 32
+    tools: tuple[OwnToolRecord, ...] = ()
 
     def __post_init__(self) -> None:
         if self.config not in CONFIGS:
@@ -50,6 +54,8 @@ class DatasetSpec:
             raise UserError(f"--seed {self.seed}: give a whole number from 0 to {2**31 - 1}")
         if not 0.0 <= self.test_share <= 1.0:
             raise UserError(f"--test-share {self.test_share}: give a share from 0 to 1")
+        if self.tools and self.test_share != 1.0:
+            raise UserError(f"--test-share {self.test_share}: one's own tools are all held out, leave it out or give 1")
 
     @property
     def counts(self) -> dict[str, int]:
@@ -69,7 +75,13 @@ class DatasetSpec:
         ]
 
     def to_json(self) -> dict[str, Any]:
-        return {"format": FORMAT, **asdict(self), "generator": f"toolee_robot {__version__}", "licence": LICENCE}
+        asked = {k: getattr(self, k) for k in ("config", "size", "seed", "test_share", "scene_size")}
+        data = {"format": FORMAT, **asked, "generator": f"toolee_robot {__version__}", "licence": LICENCE}
+        return {**data, "tools": [tool.to_json() for tool in self.tools]} if self.tools else data
+
+    def catalogue(self, root: Path) -> Catalogue:
+        """The tools that the data set in the folder `root` shows."""
+        return OwnTools(root, self.tools) if self.tools else GENERATED
 
     @staticmethod
     def read(root: Path) -> DatasetSpec:
@@ -78,7 +90,12 @@ class DatasetSpec:
         try:
             data = json.loads(path.read_text())
             spec = DatasetSpec(
-                data["config"], data["size"], data["seed"], float(data["test_share"]), data["scene_size"]
+                data["config"],
+                data["size"],
+                data["seed"],
+                float(data["test_share"]),
+                data["scene_size"],
+                tuple(OwnToolRecord.from_json(tool) for tool in data.get("tools", ())),
             )
         except FileNotFoundError as error:
             raise UserError(
@@ -89,3 +106,11 @@ class DatasetSpec:
         if data.get("format") != FORMAT:
             raise UserError(f"{path} is of format {data.get('format')}, this program reads {FORMAT}: generate it again")
         return spec
+
+
+def catalogue_of(folder: Path) -> Catalogue:
+    """The tools that a data set, or one split of it, shows; the generated ones where nothing tells of others."""
+    for root in (folder, folder.resolve().parent):
+        if (root / DESCRIPTION).is_file():
+            return DatasetSpec.read(root).catalogue(root)
+    return GENERATED

@@ -31,7 +31,7 @@ from toolee_robot.render.mesh import box, cylinder, sphere
 from toolee_robot.render.palette import any_color, finish, skin_tone
 from toolee_robot.robots import FLANGE_FRAME
 from toolee_robot.robots.description import robot_tree
-from toolee_robot.tools import Tool
+from toolee_robot.tools import ToolShape
 from toolee_robot.types import CameraIntrinsics
 
 _CAMERA = np.array([0.95, -0.62, 0.85])
@@ -95,7 +95,7 @@ def station_scene(rng: np.random.Generator, pool: Pool) -> SceneSample | None:
     return SceneSample(scene, intrinsics, X_base_camera, (placed,), 1)
 
 
-def _posture(rng: np.random.Generator, tool: Tool, grasp: Grasp, X_base_camera: Array) -> Array:
+def _posture(rng: np.random.Generator, tool: ToolShape, grasp: Grasp, X_base_camera: Array) -> Array:
     """Arm joints (6,) [rad]. Half of the time the working EE is shown as the planner of views would show it: near, its
     z axis 20 to 65 deg off the line of sight; else anything, mostly with the forearm pointing down."""
     q, Xs_base_flange = _postures()

@@ -33,8 +33,9 @@ from PIL import Image
 
 from toolee_robot.errors import AssetError
 from toolee_robot.perception.dataset import rle
+from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue
 from toolee_robot.perception.dataset.clouds import CloudWriter
-from toolee_robot.perception.dataset.instances import instance_name, object_id, object_of
+from toolee_robot.perception.dataset.instances import object_of
 from toolee_robot.perception.dataset.records import (
     CATEGORIES,
     HEIGHT,
@@ -45,7 +46,6 @@ from toolee_robot.perception.dataset.records import (
     Example,
     FloatArray,
 )
-from toolee_robot.tools import ToolKind
 from toolee_robot.types import CameraIntrinsics
 
 SUMS = "SHA256SUMS"
@@ -54,21 +54,24 @@ COCO_CATEGORIES = [
 ]
 COCO_CATEGORIES.append({"id": len(CATEGORIES) + 1, "name": "tool", "supercategory": "tool"})
 _TABLE = tuple(field.name for field in fields(EeTable))
-_KINDS = tuple(ToolKind)
 _POSES = {"m2c": "X_camera_ee", "t2c": "X_camera_tool", "h2c": "X_camera_hand"}
 """Suffixes of cam_R_ and cam_t_: EE (BOP's model), tool, hand to camera."""
 
 
 def write_scene(
-    folder: Path, examples: Iterable[Example], write_models: Callable[[Iterable[int]], None] | None = None
+    folder: Path,
+    examples: Iterable[Example],
+    write_models: Callable[[Iterable[int]], None] | None = None,
+    catalogue: Catalogue = GENERATED,
 ) -> None:
     """Write examples as the BOP scene `folder` (its name is the scene's number), whole or not at all.
 
-    write_models is called with the obj_ids of all that is in it before the folder appears.
+    write_models is called with the obj_ids of all that is in it before the folder appears. catalogue: the tools that
+    the examples show.
     """
     scratch = folder.with_name(f".{folder.name}.{os.getpid()}.part")
     shutil.rmtree(scratch, ignore_errors=True)
-    writer = _SceneWriter(scratch)
+    writer = _SceneWriter(scratch, catalogue)
     for example in examples:
         writer.add(example)
     writer.close()
@@ -83,8 +86,8 @@ def write_scene(
 class _SceneWriter:
     """Takes one example after another; only their descriptions stay in memory."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, catalogue: Catalogue) -> None:
+        self._folder, self._catalogue = folder, catalogue
         self._sums: dict[str, str] = {}
         self._camera: dict[str, Any] = {}
         self._gt: dict[str, Any] = {}
@@ -111,14 +114,11 @@ class _SceneWriter:
             visible, full = e.ee == row + 1, (e.full >> np.uint8(row)) & 1 > 0
             self._file(f"mask/{name}_{gt:06d}.png", _png(full))
             self._file(f"mask_visib/{name}_{gt:06d}.png", _png(visible))
-            entry = _gt_entry(e.table, int(row))
+            number, _ = object_of(int(e.table.obj_id[row]))
+            entry = _gt_entry(e.table, int(row), self._catalogue.name(number))
             self._gt[key].append(entry)
             self._info[key].append(_info_entry(visible, full, e, bool(targets[row])))
-            instance: dict[str, Any] = {
-                "kind": str(_KINDS[e.table.kind[row]]),
-                "seed": int(e.table.seed[row]),
-                "objects": {},
-            }
+            instance = {**self._catalogue.about(number), "objects": {}}
             instance = self._instances.setdefault(entry["instance"], instance)
             instance["objects"][str(entry["obj_id"])] = str(CATEGORIES[entry["category_id"] - 1])
             self._annotate(visible, im_id, entry["category_id"], {"obj_id": entry["obj_id"], "gt_id": gt})
@@ -161,10 +161,8 @@ class _SceneWriter:
         self._annotations.append({**entry, "area": area, "iscrowd": crowd, "segmentation": rle.encode(mask), **more})
 
 
-def _gt_entry(table: EeTable, row: int) -> dict[str, Any]:
-    kind, seed = _KINDS[table.kind[row]], int(table.seed[row])
-    place = row - int(np.flatnonzero(table.tool == table.tool[row])[0])
-    entry: dict[str, Any] = {"obj_id": object_id(kind, seed, place)}
+def _gt_entry(table: EeTable, row: int, instance: str) -> dict[str, Any]:
+    entry: dict[str, Any] = {"obj_id": int(table.obj_id[row])}
     for suffix, name in _POSES.items():
         X = np.asarray(getattr(table, name)[row], np.float64)
         if np.all(np.isfinite(X)):
@@ -172,7 +170,7 @@ def _gt_entry(table: EeTable, row: int) -> dict[str, Any]:
             entry[f"cam_R_{suffix}"] = [float(f"{v:.9g}") for v in X[:3, :3].reshape(-1)]
             entry[f"cam_t_{suffix}"] = [float(f"{1e3 * v:.9g}") for v in X[:3, 3]]
     more = {"category_id": int(table.category[row]), "tool_id": int(table.tool[row])}
-    return {**entry, **more, "instance": instance_name(kind, seed), "left_hand": bool(table.mirrored[row])}
+    return {**entry, **more, "instance": instance, "left_hand": bool(table.mirrored[row])}
 
 
 def _info_entry(visible: NDArray[np.bool_], full: NDArray[np.bool_], e: Example, target: bool) -> dict[str, Any]:
@@ -345,9 +343,8 @@ def table_of(gt: list[dict[str, Any]], info: list[dict[str, Any]]) -> EeTable:
     """The EEs of one image from its entries in scene_gt and scene_gt_info. Raises KeyError, ValueError."""
     table = EeTable.empty()
     for row, (entry, seen) in enumerate(zip(gt, info, strict=True)):
-        kind, seed, _ = object_of(entry["obj_id"])
         table.category[row], table.tool[row] = entry["category_id"], entry["tool_id"]
-        table.kind[row], table.seed[row] = _KINDS.index(kind), seed
+        table.obj_id[row] = entry["obj_id"]
         for suffix, name in _POSES.items():
             if f"cam_R_{suffix}" in entry:
                 getattr(table, name)[row] = pose_of(entry, suffix)

@@ -11,7 +11,7 @@ from pathlib import Path
 from toolee_robot.errors import AssetError, TooleeError
 from toolee_robot.perception.dataset.finish import COCO, derive, is_finished, listed, sha256
 from toolee_robot.perception.dataset.generate import on_processes
-from toolee_robot.perception.dataset.models import MODELS
+from toolee_robot.perception.dataset.instances import MODELS
 from toolee_robot.perception.dataset.scene_check import check_scene
 from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec, SceneJob
 from toolee_robot.perception.dataset.storage import SUMS, read_sums

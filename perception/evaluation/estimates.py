@@ -144,7 +144,7 @@ def _row(instance: Instance, case: Case | None, result: PoseResult | None, ms: f
         errors = (_INF, _INF, _INF, _INF, _INF, _INF, nan, nan)
         return (index, instance.held_out, *errors, 0.0, False, told, nan, False, ms)
     X, group = result.X_camera_ee, category.symmetry
-    shape = ee_shape(instance.kind, instance.seed, instance.ee)
+    shape = ee_shape(instance.catalogue, instance.tool, instance.ee)
     K = instance.intrinsics
     spin = spin_fixed = float("nan")
     if group.kind is SymmetryKind.CINF and instance.X_camera_hand is not None:

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array
 from toolee_robot.perception.cloud import EeCloud, back_project, ee_cloud, without_flying_pixels
+from toolee_robot.perception.dataset.catalogue import Catalogue
+from toolee_robot.perception.dataset.instances import object_of
 from toolee_robot.perception.dataset.records import CATEGORIES, MIN_POINTS, SCENES, EeTable
+from toolee_robot.perception.dataset.spec import catalogue_of
 from toolee_robot.perception.dataset.storage import load_scenes, scene_folders
 from toolee_robot.perception.pipeline import EeDetector
-from toolee_robot.tools.catalog import split
-from toolee_robot.tools.model import ToolKind
 from toolee_robot.types import CameraIntrinsics, Category, Detection, RgbdFrame
 
 SPLITS = ("test", "train")
@@ -26,15 +27,15 @@ MATCH_IOU = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """One EE in one image. image: its number in this evaluation. kind, seed, ee: which tool, which of its ends.
+    """One EE in one image. image: its number in this evaluation. tool: number in the catalogue; ee: which of its ends.
     X_camera_ee: 4x4; X_camera_hand: 4x4 of the right hand that holds the tool, or None. visible [px]; occlusion in
     [0, 1]. target: whether it is asked for; one with under 50 points is neither found nor missed. first_end: no earlier
-    end of its tool is of its category."""
+    end of its tool is of its category. too_few_points: a target but for these 50 points."""
 
     image: int
     category: Category
-    kind: ToolKind
-    seed: int
+    catalogue: Catalogue
+    tool: int
     ee: int
     X_camera_ee: Array
     X_camera_hand: Array | None
@@ -43,11 +44,12 @@ class Instance:
     occlusion: float
     target: bool
     first_end: bool
+    too_few_points: bool = False
 
     @property
     def held_out(self) -> bool:
         """Whether the tool is one that training never shows."""
-        return split(self.seed) == "test"
+        return self.catalogue.split(self.tool) == "test"
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +94,7 @@ def collect(folder: Path, detector: EeDetector | None = None, limit: int | None 
         cases["predicted"] = []
     found = Examples([], cases, [], 0)
     images = 0
+    catalogue = catalogue_of(folder)
     for scenes in _splits(folder):
         left = limit
         for scene in scenes:
@@ -103,27 +106,30 @@ def collect(folder: Path, detector: EeDetector | None = None, limit: int | None 
             assert depth_mm is not None
             for i in range(len(data)):
                 frame = RgbdFrame(data.rgb[i], depth_mm[i].astype(np.float32) * np.float32(1e-3), data.camera(i))
-                _add(found, images, frame, data.ee[i], data.tool[i], data.row(i), detector)
+                _add(found, images, frame, data.ee[i], data.tool[i], data.row(i), catalogue, detector)
                 if SCENES[data.scene[i]] == "empty":
                     found.empty.append(frame)
                 images += 1
     return Examples(found.instances, found.cases, found.empty, images)
 
 
-def instances_of(image: int, table: EeTable, intrinsics: CameraIntrinsics) -> Iterator[tuple[int, Instance]]:
+def instances_of(
+    image: int, table: EeTable, intrinsics: CameraIntrinsics, catalogue: Catalogue
+) -> Iterator[tuple[int, Instance]]:
     """The EEs of one image, each with its id in the id maps."""
     for row in np.flatnonzero(table.category):
         same_tool = np.flatnonzero(table.tool == table.tool[row])
         X_hand = table.X_camera_hand[row].astype(np.float64)
         held = bool(np.isfinite(X_hand).all()) and not table.mirrored[row]
+        tool, ee = object_of(int(table.obj_id[row]))
         yield (
             int(row) + 1,
             Instance(
                 image=image,
                 category=CATEGORIES[table.category[row] - 1],
-                kind=tuple(ToolKind)[table.kind[row]],
-                seed=int(table.seed[row]),
-                ee=int(row - same_tool[0]),
+                catalogue=catalogue,
+                tool=tool,
+                ee=ee,
                 X_camera_ee=table.X_camera_ee[row].astype(np.float64),
                 X_camera_hand=X_hand if held else None,
                 intrinsics=intrinsics,
@@ -142,14 +148,15 @@ def _add(
     ee: NDArray[np.uint8],
     tool: NDArray[np.uint8],
     table: EeTable,
+    catalogue: Catalogue,
     detector: EeDetector | None,
 ) -> None:
     here: dict[int, NDArray[np.bool_]] = {}
-    for ee_id, instance in instances_of(image, table, frame.intrinsics):
+    for ee_id, instance in instances_of(image, table, frame.intrinsics, catalogue):
         number = len(found.instances)
         mask = ee == ee_id
         if np.count_nonzero(frame.depth[mask] > 0) < MIN_POINTS:
-            instance = replace(instance, target=False)
+            instance = replace(instance, target=False, too_few_points=instance.target)
         found.instances.append(instance)
         here[number] = mask
         if instance.target:

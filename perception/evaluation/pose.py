@@ -165,7 +165,7 @@ def _overlaps(detection: Ranked, instances: list[Instance]) -> _Overlap:
     found = []
     for instance in instances:
         distance = float(np.linalg.norm(detection.X_camera_ee[:3, 3] - instance.X_camera_ee[:3, 3]))
-        shape = ee_shape(instance.kind, instance.seed, instance.ee)
+        shape = ee_shape(instance.catalogue, instance.tool, instance.ee)
         if distance > 2 * shape.diameter:
             continue
         group = instance.category.symmetry

@@ -71,6 +71,7 @@ def page(evaluation: Evaluation, images: dict[str, bytes], subtitle: str) -> str
     out.paragraph(
         f"{data['images']} images of the data set “{data['folder']}”, {data['targets']} end effectors asked for, "
         f"{data['targets_held_out']} of them on {data['held_out_tools']} held-out tools. "
+        f"{data['left_out_under_50_points']} more are left out, for under 50 of their pixels have a depth. "
         "Single frames; the category's symmetry group alone decides the rotation error."
     )
     for masks, text in _MASKS.items():

@@ -95,11 +95,12 @@ def describe(estimator: CloudEstimator) -> dict[str, Any]:
 
 def _data(folder: Path, examples: Examples) -> dict[str, Any]:
     targets = [i for i in examples.instances if i.target]
-    tools = {(i.kind, i.seed) for i in targets if i.held_out}
+    tools = {i.tool for i in targets if i.held_out}
     return {
         "folder": folder.name,
         "images": examples.images,
         "targets": len(targets),
+        "left_out_under_50_points": sum(i.too_few_points for i in examples.instances),
         "targets_held_out": sum(i.held_out for i in targets),
         "held_out_tools": len(tools),
         "frames_without_a_tool": len(examples.empty),

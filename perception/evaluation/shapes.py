@@ -10,11 +10,11 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
 from toolee_robot.frames import Array, inverse, transform_points
+from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.dataset.instances import ee_mesh
 from toolee_robot.perception.evaluation.examples import Case, Instance
 from toolee_robot.perception.pose.bank import ASYMMETRIC
 from toolee_robot.perception.pose.losses import SPIN_PIXELS
-from toolee_robot.tools import ToolKind, make_tool
 from toolee_robot.types import Category
 
 _VERTICES = 400
@@ -31,9 +31,9 @@ class EeShape:
 
 
 @lru_cache(maxsize=4096)
-def ee_shape(kind: ToolKind, seed: int, ee: int) -> EeShape:
-    """The surface of one end of a tool."""
-    vertices = 1e-3 * np.asarray(ee_mesh(make_tool(kind, seed), ee).vertices)
+def ee_shape(catalogue: Catalogue, tool: int, ee: int) -> EeShape:
+    """The surface of one end of a tool of the data set."""
+    vertices = 1e-3 * np.asarray(ee_mesh(catalogue.tool(tool), ee).vertices)
     if len(vertices) > _VERTICES:
         vertices = vertices[np.random.default_rng(0).permutation(len(vertices))[:_VERTICES]]
     return EeShape(vertices, vertices.min(0), vertices.max(0), float(pdist(vertices).max()))
@@ -47,15 +47,16 @@ def spin_is_told(instance: Instance, case: Case) -> bool:
     z = instance.X_camera_ee[:3, 2]
     if case.cloud.direction is not None and float(np.linalg.norm(np.cross(case.cloud.direction, z))) > 0.3:
         return True
-    tree, tells = _labelled_surface(instance.kind, instance.seed)
-    X_tool_camera = make_tool(instance.kind, instance.seed).ees[instance.ee].X_tool_ee @ inverse(instance.X_camera_ee)
+    tree, tells = _labelled_surface(instance.catalogue, instance.tool)
+    X_tool_ee = instance.catalogue.tool(instance.tool).ees[instance.ee].X_tool_ee
+    X_tool_camera = X_tool_ee @ inverse(instance.X_camera_ee)
     nearest = tree.query(transform_points(X_tool_camera, case.cloud.points))[1]
     return int(np.count_nonzero(tells[nearest])) >= SPIN_PIXELS
 
 
 @lru_cache(maxsize=512)
-def _labelled_surface(kind: ToolKind, seed: int) -> tuple[cKDTree, Array]:
-    tool = make_tool(kind, seed)
+def _labelled_surface(catalogue: Catalogue, number: int) -> tuple[cKDTree, Array]:
+    tool = catalogue.tool(number)
     points, _, parts = tool.sample_surface(6000, np.random.default_rng(0))
     tells = np.array([part.label in ASYMMETRIC for part in tool.parts])[parts]
     return cKDTree(points), tells

@@ -7,7 +7,6 @@ the motion and the physics advance, safety judges, and the services (ports, a wo
 from __future__ import annotations
 
 import gc
-import ipaddress
 import select
 import time
 from collections import deque
@@ -16,6 +15,7 @@ from dataclasses import dataclass, field
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
+from toolee_robot.host_clock import HostClock, check_pace, is_loopback
 from toolee_robot.sim_backend.ur_controller.dashboard import DashboardSession
 from toolee_robot.sim_backend.ur_controller.fault_session import FaultSession
 from toolee_robot.sim_backend.ur_controller.faults import Faults
@@ -42,7 +42,8 @@ TRACE_TICKS = 30000  # 4 min at 125 Hz, 1 min at 500 Hz
 class ControllerOptions:
     """How a stand-in starts. model: of MODELS. host: a loopback address. fault_port: of the fault port; the other
     ports are the robot's. speed_slider: 0..1. q_start (6,) [rad]; None: the plant's own. remote: e-Series remote
-    control. powered: brakes are released already. limits: of the safety system."""
+    control. powered: brakes are released already. limits: of the safety system. pace: of the robot's time, all of it,
+    against the wall's: its clients' clocks must run at the same."""
 
     model: str = "UR10"
     host: str = "127.0.0.2"
@@ -51,13 +52,13 @@ class ControllerOptions:
     remote: bool = True
     powered: bool = True
     limits: SafetyLimits = field(default_factory=SafetyLimits)
+    pace: float = 1.0
 
 
 @dataclass(frozen=True)
 class TraceRow:
-    """One tick. stamp: `time.monotonic` at its end [s]. q, qd: true, without the offset that a fault adds to what
-    is measured. q_target: the set-point. safety: mode.
-    program: runtime state."""
+    """One tick. stamp: of the controller's clock at its end [s]. q, qd: true, without the offset that a fault adds to
+    what is measured. q_target: the set-point. safety: mode. program: runtime state."""
 
     tick: int
     stamp: float
@@ -72,7 +73,7 @@ class Controller:
     """A stand-in for a Universal Robots controller.
 
     plant: makes what the controller moves. Raises UserError for an address that is not loopback, an unknown model, or
-    a port that is taken.
+    a port that is taken. clock: the robot's time; the ports' is the wall's.
     """
 
     def __init__(
@@ -83,13 +84,14 @@ class Controller:
     ) -> None:
         _check(options)
         self.options, self.log = options, log
+        self.clock = HostClock(options.pace)
         model = MODELS[options.model]
         self.robot = Robot(model, plant(model), options.limits, log)
         self.robot.machine.speed_fraction = options.speed_slider
         self.robot.safety.remote = options.remote
         if not options.powered:
             self.robot.safety.power_off()
-        self.schedule = Schedule(model.period)
+        self.schedule = Schedule(model.period, self.clock)
         self.outputs, self.inputs = Outputs(self.robot), Inputs(self.robot)
         self.rtde_faults = RtdeFaults()
         self.trace: deque[TraceRow] = deque(maxlen=TRACE_TICKS)
@@ -160,7 +162,7 @@ class Controller:
         self.trace.append(
             TraceRow(
                 robot.ticks,
-                time.monotonic(),
+                self.clock.now(),
                 robot.plant.q.copy(),
                 robot.plant.qd.copy(),
                 machine.q_target.copy(),
@@ -181,36 +183,33 @@ class Controller:
 
     def _serve_until(self, due: float) -> None:
         """Read from whoever sends until the time `due` [s]; at least once."""
-        if (wait := self.frozen_until - time.monotonic()) > 0.0:
-            time.sleep(wait)
-        self.inputs.catching_up = time.monotonic() > due
+        clock = self.clock
+        clock.sleep(self.frozen_until - clock.now())
+        self.inputs.catching_up = clock.now() > due
         while True:
             readers = {fd: service for service in self.services for fd in service.filenos()}
-            timeout = max(0.0, due - time.monotonic())
+            timeout = max(0.0, clock.wall(due - clock.now()))
             ready, _, _ = select.select(list(readers), [], [], timeout)
             # A flood on many connections must not hold up the tick, nor one of them always come last.
-            enough = max(due, time.monotonic()) + self.schedule.period
+            enough = max(due, clock.now()) + self.schedule.period
             self._turn = (self._turn + 1) % max(len(ready), 1)
             for fd in ready[self._turn :] + ready[: self._turn]:
                 readers[fd].on_readable(fd)
-                if time.monotonic() > enough:
+                if clock.now() > enough:
                     break
-            if time.monotonic() >= due:
+            if clock.now() >= due:
                 return
 
 
 def _check(options: ControllerOptions) -> None:
     if options.model not in MODELS:
         raise UserError(f"unknown model {options.model!r}: choose one of {', '.join(MODELS)}")
-    try:
-        loopback = ipaddress.IPv4Address(options.host).is_loopback
-    except ValueError:
-        loopback = False
-    if not loopback:
+    if not is_loopback(options.host):
         raise UserError(
             f"{options.host!r} is not a loopback address: the stand-in serves this machine only. Use --host 127.0.0.2, "
             "127.0.0.3, ..."
         )
+    check_pace(options.pace, options.host)
     if not 0.0 <= options.speed_slider <= 1.0:
         raise UserError(f"the speed slider is between 0 and 1, not {options.speed_slider}")
     if not 1024 <= options.fault_port <= 65535:

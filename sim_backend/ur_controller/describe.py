@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING, Any
 
 from toolee_robot.sim_backend.ur_controller.safety import RobotMode, SafetyMode
@@ -18,7 +17,7 @@ def describe(controller: Controller) -> dict[str, Any]:
     return {
         "model": robot.model.name,
         "timestamp": robot.timestamp,
-        "stamp": time.monotonic(),
+        "stamp": controller.clock.now(),
         "tick": robot.ticks,
         "q": robot.plant.q.tolist(),
         "qd": robot.plant.qd.tolist(),

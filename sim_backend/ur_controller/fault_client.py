@@ -18,7 +18,7 @@ FAULT_PORT = 30020
 
 @dataclass(frozen=True)
 class Trace:
-    """What the arm did, a row a tick. ticks, stamps (N,): number, and `time.monotonic` [s], which is the same clock in
+    """What the arm did, a row a tick. ticks, stamps (N,): number, and the controller's clock [s], which is the same in
     every process of the machine. q, qd, q_target (N, 6): the true joints
     and their set-point [rad], [rad/s]. safety, program (N,):
     SafetyMode and RuntimeState."""

@@ -42,8 +42,9 @@ class ControllerProcess:
     parent.
 
     plant: importable by name, since the child makes the plant. setup: likewise; called in the child with the
-    controller before it listens (to add a service). inherit: file descriptors that the child has too. verbose: the
-    child's log goes to stderr.
+    controller before it listens (to add a service). inherit: file descriptors that the child has too. realtime: if
+    permitted, the child goes before every other process of a busy machine, as a robot's controller has a computer of
+    its own. verbose: the child's log goes to stderr.
 
     Clients must go before the controller: RTDEIOInterface aborts the interpreter otherwise. Hand their closing to
     `on_exit`, or leave them before this context.
@@ -56,6 +57,7 @@ class ControllerProcess:
         plant: Callable[[ControllerModel], Plant] = resting_joints,
         setup: Callable[[Controller], None] | None = None,
         inherit: Sequence[int] = (),
+        realtime: bool = False,
         verbose: bool = False,
         **changes: Any,
     ) -> None:
@@ -64,7 +66,7 @@ class ControllerProcess:
             raise UserError("give either options or their fields")
         self.options = options or ControllerOptions(**changes)
         self._job = pickle.dumps((self.options, plant, setup, verbose))
-        self._inherit, self._verbose = inherit, verbose
+        self._inherit, self._realtime, self._verbose = inherit, realtime, verbose
         self._child: subprocess.Popen[bytes] | None = None
         self._client: FaultClient | None = None
         self._on_exit: list[Callable[[], object]] = []
@@ -96,6 +98,9 @@ class ControllerProcess:
             answer = self._child.stdout.readline().decode().strip()
             if answer != "ready":
                 raise UserError(answer) if answer else DeviceError("the controller stand-in died at its start")
+            if self._realtime:
+                with contextlib.suppress(PermissionError):
+                    os.sched_setscheduler(self._child.pid, os.SCHED_FIFO, os.sched_param(1))
             self._client = FaultClient(self.host, self.options.fault_port)
         except BaseException:
             self._end()

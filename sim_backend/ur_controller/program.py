@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from enum import IntEnum
 
 from toolee_robot.sim_backend.ur_controller.machine import Machine
-from toolee_robot.sim_backend.ur_controller.urscript import ScriptError, ScriptRuntime
+from toolee_robot.sim_backend.ur_controller.urscript import Compiling, ScriptError, ScriptRuntime
+
+WAITING = 20
+"""So many uploads may wait for their compiling."""
 
 
 class RuntimeState(IntEnum):
@@ -33,6 +37,7 @@ class Program:
         self._machine, self._forbidden, self._log = machine, forbidden, log
         self._main: ScriptRuntime | None = None
         self._secondary: list[ScriptRuntime] = []
+        self._uploaded: deque[Compiling] = deque()
         self._starting: tuple[float, ScriptRuntime] | None = None  # still to wait [s], what then
 
     @property
@@ -42,11 +47,12 @@ class Program:
     @property
     def starting(self) -> bool:
         """A program has come and waits for its start."""
-        return self._starting is not None
+        return bool(self._uploaded) or self._starting is not None
 
     def upload(self, source: str) -> None:
         """A program as it came over a script port. A `def` ends the running program and takes its place; a `sec` runs
-        beside it. One that does not parse, or that may not run now, is dropped with a message, as a controller does."""
+        beside it. One that does not parse, or that may not run now, is dropped with a message, as a controller does. A
+        long one is compiled first, while the ticks and the running program go on."""
         self.uploads += 1
         if reason := self._forbidden():
             self._fail(f"script not started: {reason}")
@@ -55,19 +61,38 @@ class Program:
             self.rejections -= 1
             self._fail("script rejected (fault)")
             return
-        try:
-            runtime = ScriptRuntime(source, self._machine)
-        except ScriptError as error:
-            self._fail(f"script not started: {error}")
+        if len(self._uploaded) >= WAITING:
+            self._fail(f"script not started: {WAITING} others are waiting")
             return
-        if source.lstrip().startswith("sec"):
-            self._secondary.append(runtime)
-            return
-        self.stop()
-        self._starting = (self.start_delay, runtime)
+        self._uploaded.append(Compiling(source, self._machine.model.e_series))
+        self._take_compiled()
+
+    def _take_compiled(self) -> None:
+        """In the order in which they came."""
+        while self._uploaded and self._uploaded[0].done():
+            source, error = self._uploaded[0].source, self._uploaded[0].error
+            self._uploaded.popleft()
+            try:
+                if error is not None:
+                    raise error
+                runtime = ScriptRuntime(source, self._machine)
+            except ScriptError as failure:
+                self._fail(f"script not started: {failure}")
+                continue
+            if runtime.secondary:
+                self._secondary.append(runtime)
+            else:
+                self._end()
+                self._starting = (self.start_delay, runtime)
 
     def stop(self) -> None:
         """End what runs or waits; a moving arm decelerates."""
+        for waiting in self._uploaded:
+            waiting.cancel()
+        self._uploaded.clear()
+        self._end()
+
+    def _end(self) -> None:
         self._starting = None
         running, self._main = self._main, None
         for runtime in (running, *self._secondary):
@@ -95,6 +120,7 @@ class Program:
 
     def step(self, dt: float) -> None:
         """One tick of dt [s]: start what is due, run every thread of what is playing."""
+        self._take_compiled()
         if self._starting is not None:
             wait, runtime = self._starting
             if wait <= 0.0:

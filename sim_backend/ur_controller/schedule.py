@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
+
+from toolee_robot.host_clock import HostClock
 
 CATCH_UP = 0.05  # [s] of being late that is caught up by ticks back to back; beyond it the schedule moves
 
@@ -11,7 +12,7 @@ CATCH_UP = 0.05  # [s] of being late that is caught up by ticks back to back; be
 @dataclass
 class TickStatistics:
     """ticks: done. late: begun later than half a period after their time. slipped: periods by which the schedule had
-    to be moved, because the machine or the physics was too slow for real time. worst_late [s]. busy [s]: of
+    to be moved, because the machine or the physics was too slow for the pace. worst_late [s]. busy [s]: of
     the processor, spent on all ticks."""
 
     ticks: int = 0
@@ -22,18 +23,17 @@ class TickStatistics:
 
 
 class Schedule:
-    """When the next tick is due. Times are of `time.monotonic` [s]. catch_up [s]: see CATCH_UP.
+    """When the next tick is due. Times are of `clock` [s].
 
     A late tick is followed by the next ones without a pause until the schedule is met again, so that the rate is kept
-    on average; after more than `catch_up` the schedule moves by whole periods instead, which is counted: robot time
-    then runs behind the wall's clock, and no tick is left out.
+    on average; after more than CATCH_UP the schedule moves by whole periods instead, which is counted: robot time
+    then runs behind the clock, and no tick is left out.
     """
 
-    def __init__(self, period: float) -> None:
-        self.period = period
-        self.catch_up = CATCH_UP
+    def __init__(self, period: float, clock: HostClock) -> None:
+        self.period, self.clock = period, clock
         self.statistics = TickStatistics()
-        self._start, self._count = time.monotonic(), 0
+        self._start, self._count = clock.now(), 0
 
     @property
     def due(self) -> float:
@@ -43,8 +43,8 @@ class Schedule:
     def begin(self) -> float:
         """The tick that is due begins; returns its time on the schedule."""
         due, statistics = self.due, self.statistics
-        late = time.monotonic() - due
-        if late > self.catch_up:
+        late = self.clock.now() - due
+        if late > CATCH_UP:
             periods = int(late / self.period)
             statistics.slipped += periods
             self._start += periods * self.period
@@ -56,7 +56,7 @@ class Schedule:
 
     def restart(self) -> None:
         """The first tick is due now."""
-        self._start, self._count = time.monotonic(), 0
+        self._start, self._count = self.clock.now(), 0
 
     def reset(self) -> None:
         """Forget the statistics."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 from toolee_robot.sim_backend.ur_controller.link import Sink
 from toolee_robot.sim_backend.ur_controller.robot import Robot
 
-MAX_SCRIPT = 256 << 10  # [bytes] of one program, whose compiling the ticks wait for; who sends more is dropped
+MAX_SCRIPT = 256 << 10  # [bytes] of one program; who sends more is dropped
 
 
 class ScriptReader:

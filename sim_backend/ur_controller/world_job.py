@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
-from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 
 from toolee_robot.config import StationConfig
+from toolee_robot.host_clock import HostClock
 from toolee_robot.robots import load_robot
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.options import SimOptions
@@ -16,27 +15,25 @@ from toolee_robot.sim_backend.ur_controller.model import ControllerModel
 from toolee_robot.sim_backend.ur_controller.world_plant import WorldPlant
 from toolee_robot.sim_backend.ur_controller.world_service import WorldService
 
-CATCH_UP = 1.0
-"""[s] A blow is computed in less than real time: some 10 ms are lost in it, on a busy machine more."""
-
 
 @dataclass
 class WorldJob:
     """`plant` and `setup` of a `ControllerProcess`; both run in the child, in this order.
 
     fd: the child's end of a socket pair, for the `WorldService`; the controller ends with it. The rest is what
-    `SimStation.build` takes.
+    `SimStation.build` takes. clock: the controller's.
     """
 
     fd: int
     config: StationConfig
     seed: int
     options: SimOptions
+    clock: HostClock
     _service: WorldService | None = field(default=None, init=False)
 
     def plant(self, model: ControllerModel) -> WorldPlant:
         """The world, with hand, person and judge; the arm waits where the options have it."""
-        self._service = WorldService(Connection(self.fd), self.config, self.seed, self.options)
+        self._service = WorldService(Connection(self.fd), self.config, self.seed, self.options, self.clock)
         return WorldPlant(self._service.world, model.period)
 
     def setup(self, controller: Controller) -> None:
@@ -52,13 +49,3 @@ class WorldJob:
         identity.alpha, identity.theta = dh.alpha.tolist(), dh.theta.tolist()
         self._service.ended = controller.stop
         controller.add_service(self._service)
-        controller.schedule.catch_up = CATCH_UP
-        _first_in_line()
-
-
-def _first_in_line() -> None:
-    """A real controller shares its processor with nobody: this one goes before everything ordinary, where the system
-    permits it. Not at a real-time priority: the kernel takes the processor from a busy one for 50 ms every second, and
-    from the driver's servo loop beside it."""
-    with suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, -20)

@@ -8,7 +8,6 @@ in the order in which commands end: a hand that closes keeps nobody from reading
 from __future__ import annotations
 
 import sys
-import time
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -18,7 +17,7 @@ from typing import Any
 
 from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, TooleeError
-from toolee_robot.hal import HandState
+from toolee_robot.hal import Clock, HandState
 from toolee_robot.sim_backend.commands import Commands
 from toolee_robot.sim_backend.hand import SimHand
 from toolee_robot.sim_backend.host_time import HostTimedTruth
@@ -34,18 +33,21 @@ Handler = Callable[..., Any]
 class WorldService:
     """A `Service` with hand, person, judge and the scene's poses of a world that a `WorldPlant` moves.
 
-    ended: called once the other side has gone; the controller has no purpose then. Stamps are on `time.monotonic()`.
+    ended: called once the other side has gone; the controller has no purpose then. Stamps are on `clock`, the
+    controller's.
     """
 
-    def __init__(self, connection: Connection, config: StationConfig, seed: int, options: SimOptions) -> None:
+    def __init__(
+        self, connection: Connection, config: StationConfig, seed: int, options: SimOptions, clock: Clock
+    ) -> None:
         tool, offset = draw_handover(seed, options)
         self.world = world = build_world(config, tool, options)
         self.ended: Callable[[], None] = lambda: None
-        self._connection = connection
+        self._connection, self._clock = connection, clock
         self._commands = Commands(world)
         self._hand = hand = SimHand(world, options.friction)
         person = SimPerson(world, offset, options.hands_over)
-        judge = Judge(HostTimedTruth(world))
+        judge = Judge(HostTimedTruth(world, clock))
         world.after_step.append(judge.after_step)
         # What lets time pass, by device: one command at a time each.
         self._lasting: dict[str, tuple[str, Handler]] = {
@@ -115,7 +117,7 @@ class WorldService:
     def _hand_state(self, max_age: float) -> HandState:
         state = self._hand.state(max_age)
         age = self.world.time - state.joints.stamp
-        return replace(state, joints=replace(state.joints, stamp=time.monotonic() - age))
+        return replace(state, joints=replace(state.joints, stamp=self._clock.now() - age))
 
     def _stop_hand(self) -> None:
         self._commands.cancel("hand", "the hand was stopped; it stays as it is, its grip too")

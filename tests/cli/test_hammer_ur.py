@@ -100,6 +100,8 @@ def test_an_interrupt_stops_the_arm_and_ends_client_and_server_in_order(tmp_path
         (["--arm", "ur-rtde", "--robot-host", "192.168.1.10"], "toolee doctor"),
         (["--arm", "ur-rtde", "--world", "pybullet"], "needs --robot-host"),
         (["--robot-host", "127.0.0.36"], "without --arm ur-rtde"),
+        (["--pace", "0.5"], "--pace without --arm ur-rtde"),
+        (["--arm", "ur-rtde", "--world", "pybullet", "--robot-host", "127.0.0.36", "--pace", "0"], "0.05 to 1"),
         (["--world", "pybullet", "--robot-host", "192.168.1.10", "--arm", "ur-rtde"], "not a loopback address"),
     ],
 )

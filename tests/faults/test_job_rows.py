@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from toolee_robot.control.person_watch import PersonWatch
+from toolee_robot.control.watcher import Watcher
 from toolee_robot.errors import MotionFaultError
 from toolee_robot.faults.job_bench import Bench
 from toolee_robot.faults.job_faults import JOB_FAULTS
@@ -95,7 +95,7 @@ def test_without_the_check_of_the_hand(bench: Bench, monkeypatch: pytest.MonkeyP
 
 
 def test_without_the_watch_of_the_person(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(PersonWatch, "_run", lambda _: None)
+    monkeypatch.setattr(Watcher, "_run", lambda _: None)
     row = job_row(_fault("a person comes into reach", Phase.SWING), bench)
     _not_handled(row, "supervisor did not latch")
 

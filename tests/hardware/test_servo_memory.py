@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from toolee_robot.errors import DeviceError, LimitError
 from toolee_robot.hardware.servo_clock import Schedule
 from toolee_robot.hardware.servo_memory import ServoMemory, StateColumn, Word, presample
+from toolee_robot.host_clock import HostClock
 from toolee_robot.types import Trajectory
 
 
@@ -83,7 +84,7 @@ def test_a_writer_that_died_in_mid_write_is_an_error_not_a_hang() -> None:
 def test_the_schedule_is_counted_from_its_start_and_skips_what_it_missed() -> None:
     period = 0.01
     start = time.monotonic() + period
-    schedule = Schedule(start, period)
+    schedule = Schedule(start, period, HostClock())
     for k in range(3):
         assert schedule.deadline == pytest.approx(start + k * period, abs=1e-9)
         schedule.wait()
@@ -98,7 +99,7 @@ def test_the_schedule_is_counted_from_its_start_and_skips_what_it_missed() -> No
 
 def test_the_schedule_follows_the_controllers_packets() -> None:
     period = 0.002
-    schedule = Schedule(time.monotonic() + period, period)
+    schedule = Schedule(time.monotonic() + period, period, HostClock())
     before = schedule.deadline
     for _ in range(5):
         schedule.follow(lambda: True)

@@ -136,9 +136,15 @@ def test_safeguard_stop(arm: UrArm, controller: ControllerProcess) -> None:
 
 @pytest.mark.parametrize("reset", [False, True], ids=["FIN", "RST"])
 def test_dropped_link(arm: UrArm, controller: ControllerProcess, reset: bool) -> None:
+    """The robot's program goes on and holds the arm where it was sent last, until the robot's watchdog ends it: the
+    wheel, which would end it at once and start another, does not get through."""
+    uploads = controller.state()["uploads"]
     stop, error = happens(arm, controller, lambda: controller.fault("drop", port="rtde", reset=reset))
     assert isinstance(error, LinkLostError | ServoCrashError)
     assert stop.time < WATCHDOG + 0.5 + SLACK
+    assert stop.overshoot < 0.1  # ended at once it would be 0.2
+    assert stop.off_path < 1e-6
+    assert controller.state()["uploads"] == uploads
     expect_latch(arm)
     arm.reset()
     assert arm.state(1.0).status is ArmStatus.READY

@@ -35,8 +35,8 @@ from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
 ROBOT, HOST = "127.0.0.61", "127.0.0.62"
-LIMITS = ArmLimits(model=ArmModel.UR10)
-PATIENT = MotionWatch(tracking_error=0.5, data_cycles=40.0, overruns=40)
+PATIENCE = 0.32
+"""[s] by which data and commands may be late on a busy machine."""
 CONFIG = UrArmConfig(HOST, watchdog=5.0, hang_timeout=1.0, heartbeat_timeout=0.3)
 IN_TIME = 3.0
 """[s] From the first wrong byte to the error."""
@@ -49,8 +49,17 @@ TEXT = packet(b"M", b"\x05hello\x04RTDE\x02")
 
 
 @pytest.fixture(scope="module")
-def controller() -> Iterator[ControllerProcess]:
-    with stand_in(ArmModel.UR10, ROBOT) as process:
+def model(request: pytest.FixtureRequest) -> ArmModel:
+    """The UR10, unless a test asks for both."""
+    return ArmModel(getattr(request, "param", ArmModel.UR10))
+
+
+both = pytest.mark.parametrize("model", list(ArmModel), indirect=True, scope="module")
+
+
+@pytest.fixture(scope="module")
+def controller(model: ArmModel) -> Iterator[ControllerProcess]:
+    with stand_in(model, ROBOT) as process:
         yield process
 
 
@@ -61,8 +70,8 @@ def proxy(controller: ControllerProcess) -> Iterator[EvilProxy]:
 
 
 @pytest.fixture(scope="module")
-def arm(proxy: EvilProxy) -> Iterator[UrArm]:  # noqa: ARG001  (it is on the way)
-    with UrArm(replace(CONFIG, connect_timeout=15.0, handshake_timeout=5.0), LIMITS) as connected:
+def arm(model: ArmModel, proxy: EvilProxy) -> Iterator[UrArm]:  # noqa: ARG001  (it is on the way)
+    with UrArm(replace(CONFIG, connect_timeout=15.0, handshake_timeout=5.0), ArmLimits(model=model)) as connected:
         yield connected
 
 
@@ -84,7 +93,15 @@ OTHERS = [
 ]
 
 
-@pytest.mark.parametrize("rule", NO_MEASUREMENT.values(), ids=NO_MEASUREMENT.keys())
+@pytest.mark.parametrize(
+    ("model", "rule"),
+    [
+        *(pytest.param(ArmModel.UR10, rule, id=name) for name, rule in NO_MEASUREMENT.items()),
+        pytest.param(ArmModel.UR10E, poison("actual_q", NAN, every=False), id="500 Hz"),
+    ],
+    indirect=["model"],
+    scope="module",
+)
 def test_what_is_no_measurement_is_a_fault(
     arm: UrArm, proxy: EvilProxy, controller: ControllerProcess, rule: Rule
 ) -> None:
@@ -103,6 +120,7 @@ def test_modes_that_do_not_exist_are_a_fault(
     assert isinstance(error, MotionFaultError)
 
 
+@both
 def test_the_wheel_does_not_connect_again_behind_our_back(
     arm: UrArm, proxy: EvilProxy, controller: ControllerProcess
 ) -> None:
@@ -185,6 +203,7 @@ def _few(examples: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
     )
 
 
+@both
 @_few(5)
 @given(rule=st.one_of(_streams, _orders), skip=st.integers(0, 3), moment=st.floats(0.0, 0.3))
 def test_any_corruption_in_mid_motion(
@@ -250,9 +269,11 @@ def _swing_while_struck(
     arm: UrArm, proxy: EvilProxy, controller: ControllerProcess, rule: Rule, moment: float = 0.0
 ) -> Exception | None:
     """The error, or None when the motion was completed; the arm is ready again."""
+    cycles = PATIENCE * arm.rate
+    patient = MotionWatch(tracking_error=0.5, data_cycles=cycles, overruns=int(cycles))
     _ready(arm)
     if min(np.abs(arm.q_commanded - end).max() for end in (HOME, HOME + WAY)) > 1e-3:
-        arm.execute(line([arm.q_commanded, HOME], 1.0), None, PATIENT)
+        arm.execute(line([arm.q_commanded, HOME], 1.0), None, patient)
     trajectory = swing(arm.q_commanded, 1.0)
 
     def strike() -> None:
@@ -265,7 +286,7 @@ def _swing_while_struck(
     timer.start()
     error: Exception | None = None
     try:
-        report = arm.execute(trajectory, None, PATIENT)
+        report = arm.execute(trajectory, None, patient)
         assert report.outcome is MotionOutcome.COMPLETED
     except DeviceError as fault:  # anything else fails the test
         error = fault

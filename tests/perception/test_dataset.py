@@ -10,13 +10,15 @@ import pytest
 
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, is_rigid
+from toolee_robot.perception.dataset.catalogue import GENERATED, number_of
 from toolee_robot.perception.dataset.example import label, make_example, take_shot
+from toolee_robot.perception.dataset.instances import object_of
 from toolee_robot.perception.dataset.paper import CIRCLE, DEPTHS, FOCAL
 from toolee_robot.perception.dataset.records import CATEGORIES, FARTHEST, MAX_EES, NEAREST, SCENES, Example
 from toolee_robot.perception.dataset.storage import load, write_scene
 from toolee_robot.perception.dataset.surfaces import Surfaces, draw
 from toolee_robot.render.renderer import pixel_rays
-from toolee_robot.tools import ToolKind, ee_radius, make_tool, split
+from toolee_robot.tools import ee_radius, split
 from toolee_robot.types import CameraIntrinsics
 
 
@@ -79,13 +81,14 @@ def test_noisy_depth_stays_on_the_labelled_tool(examples: list[Example]) -> None
 def test_poses_agree_with_the_tools(examples: list[Example]) -> None:
     for e in examples:
         for row in np.flatnonzero(e.table.category):
-            tool = make_tool(tuple(ToolKind)[e.table.kind[row]], int(e.table.seed[row]))
+            number, ee = object_of(int(e.table.obj_id[row]))
+            tool = GENERATED.tool(number)
             assert split(tool.seed) == "train"
             X_camera_tool = e.table.X_camera_tool[row].astype(np.float64)
             assert is_rigid(X_camera_tool, 1e-5)
             X = np.linalg.inv(X_camera_tool) @ e.table.X_camera_ee[row]
-            category = CATEGORIES[e.table.category[row] - 1]
-            assert any(ee.category == category and np.allclose(ee.X_tool_ee, X, atol=1e-5) for ee in tool.ees)
+            assert tool.ees[ee].category == CATEGORIES[e.table.category[row] - 1]
+            np.testing.assert_allclose(tool.ees[ee].X_tool_ee, X, atol=1e-5)
             if np.all(np.isfinite(e.table.X_camera_hand[row])):
                 grip = (np.linalg.inv(e.table.X_camera_hand[row]) @ X_camera_tool)[:3, 3]
                 assert np.linalg.norm(grip) < 0.16  # the handle runs through the palm
@@ -94,7 +97,7 @@ def test_poses_agree_with_the_tools(examples: list[Example]) -> None:
 def test_held_out_tools_only_in_the_test_split() -> None:
     e = make_example(5, 1, "test")
     rows = np.flatnonzero(e.table.category)
-    assert all(split(int(seed)) == "test" for seed in e.table.seed[rows])
+    assert all(GENERATED.split(object_of(int(obj_id))[0]) == "test" for obj_id in e.table.obj_id[rows])
 
 
 def test_surfaces_of_the_splits_are_disjoint() -> None:
@@ -114,7 +117,7 @@ def test_the_papers_protocol() -> None:
         taken = take_shot(6, index, "test", "paper")
         sample, table = taken.sample, taken.labels[3]
         (placed,) = sample.tools
-        assert split(placed.tool.seed) == "test"
+        assert GENERATED.split(number_of(placed.tool)) == "test"
         np.testing.assert_allclose(placed.X_world_tool[:3, 2], [0, 0, 1], atol=1e-12)
         assert abs(sample.X_world_camera[2, 0]) < 1e-12, "the image's rows are level"
         assert sample.intrinsics.fx == FOCAL

@@ -24,7 +24,7 @@ from toolee_robot.perception.dataset import rle
 from toolee_robot.perception.dataset.clouds import read_clouds
 from toolee_robot.perception.dataset.finish import listed, sha256
 from toolee_robot.perception.dataset.generate import generate
-from toolee_robot.perception.dataset.models import read_ply
+from toolee_robot.perception.dataset.instances import read_ply
 from toolee_robot.perception.dataset.shapes import distances
 from toolee_robot.perception.dataset.spec import DatasetSpec
 from toolee_robot.perception.dataset.storage import SUMS, load, read_json, write_sums

@@ -5,12 +5,14 @@ from __future__ import annotations
 import base64
 import json
 import re
+import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from toolee_robot.cli.app import run
 from toolee_robot.errors import AssetError
@@ -59,7 +61,7 @@ def test_clouds_lie_on_the_ends_that_they_are_said_to_show(examples: Examples) -
             X = instance.X_camera_ee
             local = (case.cloud.points - X[:3, 3]) @ X[:3, :3]
             assert np.median(np.linalg.norm(local, axis=1)) < ee_radius(instance.category) + 0.01
-            shape = ee_shape(instance.kind, instance.seed, instance.ee)
+            shape = ee_shape(instance.catalogue, instance.tool, instance.ee)
             assert 0.02 < shape.diameter < 2.1 * ee_radius(instance.category)
     for case in examples.cases["predicted"]:
         if case.instance is not None:
@@ -95,7 +97,14 @@ def test_tables_and_the_report(examples: Examples) -> None:
     estimator = PoseEstimator.load()
     fused = {**dict.fromkeys(metrics.THRESHOLDS, 1.0), "median_mm": 1.0}
     report: dict[str, object] = {
-        "data": {"folder": "<data>", "images": 4, "targets": 3, "targets_held_out": 3, "held_out_tools": 2},
+        "data": {
+            "folder": "<data>",
+            "images": 4,
+            "targets": 3,
+            "targets_held_out": 3,
+            "held_out_tools": 2,
+            "left_out_under_50_points": 0,
+        },
         "samplers": sampler_table(estimator, examples, 2, lambda *_: None),
         "fused": {"hammers": 1, "usable_share": 1.0, "one_frame": fused, "five_frames": fused},
         "no_tool": {"frames": 2, "with_a_detection": 1, "with_a_usable_pose": 0, "share_without": 1.0},
@@ -171,6 +180,22 @@ def test_the_command_writes_the_report(folder: Path, tmp_path: Path, capsys: pyt
     check_self_contained((out / "report.html").read_text())
     assert run(["evaluate", "pose", str(tmp_path / "none"), "--true-masks-only"]) == 1
     assert run(["evaluate", "pose", str(folder), "--weights", "a=x", "a=y"]) == 2
+
+
+def test_targets_without_depth_are_left_out_and_counted(
+    folder: Path, examples: Examples, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    image = next(i.image for i in examples.instances if i.target)
+    gone = sum(i.target for i in examples.instances if i.image == image)
+    before = sum(i.too_few_points for i in examples.instances)
+    shutil.copytree(folder, tmp_path / "data")
+    path = tmp_path / f"data/test/000000/depth/{image:06d}.png"
+    Image.fromarray(np.zeros_like(np.asarray(Image.open(path)))).save(path)
+    assert run(["evaluate", "pose", str(tmp_path / "data"), "--true-masks-only", "--json", "--out", str(tmp_path)]) == 0
+    data = json.loads(capsys.readouterr().out.splitlines()[-1])["data"]
+    assert data["left_out_under_50_points"] == before + gone
+    assert data["targets"] == sum(i.target for i in examples.instances) - gone
+    assert f"{before + gone} more are left out" in (tmp_path / "report.html").read_text()
 
 
 def test_the_segmentation_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,6 +16,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, TooleeError
 from toolee_robot.frames import Array, frame_from_axes
 from toolee_robot.hal import Hand, Person, RgbdCamera
+from toolee_robot.host_clock import HostClock
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.remote_channel import Channel
 from toolee_robot.sim_backend.remote_station import RemoteHand, RemoteJudge, RemotePerson, remote_station
@@ -32,16 +33,6 @@ X_BASE_HAND = frame_from_axes(z=np.array([0.0, -0.3, -1.0]), x=np.array([1.0, 0.
 OPTIONS = SimOptions(q_start=joints_for_hand(X_BASE_HAND))
 
 
-class Host:
-    """The station's clock."""
-
-    def now(self) -> float:
-        return time.monotonic()
-
-    def sleep(self, duration: float) -> None:
-        time.sleep(duration)
-
-
 class Loop(threading.Thread):
     """The least controller: requests between ticks. hold: no ticks while it is set."""
 
@@ -55,7 +46,7 @@ class Loop(threading.Thread):
         self.channel = Channel(ours)
 
     def run(self) -> None:
-        service = WorldService(self._theirs, CONFIG, SEED, OPTIONS)
+        service = WorldService(self._theirs, CONFIG, SEED, OPTIONS, HostClock())
         service.ended = self.ended.set
         plant = WorldPlant(service.world, TICK)
         payload = service.world.robot.robot.hand_payload(service.world.robot.q_hand_target)
@@ -98,7 +89,7 @@ def test_a_handover_through_the_pipe_is_the_direct_one(loop: Loop) -> None:
         state = direct.station.hand.state()
         X_direct = direct.judge.X_hand_ee(direct.station.clock.now())
     # No arm: it goes through the controller's ports, which this loop has none of.
-    station = remote_station(loop.channel, CONFIG, SEED, tool, None, Host())  # type: ignore[arg-type]
+    station = remote_station(loop.channel, CONFIG, SEED, tool, None, HostClock())  # type: ignore[arg-type]
     hand, person, camera = station.hand, station.person, station.camera
     assert isinstance(hand, Hand)
     assert isinstance(person, Person)

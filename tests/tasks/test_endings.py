@@ -11,7 +11,8 @@ import pytest
 
 from toolee_robot.control import Meeting, RobotModel
 from toolee_robot.errors import PerceptionError, UserError
-from toolee_robot.faults.job_bench import CONFIG, Bench, Log, People, at_rest, grip_kept, is_home
+from toolee_robot.faults.job_bench import CONFIG, Bench, Log, at_rest, grip_kept, is_home
+from toolee_robot.faults.people import People
 from toolee_robot.faults.told import Told, moved, unsure
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend import SimOptions, SimStation

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
 
 from toolee_robot.control import CollisionWorld, Mode, RobotModel, StrikePlan, plan_strike
+from toolee_robot.control.strike import plan_straight
 from toolee_robot.errors import (
+    DeviceError,
     EmergencyStopError,
+    GripError,
     LatchedError,
     LinkLostError,
     MotionFaultError,
     OverrunError,
     PersonNearError,
     ProtectiveStopError,
+    StaleDataError,
     TrackingError,
 )
 from toolee_robot.faults.job_bench import CONFIG, Bench, Log, at_rest, grip_kept
@@ -37,6 +42,7 @@ class Swing:
     """The hammer held over the nail, and the blow that comes next."""
 
     bench: Bench
+    robot: RobotModel
     plan: StrikePlan
     motions: Motions
     log: Log
@@ -86,12 +92,13 @@ def swing(over_nail: tuple[Bench, StrikePlan]) -> Swing:
     bench.reset()
     bench.hand.closed = True
     log = Log()
-    motions = Motions(bench.station, CONFIG, RobotModel.load(), log, bench.true_grasp.X_hand_ee)
+    robot = RobotModel.load()
+    motions = Motions(bench.station, CONFIG, robot, log, bench.true_grasp.X_hand_ee)
     motions.begin()
     motions.held = True
     motions.arm.mode = Mode.HAMMERING
     motions.arm.permit_swings(1.0)
-    return Swing(bench, plan, motions, log)
+    return Swing(bench, robot, plan, motions, log)
 
 
 def test_the_blow_itself_meets_the_nail(swing: Swing) -> None:
@@ -182,3 +189,37 @@ def test_somebody_steps_in(swing: Swing) -> None:
     swing.bench.people.is_inside = False
     with pytest.raises(LatchedError):
         swing.run()
+
+
+HAND_TROUBLE: dict[str, tuple[Callable[[Bench], None], type[DeviceError], str]] = {
+    "tool dropped": (lambda bench: bench.drop(), GripError, "lost the tool"),
+    "no grip felt": (lambda bench: setattr(bench.hand, "closed", False), GripError, "lost the tool"),
+    "finger stalled": (lambda bench: setattr(bench.sim_hand, "fault", "index finger stalled"), DeviceError, "stalled"),
+    "hand silent": (lambda bench: bench.sim_hand.cut_link(), StaleDataError, "newest state"),
+}
+
+
+@pytest.mark.parametrize("name", HAND_TROUBLE)
+@pytest.mark.parametrize("motion", ["strike", "transfer"])
+def test_the_hand_is_watched_all_the_way(swing: Swing, motion: str, name: str) -> None:
+    """The arm brakes on its path, at once as a thread sees it; it does not latch, since it may have to retreat."""
+    cause, error, says = HAND_TROUBLE[name]
+    bench, motions = swing.bench, swing.motions
+    path = swing.plan.strike
+    move: Callable[[], object] = swing.run
+    if motion == "transfer":
+        path = plan_straight(swing.robot, CONFIG, motions.world(), motions.q, 0.15, (0.0, 0.0, 1.0), 0.15)
+        move = partial(motions.execute, "to a view", path)
+    bench.soon(lambda: cause(bench), 0.05)()
+    with pytest.raises(error, match=says):
+        move()
+    report = swing.log.reports[-1]
+    assert on_path(report.q_commanded, path) < 1e-3
+    assert np.abs(report.q_commanded[-1] - path.q[-1]).max() > 0.01, "it went on to the end"
+    assert report.contact is None
+    assert at_rest(bench.sim)
+    assert not motions.arm.latched
+    if error is GripError:
+        motions.retreat()
+        assert swing.log.motions[-1] == "retreat"
+        assert at_rest(bench.sim)

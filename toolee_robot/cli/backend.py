@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
 
@@ -32,10 +33,18 @@ class Backend(Protocol):
     ) -> None: ...
 
 
-def open_backend(config: StationConfig, seed: int, options: SimOptions, host: str | None) -> Backend:
-    """host: of the controller stand-in to go through; None: straight to the simulated station."""
-    if host is None:
+@dataclass(frozen=True)
+class StandIn:
+    """A controller stand-in to go through. host: a loopback address. pace: of its time and the job's, 1 is real."""
+
+    host: str
+    pace: float
+
+
+def open_backend(config: StationConfig, seed: int, options: SimOptions, stand_in: StandIn | None) -> Backend:
+    """stand_in: None: straight to the simulated station."""
+    if stand_in is None:
         return SimStation.build(config, seed, options)
     from toolee_robot.cli.ur_station import UrStation  # the driver and the stand-in: only where they are wanted
 
-    return UrStation(config, seed, options, host)
+    return UrStation(config, seed, options, stand_in.host, stand_in.pace)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -62,11 +61,9 @@ class BenchServo:
         plant = partial(JointPlant, q=np.array(SceneConfig().home))
         load = os.getloadavg()[0]
         with (
-            ControllerProcess(model=self.model, host=self.host, plant=plant) as controller,
+            ControllerProcess(model=self.model, host=self.host, plant=plant, realtime=True) as controller,
             UrArm(config, ArmLimits(model=ArmModel(self.model))) as arm,
         ):
-            with suppress(OSError):  # a robot's controller has a processor of its own
-                os.sched_setscheduler(controller.pid, os.SCHED_FIFO, os.sched_param(1))
             recorder = TraceRecorder(controller.trace, int(controller.state()["tick"]))
             try:
                 with console.status(f"servoing at {arm.rate:.0f} Hz for {self.seconds:g} s"):

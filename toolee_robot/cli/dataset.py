@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -19,6 +19,9 @@ from rich.table import Table
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line, write_whole
 from toolee_robot.errors import UserError
+
+if TYPE_CHECKING:
+    from toolee_robot.perception.dataset.own import OwnMesh
 
 _Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
 
@@ -43,8 +46,11 @@ class Generate:
     """Processes (or Ray tasks) at a time."""
     seed: int = 0
     """Which data set of that kind."""
-    test_share: float = 0.1
+    test_share: Annotated[float | None, tyro.conf.arg(help_behavior_hint="(default: 0.1; with --tools 1)")] = None
     """Share of the examples with held-out tools, textures and backgrounds, from 0 to 1."""
+    tools: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """One's own tools instead of the generated ones, all held out: a folder for each with tool.yaml (docs/dataset.md)
+    and a mesh."""
     cluster: Literal["local", "ray"] = "local"
     """ray: on the Ray cluster that RAY_ADDRESS names (extra `cluster`), whose machines share DIR."""
     json: Flag = False
@@ -54,12 +60,18 @@ class Generate:
         from toolee_robot.perception.dataset.generate import generate
         from toolee_robot.perception.dataset.spec import DatasetSpec
 
-        spec = DatasetSpec(self.config, self.size, self.seed, self.test_share)
+        own: tuple[OwnMesh, ...] = ()
+        if self.tools is not None:
+            from toolee_robot.perception.dataset.own_reader import read_own_tools
+
+            own = read_own_tools(self.tools)
+        share = self.test_share if self.test_share is not None else 1.0 if own else DatasetSpec.test_share
+        spec = DatasetSpec(self.config, self.size, self.seed, share, tools=tuple(tool.record for tool in own))
         workers = _cores() if self.workers is None else self.workers
         console = Console(stderr=self.json, highlight=False)
         began = time.monotonic()
         with _progress(console, "rendering", "examples") as report:
-            made = generate(spec, self.out, workers, report, self.cluster)
+            made = generate(spec, self.out, workers, report, self.cluster, own)
         seconds = time.monotonic() - began
         if made:
             console.print(f"{spec.size} examples in {escape(str(self.out))}, {seconds:.0f} s", soft_wrap=True)
@@ -113,10 +125,14 @@ class Inspect:
                     pictures.montage(self.folder / split, self.count).save(out / f"montage_{split}.png")
             plots.distributions(card).savefig(out / "distributions.png", dpi=110)
             found = shapes.shape_distances(self.folder, self.pairs)
-            plots.shape_figure(found).savefig(out / "shapes.png", dpi=110)
+            if found.values:
+                plots.shape_figure(found).savefig(out / "shapes.png", dpi=110)
         record = {"spec": spec.to_json(), "splits": _summary(card), "shape_distances": found.to_json()}
         write_whole(out / "inspection.json", (json_line(record) + "\n").encode())
-        console.print(_shape_table(found.to_json()))
+        if found.values:
+            console.print(_shape_table(found.to_json()))
+        else:
+            console.print("no category has two instances to compare: shapes.png is left out")
         console.print(f"pictures in {escape(str(out))}", soft_wrap=True)
         if self.json:
             print(json_line({"out": str(out), **record}), flush=True)

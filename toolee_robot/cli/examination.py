@@ -14,9 +14,9 @@ from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError
 from toolee_robot.findings import Finding, warn
 from toolee_robot.hal import Station
-from toolee_robot.hardware.clock import MonotonicClock
 from toolee_robot.hardware.ur_arm import UrArm
 from toolee_robot.hardware.ur_config import UrArmConfig
+from toolee_robot.host_clock import HostClock
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote_station import remote_station
 from toolee_robot.sim_backend.remote_world import RemoteWorld
@@ -72,7 +72,7 @@ class Examination:
             world = None
             if self.with_world:
                 with self.doing("building the simulated station behind a controller stand-in"):
-                    world = stack.enter_context(RemoteWorld(self.config, _SEED, SimOptions(), host))
+                    world = stack.enter_context(RemoteWorld(self.config, _SEED, SimOptions(), host, HostClock()))
             with self.doing(f"asking the robot at {host}"):
                 robot = doctor.examine_robot(host, self.config)
             self._rate, self._robot_serial = robot.rate, robot.serial
@@ -91,7 +91,7 @@ class Examination:
         tool, _ = draw_handover(_SEED, SimOptions())
         try:
             with UrArm(UrArmConfig(host), self.config.arm) as arm:
-                yield from self._devices(remote_station(world, self.config, _SEED, tool, arm, MonotonicClock()))
+                yield from self._devices(remote_station(world, self.config, _SEED, tool, arm, HostClock()))
         except DeviceError as error:
             yield Finding.of_error("arm", error, "first mend what is said of the robot")
 

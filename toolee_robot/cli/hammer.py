@@ -13,10 +13,14 @@ from rich.console import Console
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.cli.patience import patient_bounds
 from toolee_robot.config import StationConfig, load_station
 from toolee_robot.errors import UserError
+from toolee_robot.host_clock import check_pace, is_loopback
 from toolee_robot.types import ArmModel
+
+WORLD_PACE = 0.25
+"""At this pace a cycle of either arm takes some three times what the world needs for it at worst, in a blow: two busy
+cores still keep the servo's schedule, and the bounds are a real robot's."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,9 @@ class Hammer:
     """Of the UR controller, with --arm ur-rtde; with --world a loopback address, where a stand-in will serve."""
     world: Annotated[Literal["pybullet"] | None, tyro.conf.arg(metavar="pybullet", help_behavior_hint="")] = None
     """What is behind the UR controller: a stand-in is started, with the simulated station as its world."""
+    pace: Annotated[float | None, tyro.conf.arg(metavar="0.05..1", help_behavior_hint="(default: 0.25)")] = None
+    """With --world: seconds of the station, its robot and its world for one of the wall's clock. 1 is real time, which
+    a busy machine does not keep up with."""
     robot: Annotated[Literal["UR10", "UR10e"] | None, tyro.conf.arg(metavar="UR10|UR10e", help_behavior_hint="")] = None
     """Which arm, instead of the configuration's."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
@@ -61,23 +68,23 @@ class Hammer:
             raise UserError("--gui needs a screen and DISPLAY is not set: leave it out, headless does the same job")
         if self.perfect_perception and self.no_correction:
             raise UserError("--perfect-perception with --no-correction changes nothing: leave one out")
-        host = self._host()
+        address = self._address()
         config = StationConfig() if self.config is None else load_station(self.config)
         if self.robot is not None:
             config = replace(config, arm=replace(config.arm, model=ArmModel(self.robot)))
-        if host is not None:
-            config = replace(config, supervisor=patient_bounds(config))
         console = Console(stderr=self.json, highlight=False)
 
         from toolee_robot.cli.run_folder import run_folder
 
         with run_folder(self.out, f"seed{self.seed}") as folder:
             console.print("[dim]loading the networks and building the station[/dim]")
+            from toolee_robot.cli.backend import StandIn
             from toolee_robot.cli.job import HammerJob  # seconds of loading: after everything that can be wrong at once
 
+            stand_in = None if address is None else StandIn(*address)
             correction, perfect = not self.no_correction, self.perfect_perception
             job = HammerJob(
-                config, self.seed, correction=correction, perfect_perception=perfect, gui=self.gui, host=host
+                config, self.seed, correction=correction, perfect_perception=perfect, gui=self.gui, stand_in=stand_in
             )
             report = job.run(folder.path, console)
             folder.keep()
@@ -86,9 +93,13 @@ class Hammer:
             print(json_line({**report.figures, "run_folder": str(folder.path)}), flush=True)
         return report.exit_code
 
-    def _host(self) -> str | None:
-        """Of the stand-in that the arm is driven through; None for the simulated arm itself."""
+    def _address(self) -> tuple[str, float] | None:
+        """Host and pace of the stand-in that the arm is driven through; None for the simulated arm itself."""
         if self.arm == "sim":
+            if self.pace is not None:
+                raise UserError(
+                    "--pace without --arm ur-rtde: the simulated arm itself needs none, its time waits for it"
+                )
             if self.robot_host is not None:
                 raise UserError("--robot-host without --arm ur-rtde: the simulated arm has no address")
             return None
@@ -100,4 +111,8 @@ class Hammer:
             )
         if self.robot_host is None:
             raise UserError("--arm ur-rtde needs --robot-host: a loopback address such as 127.0.0.2")
-        return self.robot_host
+        if not is_loopback(self.robot_host):
+            raise UserError(f"{self.robot_host!r} is not a loopback address: a stand-in serves this machine only")
+        pace = WORLD_PACE if self.pace is None else self.pace
+        check_pace(pace, self.robot_host)
+        return self.robot_host, pace

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.panel import Panel
 
 import toolee_robot
-from toolee_robot.cli.backend import open_backend
+from toolee_robot.cli.backend import StandIn, open_backend
 from toolee_robot.cli.console import ConsoleObserver
 from toolee_robot.cli.output import json_line, write_whole
 from toolee_robot.cli.recording import Album, RecordingObserver
@@ -67,15 +67,15 @@ class HammerReport:
 
 @dataclass(frozen=True)
 class HammerJob:
-    """What is to be done. perfect_perception: poses from the ground truth, for tests and the ablation only. host: of a
-    controller stand-in to drive the arm through, with the real driver; None: straight to the simulated station."""
+    """What is to be done. perfect_perception: poses from the ground truth, for tests and the ablation only. stand_in:
+    what to drive the arm through, with the real driver; None: straight to the simulated station."""
 
     config: StationConfig
     seed: int
     correction: bool = True
     perfect_perception: bool = False
     gui: bool = False
-    host: str | None = None
+    stand_in: StandIn | None = None
 
     def run(self, folder: Path, console: Console) -> HammerReport:
         """Do the job and write summary.json, recording.mcap and picture.png into `folder`, whatever the ending.
@@ -88,7 +88,7 @@ class HammerJob:
         screen, album = ConsoleObserver(console, work.nail_protrusion, flush), Album(work.nail_protrusion, flush)
         metadata = {"seed": str(self.seed), "correction": str(self.correction)}
         with (
-            open_backend(self.config, self.seed, SimOptions(gui=self.gui), self.host) as sim,
+            open_backend(self.config, self.seed, SimOptions(gui=self.gui), self.stand_in) as sim,
             RunRecorder(folder / "recording.mcap", metadata) as recorder,
         ):
             console.print(f"[bold]{_words(sim.tool)}[/bold]  [dim]seed {self.seed}{self._mode()}[/dim]")
@@ -120,7 +120,9 @@ class HammerJob:
         return HammerReport(figures)
 
     def _mode(self) -> str:
-        words = "" if self.host is None else f", {self.config.arm.model} over ur_rtde at {self.host}"
+        words = ""
+        if self.stand_in is not None:
+            words = f", {self.config.arm.model} over ur_rtde at {self.stand_in.host}, pace {self.stand_in.pace:g}"
         if self.perfect_perception:
             return f"{words}, poses from the simulation's ground truth"
         return words if self.correction else f"{words}, no correction: the nominal in-hand pose is believed"
@@ -150,7 +152,8 @@ class HammerJob:
             "seconds": round(seconds, 3),
             "seed": self.seed,
             "tool": tool.name,
-            "arm": "sim" if self.host is None else "ur-rtde",
+            "arm": "sim" if self.stand_in is None else "ur-rtde",
+            "pace": None if self.stand_in is None else self.stand_in.pace,
             "robot": str(self.config.arm.model),
             "correction": self.correction,
             "perfect_perception": self.perfect_perception,

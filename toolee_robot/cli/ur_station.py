@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
-from toolee_robot.cli.patience import patient_driver
 from toolee_robot.config import StationConfig
 from toolee_robot.hal import Station
-from toolee_robot.hardware.clock import MonotonicClock
 from toolee_robot.hardware.ur_arm import UrArm
+from toolee_robot.hardware.ur_config import UrArmConfig
+from toolee_robot.host_clock import HostClock
 from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote_station import RemoteJudge, remote_station
@@ -20,15 +19,16 @@ from toolee_robot.sim_backend.station import draw_handover
 
 
 class UrStation:
-    """The station of a seed as `SimStation.build` has it, in real time. The arm is driven by `UrArm` over ur_rtde; its
-    controller is a stand-in on a loopback `host`, with the simulated world as its plant, in a process of its own."""
+    """The station of a seed as `SimStation.build` has it. The arm is driven by `UrArm` over ur_rtde; its controller is
+    a stand-in on a loopback `host`, with the simulated world as its plant, in a process of its own. Time runs at `pace`
+    in all of it: 1 is real time."""
 
     station: Station
 
-    def __init__(self, config: StationConfig, seed: int, options: SimOptions, host: str) -> None:
-        self._config, self._seed, self._host = config, seed, host
+    def __init__(self, config: StationConfig, seed: int, options: SimOptions, host: str, pace: float) -> None:
+        self._config, self._seed, self._host, self._clock = config, seed, host, HostClock(pace)
         self.tool, _ = draw_handover(seed, options)
-        self._world = RemoteWorld(config, seed, options, host)
+        self._world = RemoteWorld(config, seed, options, host, self._clock)
         self.judge = RemoteJudge(self._world)
         self._open = ExitStack()
 
@@ -39,9 +39,10 @@ class UrStation:
             world = stack.enter_context(self._world)
             # The last to come is the first to go: a client outlives no controller.
             hand = load_robot(config.arm.model, config.arm.calibration)
-            driver = replace(patient_driver(self._host), payload=hand.hand_payload(hand.hand_open), tcp=(0.0,) * 6)
+            payload = hand.hand_payload(hand.hand_open)
+            driver = UrArmConfig(self._host, payload=payload, tcp=(0.0,) * 6, pace=self._clock.pace)
             arm = stack.enter_context(UrArm(driver, config.arm))
-            self.station = remote_station(world, config, self._seed, self.tool, arm, MonotonicClock())
+            self.station = remote_station(world, config, self._seed, self.tool, arm, self._clock)
             self._open = stack.pop_all()
         return self
 

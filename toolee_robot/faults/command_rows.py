@@ -25,7 +25,7 @@ from toolee_robot.errors import (
 from toolee_robot.faults import bad_commands as bad
 from toolee_robot.faults.arm_rows import AT_REST, BUSY, OFF_PATH
 from toolee_robot.faults.joints_path import braking_time
-from toolee_robot.faults.people import StandInPerson
+from toolee_robot.faults.people import People
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rig import Happening, Rig
 from toolee_robot.faults.watch import PATIENT
@@ -95,12 +95,12 @@ def command_rows(rig: Rig) -> Iterator[FaultRow]:
     yield from _person_rows(rig)
 
 
-def _supervised(rig: Rig) -> tuple[Supervisor, StandInPerson]:
+def _supervised(rig: Rig) -> tuple[Supervisor, People]:
     """A supervisor that lets blows begin, and the person it asks."""
     swing = rig.swing
     # A busy machine is not what these rows are about.
     bounds = replace(swing.config.supervisor, data_cycles=PATIENT.data_cycles, overruns=PATIENT.overruns)
-    person = StandInPerson()
+    person = People()
     config = replace(swing.config, supervisor=bounds)
     supervisor = Supervisor(rig.arm, person, swing.robot, config, world=lambda: swing.world)
     supervisor.mode = Mode.HAMMERING

@@ -15,6 +15,7 @@ import numpy as np
 
 from toolee_robot.config import StationConfig, TaskConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_handover
+from toolee_robot.faults.people import People
 from toolee_robot.frames import Array, inverse
 from toolee_robot.hal import Hand, HandState, MotionReport, Station
 from toolee_robot.sim_backend import SimOptions, SimStation
@@ -33,46 +34,6 @@ from toolee_robot.tasks.outcome import Blow, HammerResult, Stage
 CONFIG = StationConfig(task=TaskConfig(views=1, max_blows=1, handover_timeout=2.0))
 HOME = np.array(CONFIG.scene.home)
 SEED = 101
-
-
-class People:
-    """A person who answers as told, and remembers what was asked. on_release: what they do when they let go."""
-
-    def __init__(
-        self, gives: bool = True, steps_back: bool = True, on_release: Callable[[], None] | None = None
-    ) -> None:
-        self.gives, self.steps_back = gives, steps_back
-        self.takes, self.confirms = True, True
-        self.is_inside, self.attends = False, True
-        self.on_release = on_release
-        self.asked: list[str] = []
-
-    def take_tool(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        self.asked.append("take")
-        return self.takes
-
-    def confirm_swing(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        self.asked.append("swing")
-        return self.confirms
-
-    def inside(self) -> bool:
-        return self.is_inside
-
-    def attending(self) -> bool:
-        return self.attends
-
-    def step_in(self) -> None:
-        self.is_inside = True
-
-    def request_handover(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        self.asked.append("handover")
-        return self.gives
-
-    def release(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        self.asked.append("release")
-        if self.on_release is not None:
-            self.on_release()
-        return self.steps_back
 
 
 class ClosedHand:

@@ -26,6 +26,7 @@ RETREATS = "aborts, retreats away from the person"
 LOOKS = "looks again, then gives up"
 RECORDS = "stops, records a failure"
 BRAKES = "brakes on the path, latches, grip kept"
+BRAKES_ONLY = "brakes on the path, " + STANDS
 HOT = 71.0  # [deg C]
 PLATE = (0.03, 0.03, 0.005)  # [m] half its size
 PLATE_OVER = 0.10  # [m] over the nail's head: the face comes down from twice as high
@@ -145,19 +146,21 @@ HAND = (
         15, "hand does not close in time", REST, STANDS, _hang, Stage.GRIP, FAULT, "its grip too", 0, "to the handover"
     ),
     JobFault(
-        15, "hand falls silent", SWING, "blow ends, " + NO_NEXT, lambda s: s.bench.sim_hand.cut_link(), IN_STRIKE,
-        FAULT, "hand's newest state", 1, "strike", before=0.15,
+        15, "hand falls silent", SWING, BRAKES_ONLY, lambda s: s.bench.sim_hand.cut_link(), IN_STRIKE,
+        FAULT, "hand's newest state", 1, "strike", braking=Braking(None), before=0.3,
     ),
     JobFault(18, "hand too hot", REST, NO_BLOW, _heat, RUN_UP, FAULT, "71 deg C", 0, RUN_UP),
     JobFault(18, "hand too hot", SWING, NO_NEXT, _heat, IN_STRIKE, FAULT, "71 deg C", 1, RUN_UP, blows=2),
     JobFault(18, "finger stalled", REST, NO_BLOW, _stall, RUN_UP, FAULT, "finger stalled", 0, RUN_UP),
-    JobFault(18, "finger stalled", SWING, NO_NEXT, _stall, IN_STRIKE, FAULT, "finger stalled", 1, RUN_UP, blows=2),
+    JobFault(18, "finger stalled", SWING, BRAKES_ONLY, _stall, IN_STRIKE, FAULT, "finger stalled", 1, "strike",
+             braking=Braking(None), before=0.15),
     JobFault(21, "tool dropped", REST, RETREATS, lambda s: s.bench.drop(), RUN_UP, LOST, "lost the tool", 0, "retreat",
              keeps=False),
-    JobFault(21, "tool dropped", SWING, RETREATS, lambda s: s.bench.drop(), IN_STRIKE, LOST, "lost the tool", 1,
-             "retreat", keeps=False),
+    JobFault(21, "tool dropped", SWING, "brakes on the path, " + RETREATS, lambda s: s.bench.drop(), IN_STRIKE, LOST,
+             "lost the tool", 1, "retreat", braking=Braking(None), keeps=False, before=0.15),
     JobFault(21, "hand feels no grip", REST, RETREATS, _lose_feeling, RUN_UP, LOST, "lost the tool", 0, "retreat"),
-    JobFault(21, "hand feels no grip", SWING, RETREATS, _lose_feeling, IN_STRIKE, LOST, "lost the tool", 1, "retreat"),
+    JobFault(21, "hand feels no grip", SWING, "brakes on the path, " + RETREATS, _lose_feeling, IN_STRIKE, LOST,
+             "lost the tool", 1, "retreat", braking=Braking(None), before=0.15),
 )  # fmt: skip
 
 CAMERA = tuple(

@@ -1,32 +1,46 @@
-"""A person at the stand-in's station, who does what the matrix needs them to do."""
+"""The person at the station, who does what the matrix needs them to do."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 
 
-@dataclass
-class StandInPerson:
-    """A `hal.Person`. is_inside: within the arm's reach. holds_switch: lets the arm move slowly. confirms: says yes."""
+class People:
+    """A `hal.Person` who answers as told, and remembers what was asked. is_inside: within the arm's reach. attends:
+    holds the enabling switch. on_release: what they do when they let go."""
 
-    is_inside: bool = False
-    holds_switch: bool = True
-    confirms: bool = True
-
-    def request_handover(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        return self.confirms
-
-    def release(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        return self.confirms
+    def __init__(
+        self, gives: bool = True, steps_back: bool = True, on_release: Callable[[], None] | None = None
+    ) -> None:
+        self.gives, self.steps_back = gives, steps_back
+        self.takes, self.confirms = True, True
+        self.is_inside, self.attends = False, True
+        self.on_release = on_release
+        self.asked: list[str] = []
 
     def take_tool(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        return self.confirms
+        self.asked.append("take")
+        return self.takes
 
     def confirm_swing(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        self.asked.append("swing")
         return self.confirms
 
     def inside(self) -> bool:
         return self.is_inside
 
     def attending(self) -> bool:
-        return self.holds_switch
+        return self.attends
+
+    def step_in(self) -> None:
+        self.is_inside = True
+
+    def request_handover(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        self.asked.append("handover")
+        return self.gives
+
+    def release(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        self.asked.append("release")
+        if self.on_release is not None:
+            self.on_release()
+        return self.steps_back

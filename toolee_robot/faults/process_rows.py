@@ -59,7 +59,8 @@ def process_rows(model: ArmModel, host: str) -> Iterator[FaultRow]:
 def _row(fault: TaskFault, phase: Phase, model: ArmModel, host: str, name: str) -> FaultRow:
     swing = plan_swing(model)
     strike, limits = swing.plan.strike, swing.config.arm
-    with ControllerProcess(model=model.value, host=host, plant=partial(JointPlant, q=strike.q[0])) as controller:
+    plant = partial(JointPlant, q=strike.q[0])
+    with ControllerProcess(model=model.value, host=host, plant=plant, realtime=True) as controller:
         task = subprocess.Popen(
             [sys.executable, "-m", "toolee_robot.faults.swinger", host, model.value],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,

@@ -156,7 +156,7 @@ def rig(model: ArmModel, host: str) -> Iterator[Rig]:
     swing = plan_swing(model)
     plant = partial(JointPlant, q=swing.plan.strike.q[0])
     with (
-        ControllerProcess(model=model.value, host=host, plant=plant) as controller,
+        ControllerProcess(model=model.value, host=host, plant=plant, realtime=True) as controller,
         UrArm(UrArmConfig(host), swing.config.arm) as arm,
     ):
         yield Rig(controller, arm, swing)

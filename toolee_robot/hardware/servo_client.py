@@ -23,9 +23,9 @@ from toolee_robot.hardware.ur_config import UrArmConfig
 
 BEAT: Final = 0.01  # [s]
 START_TIMEOUT: Final = 15.0
-"""[s] For Python and numpy in the new process: the host's matter, not the robot's."""
+"""[s] of the wall. For Python and numpy in the new process: the host's matter, not the robot's."""
 MORE: Final = 1.0
-"""[s] The servo process ends itself when the robot does not answer in time; it gets so much longer here."""
+"""[s] of the wall. The servo process ends itself when the robot does not answer in time; so much later it is killed."""
 _LAST_WORDS: Final = 600  # characters
 
 _PROGRAM = "from toolee_robot.hardware.servo_process import main; main()"
@@ -37,7 +37,7 @@ class ServoClient:
     def __init__(self, config: UrArmConfig, rate: float) -> None:
         """Start and connect. Raises NotReadyError when the robot must be made ready first, DeviceError when it refuses,
         ServoCrashError when the process dies or hangs meanwhile."""
-        self._config = config
+        self._config, self._clock = config, config.clock
         self.memory = ServoMemory.create(config.longest_motion)
         ours, theirs = socket.socketpair()
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (its reader is the message of a crash, later)
@@ -74,9 +74,9 @@ class ServoClient:
 
     def cycles_within(self, timeout: float) -> bool:
         """Whether its loop does another cycle within so long [s]; comes back as soon as it has."""
-        done, deadline = int(self.memory.words[Word.CYCLES]), time.monotonic() + timeout
+        done, deadline = int(self.memory.words[Word.CYCLES]), self._clock.now() + timeout
         while int(self.memory.words[Word.CYCLES]) == done:
-            if time.monotonic() > deadline:
+            if self._clock.now() > deadline:
                 return False
             time.sleep(1e-3)
         return True
@@ -89,7 +89,7 @@ class ServoClient:
         """A short order and its answer. Raises DeviceError when refused, ServoCrashError when there is no answer."""
         self.send(order)
         # The payload is acknowledged, then read back.
-        reply = self.receive(2 * self._config.handshake_timeout + MORE)
+        reply = self.receive(self._clock.wall(2 * self._config.handshake_timeout) + MORE)
         if reply is None:
             raise self.crash(hung=True)
         if isinstance(reply, Refused):
@@ -103,7 +103,7 @@ class ServoClient:
             raise self.crash() from error
 
     def receive(self, timeout: float) -> Reply | None:
-        """The next answer, or None after `timeout` [s]. Raises ServoCrashError when the process is gone."""
+        """The next answer, or None after `timeout` [s] of the wall. Raises ServoCrashError when the process is gone."""
         try:
             if not self._pipe.poll(timeout):
                 return None
@@ -133,7 +133,7 @@ class ServoClient:
         with suppress(DeviceError):
             self.send(Close())
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(self._config.handshake_timeout + MORE)
+            self._process.wait(self._clock.wall(self._config.handshake_timeout) + MORE)
         self.kill()
 
     def kill(self) -> None:
@@ -154,7 +154,7 @@ class ServoClient:
                     else "the servo process did not start: the machine is overloaded"
                 )
             if started := int(self.memory.words[Word.CONNECTING]):
-                deadline = min(deadline, started * 1e-9 + self._config.connect_timeout)
+                deadline = min(deadline, started * 1e-9 + self._clock.wall(self._config.connect_timeout))
         if isinstance(reply, Refused):
             raise (NotReadyError if reply.not_ready else DeviceError)(reply.message)
         if not isinstance(reply, Connected):
@@ -162,7 +162,7 @@ class ServoClient:
         return reply.realtime
 
     def _beat(self) -> None:
-        while not self._ended.wait(BEAT):
+        while not self._ended.wait(self._clock.wall(BEAT)):
             self.memory.words[Word.HEARTBEAT] += 1
 
 

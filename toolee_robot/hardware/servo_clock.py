@@ -1,4 +1,4 @@
-"""Time for the servo loop: an absolute schedule on CLOCK_MONOTONIC, and what the system grants a real-time process.
+"""Time for the servo loop: an absolute schedule on the station's clock, and what the system grants a real-time process.
 
 A relative sleep drifts (125 Hz became 123.4 Hz in 5 s); deadlines that are all counted from one start do not. But the
 controller counts its cycles by another crystal: 50 ppm apart, a fixed schedule would slip by one of the controller's
@@ -12,13 +12,14 @@ import ctypes
 import gc
 import os
 import resource
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
+from toolee_robot.host_clock import HostClock
+
 SPIN = 1e-4
-"""[s] Sleep until so long before a deadline, then watch the clock: the kernel wakes late, never early."""
+"""[s] of the wall. Sleep until so long before a deadline, then watch the clock: the kernel wakes late, never early."""
 AFTER_PACKET = 0.3
 """Of a period, from the controller's packet to a slot. The controller takes commands in when its cycle begins, sends
 its packet some way into the cycle, and this process is late at times but never early: this is the cycle's middle."""
@@ -32,10 +33,10 @@ _PR_SET_TIMERSLACK = 29
 
 
 class Schedule:
-    """Slots at start + k * period [s] on `time.monotonic()`."""
+    """Slots at start + k * period [s] on `clock`."""
 
-    def __init__(self, start: float, period: float) -> None:
-        self._start, self._period, self._slot = start, period, 0
+    def __init__(self, start: float, period: float, clock: HostClock) -> None:
+        self._start, self._period, self._clock, self._slot = start, period, clock, 0
 
     @property
     def deadline(self) -> float:
@@ -45,9 +46,9 @@ class Schedule:
     def follow(self, arrived: Callable[[], bool]) -> None:
         """Wait until the controller's packet should come, AFTER_PACKET before the next slot, ask whether it has come
         already, and move the slots towards having it come right then."""
-        pause = self.deadline - AFTER_PACKET * self._period - time.monotonic()
+        pause = self.deadline - AFTER_PACKET * self._period - self._clock.now()
         if pause > 0:
-            time.sleep(pause)
+            self._clock.sleep(pause)
             self._start += self._period * (-FOLLOW if arrived() else FOLLOW)
 
     def wait(self) -> tuple[float, int]:
@@ -55,11 +56,9 @@ class Schedule:
 
         A missed slot is skipped: commands sent in a burst would reach the robot in one of its cycles.
         """
-        deadline = self.deadline
-        now = time.monotonic()
-        if deadline - now > SPIN:
-            time.sleep(deadline - now - SPIN)
-        while (now := time.monotonic()) < deadline:
+        deadline, clock = self.deadline, self._clock
+        clock.sleep(deadline - clock.now() - SPIN * clock.pace)
+        while (now := clock.now()) < deadline:
             pass
         missed = int((now - deadline) / self._period)
         self._slot += missed + 1

@@ -25,7 +25,7 @@ KNOT_RATE: Final = 1000.0  # [Hz] samples of a trajectory that fit, on average
 
 class Word(IntEnum):
     """Integers. HEARTBEAT and STOP are the task's, the rest is the servo process's. CONNECTING: when the servo process
-    began to connect [ns]. CYCLES goes on as long as its loop does."""
+    began to connect [ns of `time.monotonic_ns()`]. CYCLES goes on as long as its loop does."""
 
     HEARTBEAT = 0
     STOP = 1
@@ -39,7 +39,7 @@ class Word(IntEnum):
 
 
 class Column:
-    """Of a row of the log, one for each command cycle. Times in seconds on `time.monotonic()`."""
+    """Of a row of the log, one for each command cycle. Times in seconds on the station's clock."""
 
     SENT = 0
     LATENESS = 1

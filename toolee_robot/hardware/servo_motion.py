@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from typing import Final, Protocol
 
@@ -15,6 +14,7 @@ from toolee_robot.hardware.servo_clock import Schedule
 from toolee_robot.hardware.servo_memory import Column, ServoMemory, StateColumn, Word
 from toolee_robot.hardware.servo_orders import Cause, MotionOrder
 from toolee_robot.hardware.ur_link import UrLink
+from toolee_robot.host_clock import HostClock
 
 STANDSTILL: Final = 2e-3  # [rad/s]
 SETTLE_TIME: Final = 1.0  # [s] at most, after the last command
@@ -32,13 +32,20 @@ class Motion:
     """From the first sample to standstill; `run` returns the cause of the end."""
 
     def __init__(
-        self, link: UrLink, memory: ServoMemory, order: MotionOrder, schedule: Schedule, alive: TaskLife
+        self,
+        link: UrLink,
+        memory: ServoMemory,
+        order: MotionOrder,
+        schedule: Schedule,
+        alive: TaskLife,
+        clock: HostClock,
     ) -> None:
         self._link, self._memory, self._order, self._schedule, self._alive = link, memory, order, schedule, alive
+        self._clock = clock
         self._period = 1.0 / link.rate
         self._path = memory.path(order.knots)
         self._cause, self._silent = Cause.NONE, False
-        self._time, self._row, self._streak, self._brakes = 0.0, 0, 0, False
+        self._time, self._row, self._streak, self._brakes, self._still = 0.0, 0, 0, False, 0
         self._commands = self._reference()
         self._lag_cycles = order.lag / self._period
         self._window = int(self._lag_cycles + order.watch.data_cycles) + 8
@@ -72,7 +79,7 @@ class Motion:
         late = missed + (lateness >= self._period / 2)
         words[Word.OVERRUNS] += late
         self._streak = self._streak + late if late else 0
-        age = time.monotonic() - reading[StateColumn.SEEN]
+        age = self._clock.now() - reading[StateColumn.SEEN]
         if not self._link.connected:
             self._end(Cause.LINK)
         elif not self._link.sane or age > watch.data_cycles * self._period:
@@ -124,7 +131,11 @@ class Motion:
         guard = self._order.guard
         if guard is None or self._time < guard.after or self._brakes:
             return False
-        force = self._link.reading[StateColumn.WRENCH][:3]
+        before = max(round(guard.over / self._period) - 1, 0)
+        if self._row < before:
+            return False
+        forces = self._memory.rows[self._row - before : self._row, Column.WRENCH][:, :3]
+        force = (forces.sum(axis=0) + self._link.reading[StateColumn.WRENCH][:3]) / (before + 1)
         return float(np.sqrt(force @ force)) > guard.force
 
     def _tracking_error(self) -> float:
@@ -139,18 +150,19 @@ class Motion:
         return float(np.maximum(q - commanded.max(axis=0), commanded.min(axis=0) - q).max())
 
     def _at_rest(self, settled: int) -> bool:
-        """Standstill, seen in fresh data and after the servo's lag, or no more time to wait for it."""
+        """Standstill, seen in fresh data and after the servo's lag, or no more time to wait for it. An arm that swings
+        stands for a moment at every turn: it has to stand for SETTLE_CYCLES."""
         if settled > SETTLE_TIME / self._period or self._cause is Cause.LINK:
             return True
-        if settled < SETTLE_CYCLES + self._lag_cycles:
-            return False
         reading = self._link.reading
-        fresh = time.monotonic() - reading[StateColumn.SEEN] < self._order.watch.data_cycles * self._period
-        return fresh and bool(np.abs(reading[StateColumn.QD]).max() < STANDSTILL)
+        fresh = self._clock.now() - reading[StateColumn.SEEN] < self._order.watch.data_cycles * self._period
+        still = fresh and bool(np.abs(reading[StateColumn.QD]).max() < STANDSTILL)
+        self._still = self._still + 1 if still else 0
+        return self._still >= SETTLE_CYCLES and settled >= SETTLE_CYCLES + self._lag_cycles
 
     def _log(self, q: Array, lateness: float) -> None:
         memory, reading, row = self._memory, self._link.reading, self._memory.rows[self._row]
-        row[Column.SENT], row[Column.LATENESS] = time.monotonic(), lateness
+        row[Column.SENT], row[Column.LATENESS] = self._clock.now(), lateness
         row[Column.SEEN], row[Column.TIMESTAMP] = reading[StateColumn.SEEN], reading[StateColumn.TIMESTAMP]
         row[Column.PATH_TIME], row[Column.COMMANDED] = self._time, q
         row[Column.Q], row[Column.QD] = reading[StateColumn.Q], reading[StateColumn.QD]

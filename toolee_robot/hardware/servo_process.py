@@ -51,6 +51,7 @@ class ServoProcess:
         self._poll = select.poll()
         self._poll.register(pipe.fileno(), select.POLLIN | select.POLLHUP)
         self._beat, self._since = -1, 0.0
+        self._clock = config.clock
         self._fault = Cause.NONE
         self._terminated = False
         signal.signal(signal.SIGTERM, self._terminate)
@@ -77,7 +78,7 @@ class ServoProcess:
     def _judge(self) -> None:
         """What happens at rest latches as well: nothing moves before a reset."""
         link = self._link
-        age = time.monotonic() - link.reading[StateColumn.SEEN]
+        age = self._clock.wall(self._clock.now() - link.reading[StateColumn.SEEN])
         if not link.connected or age > self._config.link_timeout:
             self._latch(Cause.LINK)
             os._exit(EXIT_LINK_LOST)
@@ -115,7 +116,7 @@ class ServoProcess:
         return schedule
 
     def _move(self, order: MotionOrder, schedule: Schedule) -> Cause:
-        cause = Motion(self._link, self._memory, order, schedule, self).run()
+        cause = Motion(self._link, self._memory, order, schedule, self, self._clock).run()
         if cause is Cause.TASK_ENDED:
             self._link.close()
         if cause >= Cause.DATA:
@@ -140,7 +141,7 @@ class ServoProcess:
 
     def lost(self) -> Cause:
         """See `servo_motion.TaskLife`: its end of the pipe is open and its heartbeat goes on."""
-        now, beat = time.monotonic(), int(self._memory.words[Word.HEARTBEAT])
+        now, beat = self._clock.now(), int(self._memory.words[Word.HEARTBEAT])
         if beat != self._beat:
             self._beat, self._since = beat, now
         if self._terminated or any(events & (select.POLLHUP | select.POLLERR) for _, events in self._poll.poll(0)):
@@ -152,20 +153,20 @@ class ServoProcess:
         another in one cycle and no reading is missed by a hair."""
         period = 1.0 / self._link.rate
         arrivals: list[float] = []
-        end = time.monotonic() + (_ALIGNMENT + 2) * period
-        while len(arrivals) < _ALIGNMENT and time.monotonic() < end:
+        end = self._clock.now() + (_ALIGNMENT + 2) * period
+        while len(arrivals) < _ALIGNMENT and self._clock.now() < end:
             if self._link.read():
                 arrivals.append(self._link.reading[StateColumn.SEEN])
                 if self._fault is Cause.NONE and self._link.playing:
                     self._link.kick()
             time.sleep(5e-5)
-        now = time.monotonic()
+        now = self._clock.now()
         if not arrivals:
-            return Schedule(now, period)
+            return Schedule(now, period, self._clock)
         # Arrivals are seen late, never early: the least late of them tells most.
         last = arrivals[-1]
         least_late = last + min((a - last + period / 2) % period - period / 2 for a in arrivals)
-        return Schedule(now + (least_late + AFTER_PACKET * period - now) % period, period)
+        return Schedule(now + (least_late + AFTER_PACKET * period - now) % period, period, self._clock)
 
     def _terminate(self, _signum: int, _frame: object) -> None:
         self._terminated = True

@@ -11,7 +11,6 @@ None of this is a safety function: the robot's own safety system is, with its li
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import TracebackType
@@ -56,7 +55,7 @@ class UrArm:
     """See the module. rate [Hz], realtime: known once the context is entered."""
 
     def __init__(self, config: UrArmConfig, limits: ArmLimits) -> None:
-        self._config, self._limits = config, limits
+        self._config, self._limits, self._clock = config, limits, config.clock
         self._velocity = np.minimum(np.array(limits.velocity), VELOCITY)
         self._rate, self._lag = 0.0, 0.0
         self._servo: ServoClient | None = None
@@ -70,7 +69,7 @@ class UrArm:
         tcp = None if self._config.tcp is None else np.array(self._config.tcp)
         expected = UrExpected(self._limits.model, self._limits.calibration, self._config.payload, tcp)
         for _ in range(PROBES):
-            report = probe(self._config.host)
+            report = probe(self._config.host, clock=self._clock)
             failed = [finding for finding in check(report, expected) if finding.level is Level.FAIL]
             # A second in which this machine was busy says nothing of the robot; a clock that goes back, or does not
             # come at all, does.
@@ -115,9 +114,9 @@ class UrArm:
         return self._open().pid
 
     def state(self, max_age: float = 0.1) -> ArmState:
-        """The newest reading, stamped with this machine's `time.monotonic()` when it came. Raises StaleDataError."""
+        """The newest reading, stamped with the station's clock when it came. Raises StaleDataError."""
         state = self._open().memory.read_state()
-        age = time.monotonic() - state[StateColumn.SEEN]
+        age = self._clock.now() - state[StateColumn.SEEN]
         if age > max_age:
             raise StaleDataError(
                 f"the arm's newest state is {age:.2f} s old: check the robot and its network cable, then reset the arm"
@@ -259,7 +258,7 @@ class UrArm:
             raise
 
     def _await(self, servo: ServoClient) -> Cause:
-        cycles, since = -1, time.monotonic()
+        cycles, since = -1, self._clock.now()
         while True:
             reply = servo.receive(_POLL)
             if isinstance(reply, Moved):
@@ -267,7 +266,7 @@ class UrArm:
             if reply is not None:
                 servo.kill()
                 raise ServoCrashError(f"the servo process answered {reply!r} to a motion: reset the arm")
-            now, done = time.monotonic(), int(servo.memory.words[Word.CYCLES])
+            now, done = self._clock.now(), int(servo.memory.words[Word.CYCLES])
             if done != cycles:
                 cycles, since = done, now
             elif now - since > self._config.hang_timeout:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from toolee_robot.errors import ConfigError
+from toolee_robot.host_clock import HostClock, check_pace
 from toolee_robot.types import Payload
 
 
@@ -24,6 +25,8 @@ class UrArmConfig:
     payload, tcp: what the robot's installation must say at the start, tcp as x, y, z [m] and rotation vector [rad] in
     the flange frame; None where it is not looked at: the driver sets its own, but what the pendant's programs run with
     is the installation's.
+    pace: of the station's clock, on which all these times are, but for link_timeout, which is the wall's as the wheel's
+    own is; other than 1 only for a stand-in on a loopback address that runs at the same pace.
     """
 
     host: str
@@ -39,8 +42,11 @@ class UrArmConfig:
     longest_motion: float = 120.0
     payload: Payload | None = None
     tcp: tuple[float, float, float, float, float, float] | None = None
+    pace: float = 1.0
 
     def __post_init__(self) -> None:
+        """Raises ConfigError, or UserError for the pace."""
+        check_pace(self.pace, self.host)
         if not 0.03 <= self.lookahead <= 0.2:
             raise ConfigError(f"lookahead {self.lookahead} s: servoj takes 0.03 to 0.2")
         if not 100 <= self.gain <= 2000:
@@ -53,6 +59,11 @@ class UrArmConfig:
         )
         if min(positive) <= 0 or (self.lag is not None and self.lag < 0):
             raise ConfigError("timeouts, the watchdog's rate and longest_motion must be positive, the lag not negative")
+
+    @property
+    def clock(self) -> HostClock:
+        """Of everything that this driver does."""
+        return HostClock(self.pace)
 
 
 def servo_rate(major: int) -> float:

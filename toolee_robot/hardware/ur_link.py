@@ -60,11 +60,11 @@ class UrLink:
     def __init__(self, config: UrArmConfig, rate: float) -> None:
         """Connect; nothing moves. Raises NotReadyError while the robot's safety system or mode forbids motion, and
         DeviceError for what the wheel throws."""
-        self._config, self.rate = config, rate
+        self._config, self.rate, self._clock = config, rate, config.clock
         self.reading: Array = np.zeros(StateColumn.COUNT)
-        self.sane, self.refused = True, False
+        self.sane, self.refused, self._lost = True, False, False
         self.status, self.playing, self.servoing = ArmStatus.NOT_READY, False, False
-        with bounded(config.connect_timeout):
+        with bounded(self._clock.wall(config.connect_timeout)):
             try:
                 self._receive = RTDEReceiveInterface(config.host)
                 while not self.read():
@@ -89,7 +89,9 @@ class UrLink:
     def connected(self) -> bool:
         """Whether the wheel still has both connections, the ones of the beginning. True says nothing; False is the
         truth."""
-        return bool(self._receive.isConnected() and self._control.isConnected() and self._sockets.same)
+        return not self._lost and bool(
+            self._receive.isConnected() and self._control.isConnected() and self._sockets.same
+        )
 
     def read(self) -> bool:
         """Take the newest data in; False when nothing new has come, or nothing that makes sense. Never waits."""
@@ -111,7 +113,7 @@ class UrLink:
         if not (forward and np.all(np.abs(reading[_MEASURED]) < _ABSURD)):
             self.sane = False
             return False
-        reading[:5] = time.monotonic(), timestamp, safety, mode, runtime
+        reading[:5] = self._clock.now(), timestamp, safety, mode, runtime
         self.reading[:] = reading
         self.status = arm_status(safety, mode)
         self.playing = runtime == RUNTIME_PLAYING
@@ -119,37 +121,41 @@ class UrLink:
 
     def servo(self, q: Array) -> None:
         """Send one position (6,) [rad]; feeds the robot's watchdog as well."""
-        sent = self._control.servoJ(q.tolist(), 0.0, 0.0, 1.0 / self.rate, self._config.lookahead, self._config.gain)
-        self.refused = self.refused or not sent
+        with self._while_connected():
+            sent = self._control.servoJ(
+                q.tolist(), 0.0, 0.0, 1.0 / self.rate, self._config.lookahead, self._config.gain
+            )
+            self.refused = self.refused or not sent
         self.reading[StateColumn.COMMANDED] = q
         self.servoing = True
 
     def kick(self) -> None:
         """Feed the robot's watchdog. Not in a cycle that has sent a position: of two commands that reach the robot in
         one of its cycles it takes the later. Not without a program: the wheel may wait 3 s for it to get ready."""
-        self._control.kickWatchdog()
+        with self._while_connected():
+            self._control.kickWatchdog()
 
     def set_payload(self, mass: float, center_of_mass: list[float]) -> None:
         """[kg], [m] in the flange. Raises DeviceError unless the controller reports it back, where its version can."""
-        with bounded(self._config.handshake_timeout):
+        with bounded(self._clock.wall(self._config.handshake_timeout)):
             accepted = self._control.setPayload(mass, center_of_mass)
         if not accepted:
             raise DeviceError("the robot did not take the payload: its program does not run; reset the arm")
-        deadline = time.monotonic() + self._config.handshake_timeout
+        deadline = self._clock.now() + self._config.handshake_timeout
         while True:
             self.kick()
-            time.sleep(1.0 / self.rate)
+            self._clock.sleep(1.0 / self.rate)
             reported = self._reported_payload()
             if reported is None or np.abs(np.subtract(reported, [mass, *center_of_mass])).max() < PAYLOAD_TOLERANCE:
                 return
-            if time.monotonic() > deadline:
+            if self._clock.now() > deadline:
                 raise DeviceError(
                     f"the payload was set to {mass:.3f} kg at {np.round(center_of_mass, 3)} m, but the robot reports "
                     f"{reported[0]:.3f} kg at {np.round(reported[1:], 3)} m"
                 )
 
     def start_freedrive(self) -> None:
-        with bounded(self._config.handshake_timeout):
+        with bounded(self._clock.wall(self._config.handshake_timeout)):
             if self.servoing:
                 self._control.servoStop()
                 self.servoing = False
@@ -157,19 +163,27 @@ class UrLink:
                 raise DeviceError("the robot did not go into freedrive: its program does not run; reset the arm")
 
     def end_freedrive(self) -> None:
-        with bounded(self._config.handshake_timeout):
+        with bounded(self._clock.wall(self._config.handshake_timeout)):
             self._control.endTeachMode()
         self._take_target()
 
     def close(self) -> None:
         """End the robot's program, at rest, and the connections; whatever does not end by itself ends the process."""
-        with bounded(self._config.handshake_timeout):
+        with bounded(self._clock.wall(self._config.handshake_timeout)):
             if self.connected and self.playing and self.status is ArmStatus.READY:
                 if self.servoing:
                     self._control.servoStop()
                 self._control.stopScript()
         # The wheel's own clean-up may hang, reconnect or crash; the kernel's does not.
         os._exit(0)
+
+    @contextmanager
+    def _while_connected(self) -> Iterator[None]:
+        """A command that finds the connection gone makes the wheel try for another one, which it cannot have."""
+        try:
+            yield
+        except RuntimeError:
+            self._lost = True
 
     def _take_target(self) -> None:
         """Where the controller holds the arm is where the next motion starts."""

@@ -21,6 +21,7 @@ from toolee_robot.hardware.dashboard_reader import DASHBOARD_PORT, Question, ask
 from toolee_robot.hardware.links import connect
 from toolee_robot.hardware.primary_reader import PRIMARY_PORT, UrKinematics, read_kinematics
 from toolee_robot.hardware.rtde_reader import RTDE_PORT, RtdeReader, RtdeSample, Value
+from toolee_robot.host_clock import HostClock
 from toolee_robot.types import Payload
 
 SCRIPT_PORTS = (PRIMARY_PORT, 30002, 30003)
@@ -120,9 +121,11 @@ def nominal_rate(version: tuple[int, int, int, int]) -> float:
     return E_SERIES_RATE if version[0] > 3 else CB3_RATE
 
 
-def probe(host: str, timeout: float = 3.0, listen: float = 1.0) -> UrReport:
+def probe(host: str, timeout: float = 3.0, listen: float = 1.0, clock: HostClock | None = None) -> UrReport:
     """Ask, and listen to RTDE for `listen` [s]; for at most `timeout` [s] in all. Takes about 1.2 s on a robot that
-    answers."""
+    answers. clock: the robot's, on which all of these times are; the wall's if None."""
+    clock = clock or HostClock()
+    timeout, listen = clock.wall(timeout), clock.wall(listen)
     deadline = time.monotonic() + timeout
     ports: dict[int, PortState] = {}
     for port in (RTDE_PORT, DASHBOARD_PORT, *SCRIPT_PORTS):
@@ -148,7 +151,7 @@ def probe(host: str, timeout: float = 3.0, listen: float = 1.0) -> UrReport:
         except (TypeError, ValueError, OverflowError) as error:
             problems.append(f"RTDE: a variable has another type than documented ({error})")
         else:
-            quality = _quality(samples, asked)
+            quality = _quality(samples, asked, clock)
     kinematics = None
     if ports[PRIMARY_PORT].latency is not None:
         try:
@@ -237,12 +240,12 @@ def _vector(value: Value, n: int) -> Array:
     return np.array(value, float)
 
 
-def _quality(samples: list[RtdeSample], asked: float) -> RtdeQuality | None:
+def _quality(samples: list[RtdeSample], asked: float, clock: HostClock) -> RtdeQuality | None:
     """None where there is too little to judge by."""
     if len(samples) < 10:
         return None
     stamps = np.array([_number(s.values["timestamp"]) for s in samples])
-    received = np.array([s.received for s in samples])
+    received = clock.pace * np.array([s.received for s in samples])
     steps, gaps = np.diff(stamps), np.diff(received)
     if not np.all(np.isfinite(stamps)):
         return None

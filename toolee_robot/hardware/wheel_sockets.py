@@ -1,20 +1,29 @@
 """The wheel's connections to the robot, as the kernel knows them.
 
-Its control interface connects again by itself when it has lost the robot, and says nothing of it: commands are missing
-in between, and the robot has moved on. A lost connection has to end a motion, so the sockets are watched themselves.
+Its control interface connects again by itself when it has lost the robot, and says nothing of it: within a few
+milliseconds it ends the robot's program, which the robot's watchdog would have ended with the arm held where it was
+sent, and starts another. A lost connection has to end a motion, and nothing may resume by itself. So the sockets are
+watched, and no other may take their place.
 """
 
 from __future__ import annotations
 
 import os
+import resource
 import socket
 import stat
 from contextlib import suppress
 from pathlib import Path
 
+# poll() itself refuses more descriptors than may be open; the one that is left is 0, which is in use.
+_OPEN_FILES = 1
+
 
 class WheelSockets:
-    """The sockets of this process that are connected to this TCP port of a peer at the time of construction."""
+    """The sockets of this process that are connected to this TCP port of a peer at the time of construction.
+
+    From then on this process can open no file and no socket any more: whoever wants to connect anew starts another.
+    """
 
     def __init__(self, port: int) -> None:
         self._inodes: dict[int, int] = {}
@@ -23,6 +32,7 @@ class WheelSockets:
                 fd, state = int(entry.name), os.fstat(int(entry.name))
                 if stat.S_ISSOCK(state.st_mode) and _peer_port(fd) == port:
                     self._inodes[fd] = state.st_ino
+        resource.setrlimit(resource.RLIMIT_NOFILE, (_OPEN_FILES, _OPEN_FILES))
 
     @property
     def same(self) -> bool:

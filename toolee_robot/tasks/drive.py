@@ -17,10 +17,8 @@ from toolee_robot.tasks.motions import UP, Motions
 from toolee_robot.tasks.observer import TaskObserver
 from toolee_robot.tasks.outcome import Blow, Ended, Outcome, Stage
 from toolee_robot.tasks.stages import Stages
-from toolee_robot.tasks.touch import CLEAR, NailGauge
+from toolee_robot.tasks.touch import CLEAR, MAX_BLOW, NailGauge
 
-MAX_BLOW = 0.008
-"""[m] No blow of this arm drives a nail further: a head that sinks more has bent away."""
 FLUSH_WHEN_STALLED = 0.0015
 """[m] Where a nail that no longer yields is called flush: a measurement is good to half a millimetre after slip."""
 BLIND_MISSES = 3

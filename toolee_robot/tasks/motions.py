@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 
 import numpy as np
 
@@ -15,15 +15,19 @@ from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.strike import plan_straight
 from toolee_robot.control.supervisor import Supervisor
-from toolee_robot.errors import DeviceError, GripError, MotionFaultError, PlanningError
+from toolee_robot.control.supervisor_checks import AT_REST
+from toolee_robot.errors import DeviceError, MotionFaultError, PlanningError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionOutcome, MotionReport, Station
+from toolee_robot.tasks.hand_watch import HandWatch, check_held
 from toolee_robot.tasks.observer import TaskObserver
 from toolee_robot.types import Trajectory
 
 UP = (0.0, 0.0, 1.0)
 STRAIGHT_SPEED = 0.25  # [m/s]
 QUIET_TIME, QUIET_STEP, QUIET_PATIENCE = 0.1, 0.02, 2.0  # [s]
+STILL_PATIENCE = 1.0
+"""[s] for an arm that a contact has left swinging against what it touches; the supervisor refuses one that goes on."""
 RETREAT, RETREAT_SPEED = 0.20, 0.15  # [m], [m/s]
 
 
@@ -73,11 +77,12 @@ class Motions:
     def execute(
         self, name: str, trajectory: Trajectory, guard: ContactGuard | None = None, *, at_work: bool = False
     ) -> MotionReport:
-        """Move. Raises GripError when the tool is lost before or after, and what the supervisor raises; DeviceError
-        when the arm was stopped."""
-        with self._watched(name):
+        """Move. Raises GripError when the tool is lost before or on the way, DeviceError when the hand that holds it
+        complains or falls silent; the arm brakes at once. Raises what the supervisor raises; DeviceError when the arm
+        was stopped."""
+        with self._watched(name) as hand:
             report = self.arm.execute(trajectory, guard, at_work=at_work)
-        self._done(name, report)
+        self._done(name, report, hand)
         return report
 
     def transfer(self, name: str, trajectory: Trajectory) -> None:
@@ -88,9 +93,9 @@ class Motions:
         """The blow of a plan, as planned or not at all. Raises as `execute`."""
         self.check_hand()
         guard = ContactGuard(self._config.strike.contact_force, after=0.5 * plan.contact_time)
-        with self._watched(name):
+        with self._watched(name) as hand:
             report, verdict = self.arm.swing(plan.strike, guard, plan.expected_contact)
-        self._done(name, report)
+        self._done(name, report, hand)
         return report, verdict
 
     def straight(self, name: str, direction: tuple[float, float, float], length: float) -> None:
@@ -128,10 +133,10 @@ class Motions:
         return False
 
     def check_hand(self) -> None:
-        """Raises DeviceError when the hand complains or is too hot: no further blow then."""
-        state, most = self._station.hand.state(), self._config.supervisor.max_hand_temperature
-        if state.fault:
-            raise DeviceError(f"the hand reports a fault ({state.fault}): no further blow; look at the hand")
+        """Raises DeviceError when the hand complains or is too hot: no further blow then; GripError without a tool."""
+        hand, most = self._station.hand, self._config.supervisor.max_hand_temperature
+        check_held(hand)
+        state = hand.state()
         if state.temperature is not None and not state.temperature <= most:  # NaN included
             raise DeviceError(f"the hand is at {state.temperature:.0f} deg C, {most:.0f} are allowed: let it cool down")
 
@@ -142,11 +147,16 @@ class Motions:
                 device.stop()
 
     @contextmanager
-    def _watched(self, name: str) -> Iterator[None]:
-        """A motion: with the tool still in the hand; what a fault leaves of it is told to the observer, too."""
-        self._check_grip()
+    def _watched(self, name: str) -> Iterator[HandWatch | None]:
+        """A motion: from a standstill, with the tool still in the hand, all the way; what a fault leaves of it is told
+        to the observer, too."""
+        self._wait_until_still()
+        watch = HandWatch(self._station.hand, self.arm.stop) if self.held else None
+        if self.held:
+            check_held(self._station.hand)
         try:
-            yield
+            with watch or nullcontext():
+                yield watch
         except MotionFaultError as fault:
             if fault.report is not None and len(fault.report.stamps):
                 self.q = fault.report.q_commanded[-1]
@@ -154,19 +164,25 @@ class Motions:
                     self._tell(name, fault.report)
             raise
 
-    def _done(self, name: str, report: MotionReport) -> None:
+    def _wait_until_still(self) -> None:
+        with suppress(DeviceError):  # an arm that does not say is refused by the supervisor, which knows more reasons
+            for _ in range(int(STILL_PATIENCE / QUIET_STEP)):
+                if np.abs(self.arm.state().joints.qd).max() < AT_REST:
+                    return
+                self._station.clock.sleep(QUIET_STEP)
+
+    def _done(self, name: str, report: MotionReport, hand: HandWatch | None) -> None:
         # The commanded position is what the arm holds and what the next motion must start from; a servo has a lag, but
         # none at rest.
         self.q = report.q_commanded[-1]
         self._tell(name, report)
+        if hand is not None and hand.error is not None:
+            raise hand.error
         if report.outcome is MotionOutcome.STOPPED:
             raise DeviceError(f"the arm was stopped during the motion {name!r}")
-        self._check_grip()
+        if self.held:
+            check_held(self._station.hand)
 
     def _tell(self, name: str, report: MotionReport) -> None:
         # However old the hand's state is: one that has fallen silent must not keep a motion out of the record.
         self._observer.motion(name, report, self._station.hand.state(max_age=np.inf).joints.q)
-
-    def _check_grip(self) -> None:
-        if self.held and not self._station.hand.state().holding:
-            raise GripError("the hand has lost the tool: pick it up and start again")

@@ -23,6 +23,12 @@ LIFT = 0.006
 """[m] off what was touched, before the face moves aside."""
 MARGIN = 0.004
 """[m] over where the wood should be: from there on slowly."""
+TOUCH_TIME = 0.024
+"""[s] over which a touch is felt: three readings of a CB3, 0.7 mm of way."""
+MAX_BLOW = 0.008
+"""[m] No blow of this arm drives a nail further: a head that sinks more has bent away."""
+DOUBTED = 0.004
+"""[m] Further than a blow usually drives a nail: the wood is touched once more before that is believed."""
 ASIDE = 0.032
 """[m] from the nail to where the wood is touched: a face of up to 25 mm radius clears the nail's head."""
 
@@ -71,7 +77,12 @@ class NailGauge:
         expected = max(expected, 0.0)
         fast = max(min(expected, nail) - MARGIN, 0.0)
         motions.straight("down", UP, -fast)
-        wood = self._touch("wood", expected + LIFT + TOLERANCE - fast, Outcome.NAIL_MISSED)
+        reach = expected + LIFT + TOLERANCE - fast
+        wood = self._touch("wood", reach, Outcome.NAIL_MISSED)
+        if nail - wood + self._reference < expected - DOUBTED:
+            # What is felt before the wood is there makes the nail seem driven. Nothing is felt below the wood.
+            motions.straight("up", UP, LIFT)
+            wood = min(wood, self._touch("wood", reach + LIFT, Outcome.NAIL_MISSED))
         motions.straight("up", UP, expected + LIFT + MARGIN)
         measured = nail - wood + self._reference
         # Where the face really is along its normal, from the nail's head that it rested on.
@@ -85,7 +96,9 @@ class NailGauge:
             motions.straight("up", UP, CLEAR)
             raise Ended(missed, f"before the {what} was touched the arm felt a force: the tool leans against something")
         down = plan_straight(self._robot, self._config, motions.world(), motions.q, -reach, UP, strike.touch_speed)
-        report = motions.execute(f"touch the {what}", down, ContactGuard(strike.touch_force), at_work=True)
+        report = motions.execute(
+            f"touch the {what}", down, ContactGuard(strike.touch_force, over=TOUCH_TIME), at_work=True
+        )
         if report.contact is None:
             motions.straight("up", UP, reach)
             raise Ended(missed, f"the face was lowered to where the {what} should be and met nothing")

@@ -22,9 +22,12 @@ from toolee_robot.tools.model import (
     Family,
     Handle,
     Part,
+    SolidPart,
     Tool,
     ToolKind,
+    ToolShape,
     ee_radius,
+    tool_name,
 )
 
 __all__ = [
@@ -34,11 +37,14 @@ __all__ = [
     "Handle",
     "Material",
     "Part",
+    "SolidPart",
     "Tool",
     "ToolKind",
+    "ToolShape",
     "ee_radius",
     "make_tool",
     "split",
     "test_seeds",
+    "tool_name",
     "train_seeds",
 ]

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from toolee_robot.frames import Array
-from toolee_robot.tools.model import EndEffector, Handle, Part, Tool, ToolKind
+from toolee_robot.tools.model import EndEffector, Handle, SolidPart, Tool, ToolKind, tool_name
 from toolee_robot.tools.solids import Piece, to_trimesh, unite
 
 
@@ -22,10 +22,11 @@ def assemble(kind: ToolKind, seed: int, pieces: list[Piece], ees: tuple[EndEffec
                 solid = solid - later.solid
         if not solid.is_empty():
             kept.append(i)
-            parts.append(Part(piece.label, to_trimesh(solid), piece.material))
+            parts.append(SolidPart(piece.label, piece.material, to_trimesh(solid)))
     mesh, owner = unite([piece.solid for piece in pieces])
     mass, com, inertia = mass_properties(tuple(parts))
     return Tool(
+        name=tool_name(kind, seed),
         kind=kind,
         seed=seed,
         parts=tuple(parts),
@@ -45,7 +46,7 @@ def _boxes_meet(a: Any, b: Any) -> bool:
     return bool(np.all(box_a[:3] <= box_b[3:]) and np.all(box_b[:3] <= box_a[3:]))
 
 
-def mass_properties(parts: tuple[Part, ...]) -> tuple[float, Array, Array]:
+def mass_properties(parts: tuple[SolidPart, ...]) -> tuple[float, Array, Array]:
     """Mass [kg], centre of mass (3,) [m] and inertia 3x3 [kg m^2] about it, of homogeneous closed meshes."""
     mass, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
     for part in parts:

@@ -1,4 +1,4 @@
-"""The records of a generated tool: parts, end effectors, handle, mass properties.
+"""The records of a tool: parts, end effectors, handle; of a generated one also its mass properties.
 
 `tool` frame: origin at the grip centre of the handle (where a hand nominally holds it), z along the handle from the
 butt to the working end, x to the working side (a hammer's: along the striking face's normal; a wrench's y is the
@@ -64,6 +64,11 @@ _EE_RADIUS = {
 }
 
 
+def tool_name(kind: ToolKind, seed: int) -> str:
+    """The name of a generated tool."""
+    return f"{kind}-{seed:04d}"
+
+
 def ee_radius(category: Category) -> float:
     """Radius [m] of the sphere about the EE's origin that, cut with the tool, is the EE's mask."""
     return _EE_RADIUS[category]
@@ -71,14 +76,20 @@ def ee_radius(category: Category) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One labelled piece of one material. Parts do not overlap: a handle's eye is a hole in the head.
+    """One labelled piece of one material."""
+
+    label: str
+    material: Material
+
+
+@dataclass(frozen=True, eq=False)
+class SolidPart(Part):
+    """A part as a body. Parts do not overlap: a handle's eye is a hole in the head.
 
     mesh: watertight, `tool` frame [m].
     """
 
-    label: str
     mesh: trimesh.Trimesh
-    material: Material
 
     @property
     def density(self) -> float:
@@ -119,31 +130,19 @@ class Handle:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Tool:
-    """A rigid tool, all in the `tool` frame, SI units.
+class ToolShape:
+    """What is seen and held of a rigid tool, all in the `tool` frame, SI units.
 
-    mesh: the union of all parts, watertight, without inner surfaces. face_parts: (F,) index into `parts` of each of
-    the mesh's faces. ees[0] is the working end. center_of_mass (3,) [m]; inertia 3x3 [kg m^2] about it, tool axes.
+    name: of the instance. mesh: the outer surface of all parts. face_parts: (F,) index into `parts` of each of the
+    mesh's faces. ees[0] is the working end.
     """
 
-    kind: ToolKind
-    seed: int
+    name: str
     parts: tuple[Part, ...]
     mesh: trimesh.Trimesh
     face_parts: NDArray[np.int64]
     ees: tuple[EndEffector, ...]
     handle: Handle
-    mass: float
-    center_of_mass: Array
-    inertia: Array
-    _convex: tuple[tuple[str, Convex], ...]
-
-    def __repr__(self) -> str:
-        return f"<Tool {self.name}: {self.mass:.3f} kg, {', '.join(part.label for part in self.parts)}>"
-
-    @property
-    def name(self) -> str:
-        return f"{self.kind}-{self.seed:04d}"
 
     @property
     def categories(self) -> tuple[Category, ...]:
@@ -180,6 +179,23 @@ class Tool:
     def _face_normals(self) -> Array:
         norms = np.linalg.norm(self._cross_products, axis=1, keepdims=True)
         return self._cross_products / np.maximum(norms, 1e-300)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Tool(ToolShape):
+    """A generated tool. mesh: the union of all parts, watertight, without inner surfaces. center_of_mass (3,) [m];
+    inertia 3x3 [kg m^2] about it, tool axes."""
+
+    kind: ToolKind
+    seed: int
+    parts: tuple[SolidPart, ...]
+    mass: float
+    center_of_mass: Array
+    inertia: Array
+    _convex: tuple[tuple[str, Convex], ...]
+
+    def __repr__(self) -> str:
+        return f"<Tool {self.name}: {self.mass:.3f} kg, {', '.join(part.label for part in self.parts)}>"
 
     def collision_parts(self) -> list[trimesh.Trimesh]:
         """Convex meshes whose union covers the tool, `tool` frame; `metadata["label"]` names each one's part.

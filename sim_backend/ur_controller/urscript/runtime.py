@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from functools import lru_cache
 from types import TracebackType
 from typing import Any
 
 from toolee_robot.errors import TooleeError
 from toolee_robot.sim_backend.ur_controller.machine import Event, EventKind, Machine
-from toolee_robot.sim_backend.ur_controller.urscript.compiler import (
-    FILE,
-    HELPERS,
-    MAIN,
-    Builtin,
-    Compiled,
-    compile_script,
-)
+from toolee_robot.sim_backend.ur_controller.urscript.compiler import FILE, HELPERS, MAIN
+from toolee_robot.sim_backend.ur_controller.urscript.compiling import compiled
 from toolee_robot.sim_backend.ur_controller.urscript.errors import ScriptError
 from toolee_robot.sim_backend.ur_controller.urscript.library import LIBRARY
 from toolee_robot.sim_backend.ur_controller.urscript.robot_functions import RobotFunctions, function_names
@@ -46,18 +39,6 @@ class _Thread:
         self.generator, self.alive = generator, True
 
 
-@lru_cache(maxsize=16)
-def _compiled(source: str, e_series: bool) -> Compiled:
-    return compile_script(source, _builtins(e_series))
-
-
-@lru_cache(maxsize=2)
-def _builtins(e_series: bool) -> dict[str, Builtin]:
-    library = {name: Builtin.of(f) for name, f in LIBRARY.items()}
-    robot = {name: Builtin.of(getattr(RobotFunctions, name), method=True) for name in function_names(e_series)}
-    return {**library, **robot}
-
-
 class ScriptRuntime:
     """A program on a controller.
 
@@ -71,8 +52,8 @@ class ScriptRuntime:
     """
 
     def __init__(self, source: str, machine: Machine) -> None:
-        compiled = _compiled(source, machine.model.e_series)
-        self.name, self.secondary = compiled.name, compiled.secondary
+        program = compiled(source, machine.model.e_series)
+        self.name, self.secondary = program.name, program.secondary
         self.error: ScriptError | None = None
         self.running = True
         self._machine = machine
@@ -88,7 +69,7 @@ class ScriptRuntime:
             "_critical": self._set_critical,
             "_halt": self._halt,
         }
-        exec(compiled.code, names)
+        exec(program.code, names)
         self._main = _Thread(names[MAIN]())
         self._threads = [self._main]
         self._current = self._main

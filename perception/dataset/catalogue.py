@@ -1,0 +1,159 @@
+"""The tools that a data set shows, by number: the generated ones, or a user's own."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from toolee_robot.errors import UserError
+from toolee_robot.perception.dataset.instances import read_ply, tool_path
+from toolee_robot.perception.dataset.own import OwnTool, OwnToolRecord
+from toolee_robot.perception.dataset.records import INSTANCES
+from toolee_robot.perception.dataset.surfaces import draw
+from toolee_robot.tools import KINDS_BY_FAMILY, Family, Tool, ToolKind, ToolShape, make_tool, tool_name
+from toolee_robot.tools.catalog import split as split_of
+from toolee_robot.types import Category
+
+_KINDS = tuple(ToolKind)
+_OWN = len(_KINDS) * INSTANCES
+"""Numbers from here on are a user's own tools."""
+_POOL = 12
+"""Tools that a scene folder's examples draw from."""
+_CATEGORIES = {
+    Family.HAMMERS: (Category.HAMMER_HEAD,),
+    Family.SCREWDRIVERS: (Category.SCREWDRIVER_HEAD,),
+    Family.WRENCHES: (Category.WRENCH_HEAD,),
+}
+
+
+class Catalogue(ABC):
+    """Every method but `numbers` and `pool` takes a tool's number and raises UserError where there is none."""
+
+    @abstractmethod
+    def numbers(self, split: str) -> list[int]:
+        """All tools of a split, "train" or "test"."""
+
+    @abstractmethod
+    def pool(self, rng: np.random.Generator, split: str) -> tuple[int, ...]:
+        """About a dozen tools of the split for one scene folder."""
+
+    @abstractmethod
+    def name(self, number: int) -> str:
+        """As `ToolShape.name`, without making the tool."""
+
+    @abstractmethod
+    def split(self, number: int) -> str:
+        """Which split the tool belongs to."""
+
+    @abstractmethod
+    def categories(self, number: int) -> tuple[Category, ...]:
+        """Of the tool's EEs."""
+
+    @abstractmethod
+    def about(self, number: int) -> dict[str, Any]:
+        """What scene_instances.json tells of the tool beside its objects."""
+
+    @abstractmethod
+    def tool(self, number: int) -> ToolShape:
+        """The tool; the same object each time while it is in use."""
+
+
+def number_of(tool: ToolShape) -> int:
+    """The number of a generated or a data set's own tool."""
+    if isinstance(tool, OwnTool):
+        return _OWN + tool.index
+    assert isinstance(tool, Tool)
+    return _KINDS.index(tool.kind) * INSTANCES + tool.seed
+
+
+class GeneratedTools(Catalogue):
+    """150 tools of each of 13 kinds; every fifth is held out."""
+
+    def numbers(self, split: str) -> list[int]:
+        return [n for n in range(_OWN) if split_of(n % INSTANCES) == split]
+
+    def pool(self, rng: np.random.Generator, split: str) -> tuple[int, ...]:
+        """4 hammers (the station adds to them), 5 screwdrivers, 3 wrenches."""
+        numbers = []
+        for family in [Family.HAMMERS] * 4 + [Family.SCREWDRIVERS] * 5 + [Family.WRENCHES] * 3:
+            kinds = KINDS_BY_FAMILY[family]
+            weights = np.ones(len(kinds))
+            if family is Family.HAMMERS:
+                weights[0] = 6.0  # the only kind with a claw, the fourth category
+            kind = kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]
+            numbers.append(_KINDS.index(kind) * INSTANCES + draw(rng, split, INSTANCES))
+        return tuple(numbers)
+
+    def name(self, number: int) -> str:
+        return tool_name(*self._which(number))
+
+    def split(self, number: int) -> str:
+        return split_of(self._which(number)[1])
+
+    def categories(self, number: int) -> tuple[Category, ...]:
+        kind, _ = self._which(number)
+        grip = (Category.HAMMER_GRIP,) if kind is ToolKind.CLAW_HAMMER else ()
+        return _CATEGORIES[kind.family] + grip
+
+    def about(self, number: int) -> dict[str, Any]:
+        kind, seed = self._which(number)
+        return {"kind": str(kind), "seed": seed}
+
+    def tool(self, number: int) -> Tool:
+        return make_tool(*self._which(number))
+
+    def _which(self, number: int) -> tuple[ToolKind, int]:
+        if not 0 <= number < _OWN:
+            raise UserError(f"there is no generated tool {number}: the data set is another's")
+        kind, seed = divmod(number, INSTANCES)
+        return _KINDS[kind], seed
+
+
+GENERATED = GeneratedTools()
+
+
+@dataclass(frozen=True, eq=False)
+class OwnTools(Catalogue):
+    """A user's tools in the data set's folder `root`, all held out."""
+
+    root: Path
+    records: tuple[OwnToolRecord, ...]
+    _made: dict[int, OwnTool] = field(default_factory=dict)
+
+    def numbers(self, split: str) -> list[int]:
+        return [_OWN + i for i in range(len(self.records))] if split == "test" else []
+
+    def pool(self, rng: np.random.Generator, split: str) -> tuple[int, ...]:
+        """A dozen of them, or all."""
+        numbers = self.numbers(split)
+        return tuple(numbers[int(i)] for i in rng.permutation(len(numbers))[:_POOL])
+
+    def name(self, number: int) -> str:
+        return self._record(number).name
+
+    def split(self, number: int) -> str:
+        self._record(number)
+        return "test"
+
+    def categories(self, number: int) -> tuple[Category, ...]:
+        return self._record(number).categories
+
+    def about(self, number: int) -> dict[str, Any]:  # noqa: ARG002
+        return {}
+
+    def tool(self, number: int) -> OwnTool:
+        """Raises AssetError where the mesh is missing or broken."""
+        record = self._record(number)
+        if number not in self._made:
+            vertices, faces = read_ply(tool_path(self.root, record.name))
+            self._made[number] = OwnTool.build(record, number - _OWN, 1e-3 * vertices, faces)
+        return self._made[number]
+
+    def _record(self, number: int) -> OwnToolRecord:
+        if not 0 <= number - _OWN < len(self.records):
+            raise UserError(f"there is no tool {number} in this data set")
+        return self.records[number - _OWN]

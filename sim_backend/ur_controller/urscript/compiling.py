@@ -1,0 +1,104 @@
+"""Programs are compiled beside the controller's ticks, in a child process: a long one takes half a second.
+
+The child has the controller's priority, so that a client does not wait for its program behind whatever else keeps the
+machine busy; it needs a second processor.
+"""
+
+from __future__ import annotations
+
+import marshal
+import os
+import signal
+from contextlib import suppress
+from functools import lru_cache
+
+from toolee_robot.sim_backend.ur_controller.urscript.compiler import Builtin, Compiled, compile_script
+from toolee_robot.sim_backend.ur_controller.urscript.errors import ScriptError
+from toolee_robot.sim_backend.ur_controller.urscript.library import LIBRARY
+from toolee_robot.sim_backend.ur_controller.urscript.robot_functions import RobotFunctions, function_names
+
+SHORT = 512
+"""[characters] What is no longer compiles in the time that it takes to start a child."""
+KEPT = 16
+"""Compiled programs that are kept: a client uploads the same one again and again."""
+_MOST_FILES = 1 << 16
+
+_kept: dict[tuple[str, bool], Compiled] = {}
+
+
+def compiled(source: str, e_series: bool) -> Compiled:
+    """Here and now. Raises ScriptError."""
+    if (found := _kept.get((source, e_series))) is None:
+        found = compile_script(source, _builtins(e_series))
+        _keep(source, e_series, found)
+    return found
+
+
+def _keep(source: str, e_series: bool, found: Compiled) -> None:
+    _kept[source, e_series] = found
+    if len(_kept) > KEPT:
+        del _kept[next(iter(_kept))]
+
+
+@lru_cache(maxsize=2)
+def _builtins(e_series: bool) -> dict[str, Builtin]:
+    library = {name: Builtin.of(f) for name, f in LIBRARY.items()}
+    robot = {name: Builtin.of(getattr(RobotFunctions, name), method=True) for name in function_names(e_series)}
+    return {**library, **robot}
+
+
+class Compiling:
+    """One program on its way; error: what is wrong with it. Once it is `done`, `compiled` answers at once, or raises.
+    Only the thread that ticks may use it; `cancel` one that is not done."""
+
+    def __init__(self, source: str, e_series: bool) -> None:
+        self.source, self._e_series = source, e_series
+        self.error: ScriptError | None = None
+        self._child, self._file = 0, -1
+
+    def done(self) -> bool:
+        """Begins when it is asked first; never waits."""
+        if self.error is not None or len(self.source) <= SHORT or (self.source, self._e_series) in _kept:
+            return True
+        if not self._child:
+            self._file = os.memfd_create("urscript")
+            self._child = os.fork()
+            if self._child == 0:
+                _compile_into(self._file, self.source, self._e_series)
+        if os.waitpid(self._child, os.WNOHANG)[0] == 0:
+            return False
+        self._child = 0
+        answer = os.pread(self._file, os.fstat(self._file).st_size, 0)
+        os.close(self._file)
+        if not answer:
+            self.error = ScriptError("the compiler ran out of memory")
+            return True
+        good, *rest = marshal.loads(answer)
+        if good:
+            _keep(self.source, self._e_series, Compiled(*rest))
+        else:
+            self.error = ScriptError(rest[0])
+            self.error.line = rest[1]
+        return True
+
+    def cancel(self) -> None:
+        if self._child:
+            with suppress(ProcessLookupError):
+                os.kill(self._child, signal.SIGKILL)
+            os.waitpid(self._child, 0)
+            os.close(self._file)
+            self._child = 0
+
+
+def _compile_into(file: int, source: str, e_series: bool) -> None:
+    """The child: what it inherits of the controller's connections would keep them open. Does not return."""
+    try:
+        os.closerange(3, file)
+        os.closerange(file + 1, _MOST_FILES)
+        try:
+            found = compile_script(source, _builtins(e_series))
+            os.write(file, marshal.dumps((True, found.code, found.name, found.secondary)))
+        except ScriptError as error:
+            os.write(file, marshal.dumps((False, str(error), error.line)))
+    finally:
+        os._exit(0)

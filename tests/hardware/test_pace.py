@@ -1,0 +1,98 @@
+"""A stand-in and its driver at another pace than the wall's clock, with the bounds of a real robot."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from tests.sim_backend.kinematics import line
+from tests.stand_in import HOME, stand_in
+from toolee_robot.config import ArmLimits
+from toolee_robot.errors import NotReadyError, UserError
+from toolee_robot.hal import ContactGuard, MotionOutcome
+from toolee_robot.hardware.ur_arm import UrArm
+from toolee_robot.hardware.ur_config import UrArmConfig
+from toolee_robot.host_clock import HostClock
+from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.types import ArmModel
+
+HOST, PACE = "127.0.0.28", 0.25
+WAY = np.array([0.1, 0.05, 0.0, 0.0, 0.0, 0.2])
+
+
+@pytest.fixture(scope="module")
+def controller() -> Iterator[ControllerProcess]:
+    with stand_in(ArmModel.UR10, HOST, PACE) as process:
+        yield process
+
+
+@pytest.fixture(scope="module")
+def arm(controller: ControllerProcess) -> Iterator[UrArm]:
+    with UrArm(UrArmConfig(controller.host, pace=PACE), ArmLimits()) as arm:
+        yield arm
+
+
+def test_all_of_the_station_runs_at_its_pace_and_on_one_clock(controller: ControllerProcess, arm: UrArm) -> None:
+    clock = HostClock(PACE)
+    before = controller.state()
+    wall, began = time.monotonic(), clock.now()
+    report = arm.execute(line([arm.q_commanded, HOME + WAY], 0.8))
+    took, passed = time.monotonic() - wall, clock.now() - began
+    after = controller.state()
+    assert report.outcome is MotionOutcome.COMPLETED
+    assert took > 0.8 / PACE
+    assert passed == pytest.approx(PACE * took, rel=0.05)
+    # The robot's time, by its own count of cycles, is the station's.
+    assert after["timestamp"] - before["timestamp"] == pytest.approx(after["stamp"] - before["stamp"], abs=0.1)
+    assert np.median(np.diff(report.stamps)) == pytest.approx(1 / 125, rel=0.1)
+    trace = controller.trace(before["tick"])
+    half = HOME[0] + 0.5 * WAY[0]
+    there = trace.stamps[np.argmax(trace.q[:, 0] > half)]
+    sent = report.stamps[np.argmax(report.q_commanded[:, 0] > half)]
+    assert 0.0 <= there - sent < arm.lag
+    assert abs(arm.state().joints.stamp - clock.now()) < 0.1
+
+
+def test_a_knock_is_no_contact_for_a_guard_that_averages_and_a_push_is(
+    controller: ControllerProcess, arm: UrArm
+) -> None:
+    guard = ContactGuard(force=15.0, over=0.2)
+
+    def push(seconds: float) -> None:
+        controller.fault("force", wrench=[0.0, 0.0, 30.0, 0.0, 0.0, 0.0], seconds=seconds)
+
+    for seconds, outcome in ((0.03, MotionOutcome.COMPLETED), (0.6, MotionOutcome.CONTACT)):
+        there = HOME if np.abs(arm.q_commanded - HOME).max() > 0.05 else HOME + WAY
+        timer = threading.Timer(0.3 / PACE, push, [seconds])
+        timer.start()
+        report = arm.execute(line([arm.q_commanded, there], 1.2), guard)
+        timer.join()
+        assert np.linalg.norm(report.wrenches[:, :3], axis=1).max() > guard.force
+        assert report.outcome is outcome
+
+
+def test_a_driver_in_real_time_refuses_a_robot_that_is_slower(controller: ControllerProcess) -> None:
+    with (
+        pytest.raises(NotReadyError, match="does not run in real time"),
+        UrArm(UrArmConfig(controller.host), ArmLimits()),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("host", "pace", "says"),
+    [
+        ("192.168.1.10", 0.5, "a real robot runs in real time"),
+        ("robot.lan", 0.5, "a real robot runs in real time"),
+        ("127.0.0.2", 0.0, "0.05 to 1"),
+        ("127.0.0.2", 2.0, "0.05 to 1"),
+        ("127.0.0.2", float("nan"), "0.05 to 1"),
+    ],
+)
+def test_a_pace_that_cannot_be_is_refused(host: str, pace: float, says: str) -> None:
+    with pytest.raises(UserError, match=says):
+        UrArmConfig(host, pace=pace)
