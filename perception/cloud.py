@@ -116,16 +116,20 @@ def trim(points: Array, radius: float) -> Array:
 
 
 def ee_cloud(frame: RgbdFrame, detection: Detection) -> EeCloud:
-    """The EE's cleaned cloud, or the reason why there is none."""
-    mask = without_flying_pixels(frame.depth, detection.mask)
-    points = trim(back_project(frame.depth, mask, frame.intrinsics), TRIM_RADII * ee_radius(detection.category))
+    """The EE's cleaned cloud, or the reason why there is none.
+
+    Of a thin tool nearly every pixel is at an edge: what cleaning would leave without an estimate stays as it is.
+    """
+    points = back_project(frame.depth, detection.mask, frame.intrinsics)
     if len(points) < LEAST_POINTS:
         seen = int(np.count_nonzero(detection.mask))
-        reason = (
-            f"only {len(points)} of {seen} mask pixels have usable depth, {LEAST_POINTS} are needed: look from nearer"
-        )
+        reason = f"only {len(points)} of {seen} mask pixels have depth, {LEAST_POINTS} are needed: look from nearer"
         return EeCloud(np.empty((0, 3)), np.empty((0, 3)), reason)
-    return EeCloud(points, rest_of_tool(frame, detection, points.mean(axis=0)))
+    mask = without_flying_pixels(frame.depth, detection.mask)
+    cleaned = trim(back_project(frame.depth, mask, frame.intrinsics), TRIM_RADII * ee_radius(detection.category))
+    if len(cleaned) >= LEAST_POINTS:
+        points = cleaned
+    return EeCloud(points, rest_of_tool(frame, detection, np.median(points, axis=0)))
 
 
 def rest_of_tool(frame: RgbdFrame, detection: Detection, centroid: Array) -> Array:

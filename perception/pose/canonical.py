@@ -18,6 +18,8 @@ PATCHES = 64
 """The first this many points are farthest-point samples: the patches' centres."""
 MIN_POINTS = 50
 """Fewer visible points give no estimate."""
+MIN_KEPT = 30
+"""Nor do fewer that are left without the outliers."""
 REST_POINTS = 256
 """Points of the rest of the tool that the network sees."""
 REST_PATCHES = 32
@@ -91,6 +93,8 @@ def with_rest(
     kept = valid & (offset.norm(dim=-1) < REST_REACH)
     count = kept.sum(1)
     known = count >= REST_LEAST
+    if not points.shape[1]:
+        return cloud
     key = torch.rand(valid.shape, device=points.device, generator=generator) + (~kept).float() * 2
     pick = torch.arange(REST_POINTS, device=points.device)[None] % count.clamp(1, REST_POINTS)[:, None]
     chosen = torch.einsum("bij,bnj->bni", cloud.R, _rows(offset, key.argsort(1).gather(1, pick)))

@@ -13,7 +13,15 @@ import torch
 
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, transform
-from toolee_robot.perception.pose.canonical import MIN_POINTS, PATCHES, POINTS, CanonicalCloud, canonicalize, with_rest
+from toolee_robot.perception.pose.canonical import (
+    MIN_KEPT,
+    MIN_POINTS,
+    PATCHES,
+    POINTS,
+    CanonicalCloud,
+    canonicalize,
+    with_rest,
+)
 from toolee_robot.perception.pose.flow import Process, Sampler
 from toolee_robot.perception.pose.network import DIRECTION_DIM
 from toolee_robot.perception.pose.spin import fix_spin, nominal_R_tool_ee, with_spin_variance
@@ -84,8 +92,7 @@ class CloudEstimator(ABC):
         holds the tool; tells where the rest is if that is not seen, and the spin about a symmetric EE's axis.
         The same input and seed give the same result. Raises PerceptionError with fewer than 50 finite points.
         """
-        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-        points = points[np.isfinite(points).all(1)]
+        points = _finite(points)
         if len(points) < MIN_POINTS:
             raise PerceptionError(
                 f"only {len(points)} points of the {category} have depth, {MIN_POINTS} are needed: "
@@ -96,12 +103,13 @@ class CloudEstimator(ABC):
         points = _thinned(points, generator)
         radius = torch.tensor([self.radius(category)])
         cloud = canonicalize(*_batch_of_one(points), radius, generator, self.points, self.ordered)
-        if int(cloud.count[0]) < MIN_POINTS:
+        if int(cloud.count[0]) < MIN_KEPT:
             raise PerceptionError(
                 f"the mask of the {category} covers no compact surface: {len(points)} scattered points"
             )
         kept = round(int(cloud.count[0]) / len(points) * visible)
-        if rest is not None and len(rest):
+        if rest is not None:
+            rest = _finite(rest)
             cloud = with_rest(cloud, *_batch_of_one(_thinned(rest, generator)), generator)
         from_hand = not bool(cloud.rest_known[0]) and X_camera_hand is not None
         goal = None
@@ -131,6 +139,11 @@ class CloudEstimator(ABC):
         """Encode, sample and pool a batch of canonical clouds; direction (B, 5) as `direction_input` makes it.
 
         visible: (B,) how many points were seen. The generator lives on the CPU. No spin fix."""
+
+
+def _finite(points: Array) -> Array:
+    points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    return points[np.isfinite(points).all(1)]
 
 
 def _thinned(points: Array, generator: torch.Generator) -> Array:

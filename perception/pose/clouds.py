@@ -14,7 +14,7 @@ from torch import Tensor
 
 from toolee_robot.perception.pose import splat
 from toolee_robot.perception.pose.bank import Float32, ToolBank, random_grasps
-from toolee_robot.perception.pose.canonical import MIN_POINTS, CanonicalCloud, canonicalize, with_rest
+from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, CanonicalCloud, canonicalize, with_rest
 from toolee_robot.perception.pose.cloud_batch import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.cloud_masks import cleaned, imperfect, pick
 from toolee_robot.perception.pose.cloud_scene import (
@@ -134,7 +134,7 @@ class CloudGenerator:
         tells_spin = (usable & (labels == splat.TARGET_TELLS_SPIN)).sum((1, 2))
         direction = directions(placed, cloud.centre, cloud.R, draws)
 
-        shows = (cloud.count >= 0.6 * MIN_POINTS) & (visible >= MIN_POINTS)
+        shows = (cloud.count >= MIN_KEPT) & (visible >= MIN_POINTS)
         shows &= torch.where(target.positive, occlusion <= c.max_occlusion, target.admissible)
         # Where the mask slid off the EE altogether, what is left is no positive.
         shows &= ~target.positive | ((mask & seen).sum((1, 2)) > 0.3 * mask.sum((1, 2)))

@@ -23,7 +23,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     examples = []
     for i in range(3):
         table = EeTable.empty()
-        table.category[0], table.visible[0] = scenes.categories[i, 0], np.count_nonzero(scenes.ee[i])
+        table.category[0], table.obj_id[0] = scenes.categories[i, 0], 1
+        table.visible[0] = np.count_nonzero(scenes.ee[i])
         depth = np.full((HEIGHT, WIDTH), 800, np.uint16)
         examples.append(Example(scenes.rgb[i], depth, scenes.ee[i], scenes.tool[i], table, camera, 0, scenes.ee[i]))
     write_scene(folder / "000000", examples)

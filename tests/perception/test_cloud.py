@@ -126,5 +126,7 @@ def test_direction_points_to_the_rest_of_the_tool() -> None:
     with_tool = ee_cloud(frame(depth), detection(head, head | handle))
     assert with_tool.direction is not None
     np.testing.assert_allclose(with_tool.direction, [1, 0, 0], atol=0.05)
+    assert len(with_tool.rest) > 1000
+    assert (with_tool.rest[:, 0] > with_tool.points[:, 0].mean()).all()
     assert ee_cloud(frame(depth), detection(head)).direction is None
     assert ee_cloud(frame(depth), detection(head, head)).direction is None

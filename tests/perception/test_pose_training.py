@@ -58,6 +58,19 @@ def test_clean_clouds_lie_on_the_tools_surface(bank: ToolBank, hands: Float32) -
         assert float(distance.quantile(0.95)) < 0.004
 
 
+def test_the_rest_of_the_tool_is_its_surface_beyond_the_end_effector(bank: ToolBank, hands: Float32) -> None:
+    clean = replace(CLEAN, rest_error_share=0.0, rest_chunk_share=0.0, wrong_rest_share=0.0)
+    batch = CloudGenerator(bank, hands, "cpu", 1, clean).collect(12, 16)
+    assert int(batch.rest_known.sum()) >= 10
+    for i in np.flatnonzero(batch.rest_known.numpy()):
+        local = (batch.rest[i] - batch.p[i]) @ batch.R[i]
+        item = int(batch.item[i])
+        surface = torch.as_tensor(np.concatenate([bank.rest[item], bank.ee_points[item]]))
+        assert float(torch.cdist(local, surface).min(1).values.median()) < 0.004
+        radius = ee_radius(list(Category)[int(batch.category[i])])
+        assert float((local.norm(dim=-1) > radius - 0.008).float().mean()) > 0.95
+
+
 def test_hard_clouds_are_noisy_occluded_and_partly_negative(clouds: CloudBatch, bank: ToolBank) -> None:
     assert bool(torch.isfinite(clouds.points).all())
     assert int(clouds.visible.min()) >= MIN_POINTS
@@ -150,13 +163,19 @@ def test_estimates_are_complete_and_follow_the_hand(trained: Path) -> None:
     points = np.random.default_rng(0).uniform(-0.02, 0.02, (400, 3)) + np.array([0.1, 0.0, 0.5])
     X_camera_hand = np.eye(4)
     X_camera_hand[:3, 3] = [0.1, 0.2, 0.5]
-    alone = estimator.estimate(points, Category.SCREWDRIVER_HEAD, np.array([0.0, 1.0, 0.0]))
-    held = estimator.estimate(points, Category.SCREWDRIVER_HEAD, np.array([0.0, 1.0, 0.0]), X_camera_hand)
+    rest = points + np.linspace(0.03, 0.2, 400)[:, None] * [0.0, 1.0, 0.0]
+    rest[:3] = np.nan
+    alone = estimator.estimate(points, Category.SCREWDRIVER_HEAD, rest)
+    held = estimator.estimate(points, Category.SCREWDRIVER_HEAD, rest, X_camera_hand)
     np.testing.assert_allclose(held.X_camera_ee[:3, 2], alone.X_camera_ee[:3, 2], atol=1e-9)
     assert alone.hypotheses.Xs_camera_ee.shape == (32, 4, 4)
     assert np.linalg.eigvalsh(alone.covariance).min() > 0
     assert 0 <= alone.confidence <= 1
     assert alone.usable == (alone.reason == "ok")
+    # Without any of these points it is as if they were not given.
+    unseen = estimator.estimate(points, Category.SCREWDRIVER_HEAD, np.empty((0, 3)))
+    np.testing.assert_array_equal(unseen.X_camera_ee, estimator.estimate(points, Category.SCREWDRIVER_HEAD).X_camera_ee)
+    assert not np.allclose(unseen.X_camera_ee, alone.X_camera_ee)
 
 
 def test_too_few_points_are_refused_and_nan_does_not_count(trained: Path) -> None:

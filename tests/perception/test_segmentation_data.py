@@ -32,6 +32,7 @@ def folder(tmp_path: Path) -> Path:
         depth = np.full((HEIGHT, WIDTH), 800, np.uint16)
         camera = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, WIDTH, HEIGHT)
         table = replace(table, category=category)
+        table.obj_id[0] = 1
         table.visible[0] = np.count_nonzero(scenes.ee[i])
         examples.append(Example(scenes.rgb[i], depth, scenes.ee[i], scenes.tool[i], table, camera, 0, scenes.ee[i]))
     write_scene(tmp_path / "000000", examples)

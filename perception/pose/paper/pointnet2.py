@@ -63,7 +63,8 @@ class PointNet2(nn.Module):
                 offset = _rows(points, near) - centres[:, :, None]
                 grouped = offset if feature is None else torch.cat([offset, _rows(feature, near)], dim=-1)
                 scales.append(_apply(mlp, grouped))
-            points, feature = centres, torch.cat(scales, dim=-1)
+            # In single precision: the gradient of a gather adds up atomically, which bfloat16 has no instruction for.
+            points, feature = centres, torch.cat(scales, dim=-1).float()
         raise ValueError("the last level must take all points")
 
 
