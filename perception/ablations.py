@@ -1,7 +1,7 @@
 """Train one network for each design decision, on the same clouds and budget, and write the table of the results.
 
     python -m toolee_robot.perception.ablations --out runs/ablations --max-steps 30000
-    python -m toolee_robot.perception.ablations --out runs/ablations --minutes 10 --rows base,edm --device cuda:1
+    python -m toolee_robot.perception.ablations --out runs/ablations --minutes 10 --rows base,flow --device cuda:1
 
 Several processes may share --out, each with its own --rows and --device: every row has its folder (weights, log,
 checkpoint, row.json), and each process rewrites ablations.json and ablations.md from all rows that are there. The same
@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 from toolee_robot.errors import TooleeError, UserError
-from toolee_robot.perception.ablation.processes import Edm
 from toolee_robot.perception.ablation.variants import POOLINGS, Uncentred, WithPointNet
 from toolee_robot.perception.pose import validation
 from toolee_robot.perception.pose.bank import load_hands, tool_bank
@@ -27,8 +26,8 @@ from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseRes
 from toolee_robot.perception.pose.estimator import PoseEstimator
 from toolee_robot.perception.pose.flow import Euler
 from toolee_robot.perception.pose.method import Method, Ours
+from toolee_robot.perception.pose.network import NetworkConfig
 from toolee_robot.perception.pose.paper import PaperMethod
-from toolee_robot.perception.pose.paper.diffusion import VarianceExploding
 from toolee_robot.perception.pose.training import TrainConfig, Trainer
 from toolee_robot.perception.pose.weights import Calibration
 
@@ -54,10 +53,14 @@ def _ours(**changes: Any) -> Ours:
 
 
 ROWS: dict[str, Row] = {
-    "base": Row("base", "as shipped: patch transformer, flow matching, rest of the tool, centred, augmented", _ours()),
+    "base": Row("base", "patch transformer, EDM, rest of the tool, centred, augmented", _ours()),
     "pointnet2": Row("encoder", "the paper's PointNet++", WithPointNet(name=_NAME)),
-    "score": Row("process", "score matching (VE), 20 steps", _ours(process=VarianceExploding(), sampler=Euler(20))),
-    "edm": Row("process", "EDM", _ours(process=Edm())),
+    "flow": Row("process", "flow matching", _ours(config=NetworkConfig(process="flow"))),
+    "score": Row(
+        "process",
+        "score matching (VE), 20 steps",
+        _ours(config=NetworkConfig(process="score"), sampler=Euler(20)),
+    ),
     "no-rest": Row("rest of the tool", "its direction alone, no points", _ours(rest_dropout=1.0)),
     "no-direction": Row("rest of the tool", "unknown", _ours(rest_dropout=1.0, direction_dropout=1.0)),
     "uncentred": Row("centring", "encoder sees the cloud in the camera's frame", Uncentred(name=_NAME)),

@@ -15,8 +15,8 @@ from toolee_robot.frames import Array, transform
 from toolee_robot.perception.pose import confidence
 from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
-from toolee_robot.perception.pose.flow import Process, Sampler
-from toolee_robot.perception.pose.network import CATEGORIES, CONTEXT_DIM, FLOW, SAMPLER, PoseNet, Seen, sample
+from toolee_robot.perception.pose.flow import Sampler
+from toolee_robot.perception.pose.network import CATEGORIES, CONTEXT_DIM, SAMPLER, PoseNet, Seen, sample
 from toolee_robot.perception.pose.pooling import Pooled, pairwise_angles, pool
 from toolee_robot.perception.pose.representation import T_SCALE, decode
 from toolee_robot.perception.pose.weights import Calibration, load
@@ -24,20 +24,19 @@ from toolee_robot.types import Category, PoseHypotheses
 
 
 class PoseEstimator(CloudEstimator):
-    """Holds the network on one device. process, sampler: how the candidates are drawn."""
+    """Holds the network on one device. sampler: how the candidates are drawn."""
 
     def __init__(
         self,
         net: PoseNet,
         calibration: Calibration | None = None,
         device: str = "cpu",
-        process: Process = FLOW,
         sampler: Sampler = SAMPLER,
     ) -> None:
         self._net = net.to(device).eval()
         self.calibration = calibration or Calibration()
         self._device = torch.device(device)
-        self.process, self.sampler = process, sampler
+        self.process, self.sampler = net.process, sampler
 
     @classmethod
     def load(cls, weights_dir: Path | None = None, device: str = "cpu") -> PoseEstimator:
@@ -59,7 +58,7 @@ class PoseEstimator(CloudEstimator):
         index = torch.tensor([CATEGORIES.index(c) for c in categories], device=device)
         context = context_input(cloud, torch.as_tensor(visible))
         feature = self._net.encode(Seen.of(cloud, index, direction, context))
-        u = sample(self._net, feature, candidates, generator, self.sampler, self.process)
+        u = sample(self._net, feature, candidates, generator, self.sampler)
         regression = {k: v.cpu() for k, v in self._net.regress(feature).items()}
         R, p, ambiguous = (x.double().numpy() for x in decode(u.float().cpu()))
         R_direct, p_direct, _ = (x.double().numpy() for x in decode(regression["mean"]))

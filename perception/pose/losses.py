@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from toolee_robot.perception.pose.cloud_batch import CloudBatch
 from toolee_robot.perception.pose.estimator import context_input
 from toolee_robot.perception.pose.flow import Process
-from toolee_robot.perception.pose.network import CATEGORIES, FLOW, Seen
+from toolee_robot.perception.pose.network import CATEGORIES, Seen
 from toolee_robot.perception.pose.representation import AMBIGUOUS, AXIS_X, AXIS_Z, DIM, POSITION, decode, encode
 from toolee_robot.types import Category
 
@@ -87,7 +87,7 @@ def context(batch: CloudBatch) -> Tensor:
 
 
 def pose_loss(
-    net: nn.Module, batch: CloudBatch, draws: int, generator: torch.Generator, process: Process = FLOW
+    net: nn.Module, batch: CloudBatch, draws: int, generator: torch.Generator, process: Process
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """The process's matching loss on `draws` noise draws a cloud, the regression, its sigmas and the validity; and
     each part."""

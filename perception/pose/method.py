@@ -19,9 +19,10 @@ from toolee_robot.perception.pose.cloud_batch import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
 from toolee_robot.perception.pose.clouds import CloudGenerator
 from toolee_robot.perception.pose.estimator import PoseEstimator
-from toolee_robot.perception.pose.flow import Process, Sampler
+from toolee_robot.perception.pose.flow import Sampler
 from toolee_robot.perception.pose.losses import augment, pose_loss, without_rest
-from toolee_robot.perception.pose.network import FLOW, SAMPLER, NetworkConfig, PoseNet
+from toolee_robot.perception.pose.network import SAMPLER, NetworkConfig, PoseNet
+from toolee_robot.perception.pose.processes import PROCESSES
 from toolee_robot.perception.pose.weights import Calibration
 
 Net = TypeVar("Net", bound=nn.Module)
@@ -74,7 +75,7 @@ class Method(Protocol, Generic[Net]):
 
 @dataclass(frozen=True)
 class Ours:
-    """`PoseNet` by flow matching. draws: noise draws a cloud; rest_dropout: how often the rest of the tool is
+    """`PoseNet`. draws: noise draws a cloud; rest_dropout: how often the rest of the tool is
     withheld, direction_dropout: how often then the direction to it, too (1: never known, neither when it is judged);
     augmentation: random roll and mirror image, each time anew."""
 
@@ -84,7 +85,6 @@ class Ours:
     rest_dropout: float = 0.35
     direction_dropout: float = 0.5
     augmentation: bool = True
-    process: Process = FLOW
     sampler: Sampler = SAMPLER
     name: str = weights.NAME
 
@@ -103,11 +103,11 @@ class Ours:
 
     def loss(self, net: nn.Module, batch: CloudBatch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """See `Method`."""
-        return pose_loss(net, batch, self.draws, generator, self.process)
+        return pose_loss(net, batch, self.draws, generator, PROCESSES[self.config.process])
 
     def estimator(self, net: PoseNet, calibration: Calibration, device: str) -> PoseEstimator:
         """See `Method`."""
-        return PoseEstimator(net, calibration, device, self.process, self.sampler)
+        return PoseEstimator(net, calibration, device, self.sampler)
 
     def judged(self, batch: CloudBatch, bank: ToolBank) -> CloudBatch:  # noqa: ARG002 - others need it
         """See `Method`."""

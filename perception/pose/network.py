@@ -1,10 +1,10 @@
-"""The pose network: a patch transformer over the EE's cloud and the rest of the tool, a flow-matching head and a
+"""The pose network: a patch transformer over the EE's cloud and the rest of the tool, a generative head and a
 regression head.
 
 Encoder: 64 patches of 32 points within 12 mm of their centres, and 32 coarser ones of the rest of the tool, a small
 PointNet each, then a transformer with tokens for the category and for the direction to the rest of the tool, for when
 no more is known of that. Measured against PointNet++ at equal data it is better and faster.
-Flow head: the velocity of `flow.RectifiedFlow`, conditioned by FiLM. About 5 M parameters, pure PyTorch.
+Generative head: what `NetworkConfig.process` asks for, conditioned by FiLM. About 5 M parameters, pure PyTorch.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ import torch
 from torch import Tensor, nn
 
 from toolee_robot.perception.pose.canonical import PATCHES, REST_PATCHES, CanonicalCloud
-from toolee_robot.perception.pose.flow import Euler, Process, RectifiedFlow, Sampler
+from toolee_robot.perception.pose.flow import Euler, Process, Sampler
+from toolee_robot.perception.pose.processes import PROCESSES
 from toolee_robot.perception.pose.representation import DIM
 from toolee_robot.types import Category
 
 CATEGORIES = tuple(Category)
-FLOW = RectifiedFlow()
 SAMPLER = Euler(5)
 DIRECTION_DIM = 5
 """Direction (3), then flags: given at all; given as the direction to the hand, not to the tool's visible rest."""
@@ -31,7 +31,8 @@ CONTEXT_DIM = 2
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Sizes. ball: radius [m] of a patch of `neighbours` points; rest_ball, rest_neighbours: of the rest's."""
+    """Sizes. ball: radius [m] of a patch of `neighbours` points; rest_ball, rest_neighbours: of the rest's.
+    process: which of `PROCESSES` the generative head serves."""
 
     width: int = 256
     layers: int = 4
@@ -42,6 +43,7 @@ class NetworkConfig:
     rest_ball: float = 0.03
     flow_width: int = 256
     flow_blocks: int = 3
+    process: str = "edm"
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -85,6 +87,11 @@ class PoseNet(nn.Module):
         self.flow = FlowHead(f, c.flow_width, c.flow_blocks)
         # mean of u (12; the S part as logits), log sigma of position, axis, spin; logit that this is an EE at all.
         self.regression = nn.Sequential(nn.Linear(f, d), nn.SiLU(), nn.Linear(d, d), nn.SiLU(), nn.Linear(d, DIM + 4))
+
+    @property
+    def process(self) -> Process:
+        """How its poses become noise, and the way back."""
+        return PROCESSES[self.config.process]
 
     def encode(self, seen: Seen) -> Tensor:
         """Feature (B, 2 width) of what is seen."""
@@ -203,7 +210,6 @@ def sample(
     K: int,
     generator: torch.Generator,
     sampler: Sampler = SAMPLER,
-    process: Process = FLOW,
 ) -> Tensor:
     """K draws of u (B, K, 12).
 
@@ -211,4 +217,4 @@ def sample(
     """
     noise = torch.randn(feature.shape[0], K, DIM, generator=generator).to(feature)
     condition = net.flow.condition(feature)
-    return sampler(process, lambda u, t: net.flow(u, t, condition), noise)
+    return sampler(net.process, lambda u, t: net.flow(u, t, condition), noise)

@@ -175,17 +175,17 @@ class Trainer(Generic[Net]):
         self.ema.load_state_dict(self.method.load(self.out).state_dict())
         described = json.loads((self.out / f"{self.method.name}.json").read_text())["report"]
         self.steps, self.elapsed = int(described["steps"]), 60.0 * float(described["minutes"])
-        return self.finish(self.judged())
+        return self.finish(self.judged(), described["train"])
 
-    def finish(self, held_out: CloudBatch) -> dict[str, Any]:
-        """Validate and calibrate on held-out tools, and save."""
+    def finish(self, held_out: CloudBatch, trained: dict[str, Any] | None = None) -> dict[str, Any]:
+        """Validate and calibrate on held-out tools, and save. trained: the training's own configuration, if another."""
         report, calibration = self.method.report(self.export(), held_out, str(self.device))
         self.log(event="finished", **{k: v for k, v in report.items() if k != "clouds"})
         report |= {
             "calibrated": True,
             "steps": self.steps,
             "minutes": round(self.elapsed / 60, 2),
-            "train": asdict(self.config),
+            "train": trained or asdict(self.config),
         }
         self.method.save(self.out, self.export(), calibration, report)
         return report
@@ -247,7 +247,12 @@ class Trainer(Generic[Net]):
             self.out,
             self.export(),
             Calibration(),
-            {"calibrated": False, "steps": self.steps, "minutes": round(self.elapsed / 60, 2)},
+            {
+                "calibrated": False,
+                "steps": self.steps,
+                "minutes": round(self.elapsed / 60, 2),
+                "train": asdict(self.config),
+            },
         )
         if held_out is not None:
             few = held_out.select(torch.arange(min(512, len(held_out)), device=self.device))

@@ -13,17 +13,17 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from toolee_robot.perception import ablations
-from toolee_robot.perception.ablation.processes import Edm
 from toolee_robot.perception.ablation.variants import POOLINGS, UncentredGenerator
 from toolee_robot.perception.pose.bank import hand_bank, tool_bank
 from toolee_robot.perception.pose.cloud_batch import CloudConfig
 from toolee_robot.perception.pose.clouds import CloudGenerator
+from toolee_robot.perception.pose.edm import Edm
 from toolee_robot.perception.pose.flow import Euler, Process, RectifiedFlow
 from toolee_robot.perception.pose.method import Ours
 from toolee_robot.perception.pose.network import NetworkConfig
-from toolee_robot.perception.pose.paper.diffusion import VarianceExploding
 from toolee_robot.perception.pose.paper.rk45 import Rk45
 from toolee_robot.perception.pose.training import TrainConfig
+from toolee_robot.perception.pose.variance_exploding import VarianceExploding
 from toolee_robot.types import Category
 
 MEAN, SPREAD = torch.tensor([0.3, -0.8]), torch.tensor([0.3, 0.9])
@@ -102,7 +102,7 @@ def test_uncentred_clouds_are_the_same_clouds() -> None:
 
 def test_rows_train_resume_and_are_tabulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiny = NetworkConfig(width=32, layers=1, heads=2, neighbours=8, flow_width=32, flow_blocks=1)
-    names = ("base", "edm", "no-direction")
+    names = ("base", "flow", "no-direction")
     rows = {}
     for name in names:
         method = ablations.ROWS[name].method
@@ -121,10 +121,10 @@ def test_rows_train_resume_and_are_tabulated(tmp_path: Path, monkeypatch: pytest
     assert {"K", "steps", "pooling"} <= {r["what"] for r in table}
     assert all(r["steps"] == 2 for r in table if r["row"] in names)
     assert len(text.splitlines()) == 2 + len(table) + 2
-    assert list((tmp_path / "edm").glob("ablation-*.safetensors"))
-    before = (tmp_path / "edm" / "row.json").read_text()
-    ablations.run_row("edm", tmp_path, config, banks, hand_bank(2), "cpu")
-    assert (tmp_path / "edm" / "row.json").read_text() == before
+    assert list((tmp_path / "flow").glob("ablation-*.safetensors"))
+    before = (tmp_path / "flow" / "row.json").read_text()
+    ablations.run_row("flow", tmp_path, config, banks, hand_bank(2), "cpu")
+    assert (tmp_path / "flow" / "row.json").read_text() == before
 
 
 def test_unknown_rows_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

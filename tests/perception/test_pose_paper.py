@@ -17,13 +17,13 @@ from toolee_robot.perception.pose.bank import Float32, ToolBank, hand_bank, tool
 from toolee_robot.perception.pose.canonical import farthest_points_first
 from toolee_robot.perception.pose.flow import Euler
 from toolee_robot.perception.pose.paper import COLUMNS, PaperEstimator, PaperMethod
-from toolee_robot.perception.pose.paper.diffusion import VarianceExploding
 from toolee_robot.perception.pose.paper.object_clouds import category_priors, first_ends, with_ee_truth
 from toolee_robot.perception.pose.paper.pointnet2 import Level, PointNet2
 from toolee_robot.perception.pose.paper.pooling import mean_pose
 from toolee_robot.perception.pose.paper.representation import class_ambiguity, decode, encode
 from toolee_robot.perception.pose.paper.rk45 import Rk45, solve
 from toolee_robot.perception.pose.training import TrainConfig, Trainer
+from toolee_robot.perception.pose.variance_exploding import VarianceExploding
 from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.types import Category
 

@@ -108,7 +108,7 @@ def test_the_loss_goes_down_and_the_sampler_is_deterministic(clouds: CloudBatch)
     batch = clouds.select(torch.arange(16))
     losses = []
     for _ in range(40):
-        loss, _ = pose_loss(net, batch, 4, generator)
+        loss, _ = pose_loss(net, batch, 4, generator, net.process)
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()

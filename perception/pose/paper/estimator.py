@@ -16,12 +16,12 @@ from toolee_robot.perception import assets
 from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
 from toolee_robot.perception.pose.flow import Sampler
-from toolee_robot.perception.pose.paper.diffusion import VarianceExploding
 from toolee_robot.perception.pose.paper.network import PaperNet
 from toolee_robot.perception.pose.paper.pointnet2 import ORDERED
 from toolee_robot.perception.pose.paper.pooling import mean_pose
 from toolee_robot.perception.pose.paper.representation import class_ambiguity, decode
 from toolee_robot.perception.pose.paper.rk45 import Rk45
+from toolee_robot.perception.pose.variance_exploding import VarianceExploding
 from toolee_robot.types import Category, PoseHypotheses
 
 NAME = "pose_paper"

@@ -1,5 +1,4 @@
-"""EDM, the alternative to flow matching: Karras et al., "Elucidating the Design Space of Diffusion-Based Generative
-Models", NeurIPS 2022. Score matching is the paper's own, `pose.paper.diffusion`."""
+"""EDM: Karras et al., "Elucidating the Design Space of Diffusion-Based Generative Models", NeurIPS 2022."""
 
 from __future__ import annotations
 
