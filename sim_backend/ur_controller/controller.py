@@ -73,7 +73,9 @@ class Controller:
     """A stand-in for a Universal Robots controller.
 
     plant: makes what the controller moves. Raises UserError for an address that is not loopback, an unknown model, or
-    a port that is taken. clock: the robot's time; the ports' is the wall's.
+    a port that is taken. clock: the robot's time; the ports' is the wall's. publish_at: share of a tick after which its
+    data go out, or as soon as it is done where that takes longer: a robot's come evenly, while a plant may take now
+    little of a tick, now most of it.
     """
 
     def __init__(
@@ -85,6 +87,7 @@ class Controller:
         _check(options)
         self.options, self.log = options, log
         self.clock = HostClock(options.pace)
+        self.publish_at = 0.0
         model = MODELS[options.model]
         self.robot = Robot(model, plant(model), options.limits, log)
         self.robot.machine.speed_fraction = options.speed_slider
@@ -153,7 +156,7 @@ class Controller:
 
     def tick(self) -> None:
         """One tick, now."""
-        self.schedule.begin()
+        due = self.schedule.begin()
         began = time.thread_time()
         self.faults.step()
         robot = self.robot
@@ -170,6 +173,8 @@ class Controller:
                 int(robot.program.state),
             )
         )
+        if self.publish_at > 0.0:
+            self._serve_until(due + self.publish_at * robot.model.period)
         for service in self.services:
             service.on_tick(robot.model.period)
         if robot.ticks % COLLECT_TICKS == 0 and not any(port.clients for port in self.ports.values()):

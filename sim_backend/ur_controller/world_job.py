@@ -15,6 +15,10 @@ from toolee_robot.sim_backend.ur_controller.model import ControllerModel
 from toolee_robot.sim_backend.ur_controller.world_plant import WorldPlant
 from toolee_robot.sim_backend.ur_controller.world_service import WorldService
 
+PUBLISH_AT = 0.5
+"""A driver that commands a third of a tick after the data has its command here well before the next tick, and the data
+of a tick that takes three quarters of its time still come before that."""
+
 
 @dataclass
 class WorldJob:
@@ -49,3 +53,4 @@ class WorldJob:
         identity.alpha, identity.theta = dh.alpha.tolist(), dh.theta.tolist()
         self._service.ended = controller.stop
         controller.add_service(self._service)
+        controller.publish_at = PUBLISH_AT

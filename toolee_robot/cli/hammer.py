@@ -18,9 +18,9 @@ from toolee_robot.errors import UserError
 from toolee_robot.host_clock import check_pace, is_loopback
 from toolee_robot.types import ArmModel
 
-WORLD_PACE = 0.25
-"""At this pace a cycle of either arm takes some three times what the world needs for it at worst, in a blow: two busy
-cores still keep the servo's schedule, and the bounds are a real robot's."""
+WORLD_PACE = {ArmModel.UR10: 0.25, ArmModel.UR10E: 0.1}
+"""A cycle has 32 and 20 ms then: twice and more what the world needs for it at worst, in a blow, so that two busy cores
+keep the servo's schedule within a real robot's bounds."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,9 @@ class Hammer:
     """Of the UR controller, with --arm ur-rtde; with --world a loopback address, where a stand-in will serve."""
     world: Annotated[Literal["pybullet"] | None, tyro.conf.arg(metavar="pybullet", help_behavior_hint="")] = None
     """What is behind the UR controller: a stand-in is started, with the simulated station as its world."""
-    pace: Annotated[float | None, tyro.conf.arg(metavar="0.05..1", help_behavior_hint="(default: 0.25)")] = None
+    pace: Annotated[
+        float | None, tyro.conf.arg(metavar="0.05..1", help_behavior_hint="(default: UR10 0.25, UR10e 0.1)")
+    ] = None
     """With --world: seconds of the station, its robot and its world for one of the wall's clock. 1 is real time, which
     a busy machine does not keep up with."""
     robot: Annotated[Literal["UR10", "UR10e"] | None, tyro.conf.arg(metavar="UR10|UR10e", help_behavior_hint="")] = None
@@ -68,10 +70,10 @@ class Hammer:
             raise UserError("--gui needs a screen and DISPLAY is not set: leave it out, headless does the same job")
         if self.perfect_perception and self.no_correction:
             raise UserError("--perfect-perception with --no-correction changes nothing: leave one out")
-        address = self._address()
         config = StationConfig() if self.config is None else load_station(self.config)
         if self.robot is not None:
             config = replace(config, arm=replace(config.arm, model=ArmModel(self.robot)))
+        address = self._address(config.arm.model)
         console = Console(stderr=self.json, highlight=False)
 
         from toolee_robot.cli.run_folder import run_folder
@@ -93,7 +95,7 @@ class Hammer:
             print(json_line({**report.figures, "run_folder": str(folder.path)}), flush=True)
         return report.exit_code
 
-    def _address(self) -> tuple[str, float] | None:
+    def _address(self, model: ArmModel) -> tuple[str, float] | None:
         """Host and pace of the stand-in that the arm is driven through; None for the simulated arm itself."""
         if self.arm == "sim":
             if self.pace is not None:
@@ -113,6 +115,6 @@ class Hammer:
             raise UserError("--arm ur-rtde needs --robot-host: a loopback address such as 127.0.0.2")
         if not is_loopback(self.robot_host):
             raise UserError(f"{self.robot_host!r} is not a loopback address: a stand-in serves this machine only")
-        pace = WORLD_PACE if self.pace is None else self.pace
+        pace = WORLD_PACE[model] if self.pace is None else self.pace
         check_pace(pace, self.robot_host)
         return self.robot_host, pace

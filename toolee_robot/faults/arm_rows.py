@@ -33,7 +33,7 @@ from toolee_robot.sim_backend.ur_controller.model import MODELS
 BUSY = 0.03  # [s] that a machine with other things to do may add
 AT_REST = 1e-4  # [rad]: what counts as standing still
 OFF_PATH = 5e-3  # [rad]
-OFF_PATH_BY_ROBOT = 30e-3  # [rad]: servoj without a new goal passes the last one, each joint by as much as it is fast
+OFF_PATH_BY_ROBOT = 20e-3  # [rad]: it brakes along the direction of the moment, from which the path bends away
 WATCHDOG = 0.1  # [s] of silence after which the controller stops the program: `UrArmConfig.watchdog`
 HEARTBEAT = 0.1  # [s] `UrArmConfig.heartbeat_timeout`
 ATTEMPTS = 3  # to catch the moment, on a busy machine
