@@ -30,6 +30,7 @@ from toolee_robot.perception.pose.network import NetworkConfig
 from toolee_robot.perception.pose.paper import PaperMethod
 from toolee_robot.perception.pose.training import TrainConfig, Trainer
 from toolee_robot.perception.pose.weights import Calibration
+from toolee_robot.perception.ranks import ranks
 
 CANDIDATES = 32
 KS = (1, 5, 10, 20, 32, 50)
@@ -78,23 +79,24 @@ ROWS: dict[str, Row] = {
 def run_row(name: str, out: Path, config: TrainConfig, banks: Any, hands: Any, device: str | None) -> None:
     """Train a row (or resume it), judge it, write its row.json. Raises TooleeError when the loss is not finite."""
     row = ROWS[name]
-    trainer: Trainer[Any] = Trainer(out / name, config, banks, hands, row.method, device)
-    report = trainer.run()
-    held_out = trainer.judged()
-    estimator = row.method.estimator(trainer.export(), Calibration(), str(trainer.device))
-    K = estimator.candidates
-    record: dict[str, Any] = {
-        "what": row.what,
-        "change": row.change,
-        "steps": report["steps"],
-        "minutes": report["minutes"],
-        "parameters": sum(p.numel() for p in trainer.net.parameters()),
-        "candidates": K,
-        "metrics": validation.metrics(validation.evaluate(estimator, held_out, K)),
-    }
-    if name == "base":
-        record["evaluated"] = without_training(estimator, held_out)
-    (out / name / "row.json").write_text(json.dumps(record, indent=1) + "\n")
+    with ranks(device) as place:
+        trainer: Trainer[Any] = Trainer(out / name, config, banks, hands, row.method, place)
+        report = trainer.run()
+        held_out = trainer.judged()
+        estimator = row.method.estimator(trainer.export(), Calibration(), str(trainer.device))
+        K = estimator.candidates
+        record: dict[str, Any] = {
+            "what": row.what,
+            "change": row.change,
+            "steps": report["steps"],
+            "minutes": report["minutes"],
+            "parameters": sum(p.numel() for p in trainer.net.parameters()),
+            "candidates": K,
+            "metrics": validation.metrics(validation.evaluate(estimator, held_out, K)),
+        }
+        if name == "base":
+            record["evaluated"] = without_training(estimator, held_out)
+        (out / name / "row.json").write_text(json.dumps(record, indent=1) + "\n")
 
 
 def without_training(estimator: CloudEstimator, held_out: CloudBatch) -> list[dict[str, Any]]:

@@ -1,6 +1,7 @@
-"""Train the pose network on one CUDA GPU (or, for a look, on a CPU).
+"""Train the pose network on one CUDA GPU, on several, or, for a look, on a CPU.
 
     python -m toolee_robot.perception.train_pose --out runs/pose --minutes 20
+    torchrun --nproc-per-node 4 -m toolee_robot.perception.train_pose --out runs/pose --minutes 20
     python -m toolee_robot.perception.train_pose --out runs/paper --minutes 20 --estimator paper --column ee
 
 Writes pose-*.safetensors and pose.json (settings, validation on held-out tools, calibration; with --estimator paper:

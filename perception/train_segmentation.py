@@ -15,20 +15,18 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
-import torch.distributed as dist
 from torch import Tensor, nn
 
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.assets import load_weights, save_weights
+from toolee_robot.perception.ranks import Ranks
+from toolee_robot.perception.ranks import ranks as ranks_of
 from toolee_robot.perception.segmentation_data import DeviceImages, SceneStream, SegmentationImages, augment
 from toolee_robot.perception.segmentation_losses import DetectorLoss, instances_from_maps
 from toolee_robot.perception.segmentation_model import (
@@ -78,50 +76,12 @@ class SegmentationTraining:
         return {**asdict(self), "data": self.data.name, "out": self.out.name, "init": self.init is not None}
 
 
-@dataclass(frozen=True)
-class _Ranks:
-    rank: int
-    world: int
-    device: torch.device
-
-    @property
-    def first(self) -> bool:
-        return self.rank == 0
-
-    def agreed(self, value: float) -> float:
-        """Rank 0's value, everywhere."""
-        if self.world == 1:
-            return value
-        tensor = torch.tensor([value], dtype=torch.float64, device=self.device)
-        dist.broadcast(tensor, 0)
-        return float(tensor.item())
-
-
-@contextmanager
-def _ranks(device: str) -> Iterator[_Ranks]:
-    """This process's place among those that torchrun started (alone without torchrun)."""
-    world = int(os.environ.get("WORLD_SIZE", "1"))
-    local = int(os.environ.get("LOCAL_RANK", "0"))
-    if device == "auto":
-        device = f"cuda:{local}" if torch.cuda.is_available() else "cpu"
-    chosen = torch.device(device)
-    if chosen.type == "cuda":
-        torch.cuda.set_device(chosen)
-    if world > 1:
-        dist.init_process_group("nccl" if chosen.type == "cuda" else "gloo")
-    try:
-        yield _Ranks(int(os.environ.get("RANK", "0")), world, chosen)
-    finally:
-        if world > 1:
-            dist.destroy_process_group()
-
-
 def train(config: SegmentationTraining, images: SegmentationImages | None = None) -> Path:
     """Run the training and return the folder with the exported weights, their configuration and log.
 
     images: the data, if not to be read from `config.data`. Raises TooleeError when a loss is not finite.
     """
-    with _ranks(config.device) as ranks:
+    with ranks_of(None if config.device == "auto" else config.device) as ranks:
         torch.manual_seed(config.seed + 1000 * ranks.rank)
         torch.backends.cudnn.benchmark = True
         stream = SceneStream(config.data, (ranks.rank, ranks.world)) if images is None else None
@@ -145,7 +105,7 @@ class _Run:
     def __init__(
         self,
         config: SegmentationTraining,
-        ranks: _Ranks,
+        ranks: Ranks,
         first: list[SegmentationImages],
         stream: SceneStream | None,
     ) -> None:
@@ -177,10 +137,7 @@ class _Run:
         self.checkpoint_path = config.out / CHECKPOINT
         if config.resume:
             self._restore()
-        self.module: nn.Module = self.loss
-        if ranks.world > 1:
-            ids = [ranks.device.index] if ranks.device.type == "cuda" else None
-            self.module = nn.parallel.DistributedDataParallel(self.loss, device_ids=ids)
+        self.module = ranks.shared(self.loss)
 
     @property
     def detector(self) -> Detector:
@@ -191,7 +148,7 @@ class _Run:
         if ranks.first:
             config.out.mkdir(parents=True, exist_ok=True)
             size = sum(p.numel() for p in self.detector.parameters()) / 1e6
-            print(f"segmentation: {size:.2f} M parameters, {len(self.data)} images a rank, {_device_name(ranks)}")
+            print(f"segmentation: {size:.2f} M parameters, {len(self.data)} images a rank, {ranks.device_name}")
         self.module.train()
         began = time.monotonic() - self.elapsed
         last_checkpoint, last_log, last_step = self.elapsed, self.elapsed, self.step
@@ -231,7 +188,7 @@ class _Run:
             "training": self.config.to_json(),
             "steps": self.step,
             "minutes": self.elapsed / 60,
-            "device": _device_name(self.ranks),
+            "device": self.ranks.device_name,
             "torch": torch.__version__,
             "log": _thinned(self.log),
         }
@@ -313,11 +270,6 @@ class _Run:
         self.step, self.elapsed, self.log = state["step"], state["elapsed"], state["log"]
         # Other images, other augmentation than the first process began with.
         torch.manual_seed(self.config.seed + 1000 * self.ranks.rank + 1_000_003 * self.step)
-
-
-def _device_name(ranks: _Ranks) -> str:
-    name = torch.cuda.get_device_name(ranks.device) if ranks.device.type == "cuda" else "CPU"
-    return f"{ranks.world} x {name}"
 
 
 def _thinned(log: list[dict[str, float]], count: int = 200) -> list[dict[str, float]]:

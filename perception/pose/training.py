@@ -6,7 +6,7 @@ import copy
 import json
 import math
 import time
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Generic
 
@@ -18,7 +18,9 @@ from toolee_robot.perception.pose import validation
 from toolee_robot.perception.pose.bank import Float32, ToolBank, load_hands, tool_bank
 from toolee_robot.perception.pose.cloud_batch import CloudBatch
 from toolee_robot.perception.pose.method import Method, Net, Ours
+from toolee_robot.perception.pose.reservoir import Reservoir
 from toolee_robot.perception.pose.weights import Calibration
+from toolee_robot.perception.ranks import Ranks, ranks
 from toolee_robot.perception.training_log import Scalars
 
 
@@ -49,38 +51,9 @@ class TrainConfig:
     seed: int = 0
 
 
-class Reservoir:
-    """A ring of clouds on the device: new ones replace the oldest, batches are drawn at random."""
-
-    def __init__(self, first: CloudBatch, capacity: int) -> None:
-        self._rows = {
-            f.name: torch.empty(
-                (capacity, *getattr(first, f.name).shape[1:]),
-                dtype=getattr(first, f.name).dtype,
-                device=first.points.device,
-            )
-            for f in fields(CloudBatch)
-        }
-        self._capacity, self._filled, self._next = capacity, 0, 0
-        self.made = 0
-        self.add(first)
-
-    def add(self, batch: CloudBatch) -> None:
-        device = batch.points.device
-        index = (self._next + torch.arange(len(batch), device=device)) % self._capacity
-        for name, rows in self._rows.items():
-            rows[index] = getattr(batch, name)
-        self._next = (self._next + len(batch)) % self._capacity
-        self._filled = min(self._filled + len(batch), self._capacity)
-        self.made += len(batch)
-
-    def draw(self, n: int, generator: torch.Generator) -> CloudBatch:
-        index = torch.randint(self._filled, (n,), device=generator.device, generator=generator)
-        return CloudBatch(**{name: rows[index] for name, rows in self._rows.items()})
-
-
 class Trainer(Generic[Net]):
-    """One network, one device, one time budget. `run` may be called again in a new process: it resumes."""
+    """One network, one time budget; one device or, as one of several `Ranks`, several. `run` may be called again in a
+    new process: it resumes."""
 
     def __init__(
         self,
@@ -89,13 +62,14 @@ class Trainer(Generic[Net]):
         banks: tuple[ToolBank, ToolBank],
         hands: Float32,
         method: Method[Net],
-        device: str | None = None,
+        place: Ranks,
     ) -> None:
-        """banks: training and held-out tools."""
-        self.out, self.config = out, config
-        self.device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+        """banks: training and held-out tools. The first rank validates, logs and writes."""
+        self.out, self.config, self.ranks = out, config, place
+        self.device = place.device
         torch.manual_seed(config.seed)
         self.method = method
+        self.steps, self.elapsed = 0, 0.0
         self.net = method.network(banks[0]).to(self.device)
         self.ema = copy.deepcopy(self.net).requires_grad_(False)
         self.optimizer = torch.optim.AdamW(
@@ -105,16 +79,17 @@ class Trainer(Generic[Net]):
             betas=(0.9, 0.99),
             fused=self.device.type == "cuda",
         )
-        self._generator = method.clouds(banks[0], hands, self.device, config.seed + 1)
+        self._generator = method.clouds(banks[0], hands, self.device, self._seed(1))
         self._test_bank = banks[1]
         self._held_out = method.clouds(banks[1], hands, self.device, 10_000 + config.seed)
-        self._g = torch.Generator(self.device).manual_seed(config.seed + 2)
-        self.steps, self.elapsed = 0, 0.0
+        self._g = torch.Generator(self.device).manual_seed(self._seed(2))
         self._scalars = Scalars(out)
         out.mkdir(parents=True, exist_ok=True)
 
     def log(self, **record: Any) -> None:
         """One JSON line on the terminal and in log.jsonl."""
+        if not self.ranks.first:
+            return
         line = json.dumps({"step": self.steps, "minutes": round(self.elapsed / 60, 2), **record})
         print(line, flush=True)
         with (self.out / "log.jsonl").open("a") as file:
@@ -122,15 +97,17 @@ class Trainer(Generic[Net]):
         self._scalars.add(self.steps, record)
 
     def run(self) -> dict[str, Any]:
-        """Train until the time is used up, then validate, calibrate and write the weights. Returns the report."""
+        """Train until the time is used up, then validate, calibrate and write the weights. Returns the report (of ranks
+        but the first an empty one)."""
         c = self.config
         self._resume()
         forward: nn.Module = self.net
         if c.compile and self.device.type == "cuda":
             forward = self._compiled()
+        forward = self.ranks.shared(forward)
         reservoir = Reservoir(self._generator.collect(max(c.first_fill, c.batch), c.chunk), c.capacity)
-        held_out = self.judged()
-        self.log(event="start", device=str(self.device), parameters=sum(p.numel() for p in self.net.parameters()))
+        held_out = self.judged() if self.ranks.first else None
+        self.log(event="start", device=self.ranks.device_name, parameters=sum(p.numel() for p in self.net.parameters()))
         before, begun = self.elapsed, time.monotonic()
         base, last_save, last_log, logged_steps = reservoir.made, begun, begun, self.steps
         start_steps = self.steps
@@ -157,7 +134,9 @@ class Trainer(Generic[Net]):
             self.steps += 1
             self._average()
             now = time.monotonic()
-            self.elapsed = before + now - begun
+            # The ranks must end with the same step, and none waits for another's clock at every one.
+            if self.ranks.world == 1 or self.steps % 20 == 0:
+                self.elapsed = self.ranks.agreed(before + now - begun)
             if now - last_log > 15:
                 per_step = (now - last_log) / max(self.steps - logged_steps, 1)
                 self.log(**_numbers(parts), lr=rate, ms_per_step=round(1e3 * per_step, 2), clouds=reservoir.made)
@@ -167,7 +146,7 @@ class Trainer(Generic[Net]):
                 self._checkpoint(held_out)
         # The checkpoint first: should the validation not get the time, the training is not lost.
         self._checkpoint(None)
-        return self.finish(held_out)
+        return self.finish(held_out) if held_out is not None else {}
 
     def calibrate(self) -> dict[str, Any]:
         """Validate and calibrate the weights that lie in `out`, on any machine: what a training that ran out of time
@@ -232,7 +211,13 @@ class Trainer(Generic[Net]):
         self.net.zero_grad(set_to_none=True)
         return compiled
 
+    def _seed(self, which: int) -> int:
+        """Every rank has clouds, and so on, of its own; after a resumption, new ones."""
+        return self.config.seed + which + 1_000_003 * self.ranks.rank + self.steps
+
     def _checkpoint(self, held_out: CloudBatch | None) -> None:
+        if not self.ranks.first:
+            return
         state = {
             "net": self.net.state_dict(),
             "ema": self.ema.state_dict(),
@@ -268,9 +253,8 @@ class Trainer(Generic[Net]):
         self.ema.load_state_dict(state["ema"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.steps, self.elapsed = int(state["steps"]), float(state["elapsed"])
-        # New clouds, not those of the first process again.
-        self._generator.reseed(self.config.seed + 1 + self.steps)
-        self._g.manual_seed(self.config.seed + 2 + self.steps)
+        self._generator.reseed(self._seed(1))
+        self._g.manual_seed(self._seed(2))
         self.log(event="resumed")
 
 
@@ -289,8 +273,9 @@ def train(
     banks = tool_bank(False, config.train_seeds), tool_bank(True, config.test_seeds)
     hands = load_hands(hands_file)
     print(f"{[len(b.category) for b in banks]} EEs and {len(hands)} hands sampled in {time.monotonic() - begun:.0f} s")
-    trainer = Trainer(out, config, banks, hands, method or Ours())
-    return trainer.calibrate() if calibrate_only else trainer.run()
+    with ranks() as place:
+        trainer = Trainer(out, config, banks, hands, method or Ours(), place)
+        return trainer.calibrate() if calibrate_only else trainer.run()
 
 
 def _numbers(parts: dict[str, Tensor]) -> dict[str, float]:

@@ -25,7 +25,10 @@ from toolee_robot.perception.pose.paper.rk45 import Rk45, solve
 from toolee_robot.perception.pose.training import TrainConfig, Trainer
 from toolee_robot.perception.pose.variance_exploding import VarianceExploding
 from toolee_robot.perception.pose.weights import Calibration
+from toolee_robot.perception.ranks import Ranks
 from toolee_robot.types import Category
+
+CPU = Ranks(0, 1, torch.device("cpu"))
 
 MEAN, SPREAD = torch.tensor([0.5, -0.3, 0.1]), torch.tensor([0.2, 0.6, 1.0])
 SMALL = (
@@ -146,7 +149,7 @@ def test_every_column_trains_and_its_weights_load(
     monkeypatch.setattr(PointNet2.__init__, "__defaults__", (SMALL,))
     config = TrainConfig(max_steps=3, batch=8, chunk=16, first_fill=16, capacity=32, validation=4, reuse=100, ema=0.5)
     method = replace(PaperMethod(COLUMNS[column]), draws=2)
-    trainer = Trainer(tmp_path, config, (bank, bank), hands, method, device="cpu")
+    trainer = Trainer(tmp_path, config, (bank, bank), hands, method, CPU)
     report = trainer.run()
     assert report["steps"] == 3
     assert "10deg_2cm" in report["K20"]["average"]

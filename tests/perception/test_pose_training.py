@@ -21,8 +21,11 @@ from toolee_robot.perception.pose.losses import augment, canonical_rotation, pos
 from toolee_robot.perception.pose.method import Ours
 from toolee_robot.perception.pose.network import NetworkConfig, PoseNet, sample
 from toolee_robot.perception.pose.training import TrainConfig, Trainer
+from toolee_robot.perception.ranks import Ranks
 from toolee_robot.tools import ee_radius
 from toolee_robot.types import Category
+
+CPU = Ranks(0, 1, torch.device("cpu"))
 
 TINY = NetworkConfig(width=32, layers=1, heads=2, neighbours=8, flow_width=64, flow_blocks=1)
 CLEAN = CloudConfig(
@@ -129,7 +132,7 @@ def small(minutes: float) -> TrainConfig:
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory, bank: ToolBank, hands: Float32) -> Path:
     out = tmp_path_factory.mktemp("weights")
-    Trainer(out, small(0.03), (bank, bank), hands, Ours(TINY, draws=2), device="cpu").run()
+    Trainer(out, small(0.03), (bank, bank), hands, Ours(TINY, draws=2), CPU).run()
     return out
 
 
@@ -146,7 +149,7 @@ def test_training_writes_weights_that_load_to_the_same_network(
     # A second run finds its time used up, resumes and exports the same weights.
     (shard,) = trained.glob("pose-*.safetensors")
     before = shard.read_bytes()
-    trainer = Trainer(trained, small(0.03), (bank, bank), hands, Ours(TINY, draws=2), device="cpu")
+    trainer = Trainer(trained, small(0.03), (bank, bank), hands, Ours(TINY, draws=2), CPU)
     trainer.run()
     assert shard.read_bytes() == before
     points = np.random.default_rng(0).uniform(-0.02, 0.02, (400, 3)) + np.array([0.0, 0.0, 0.5])
@@ -192,7 +195,7 @@ def test_a_loss_that_is_not_finite_stops_the_training(
     hands: Float32,
 ) -> None:
     trainer = Trainer(
-        tmp_path, replace(small(1.0), learning_rate=1e30), (bank, bank), hands, Ours(TINY, draws=2), device="cpu"
+        tmp_path, replace(small(1.0), learning_rate=1e30), (bank, bank), hands, Ours(TINY, draws=2), place=CPU
     )
     with pytest.raises(TooleeError, match="not finite at step"):
         trainer.run()

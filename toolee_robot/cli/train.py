@@ -84,7 +84,8 @@ class Pose:
 
     Example: toolee train pose --out runs/pose --minutes 20
 
-    The same command again continues from the last checkpoint in DIR.
+    The same command again continues from the last checkpoint in DIR. Several GPUs: torchrun --nproc-per-node 4 -m
+    toolee_robot.perception.train_pose, with the same options.
     """
 
     out: _Out

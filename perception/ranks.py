@@ -1,0 +1,66 @@
+"""The processes that `torchrun` starts to train one network on several GPUs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import torch
+import torch.distributed as dist
+from torch import nn
+
+
+@dataclass(frozen=True)
+class Ranks:
+    """This process's number among `world` processes, and its device."""
+
+    rank: int
+    world: int
+    device: torch.device
+
+    @property
+    def first(self) -> bool:
+        """Whether it is this process that logs and writes."""
+        return self.rank == 0
+
+    @property
+    def device_name(self) -> str:
+        """How many devices of which kind."""
+        name = torch.cuda.get_device_name(self.device) if self.device.type == "cuda" else "CPU"
+        return f"{self.world} x {name}"
+
+    def agreed(self, value: float) -> float:
+        """Rank 0's value, everywhere."""
+        if self.world == 1:
+            return value
+        tensor = torch.tensor([value], dtype=torch.float64, device=self.device)
+        dist.broadcast(tensor, 0)
+        return float(tensor.item())
+
+    def shared(self, module: nn.Module) -> nn.Module:
+        """The module with its gradients averaged over the ranks."""
+        if self.world == 1:
+            return module
+        ids = [self.device.index] if self.device.type == "cuda" else None
+        return nn.parallel.DistributedDataParallel(module, device_ids=ids)
+
+
+@contextmanager
+def ranks(device: str | None = None) -> Iterator[Ranks]:
+    """This process's place among those that torchrun started (alone without torchrun). device: None for a GPU, each
+    process its own, where there are any."""
+    world = int(os.environ.get("WORLD_SIZE", "1"))
+    if device is None:
+        device = f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if torch.cuda.is_available() else "cpu"
+    chosen = torch.device(device)
+    if chosen.type == "cuda":
+        torch.cuda.set_device(chosen)
+    if world > 1:
+        dist.init_process_group("nccl" if chosen.type == "cuda" else "gloo")
+    try:
+        yield Ranks(int(os.environ.get("RANK", "0")), world, chosen)
+    finally:
+        if world > 1:
+            dist.destroy_process_group()
