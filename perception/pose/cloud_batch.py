@@ -13,9 +13,10 @@ from toolee_robot.perception.pose.canonical import PATCHES, POINTS, CanonicalClo
 @dataclass(frozen=True)
 class CloudConfig:
     """What is varied. distance [m], focal [px]; shares are probabilities. sensor_level: None for random sensors.
-    radius [m] of the crop about the EE, None: the category's own. rest: whether the rest of the tool is seen, too;
-    rest_error_share, rest_chunk_share: how often its mask is imperfect, a piece of it missing; wrong_rest_share: how
-    often it is another tool's. points, of which the first `ordered` are
+    radius [m] of the crop about the EE, None: the category's own; other_radius_share: how often the mask is cut at half
+    to one and a half times that, as another's masks may be (the paper's circle in pixels). rest: whether the rest of
+    the tool is seen, too; rest_error_share, rest_chunk_share: how often its mask is imperfect, a piece of it missing;
+    wrong_rest_share: how often it is another tool's. points, of which the first `ordered` are
     farthest-point samples: what the network takes."""
 
     distance: tuple[float, float] = (0.35, 1.1)
@@ -32,6 +33,7 @@ class CloudConfig:
     max_occlusion: float = 0.7
     sensor_level: float | None = None
     radius: float | None = None
+    other_radius_share: float = 0.35
     rest: bool = True
     rest_error_share: float = 0.7
     rest_chunk_share: float = 0.3

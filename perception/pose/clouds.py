@@ -39,12 +39,14 @@ _CATEGORY_SHARE = {
 
 @dataclass(frozen=True)
 class Target:
-    """What a mask is said to show. focus (B, 3) [m, camera frame] and radius (B,) [m] of its sphere; claimed (B,): the
+    """What a mask is said to show. focus (B, 3) [m, camera frame] and radius (B,) [m] of its sphere; cut
+    (B,) [m]: of the sphere that the mask really shows; claimed (B,): the
     category; positive (B,): rightly so; admissible (B,): whether, if not, it is a negative that makes sense; on_hand
     (B,): the mask lies on the hand instead of on the tool."""
 
     focus: Tensor
     radius: Tensor
+    cut: Tensor
     claimed: Tensor
     positive: Tensor
     admissible: Tensor
@@ -104,7 +106,7 @@ class CloudGenerator:
         c, draws = self.config, self._draws
         placed = self._place(B)
         target = self._target(placed)
-        focus, radius = target.focus, target.radius
+        focus, radius = target.focus, target.cut
         depth_focus = focus[:, 2].clamp_min(0.15)
         f = torch.minimum(placed.f_native, GRID / 2 * depth_focus / (1.35 * radius))
         window = Window(
@@ -127,7 +129,7 @@ class CloudGenerator:
 
         usable = mask & (depth > 0)
         points, valid, count = pick(usable, depth, rays)
-        cloud = canonicalize(points, valid, radius, draws.generator, c.points, c.ordered)
+        cloud = canonicalize(points, valid, target.radius, draws.generator, c.points, c.ordered)
         visible = cloud.count / valid.sum(1).clamp_min(1) * count * (placed.f_native / f) ** 2
         if c.rest:
             cloud = self._with_rest(cloud, placed, target)
@@ -241,9 +243,12 @@ class CloudGenerator:
         on_handle = (height > self._handle[item, 0] + 0.03) & (height < self._handle[item, 1] - 0.03)
         focus = torch.where(on_hand[:, None], placed.hand[batch, spot], focus)
         far_enough = (focus - p).norm(dim=-1) > 0.07
+        other = draws.uniform(B) < self.config.other_radius_share
+        factor = torch.where(other, draws.uniform(B, 0.5, 1.5), 1.0)
         return Target(
             focus=focus,
             radius=self._radius[claimed],
+            cut=self._radius[claimed] * factor,
             claimed=claimed,
             positive=~(swapped | on_hand | on_rest),
             admissible=swapped | (on_hand & far_enough) | (on_rest & on_handle),
@@ -258,7 +263,7 @@ class CloudGenerator:
         """The tool alone, and with its hand. reach: of splats without normals [px]."""
 
         def label(points: Tensor, usual: int, wanted: Tensor, tells: Tensor | None = None) -> Tensor:
-            inside = (points - target.focus[:, None]).norm(dim=-1) < target.radius[:, None]
+            inside = (points - target.focus[:, None]).norm(dim=-1) < target.cut[:, None]
             inside = inside & wanted[:, None]
             hit = torch.full_like(inside, splat.TARGET, dtype=torch.int32)
             if tells is not None:

@@ -29,7 +29,13 @@ CPU = Ranks(0, 1, torch.device("cpu"))
 
 TINY = NetworkConfig(width=32, layers=1, heads=2, neighbours=8, flow_width=64, flow_blocks=1)
 CLEAN = CloudConfig(
-    hand_share=0.0, occluder_share=0.0, mask_error_share=0.0, chunk_share=0.0, negative_share=0.0, sensor_level=0.0
+    hand_share=0.0,
+    occluder_share=0.0,
+    mask_error_share=0.0,
+    chunk_share=0.0,
+    negative_share=0.0,
+    sensor_level=0.0,
+    other_radius_share=0.0,
 )
 
 
@@ -59,6 +65,14 @@ def test_clean_clouds_lie_on_the_tools_surface(bank: ToolBank, hands: Float32) -
         distance = torch.cdist(local, surface).min(1).values
         assert float(distance.median()) < 0.0015
         assert float(distance.quantile(0.95)) < 0.004
+
+
+def test_masks_may_be_cut_at_another_radius(bank: ToolBank, hands: Float32) -> None:
+    batch = CloudGenerator(bank, hands, "cpu", 1, replace(CLEAN, other_radius_share=1.0)).collect(24, 32)
+    nominal = torch.tensor([ee_radius(list(Category)[int(c)]) for c in batch.category])
+    reach = ((batch.points - batch.p[:, None]).norm(dim=-1).max(1).values) / nominal
+    assert float(reach.min()) < 0.75
+    assert float(reach.max()) > 1.2
 
 
 def test_the_rest_of_the_tool_is_its_surface_beyond_the_end_effector(bank: ToolBank, hands: Float32) -> None:

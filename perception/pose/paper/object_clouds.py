@@ -38,7 +38,7 @@ class ObjectCloudGenerator(CloudGenerator):
         no = torch.zeros_like(placed.has_hand)
         focus = torch.einsum("bij,bj->bi", placed.R, self._middle[placed.item]) + placed.p
         radius = torch.full_like(placed.distance, OBJECT_RADIUS)
-        return Target(focus, radius, self._category[placed.item], ~no, no, no)
+        return Target(focus, radius, radius, self._category[placed.item], ~no, no, no)
 
     def _truth(self, placed: Placement) -> tuple[Tensor, Tensor]:
         p_ee_tool = placed.X_ee_tool[:, :3, 3]
