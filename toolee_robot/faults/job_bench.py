@@ -6,7 +6,9 @@ Only the handover itself is cut short: arm, hand, grip, camera, nail and clock a
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
@@ -199,6 +201,24 @@ class Bench:
             self.sim.world.observers.append(watch)
 
         return arm_it
+
+    @contextmanager
+    def in_real_time(self) -> Iterator[None]:
+        """Inside, simulated time does not run ahead of the wall's: a thread notices things as soon as it would at a
+        robot."""
+        world = self.sim.world
+        begun, start = time.monotonic(), world.time
+
+        def keep(_dt: float) -> None:
+            ahead = (world.time - start) - (time.monotonic() - begun)
+            if ahead > 0:
+                time.sleep(ahead)
+
+        world.before_step.append(keep)
+        try:
+            yield
+        finally:
+            world.before_step.remove(keep)
 
     def drop(self) -> None:
         """The hand loses the hammer."""
