@@ -6,6 +6,7 @@ Poses come from the ground truth: what perception makes of a picture is not what
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
@@ -71,13 +72,15 @@ class _Row:
         self._bench, self._log = scene.bench, scene.log
         self._world = scene.bench.sim.world
         self._watch = JointWatch(self._world, scene.bench.arm)
+        self._paced = ExitStack()
         self.wrong: list[str] = []
 
     def measure(self) -> FaultRow:
         fault = self._fault
         self._prepare()
         task = self._task()
-        result = task.run()
+        with self._paced:
+            result = task.run()
         stands = at_rest(self._bench.sim)
         self._check_end(result, stands)
         measured = self._check_braking()
@@ -118,11 +121,14 @@ class _Row:
         if self._fault.when == "to the run-up":
             self._inject()
         if self._fault.when == IN_STRIKE:
+            # Hand and people are watched by threads, which live in real time.
+            self._paced.enter_context(self._bench.in_real_time())
             self._watch.at(self._world.time + max(plan.contact_time - self._fault.before, 0.05), self._inject)
         self._strike = plan.strike
         self._watch.begin()
 
     def _after_strike(self) -> None:
+        self._paced.close()
         self._watch.end()
         self._hand = self._world.X_base_hand()[:3, 3]
         if self._fault.when == "strike":
