@@ -9,12 +9,10 @@ from numpy.typing import NDArray
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.perception.pose.canonical import REST_LEAST, REST_REACH
+from toolee_robot.perception.pose.canonical import MIN_POINTS, REST_LEAST, REST_REACH
 from toolee_robot.tools.model import ee_radius
 from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
 
-LEAST_POINTS = 50
-"""Fewer points and there is no estimate."""
 NEAREST, FARTHEST = 0.05, 20.0
 """Depths [m] outside are not a tool in a hand before a depth camera."""
 TRIM_RADII = 1.8
@@ -121,13 +119,13 @@ def ee_cloud(frame: RgbdFrame, detection: Detection) -> EeCloud:
     Of a thin tool nearly every pixel is at an edge: what cleaning would leave without an estimate stays as it is.
     """
     points = back_project(frame.depth, detection.mask, frame.intrinsics)
-    if len(points) < LEAST_POINTS:
+    if len(points) < MIN_POINTS:
         seen = int(np.count_nonzero(detection.mask))
-        reason = f"only {len(points)} of {seen} mask pixels have depth, {LEAST_POINTS} are needed: look from nearer"
+        reason = f"only {len(points)} of {seen} mask pixels have depth, {MIN_POINTS} are needed: look from nearer"
         return EeCloud(np.empty((0, 3)), np.empty((0, 3)), reason)
     mask = without_flying_pixels(frame.depth, detection.mask)
     cleaned = trim(back_project(frame.depth, mask, frame.intrinsics), TRIM_RADII * ee_radius(detection.category))
-    if len(cleaned) >= LEAST_POINTS:
+    if len(cleaned) >= MIN_POINTS:
         points = cleaned
     return EeCloud(points, rest_of_tool(frame, detection, np.median(points, axis=0)))
 

@@ -89,12 +89,12 @@ def with_rest(
 
     Of fewer than 20 points within 0.5 m nothing is taken.
     """
+    if not points.shape[1]:
+        return cloud
     offset = points - cloud.centre[:, None]
     kept = valid & (offset.norm(dim=-1) < REST_REACH)
     count = kept.sum(1)
     known = count >= REST_LEAST
-    if not points.shape[1]:
-        return cloud
     key = torch.rand(valid.shape, device=points.device, generator=generator) + (~kept).float() * 2
     pick = torch.arange(REST_POINTS, device=points.device)[None] % count.clamp(1, REST_POINTS)[:, None]
     chosen = torch.einsum("bij,bnj->bni", cloud.R, _rows(offset, key.argsort(1).gather(1, pick)))

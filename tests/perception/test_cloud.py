@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from toolee_robot.errors import UserError
 from toolee_robot.perception.cloud import (
-    LEAST_POINTS,
     back_project,
     check_depth_unit,
     ee_cloud,
     trim,
     without_flying_pixels,
 )
+from toolee_robot.perception.pose.canonical import MIN_POINTS
 from toolee_robot.types import CameraIntrinsics, Category, Detection, RgbdFrame
 
 CAMERA = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)
@@ -114,7 +114,7 @@ def test_too_few_points_give_a_reason_instead_of_a_cloud() -> None:
     depth[200:205, 250:255] = 0.8
     cloud = ee_cloud(frame(depth), detection(disc(202, 252, 10)))
     assert not cloud.usable
-    assert str(LEAST_POINTS) in cloud.reason
+    assert str(MIN_POINTS) in cloud.reason
     assert len(cloud.points) == 0
 
 

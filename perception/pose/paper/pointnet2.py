@@ -63,7 +63,7 @@ class PointNet2(nn.Module):
                 offset = _rows(points, near) - centres[:, :, None]
                 grouped = offset if feature is None else torch.cat([offset, _rows(feature, near)], dim=-1)
                 scales.append(_apply(mlp, grouped))
-            # In single precision: the gradient of a gather adds up atomically, which bfloat16 has no instruction for.
+            # In single precision: the gradient of a gather is a sum of many; bfloat16 loses small ones.
             points, feature = centres, torch.cat(scales, dim=-1).float()
         raise ValueError("the last level must take all points")
 
