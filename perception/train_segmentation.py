@@ -119,7 +119,7 @@ class _Run:
         self.loss = DetectorLoss(detector)
         self.augment = augment
         if config.compile and ranks.device.type == "cuda":
-            # 747 images a second on each of two GPUs, 667 on one without. The targets stay as they are: compiled, argmax
+            # 747 images a second on each of two GPUs; 667 on one without. Targets stay as they are: compiled, argmax
             # took the last of equal values instead of the first, and a training learnt from wrong boxes.
             detector.backbone.compile(dynamic=False)
             self.loss.compile_proposal_losses()
