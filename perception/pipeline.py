@@ -25,9 +25,9 @@ from toolee_robot.types import Category, Detection, InHandEstimate, RgbdFrame, T
 
 
 class EeDetector(Protocol):
-    """What finds end effectors in an image; `Segmenter` does."""
+    """What finds end effectors in an RGB-D image; `Segmenter` does."""
 
-    def detect(self, rgb: NDArray[np.uint8]) -> list[Detection]: ...
+    def detect(self, frame: RgbdFrame) -> list[Detection]: ...
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class ToolPerception:
         """`estimate`, and how long its stages took."""
         check_depth_unit(frame.depth)
         start = time.perf_counter()
-        detections = [d for d in self.detector.detect(frame.rgb) if d.category in categories]
+        detections = [d for d in self.detector.detect(frame) if d.category in categories]
         segmentation = time.perf_counter() - start
         cloud_time = pose_time = 0.0
         estimates = []

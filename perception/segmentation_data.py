@@ -17,7 +17,7 @@ from torch import Tensor
 
 from toolee_robot.errors import AssetError
 from toolee_robot.perception.dataset.storage import load_scenes, scene_folders
-from toolee_robot.perception.segmentation_model import STRIDE, normalise
+from toolee_robot.perception.segmentation_input import STRIDE, RgbdBatch, encode_rgbd
 
 _CHUNK = 512
 """Images sent to the device at a time."""
@@ -26,13 +26,19 @@ _CHUNK = 512
 class SegmentationImages(Protocol):
     """What the trainer needs of a data set, arrays of N images of one size.
 
-    rgb (N, H, W, 3) uint8. ee (N, H, W) uint8: id of the end effector seen at the pixel, 0 for none. tool
-    (N, H, W) uint8: id of the tool, likewise. categories (N, E) uint8: class index (1..4, the order of `Category`)
-    of EE id 1..E, 0 where there is none.
+    rgb (N, H, W, 3) uint8. depth_mm (N, H, W) uint16: [mm], 0 where unknown. intrinsics (N, 4): fx, fy, cx, cy [px].
+    ee (N, H, W) uint8: id of the end effector seen at the pixel, 0 for none. tool (N, H, W) uint8: id of the tool,
+    likewise. categories (N, E) uint8: class index (1..4, the order of `Category`) of EE id 1..E, 0 where there is none.
     """
 
     @property
     def rgb(self) -> NDArray[np.uint8]: ...
+
+    @property
+    def depth_mm(self) -> NDArray[np.uint16]: ...
+
+    @property
+    def intrinsics(self) -> NDArray[np.float64]: ...
 
     @property
     def ee(self) -> NDArray[np.uint8]: ...
@@ -49,18 +55,34 @@ class ArrayImages:
     """`SegmentationImages` in memory."""
 
     rgb: NDArray[np.uint8]
+    depth_mm: NDArray[np.uint16]
+    intrinsics: NDArray[np.float64]
     ee: NDArray[np.uint8]
     tool: NDArray[np.uint8]
     categories: NDArray[np.uint8]
 
 
+@dataclass(frozen=True)
+class ImageSample:
+    """B images on the device. rgb (B, H, W, 3) uint8; depth (B, H, W) float32 [m], 0 where unknown; focal (B,) [px];
+    maps (B, 2, H, W) uint8: ids of EE and tool; categories (B, E) uint8."""
+
+    rgb: Tensor
+    depth: Tensor
+    focal: Tensor
+    maps: Tensor
+    categories: Tensor
+
+
 class DeviceImages:
-    """A data set, or one rank's part of it, as uint8 tensors on the device, sampled in shuffled epochs. It may grow."""
+    """A data set, or one rank's part of it, as bytes on the device, sampled in shuffled epochs. It may grow."""
 
     def __init__(self, images: SegmentationImages, device: torch.device) -> None:
         self._count = 0
         height, width = images.rgb.shape[1:3]
         self._rgb = torch.empty((0, height, width, 3), dtype=torch.uint8, device=device)
+        self._depth = torch.empty((0, height, width), dtype=torch.int16, device=device)
+        self._focal = torch.empty(0, device=device)
         self._maps = torch.empty((0, 2, height, width), dtype=torch.uint8, device=device)
         self._categories = torch.empty((0, images.categories.shape[1]), dtype=torch.uint8, device=device)
         self.tools = 1
@@ -76,27 +98,33 @@ class DeviceImages:
         if end > len(self._rgb):
             # Room for more than is needed now, or each scene would copy all that came before it.
             capacity = max(end, 3 * self._count // 2)
-            self._rgb, self._maps = _grown(self._rgb, capacity), _grown(self._maps, capacity)
+            self._rgb, self._depth = _grown(self._rgb, capacity), _grown(self._depth, capacity)
+            self._maps, self._focal = _grown(self._maps, capacity), _grown(self._focal, capacity)
             self._categories = _grown(self._categories, capacity)
         for start in range(0, len(more.rgb), _CHUNK):
             part = slice(start, min(start + _CHUNK, len(more.rgb)))
             place = slice(self._count + part.start, self._count + part.stop)
             self._rgb[place] = torch.from_numpy(more.rgb[part]).to(device)
+            millimetres = np.minimum(more.depth_mm[part], np.iinfo(np.int16).max).astype(np.int16)
+            self._depth[place] = torch.from_numpy(millimetres).to(device)
             self._maps[place, 0] = torch.from_numpy(more.ee[part]).to(device)
             self._maps[place, 1] = torch.from_numpy(more.tool[part]).to(device)
+        focal = np.sqrt(more.intrinsics[:, 0] * more.intrinsics[:, 1])
+        self._focal[self._count : end] = torch.from_numpy(focal.astype(np.float32)).to(device)
         missing = more.categories.shape[1] - self._categories.shape[1]
         self._categories = F.pad(self._categories, (0, max(missing, 0)))
         self._categories[self._count : end] = F.pad(torch.from_numpy(more.categories).to(device), (0, max(-missing, 0)))
         self.tools = max(self.tools, int(more.tool.max(initial=0)))
         self._count = end
 
-    def sample(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
-        """rgb (B, H, W, 3) uint8, maps (B, 2, H, W) uint8, categories (B, E) of the next `count` images."""
+    def sample(self, count: int) -> ImageSample:
+        """The next `count` images."""
         while len(self._order) < count:
             fresh = torch.randperm(self._count, device=self._rgb.device)
             self._order = torch.cat([self._order, fresh])
         index, self._order = self._order[:count], self._order[count:]
-        return self._rgb[index], self._maps[index], self._categories[index]
+        depth = self._depth[index].float() / 1000.0
+        return ImageSample(self._rgb[index], depth, self._focal[index], self._maps[index], self._categories[index])
 
 
 def _grown(rows: Tensor, capacity: int) -> Tensor:
@@ -106,33 +134,38 @@ def _grown(rows: Tensor, capacity: int) -> Tensor:
 
 
 @torch.no_grad()
-def augment(rgb: Tensor, maps: Tensor, size: tuple[int, int], strength: float = 1.0) -> tuple[Tensor, Tensor]:
-    """Warped and recoloured images (B, 3, H', W'), normalised, and their maps (B, 2, H', W').
+def augment(sample: ImageSample, size: tuple[int, int], strength: float = 1.0) -> tuple[RgbdBatch, Tensor]:
+    """Warped and recoloured images, as the network takes them, and their maps (B, 2, H', W') uint8.
 
-    rgb (B, H, W, 3) and maps (B, 2, H, W) are resampled to `size` (height, width), then padded to multiples of STRIDE.
+    The images are resampled to `size` (height, width), then padded to multiples of STRIDE.
 
-    Geometry: mirror, scale 0.65 to 1.5, shift, roll (any angle for a third). Mirrored tools are as good for masks.
-    Colour: gain and offset a channel, contrast, saturation, grey, channel order, gamma; blur, noise, rectangles that
-    hide. strength 0 only resamples.
+    Geometry: mirror, scale 0.65 to 1.5 (as if by another lens: depths stay), shift, roll (any angle for a third).
+    Mirrored tools are as good for masks. Colour: gain and offset a channel, contrast, saturation, grey, channel order,
+    gamma; blur, noise, rectangles that hide. Depth: the focal length is off by 3 %. strength 0 only resamples.
     """
-    n = len(rgb)
-    images, maps = _warp(rgb.permute(0, 3, 1, 2).float(), maps, size, strength)
+    n = len(sample.rgb)
+    device = sample.rgb.device
+    images, depth, scale, maps = _warp(sample, size, strength)
+    focal = sample.focal * (size[1] / sample.rgb.shape[2]) * scale
     if strength > 0:
         images = _recolour(images, strength)
         images = _blur(images, strength)
-        images, maps = _hide(images, maps, strength)
-        sigma = torch.rand((n, 1, 1, 1), device=rgb.device) ** 2 * 14 * strength
+        images, depth, maps = _hide(images, depth, maps, strength)
+        sigma = torch.rand((n, 1, 1, 1), device=device) ** 2 * 14 * strength
         images = images + torch.randn_like(images) * sigma
         images = images.clamp(0, 255)
+        focal = focal * (1 + 0.015 * strength * torch.randn_like(focal))
     pad = (0, -size[1] % STRIDE, 0, -size[0] % STRIDE)
-    return F.pad(normalise(images), pad), F.pad(maps, pad)
+    return encode_rgbd(images, depth, focal), F.pad(maps, pad)
 
 
 def _uniform(n: int, low: float, high: float, device: torch.device) -> Tensor:
     return torch.rand((n, 1, 1, 1), device=device) * (high - low) + low
 
 
-def _warp(images: Tensor, maps: Tensor, size: tuple[int, int], strength: float) -> tuple[Tensor, Tensor]:
+def _warp(sample: ImageSample, size: tuple[int, int], strength: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Images (B, 3, H', W'), depth (B, H', W'), how much larger things got (B,), and maps (B, 2, H', W')."""
+    images = sample.rgb.permute(0, 3, 1, 2).float()
     n, _, height, width = images.shape
     device = images.device
     scale = torch.exp(_uniform(n, -0.43, 0.4, device).view(n) * strength)
@@ -158,8 +191,10 @@ def _warp(images: Tensor, maps: Tensor, size: tuple[int, int], strength: float) 
     outside = (grid.abs() > 1.0).any(-1)[:, None]
     fill = _uniform(n, 0, 255, device).expand(-1, 3, -1, -1)
     warped = torch.where(outside, fill, warped)
-    ids = F.grid_sample(maps.float(), grid, mode="nearest", padding_mode="zeros", align_corners=False)
-    return warped, ids.to(torch.uint8)
+    # Depths between those of two neighbours would be of nothing.
+    exact = torch.cat([sample.maps.float(), sample.depth[:, None]], 1)
+    exact = F.grid_sample(exact, grid, mode="nearest", padding_mode="zeros", align_corners=False)
+    return warped, exact[:, 2], scale, exact[:, :2].to(torch.uint8)
 
 
 def _recolour(images: Tensor, strength: float) -> Tensor:
@@ -193,8 +228,11 @@ def _blur(images: Tensor, strength: float) -> Tensor:
     return torch.where(chosen, flat.view_as(images), images)
 
 
-def _hide(images: Tensor, maps: Tensor, strength: float, count: int = 2) -> tuple[Tensor, Tensor]:
-    """Rectangles of one colour in front of the scene; what they hide is not seen and so no target."""
+def _hide(
+    images: Tensor, depth: Tensor, maps: Tensor, strength: float, count: int = 2
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Rectangles of one colour in front of the scene; what they hide is not seen and so no target. Every second has no
+    depth."""
     n, _, height, width = images.shape
     device = images.device
     y = torch.arange(height, device=device)[None, :, None]
@@ -207,7 +245,9 @@ def _hide(images: Tensor, maps: Tensor, strength: float, count: int = 2) -> tupl
         colour = torch.rand((n, 3, 1, 1), device=device) * 255
         images = torch.where(inside, colour, images)
         maps = torch.where(inside, torch.zeros_like(maps), maps)
-    return images, maps
+        nearer = depth * (0.5 + 0.5 * torch.rand((n, 1, 1), device=device)) * (torch.rand((n, 1, 1), device=device) < 0.5)
+        depth = torch.where(inside[:, 0], nearer, depth)
+    return images, depth, maps
 
 
 class SceneStream:
@@ -249,7 +289,7 @@ class SceneStream:
                     continue
                 self._seen.add(path)
                 try:
-                    self._decoded.put(load_scenes([path], threads=4))
+                    self._decoded.put(load_scenes([path], depth=True, threads=4))
                 except AssetError as error:
                     self._decoded.put(error)
                 if self._closed.is_set():

@@ -16,6 +16,7 @@ from toolee_robot.perception.dataset.storage import load_scenes, scene_folders
 from toolee_robot.perception.segmentation import EVERYTHING, Segmenter
 from toolee_robot.perception.segmentation_data import SegmentationImages
 from toolee_robot.perception.segmentation_model import CLASSES, TOOL
+from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 LEAST_PIXELS = 50
 """An instance of which less is seen is crowd: no pose could come of it."""
@@ -62,12 +63,12 @@ def evaluate(
     scenes = scene_folders(dataset_dir)
     if not scenes:
         raise AssetError(f"no BOP scene in {dataset_dir}: give the folder train or test of a data set")
-    task = coco_task(segmenter, load_scenes(scenes[:1], limit=limit))
+    task = coco_task(segmenter, load_scenes(scenes[:1], depth=True, limit=limit))
     for scene in scenes[1:]:
         left = None if limit is None else limit - len(task.times)
         if left is not None and left <= 0:
             break
-        task = task.joined(coco_task(segmenter, load_scenes([scene], limit=left)))
+        task = task.joined(coco_task(segmenter, load_scenes([scene], depth=True, limit=left)))
     return _report(task)
 
 
@@ -93,7 +94,7 @@ def coco_task(segmenter: Segmenter, images: SegmentationImages, limit: int | Non
             entry = {"id": len(annotations) + 1, "image_id": i + 1, "category_id": label, "bbox": box}
             annotations.append({**entry, "area": area, "iscrowd": crowd, "segmentation": encoded(mask)})
         start = time.perf_counter()
-        masks, labels, scores, _ = segmenter.instances(images.rgb[i], EVERYTHING)
+        masks, labels, scores, _ = segmenter.instances(_frame(images, i), EVERYTHING)
         times.append(time.perf_counter() - start)
         for mask, label, score in zip(masks, labels, scores, strict=True):
             entry = {"image_id": i + 1, "category_id": label, "score": score}
@@ -105,6 +106,13 @@ def coco_task(segmenter: Segmenter, images: SegmentationImages, limit: int | Non
         "annotations": annotations,
     }
     return CocoTask(truth, results, times)
+
+
+def _frame(images: SegmentationImages, index: int) -> RgbdFrame:
+    height, width = images.rgb.shape[1:3]
+    fx, fy, cx, cy = (float(v) for v in images.intrinsics[index])
+    depth = (images.depth_mm[index] / 1000.0).astype(np.float32)
+    return RgbdFrame(images.rgb[index], depth, CameraIntrinsics(fx, fy, cx, cy, width, height))
 
 
 def evaluate_masks(segmenter: Segmenter, images: SegmentationImages, limit: int | None = None) -> dict[str, Any]:

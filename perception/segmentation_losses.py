@@ -13,11 +13,13 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from toolee_robot.perception.segmentation_boxes import encode, pairwise_iou
+from toolee_robot.perception.segmentation_input import RgbdBatch
+from toolee_robot.perception.segmentation_masks import MASK_SIZE, mask_boxes
 from toolee_robot.perception.segmentation_model import ROI_DELTA_WEIGHTS, TOOL, Detector
 
 EE_PIXELS, TOOL_PIXELS = 45, 90
 """Fewer visible pixels [of the network's input] and an instance is neither a target nor background."""
-ROIS_PER_IMAGE, POSITIVE_ROIS = 64, 24
+ROIS_PER_IMAGE, POSITIVE_ROIS = 64, 20
 RPN_SAMPLES, RPN_POSITIVES = 256, 96
 
 
@@ -72,13 +74,13 @@ class DetectorLoss(nn.Module):
         """Fuse them for the GPU: they go over all anchors of all images."""
         self._rpn_losses = torch.compile(_rpn_losses, dynamic=False)
 
-    def forward(self, images: Tensor, instances: Instances) -> dict[str, Tensor]:
-        """Losses by name of normalised images (B, 3, H, W)."""
+    def forward(self, batch: RgbdBatch, instances: Instances) -> dict[str, Tensor]:
+        """Losses by name."""
         detector = self.detector
-        height, width = images.shape[-2:]
-        pyramid = detector.backbone(images)
+        height, width = batch.pixels.shape[-2:]
+        pyramid = detector.backbone(batch.pixels)
         scores, deltas = detector.rpn(pyramid)
-        anchors = torch.cat(detector.anchors(height, width, images.device))
+        anchors = torch.cat(detector.anchors(height, width, batch.pixels.device))
         losses = self._rpn_losses(torch.cat(scores, 1).float(), torch.cat(deltas, 1).float(), anchors, instances)
         boxes, valid = detector.proposals(scores, deltas, height, width, 200, 200)
         rois = _sample_rois(boxes, valid, instances, height, width)
@@ -91,11 +93,10 @@ class DetectorLoss(nn.Module):
         ).sum(1)
         losses["box"] = (error * rois.positive).sum() / rois.used.sum().clamp(min=1)
         pick = rois.mask_index
-        mask_logits = detector.mask_outputs(pyramid, flat[pick])
-        mask_logits = mask_logits[torch.arange(len(pick), device=pick.device), rois.labels[pick]].float()
+        logits, quality = detector.mask_outputs(pyramid, batch, flat[pick], rois.labels[pick])
         truth = _mask_targets(instances, flat[pick], rois.instance[pick])
-        mask_error = F.binary_cross_entropy_with_logits(mask_logits, truth, reduction="none").mean((1, 2))
-        losses["mask"] = _mean(mask_error, rois.positive[pick])
+        positive = rois.positive[pick]
+        losses |= {name: _mean(value, positive) for name, value in _mask_losses(logits, quality, truth).items()}
         return losses
 
 
@@ -183,17 +184,33 @@ def _sample_rois(boxes: Tensor, valid: Tensor, instances: Instances, height: int
     )
 
 
+def _mask_losses(logits: Tensor, quality: Tensor, truth: Tensor) -> dict[str, Tensor]:
+    """Of each mask (R, S, S): cross entropy; Dice, for which a small instance counts as much as a large one; and
+    cross entropy of the IoU that the head expects of it, quality (R,), with the IoU that it has."""
+    bce = F.binary_cross_entropy_with_logits(logits, truth, reduction="none").mean((1, 2))
+    p = logits.sigmoid()
+    dice = 1 - (2 * (p * truth).sum((1, 2)) + 1) / (p.sum((1, 2)) + truth.sum((1, 2)) + 1)
+    with torch.no_grad():
+        found, there = logits > 0, truth > 0.5
+        iou = (found & there).sum((1, 2)) / (found | there).sum((1, 2)).clamp(min=1)
+    expected = F.binary_cross_entropy_with_logits(quality, iou, reduction="none")
+    return {"mask": bce, "dice": 0.5 * dice, "quality": 0.2 * expected}
+
+
 @torch.no_grad()
-def _mask_targets(instances: Instances, rois: Tensor, instance: Tensor, size: int = 28, sub: int = 2) -> Tensor:
-    """Share of each of size x size cells of rois (R, 5) that `instance` (R,) covers, read straight from the maps."""
-    image = rois[:, 0].long()
+def _mask_targets(instances: Instances, rois: Tensor, instance: Tensor, sub: int = 2) -> Tensor:
+    """Share of each of MASK_SIZE x MASK_SIZE cells of the `mask_boxes` of rois (R, 5) that `instance` (R,) covers,
+    read straight from the maps."""
+    image, boxes = rois[:, 0].long(), mask_boxes(rois[:, 1:])
     plane, ids = instances.plane[image, instance], instances.ids[image, instance]
     height, width = instances.maps.shape[-2:]
-    steps = (torch.arange(size * sub, device=rois.device) + 0.5) / (size * sub)
-    x = (rois[:, 1, None] + steps * (rois[:, 3] - rois[:, 1])[:, None]).floor().long().clamp(0, width - 1)
-    y = (rois[:, 2, None] + steps * (rois[:, 4] - rois[:, 2])[:, None]).floor().long().clamp(0, height - 1)
+    steps = (torch.arange(MASK_SIZE * sub, device=rois.device) + 0.5) / (MASK_SIZE * sub)
+    x = (boxes[:, 0, None] + steps * (boxes[:, 2] - boxes[:, 0])[:, None]).floor().long()
+    y = (boxes[:, 1, None] + steps * (boxes[:, 3] - boxes[:, 1])[:, None]).floor().long()
+    inside = ((x >= 0) & (x < width))[:, None, :] & ((y >= 0) & (y < height))[:, :, None]
+    x, y = x.clamp(0, width - 1), y.clamp(0, height - 1)
     values = instances.maps[image[:, None, None], plane[:, None, None], y[:, :, None], x[:, None, :]]
-    hit = (values == ids[:, None, None]).float()
+    hit = ((values == ids[:, None, None]) & inside).float()
     return F.avg_pool2d(hit[:, None], sub)[:, 0]
 
 

@@ -22,15 +22,14 @@ from torchvision.ops import batched_nms, roi_align
 
 from toolee_robot.errors import AssetError
 from toolee_robot.perception.segmentation_boxes import clip, decode, greedy_suppression
+from toolee_robot.perception.segmentation_input import CHANNELS, RgbdBatch
+from toolee_robot.perception.segmentation_masks import MaskHead, features_size, mask_boxes
 from toolee_robot.types import Category
 
 CLASSES: tuple[str, ...] = ("background", *(c.value for c in Category), "tool")
 """Class index -> name. Index 5 is the whole visible tool."""
 TOOL = len(CLASSES) - 1
 WEIGHTS_NAME = "segmentation"
-STRIDE = 32
-"""Input sizes must be multiples of this."""
-
 MOST_ENLARGED = 2.0
 
 _RPN_STRIDES = (8, 16, 32, 64)
@@ -52,10 +51,11 @@ class DetectorConfig:
     fpn_channels: int = 128
     box_features: int = 512
     mask_layers: int = 4
+    mask_width: int = 64
     anchor_sizes: tuple[tuple[float, float], ...] = ((16, 26), (40, 64), (100, 160), (230, 350))
     working_pixels: int = 640 * 530
-    pre_nms: int = 100
-    post_nms: int = 30
+    pre_nms: int = 200
+    post_nms: int = 60
     rpn_nms: float = 0.7
     score_threshold: float = 0.3
     box_nms: float = 0.5
@@ -72,12 +72,14 @@ class DetectorConfig:
 
 @dataclass(frozen=True)
 class RawDetections:
-    """One image's detections. boxes (N, 4), scores (N,), labels (N,), masks (N, 28, 28) probabilities in the box."""
+    """One image's N detections. boxes (N, 4), labels (N,); scores (N,): probability of the class times the IoU that
+    the mask is expected to have; masks (N, MASK_SIZE, MASK_SIZE): probabilities in `mask_boxes` (N, 4)."""
 
     boxes: Tensor
     scores: Tensor
     labels: Tensor
     masks: Tensor
+    mask_boxes: Tensor
 
 
 class Backbone(nn.Module):
@@ -87,7 +89,7 @@ class Backbone(nn.Module):
         super().__init__()
         w, c = config.widths, config.fpn_channels
         self.stem = nn.Sequential(
-            nn.Conv2d(3, w[0], 7, 2, 3, bias=False), nn.BatchNorm2d(w[0]), nn.ReLU(), nn.MaxPool2d(3, 2, 1)
+            nn.Conv2d(CHANNELS, w[0], 7, 2, 3, bias=False), nn.BatchNorm2d(w[0]), nn.ReLU(), nn.MaxPool2d(3, 2, 1)
         )
         self.stages = nn.ModuleList()
         for i, n in enumerate(w):
@@ -137,10 +139,7 @@ class Detector(nn.Module):
         )
         self.box_score = nn.Linear(config.box_features, n_classes)
         self.box_delta = nn.Linear(config.box_features, 4 * n_classes)
-        mask: list[nn.Module] = []
-        for _ in range(config.mask_layers):
-            mask += [nn.Conv2d(c, c, 3, padding=1, bias=False), nn.GroupNorm(16, c), nn.ReLU()]
-        self.mask_head = nn.Sequential(*mask, nn.ConvTranspose2d(c, c, 2, 2), nn.ReLU(), nn.Conv2d(c, n_classes, 1))
+        self.mask_head = MaskHead(c, config.mask_layers, config.mask_width, n_classes)
         for layer in (self.rpn_conv, self.rpn_score, self.rpn_delta, self.box_score, self.box_delta):
             nn.init.normal_(layer.weight, std=0.001 if layer is self.box_delta else 0.01)
             assert layer.bias is not None
@@ -187,21 +186,26 @@ class Detector(nn.Module):
         x = self.box_head(pyramid_roi_align(pyramid[:4], rois, 7))
         return self.box_score(x), self.box_delta(x).unflatten(1, (len(CLASSES), 4))
 
-    def mask_outputs(self, pyramid: list[Tensor], rois: Tensor) -> Tensor:
-        """Mask logits (R, C, 28, 28) of rois (R, 5)."""
-        return self.mask_head(pyramid_roi_align(pyramid[:4], rois, 14))
+    def mask_outputs(
+        self, pyramid: list[Tensor], batch: RgbdBatch, rois: Tensor, labels: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Mask logits (R, MASK_SIZE, MASK_SIZE) in `mask_boxes` of rois (R, 5), and logits (R,) of the masks' IoU."""
+        rois = torch.cat([rois[:, :1], mask_boxes(rois[:, 1:])], 1)
+        features = pyramid_roi_align(pyramid[:4], rois, features_size())
+        masks, quality = self.mask_head(features, batch, rois, labels)
+        return masks, quality
 
     @torch.inference_mode()
-    def detect(self, images: Tensor, score_threshold: float | None = None) -> list[RawDetections]:
-        """Detections of images (B, 3, H, W), normalised by `normalise`, H and W multiples of STRIDE."""
+    def detect(self, batch: RgbdBatch, score_threshold: float | None = None) -> list[RawDetections]:
+        """Detections of each image, of which the class is at least as probable as the threshold (None: configured)."""
         threshold = self.config.score_threshold if score_threshold is None else score_threshold
-        height, width = images.shape[-2:]
-        pyramid = self.backbone(images)
+        height, width = batch.pixels.shape[-2:]
+        pyramid = self.backbone(batch.pixels)
         boxes, valid = self.proposals(*self.rpn(pyramid), height, width, self.config.pre_nms, self.config.post_nms)
         results = []
-        for i in range(len(images)):
+        for i in range(len(batch.pixels)):
             proposals = boxes[i][valid[i]]
-            index = torch.full((len(proposals), 1), float(i), device=images.device)
+            index = torch.full((len(proposals), 1), float(i), device=boxes.device)
             logits, deltas = self.box_outputs(pyramid, torch.cat([index, proposals], 1))
             probability = logits.float().softmax(1)[:, 1:]
             roi, label = torch.nonzero(probability > threshold, as_tuple=True)
@@ -209,12 +213,9 @@ class Detector(nn.Module):
             box = clip(decode(deltas[roi, label].float(), proposals[roi], ROI_DELTA_WEIGHTS), height, width)
             keep = batched_nms(box, score, label, self.config.box_nms)[: self.config.max_detections]
             box, score, label = box[keep], score[keep], label[keep]
-            masks = torch.zeros((0, 28, 28), device=images.device)
-            if len(keep):
-                rois = torch.cat([index[:1].expand(len(box), 1), box], 1)
-                logits = self.mask_outputs(pyramid, rois)
-                masks = logits[torch.arange(len(box), device=images.device), label].float().sigmoid()
-            results.append(RawDetections(box, score, label, masks))
+            rois = torch.cat([index[:1].expand(len(box), 1), box], 1)
+            masks, quality = self.mask_outputs(pyramid, batch, rois, label)
+            results.append(RawDetections(box, score * quality.sigmoid(), label, masks.sigmoid(), mask_boxes(box)))
         return results
 
     def fuse(self) -> Detector:
@@ -249,11 +250,6 @@ def load_detector(detector: Detector, tensors: dict[str, Tensor], description: d
     missing = [name for name in missing if not name.endswith("num_batches_tracked")]
     if missing or unexpected:
         raise AssetError(f"the detector's weights are incomplete, fetch them again: {(missing + unexpected)[:5]}")
-
-
-def normalise(images: Tensor) -> Tensor:
-    """uint8 or float RGB in 0..255 to the network's range (fixed mean and deviation)."""
-    return (images.float() - 110.0) / 60.0
 
 
 def pyramid_roi_align(pyramid: list[Tensor], rois: Tensor, size: int) -> Tensor:

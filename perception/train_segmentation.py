@@ -16,7 +16,7 @@ import argparse
 import json
 import math
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -198,13 +198,13 @@ class _Run:
 
     def _optimise(self) -> tuple[dict[str, Tensor], Tensor]:
         config, device = self.config, self.ranks.device
-        rgb, maps, categories = self.data.sample(config.batch)
-        size = working_size(rgb.shape[1], rgb.shape[2], config.model.working_pixels)
-        images, maps = self.augment(rgb, maps, size, config.augmentation)
-        instances = instances_from_maps(maps, categories, self.data.tools)
-        images = images.contiguous(memory_format=torch.channels_last)
+        sample = self.data.sample(config.batch)
+        size = working_size(sample.rgb.shape[1], sample.rgb.shape[2], config.model.working_pixels)
+        batch, maps = self.augment(sample, size, config.augmentation)
+        instances = instances_from_maps(maps, sample.categories, self.data.tools)
+        pixels = batch.pixels.contiguous(memory_format=torch.channels_last)
         with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
-            losses: dict[str, Tensor] = self.module(images, instances)
+            losses: dict[str, Tensor] = self.module(replace(batch, pixels=pixels), instances)
         total = sum(losses.values(), torch.zeros((), device=device))
         self.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(total)

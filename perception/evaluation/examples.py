@@ -165,7 +165,7 @@ def _add(
     if detector is None:
         return
     taken: set[int] = set()
-    for detection in detector.detect(frame.rgb):
+    for detection in detector.detect(frame):
         overlaps = {
             n: _iou(mask, detection.mask)
             for n, mask in here.items()

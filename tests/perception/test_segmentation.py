@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,9 @@ from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.segmentation import Segmenter, associate
 from toolee_robot.perception.segmentation_boxes import decode, encode, greedy_suppression, pairwise_iou
-from toolee_robot.perception.segmentation_data import augment
+from toolee_robot.perception.segmentation_data import ArrayImages, DeviceImages, augment
 from toolee_robot.perception.segmentation_evaluation import evaluate_masks
+from toolee_robot.perception.segmentation_input import CHANNELS
 from toolee_robot.perception.segmentation_losses import instances_from_maps
 from toolee_robot.perception.segmentation_model import (
     CLASSES,
@@ -25,9 +27,16 @@ from toolee_robot.perception.segmentation_model import (
     DetectorConfig,
 )
 from toolee_robot.perception.train_segmentation import SegmentationTraining, train
-from toolee_robot.types import Category
+from toolee_robot.types import CameraIntrinsics, Category, RgbdFrame
 
-TINY = DetectorConfig(widths=(16, 24, 32, 48), fpn_channels=32, box_features=64, mask_layers=2, working_pixels=64 * 96)
+TINY = DetectorConfig(
+    widths=(16, 24, 32, 48),
+    fpn_channels=32,
+    box_features=64,
+    mask_layers=2,
+    mask_width=16,
+    working_pixels=64 * 96,
+)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -37,6 +46,13 @@ def _one_thread() -> Iterator[None]:
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(threads)
+
+
+def frame_of(scenes: ArrayImages, i: int = 0) -> RgbdFrame:
+    fx, fy, cx, cy = (float(v) for v in scenes.intrinsics[i])
+    height, width = scenes.rgb.shape[1:3]
+    depth = (scenes.depth_mm[i] / 1000).astype(np.float32)
+    return RgbdFrame(scenes.rgb[i], depth, CameraIntrinsics(fx, fy, cx, cy, width, height))
 
 
 def random_boxes(n: int, seed: int = 0) -> torch.Tensor:
@@ -75,25 +91,27 @@ def test_augmentation_moves_image_and_maps_together() -> None:
     torch.manual_seed(0)
     # The image is the map itself, so after any warp they must still agree where neither was painted over.
     as_image = np.repeat((scenes.tool > 0)[..., None] * np.uint8(255), 3, axis=3)
-    maps = torch.from_numpy(np.stack([scenes.ee, scenes.tool], 1))
+    depth_mm = np.where(scenes.tool > 0, 600, 900).astype(np.uint16)
     from toolee_robot.perception import segmentation_data
 
-    images, warped = segmentation_data._warp(
-        torch.from_numpy(as_image).permute(0, 3, 1, 2).float(), maps, (80, 120), 1.0
-    )
+    data = DeviceImages(replace(scenes, rgb=as_image, depth_mm=depth_mm), torch.device("cpu"))
+    images, depth, scale, warped = segmentation_data._warp(data.sample(8), (80, 120), 1.0)
     tool = warped[:, 1] > 0
     assert tool.sum() > 500
     assert (images[:, 0][tool] > 100).float().mean() > 0.97
+    assert (depth[tool] == 0.6).all(), "depth is never a mean of two things"
+    assert (depth[~tool] != 0.6).all()
+    assert ((scale > 0.6) & (scale < 1.6)).all()
 
 
 def test_augmented_batches_are_finite_and_padded() -> None:
     scenes = toy_scenes(4)
     torch.manual_seed(1)
-    maps = torch.from_numpy(np.stack([scenes.ee, scenes.tool], 1))
-    images, maps = augment(torch.from_numpy(scenes.rgb), maps, (60, 90))
-    assert images.shape == (4, 3, 64, 96)
+    batch, maps = augment(DeviceImages(scenes, torch.device("cpu")).sample(4), (60, 90))
+    assert batch.pixels.shape == (4, CHANNELS, 64, 96)
+    assert batch.depth.shape == (4, 64, 96)
     assert maps.shape == (4, 2, 64, 96)
-    assert torch.isfinite(images).all()
+    assert torch.isfinite(batch.pixels).all()
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +137,7 @@ def test_overfit_detector_finds_the_tools_of_its_pictures(trained: Path) -> None
     scenes = toy_scenes(8)
     report = evaluate_masks(Segmenter.load(trained), scenes)
     assert report["average"]["AP50"] > 0.8, report
-    detections = Segmenter.load(trained).detect(scenes.rgb[0])
+    detections = Segmenter.load(trained).detect(frame_of(scenes))
     best = detections[0]
     assert best.category == list(Category)[int(scenes.categories[0, 0]) - 1]
     truth = scenes.ee[0] > 0
@@ -133,8 +151,8 @@ def test_exported_weights_give_the_average_s_output(trained: Path) -> None:
     state = torch.load(trained / "checkpoint.pt", weights_only=True)
     reference = Detector(TINY)
     reference.load_state_dict(state["average"], strict=False)
-    rgb = toy_scenes(1, seed=9).rgb[0]
-    expected, found = Segmenter(reference).detect(rgb), Segmenter.load(trained).detect(rgb)
+    frame = frame_of(toy_scenes(1, seed=9))
+    expected, found = Segmenter(reference).detect(frame), Segmenter.load(trained).detect(frame)
     assert [d.category for d in expected] == [d.category for d in found]
     for a, b in zip(expected, found, strict=True):
         assert a.score == pytest.approx(b.score, abs=0.02)
@@ -145,11 +163,14 @@ def test_detections_follow_the_image_s_size(trained: Path) -> None:
     """A picture with more pixels than the network's is scaled down, and masks and boxes come back at its size."""
     import cv2
 
-    rgb = toy_scenes(1).rgb[0]
+    frame = frame_of(toy_scenes(1))
     segmenter = Segmenter.load(trained)
-    large = cv2.resize(rgb, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR).astype(np.uint8)
-    a, b = segmenter.detect(rgb)[0], segmenter.detect(large)[0]
-    assert b.mask.shape == large.shape[:2]
+    rgb = cv2.resize(frame.rgb, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR).astype(np.uint8)
+    K = frame.intrinsics
+    K = CameraIntrinsics(2 * K.fx, 2 * K.fy, 2 * K.cx + 0.5, 2 * K.cy + 0.5, 2 * K.width, 2 * K.height)
+    large = RgbdFrame(rgb, frame.depth.repeat(2, 0).repeat(2, 1), K)
+    a, b = segmenter.detect(frame)[0], segmenter.detect(large)[0]
+    assert b.mask.shape == rgb.shape[:2]
     assert a.category == b.category
     overlap = pairwise_iou(torch.tensor([b.box]) / 2, torch.tensor([a.box]))
     assert float(overlap) > 0.7

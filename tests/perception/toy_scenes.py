@@ -34,4 +34,7 @@ def toy_scenes(count: int, seed: int = 0, height: int = 64, width: int = 96) -> 
         image[end > 0] = _COLOURS[category]
         rgb[i] = np.clip(image + rng.normal(0, 4, image.shape), 0, 255).astype(np.uint8)
         ee[i], tool[i], categories[i, 0] = end, mask | end, category + 1
-    return ArrayImages(rgb, ee, tool, categories)
+    depth = np.where(tool > 0, 600, 900).astype(np.uint16)
+    depth[rng.random(depth.shape) < 0.02] = 0
+    intrinsics = np.tile([0.8 * width, 0.8 * width, width / 2, height / 2], (count, 1))
+    return ArrayImages(rgb, depth, intrinsics, ee, tool, categories)

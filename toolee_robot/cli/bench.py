@@ -94,10 +94,10 @@ def _perception(scene: BenchScene, repeats: int) -> Iterator[Latency]:
     perception = ToolPerception.load()
     yield measure(
         f"segmentation ({frame.intrinsics.width}x{frame.intrinsics.height})",
-        lambda: perception.detector.detect(frame.rgb),
+        lambda: perception.detector.detect(frame),
         repeats=repeats,
     )
-    detections = perception.detector.detect(frame.rgb)
+    detections = perception.detector.detect(frame)
     usable = [(d, c) for d in detections if (c := ee_cloud(frame, d)).usable]
     if not usable:
         raise TooleeError("the network sees no end effector in the benchmark's frame: its weights do not fit this code")
