@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse

@@ -147,9 +147,7 @@ def associate(
     return sorted(found, key=lambda d: -d.score)
 
 
-def _paste_one(
-    patch: NDArray[np.float32], box: NDArray[np.float64], height: int, width: int
-) -> NDArray[np.bool_]:
+def _paste_one(patch: NDArray[np.float32], box: NDArray[np.float64], height: int, width: int) -> NDArray[np.bool_]:
     """Bilinear resampling of a mask's probabilities (S, S) from its box, which may reach beyond the image, to the
     image's pixel centres, over 0.5."""
     x0, y0, x1, y1 = (float(v) for v in box)

@@ -28,9 +28,10 @@ def decode(deltas: Tensor, anchors: Tensor, weights: tuple[float, ...] = (1.0, 1
 
 
 def clip(boxes: Tensor, height: int, width: int) -> Tensor:
-    """Boxes cut at the image's border."""
+    """Boxes cut at the image's border. A training that diverges makes corners that are no numbers: they become 0, for
+    an operator that reads features at such a place kills the process before the loss can be checked."""
     limit = boxes.new_tensor([width, height, width, height])
-    return torch.minimum(boxes.clamp(min=0.0), limit)
+    return torch.minimum(boxes.nan_to_num(0.0, 0.0, 0.0).clamp(min=0.0), limit)
 
 
 def pairwise_iou(a: Tensor, b: Tensor) -> Tensor:

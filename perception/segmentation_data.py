@@ -245,8 +245,8 @@ def _hide(
         colour = torch.rand((n, 3, 1, 1), device=device) * 255
         images = torch.where(inside, colour, images)
         maps = torch.where(inside, torch.zeros_like(maps), maps)
-        nearer = depth * (0.5 + 0.5 * torch.rand((n, 1, 1), device=device)) * (torch.rand((n, 1, 1), device=device) < 0.5)
-        depth = torch.where(inside[:, 0], nearer, depth)
+        known, share = torch.rand((2, n, 1, 1), device=device)
+        depth = torch.where(inside[:, 0], depth * (0.5 + 0.5 * share) * (known < 0.5), depth)
     return images, depth, maps
 
 

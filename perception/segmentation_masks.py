@@ -1,7 +1,7 @@
 """The detector's mask head: the pyramid's features of a region, and the region itself, near, in colour and metres.
 
-An end effector's mask ends where the tool leaves a sphere of some centimetres: nothing that a colour image shows. So the
-head sees, beside the features, every pixel's place in metres relative to the region's centre.
+An end effector's mask ends where the tool leaves a sphere of some centimetres: nothing that a colour image shows. So
+the head sees, beside the features, every pixel's place in metres relative to the region's centre.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class MaskHead(nn.Module):
     """Masks, and how good they will be (Mask Scoring R-CNN, Huang et al. 2019, without its second network)."""
 
     def __init__(self, channels: int, layers: int, width: int, classes: int) -> None:
-        """channels: of the features; layers: at their resolution; width: channels at the masks' own, a multiple of 16."""
+        """channels: of the features; layers: at their resolution; width: channels at the masks', a multiple of 16."""
         super().__init__()
         half = width // 2
         self.detail = nn.Sequential(*_conv(7, half), *_conv(half, half))
