@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toolee_robot.render.mesh import FloatArray
 
@@ -14,10 +15,17 @@ def gaussian(image: FloatArray, sigma: float) -> FloatArray:
     return _separable(image, (weights / weights.sum()).astype(np.float32))
 
 
-def box_blur(image: FloatArray, radius: int) -> FloatArray:
-    """(H, W) or (H, W, C) float32: the mean over squares of side 2 * radius + 1 [px]."""
-    size = 2 * radius + 1
-    return _separable(image, np.full(size, 1.0 / size, np.float32))
+def neighbours(image: NDArray[np.uint8], radius: int) -> NDArray[np.uint8]:
+    """(H, W) of 0 and 1: how many ones lie in the square of side 2 * radius + 1 [px, at most 15] about each pixel."""
+    for axis in (0, 1):
+        total = image.copy()
+        for shift in range(1, radius + 1):
+            head = tuple(slice(shift, None) if k == axis else slice(None) for k in range(2))
+            tail = tuple(slice(None, -shift) if k == axis else slice(None) for k in range(2))
+            total[head] += image[tail]
+            total[tail] += image[head]
+        image = total
+    return image
 
 
 def _separable(image: FloatArray, weights: FloatArray) -> FloatArray:
