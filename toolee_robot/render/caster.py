@@ -162,8 +162,8 @@ class Caster:
             return unit(far), np.full(1, 1e3, np.float32), np.ones(1, np.float32)
         to_lamp = (X[:3, :3] @ np.asarray(light.position) + X[:3, 3]).astype(np.float32)[:, None] - points
         distance = np.sqrt(dot(to_lamp, to_lamp))
-        power: FloatArray = np.float32(1) / np.maximum(distance, np.float32(0.05)) ** 2
-        return to_lamp / distance, distance, power
+        nearest = np.maximum(distance, np.float32(0.05))
+        return to_lamp / distance, distance, np.reciprocal(nearest * nearest)
 
     def _visibility(self, light: Light, hits: Hits, shadow_grid: tuple[int, int] | None) -> FloatArray:
         """(M,) share of the lamp seen from each hit; 0 where the surface faces away from it."""
