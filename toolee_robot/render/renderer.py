@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.frames import Array
-from toolee_robot.render.caster import Caster, unit
+from toolee_robot.render.caster import Caster, dot, unit
 from toolee_robot.render.mesh import FloatArray
 from toolee_robot.render.scene import Body, Rendering, Scene
 from toolee_robot.types import CameraIntrinsics
@@ -46,21 +46,21 @@ class Shot:
     def __init__(self, scene: Scene, intrinsics: CameraIntrinsics, X_world_camera: Array) -> None:
         self._scene, self._intrinsics = scene, intrinsics
         self._caster = Caster(scene, X_world_camera)
-        self._directions = pixel_rays(intrinsics).reshape(-1, 3)
-        depth, self._body, self._hits = self._caster.cast(self._directions)
+        self._directions = _rays(intrinsics, (0, 0, intrinsics.width, intrinsics.height))
+        depth, self._body, self._hits = self._caster.hits(self._directions)
         ids = np.array([b.body_id for b in scene.bodies] + [-1], np.int16)[self._body]  # body -1 takes the last entry
         grid = (intrinsics.height, intrinsics.width)
         self.depth, self.body_ids = depth.reshape(grid), ids.reshape(grid)
 
     def develop(self, antialias: bool = True, exposure: float = 1.0, auto_exposure: float = 0.0) -> Rendering:
         """Shade it; arguments as for `render`."""
-        grid = self.depth.shape
+        grid = (self._intrinsics.height, self._intrinsics.width)
         caster, hits = self._caster, self._hits
         color = _background(self._scene, caster, self._intrinsics, self._directions, self._body)
         lit, shiny = caster.shade(hits, grid)
-        color[hits.ray] = lit
+        color[:, hits.ray] = lit
         cos = np.zeros(self.depth.size, np.float32)
-        cos[hits.ray] = np.clip(np.einsum("ij,ij->i", hits.normals, hits.views), 0.0, 1.0)
+        cos[hits.ray] = np.clip(dot(hits.normals, hits.views), 0.0, 1.0)
         shininess = np.zeros(self.depth.size, np.float32)
         shininess[hits.ray] = shiny
         if antialias:
@@ -69,7 +69,7 @@ class Shot:
             mean = float(np.minimum(color, 1.0).mean())
             exposure *= float(np.clip((_MIDDLE_GREY / max(mean, 1e-3)) ** auto_exposure, 0.4, 6.0))
         return Rendering(
-            rgb=to_srgb(color.reshape(*grid, 3) * np.float32(exposure)),
+            rgb=np.ascontiguousarray(to_srgb(color * np.float32(exposure)).reshape(3, *grid).transpose(1, 2, 0)),
             depth=self.depth,
             body_ids=self.body_ids,
             cos_incidence=cos.reshape(grid),
@@ -85,8 +85,7 @@ def cast(
 ) -> tuple[FloatArray, NDArray[np.int16]]:
     """depth [m] and body_ids as in `Rendering`, without colours, of the pixels x0 <= x < x1, y0 <= y < y1."""
     x0, y0, x1, y1 = region if region is not None else (0, 0, intrinsics.width, intrinsics.height)
-    directions = np.ascontiguousarray(pixel_rays(intrinsics)[y0:y1, x0:x1]).reshape(-1, 3)
-    depth, body, _ = Caster(Scene(bodies), X_world_camera).cast(directions)
+    depth, body = Caster(Scene(bodies), X_world_camera).cast(_rays(intrinsics, (x0, y0, x1, y1)))
     ids = np.array([b.body_id for b in bodies] + [-1], np.int16)[body]
     return depth.reshape(y1 - y0, x1 - x0), ids.reshape(y1 - y0, x1 - x0)
 
@@ -101,11 +100,18 @@ def pixel_rays(intrinsics: CameraIntrinsics) -> FloatArray:
     return rays
 
 
+def _rays(intrinsics: CameraIntrinsics, region: tuple[int, int, int, int]) -> FloatArray:
+    """(3, N) rays through the centres of the pixels x0 <= x < x1, y0 <= y < y1, z = 1, camera frame."""
+    x0, y0, x1, y1 = region
+    return np.ascontiguousarray(pixel_rays(intrinsics)[y0:y1, x0:x1].reshape(-1, 3).T)
+
+
 def to_srgb(linear: FloatArray) -> NDArray[np.uint8]:
     """Linear RGB to 8-bit sRGB, highlights rolled off softly above 0.8."""
     x = np.maximum(linear, 0.0)
-    x = np.where(x > 0.8, 1.0 - 0.2 * np.exp(-(x - 0.8) / 0.2), x)
-    return _SRGB[(x * np.float32(4095)).astype(np.int32)]
+    bright = x > 0.8
+    x[bright] = 1.0 - 0.2 * np.exp(-(x[bright] - 0.8) / 0.2)
+    return _SRGB.take((x * np.float32(4095)).astype(np.int32))
 
 
 def _srgb_table() -> NDArray[np.uint8]:
@@ -120,17 +126,21 @@ _SRGB = _srgb_table()
 def _background(
     scene: Scene, caster: Caster, intrinsics: CameraIntrinsics, directions: FloatArray, body: NDArray[np.int32]
 ) -> FloatArray:
-    """(H*W, 3) linear colour where nothing is hit (body -1); anything elsewhere."""
+    """(3, H*W) linear colour where nothing is hit (body -1); anything elsewhere."""
     if scene.background is not None:
         shape = (intrinsics.height, intrinsics.width, 3)
         if scene.background.shape != shape:
             raise ValueError(f"background is {scene.background.shape}, the camera's image is {shape}")
-        return scene.background.reshape(-1, 3).astype(np.float32, copy=True)
+        return np.ascontiguousarray(scene.background.reshape(-1, 3).T, np.float32)
     color = np.empty_like(directions)
     missed = np.flatnonzero(body < 0)
-    sharp = np.zeros(len(missed), np.float32)
-    color[missed] = caster.environment.specular(unit(directions[missed] @ caster.R_world_camera.T), sharp)
+    color[:, missed] = _surroundings(caster, directions[:, missed])
     return color
+
+
+def _surroundings(caster: Caster, directions: FloatArray) -> FloatArray:
+    """(3, N) what the environment looks like along rays (3, N)."""
+    return caster.environment.specular(unit(caster.R_world_camera @ directions), 0.0)
 
 
 def _smooth_outlines(
@@ -146,20 +156,22 @@ def _smooth_outlines(
         step = (body[tuple(a)] != body[tuple(b)]) | (np.abs(da - db) > 0.02 * np.minimum(da, db))
         edge[tuple(a)] |= step
         edge[tuple(b)] |= step
-    rows, columns = np.nonzero(edge)
-    if not len(rows):
+    pixels = np.flatnonzero(edge)
+    if not len(pixels):
         return
-    total = color[rows * intrinsics.width + columns]
-    for du, dv in _SUBPIXELS:
-        rays = np.ones((len(rows), 3), np.float32)
-        rays[:, 0] = (columns + du - intrinsics.cx) / intrinsics.fx
-        rays[:, 1] = (rows + dv - intrinsics.cy) / intrinsics.fy
-        _, _, hits = caster.cast(rays)
-        if caster.scene.background is not None:
-            sample = caster.scene.background[rows, columns].astype(np.float32)
-        else:
-            sharp = np.zeros(len(rays), np.float32)
-            sample = caster.environment.specular(unit(rays @ caster.R_world_camera.T), sharp)
-        sample[hits.ray] = caster.shade(hits, None)[0]
-        total += sample
-    color[rows * intrinsics.width + columns] = total / (1 + len(_SUBPIXELS))
+    rows, columns = np.divmod(pixels, intrinsics.width)
+    u = np.concatenate([columns + du for du, _ in _SUBPIXELS])
+    v = np.concatenate([rows + dv for _, dv in _SUBPIXELS])
+    rays = np.ones((3, len(u)), np.float32)
+    rays[0], rays[1] = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
+    _, found, hits = caster.hits(rays)
+    if caster.scene.background is not None:
+        background = caster.scene.background[rows, columns].astype(np.float32, copy=False).T
+        samples = np.concatenate([background] * len(_SUBPIXELS), axis=1)
+    else:
+        samples = np.empty_like(rays)
+        missed = np.flatnonzero(found < 0)
+        samples[:, missed] = _surroundings(caster, rays[:, missed])
+    samples[:, hits.ray] = caster.shade(hits, None)[0]
+    total = color[:, pixels] + samples.reshape(3, len(_SUBPIXELS), -1).sum(axis=1)
+    color[:, pixels] = total / (1 + len(_SUBPIXELS))
