@@ -216,16 +216,19 @@ def _recolour(images: Tensor, strength: float) -> Tensor:
 
 
 def _blur(images: Tensor, strength: float) -> Tensor:
-    n, device = len(images), images.device
-    sigma = 0.2 + torch.rand((n, 1), device=device) * 1.5 * strength
+    """The first two fifths blurred: the batch's order is random."""
+    count = round(0.4 * strength * len(images))
+    if count == 0:
+        return images
+    device = images.device
+    sigma = 0.2 + torch.rand((count, 1), device=device) * 1.5 * strength
     offsets = torch.arange(-3, 4, device=device)
     kernel = torch.exp(-0.5 * (offsets / sigma) ** 2)
     kernel = (kernel / kernel.sum(1, keepdim=True)).repeat_interleave(3, 0)
-    flat = images.reshape(1, n * 3, *images.shape[2:])
-    flat = F.conv2d(F.pad(flat, (3, 3, 0, 0), mode="replicate"), kernel[:, None, None, :], groups=3 * n)
-    flat = F.conv2d(F.pad(flat, (0, 0, 3, 3), mode="replicate"), kernel[:, None, :, None], groups=3 * n)
-    chosen = torch.rand((n, 1, 1, 1), device=device) < 0.4 * strength
-    return torch.where(chosen, flat.view_as(images), images)
+    flat = images[:count].reshape(1, count * 3, *images.shape[2:])
+    flat = F.conv2d(F.pad(flat, (3, 3, 0, 0), mode="replicate"), kernel[:, None, None, :], groups=3 * count)
+    flat = F.conv2d(F.pad(flat, (0, 0, 3, 3), mode="replicate"), kernel[:, None, :, None], groups=3 * count)
+    return torch.cat([flat.view_as(images[:count]), images[count:]])
 
 
 def _hide(

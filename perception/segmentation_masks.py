@@ -34,7 +34,7 @@ class MaskHead(nn.Module):
     """Masks, and how good they will be (Mask Scoring R-CNN, Huang et al. 2019, without its second network)."""
 
     def __init__(self, channels: int, layers: int, width: int, classes: int) -> None:
-        """channels: of the features; layers: at their resolution; width: channels at the masks', a multiple of 16."""
+        """channels: of the features; layers: at their resolution; width: channels at the masks'."""
         super().__init__()
         half = width // 2
         self.detail = nn.Sequential(*_conv(7, half), *_conv(half, half))
@@ -72,7 +72,11 @@ def features_size() -> int:
 
 
 def _conv(n_in: int, n_out: int, stride: int = 1) -> list[nn.Module]:
-    return [nn.Conv2d(n_in, n_out, 3, stride, 1, bias=False), nn.GroupNorm(8, n_out), nn.ReLU()]
+    # No normalisation: at this resolution it would cost as much as all the convolutions.
+    conv = nn.Conv2d(n_in, n_out, 3, stride, 1)
+    nn.init.kaiming_normal_(conv.weight, mode="fan_out", nonlinearity="relu")
+    nn.init.zeros_(conv.bias)  # type: ignore[arg-type]
+    return [conv, nn.ReLU()]
 
 
 @torch.no_grad()

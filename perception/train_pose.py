@@ -32,6 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="folder for the weights, the log and the checkpoint")
     parser.add_argument("--estimator", choices=("ours", "paper"), default="ours", help="paper: ToolEENet's own")
     parser.add_argument("--column", choices=tuple(COLUMNS), help="of the paper's Table I (default: symmetry-aware)")
+    parser.add_argument("--init", type=Path, help="folder of weights to start from")
     parser.add_argument("--hands", type=Path, help="hand samples written by --prepare-hands")
     parser.add_argument("--calibrate-only", action="store_true", help="validate and calibrate the weights in --out")
     parser.add_argument("--prepare-hands", type=Path, metavar="FILE", help="write the hand samples and end")
@@ -54,7 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
             raise UserError("--column belongs to the paper's estimator: add --estimator paper")
         config = TrainConfig(**{f.name: getattr(options, f.name) for f in fields(TrainConfig)})
         method = PaperMethod(COLUMNS[options.column or "symmetry-aware"]) if options.estimator == "paper" else Ours()
-        train(options.out, config, method, options.hands, options.calibrate_only)
+        train(options.out, config, method, options.hands, options.calibrate_only, options.init)
     except TooleeError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2 if isinstance(error, UserError) else 1

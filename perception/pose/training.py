@@ -13,7 +13,7 @@ from typing import Any, Generic
 import torch
 from torch import Tensor, nn
 
-from toolee_robot.errors import TooleeError
+from toolee_robot.errors import AssetError, TooleeError
 from toolee_robot.perception.pose import validation
 from toolee_robot.perception.pose.bank import Float32, ToolBank, load_hands, tool_bank
 from toolee_robot.perception.pose.cloud_batch import CloudBatch
@@ -148,6 +148,16 @@ class Trainer(Generic[Net]):
         self._checkpoint(None)
         return self.finish(held_out) if held_out is not None else {}
 
+    def start_from(self, weights: Path) -> None:
+        """Begin with the network in `weights` instead of a random one. Raises AssetError where it does not fit."""
+        state = self.method.load(weights).state_dict()
+        try:
+            self.net.load_state_dict(state)
+            self.ema.load_state_dict(state)
+        except RuntimeError as error:
+            raise AssetError(f"{weights} holds a network of another architecture: {error}") from error
+        self.log(event="begun from other weights")
+
     def calibrate(self) -> dict[str, Any]:
         """Validate and calibrate the weights that lie in `out`, on any machine: what a training that ran out of time
         left undone. Returns the report."""
@@ -264,10 +274,12 @@ def train(
     method: Method[Any] | None = None,
     hands_file: Path | None = None,
     calibrate_only: bool = False,
+    init: Path | None = None,
 ) -> dict[str, Any]:
     """The whole job: surface samples, training, validation, weights in `out`. Raises AssetError, TooleeError.
 
     method: `Ours` if None. calibrate_only: no training, but validation and calibration of the weights that are there.
+    init: folder of weights to start from, of the same architecture; their process may be another.
     """
     begun = time.monotonic()
     banks = tool_bank(False, config.train_seeds), tool_bank(True, config.test_seeds)
@@ -275,6 +287,8 @@ def train(
     print(f"{[len(b.category) for b in banks]} EEs and {len(hands)} hands sampled in {time.monotonic() - begun:.0f} s")
     with ranks() as place:
         trainer = Trainer(out, config, banks, hands, method or Ours(), place)
+        if init is not None:
+            trainer.start_from(init)
         return trainer.calibrate() if calibrate_only else trainer.run()
 
 

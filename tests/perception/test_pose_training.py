@@ -216,6 +216,22 @@ def test_a_loss_that_is_not_finite_stops_the_training(
     assert not list(tmp_path.glob("*.safetensors"))
 
 
+def test_a_training_starts_from_weights_of_its_architecture(
+    tmp_path: Path, trained: Path, bank: ToolBank, hands: Float32
+) -> None:
+    def trainer(process: str, width: int = TINY.width) -> Trainer[PoseNet]:
+        config = replace(TINY, process=process, width=width)
+        return Trainer(tmp_path, small(1.0), (bank, bank), hands, Ours(config, draws=2), CPU)
+
+    begun = trainer("flow")
+    begun.start_from(trained)
+    kept = Ours(TINY).load(trained).state_dict()
+    assert all(torch.equal(value, kept[name]) for name, value in begun.net.state_dict().items())
+    assert all(torch.equal(value, kept[name]) for name, value in begun.export().state_dict().items())
+    with pytest.raises(AssetError, match="architecture"):
+        trainer("edm", 2 * TINY.width).start_from(trained)
+
+
 def test_missing_or_broken_weights_say_what_to_do(tmp_path: Path) -> None:
     with pytest.raises(AssetError, match="train_pose"):
         PoseEstimator.load(tmp_path)
