@@ -292,7 +292,7 @@ class SceneStream:
                     continue
                 self._seen.add(path)
                 try:
-                    self._decoded.put(load_scenes([path], depth=True, threads=4))
+                    self._decoded.put(load_scenes([path], threads=4))
                 except AssetError as error:
                     self._decoded.put(error)
                 if self._closed.is_set():

@@ -63,12 +63,12 @@ def evaluate(
     scenes = scene_folders(dataset_dir)
     if not scenes:
         raise AssetError(f"no BOP scene in {dataset_dir}: give the folder train or test of a data set")
-    task = coco_task(segmenter, load_scenes(scenes[:1], depth=True, limit=limit))
+    task = coco_task(segmenter, load_scenes(scenes[:1], limit=limit))
     for scene in scenes[1:]:
         left = None if limit is None else limit - len(task.times)
         if left is not None and left <= 0:
             break
-        task = task.joined(coco_task(segmenter, load_scenes([scene], depth=True, limit=left)))
+        task = task.joined(coco_task(segmenter, load_scenes([scene], limit=left)))
     return _report(task)
 
 

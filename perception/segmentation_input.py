@@ -50,8 +50,10 @@ def encode_rgbd(rgb: Tensor, depth: Tensor, focal: Tensor) -> RgbdBatch:
 def _surroundings(depth: Tensor, known: Tensor) -> Tensor:
     """Mean of the known depths about each pixel."""
     cells = F.avg_pool2d(torch.cat([depth, known], 1), _RELIEF_CELL)
-    total, count = F.avg_pool2d(cells, _RELIEF_CELLS, 1, _RELIEF_CELLS // 2).split(1, 1)
-    return F.interpolate(total / count.clamp(min=1e-6), depth.shape[-2:], mode="bilinear", align_corners=False)
+    sums = F.avg_pool2d(cells, _RELIEF_CELLS, 1, _RELIEF_CELLS // 2)
+    return F.interpolate(
+        sums[:, :1] / sums[:, 1:].clamp(min=1e-6), depth.shape[-2:], mode="bilinear", align_corners=False
+    )
 
 
 def _normalise(images: Tensor) -> Tensor:

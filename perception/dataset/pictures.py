@@ -90,8 +90,7 @@ def montage(split: Path, count: int, columns: int = 4) -> Image.Image:
     shares = [len(part) for part in np.array_split(np.arange(count), min(len(scenes), count))]
     tiles: list[NDArray[np.uint8]] = []
     for scene, share in zip(scenes, shares, strict=False):
-        data = load_scenes([scene], depth=True, limit=share)
-        assert data.depth_mm is not None
+        data = load_scenes([scene], limit=share)
         for i in range(len(data)):
             title = f"{split.name}/{scene.name} image {i}"
             image = annotated(data.rgb[i], data.ee[i], data.tool[i], data.row(i), data.camera(i), title)

@@ -221,12 +221,12 @@ def read_sums(folder: Path) -> dict[str, str]:
 
 @dataclass(frozen=True, eq=False)
 class SegmentationSet:
-    """A loaded data set of N images. rgb (N, H, W, 3) uint8; depth_mm (N, H, W) uint16 or None if not asked for;
+    """A loaded data set of N images. rgb (N, H, W, 3) uint8; depth_mm (N, H, W) uint16;
     ee, tool (N, H, W) uint8 ids, 0 for none; table: `EeTable` with leading shape (N, 8); intrinsics (N, 4): fx, fy, cx,
     cy [px]; scene (N,): index in `records.SCENES`."""
 
     rgb: NDArray[np.uint8]
-    depth_mm: NDArray[np.uint16] | None
+    depth_mm: NDArray[np.uint16]
     ee: NDArray[np.uint8]
     tool: NDArray[np.uint8]
     table: EeTable
@@ -256,19 +256,17 @@ def scene_folders(split: Path) -> list[Path]:
     return sorted(p for p in split.glob("[0-9]*") if (p / SUMS).is_file())
 
 
-def load(folder: Path, depth: bool = False, limit: int | None = None, threads: int = 8) -> SegmentationSet:
+def load(folder: Path, limit: int | None = None, threads: int = 8) -> SegmentationSet:
     """Read (the first `limit` images of) a split. Raises AssetError naming a missing or broken file."""
     scenes = scene_folders(folder)
     if not scenes:
         raise AssetError(
             f"no BOP scene in {folder}: give the folder train or test of a data set made by `toolee dataset generate`"
         )
-    return load_scenes(scenes, depth, limit, threads)
+    return load_scenes(scenes, limit, threads)
 
 
-def load_scenes(
-    scenes: Sequence[Path], depth: bool = False, limit: int | None = None, threads: int = 8
-) -> SegmentationSet:
+def load_scenes(scenes: Sequence[Path], limit: int | None = None, threads: int = 8) -> SegmentationSet:
     """Read (the first `limit` images of) some scenes. Raises AssetError naming a missing or broken file."""
     jobs: list[tuple[Path, int]] = []
     described: list[_Description] = []
@@ -282,7 +280,7 @@ def load_scenes(
     table = EeTable(**{n: np.concatenate([getattr(d.table, n) for d in described])[:total] for n in _TABLE})
     rgb = np.empty((total, HEIGHT, WIDTH, 3), np.uint8)
     ee, tool = np.zeros((total, HEIGHT, WIDTH), np.uint8), np.empty((total, HEIGHT, WIDTH), np.uint8)
-    depth_mm = np.empty((total, HEIGHT, WIDTH), np.uint16) if depth else None
+    depth_mm = np.empty((total, HEIGHT, WIDTH), np.uint16)
 
     def decode(i: int) -> None:
         scene, im_id = jobs[i]
@@ -291,8 +289,7 @@ def load_scenes(
         for row in np.flatnonzero(table.visible[i]):
             mask = read_image(scene / f"mask_visib/{im_id:06d}_{row:06d}.png")
             np.copyto(ee[i], np.uint8(row + 1), where=mask.astype(np.bool_, copy=False))
-        if depth_mm is not None:
-            depth_mm[i] = read_image(scene / f"depth/{im_id:06d}.png")
+        depth_mm[i] = read_image(scene / f"depth/{im_id:06d}.png")
 
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(decode, range(total)))

@@ -116,11 +116,9 @@ def read_part(part: Part, detector: EeDetector | None) -> Examples:
     if detector is not None:
         cases["predicted"] = []
     found = Examples([], cases, [], part.count)
-    data = load_scenes([part.scene], depth=True, limit=part.count, threads=2)
-    depth_mm = data.depth_mm
-    assert depth_mm is not None
+    data = load_scenes([part.scene], limit=part.count, threads=2)
     for i in range(len(data)):
-        frame = RgbdFrame(data.rgb[i], depth_mm[i].astype(np.float32) * np.float32(1e-3), data.camera(i))
+        frame = RgbdFrame(data.rgb[i], data.depth_mm[i].astype(np.float32) * np.float32(1e-3), data.camera(i))
         _add(found, i, frame, data.ee[i], data.tool[i], data.row(i), part.catalogue, detector)
         if SCENES[data.scene[i]] == "empty":
             found.empty.append(frame)

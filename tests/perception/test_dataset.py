@@ -141,7 +141,7 @@ def test_the_papers_protocol() -> None:
 
 def test_stored_and_loaded(tmp_path: Path, examples: list[Example]) -> None:
     write_scene(tmp_path / "000000", examples)
-    data = load(tmp_path, depth=True)
+    data = load(tmp_path)
     assert len(data) == len(examples)
     assert data.categories.shape == (len(examples), MAX_EES)
     for i, e in enumerate(examples):

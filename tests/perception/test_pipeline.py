@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 
 from toolee_robot.errors import AssetError, PerceptionError, UserError
 from toolee_robot.frames import transform
@@ -23,8 +22,8 @@ CAMERA = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)
 class ColourDetector:
     """Finds what is painted in one colour a category: a real, if simple, detector."""
 
-    def detect(self, rgb: NDArray[np.uint8]) -> list[Detection]:
-        found = []
+    def detect(self, frame: RgbdFrame) -> list[Detection]:
+        rgb, found = frame.rgb, []
         for k, category in enumerate(Category):
             mask = rgb[:, :, 0] == 50 * (k + 1)
             if mask.any():

@@ -14,12 +14,13 @@ from torchvision.ops import nms
 
 from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.errors import AssetError, TooleeError, UserError
-from toolee_robot.perception.segmentation import Segmenter, associate
+from toolee_robot.perception.segmentation import Segmenter, associate, without_duplicates
 from toolee_robot.perception.segmentation_boxes import decode, encode, greedy_suppression, pairwise_iou
 from toolee_robot.perception.segmentation_data import ArrayImages, DeviceImages, augment
 from toolee_robot.perception.segmentation_evaluation import evaluate_masks
-from toolee_robot.perception.segmentation_input import CHANNELS
+from toolee_robot.perception.segmentation_input import CHANNELS, encode_rgbd
 from toolee_robot.perception.segmentation_losses import instances_from_maps
+from toolee_robot.perception.segmentation_masks import _near
 from toolee_robot.perception.segmentation_model import (
     CLASSES,
     TOOL,
@@ -112,6 +113,44 @@ def test_augmented_batches_are_finite_and_padded() -> None:
     assert batch.depth.shape == (4, 64, 96)
     assert maps.shape == (4, 2, 64, 96)
     assert torch.isfinite(batch.pixels).all()
+
+
+def test_the_network_sees_sizes_in_metres_and_what_stands_out() -> None:
+    """A pixel twice as far seen with twice the focal length is as large; the near half stands out; holes say so."""
+    depth = torch.full((1, 128, 128), 0.8)
+    depth[:, :, :64] = 0.7
+    depth[:, 20:30, 20:30] = 0.0
+    rgb = torch.full((1, 3, 128, 128), 110.0)
+    seen, twice = (encode_rgbd(rgb, k * depth, torch.tensor([k * 400.0])).pixels for k in (1.0, 2.0))
+    torch.testing.assert_close(seen[:, 3], twice[:, 3])
+    assert float(seen[0, 3, 0, 127] - seen[0, 3, 0, 0]) == pytest.approx(2 * np.log(0.8 / 0.7), abs=1e-5)
+    assert seen[0, 4, 64, 60] < -0.5 < 0.5 < seen[0, 4, 64, 68]
+    assert not seen[0, 3:, 20:30, 20:30].any()
+    assert seen[0, 5].sum() == 128 * 128 - 100
+
+
+def test_the_mask_head_sees_places_in_metres() -> None:
+    """A wall 0.6 m away with a hole in its depth, and a region that reaches beyond the image."""
+    depth = torch.full((1, 64, 96), 0.6)
+    depth[:, 30:34, 40:44] = 0.0
+    batch = encode_rgbd(torch.zeros((1, 3, 64, 96)), depth, torch.tensor([300.0]))
+    near = _near(batch, torch.tensor([[0.0, -20.0, 4.0, 36.0, 60.0]]))[0]
+    x, y, z, known = near[3:]
+    # 56 pixels of 2 mm, in units of 5 cm, about the region's centre (8, 32).
+    torch.testing.assert_close(x[0], (torch.arange(56) + 0.5 - 28) * 2 / 50)
+    torch.testing.assert_close(y[:, 0], (torch.arange(56) + 0.5 - 28) * 2 / 50)
+    assert not z.any()
+    assert not known[:, :20].any()
+    assert known[:, 20:].all()
+
+
+def test_of_two_masks_of_one_thing_the_better_stays() -> None:
+    whole, part, other = (np.zeros((20, 40), dtype=bool) for _ in range(3))
+    whole[5:10, 5:30], part[5:10, 15:32], other[5:10, 5:30] = True, True, True
+    box = (0.0, 0.0, 1.0, 1.0)
+    kept = without_duplicates([part, whole, other], [1, 1, 2], [0.6, 0.9, 0.5], [box] * 3)
+    assert kept[2] == [0.9, 0.5], "another class may share pixels"
+    assert kept[1] == [1, 2]
 
 
 @pytest.fixture(scope="module")

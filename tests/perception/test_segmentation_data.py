@@ -16,8 +16,9 @@ from toolee_robot.perception.dataset.records import HEIGHT, WIDTH, EeTable, Exam
 from toolee_robot.perception.dataset.storage import load, write_scene
 from toolee_robot.perception.segmentation_data import DeviceImages, SceneStream, augment
 from toolee_robot.perception.segmentation_evaluation import true_instances
+from toolee_robot.perception.segmentation_input import STRIDE
 from toolee_robot.perception.segmentation_losses import instances_from_maps
-from toolee_robot.perception.segmentation_model import STRIDE, TOOL
+from toolee_robot.perception.segmentation_model import TOOL
 from toolee_robot.types import CameraIntrinsics
 
 
@@ -42,10 +43,13 @@ def folder(tmp_path: Path) -> Path:
 def test_a_data_set_becomes_targets(folder: Path) -> None:
     images = load(folder)
     data = DeviceImages(images, torch.device("cpu"))
-    rgb, maps, categories = data.sample(3)
-    pixels, maps = augment(rgb, maps, (HEIGHT, WIDTH), strength=0.0)
-    assert pixels.shape[2] % STRIDE == 0
-    assert pixels.shape[3] % STRIDE == 0
+    sample = data.sample(3)
+    categories = sample.categories
+    batch, maps = augment(sample, (HEIGHT, WIDTH), strength=0.0)
+    assert batch.pixels.shape[2] % STRIDE == 0
+    assert batch.pixels.shape[3] % STRIDE == 0
+    torch.testing.assert_close(batch.depth[:, :HEIGHT, :WIDTH], torch.full((3, HEIGHT, WIDTH), 0.8))
+    torch.testing.assert_close(batch.focal, torch.full((3,), 365.5))
     instances = instances_from_maps(maps, categories, data.tools)
     for b in range(3):
         labels = sorted(instances.labels[b][instances.labels[b] > 0].tolist())
