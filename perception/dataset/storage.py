@@ -76,10 +76,12 @@ def write_scene(
     writer.close()
     if write_models is not None:
         write_models(writer.objects)
-    if folder.exists():  # somebody else was as quick: the same bytes
-        shutil.rmtree(scratch)
-    else:
+    try:
         scratch.rename(folder)
+    except OSError:
+        if not folder.exists():
+            raise
+        shutil.rmtree(scratch)  # somebody else was as quick: the same bytes
 
 
 class _SceneWriter:

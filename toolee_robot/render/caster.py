@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.frames import Array, inverse
-from toolee_robot.render.embree import Tracer
+from toolee_robot.render.embree import Closest, Tracer
 from toolee_robot.render.environment import EnvironmentMap
 from toolee_robot.render.filters import neighbours
 from toolee_robot.render.mesh import FloatArray
@@ -63,15 +63,12 @@ class Caster:
         """The light from all around; not made where only depths are asked for."""
         return EnvironmentMap(self.scene.environment)
 
-    def cast(self, directions: FloatArray) -> tuple[FloatArray, NDArray[np.int32]]:
-        """depth (N,) [m] (0: nothing) and body index (N,) (-1: nothing) of rays (3, N) with z = 1."""
-        found = self.tracer.closest(directions)
-        return np.where(found.mesh >= 0, found.distance, np.float32(0)), found.mesh
+    def closest(self, directions: FloatArray) -> Closest:
+        """What rays (3, N) with z = 1 hit; meshes are numbered as the scene's bodies."""
+        return self.tracer.closest(directions)
 
-    def hits(self, directions: FloatArray) -> tuple[FloatArray, NDArray[np.int32], Hits]:
-        """What `cast` gives, and the hits."""
-        found = self.tracer.closest(directions)
-        depth = np.where(found.mesh >= 0, found.distance, np.float32(0))
+    def hits(self, directions: FloatArray, found: Closest) -> Hits:
+        """Those of the rays (3, N) that hit."""
         count = len(self.scene.bodies)
         # Few enough values for a radix sort; what missed comes last.
         key = np.where(found.mesh >= 0, found.mesh, count).astype(np.int16)
@@ -90,16 +87,16 @@ class Caster:
         geometric = found.normals.take(ray, axis=1)
         behind = dot(normals, geometric) * dot(geometric, d) > 0
         normals *= 1 - 2 * behind.astype(np.float32)
-        return depth, found.mesh, Hits(ray, d * depth.take(ray), normals, -unit(d), bounds)
+        return Hits(ray, d * found.distance.take(ray), normals, -unit(d), bounds)
 
-    def shade(self, hits: Hits, shadow_grid: tuple[int, int] | None) -> tuple[FloatArray, FloatArray]:
-        """Linear colour (3, M) and shininess (M,) of the hits. shadow_grid: (H, W) where the rays are an image's
-        pixels, whose soft shadows are then smoothed over neighbours."""
+    def shade(self, hits: Hits, grid: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+        """Linear colour (3, M) and shininess (M,) of the hits. grid: (H, W) of the image whose pixels the first H * W
+        rays are; soft shadows are smoothed over neighbours in it. Further rays stand for themselves."""
         counts = np.diff(hits.bounds)
         roughness = np.repeat(np.array([b.material.roughness for b in self.scene.bodies], np.float32), counts)
         metallic = np.repeat(np.array([b.material.metallic for b in self.scene.bodies], np.float32), counts)
         color = self._albedo(hits)
-        seen = [self._visibility(light, hits, shadow_grid) if light.shadow else None for light in self.scene.lights]
+        seen = [self._visibility(light, hits, grid) if light.shadow else None for light in self.scene.lights]
         for start in range(0, len(hits.ray), _CHUNK):
             part = slice(start, start + _CHUNK)
             lamps = [(light, None if s is None else s[part]) for light, s in zip(self.scene.lights, seen, strict=True)]
@@ -165,7 +162,7 @@ class Caster:
         nearest = np.maximum(distance, np.float32(0.05))
         return to_lamp / distance, distance, np.reciprocal(nearest * nearest)
 
-    def _visibility(self, light: Light, hits: Hits, shadow_grid: tuple[int, int] | None) -> FloatArray:
+    def _visibility(self, light: Light, hits: Hits, grid: tuple[int, int]) -> FloatArray:
         """(M,) share of the lamp seen from each hit; 0 where the surface faces away from it."""
         to_lamp, distance, _ = self._towards(light, hits.points)
         index = np.flatnonzero(dot(to_lamp, hits.normals) > 0)
@@ -180,13 +177,15 @@ class Caster:
         origins = hits.points.take(index, axis=1) + hits.normals.take(index, axis=1) * np.float32(_SHADOW_OFFSET)
         reach = np.broadcast_to(distance - np.float32(2 * _SHADOW_OFFSET), index.shape)
         free = ~self.tracer.blocked(origins, np.broadcast_to(to_lamp, origins.shape), reach)
-        if shadow_grid is None or light.softness == 0:
+        if light.softness == 0:
             seen[index] = free
             return seen
-        image, weight = np.zeros((2, shadow_grid[0] * shadow_grid[1]), np.uint8)
+        pixels = grid[0] * grid[1]
+        image, weight = np.zeros((2, max(pixels, int(ray.max(initial=0)) + 1)), np.uint8)
         image[ray], weight[ray] = free, 1
-        near, all_ = (neighbours(a.reshape(shadow_grid), _SHADOW_BLUR).reshape(-1).take(ray) for a in (image, weight))
-        seen[index] = near / all_.astype(np.float32)
+        for counts in (image, weight):
+            counts[:pixels] = neighbours(counts[:pixels].reshape(grid), _SHADOW_BLUR).reshape(-1)
+        seen[index] = image.take(ray) / weight.take(ray).astype(np.float32)
         return seen
 
 

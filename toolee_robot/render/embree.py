@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import repeat
 from typing import Any
@@ -115,6 +115,11 @@ class Closest:
     u: FloatArray
     v: FloatArray
     normals: FloatArray
+
+    def followed_by(self, other: Closest) -> Closest:
+        """What these rays hit, and then what other rays at the same meshes hit."""
+        pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
+        return Closest(*(np.concatenate(pair, axis=-1) for pair in pairs))
 
 
 class Tracer:

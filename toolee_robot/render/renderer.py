@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from toolee_robot.frames import Array
 from toolee_robot.render.caster import Caster, dot, unit
+from toolee_robot.render.embree import Closest
 from toolee_robot.render.mesh import FloatArray
 from toolee_robot.render.scene import Body, Rendering, Scene
 from toolee_robot.types import CameraIntrinsics
@@ -47,24 +48,27 @@ class Shot:
         self._scene, self._intrinsics = scene, intrinsics
         self._caster = Caster(scene, X_world_camera)
         self._directions = _rays(intrinsics, (0, 0, intrinsics.width, intrinsics.height))
-        depth, self._body, self._hits = self._caster.hits(self._directions)
-        ids = np.array([b.body_id for b in scene.bodies] + [-1], np.int16)[self._body]  # body -1 takes the last entry
+        self._found = self._caster.closest(self._directions)
         grid = (intrinsics.height, intrinsics.width)
+        depth, ids = _seen(scene.bodies, self._found)
         self.depth, self.body_ids = depth.reshape(grid), ids.reshape(grid)
 
     def develop(self, antialias: bool = True, exposure: float = 1.0, auto_exposure: float = 0.0) -> Rendering:
         """Shade it; arguments as for `render`."""
-        grid = (self._intrinsics.height, self._intrinsics.width)
-        caster, hits = self._caster, self._hits
-        color = _background(self._scene, caster, self._intrinsics, self._directions, self._body)
-        lit, shiny = caster.shade(hits, grid)
-        color[:, hits.ray] = lit
-        cos = np.zeros(self.depth.size, np.float32)
-        cos[hits.ray] = np.clip(dot(hits.normals, hits.views), 0.0, 1.0)
-        shininess = np.zeros(self.depth.size, np.float32)
-        shininess[hits.ray] = shiny
+        grid, caster, rays, found = self.depth.shape, self._caster, self._directions, self._found
+        outlines = np.zeros(0, np.int64)
         if antialias:
-            _smooth_outlines(caster, self._intrinsics, color, self.depth, self._body.reshape(grid))
+            outlines = _outlines(self.depth, found.mesh.reshape(grid))
+            more = self._around(outlines)
+            rays, found = np.concatenate([rays, more], axis=1), found.followed_by(caster.closest(more))
+        hits = caster.hits(rays, found)
+        color = self._background(rays, found.mesh, outlines)
+        cos, shininess = np.zeros((2, rays.shape[1]), np.float32)
+        color[:, hits.ray], shininess[hits.ray] = caster.shade(hits, (grid[0], grid[1]))
+        cos[hits.ray] = np.clip(dot(hits.normals, hits.views), 0.0, 1.0)
+        color, further = np.split(color, [self.depth.size], axis=1)
+        color[:, outlines] += further.reshape(3, len(_SUBPIXELS), -1).sum(axis=1)
+        color[:, outlines] /= 1 + len(_SUBPIXELS)
         if auto_exposure > 0:
             mean = float(np.minimum(color, 1.0).mean())
             exposure *= float(np.clip((_MIDDLE_GREY / max(mean, 1e-3)) ** auto_exposure, 0.4, 6.0))
@@ -72,9 +76,32 @@ class Shot:
             rgb=np.ascontiguousarray(to_srgb(color * np.float32(exposure)).reshape(3, *grid).transpose(1, 2, 0)),
             depth=self.depth,
             body_ids=self.body_ids,
-            cos_incidence=cos.reshape(grid),
-            shininess=shininess.reshape(grid),
+            cos_incidence=cos[: self.depth.size].reshape(grid),
+            shininess=shininess[: self.depth.size].reshape(grid),
         )
+
+    def _around(self, pixels: NDArray[np.int64]) -> FloatArray:
+        """(3, N) further rays through these pixels, a whole set for each of `_SUBPIXELS`."""
+        K = self._intrinsics
+        rows, columns = np.divmod(pixels, K.width)
+        rays = np.ones((3, len(_SUBPIXELS), len(pixels)), np.float32)
+        for k, (du, dv) in enumerate(_SUBPIXELS):
+            rays[0, k], rays[1, k] = (columns + (du - K.cx)) / K.fx, (rows + (dv - K.cy)) / K.fy
+        return rays.reshape(3, -1)
+
+    def _background(self, rays: FloatArray, body: NDArray[np.int32], outlines: NDArray[np.int64]) -> FloatArray:
+        """(3, N) linear colour along those rays that hit nothing (body -1); anything elsewhere."""
+        image = self._scene.background
+        if image is not None:
+            if image.shape != (*self.depth.shape, 3):
+                raise ValueError(f"background is {image.shape}, the camera's image is {(*self.depth.shape, 3)}")
+            flat = np.ascontiguousarray(image.reshape(-1, 3).T, np.float32)
+            return np.concatenate([flat, *[flat[:, outlines]] * len(_SUBPIXELS)], axis=1)
+        color = np.empty_like(rays)
+        missed = np.flatnonzero(body < 0)
+        towards = unit(self._caster.R_world_camera @ rays[:, missed])
+        color[:, missed] = self._caster.environment.specular(towards, 0.0)
+        return color
 
 
 def cast(
@@ -85,9 +112,15 @@ def cast(
 ) -> tuple[FloatArray, NDArray[np.int16]]:
     """depth [m] and body_ids as in `Rendering`, without colours, of the pixels x0 <= x < x1, y0 <= y < y1."""
     x0, y0, x1, y1 = region if region is not None else (0, 0, intrinsics.width, intrinsics.height)
-    depth, body = Caster(Scene(bodies), X_world_camera).cast(_rays(intrinsics, (x0, y0, x1, y1)))
-    ids = np.array([b.body_id for b in bodies] + [-1], np.int16)[body]
+    found = Caster(Scene(bodies), X_world_camera).closest(_rays(intrinsics, (x0, y0, x1, y1)))
+    depth, ids = _seen(bodies, found)
     return depth.reshape(y1 - y0, x1 - x0), ids.reshape(y1 - y0, x1 - x0)
+
+
+def _seen(bodies: Sequence[Body], found: Closest) -> tuple[FloatArray, NDArray[np.int16]]:
+    """depth and body_ids, (N,) each, as in `Rendering`."""
+    ids = np.array([b.body_id for b in bodies] + [-1], np.int16)[found.mesh]  # mesh -1 takes the last entry
+    return np.where(found.mesh >= 0, found.distance, np.float32(0)), ids
 
 
 def pixel_rays(intrinsics: CameraIntrinsics) -> FloatArray:
@@ -123,30 +156,8 @@ def _srgb_table() -> NDArray[np.uint8]:
 _SRGB = _srgb_table()
 
 
-def _background(
-    scene: Scene, caster: Caster, intrinsics: CameraIntrinsics, directions: FloatArray, body: NDArray[np.int32]
-) -> FloatArray:
-    """(3, H*W) linear colour where nothing is hit (body -1); anything elsewhere."""
-    if scene.background is not None:
-        shape = (intrinsics.height, intrinsics.width, 3)
-        if scene.background.shape != shape:
-            raise ValueError(f"background is {scene.background.shape}, the camera's image is {shape}")
-        return np.ascontiguousarray(scene.background.reshape(-1, 3).T, np.float32)
-    color = np.empty_like(directions)
-    missed = np.flatnonzero(body < 0)
-    color[:, missed] = _surroundings(caster, directions[:, missed])
-    return color
-
-
-def _surroundings(caster: Caster, directions: FloatArray) -> FloatArray:
-    """(3, N) what the environment looks like along rays (3, N)."""
-    return caster.environment.specular(unit(caster.R_world_camera @ directions), 0.0)
-
-
-def _smooth_outlines(
-    caster: Caster, intrinsics: CameraIntrinsics, color: FloatArray, depth: FloatArray, body: NDArray[np.int32]
-) -> None:
-    """Replace the colour of pixels on outlines (in place) by the mean over the centre's ray and two more."""
+def _outlines(depth: FloatArray, body: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The pixels, numbered row by row, beside which another body or a step in depth begins; images (H, W)."""
     edge = np.zeros(body.shape, bool)
     for axis in (0, 1):
         a = [slice(None)] * 2
@@ -156,22 +167,4 @@ def _smooth_outlines(
         step = (body[tuple(a)] != body[tuple(b)]) | (np.abs(da - db) > 0.02 * np.minimum(da, db))
         edge[tuple(a)] |= step
         edge[tuple(b)] |= step
-    pixels = np.flatnonzero(edge)
-    if not len(pixels):
-        return
-    rows, columns = np.divmod(pixels, intrinsics.width)
-    u = np.concatenate([columns + du for du, _ in _SUBPIXELS])
-    v = np.concatenate([rows + dv for _, dv in _SUBPIXELS])
-    rays = np.ones((3, len(u)), np.float32)
-    rays[0], rays[1] = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
-    _, found, hits = caster.hits(rays)
-    if caster.scene.background is not None:
-        background = caster.scene.background[rows, columns].astype(np.float32, copy=False).T
-        samples = np.concatenate([background] * len(_SUBPIXELS), axis=1)
-    else:
-        samples = np.empty_like(rays)
-        missed = np.flatnonzero(found < 0)
-        samples[:, missed] = _surroundings(caster, rays[:, missed])
-    samples[:, hits.ray] = caster.shade(hits, None)[0]
-    total = color[:, pixels] + samples.reshape(3, len(_SUBPIXELS), -1).sum(axis=1)
-    color[:, pixels] = total / (1 + len(_SUBPIXELS))
+    return np.flatnonzero(edge)
