@@ -140,7 +140,7 @@ def test_tables_and_the_report(examples: Examples) -> None:
     table = report["samplers"]
     assert isinstance(table, list)
     assert table[0]["sampler"] == "RK45"
-    assert [r["evaluations"] for r in table[1:]] == [1, 2, 3, 5, 10, 20]
+    assert [r["evaluations"] - 1 for r in table[1:]] == [1, 2, 3, 5, 10, 20], "one more: EDM's last denoising"
     assert table[0]["evaluations"] > 20
 
 
