@@ -140,11 +140,12 @@ class ServoProcess:
         return Done()
 
     def lost(self) -> Cause:
-        """See `servo_motion.TaskLife`: its end of the pipe is open and its heartbeat goes on."""
+        """See `servo_motion.TaskLife`: its life line holds, its end of the pipe is open, and its heartbeat goes on."""
         now, beat = self._clock.now(), int(self._memory.words[Word.HEARTBEAT])
         if beat != self._beat:
             self._beat, self._since = beat, now
-        if self._terminated or any(events & (select.POLLHUP | select.POLLERR) for _, events in self._poll.poll(0)):
+        hung_up = any(events & (select.POLLHUP | select.POLLERR) for _, events in self._poll.poll(0))
+        if self._terminated or self._memory.life.cut or hung_up:
             return Cause.TASK_ENDED
         return Cause.TASK_STALLED if now - self._since > self._config.heartbeat_timeout else Cause.NONE
 
