@@ -54,6 +54,7 @@ class Column:
     Q = slice(11, 17)
     QD = slice(17, 23)
     WRENCH = slice(23, 29)
+    """With the greatest force of those that came since the row before."""
     COUNT = 29
 
 

@@ -64,6 +64,7 @@ class ServoProcess:
             schedule.follow(link.read)
             schedule.wait()
             link.read()
+            link.unread_wrenches()
             self._judge()
             # A kick that meets an ended program would wait for it in vain.
             if self._fault < Cause.PROGRAM_ENDED and link.playing:
@@ -78,8 +79,7 @@ class ServoProcess:
     def _judge(self) -> None:
         """What happens at rest latches as well: nothing moves before a reset."""
         link = self._link
-        age = self._clock.wall(self._clock.now() - link.reading[StateColumn.SEEN])
-        if not link.connected or age > self._config.link_timeout:
+        if not link.connected or self._clock.wall(link.age) > self._config.link_timeout:
             self._latch(Cause.LINK)
             os._exit(EXIT_LINK_LOST)
         elif link.status is not ArmStatus.READY:
