@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,10 @@ def number_of(tool: ToolShape) -> int:
 class GeneratedTools(Catalogue):
     """150 tools of each of 13 kinds; every fifth is held out."""
 
+    def __reduce__(self) -> str:
+        # There is only one, in every process.
+        return "GENERATED"
+
     def numbers(self, split: str) -> list[int]:
         return [n for n in range(_OWN) if split_of(n % INSTANCES) == split]
 
@@ -124,6 +129,10 @@ class OwnTools(Catalogue):
     records: tuple[OwnToolRecord, ...]
     _made: dict[int, OwnTool] = field(default_factory=dict)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # One for each folder in every process, that what is known of its tools is worked out once.
+        return _own_tools, (self.root, self.records)
+
     def numbers(self, split: str) -> list[int]:
         return [_OWN + i for i in range(len(self.records))] if split == "test" else []
 
@@ -157,3 +166,8 @@ class OwnTools(Catalogue):
         if not 0 <= number - _OWN < len(self.records):
             raise UserError(f"there is no tool {number} in this data set")
         return self.records[number - _OWN]
+
+
+@lru_cache(maxsize=8)
+def _own_tools(root: Path, records: tuple[OwnToolRecord, ...]) -> OwnTools:
+    return OwnTools(root, records)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -90,9 +92,9 @@ def picture(rng: np.random.Generator, surfaces: Surfaces, height: int, width: in
     corners = rng.uniform(0.0, 0.7, (3, 3)).astype(np.float32)
     image = corners[0] + x[..., None] * (corners[1] - corners[0]) + y[..., None] * (corners[2] - corners[0])
     for _ in range(rng.integers(3, 25)):
-        cx, cy = rng.uniform(0.0, 1.0, 2)
-        a, b = 0.3 * rng.uniform(0.05, 1.0, 2) ** 1.5
-        c, s = np.cos(t := rng.uniform(0, np.pi)), np.sin(t)
+        cx, cy = rng.uniform(0.0, 1.0, 2).tolist()
+        a, b = (0.3 * rng.uniform(0.05, 1.0, 2) ** 1.5).tolist()
+        c, s = math.cos(t := rng.uniform(0, np.pi)), math.sin(t)
         u, v = c * (x - cx) + s * (y - cy), c * (y - cy) - s * (x - cx)
         inside = (u / a) ** 2 + (v / b) ** 2 < 1 if rng.random() < 0.5 else (np.abs(u) < a) & (np.abs(v) < b)
         image[inside] = np.asarray(linear(any_color(rng)), np.float32) * np.float32(rng.uniform(0.5, 1.0))

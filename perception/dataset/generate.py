@@ -111,7 +111,9 @@ def _clear(out: Path) -> None:
     """Remove what killed processes left half written."""
     for left in [*out.glob(".*.part"), *out.glob("*/.*.part")]:
         if left.is_dir():
-            shutil.rmtree(left, ignore_errors=True)
+            # Moved away before it is emptied: a worker that still writes there must fail, not finish what is half gone.
+            with contextlib.suppress(FileNotFoundError):
+                shutil.rmtree(left.rename(left.with_suffix(f".{os.getpid()}.gone.part")), ignore_errors=True)
         else:
             left.unlink(missing_ok=True)
 

@@ -19,7 +19,6 @@ import hashlib
 import json
 import os
 import shutil
-import zlib
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
@@ -32,7 +31,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from toolee_robot.errors import AssetError
-from toolee_robot.perception.dataset import rle
+from toolee_robot.perception.dataset import png, rle
 from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue
 from toolee_robot.perception.dataset.clouds import CloudWriter
 from toolee_robot.perception.dataset.instances import object_of
@@ -77,10 +76,12 @@ def write_scene(
     writer.close()
     if write_models is not None:
         write_models(writer.objects)
-    if folder.exists():  # somebody else was as quick: the same bytes
-        shutil.rmtree(scratch)
-    else:
+    try:
         scratch.rename(folder)
+    except OSError:
+        if not folder.exists():
+            raise
+        shutil.rmtree(scratch)  # somebody else was as quick: the same bytes
 
 
 class _SceneWriter:
@@ -103,8 +104,8 @@ class _SceneWriter:
         im_id = len(self._camera)
         key, name = str(im_id), f"{im_id:06d}"
         self._file(f"rgb/{name}.jpg", _jpeg(e.rgb))
-        self._file(f"depth/{name}.png", _png(e.depth_mm))
-        self._file(f"tool/{name}.png", _png(e.tool))
+        self._file(f"depth/{name}.png", png.encode(e.depth_mm))
+        self._file(f"tool/{name}.png", png.encode(e.tool))
         K = e.intrinsics
         cam_K = [K.fx, 0.0, K.cx, 0.0, K.fy, K.cy, 0.0, 0.0, 1.0]
         self._camera[key] = {"cam_K": cam_K, "depth_scale": 1.0, "scene": SCENES[e.scene]}
@@ -112,8 +113,8 @@ class _SceneWriter:
         targets = e.table.targets
         for gt, row in enumerate(np.flatnonzero(e.table.category)):
             visible, full = e.ee == row + 1, (e.full >> np.uint8(row)) & 1 > 0
-            self._file(f"mask/{name}_{gt:06d}.png", _png(full))
-            self._file(f"mask_visib/{name}_{gt:06d}.png", _png(visible))
+            self._file(f"mask/{name}_{gt:06d}.png", png.encode(full))
+            self._file(f"mask_visib/{name}_{gt:06d}.png", png.encode(visible))
             number, _ = object_of(int(e.table.obj_id[row]))
             entry = _gt_entry(e.table, int(row), self._catalogue.name(number))
             self._gt[key].append(entry)
@@ -372,11 +373,4 @@ def read_json(path: Path) -> Any:
 def _jpeg(rgb: NDArray[np.uint8]) -> bytes:
     buffer = BytesIO()
     Image.fromarray(rgb).save(buffer, "JPEG", quality=95, subsampling=0)
-    return buffer.getvalue()
-
-
-def _png(pixels: NDArray[Any]) -> bytes:
-    """uint16, uint8 or bool (one bit a pixel)."""
-    buffer = BytesIO()
-    Image.fromarray(pixels).save(buffer, "PNG", compress_level=1, compress_type=zlib.Z_RLE)
     return buffer.getvalue()

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,6 @@ from toolee_robot.symmetry import SymmetryKind
 from toolee_robot.types import Category
 
 CATEGORIES = tuple(Category)
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,34 +102,79 @@ def estimate_case(estimator: CloudEstimator, case: Case, seed: int) -> tuple[Pos
     return result, 1e3 * (time.perf_counter() - begun)
 
 
-def estimate_all(
-    estimator: CloudEstimator, examples: Examples, masks: str, progress: Progress | None = None
-) -> tuple[Estimates, list[Ranked]]:
+@dataclass(frozen=True, eq=False)
+class Question:
+    """One mask that an estimator is asked about. number: its seed. instance: what it shows; best: no better mask shows
+    that."""
+
+    number: int
+    case: Case
+    instance: Instance | None
+    best: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """ranked: the detection, where there is an estimate that counts. row: of `Estimates`, for an instance's best mask;
+    number: of that instance."""
+
+    ranked: Ranked | None
+    number: int | None
+    row: tuple[object, ...] | None
+
+
+def questions(examples: Examples, masks: str, of_tool: bool) -> list[Question]:
+    """All masks of that kind. of_tool: for an estimator of whole tools."""
+    best = examples.of(masks)
+    return [
+        Question(
+            number,
+            # The whole tool's points are many, and may have to travel to another process.
+            case if of_tool else replace(case, tool_points=_NO_POINTS),
+            None if case.instance is None else examples.instances[case.instance],
+            case.instance is not None and best[case.instance] is case,
+        )
+        for number, case in enumerate(examples.cases[masks])
+    ]
+
+
+def answer(estimator: CloudEstimator, question: Question) -> Answer:
+    """Estimate, and judge it."""
+    case, instance = question.case, question.instance
+    result, ms = estimate_case(estimator, case, question.number)
+    ranked = row = None
+    if result is not None and (instance is None or instance.target):
+        score = case.score * result.confidence
+        ranked = Ranked(case.image, case.category, score, result.X_camera_ee, result.usable)
+    if question.best and instance is not None and _asked_for(instance, estimator.of_tool):
+        row = _row(instance, case, result, ms)
+    return Answer(ranked, case.instance, row)
+
+
+def summary(examples: Examples, of_tool: bool, answers: Iterable[Answer]) -> tuple[Estimates, list[Ranked]]:
     """Every instance that is asked for, by its best mask; and every detection, for the rankings.
 
     An estimator of whole tools is only asked for the first of like ends.
     """
-    results: dict[int, tuple[PoseResult | None, float]] = {}
-    ranked = []
-    cases = examples.cases[masks]
-    for k, case in enumerate(cases):
-        result, ms = estimate_case(estimator, case, seed=k)
-        results[id(case)] = result, ms
-        if result is not None and (case.instance is None or examples.instances[case.instance].target):
-            score = case.score * result.confidence
-            ranked.append(Ranked(case.image, case.category, score, result.X_camera_ee, result.usable))
-        if progress is not None:
-            progress(k + 1, len(cases))
-    best = examples.of(masks)
-    rows = []
-    for number, instance in enumerate(examples.instances):
-        if not instance.target or (estimator.of_tool and not instance.first_end):
-            continue
-        found = best.get(number)
-        rows.append(_row(instance, found, *(results[id(found)] if found is not None else (None, 0.0))))
+    ranked, by_instance = [], {}
+    for each in answers:
+        if each.ranked is not None:
+            ranked.append(each.ranked)
+        if each.row is not None:
+            by_instance[each.number] = each.row
+    rows = [
+        by_instance.get(number) or _row(instance, None, None, 0.0)
+        for number, instance in enumerate(examples.instances)
+        if _asked_for(instance, of_tool)
+    ]
     return Estimates(*(np.array([row[k] for row in rows], kind) for k, kind in enumerate(_TYPES))), ranked
 
 
+def _asked_for(instance: Instance, of_tool: bool) -> bool:
+    return instance.target and (instance.first_end or not of_tool)
+
+
+_NO_POINTS = np.empty((0, 3))
 _TYPES = (int, bool, *[float] * 9, bool, bool, float, bool, float)
 _INF = float("inf")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.dataset.instances import object_of
 from toolee_robot.perception.dataset.records import CATEGORIES, MIN_POINTS, SCENES, EeTable
 from toolee_robot.perception.dataset.spec import catalogue_of
-from toolee_robot.perception.dataset.storage import load_scenes, scene_folders
+from toolee_robot.perception.dataset.storage import load_scenes, read_json, scene_folders
 from toolee_robot.perception.pipeline import EeDetector
 from toolee_robot.types import CameraIntrinsics, Category, Detection, RgbdFrame
 
@@ -84,33 +84,74 @@ class Examples:
         return best
 
 
+@dataclass(frozen=True)
+class Part:
+    """The first `count` images of a scene's folder."""
+
+    scene: Path
+    catalogue: Catalogue
+    count: int
+
+
+def parts(folder: Path, limit: int | None = None) -> list[Part]:
+    """What there is to read of a data set (or one split's folder), at most `limit` images of a split. Raises
+    AssetError."""
+    catalogue = catalogue_of(folder)
+    found = []
+    for scenes in _splits(folder):
+        left = limit
+        for scene in scenes:
+            count = len(read_json(scene / "scene_camera.json"))
+            if left is not None:
+                count = min(count, left)
+                left -= count
+            if count:
+                found.append(Part(scene, catalogue, count))
+    return found
+
+
+def read_part(part: Part, detector: EeDetector | None) -> Examples:
+    """One part's examples, numbered from 0. Raises AssetError."""
+    cases: dict[str, list[Case]] = {"truth": []}
+    if detector is not None:
+        cases["predicted"] = []
+    found = Examples([], cases, [], part.count)
+    data = load_scenes([part.scene], depth=True, limit=part.count, threads=2)
+    depth_mm = data.depth_mm
+    assert depth_mm is not None
+    for i in range(len(data)):
+        frame = RgbdFrame(data.rgb[i], depth_mm[i].astype(np.float32) * np.float32(1e-3), data.camera(i))
+        _add(found, i, frame, data.ee[i], data.tool[i], data.row(i), part.catalogue, detector)
+        if SCENES[data.scene[i]] == "empty":
+            found.empty.append(frame)
+    return found
+
+
+def joined(examples: Iterable[Examples]) -> Examples:
+    """All of them in one, numbered on."""
+    instances: list[Instance] = []
+    cases: dict[str, list[Case]] = {}
+    empty: list[RgbdFrame] = []
+    images = 0
+    for more in examples:
+        before = len(instances)
+        instances += [replace(i, image=i.image + images) for i in more.instances]
+        for masks, found in more.cases.items():
+            cases.setdefault(masks, []).extend(
+                replace(c, image=c.image + images, instance=None if c.instance is None else c.instance + before)
+                for c in found
+            )
+        empty += more.empty
+        images += more.images
+    return Examples(instances, cases, empty, images)
+
+
 def collect(folder: Path, detector: EeDetector | None = None, limit: int | None = None) -> Examples:
     """Read a data set (or one split's folder), at most `limit` images of a split. Raises AssetError.
 
     One scene is in memory at a time; of its images only the clouds stay, and the frames without tools.
     """
-    cases: dict[str, list[Case]] = {"truth": []}
-    if detector is not None:
-        cases["predicted"] = []
-    found = Examples([], cases, [], 0)
-    images = 0
-    catalogue = catalogue_of(folder)
-    for scenes in _splits(folder):
-        left = limit
-        for scene in scenes:
-            if left is not None and left <= 0:
-                break
-            data = load_scenes([scene], depth=True, limit=left, threads=2)
-            left = None if left is None else left - len(data)
-            depth_mm = data.depth_mm
-            assert depth_mm is not None
-            for i in range(len(data)):
-                frame = RgbdFrame(data.rgb[i], depth_mm[i].astype(np.float32) * np.float32(1e-3), data.camera(i))
-                _add(found, images, frame, data.ee[i], data.tool[i], data.row(i), catalogue, detector)
-                if SCENES[data.scene[i]] == "empty":
-                    found.empty.append(frame)
-                images += 1
-    return Examples(found.instances, found.cases, found.empty, images)
+    return joined(read_part(part, detector) for part in parts(folder, limit))
 
 
 def instances_of(

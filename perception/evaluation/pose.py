@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from toolee_robot.perception.evaluation import metrics
 from toolee_robot.perception.evaluation.estimates import CATEGORIES, Estimates, Ranked
-from toolee_robot.perception.evaluation.examples import Examples, Instance
+from toolee_robot.perception.evaluation.examples import Instance
 from toolee_robot.perception.evaluation.shapes import ee_shape
 from toolee_robot.types import Category
 
@@ -134,14 +134,14 @@ def _kept(e: Estimates) -> dict[str, Any]:
     return result
 
 
-def ranked_ap(examples: Examples, ranked: list[Ranked]) -> dict[str, dict[str, float | None]]:
+def ranked_ap(instances: list[Instance], ranked: list[Ranked]) -> dict[str, dict[str, float | None]]:
     """Class AP over detections ranked by score, jointly under n deg and m cm, at IoU over 0.1 (NOCS); and the mean."""
     by_image: dict[tuple[int, Category], list[Instance]] = {}
-    for instance in examples.instances:
+    for instance in instances:
         by_image.setdefault((instance.image, instance.category), []).append(instance)
     table: dict[str, dict[str, float | None]] = {}
     for category in CATEGORIES:
-        targets = sum(i.target and i.category is category for i in examples.instances)
+        targets = sum(i.target and i.category is category for i in instances)
         if targets == 0:
             continue
         own = sorted((r for r in ranked if r.category is category), key=lambda r: -r.score)

@@ -1,42 +1,81 @@
-"""The whole evaluation of the pose: several estimators on the same clouds, in one run."""
+"""The whole evaluation of the pose: several estimators on the same clouds, in one run, on one process or several."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 
+from toolee_robot.perception import Segmenter
 from toolee_robot.perception.evaluation import pose, views
-from toolee_robot.perception.evaluation.estimates import Estimates, estimate_all, load_estimator
-from toolee_robot.perception.evaluation.examples import Examples, collect
+from toolee_robot.perception.evaluation.crew import Crew
+from toolee_robot.perception.evaluation.estimates import (
+    Answer,
+    Estimates,
+    Question,
+    Ranked,
+    answer,
+    load_estimator,
+    questions,
+    summary,
+)
+from toolee_robot.perception.evaluation.examples import Examples, Instance, Part, joined, parts, read_part
 from toolee_robot.perception.evaluation.samplers import sampler_table
 from toolee_robot.perception.pipeline import EeDetector, ToolPerception
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
 from toolee_robot.perception.pose.paper import PaperEstimator
 from toolee_robot.types import RgbdFrame
 
+T = TypeVar("T")
 Progress = Callable[[str, int, int], None]
 """What is being done, how much of it is done, how much there is."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What to evaluate. weights: label -> folder of a training (None: the shipped weights). limit: images of a split.
-    hammers: how many are looked at from five views; empty_frames: how many frames without a tool are looked at;
-    sampler_clouds: clouds for the table of samplers. The first label is the one that these three are done with."""
+    """What to evaluate. weights: label -> folder of a training (None: the shipped weights). detector: folder of the
+    detector's weights (None: the shipped ones); true_masks_only: no detector: predicted masks, fused views and frames
+    without a tool are left out. limit: images of a split. hammers: how many are looked at from five views;
+    empty_frames: how many frames without a tool are looked at; sampler_clouds: clouds for the table of samplers. The
+    first label is the one that these three are done with. device: where the networks run; workers: processes."""
 
     folder: Path
     weights: dict[str, Path | None]
+    detector: Path | None = None
+    true_masks_only: bool = False
     limit: int | None = None
     hammers: int = 0
     empty_frames: int = 0
     sampler_clouds: int = 0
     seed: int = 1_000_003
+    device: str = "cpu"
+    workers: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Networks:
+    """What each process holds."""
+
+    estimators: dict[str, CloudEstimator]
+    detector: EeDetector | None
+
+    @staticmethod
+    def load(plan: Plan) -> Networks:
+        """Raises AssetError when weights are missing."""
+        estimators = {label: load_estimator(folder, plan.device) for label, folder in plan.weights.items()}
+        return Networks(estimators, None if plan.true_masks_only else Segmenter.load(plan.detector, plan.device))
+
+    @property
+    def perception(self) -> ToolPerception:
+        """The detector with the first estimator."""
+        assert self.detector is not None
+        return ToolPerception(self.detector, next(iter(self.estimators.values())))
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,44 +86,86 @@ class Evaluation:
     estimates: dict[str, dict[str, Estimates]]
 
 
-def evaluate_pose(plan: Plan, detector: EeDetector | None, device: str, progress: Progress) -> Evaluation:
-    """detector: for predicted masks, fused views and frames without a tool; without one these are left out.
-
-    Raises AssetError when data or weights are missing.
-    """
-    estimators = {label: load_estimator(folder, device) for label, folder in plan.weights.items()}
-    progress("reading", 0, 1)
-    examples = collect(plan.folder, detector, plan.limit)
-    progress("reading", 1, 1)
-    report: dict[str, Any] = {"data": _data(plan.folder, examples), "estimators": {}}
-    estimates: dict[str, dict[str, Estimates]] = {}
-    for label, estimator in estimators.items():
-        estimates[label] = {}
-        record: dict[str, Any] = {"method": describe(estimator)}
-        for masks in examples.cases:
-            report_case = partial(progress, f"{label}, {masks} masks")
-            rows, ranked = estimate_all(estimator, examples, masks, report_case)
-            estimates[label][masks] = rows
-            record[masks] = {
-                "groups": pose.tables(rows),
-                "ranked_ap": pose.ranked_ap(examples, ranked),
-                "latency": {**pose.latency(rows), "device": device, "torch_threads": torch.get_num_threads()},
-            }
-        report["estimators"][label] = record
-    first = next(iter(estimators.values()))
-    if plan.sampler_clouds:
-        report["samplers"] = sampler_table(first, examples, plan.sampler_clouds, partial(progress, "samplers"))
-    if detector is not None:
-        perception = ToolPerception(detector, first)
-        if plan.hammers:
-            hammers = views.held_hammers(plan.hammers, plan.seed)
-            report["fused"] = views.fused(perception, hammers, plan.hammers, partial(progress, "five views"))
-        if plan.empty_frames:
-            frames: islice[RgbdFrame] = islice(
-                chain(examples.empty, views.empty_frames(plan.empty_frames, plan.seed)), plan.empty_frames
-            )
-            report["no_tool"] = views.no_tool(perception, frames, plan.empty_frames, partial(progress, "no tool"))
+def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
+    """The same report for any number of workers, but for the times. Raises AssetError when data or weights are
+    missing."""
+    networks = Networks.load(plan)
+    load = partial(Networks.load, plan) if plan.workers > 1 else lambda: networks
+    with Crew(load, plan.workers) as crew:
+        todo = parts(plan.folder, plan.limit)
+        examples = joined(_counted(crew.map(_read, todo), partial(progress, "reading"), len(todo)))
+        report: dict[str, Any] = {"data": _data(plan.folder, examples), "estimators": {}}
+        estimates: dict[str, dict[str, Estimates]] = {}
+        rankings: dict[tuple[str, str], list[Ranked]] = {}
+        for label, estimator in networks.estimators.items():
+            estimates[label] = {}
+            for masks in examples.cases:
+                asked = questions(examples, masks, estimator.of_tool)
+                answers = _counted(
+                    crew.map(partial(_answer, label), asked), partial(progress, f"{label}, {masks} masks"), len(asked)
+                )
+                estimates[label][masks], rankings[label, masks] = summary(examples, estimator.of_tool, answers)
+        ranked_ap = crew.map(partial(_ranked_ap, examples.instances), rankings.values())
+        ranked = dict(zip(rankings, _counted(ranked_ap, partial(progress, "ranking"), len(rankings)), strict=True))
+        for label, estimator in networks.estimators.items():
+            record: dict[str, Any] = {"method": describe(estimator)}
+            for masks, rows in estimates[label].items():
+                record[masks] = {
+                    "groups": pose.tables(rows),
+                    "ranked_ap": ranked[label, masks],
+                    "latency": {
+                        **pose.latency(rows),
+                        "device": plan.device,
+                        "torch_threads": torch.get_num_threads() if plan.workers == 1 else 1,
+                        "workers": plan.workers,
+                    },
+                }
+            report["estimators"][label] = record
+        if plan.sampler_clouds:
+            first = next(iter(networks.estimators.values()))
+            report["samplers"] = sampler_table(first, examples, plan.sampler_clouds, partial(progress, "samplers"))
+        if plan.hammers and not plan.true_masks_only:
+            with closing(crew.map(partial(_fuse, plan.seed), itertools.count())) as tried:
+                found = itertools.islice((f for f in tried if f is not None), plan.hammers)
+                report["fused"] = views.fused(list(_counted(found, partial(progress, "five views"), plan.hammers)))
+        if plan.empty_frames and not plan.true_masks_only:
+            frames: Iterable[RgbdFrame | int] = itertools.chain(examples.empty, itertools.count())
+            looked = crew.map(partial(_claims, plan.seed), itertools.islice(frames, plan.empty_frames))
+            report["no_tool"] = views.no_tool(list(_counted(looked, partial(progress, "no tool"), plan.empty_frames)))
     return Evaluation(report, estimates)
+
+
+def _read(networks: Networks, part: Part) -> Examples:
+    return read_part(part, networks.detector)
+
+
+def _answer(label: str, networks: Networks, question: Question) -> Answer:
+    return answer(networks.estimators[label], question)
+
+
+def _ranked_ap(
+    instances: list[Instance],
+    networks: Networks,  # noqa: ARG001 - as the others
+    ranked: list[Ranked],
+) -> dict[str, dict[str, float | None]]:
+    return pose.ranked_ap(instances, ranked)
+
+
+def _fuse(seed: int, networks: Networks, index: int) -> views.Fused | None:
+    hammer = views.held_hammer(seed, index)
+    return None if hammer is None else views.fuse(networks.perception, hammer)
+
+
+def _claims(seed: int, networks: Networks, frame: RgbdFrame | int) -> tuple[bool, bool]:
+    """frame: one of the data set's, or the number of one to render."""
+    return views.claims(networks.perception, views.empty_frame(seed, frame) if isinstance(frame, int) else frame)
+
+
+def _counted(items: Iterator[T], progress: Callable[[int, int], None], total: int) -> Iterator[T]:
+    progress(0, total)
+    for k, item in enumerate(items):
+        progress(k + 1, total)
+        yield item
 
 
 def describe(estimator: CloudEstimator) -> dict[str, Any]:

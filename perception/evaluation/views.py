@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,8 +27,6 @@ VIEWS = 5
 _TURN, _SHIFT = np.deg2rad(60.0), 0.05
 _TRIES = 60
 
-Progress = Callable[[int, int], None]
-
 
 @dataclass(frozen=True, eq=False)
 class HeldHammer:
@@ -39,39 +38,41 @@ class HeldHammer:
     Xs_hand_ee: list[Array]
 
 
-def held_hammers(count: int, seed: int, split: str = "test") -> Iterator[HeldHammer]:
-    """`count` hammers in a right hand among the clutter of the hard scenes, the hand turned by up to 60 deg and moved
-    by 5 cm between the frames; a face is a target (`EeTable.targets`) in each."""
-    made, index = 0, 0
-    while made < count:
-        taken = take_shot(seed, index, split)
-        index += 1
-        hammer = _held_hammer(taken.sample, taken.labels[3])
-        if hammer is None:
-            continue
-        frames, Xs = [taken_frame(taken.sample, taken.shot, taken.rng)], [_X_camera_hand(taken.sample, hammer)]
-        for _ in range(_TRIES):
-            if len(frames) == VIEWS:
-                break
-            sample = _moved(taken.sample, hammer, taken.rng)
-            shot = Shot(sample.scene, sample.intrinsics, sample.X_world_camera)
-            moved = _held_hammer(sample, label(sample, shot.depth, shot.body_ids)[3])
-            if moved is not None:
-                frames.append(taken_frame(sample, shot, taken.rng))
-                Xs.append(_X_camera_hand(sample, moved))
-        if len(frames) == VIEWS and hammer.X_world_hand is not None:
-            faces = [ee.X_tool_ee for ee in hammer.tool.ees if ee.category is Category.HAMMER_HEAD]
-            X_hand_tool = inverse(hammer.X_world_hand) @ hammer.X_world_tool
-            made += 1
-            yield HeldHammer(frames, Xs, [X_hand_tool @ X for X in faces])
+def held_hammers(count: int, seed: int) -> Iterator[HeldHammer]:
+    """The first `count` of the hammers that `held_hammer` makes."""
+    made = (hammer for index in itertools.count() if (hammer := held_hammer(seed, index)) is not None)
+    return itertools.islice(made, count)
 
 
-def empty_frames(count: int, seed: int) -> Iterator[RgbdFrame]:
-    """`count` cluttered frames of the hard scenes without a tool, in many of them an empty hand."""
-    for index in range(count):
-        rng = np.random.default_rng([seed, index, 3])
-        sample = hard_scene(rng, Pool.random(rng, "test"), with_tools=False)
-        yield taken_frame(sample, Shot(sample.scene, sample.intrinsics, sample.X_world_camera), rng)
+def held_hammer(seed: int, index: int, split: str = "test") -> HeldHammer | None:
+    """A hammer in a right hand among the clutter of the hard scenes, the hand turned by up to 60 deg and moved by 5 cm
+    between the frames; a face is a target (`EeTable.targets`) in each. None if that scene holds no such hammer."""
+    taken = take_shot(seed, index, split)
+    hammer = _held_hammer(taken.sample, taken.labels[3])
+    if hammer is None:
+        return None
+    frames, Xs = [taken_frame(taken.sample, taken.shot, taken.rng)], [_X_camera_hand(taken.sample, hammer)]
+    for _ in range(_TRIES):
+        if len(frames) == VIEWS:
+            break
+        sample = _moved(taken.sample, hammer, taken.rng)
+        shot = Shot(sample.scene, sample.intrinsics, sample.X_world_camera)
+        moved = _held_hammer(sample, label(sample, shot.depth, shot.body_ids)[3])
+        if moved is not None:
+            frames.append(taken_frame(sample, shot, taken.rng))
+            Xs.append(_X_camera_hand(sample, moved))
+    if len(frames) < VIEWS or hammer.X_world_hand is None:
+        return None
+    faces = [ee.X_tool_ee for ee in hammer.tool.ees if ee.category is Category.HAMMER_HEAD]
+    X_hand_tool = inverse(hammer.X_world_hand) @ hammer.X_world_tool
+    return HeldHammer(frames, Xs, [X_hand_tool @ X for X in faces])
+
+
+def empty_frame(seed: int, index: int) -> RgbdFrame:
+    """A cluttered frame of the hard scenes without a tool, in many of them an empty hand."""
+    rng = np.random.default_rng([seed, index, 3])
+    sample = hard_scene(rng, Pool.random(rng, "test"), with_tools=False)
+    return taken_frame(sample, Shot(sample.scene, sample.intrinsics, sample.X_world_camera), rng)
 
 
 def taken_frame(sample: SceneSample, shot: Shot, rng: np.random.Generator) -> RgbdFrame:
@@ -82,27 +83,40 @@ def taken_frame(sample: SceneSample, shot: Shot, rng: np.random.Generator) -> Rg
     return RgbdFrame(photograph(rendering.rgb, Photo.random(rng), rng), depth.astype(np.float32), sample.intrinsics)
 
 
-def fused(perception: ToolPerception, hammers: Iterator[HeldHammer], count: int, progress: Progress) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Fused:
+    """Errors (angle [rad] modulo the group, position [m]) of the pose in the hand, infinite where there is none: from
+    the first frame, and from all fused. usable: whether the fused one claims to be."""
+
+    one_frame: tuple[float, float]
+    five_frames: tuple[float, float]
+    usable: bool
+
+
+def fuse(perception: ToolPerception, hammer: HeldHammer) -> Fused:
+    """Look at all frames as a job would."""
+    looks = [
+        perception.estimate(frame, X, [Category.HAMMER_HEAD])
+        for frame, X in zip(hammer.frames, hammer.Xs_camera_hand, strict=True)
+    ]
+    errors, usable = [], False
+    for n in (1, VIEWS):
+        try:
+            estimate = perception.fuse(looks[:n], hammer.Xs_camera_hand[:n], Category.HAMMER_HEAD)
+        except PerceptionError:
+            errors.append((np.inf, np.inf))
+            continue
+        usable = n == VIEWS and estimate.usable
+        errors.append(_nearest_error(estimate.X_hand_ee, hammer.Xs_hand_ee))
+    return Fused(errors[0], errors[1], usable)
+
+
+def fused(each: Sequence[Fused]) -> dict[str, Any]:
     """Accuracy of the pose in the hand fused over the frames, and of the first frame alone, over all hammers."""
-    rows: dict[str, list[tuple[float, float]]] = {"one_frame": [], "five_frames": []}
-    usable = 0
-    for k, hammer in enumerate(hammers):
-        looks = [
-            perception.estimate(frame, X, [Category.HAMMER_HEAD])
-            for frame, X in zip(hammer.frames, hammer.Xs_camera_hand, strict=True)
-        ]
-        for name, n in (("one_frame", 1), ("five_frames", VIEWS)):
-            try:
-                estimate = perception.fuse(looks[:n], hammer.Xs_camera_hand[:n], Category.HAMMER_HEAD)
-            except PerceptionError:
-                rows[name].append((np.inf, np.inf))
-                continue
-            usable += n == VIEWS and estimate.usable
-            rows[name].append(_nearest_error(estimate.X_hand_ee, hammer.Xs_hand_ee))
-        progress(k + 1, count)
-    result: dict[str, Any] = {"hammers": count, "usable_share": usable / count if count else None}
-    for name, errors in rows.items():
-        angle, position = np.array(errors).reshape(-1, 2).T
+    count = len(each)
+    result: dict[str, Any] = {"hammers": count, "usable_share": sum(f.usable for f in each) / count if count else None}
+    for name in ("one_frame", "five_frames"):
+        angle, position = np.array([getattr(f, name) for f in each]).reshape(-1, 2).T
         made = np.isfinite(position)
         result[name] = {
             **metrics.shares(angle, position),
@@ -112,15 +126,17 @@ def fused(perception: ToolPerception, hammers: Iterator[HeldHammer], count: int,
     return result
 
 
-def no_tool(perception: ToolPerception, frames: Iterator[RgbdFrame], count: int, progress: Progress) -> dict[str, Any]:
-    """How often a frame without a tool gives a detection, and how often a pose that claims to be usable."""
-    detected = usable = 0
-    for k, frame in enumerate(frames):
-        estimates = perception.estimate(frame)
-        detected += bool(estimates)
-        usable += any(e.usable for e in estimates)
-        progress(k + 1, count)
+def claims(perception: ToolPerception, frame: RgbdFrame) -> tuple[bool, bool]:
+    """Whether a frame gives a detection, and whether it gives a pose that claims to be usable."""
+    estimates = perception.estimate(frame)
+    return bool(estimates), any(e.usable for e in estimates)
+
+
+def no_tool(each: Sequence[tuple[bool, bool]]) -> dict[str, Any]:
+    """How often frames without a tool gave a detection, and how often a pose that claims to be usable."""
+    count, usable = len(each), sum(u for _, u in each)
     quiet = 1 - usable / count if count else None
+    detected = sum(d for d, _ in each)
     return {"frames": count, "with_a_detection": detected, "with_a_usable_pose": usable, "share_without": quiet}
 
 

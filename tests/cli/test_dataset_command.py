@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -48,10 +49,24 @@ def test_it_can_be_looked_at(made: Path, tmp_path: Path, capsys: pytest.CaptureF
         assert np.asarray(Image.open(path).convert("L")).std() > 10, f"{path.name} shows something"
 
 
-def test_what_is_made_is_not_made_again(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--config", "paper", "--size", "5", "--seed", "4", "--out", str(made), "--json"]
+def test_what_is_made_is_not_made_again_and_what_is_missing_tells_its_cost(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "paper"
+    shutil.copytree(made, root)
+    options = ["--config", "paper", "--size", "5", "--seed", "4", "--out", str(root), "--json"]
     assert run(["dataset", "generate", *options]) == 0
-    assert json.loads(capsys.readouterr().out)["made"] is False
+    line = json.loads(capsys.readouterr().out)
+    assert line["made"] is False
+    assert line["cost"] is None
+    (root / "SHA256SUMS").unlink()
+    shutil.rmtree(root / "train/000000")
+    assert run(["dataset", "generate", *options]) == 0
+    cost = json.loads(capsys.readouterr().out)["cost"]
+    assert cost["examples"] == 4, "of five, one is in the test split"
+    assert cost["per_second"] > 0
+    assert cost["cpu_ms"] > 1
+    assert cost["worker_mb"] > 50
 
 
 @pytest.mark.parametrize(

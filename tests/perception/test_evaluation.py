@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import base64
+import itertools
 import json
+import os
 import re
 import shutil
+from contextlib import closing
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -15,13 +18,14 @@ import pytest
 from PIL import Image
 
 from toolee_robot.cli.app import run
-from toolee_robot.errors import AssetError
+from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.frames import transform
 from toolee_robot.perception.dataset.example import examples_of
 from toolee_robot.perception.dataset.spec import DatasetSpec
 from toolee_robot.perception.dataset.storage import write_scene
 from toolee_robot.perception.evaluation import metrics, pose, views
-from toolee_robot.perception.evaluation.estimates import Ranked, estimate_all, load_estimator
+from toolee_robot.perception.evaluation.crew import Crew
+from toolee_robot.perception.evaluation.estimates import Ranked, answer, load_estimator, questions, summary
 from toolee_robot.perception.evaluation.examples import Examples, collect
 from toolee_robot.perception.evaluation.html import Page
 from toolee_robot.perception.evaluation.report import page, pictures
@@ -83,13 +87,13 @@ def test_perfect_detections_rank_perfectly_and_confident_mistakes_cost(examples:
         for k, i in enumerate(examples.instances)
         if i.target
     ]
-    table = pose.ranked_ap(examples, perfect)
+    table = pose.ranked_ap(examples.instances, perfect)
     assert table["average"]["2deg2mm"] == pytest.approx(1.0)
     shifted = [replace(r, score=1.0, X_camera_ee=r.X_camera_ee @ transform(p=(0.0, 0.0, 0.006))) for r in perfect]
-    mistaken = pose.ranked_ap(examples, [*perfect, *shifted])
+    mistaken = pose.ranked_ap(examples.instances, [*perfect, *shifted])
     assert (mistaken["average"]["2deg2mm"] or 0) == pytest.approx(0.5, abs=0.2)
     assert mistaken["average"]["5deg1cm"] == pytest.approx(1.0)
-    missed = pose.ranked_ap(examples, perfect[:-1])
+    missed = pose.ranked_ap(examples.instances, perfect[:-1])
     assert (missed["average"]["2deg2mm"] or 0) < 1.0
 
 
@@ -112,7 +116,8 @@ def test_tables_and_the_report(examples: Examples) -> None:
     record: dict[str, object] = {"method": {"name": "ours", "candidates": 32, "sampler": "Euler(steps=5)"}}
     kinds = {}
     for masks in ("truth", "predicted"):
-        rows, ranked = estimate_all(estimator, examples, masks)
+        answers = (answer(estimator, question) for question in questions(examples, masks, of_tool=False))
+        rows, ranked = summary(examples, False, answers)
         assert len(rows) == sum(i.target for i in examples.instances)
         assert np.all(rows.position[~rows.made] == np.inf)
         kinds[masks] = rows
@@ -121,7 +126,7 @@ def test_tables_and_the_report(examples: Examples) -> None:
         for category, row in groups["held-out"]["accuracy"].items():
             assert row["2deg2mm"] <= row["5deg5mm"] <= row["5deg1cm"] <= row["5deg2cm"] <= row["10deg5cm"], category
         latency = {**pose.latency(rows), "device": "cpu", "torch_threads": 1}
-        record[masks] = {"groups": groups, "ranked_ap": pose.ranked_ap(examples, ranked), "latency": latency}
+        record[masks] = {"groups": groups, "ranked_ap": pose.ranked_ap(examples.instances, ranked), "latency": latency}
     report["estimators"] = {"ours & more": record}
     evaluation = Evaluation(report, {"ours & more": kinds})
     images = pictures(evaluation)
@@ -180,6 +185,50 @@ def test_the_command_writes_the_report(folder: Path, tmp_path: Path, capsys: pyt
     check_self_contained((out / "report.html").read_text())
     assert run(["evaluate", "pose", str(tmp_path / "none"), "--true-masks-only"]) == 1
     assert run(["evaluate", "pose", str(folder), "--weights", "a=x", "a=y"]) == 2
+
+
+def test_the_figures_are_the_same_for_any_number_of_workers(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    reports = []
+    for workers in ("1", "2"):
+        arguments = ["--limit", "3", "--hammers", "1", "--no-tool", "2", "--workers", workers, "--json"]
+        assert run(["evaluate", "pose", str(folder), *arguments]) == 0
+        report = json.loads(capsys.readouterr().out.splitlines()[-1])
+        del report["machine"]
+        for masks in ("truth", "predicted"):
+            assert report["estimators"]["ours"][masks].pop("latency")["workers"] == int(workers)
+        reports.append(report)
+    assert reports[0]["fused"]["hammers"] == 1
+    assert reports[0]["no_tool"]["frames"] == 2
+    assert reports[0] == reports[1]
+
+
+def begin() -> list[int]:
+    return [os.getpid()]
+
+
+def ask(state: list[int], item: int) -> tuple[int, int]:
+    state.append(item)
+    if item == 100:
+        raise AssetError("item 100 is broken")
+    if item == 200:
+        os._exit(9)
+    return state[0], item
+
+
+def test_a_crew_keeps_the_order_and_the_errors_and_takes_from_endless_items() -> None:
+    with Crew(begin, 1) as alone:
+        assert list(alone.map(ask, range(5))) == [(os.getpid(), k) for k in range(5)]
+    with Crew(begin, 2) as crew:
+        with closing(crew.map(ask, itertools.count(-1000))) as endless:
+            found = list(itertools.islice(endless, 20))
+        assert [item for _, item in found] == list(range(-1000, -980))
+        assert os.getpid() not in {pid for pid, _ in found}
+        with pytest.raises(AssetError, match="item 100"):
+            list(crew.map(ask, range(90, 110)))
+        with pytest.raises(TooleeError, match="fewer --workers"):
+            list(crew.map(ask, [200]))
+    with pytest.raises(UserError, match="--workers"):
+        Crew(begin, 0)
 
 
 def test_targets_without_depth_are_left_out_and_counted(
@@ -255,5 +304,5 @@ def test_five_views_of_a_held_hammer_and_empty_frames() -> None:
                 patch = frame.depth[max(int(v) - 6, 0) : int(v) + 7, max(int(u) - 6, 0) : int(u) + 7]
                 seen.append(bool((np.abs(patch - z) < 0.08).any()))
         assert any(seen)
-    (frame,) = views.empty_frames(1, seed=3)
+    frame = views.empty_frame(seed=3, index=0)
     assert frame.depth.max() > 0.3

@@ -18,7 +18,7 @@ from toolee_robot.perception.pose.canonical import farthest_points_first
 from toolee_robot.perception.pose.flow import Euler
 from toolee_robot.perception.pose.paper import COLUMNS, PaperEstimator, PaperMethod
 from toolee_robot.perception.pose.paper.object_clouds import category_priors, first_ends, with_ee_truth
-from toolee_robot.perception.pose.paper.pointnet2 import Level, PointNet2
+from toolee_robot.perception.pose.paper.pointnet2 import Level, PointNet2, SharedMlp
 from toolee_robot.perception.pose.paper.pooling import mean_pose
 from toolee_robot.perception.pose.paper.representation import class_ambiguity, decode, encode
 from toolee_robot.perception.pose.paper.rk45 import Rk45, solve
@@ -91,6 +91,47 @@ def test_pointnet_does_not_care_about_the_order_of_the_points() -> None:
     assert feature.shape == (2, net.size)
     moved = net(farthest_points_first(points + 0.01, 64))
     assert not torch.allclose(feature, moved)  # the paper's encoder sees where the cloud is
+
+
+def plainly(net: PointNet2, points: Tensor) -> Tensor:
+    """PointNet++ as it is written down: every group's coordinates and features side by side, then the shared MLP."""
+    feature: Tensor | None = None
+    for level, stage in zip(net.levels, net.stages, strict=True):
+        centres = points[:, : level.centres] if level.centres else torch.zeros(len(points), 1, 3)
+        distance = torch.cdist(centres, points, compute_mode="donot_use_mm_for_euclid_dist")
+        order = distance.argsort(-1)
+        scales = []
+        for mlp, radius, count in zip(
+            stage.children(), level.radii or (torch.inf,) * 2, level.neighbours or (points.shape[1],) * 2, strict=True
+        ):
+            assert isinstance(mlp, SharedMlp)
+            near = torch.where(distance.gather(-1, order[..., :count]) < radius, order[..., :count], order[..., :1])
+            batch = torch.arange(len(points))[:, None, None]
+            x = points[batch, near] - centres[:, :, None]
+            if feature is not None:
+                x = torch.cat([x, feature[batch, near]], dim=-1)
+            for linear, norm in zip(mlp.linears, mlp.norms, strict=True):
+                x = torch.relu(norm(linear(x).flatten(0, 2)).view(*x.shape[:3], -1))
+            scales.append(x.max(2)[0])
+        points, feature = centres, torch.cat(scales, dim=-1)
+    assert feature is not None
+    return feature[:, 0]
+
+
+def test_pointnet_and_its_gradients_are_those_of_the_plain_definition() -> None:
+    torch.manual_seed(0)
+    net = PointNet2(SMALL)
+    points = farthest_points_first(0.02 * torch.randn(3, 150, 3), 64) + torch.tensor([0.1, 0.0, 0.05])
+    weight = torch.randn(3, net.size)
+    results = []
+    for encode_ in (net, lambda points: plainly(net, points)):
+        net.zero_grad()
+        feature = encode_(points)
+        (feature * weight).sum().backward()
+        results.append([feature, *(p.grad.clone() for p in net.parameters() if p.grad is not None)])
+    assert len(results[0]) == 1 + len(list(net.parameters()))
+    for ours, plain in zip(*results, strict=True):
+        torch.testing.assert_close(ours, plain, atol=1e-4, rtol=1e-3)
 
 
 def test_the_published_sizes() -> None:

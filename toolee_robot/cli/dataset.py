@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -70,18 +71,49 @@ class Generate:
         workers = _cores() if self.workers is None else self.workers
         console = Console(stderr=self.json, highlight=False)
         began = time.monotonic()
+        counts: list[int] = []
         with _progress(console, "rendering", "examples") as report:
-            made = generate(spec, self.out, workers, report, self.cluster, own)
+
+            def count(done: int, total: int) -> None:
+                counts.append(done)
+                report(done, total)
+
+            made = generate(spec, self.out, workers, count, self.cluster, own)
         seconds = time.monotonic() - began
+        cost = _Cost.of_workers(spec.size - counts[0], seconds) if made and self.cluster == "local" else None
         if made:
             console.print(f"{spec.size} examples in {escape(str(self.out))}, {seconds:.0f} s", soft_wrap=True)
+            if cost is not None:
+                console.print(
+                    f"{cost.per_second:.1f} a second on {workers} processes, {cost.cpu_ms:.0f} ms of CPU time each, "
+                    f"at most {cost.worker_mb:.0f} MB a process"
+                )
         else:
             console.print(f"{escape(str(self.out))} holds these {spec.size} examples already", soft_wrap=True)
         if self.json:
-            print(
-                json_line({"out": str(self.out), "spec": spec.to_json(), "made": made, "seconds": seconds}), flush=True
-            )
+            record = {"out": str(self.out), "spec": spec.to_json(), "made": made, "seconds": seconds}
+            print(json_line({**record, "workers": workers, "cost": cost and asdict(cost)}), flush=True)
         return 0
+
+
+@dataclass(frozen=True)
+class _Cost:
+    """What making `examples` took, start and end of the run included: examples a second, CPU time of the worker
+    processes for each, and the most memory that one of them held."""
+
+    examples: int
+    per_second: float
+    cpu_ms: float
+    worker_mb: float
+
+    @staticmethod
+    def of_workers(examples: int, seconds: float) -> _Cost | None:
+        """From this process's children, which have ended; None where none was needed."""
+        if examples == 0:
+            return None
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)
+        cpu = used.ru_utime + used.ru_stime
+        return _Cost(examples, examples / seconds, 1e3 * cpu / examples, used.ru_maxrss / 1024)
 
 
 @dataclass(frozen=True)

@@ -66,6 +66,9 @@ class EvaluatePose:
     """Cluttered frames without a tool; those that the data set lacks are rendered."""
     device: Annotated[str, tyro.conf.arg(metavar="DEVICE")] = "cpu"
     """Where the networks run: cpu or cuda."""
+    workers: Annotated[int, tyro.conf.arg(metavar="W")] = 1
+    """Processes, each with networks of its own and one core. The figures are the same for any number, but for the
+    latencies: measure those with one."""
     json: Flag = False
     """Print the whole report as one line of JSON; everything for people goes to standard error."""
 
@@ -76,12 +79,16 @@ class EvaluatePose:
         plan = Plan(
             self.data,
             _labelled(self.weights),
+            self.detector,
+            self.true_masks_only,
             self.limit,
-            0 if self.true_masks_only else self.hammers,
-            0 if self.true_masks_only else self.no_tool,
+            self.hammers,
+            self.no_tool,
             self.samplers,
+            device=self.device,
+            workers=self.workers,
         )
-        evaluation = _evaluated(console, plan, self.detector, not self.true_masks_only, self.device)
+        evaluation = _evaluated(console, plan)
         if self.out is not None:
             from toolee_robot.perception.evaluation.report import page, pictures
 
@@ -191,13 +198,11 @@ class Evaluate:
         return self.what.run()
 
 
-def _evaluated(console: Console, plan: Plan, detector: Path | None, with_detector: bool, device: str) -> Evaluation:
-    from toolee_robot.perception import Segmenter
+def _evaluated(console: Console, plan: Plan) -> Evaluation:
     from toolee_robot.perception.evaluation.run import evaluate_pose
 
-    segmenter = Segmenter.load(detector, device) if with_detector else None
     with _progress(console) as report:
-        evaluation = evaluate_pose(plan, segmenter, device, report)
+        evaluation = evaluate_pose(plan, report)
     evaluation.report["machine"] = asdict(describe_machine())
     return evaluation
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toolee_robot.render.mesh import FloatArray
 from toolee_robot.render.scene import Environment
@@ -22,30 +23,26 @@ class EnvironmentMap:
         fold = np.maximum(-z, 0)
         d = np.column_stack([u - np.sign(u) * fold, v - np.sign(v) * fold, z])
         d /= np.linalg.norm(d, axis=1, keepdims=True)
-        self._maps = np.concatenate([environment.radiance(d, blur) for blur in _BLURS])
+        self._maps = np.ascontiguousarray(np.concatenate([environment.radiance(d, blur) for blur in _BLURS]).T)
 
-    def _cells(self, d: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int32]]:
+    def _cells(self, d: FloatArray) -> NDArray[np.int32]:
         a = np.abs(d)
-        scale = np.float32(1.0) / np.maximum(a[:, 0] + a[:, 1] + a[:, 2], np.float32(1e-9))
-        u, v = d[:, 0] * scale, d[:, 1] * scale
-        below = d[:, 2] < 0
-        u_folded = np.copysign(1 - np.abs(v), u)
-        v_folded = np.copysign(1 - np.abs(u), v)
-        u = np.where(below, u_folded, u)
-        v = np.where(below, v_folded, v)
+        scale = np.float32(1.0) / np.maximum(a[0] + a[1] + a[2], np.float32(1e-9))
+        u, v = d[0] * scale, d[1] * scale
+        below = np.flatnonzero(d[2] < 0)
+        folded_u, folded_v = u[below], v[below]
+        u[below] = np.copysign(1 - np.abs(folded_v), folded_u)
+        v[below] = np.copysign(1 - np.abs(folded_u), folded_v)
         half = np.float32(_SIZE / 2)
-        i = np.clip(((u + 1) * half).astype(np.int32), 0, _SIZE - 1)
-        j = np.clip(((v + 1) * half).astype(np.int32), 0, _SIZE - 1)
-        cells: np.ndarray[tuple[int], np.dtype[np.int32]] = i * _SIZE + j
-        return cells
+        i = np.minimum(((u + 1) * half).astype(np.int32), _SIZE - 1)
+        j = np.minimum(((v + 1) * half).astype(np.int32), _SIZE - 1)
+        return np.maximum(i * _SIZE + j, 0)
 
     def diffuse(self, normals: FloatArray) -> FloatArray:
-        """(N, 3) irradiance / pi for unit normals (N, 3), world frame."""
-        return self._maps[self._cells(normals) + (len(_BLURS) - 1) * _SIZE * _SIZE]
+        """(3, N) irradiance / pi for unit normals (3, N), world frame."""
+        return self._maps.take(self._cells(normals) + (len(_BLURS) - 1) * _SIZE * _SIZE, axis=1)
 
-    def specular(self, directions: FloatArray, roughness: FloatArray) -> FloatArray:
-        """(N, 3) light reflected towards the eye from unit mirror directions (N, 3), world frame."""
-        level = np.clip(
-            (roughness * np.float32(len(_BLURS) - 1) + np.float32(0.5)).astype(np.int32), 0, len(_BLURS) - 1
-        )
-        return self._maps[self._cells(directions) + level * (_SIZE * _SIZE)]
+    def specular(self, directions: FloatArray, roughness: FloatArray | float) -> FloatArray:
+        """(3, N) light reflected towards the eye from unit mirror directions (3, N), world frame; roughness (N,)."""
+        level = (np.asarray(roughness, np.float32) * np.float32(len(_BLURS) - 1) + np.float32(0.5)).astype(np.int32)
+        return self._maps.take(self._cells(directions) + level.clip(0, len(_BLURS) - 1) * (_SIZE * _SIZE), axis=1)

@@ -3,35 +3,51 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toolee_robot.render.mesh import FloatArray
 
 
 def gaussian(image: FloatArray, sigma: float) -> FloatArray:
-    """(H, W) or (H, W, C) float32 blurred by a Gaussian of `sigma` [px], cut off at 3 sigma."""
+    """(..., H, W) float32 blurred over H and W by a Gaussian of `sigma` [px], cut off at 3 sigma."""
     radius = max(1, int(np.ceil(3.0 * sigma)))
-    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
-    return _separable(image, (weights / weights.sum()).astype(np.float32))
-
-
-def box_blur(image: FloatArray, radius: int) -> FloatArray:
-    """(H, W) or (H, W, C) float32: the mean over squares of side 2 * radius + 1 [px]."""
-    size = 2 * radius + 1
-    return _separable(image, np.full(size, 1.0 / size, np.float32))
-
-
-def _separable(image: FloatArray, weights: FloatArray) -> FloatArray:
-    radius = len(weights) // 2
-    for axis in (0, 1):
+    weights = np.exp(-0.5 * (np.arange(radius + 1) / sigma) ** 2)
+    weights = (weights / (2 * weights.sum() - weights[0])).astype(np.float32)
+    for axis in (-2, -1):
         pad = [(0, 0)] * image.ndim
         pad[axis] = (radius, radius)
         padded = np.pad(image, pad, mode="reflect")
         n = image.shape[axis]
-        total = np.zeros_like(image)
-        for i, weight in enumerate(weights):
-            window = [slice(None)] * image.ndim
-            window[axis] = slice(i, i + n)
-            total += weight * padded[tuple(window)]
+        starts = range(2 * radius + 1)
+        windows = [padded[..., i : i + n] if axis == -1 else padded[..., i : i + n, :] for i in starts]
+        total = weights[0] * windows[radius]
+        pair = np.empty_like(total)
+        for i in range(1, radius + 1):
+            np.add(windows[radius - i], windows[radius + i], out=pair)
+            pair *= weights[i]
+            total += pair
+        image = total
+    return image
+
+
+def white(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
+    """Independent standard normal numbers by Box and Muller's method: twice as fast as the generator's own."""
+    count = int(np.prod(shape))
+    half = (count + 1) // 2
+    radius = np.sqrt(-2 * np.log(1 - rng.random(half, dtype=np.float32)))
+    angle = np.float32(2 * np.pi) * rng.random(half, dtype=np.float32)
+    return np.concatenate([radius * np.cos(angle), radius * np.sin(angle)])[:count].reshape(shape)
+
+
+def neighbours(image: NDArray[np.uint8], radius: int) -> NDArray[np.uint8]:
+    """(H, W) of 0 and 1: how many ones lie in the square of side 2 * radius + 1 [px, at most 15] about each pixel."""
+    for axis in (0, 1):
+        total = image.copy()
+        for shift in range(1, radius + 1):
+            head = tuple(slice(shift, None) if k == axis else slice(None) for k in range(2))
+            tail = tuple(slice(None, -shift) if k == axis else slice(None) for k in range(2))
+            total[head] += image[tail]
+            total[tail] += image[head]
         image = total
     return image
 

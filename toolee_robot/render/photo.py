@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from toolee_robot.render.filters import gaussian
+from toolee_robot.render.filters import gaussian, white
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def photograph(rgb: NDArray[np.uint8], photo: Photo, rng: np.random.Generator) -
     level = np.arange(256) / 255.0
     curve = 0.5 + photo.contrast * (level**photo.gamma - 0.5)
     table = np.clip(255.0 * curve[:, None] * np.asarray(photo.gain), 0, 255).astype(np.float32)
-    image = np.stack([table[:, c][rgb[..., c]] for c in range(3)], axis=-1)
+    image = np.stack([table[:, c].take(rgb[..., c]) for c in range(3)])
     if photo.blur > 0:
         image = gaussian(image, photo.blur)
     if photo.motion > 1:
@@ -59,16 +59,16 @@ def photograph(rgb: NDArray[np.uint8], photo: Photo, rng: np.random.Generator) -
         half = photo.motion / 2 * np.array([np.sin(photo.motion_angle), np.cos(photo.motion_angle)])
         count = 2 * int(np.ceil(photo.motion))
         shifts = [np.round(t * half).astype(int) for t in np.linspace(-1, 1, count)]
-        padded = np.pad(image, ((4, 4), (4, 4), (0, 0)), mode="edge")
-        copies = [padded[4 + a : 4 + a + height, 4 + b : 4 + b + width] for a, b in shifts]
+        padded = np.pad(image, ((0, 0), (4, 4), (4, 4)), mode="edge")
+        copies = [padded[:, 4 + a : 4 + a + height, 4 + b : 4 + b + width] for a, b in shifts]
         image = np.asarray(np.mean(copies, axis=0, dtype=np.float32))
     if photo.vignette > 0:
         y = (np.arange(height, dtype=np.float32) / height * 2 - 1)[:, None]
         x = np.arange(width, dtype=np.float32) / width * 2 - 1
-        image = image * (1 - np.float32(photo.vignette) * (x * x + y * y) / 2)[..., None]
+        image = image * (1 - np.float32(photo.vignette) * (x * x + y * y) / 2)
     if photo.grain > 0:
-        image = image + np.float32(photo.grain) * rng.standard_normal(image.shape, dtype=np.float32)
-    out = np.clip(np.round(image), 0, 255).astype(np.uint8)
+        image = image + np.float32(photo.grain) * white(rng, image.shape)
+    out = np.ascontiguousarray(np.clip(np.rint(image), 0, 255).astype(np.uint8).transpose(1, 2, 0))
     if photo.jpeg > 0:
         buffer = BytesIO()
         Image.fromarray(out).save(buffer, "JPEG", quality=photo.jpeg)

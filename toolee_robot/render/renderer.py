@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.frames import Array
-from toolee_robot.render.caster import Caster, unit
+from toolee_robot.render.caster import Caster, dot, unit
+from toolee_robot.render.embree import Closest
 from toolee_robot.render.mesh import FloatArray
 from toolee_robot.render.scene import Body, Rendering, Scene
 from toolee_robot.types import CameraIntrinsics
@@ -46,35 +47,61 @@ class Shot:
     def __init__(self, scene: Scene, intrinsics: CameraIntrinsics, X_world_camera: Array) -> None:
         self._scene, self._intrinsics = scene, intrinsics
         self._caster = Caster(scene, X_world_camera)
-        self._directions = pixel_rays(intrinsics).reshape(-1, 3)
-        depth, self._body, self._hits = self._caster.cast(self._directions)
-        ids = np.array([b.body_id for b in scene.bodies] + [-1], np.int16)[self._body]  # body -1 takes the last entry
+        self._directions = _rays(intrinsics, (0, 0, intrinsics.width, intrinsics.height))
+        self._found = self._caster.closest(self._directions)
         grid = (intrinsics.height, intrinsics.width)
+        depth, ids = _seen(scene.bodies, self._found)
         self.depth, self.body_ids = depth.reshape(grid), ids.reshape(grid)
 
     def develop(self, antialias: bool = True, exposure: float = 1.0, auto_exposure: float = 0.0) -> Rendering:
         """Shade it; arguments as for `render`."""
-        grid = self.depth.shape
-        caster, hits = self._caster, self._hits
-        color = _background(self._scene, caster, self._intrinsics, self._directions, self._body)
-        lit, shiny = caster.shade(hits, grid)
-        color[hits.ray] = lit
-        cos = np.zeros(self.depth.size, np.float32)
-        cos[hits.ray] = np.clip(np.einsum("ij,ij->i", hits.normals, hits.views), 0.0, 1.0)
-        shininess = np.zeros(self.depth.size, np.float32)
-        shininess[hits.ray] = shiny
+        grid, caster, rays, found = self.depth.shape, self._caster, self._directions, self._found
+        outlines = np.zeros(0, np.int64)
         if antialias:
-            _smooth_outlines(caster, self._intrinsics, color, self.depth, self._body.reshape(grid))
+            outlines = _outlines(self.depth, found.mesh.reshape(grid))
+            more = self._around(outlines)
+            rays, found = np.concatenate([rays, more], axis=1), found.followed_by(caster.closest(more))
+        hits = caster.hits(rays, found)
+        color = self._background(rays, found.mesh, outlines)
+        cos, shininess = np.zeros((2, rays.shape[1]), np.float32)
+        color[:, hits.ray], shininess[hits.ray] = caster.shade(hits, (grid[0], grid[1]))
+        cos[hits.ray] = np.clip(dot(hits.normals, hits.views), 0.0, 1.0)
+        color, further = np.split(color, [self.depth.size], axis=1)
+        color[:, outlines] += further.reshape(3, len(_SUBPIXELS), -1).sum(axis=1)
+        color[:, outlines] /= 1 + len(_SUBPIXELS)
         if auto_exposure > 0:
             mean = float(np.minimum(color, 1.0).mean())
             exposure *= float(np.clip((_MIDDLE_GREY / max(mean, 1e-3)) ** auto_exposure, 0.4, 6.0))
         return Rendering(
-            rgb=to_srgb(color.reshape(*grid, 3) * np.float32(exposure)),
+            rgb=np.ascontiguousarray(to_srgb(color * np.float32(exposure)).reshape(3, *grid).transpose(1, 2, 0)),
             depth=self.depth,
             body_ids=self.body_ids,
-            cos_incidence=cos.reshape(grid),
-            shininess=shininess.reshape(grid),
+            cos_incidence=cos[: self.depth.size].reshape(grid),
+            shininess=shininess[: self.depth.size].reshape(grid),
         )
+
+    def _around(self, pixels: NDArray[np.int64]) -> FloatArray:
+        """(3, N) further rays through these pixels, a whole set for each of `_SUBPIXELS`."""
+        K = self._intrinsics
+        rows, columns = np.divmod(pixels, K.width)
+        rays = np.ones((3, len(_SUBPIXELS), len(pixels)), np.float32)
+        for k, (du, dv) in enumerate(_SUBPIXELS):
+            rays[0, k], rays[1, k] = (columns + (du - K.cx)) / K.fx, (rows + (dv - K.cy)) / K.fy
+        return rays.reshape(3, -1)
+
+    def _background(self, rays: FloatArray, body: NDArray[np.int32], outlines: NDArray[np.int64]) -> FloatArray:
+        """(3, N) linear colour along those rays that hit nothing (body -1); anything elsewhere."""
+        image = self._scene.background
+        if image is not None:
+            if image.shape != (*self.depth.shape, 3):
+                raise ValueError(f"background is {image.shape}, the camera's image is {(*self.depth.shape, 3)}")
+            flat = np.ascontiguousarray(image.reshape(-1, 3).T, np.float32)
+            return np.concatenate([flat, *[flat[:, outlines]] * len(_SUBPIXELS)], axis=1)
+        color = np.empty_like(rays)
+        missed = np.flatnonzero(body < 0)
+        towards = unit(self._caster.R_world_camera @ rays[:, missed])
+        color[:, missed] = self._caster.environment.specular(towards, 0.0)
+        return color
 
 
 def cast(
@@ -85,10 +112,15 @@ def cast(
 ) -> tuple[FloatArray, NDArray[np.int16]]:
     """depth [m] and body_ids as in `Rendering`, without colours, of the pixels x0 <= x < x1, y0 <= y < y1."""
     x0, y0, x1, y1 = region if region is not None else (0, 0, intrinsics.width, intrinsics.height)
-    directions = np.ascontiguousarray(pixel_rays(intrinsics)[y0:y1, x0:x1]).reshape(-1, 3)
-    depth, body, _ = Caster(Scene(bodies), X_world_camera).cast(directions)
-    ids = np.array([b.body_id for b in bodies] + [-1], np.int16)[body]
+    found = Caster(Scene(bodies), X_world_camera).closest(_rays(intrinsics, (x0, y0, x1, y1)))
+    depth, ids = _seen(bodies, found)
     return depth.reshape(y1 - y0, x1 - x0), ids.reshape(y1 - y0, x1 - x0)
+
+
+def _seen(bodies: Sequence[Body], found: Closest) -> tuple[FloatArray, NDArray[np.int16]]:
+    """depth and body_ids, (N,) each, as in `Rendering`."""
+    ids = np.array([b.body_id for b in bodies] + [-1], np.int16)[found.mesh]  # mesh -1 takes the last entry
+    return np.where(found.mesh >= 0, found.distance, np.float32(0)), ids
 
 
 def pixel_rays(intrinsics: CameraIntrinsics) -> FloatArray:
@@ -101,11 +133,18 @@ def pixel_rays(intrinsics: CameraIntrinsics) -> FloatArray:
     return rays
 
 
+def _rays(intrinsics: CameraIntrinsics, region: tuple[int, int, int, int]) -> FloatArray:
+    """(3, N) rays through the centres of the pixels x0 <= x < x1, y0 <= y < y1, z = 1, camera frame."""
+    x0, y0, x1, y1 = region
+    return np.ascontiguousarray(pixel_rays(intrinsics)[y0:y1, x0:x1].reshape(-1, 3).T)
+
+
 def to_srgb(linear: FloatArray) -> NDArray[np.uint8]:
     """Linear RGB to 8-bit sRGB, highlights rolled off softly above 0.8."""
     x = np.maximum(linear, 0.0)
-    x = np.where(x > 0.8, 1.0 - 0.2 * np.exp(-(x - 0.8) / 0.2), x)
-    return _SRGB[(x * np.float32(4095)).astype(np.int32)]
+    bright = x > 0.8
+    x[bright] = 1.0 - 0.2 * np.exp(-(x[bright] - 0.8) / 0.2)
+    return _SRGB.take((x * np.float32(4095)).astype(np.int32))
 
 
 def _srgb_table() -> NDArray[np.uint8]:
@@ -117,26 +156,8 @@ def _srgb_table() -> NDArray[np.uint8]:
 _SRGB = _srgb_table()
 
 
-def _background(
-    scene: Scene, caster: Caster, intrinsics: CameraIntrinsics, directions: FloatArray, body: NDArray[np.int32]
-) -> FloatArray:
-    """(H*W, 3) linear colour where nothing is hit (body -1); anything elsewhere."""
-    if scene.background is not None:
-        shape = (intrinsics.height, intrinsics.width, 3)
-        if scene.background.shape != shape:
-            raise ValueError(f"background is {scene.background.shape}, the camera's image is {shape}")
-        return scene.background.reshape(-1, 3).astype(np.float32, copy=True)
-    color = np.empty_like(directions)
-    missed = np.flatnonzero(body < 0)
-    sharp = np.zeros(len(missed), np.float32)
-    color[missed] = caster.environment.specular(unit(directions[missed] @ caster.R_world_camera.T), sharp)
-    return color
-
-
-def _smooth_outlines(
-    caster: Caster, intrinsics: CameraIntrinsics, color: FloatArray, depth: FloatArray, body: NDArray[np.int32]
-) -> None:
-    """Replace the colour of pixels on outlines (in place) by the mean over the centre's ray and two more."""
+def _outlines(depth: FloatArray, body: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The pixels, numbered row by row, beside which another body or a step in depth begins; images (H, W)."""
     edge = np.zeros(body.shape, bool)
     for axis in (0, 1):
         a = [slice(None)] * 2
@@ -146,20 +167,4 @@ def _smooth_outlines(
         step = (body[tuple(a)] != body[tuple(b)]) | (np.abs(da - db) > 0.02 * np.minimum(da, db))
         edge[tuple(a)] |= step
         edge[tuple(b)] |= step
-    rows, columns = np.nonzero(edge)
-    if not len(rows):
-        return
-    total = color[rows * intrinsics.width + columns]
-    for du, dv in _SUBPIXELS:
-        rays = np.ones((len(rows), 3), np.float32)
-        rays[:, 0] = (columns + du - intrinsics.cx) / intrinsics.fx
-        rays[:, 1] = (rows + dv - intrinsics.cy) / intrinsics.fy
-        _, _, hits = caster.cast(rays)
-        if caster.scene.background is not None:
-            sample = caster.scene.background[rows, columns].astype(np.float32)
-        else:
-            sharp = np.zeros(len(rays), np.float32)
-            sample = caster.environment.specular(unit(rays @ caster.R_world_camera.T), sharp)
-        sample[hits.ray] = caster.shade(hits, None)[0]
-        total += sample
-    color[rows * intrinsics.width + columns] = total / (1 + len(_SUBPIXELS))
+    return np.flatnonzero(edge)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from toolee_robot.frames import Array
-from toolee_robot.render.filters import gaussian, local_range
+from toolee_robot.render.filters import gaussian, local_range, white
 from toolee_robot.render.mesh import FloatArray
 from toolee_robot.types import CameraIntrinsics
 
@@ -86,43 +86,47 @@ def measure_depth(
 
     cos_incidence, shininess: (H, W), as `Rendering` gives them.
     """
-    shape = depth.shape
     seen = _displaced(depth, intrinsics, noise, rng)
-    edge_low, edge_high = _neighbourhood(seen)
-    at_edge = (edge_high - edge_low > noise.edge_step) & (seen > 0)
-    incidence = np.arccos(np.clip(cos_incidence, 0.0, 1.0))
+    cos = np.clip(cos_incidence, 0.0, 1.0)
+    incidence = np.arccos(cos)
     # The jitter may pull in a neighbour whose incidence is another: at edges the difference does not matter.
-    out = seen * np.float32(1 + noise.scale) + np.float32(noise.bias) * (seen > 0)
+    out = seen * np.float32(1 + noise.scale) + np.float32(noise.bias)
     if noise.axial > 0:
-        own = rng.standard_normal(shape, dtype=np.float32)
-        common = gaussian(rng.standard_normal(shape, dtype=np.float32), 1.2)
-        common = common * np.float32(2.0 * np.sqrt(np.pi) * 1.2)  # back to unit variance
+        own, common = white(rng, (2, *depth.shape))
+        common = gaussian(common, 1.2) * np.float32(2.0 * np.sqrt(np.pi) * 1.2)  # back to unit variance
         share = np.float32(noise.correlation)
         unit = np.sqrt(1 - share) * own + np.sqrt(share) * common
-        out += np.float32(noise.axial) * axial_sigma(seen, incidence) * unit * (seen > 0)
-    chance = rng.random(shape, dtype=np.float32)
-    mixing = at_edge & (chance < noise.mixed)
-    weight = rng.random(shape, dtype=np.float32)
-    # Mixtures gather near the two surfaces: pull the weight towards the nearer end.
-    weight = np.where(weight < 0.5, 2 * weight * weight, 1 - 2 * (1 - weight) ** 2)
-    mixture = edge_low + weight * (edge_high - edge_low)
-    # Over steps of more than half a metre the two returns fall out of phase: no reading.
-    mixture = np.where(edge_high - edge_low > 0.5, np.float32(0), mixture)
-    out = np.where(mixing & (weight > 0.5), mixture, out)
-    loss = rng.random(shape, dtype=np.float32)
-    lost = at_edge & (loss < noise.edge_dropout)
-    if noise.random_dropout > 0:
-        lost |= loss > 1 - noise.random_dropout
+        out += np.float32(noise.axial) * axial_sigma(seen, incidence) * unit
+    _spoil_edges(out, seen, noise, rng)
+    # What a surface gives back despite its shine, and at its slant, and by luck.
+    kept = np.full(depth.shape, 1 - noise.random_dropout, np.float32)
     if noise.shiny_dropout > 0:
-        lost |= rng.random(shape, dtype=np.float32) < noise.shiny_dropout * shininess * np.sin(incidence)
+        kept *= 1 - np.float32(noise.shiny_dropout) * shininess * np.sqrt(1 - cos * cos)
     if noise.grazing < np.pi / 2:
         width = np.float32(np.deg2rad(3.0))
-        keep = 1.0 / (1.0 + np.exp(np.clip((incidence - np.float32(noise.grazing)) / width, -30, 30)))
-        lost |= rng.random(shape, dtype=np.float32) > keep
-    out = np.where(lost | (out < noise.minimum) | (out > noise.maximum) | (depth <= 0), np.float32(0), out)
+        kept /= 1 + np.exp(np.clip((incidence - np.float32(noise.grazing)) / width, -30, 30))
+    lost = rng.random(depth.shape, dtype=np.float32) >= kept
+    lost |= (out < noise.minimum) | (out > noise.maximum) | (depth <= 0) | (seen <= 0)
+    out[lost] = 0
     if noise.quantum > 0:
-        out = np.round(out / np.float32(noise.quantum)) * np.float32(noise.quantum)
-    return out.astype(np.float32)
+        out = np.rint(out * np.float32(1 / noise.quantum)) * np.float32(noise.quantum)
+    return out
+
+
+def _spoil_edges(out: FloatArray, seen: FloatArray, noise: DepthNoise, rng: np.random.Generator) -> None:
+    """Mix or lose (0) the readings `out` (in place) on edges of the depth `seen`."""
+    low, high = _neighbourhood(seen)
+    index = np.flatnonzero((high - low > noise.edge_step) & (seen > 0))
+    low, high = low.reshape(-1).take(index), high.reshape(-1).take(index)
+    chance, weight, loss = rng.random((3, len(index)), dtype=np.float32)
+    # Mixtures gather near the two surfaces: pull the weight towards the nearer end.
+    weight = np.where(weight < 0.5, 2 * weight * weight, 1 - 2 * (1 - weight) ** 2)
+    mixing = (chance < noise.mixed) & (weight > 0.5)
+    # Over steps of more than half a metre the two returns fall out of phase: no reading.
+    mixture = np.where(high - low > 0.5, np.float32(0), low + weight * (high - low))
+    flat = out.reshape(-1)
+    flat[index[mixing]] = mixture[mixing]
+    flat[index[loss < noise.edge_dropout]] = 0
 
 
 def _displaced(
@@ -134,10 +138,10 @@ def _displaced(
         return depth
     height, width = depth.shape
     sigma = np.float32(noise.lateral * intrinsics.fx) / np.maximum(depth, np.float32(0.3))
-    shift = rng.standard_normal((2, height, width), dtype=np.float32) * sigma
-    rows = np.clip(np.round(np.arange(height, dtype=np.float32)[:, None] + shift[0]), 0, height - 1).astype(np.int32)
-    columns = np.clip(np.round(np.arange(width, dtype=np.float32) + shift[1]), 0, width - 1).astype(np.int32)
-    other = depth[rows, columns]
+    down, right = white(rng, (2, height, width)) * sigma
+    rows = np.clip(np.rint(np.arange(height, dtype=np.float32)[:, None] + down), 0, height - 1).astype(np.int32)
+    columns = np.clip(np.rint(np.arange(width, dtype=np.float32) + right), 0, width - 1).astype(np.int32)
+    other = depth.reshape(-1).take(rows * width + columns)
     jump = np.abs(other - depth) > noise.edge_step
     return np.where(jump & (depth > 0), other, depth)
 

@@ -4,37 +4,28 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolee_robot.frames import Array
-from toolee_robot.robots.description import HAND_JOINTS, hand_link_poses
+from toolee_robot.frames import Array, inverse
+from toolee_robot.robots.description import HAND_FRAME, HAND_JOINTS, hand_tree
 from toolee_robot.robots.grasp import posture_vector
 
-# (finger, link, radius [m], axis length [m]) of the phalanges' capsules, as in the collision model.
 _LONG_FINGERS = ("index", "middle", "ring", "little")
 _PREFIX = {"thumb": "TH", "index": "FF", "middle": "MF", "ring": "RF", "little": "LF"}
-_PHALANGES = (
-    *(
-        (finger, f"rh_{_PREFIX[finger].lower()}{part}", radius, length)
-        for finger in _LONG_FINGERS
-        for part, radius, length in (("proximal", 0.010, 0.045), ("middle", 0.00805, 0.025), ("distal", 0.00705, 0.024))
-    ),
-    ("thumb", "rh_thproximal", 0.013, 0.038),
-    ("thumb", "rh_thmiddle", 0.011, 0.032),
-    ("thumb", "rh_thdistal", 0.00918, 0.026),
-)
+_FINGERS = (*_LONG_FINGERS, "thumb")
+_LINKS = tuple(f"rh_{_PREFIX[f].lower()}{part}" for f in _FINGERS for part in ("proximal", "middle", "distal"))
+# The phalanges' capsules, as in the collision model.
+_RADII = np.array([*[0.010, 0.00805, 0.00705] * 4, 0.013, 0.011, 0.00918])
+_LENGTHS = np.array([*[0.045, 0.025, 0.024] * 4, 0.038, 0.032, 0.026])
+_ALONG = np.linspace(0.0, 1.0, 7) * _LENGTHS[:, None]
 
 
 def _clearance(q_hand: Array, X_hand_tool: Array, radius: float, half_length: float) -> dict[str, float]:
     """Smallest distance [m] of each finger's capsules to the handle's (negative: they overlap)."""
-    poses = hand_link_poses(q_hand)
-    along = np.linspace(0.0, 1.0, 7)
-    result: dict[str, float] = {}
-    for finger, link, link_radius, length in _PHALANGES:
-        X = poses[link]
-        points = X[:3, 3] + np.outer(along * length, X[:3, 2]) - X_hand_tool[:3, 3]
-        s = np.clip(points @ X_hand_tool[:3, 2], -half_length, half_length)
-        distance = np.linalg.norm(points - np.outer(s, X_hand_tool[:3, 2]), axis=1).min() - link_radius - radius
-        result[finger] = min(float(distance), result.get(finger, np.inf))
-    return result
+    poses = hand_tree().link_poses(q_hand)
+    X_tool_links = inverse(poses[HAND_FRAME] @ X_hand_tool) @ np.stack([poses[link] for link in _LINKS])
+    points = X_tool_links[:, None, :3, 3] + _ALONG[..., None] * X_tool_links[:, None, :3, 2]
+    points[..., 2] -= np.clip(points[..., 2], -half_length, half_length)
+    distance = np.sqrt(np.einsum("lpi,lpi->lp", points, points).min(axis=1)) - _RADII - radius
+    return dict(zip(_FINGERS, distance.reshape(-1, 3).min(axis=1).tolist(), strict=True))
 
 
 def wrap_fingers(X_hand_tool: Array, handle_radius: float, half_length: float = 0.06, press: float = 0.0005) -> Array:

@@ -62,9 +62,11 @@ class PaperMethod:
         p_camera = torch.einsum("bji,bj->bi", batch.R_canonical, batch.p) + batch.centre
         S = class_ambiguity().to(batch.points)[batch.category] if self.column.predicts_ambiguity else None
         noised = PROCESS.noised(encode(R_camera, p_camera, S), self.draws, generator)
-        device = batch.points.device.type
+        # Where the points are is no matter for half precision.
+        points = in_camera(batch.cloud)
+        device = points.device.type
         with torch.autocast(device, torch.bfloat16, enabled=device == "cuda"):
-            predicted = net(in_camera(batch.cloud), noised.u, noised.t)
+            predicted = net(points, noised.u, noised.t)
         positive = batch.positive.float()
         error = (predicted.float() - noised.goal).square().sum(-1).mean(1)
         loss = (error * positive).sum() / positive.sum().clamp_min(1)
