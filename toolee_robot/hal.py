@@ -88,7 +88,8 @@ class MotionOutcome(StrEnum):
 
 @dataclass(frozen=True)
 class MotionReport:
-    """What really happened. stamps (N,) [s]; q_commanded, q_measured (N, 6); wrenches (N, 6).
+    """What really happened. stamps (N,) [s]; q_commanded, q_measured (N, 6); wrenches (N, 6), of several readings
+    between two stamps the one with the greatest force.
 
     contact: the arm's measured state when the guard first felt its force, or None. overruns: command cycles
     that were late by half a cycle or more.

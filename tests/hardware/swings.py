@@ -17,13 +17,17 @@ from toolee_robot.types import Trajectory
 
 WAY = np.array([0.9, 0.5, -0.6, 0.3, -0.4, 0.8])
 MOVING = 2e-3  # [rad/s]
+FAST = 1.2  # [s] from end to end
 LONG = 3.0  # [s] of a swing that lasts longer than a task may be silent
 SLACK = 0.35  # [s] for a machine that is busy with other things
 
 
-def swing(q: Array, duration: float = 1.2) -> Trajectory:
-    """Away from home, or back: the base joint reaches 1.4 rad/s half-way."""
-    return line([q, HOME + WAY if np.abs(q - HOME).max() < 0.3 else HOME], duration)
+def swing(q: Array, duration: float | None = None) -> Trajectory:
+    """To the further end of the way between HOME and HOME + WAY, wherever on it the last one has stopped: in
+    `duration` [s], or so fast that the base joint reaches 1.4 rad/s half-way."""
+    end = max((HOME, HOME + WAY), key=lambda end: float(np.abs(end - q).max()))
+    share = float(np.abs(end - q).max() / np.abs(WAY).max())
+    return line([q, end], share * FAST if duration is None else duration)
 
 
 def shortest_stop(limits: ArmLimits, speed: float) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import threading
 import time
 from collections.abc import Iterator
@@ -10,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.sim_backend.kinematics import line
-from tests.stand_in import HOME, stand_in
+from tests.stand_in import HOME, PATIENT, stand_in
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import NotReadyError, UserError
 from toolee_robot.hal import ContactGuard, MotionOutcome
@@ -73,6 +75,56 @@ def test_a_knock_is_no_contact_for_a_guard_that_averages_and_a_push_is(
         timer.join()
         assert np.linalg.norm(report.wrenches[:, :3], axis=1).max() > guard.force
         assert report.outcome is outcome
+
+
+@pytest.mark.parametrize("over", [0.0, 0.016])
+def test_a_knock_among_readings_that_come_at_once_is_felt(
+    controller: ControllerProcess, arm: UrArm, over: float
+) -> None:
+    """Two cycles' knock while the network is stuck for five: when it goes on, the newest reading says nothing of it."""
+
+    def knock() -> None:
+        controller.fault("stall", port="rtde", seconds=5 / 125)
+        controller.fault("force", wrench=[0.0, 0.0, 30.0, 0.0, 0.0, 0.0], seconds=2 / 125)
+
+    there = HOME if np.abs(arm.q_commanded - HOME).max() > 0.05 else HOME + WAY
+    timer = threading.Timer(0.3 / PACE, knock)
+    timer.start()
+    report = arm.execute(line([arm.q_commanded, there], 1.2), ContactGuard(force=15.0, over=over), PATIENT)
+    timer.join()
+    assert report.outcome is MotionOutcome.CONTACT
+    assert np.linalg.norm(report.wrenches[:, :3], axis=1).max() == pytest.approx(30.0, abs=0.1)
+
+
+def test_the_collector_does_not_pause_a_task_whose_arm_moves(arm: UrArm) -> None:
+    """Its pause is the heartbeat's, too, and a task without one is taken for stalled."""
+    heartbeat = UrArmConfig(HOST, pace=PACE).heartbeat_timeout / PACE  # [s] of the wall
+    hold_all_threads = ctypes.PyDLL(None).usleep  # keeps the interpreter's lock
+    ended = threading.Event()
+
+    def pause(phase: str, _info: dict[str, int]) -> None:
+        if phase == "start":
+            hold_all_threads(round(2e6 * heartbeat))
+
+    def litter() -> None:
+        while not ended.wait(1e-3):
+            for _ in range(200):
+                loop: list[object] = []
+                loop.append(loop)
+
+    there = HOME if np.abs(arm.q_commanded - HOME).max() > 0.05 else HOME + WAY
+    task = threading.Thread(target=litter)
+    timer = threading.Timer(0.3 / PACE, lambda: gc.callbacks.append(pause))
+    task.start()
+    timer.start()
+    try:
+        report = arm.execute(line([arm.q_commanded, there], 0.8))
+    finally:
+        gc.callbacks.remove(pause)
+        ended.set()
+        task.join()
+    assert report.outcome is MotionOutcome.COMPLETED
+    assert gc.isenabled()
 
 
 def test_a_driver_in_real_time_refuses_a_robot_that_is_slower(controller: ControllerProcess) -> None:

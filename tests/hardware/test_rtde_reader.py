@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import socket
 import time
 from itertools import pairwise
 
@@ -68,6 +69,27 @@ def test_unknown_variables_are_named() -> None:
     answers = [packet(b"O", b"\x01DOUBLE,NOT_FOUND,NOT_FOUND")]
     with peer_sends(*answers) as sock:
         assert RtdeReader(sock).subscribe(["timestamp", "payload", "tcp"], 125.0, soon()) == ["payload", "tcp"]
+
+
+@settings(deadline=None)
+@given(count=st.integers(0, 5), after=st.integers(0, 5), cut=st.integers(1, 8))
+def test_all_that_has_come_is_read_at_once_and_nobody_waits_for_more(count: int, after: int, cut: int) -> None:
+    types = ["DOUBLE"]
+    readings = [packet(b"M", b"text") * (i == after) + data(types, [float(i)]) for i in range(count + 1)]
+    half = packet(b"V", b"\x01") + setup_reply(types) + b"".join(readings[:-1]) + readings[-1][:cut]
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        theirs.sendall(half)
+        reader = RtdeReader(ours)
+        reader.negotiate(soon())
+        reader.subscribe(["timestamp"], 125.0, soon())
+        assert [sample.values["timestamp"] for sample in reader.arrived()] == list(range(count))
+        assert reader.arrived() == []
+        theirs.sendall(readings[-1][cut:])
+        assert [sample.values["timestamp"] for sample in reader.arrived()] == [count]
+        theirs.close()
+        with pytest.raises(NoAnswerError, match="connection"):
+            reader.arrived()
 
 
 def _talk(sock_bytes: tuple[bytes, ...], pause: float = 0.0, seconds: float = 10.0, close: bool = True) -> None:

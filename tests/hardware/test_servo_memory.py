@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import select
+import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -79,6 +84,65 @@ def test_a_writer_that_died_in_mid_write_is_an_error_not_a_hang() -> None:
     memory.words[Word.STATE_SEQUENCE] += 1
     with pytest.raises(DeviceError, match="reset"):
         memory.read_state()
+
+
+def test_the_end_of_a_thread_cuts_the_life_line_that_it_holds() -> None:
+    memory = ServoMemory.create(longest=0.1)
+    held, ended = threading.Event(), threading.Event()
+
+    def live() -> None:
+        memory.life.hold()
+        held.set()
+        ended.wait()
+
+    task = threading.Thread(target=live)
+    task.start()
+    held.wait()
+    assert not memory.life.cut
+    ended.set()
+    task.join()
+    wait_until_cut(memory)
+    assert memory.life.cut, "it stays"
+
+
+_TASK = """
+import os, sys, time
+from toolee_robot.hardware.servo_memory import ServoMemory
+memory = ServoMemory(int(sys.argv[1]), 0.1)
+memory.life.hold()
+if os.fork():
+    print("lives", flush=True)
+time.sleep(60.0)
+"""
+
+
+def test_a_killed_task_cuts_it_though_a_child_of_it_lives_on() -> None:
+    """Such a child holds the pipe's end open, by which alone the task would go on living."""
+    memory = ServoMemory.create(longest=0.1)
+    task = subprocess.Popen(
+        [sys.executable, "-c", _TASK, str(memory.fd)],
+        pass_fds=(memory.fd,),
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+    )
+    try:
+        assert task.stdout is not None
+        assert task.stdout.readline() == b"lives\n"
+        assert not memory.life.cut
+        task.kill()
+        wait_until_cut(memory)
+        assert not select.select([task.stdout], [], [], 0.0)[0], "the child holds it open"
+    finally:
+        os.killpg(task.pid, signal.SIGKILL)
+        task.wait()
+        memory.close()
+
+
+def wait_until_cut(memory: ServoMemory) -> None:
+    deadline = time.monotonic() + 10.0
+    while not memory.life.cut:
+        assert time.monotonic() < deadline
+        time.sleep(1e-3)
 
 
 def test_the_schedule_is_counted_from_its_start_and_skips_what_it_missed() -> None:

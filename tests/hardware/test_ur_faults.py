@@ -10,11 +10,9 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 
-import numpy as np
 import pytest
 
 from tests.hardware.swings import SLACK, Stop, braked, shortest_stop, stop_after, swing, wait_for_mid_swing
-from tests.sim_backend.kinematics import line
 from tests.stand_in import HOME, PATIENT, patient, stand_in
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import (
@@ -54,7 +52,7 @@ def shared_arm(controller: ControllerProcess) -> Iterator[UrArm]:
 
 @pytest.fixture
 def arm(shared_arm: UrArm, controller: ControllerProcess) -> Iterator[UrArm]:
-    """Ready and at home."""
+    """Ready, wherever on the way it stands."""
     deadline = time.monotonic() + 20.0
     while True:
         try:
@@ -63,8 +61,6 @@ def arm(shared_arm: UrArm, controller: ControllerProcess) -> Iterator[UrArm]:
         except DeviceError:
             assert time.monotonic() < deadline
             time.sleep(0.1)
-    if np.abs(shared_arm.q_commanded - HOME).max() > 1e-3:
-        shared_arm.execute(line([shared_arm.q_commanded, HOME], 1.2), None, PATIENT)
     yield shared_arm
     controller.fault("reset")  # ends the program too, which the arm has to see
     time.sleep(0.2)

@@ -30,7 +30,6 @@ from toolee_robot.faults.watch import PATIENT, SHORT_AGE, STRICT_AGE, STRICT_LOO
 from toolee_robot.hal import MotionOutcome, MotionWatch
 from toolee_robot.sim_backend.ur_controller.model import MODELS
 
-BUSY = 0.03  # [s] that a machine with other things to do may add
 AT_REST = 1e-4  # [rad]: what counts as standing still
 OFF_PATH = 5e-3  # [rad]
 OFF_PATH_BY_ROBOT = 20e-3  # [rad]: it brakes along the direction of the moment, from which the path bends away
@@ -165,7 +164,7 @@ def _guarded(fault: ArmFault, phase: Phase, rig: Rig, run: Callable[[], FaultRow
 def _in_swing(fault: ArmFault, rig: Rig) -> FaultRow:
     happened = rig.inject(partial(fault.inject, rig), watch=fault.watch)
     stop, latched = happened.stop, rig.is_latched()
-    allowed = fault.notice(rig) + _braking(fault, rig, happened) + 2 * rig.period + BUSY
+    allowed = fault.notice(rig) + _braking(fault, rig, happened) + 2 * rig.period
     wrong = _wrong(fault, happened, latched)
     if stop.standstill > allowed:
         wrong.append(f"standstill after {stop.standstill * 1e3:.0f} ms, {allowed * 1e3:.0f} allowed")

@@ -23,7 +23,7 @@ from toolee_robot.errors import (
     UnreachableError,
 )
 from toolee_robot.faults import bad_commands as bad
-from toolee_robot.faults.arm_rows import AT_REST, BUSY, OFF_PATH
+from toolee_robot.faults.arm_rows import AT_REST, OFF_PATH
 from toolee_robot.faults.joints_path import braking_time
 from toolee_robot.faults.people import People
 from toolee_robot.faults.record import FaultRow, Phase
@@ -190,7 +190,7 @@ def _refuses(supervisor: Supervisor, rig: Rig) -> bool:
 
 def _allowed(rig: Rig, happened: Happening, notice: float) -> float:
     braking = braking_time(rig.strike, happened.stop.path_time + notice, rig.period, rig.swing.config.arm)
-    return notice + braking + 2 * rig.period + BUSY
+    return notice + braking + 2 * rig.period
 
 
 def _not_stopped(rig: Rig, happened: Happening, notice: float) -> list[str]:

@@ -15,7 +15,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from toolee_robot.config import StationConfig, TaskConfig
+from toolee_robot.config import ArmLimits, StationConfig, TaskConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_handover
 from toolee_robot.faults.people import People
 from toolee_robot.frames import Array, inverse
@@ -33,7 +33,11 @@ from toolee_robot.tasks.look import Perceiver
 from toolee_robot.tasks.observer import TaskObserver
 from toolee_robot.tasks.outcome import Blow, HammerResult, Stage
 
-CONFIG = StationConfig(task=TaskConfig(views=1, max_blows=1, handover_timeout=2.0))
+# Transfers are not what is examined: they may be fast.
+CONFIG = StationConfig(
+    task=TaskConfig(views=1, max_blows=1, handover_timeout=2.0),
+    arm=ArmLimits(transfer_velocity_scale=0.7, transfer_acceleration=5.0),
+)
 HOME = np.array(CONFIG.scene.home)
 SEED = 101
 

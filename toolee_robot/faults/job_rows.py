@@ -34,8 +34,6 @@ SETTLING = 0.05  # [s] until the simulated motors have come to rest after the la
 OFF_PATH_BY_MOTORS = 0.02  # [rad]: at a contact, the simulated motors give way
 AWAY, HIGHER = 0.05, 0.10  # [m] that a retreat must bring at least: from the person's place, and up
 STILL = 2e-3  # [rad]
-# Transfers are not what is examined: they may be fast.
-FAST = replace(CONFIG, arm=replace(CONFIG.arm, transfer_velocity_scale=0.7, transfer_acceleration=5.0))
 
 
 def job_rows(bench: Bench, faults: Sequence[JobFault] = JOB_FAULTS) -> Iterator[FaultRow]:
@@ -103,8 +101,8 @@ class _Row:
 
     def _task(self) -> HammeringTask:
         fault = self._fault
-        task = replace(FAST.task, max_blows=fault.blows, views_again=1, blows_between_looks=1, min_progress=5e-4)
-        config = replace(FAST, task=task)
+        task = replace(CONFIG.task, max_blows=fault.blows, views_again=1, blows_between_looks=1, min_progress=5e-4)
+        config = replace(CONFIG, task=task)
         if fault.sees:
             return self._bench.seeing_task(self._log, config, self._scene.told)
         return self._bench.blind_task(self._log, config)
@@ -192,7 +190,7 @@ class _Row:
 
     @staticmethod
     def _allowed(strike: Trajectory, stop: Stop, cycles: float) -> float:
-        limits, notice = FAST.arm, cycles / RATE
+        limits, notice = CONFIG.arm, cycles / RATE
         braking = brake_on_path(strike, stop.path_time + notice, 1 / RATE, limits.stop_acceleration, limits.stop_jerk)
         return notice + (len(list(braking)) + 2) / RATE + SETTLING
 
@@ -232,5 +230,5 @@ class _Row:
 
     def _nudge(self) -> MotionOutcome:
         q = self._bench.arm.q_commanded
-        way = joint_move(q, q + 0.02 * np.eye(6)[0], np.full(6, 0.2), np.full(6, 1.0), np.full(6, FAST.arm.jerk))
+        way = joint_move(q, q + 0.02 * np.eye(6)[0], np.full(6, 0.2), np.full(6, 1.0), np.full(6, CONFIG.arm.jerk))
         return self._bench.arm.execute(way).outcome

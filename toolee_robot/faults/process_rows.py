@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from toolee_robot.errors import DeviceError, MotionFaultError, TooleeError
-from toolee_robot.faults.arm_rows import AT_REST, BUSY, HEARTBEAT, OFF_PATH
+from toolee_robot.faults.arm_rows import AT_REST, HEARTBEAT, OFF_PATH
 from toolee_robot.faults.joints_path import MOVING, braking_time, stop_after
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rig import BEFORE_CONTACT, SETTLE_TIME, START_TIME
@@ -36,10 +36,10 @@ class TaskFault:
 
 
 TASK_FAULTS = (
-    TaskFault(
-        "task gets Ctrl-C", signal.SIGINT, 0.03
-    ),  # the interpreter sees a signal between two bytecodes, and polls
-    TaskFault("task killed (SIGKILL)", signal.SIGKILL, 0.005),
+    # The interpreter sees a signal between two bytecodes.
+    TaskFault("task gets Ctrl-C", signal.SIGINT, 0.02),
+    # The kernel says so before it does anything else: `hardware/life_line.py`.
+    TaskFault("task killed (SIGKILL)", signal.SIGKILL, 0.002),
     TaskFault("task stalls (SIGSTOP)", signal.SIGSTOP, HEARTBEAT + BEAT),
 )
 
@@ -96,7 +96,7 @@ def _row(fault: TaskFault, phase: Phase, model: ArmModel, host: str, name: str) 
     stop = stop_after(trace, strike, at)
     period = 1 / 500 if model is ArmModel.UR10E else 1 / 125
     braking = braking_time(strike, stop.path_time + fault.notice, period, limits)
-    allowed = fault.notice + braking + 2 * period + BUSY
+    allowed = fault.notice + braking + 2 * period
     wrong = []
     latched = program_ended or said == MotionFaultError.__name__
     if not latched:

@@ -21,7 +21,7 @@ class FaultRow:
 
     reaction: from the fault to the first tick in which the joints leave the uninterrupted motion [s]. standstill: from
     the fault to rest [s]; allowed: the most that may take [s], which is the time to notice it, the braking that the
-    limits force, two cycles, and what a busy machine may add. speed: of the fastest joint when it came [rad/s].
+    limits force, and two cycles. speed: of the fastest joint when it came [rad/s].
     off_path: the most that the joints left the path afterwards [rad]. None where nothing moved or nothing is timed.
     latched: whether the next motion was refused until a person's reset. handled: all of it as it must be; why: if not.
     """

@@ -71,3 +71,17 @@ def receive(sock: socket.socket, deadline: float) -> bytes:
     if not data:
         raise NoAnswerError("the other side closed the connection")
     return data
+
+
+def receive_now(sock: socket.socket) -> bytes:
+    """Whatever has come, which may be nothing. Never waits. Raises NoAnswerError."""
+    sock.setblocking(False)
+    try:
+        data = sock.recv(_CHUNK)
+    except BlockingIOError:
+        return b""
+    except OSError as error:
+        raise NoAnswerError(f"the connection broke: {error}") from error
+    if not data:
+        raise NoAnswerError("the other side closed the connection")
+    return data

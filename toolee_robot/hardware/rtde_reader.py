@@ -25,7 +25,7 @@ from types import TracebackType
 from typing import Self
 
 from toolee_robot.errors import NoAnswerError, ProtocolError
-from toolee_robot.hardware.links import connect, receive, send
+from toolee_robot.hardware.links import connect, receive, receive_now, send
 
 RTDE_PORT = 30004
 NOT_FOUND = "NOT_FOUND"
@@ -134,15 +134,16 @@ class RtdeReader:
     def read(self, deadline: float) -> RtdeSample:
         """The next data packet; text messages in between are passed over."""
         while True:
-            received, kind, payload = self._packet(deadline)
-            if kind == _TEXT:
-                continue
-            if kind != _DATA or len(payload) != 1 + self._struct.size or payload[0] != self._recipe:
-                raise ProtocolError(
-                    f"an RTDE packet of type {kind} with {len(payload)} bytes where data with {1 + self._struct.size} "
-                    "was due"
-                )
-            return RtdeSample(received, self._unpack(payload[1:]))
+            sample = self._sample(*self._packet(deadline))
+            if sample is not None:
+                return sample
+
+    def arrived(self) -> list[RtdeSample]:
+        """The data packets that have come by now, the oldest first. Never waits. Raises as `read`."""
+        self._fill(receive_now(self._sock))
+        samples = [self._sample(*packet) for packet in self._packets]
+        self._packets.clear()
+        return [sample for sample in samples if sample is not None]
 
     def close(self) -> None:
         self._sock.close()
@@ -154,6 +155,17 @@ class RtdeReader:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _sample(self, received: float, kind: int, payload: bytes) -> RtdeSample | None:
+        """None for a text message."""
+        if kind == _TEXT:
+            return None
+        if kind != _DATA or len(payload) != 1 + self._struct.size or payload[0] != self._recipe:
+            raise ProtocolError(
+                f"an RTDE packet of type {kind} with {len(payload)} bytes where data with {1 + self._struct.size} "
+                "was due"
+            )
+        return RtdeSample(received, self._unpack(payload[1:]))
 
     def _unpack(self, data: bytes) -> dict[str, Value]:
         flat, values, at = self._struct.unpack(data), {}, 0
@@ -180,12 +192,14 @@ class RtdeReader:
 
     def _packet(self, deadline: float) -> tuple[float, int, bytes]:
         while not self._packets:
-            data = receive(self._sock, deadline)
-            received = time.monotonic()
-            self._packets.extend((received, kind, payload) for kind, payload in self._buffer.feed(data))
+            self._fill(receive(self._sock, deadline))
         if time.monotonic() > deadline:  # a flood of packets that are passed over must end as well
             raise NoAnswerError("the RTDE server sends, but not what was asked for in time")
         return self._packets.popleft()
+
+    def _fill(self, data: bytes) -> None:
+        received = time.monotonic()
+        self._packets.extend((received, kind, payload) for kind, payload in self._buffer.feed(data))
 
 
 def _ascii(data: bytes) -> str:

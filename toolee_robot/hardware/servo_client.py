@@ -55,9 +55,9 @@ class ServoClient:
         theirs.close()
         self.memory.close()
         self._pipe = Connection(ours.detach())
-        self._ended = threading.Event()
-        self._heart = threading.Thread(target=self._beat, name="arm heartbeat", daemon=True)
-        self._heart.start()
+        self._beats, self._ended = threading.Event(), threading.Event()
+        threading.Thread(target=self._beat, name="arm heartbeat", daemon=True).start()
+        self._beats.wait()
         try:
             self.realtime = self._connect(rate)
         except BaseException:
@@ -162,6 +162,10 @@ class ServoClient:
         return reply.realtime
 
     def _beat(self) -> None:
+        try:
+            self.memory.life.hold()
+        finally:
+            self._beats.set()
         while not self._ended.wait(self._clock.wall(BEAT)):
             self.memory.words[Word.HEARTBEAT] += 1
 

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from toolee_robot.errors import DeviceError, LimitError
 from toolee_robot.frames import Array
+from toolee_robot.hardware.life_line import SIZE as LIFE_LINE_SIZE
+from toolee_robot.hardware.life_line import LifeLine
 from toolee_robot.types import Trajectory
 
 FASTEST: Final = 500.0  # [Hz]
@@ -52,6 +54,7 @@ class Column:
     Q = slice(11, 17)
     QD = slice(17, 23)
     WRENCH = slice(23, 29)
+    """With the greatest force of those that came since the row before."""
     COUNT = 29
 
 
@@ -71,7 +74,8 @@ class StateColumn:
 
 
 class ServoMemory:
-    """fd: of the anonymous file, to hand to the other process. longest: the longest motion that fits [s]."""
+    """fd: of the anonymous file, to hand to the other process. longest: the longest motion that fits [s]. life: the
+    task's, of which the servo process sees the end."""
 
     def __init__(self, fd: int, longest: float) -> None:
         self.fd, self.longest = fd, longest
@@ -82,11 +86,12 @@ class ServoMemory:
             "knots": (knots, 19),
             "rows": (samples + int(AFTERWARDS * FASTEST), Column.COUNT),
         }
-        words = 8 * len(Word)
+        words = LIFE_LINE_SIZE + 8 * len(Word)
         size = words + sum(8 * int(np.prod(shape)) for shape in shapes.values())
         os.ftruncate(fd, size)
         self._map = mmap.mmap(fd, size)
-        self.words: NDArray[np.int64] = np.frombuffer(self._map, np.int64, len(Word))
+        self.life = LifeLine(self._map)
+        self.words: NDArray[np.int64] = np.frombuffer(self._map, np.int64, len(Word), LIFE_LINE_SIZE)
         offset, views = words, {}
         for name, shape in shapes.items():
             count = int(np.prod(shape))
@@ -99,7 +104,10 @@ class ServoMemory:
 
     @classmethod
     def create(cls, longest: float) -> ServoMemory:
-        return cls(os.memfd_create("toolee-servo", os.MFD_CLOEXEC), longest)
+        """The task's, before it starts the servo process."""
+        memory = cls(os.memfd_create("toolee-servo", os.MFD_CLOEXEC), longest)
+        memory.life.prepare()
+        return memory
 
     def close(self) -> None:
         """Give up the file; the mapping goes with its last array."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from typing import Final, Protocol
 
@@ -49,6 +50,9 @@ class Motion:
         self._commands = self._reference()
         self._lag_cycles = order.lag / self._period
         self._window = int(self._lag_cycles + order.watch.data_cycles) + 8
+        self._wrenches: list[Array] = []
+        over = 0.0 if order.guard is None else order.guard.over
+        self._felt: deque[Array] = deque(maxlen=max(round(over / self._period), 1))
 
     def run(self) -> Cause:
         words, link = self._memory.words, self._link
@@ -56,10 +60,12 @@ class Motion:
         words[Word.CAUSE], words[Word.CONTACT_ROW] = Cause.NONE, -1
         q = link.reading[StateColumn.COMMANDED].copy()
         settled = 0
+        link.unread_wrenches()
         while self._row < len(self._memory.rows):
             self._schedule.follow(link.read)
             lateness, missed = self._schedule.wait()
             link.read()
+            self._wrenches = link.unread_wrenches()
             self._judge(lateness, missed)
             following = None if self._silent else next(self._commands, None)
             if following is not None:
@@ -75,14 +81,14 @@ class Motion:
 
     def _judge(self, lateness: float, missed: int) -> None:
         """Every reason to stop. The first one counts, unless a later one forbids to send at all."""
-        words, watch, reading = self._memory.words, self._order.watch, self._link.reading
+        words, watch = self._memory.words, self._order.watch
         late = missed + (lateness >= self._period / 2)
         words[Word.OVERRUNS] += late
         self._streak = self._streak + late if late else 0
-        age = self._clock.now() - reading[StateColumn.SEEN]
+        touches = self._touches()
         if not self._link.connected:
             self._end(Cause.LINK)
-        elif not self._link.sane or age > watch.data_cycles * self._period:
+        elif not self._link.sane or self._link.age > watch.data_cycles * self._period:
             self._end(Cause.DATA)
         elif self._link.status is not ArmStatus.READY:
             self._end(Cause.STOPPED_BY_ROBOT)
@@ -99,7 +105,7 @@ class Motion:
             self._end(lost)
         elif words[Word.STOP] != self._order.stop:
             self._end(Cause.STOP)
-        elif self._touches():
+        elif touches:
             words[Word.CONTACT_ROW] = self._row
             self._end(Cause.CONTACT)
 
@@ -128,15 +134,14 @@ class Motion:
             yield q
 
     def _touches(self) -> bool:
-        guard = self._order.guard
-        if guard is None or self._time < guard.after or self._brakes:
-            return False
-        before = max(round(guard.over / self._period) - 1, 0)
-        if self._row < before:
-            return False
-        forces = self._memory.rows[self._row - before : self._row, Column.WRENCH][:, :3]
-        force = (forces.sum(axis=0) + self._link.reading[StateColumn.WRENCH][:3]) / (before + 1)
-        return float(np.sqrt(force @ force)) > guard.force
+        """Whether the guard's force is in any of the new readings, averaged with those before it."""
+        guard, touches = self._order.guard, False
+        for wrench in self._wrenches:
+            self._felt.append(wrench[:3])
+            force = np.mean(self._felt, axis=0)
+            full = len(self._felt) == self._felt.maxlen
+            touches |= guard is not None and full and float(np.sqrt(force @ force)) > guard.force
+        return touches and guard is not None and self._time >= guard.after and not self._brakes
 
     def _tracking_error(self) -> float:
         """[rad] How far the newest reading lies outside of what was commanded within the servo's lag before it."""
@@ -155,7 +160,7 @@ class Motion:
         if settled > SETTLE_TIME / self._period or self._cause is Cause.LINK:
             return True
         reading = self._link.reading
-        fresh = self._clock.now() - reading[StateColumn.SEEN] < self._order.watch.data_cycles * self._period
+        fresh = self._link.age < self._order.watch.data_cycles * self._period
         still = fresh and bool(np.abs(reading[StateColumn.QD]).max() < STANDSTILL)
         self._still = self._still + 1 if still else 0
         return self._still >= SETTLE_CYCLES and settled >= SETTLE_CYCLES + self._lag_cycles
@@ -166,7 +171,8 @@ class Motion:
         row[Column.SEEN], row[Column.TIMESTAMP] = reading[StateColumn.SEEN], reading[StateColumn.TIMESTAMP]
         row[Column.PATH_TIME], row[Column.COMMANDED] = self._time, q
         row[Column.Q], row[Column.QD] = reading[StateColumn.Q], reading[StateColumn.QD]
-        row[Column.WRENCH] = reading[StateColumn.WRENCH]
+        wrenches = self._wrenches or [reading[StateColumn.WRENCH]]
+        row[Column.WRENCH] = max(wrenches, key=lambda wrench: float(wrench[:3] @ wrench[:3]))
         self._row += 1
         memory.words[Word.ROWS] = self._row
         memory.words[Word.CYCLES] += 1

@@ -64,6 +64,7 @@ class ServoProcess:
             schedule.follow(link.read)
             schedule.wait()
             link.read()
+            link.unread_wrenches()
             self._judge()
             # A kick that meets an ended program would wait for it in vain.
             if self._fault < Cause.PROGRAM_ENDED and link.playing:
@@ -78,8 +79,7 @@ class ServoProcess:
     def _judge(self) -> None:
         """What happens at rest latches as well: nothing moves before a reset."""
         link = self._link
-        age = self._clock.wall(self._clock.now() - link.reading[StateColumn.SEEN])
-        if not link.connected or age > self._config.link_timeout:
+        if not link.connected or self._clock.wall(link.age) > self._config.link_timeout:
             self._latch(Cause.LINK)
             os._exit(EXIT_LINK_LOST)
         elif link.status is not ArmStatus.READY:
@@ -140,11 +140,12 @@ class ServoProcess:
         return Done()
 
     def lost(self) -> Cause:
-        """See `servo_motion.TaskLife`: its end of the pipe is open and its heartbeat goes on."""
+        """See `servo_motion.TaskLife`: its life line holds, its end of the pipe is open, and its heartbeat goes on."""
         now, beat = self._clock.now(), int(self._memory.words[Word.HEARTBEAT])
         if beat != self._beat:
             self._beat, self._since = beat, now
-        if self._terminated or any(events & (select.POLLHUP | select.POLLERR) for _, events in self._poll.poll(0)):
+        hung_up = any(events & (select.POLLHUP | select.POLLERR) for _, events in self._poll.poll(0))
+        if self._terminated or self._memory.life.cut or hung_up:
             return Cause.TASK_ENDED
         return Cause.TASK_STALLED if now - self._since > self._config.heartbeat_timeout else Cause.NONE
 

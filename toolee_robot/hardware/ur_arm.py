@@ -10,6 +10,7 @@ None of this is a safety function: the robot's own safety system is, with its li
 
 from __future__ import annotations
 
+import gc
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -150,7 +151,8 @@ class UrArm:
             )
             servo.memory.words[Word.ROWS] = 0
             try:
-                cause = self._move(servo, order)
+                with _no_collection():
+                    cause = self._move(servo, order)
             except ServoCrashError as error:
                 raise self._latch(ServoCrashError(str(error), build_report(servo.memory, Cause.LINK))) from error
         report = build_report(servo.memory, cause)
@@ -275,6 +277,19 @@ class UrArm:
     @staticmethod
     def _status_now(servo: ServoClient) -> ArmStatus:
         return _status(servo.memory.read_state())
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Python's collector stops all threads of a task with its libraries for up to 0.2 s, the heartbeat's too: not while
+    the arm moves."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def _status(state: Array) -> ArmStatus:

@@ -1,4 +1,5 @@
-"""The ur_rtde wheel's two objects, in the servo process: nothing else in the project touches the wheel.
+"""The ur_rtde wheel's two objects, in the servo process, and the stream of forces beside them: nothing else in the
+project touches the wheel.
 
 What the wheel returns is not believed: its calls answer True, and its getters give old values, long after the link is
 gone. Only the advance of the controller's timestamp says that a reading is new. Calls that shake hands with the control
@@ -26,17 +27,15 @@ from toolee_robot.hardware.servo_memory import StateColumn
 from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.hardware.ur_status import RUNTIME_PLAYING, advice, arm_status
 from toolee_robot.hardware.wheel_sockets import WheelSockets
+from toolee_robot.hardware.wrench_stream import WrenchStream
 
 PAYLOAD_TOLERANCE = 1e-3
 """[kg], [m] Between what was set and what the controller reports."""
 
-_ABSURD = np.repeat([100.0, 100.0, 1e4], 6)
-"""[rad], [rad/s], [N, Nm] No joint and no force of a robot reads so much, nor what is not a number."""
+_ABSURD = 100.0
+"""[rad], [rad/s] No joint of a robot reads so much, nor what is not a number."""
 
-_MEASURED = slice(StateColumn.Q.start, StateColumn.WRENCH.stop)
-
-# The controller's base is our base_link turned by pi about z: forces and torques change sign in x and y.
-_TURN = np.array([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
+_JOINTS = slice(StateColumn.Q.start, StateColumn.QD.stop)
 
 
 @contextmanager
@@ -52,20 +51,21 @@ def bounded(seconds: float) -> Iterator[None]:
 
 class UrLink:
     """rate [Hz]: the controller's. reading: (StateColumn.COUNT,), the newest; its commanded position is what went out
-    last, or, before anything did, where the controller holds the arm. sane: False for good once data made no sense;
-    they are never taken in. refused: True for good once the wheel did not send a position, since it believes that the
-    robot's program has ended, whatever the receiving end says. status, playing: what the robot says of its safety and
-    of its program. servoing: the control script's servo thread runs, and holds the last position sent."""
+    last, or, before anything did, where the controller holds the arm. refused: True for good once the wheel did not
+    send a position, since it believes that the robot's program has ended, whatever the receiving end says. status,
+    playing: what the robot says of its safety and of its program. servoing: the control script's servo thread runs, and
+    holds the last position sent."""
 
     def __init__(self, config: UrArmConfig, rate: float) -> None:
         """Connect; nothing moves. Raises NotReadyError while the robot's safety system or mode forbids motion, and
         DeviceError for what the wheel throws."""
         self._config, self.rate, self._clock = config, rate, config.clock
         self.reading: Array = np.zeros(StateColumn.COUNT)
-        self.sane, self.refused, self._lost = True, False, False
+        self._sane, self.refused, self._lost = True, False, False
         self.status, self.playing, self.servoing = ArmStatus.NOT_READY, False, False
         with bounded(self._clock.wall(config.connect_timeout)):
             try:
+                self._wrenches = WrenchStream(config.host, rate, self._clock.wall(config.connect_timeout), self._clock)
                 self._receive = RTDEReceiveInterface(config.host)
                 while not self.read():
                     self._expect(self.sane)
@@ -87,14 +87,30 @@ class UrLink:
 
     @property
     def connected(self) -> bool:
-        """Whether the wheel still has both connections, the ones of the beginning. True says nothing; False is the
-        truth."""
-        return not self._lost and bool(
+        """Whether all connections are there, the ones of the beginning. True says nothing; False is the truth."""
+        return not (self._lost or self._wrenches.lost) and bool(
             self._receive.isConnected() and self._control.isConnected() and self._sockets.same
         )
 
+    @property
+    def sane(self) -> bool:
+        """False for good once data made no sense; they are never taken in."""
+        return self._sane and self._wrenches.sane
+
+    @property
+    def age(self) -> float:
+        """[s] Of the newest reading, of joints or of force, whichever is older."""
+        return self._clock.now() - min(float(self.reading[StateColumn.SEEN]), self._wrenches.seen)
+
+    def unread_wrenches(self) -> list[Array]:
+        """All (6,) that have come since this was last asked, the oldest first."""
+        return self._wrenches.unread()
+
     def read(self) -> bool:
-        """Take the newest data in; False when nothing new has come, or nothing that makes sense. Never waits."""
+        """Take the newest data in; False when nothing new of the joints has come, or nothing that makes sense. Never
+        waits."""
+        self._wrenches.read()
+        self.reading[StateColumn.WRENCH] = self._wrenches.newest
         receive, reading = self._receive, self.reading.copy()
         timestamp = receive.getTimestamp()
         if timestamp == reading[StateColumn.TIMESTAMP]:
@@ -102,16 +118,14 @@ class UrLink:
         for _ in range(3):  # until all of it is of one packet
             reading[StateColumn.Q] = receive.getActualQ()
             reading[StateColumn.QD] = receive.getActualQd()
-            reading[StateColumn.WRENCH] = receive.getActualTCPForce()
             safety, mode, runtime = receive.getSafetyStatusBits(), receive.getRobotMode(), receive.getRuntimeState()
             before, timestamp = timestamp, receive.getTimestamp()
             if timestamp == before:
                 break
-        reading[StateColumn.WRENCH] *= _TURN
         # The controller's clock only goes forward. NaN fails every comparison.
         forward = self.reading[StateColumn.TIMESTAMP] < timestamp < np.inf
-        if not (forward and np.all(np.abs(reading[_MEASURED]) < _ABSURD)):
-            self.sane = False
+        if not (forward and np.all(np.abs(reading[_JOINTS]) < _ABSURD)):
+            self._sane = False
             return False
         reading[:5] = self._clock.now(), timestamp, safety, mode, runtime
         self.reading[:] = reading
@@ -188,7 +202,7 @@ class UrLink:
     def _take_target(self) -> None:
         """Where the controller holds the arm is where the next motion starts."""
         target = np.array(self._receive.getTargetQ())
-        self._expect(bool(np.all(np.abs(target) < _ABSURD[:6])))
+        self._expect(bool(np.all(np.abs(target) < _ABSURD)))
         self.reading[StateColumn.COMMANDED] = target
 
     @staticmethod
