@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Sequence
 from html import escape
 from typing import Any
@@ -14,14 +15,14 @@ body { margin: 0; color: var(--ink); background: #fff;
   font: 15px/1.55 system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
 header { background: var(--ink); color: #fff; padding: 34px 0 28px; }
 header h1 { margin: 0 0 6px; font-size: 27px; font-weight: 650; letter-spacing: -.01em; }
-header p { margin: 0; color: #c3ced7; }
+header p { margin: 0; color: #c3ced7; max-width: none; }
 header, main { padding-left: max(24px, calc(50vw - 540px)); padding-right: max(24px, calc(50vw - 540px)); }
 main { padding-top: 18px; padding-bottom: 60px; }
 h2 { margin: 42px 0 10px; padding-bottom: 6px; border-bottom: 2px solid var(--accent); font-size: 20px; }
 h3 { margin: 28px 0 8px; font-size: 16px; }
 p { max-width: 820px; }
 nav { margin: 14px 0 0; color: var(--soft); font-size: 14px; }
-nav a { color: var(--accent); text-decoration: none; margin-right: 16px; }
+nav a { display: inline-block; color: var(--accent); text-decoration: none; margin-right: 16px; }
 .cards { display: flex; flex-wrap: wrap; gap: 12px; margin: 18px 0; }
 .card { flex: 1 1 170px; padding: 12px 16px; background: var(--tint); border: 1px solid var(--line);
   border-radius: 8px; }
@@ -30,13 +31,14 @@ nav a { color: var(--accent); text-decoration: none; margin-right: 16px; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; margin: 8px 0 18px; font-size: 13.5px; font-variant-numeric: tabular-nums; }
 th, td { padding: 5px 11px; text-align: right; border-bottom: 1px solid var(--line); white-space: nowrap; }
-th { background: var(--tint); color: var(--soft); font-weight: 600; }
+th { background: var(--tint); color: var(--soft); font-weight: 600; line-height: 1.3; vertical-align: bottom;
+  white-space: normal; }
 th:first-child, td:first-child, th.left, td.left { text-align: left; }
 tr.first td { border-top: 2px solid var(--line); }
 tr.total td { background: var(--tint); }
 td.best { font-weight: 700; color: var(--accent); }
 figure { margin: 14px 0 26px; }
-img { max-width: 100%; height: auto; border: 1px solid var(--line); border-radius: 6px; }
+img { max-width: 100%; height: auto; padding: 12px; border: 1px solid var(--line); border-radius: 6px; }
 figcaption, .note { color: var(--soft); font-size: 13.5px; max-width: 820px; }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: 4px 18px; font-size: 14px; max-width: 900px; }
 dt { font-weight: 600; } dd { margin: 0; color: var(--soft); }
@@ -77,7 +79,8 @@ class Page:
         """rows of strings or (string, is the best) pairs; a rule above the rows `starts`; `left` columns of text."""
         starts = starts or set()
         columns = "".join(
-            f'<th class="left">{escape(h)}</th>' if i < left else f"<th>{escape(h)}</th>" for i, h in enumerate(head)
+            f'<th class="left">{_heading(h)}</th>' if i < left else f"<th>{_heading(h)}</th>"
+            for i, h in enumerate(head)
         )
         lines = []
         for number, row in enumerate(rows):
@@ -116,3 +119,8 @@ class Page:
             f"<body><header><h1>{escape(self._title)}</h1><p>{escape(self._subtitle)}</p></header>\n"
             f"<main><nav>{links}</nav>\n{body}\n</main></body></html>\n"
         )
+
+
+def _heading(text: str) -> str:
+    """Of a column: it may take several lines, but a number and its unit stay on one."""
+    return re.sub(r" (?=(cm|mm|%|°)( |$))", "\u00a0", escape(text))
