@@ -10,7 +10,6 @@ None of this is a safety function: the robot's own safety system is, with its li
 
 from __future__ import annotations
 
-import gc
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -41,6 +40,7 @@ from toolee_robot.hardware.ur_checks import UrExpected, check
 from toolee_robot.hardware.ur_config import UrArmConfig, servo_lag
 from toolee_robot.hardware.ur_probe import nominal_rate, probe
 from toolee_robot.hardware.ur_status import advice, arm_status
+from toolee_robot.pauses import no_collection
 from toolee_robot.types import ArmModel, JointState, Payload, Trajectory
 
 CAPACITY: Final = {ArmModel.UR10: 10.0, ArmModel.UR10E: 12.5}  # [kg]
@@ -151,7 +151,7 @@ class UrArm:
             )
             servo.memory.words[Word.ROWS] = 0
             try:
-                with _no_collection():
+                with no_collection():
                     cause = self._move(servo, order)
             except ServoCrashError as error:
                 raise self._latch(ServoCrashError(str(error), build_report(servo.memory, Cause.LINK))) from error
@@ -277,19 +277,6 @@ class UrArm:
     @staticmethod
     def _status_now(servo: ServoClient) -> ArmStatus:
         return _status(servo.memory.read_state())
-
-
-@contextmanager
-def _no_collection() -> Iterator[None]:
-    """Python's collector stops all threads of a task with its libraries for up to 0.2 s, the heartbeat's too: not while
-    the arm moves."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 def _status(state: Array) -> ArmStatus:
