@@ -3,32 +3,39 @@
 from __future__ import annotations
 
 import os
+import signal
 from typing import Any
 
 import pytest
 
-REALTIME = (
-    "cli/test_doctor.py",
-    "cli/test_hammer_ur.py",
-    "cli/test_ur_controller.py",
-    "contract/",
-    "faults/test_start_rows.py",
-    "hardware/test_pace.py",
-    "hardware/test_standstill.py",
-    "hardware/test_ur_",
-    "sim_backend/test_world_service.py",
-    "sim_backend/ur_controller/test_compiling.py",
-    "sim_backend/ur_controller/test_faults.py",
-    "sim_backend/ur_controller/test_survival.py",
-    "sim_backend/ur_controller/test_wheel_",
-    "tasks/test_swing_faults.py::test_somebody_steps_in",
-    "tasks/test_swing_faults.py::test_the_hand_is_watched_all_the_way",
-)
-"""Beginnings of the names of tests that are bound to the wall's clock: driver, controller stand-in, threads that watch
-a motion. `-m realtime` selects them."""
+LANES = {
+    "driver": (
+        "cli/test_hammer_ur.py",
+        "contract/",
+        "hardware/test_pace.py",
+        "hardware/test_standstill.py",
+        "hardware/test_ur_",
+        "tasks/test_swing_faults.py::test_somebody_steps_in",
+        "tasks/test_swing_faults.py::test_the_hand_is_watched_all_the_way",
+    ),
+    "stand-in": (
+        "cli/test_doctor.py",
+        "cli/test_ur_controller.py",
+        "faults/test_start_rows.py",
+        "sim_backend/test_world_service.py",
+        "sim_backend/ur_controller/test_compiling.py",
+        "sim_backend/ur_controller/test_faults.py",
+        "sim_backend/ur_controller/test_survival.py",
+        "sim_backend/ur_controller/test_wheel_",
+    ),
+}
+"""Beginnings of the names of tests that are bound to the wall's clock, and wait for it most of the time. Tests of one
+lane run one after another, in one process. `-m realtime` selects all of them."""
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # one of several processes: torch would take all cores in each of them
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background of a script; programs inherit it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -39,27 +46,26 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if is_realtime(item.nodeid):
+        if lane_of(item.nodeid):
             item.add_marker("realtime")
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """`pytest -n 2`: what is bound to the wall's clock runs in one process, one after another, and the other process
-    does the rest meanwhile."""
+    """`pytest -n 3` on two cores: two processes that mostly wait, and one that computes."""
     from xdist.scheduler import LoadScopeScheduling
 
-    class OneRealtimeTestAtATime(
-        LoadScopeScheduling
-    ):  # what has one scope stays in one process; the largest goes first
+    class Lanes(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return "realtime" if is_realtime(nodeid) else nodeid
+            """Tests of one scope stay in one process; the scopes with most tests go first."""
+            return lane_of(nodeid) or nodeid
 
-    return OneRealtimeTestAtATime(config, log)
+    return Lanes(config, log)
 
 
-def is_realtime(nodeid: str) -> bool:
-    return nodeid.removeprefix("tests/").startswith(REALTIME)
+def lane_of(nodeid: str) -> str | None:
+    name = nodeid.removeprefix("tests/")
+    return next((lane for lane, beginnings in LANES.items() if name.startswith(beginnings)), None)
 
 
 def pytest_report_header(config: pytest.Config) -> str | None:

@@ -27,20 +27,6 @@ from toolee_robot.types import RgbdFrame, ToolEstimate
 
 
 @pytest.fixture(scope="module")
-def shared() -> Iterator[Bench]:
-    bench = Bench()
-    with bench.sim:
-        yield bench
-
-
-@pytest.fixture
-def bench(shared: Bench) -> Bench:
-    """The hammer in the hand, held at the handover."""
-    shared.reset()
-    return shared
-
-
-@pytest.fixture(scope="module")
 def empty() -> Iterator[SimStation]:
     """An empty hand, and nobody who brings a tool."""
     with SimStation.build(CONFIG, 0, SimOptions(hands_over=False)) as sim:

@@ -3,7 +3,7 @@ the grip."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,20 +15,6 @@ from toolee_robot.control import Meeting
 from toolee_robot.faults.job_bench import CONFIG, Bench, Log, at_rest, grip_kept
 from toolee_robot.frames import Array
 from toolee_robot.tasks.outcome import HammerResult, Outcome, Stage
-
-
-@pytest.fixture(scope="module")
-def shared() -> Iterator[Bench]:
-    bench = Bench()
-    with bench.sim:
-        yield bench
-
-
-@pytest.fixture
-def bench(shared: Bench) -> Bench:
-    """The hammer in the hand, held at the handover."""
-    shared.reset()
-    return shared
 
 
 def stands(bench: Bench, result: HammerResult, outcome: Outcome, says: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -13,20 +12,6 @@ from toolee_robot.hal import ArmState, ContactGuard, MotionReport, MotionWatch
 from toolee_robot.sim_backend.quiet import pb
 from toolee_robot.tasks.outcome import HammerResult, Outcome
 from toolee_robot.types import Trajectory
-
-
-@pytest.fixture(scope="module")
-def shared() -> Iterator[Bench]:
-    bench = Bench()
-    with bench.sim:
-        yield bench
-
-
-@pytest.fixture
-def bench(shared: Bench) -> Bench:
-    """The hammer in the hand, held at the handover."""
-    shared.reset()
-    return shared
 
 
 def knock_at_the_wood(bench: Bench, monkeypatch: pytest.MonkeyPatch, force: float, seconds: float) -> None:

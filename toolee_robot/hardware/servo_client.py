@@ -154,7 +154,7 @@ class ServoClient:
                     else "the servo process did not start: the machine is overloaded"
                 )
             if started := int(self.memory.words[Word.CONNECTING]):
-                deadline = min(deadline, started * 1e-9 + self._clock.wall(self._config.connect_timeout))
+                deadline = min(deadline, started * 1e-9 + self._clock.wall(self._config.connect_timeout) + MORE)
         if isinstance(reply, Refused):
             raise (NotReadyError if reply.not_ready else DeviceError)(reply.message)
         if not isinstance(reply, Connected):

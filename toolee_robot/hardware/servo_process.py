@@ -60,15 +60,18 @@ class ServoProcess:
         """Until the task ends it, is gone, or the link is lost. Does not return."""
         link, memory = self._link, self._memory
         schedule = self._aligned()
+        answered = 0.0
         while True:
             schedule.follow(link.read)
             schedule.wait()
             link.read()
             link.unread_wrenches()
             self._judge()
-            # A kick that meets an ended program would wait for it in vain.
-            if self._fault < Cause.PROGRAM_ENDED and link.playing:
+            # A kick that meets an ended program would wait for it in vain. One for each reading: what is sent to a
+            # controller that pauses waits there, and so would every command after it.
+            if self._fault < Cause.PROGRAM_ENDED and link.playing and link.reading[StateColumn.TIMESTAMP] > answered:
                 link.kick()
+                answered = float(link.reading[StateColumn.TIMESTAMP])
             memory.words[Word.CYCLES] += 1
             memory.write_state(link.reading)
             if self._terminated:

@@ -65,8 +65,8 @@ class UrLink:
         self.status, self.playing, self.servoing = ArmStatus.NOT_READY, False, False
         with bounded(self._clock.wall(config.connect_timeout)):
             try:
-                self._wrenches = WrenchStream(config.host, rate, self._clock.wall(config.connect_timeout), self._clock)
                 self._receive = RTDEReceiveInterface(config.host)
+                self._wrenches = WrenchStream(config.host, rate, self._clock.wall(config.connect_timeout), self._clock)
                 while not self.read():
                     self._expect(self.sane)
                     time.sleep(1e-3)
