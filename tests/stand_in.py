@@ -6,18 +6,25 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Final
 
 import numpy as np
 
+from toolee_robot.hal import MotionWatch
+from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
 HOME = np.array([-0.6, -1.7, 1.6, -1.47, -1.57, 0.0])
-PACE: Final = {ArmModel.UR10: 1.0, ArmModel.UR10E: 0.25}
-"""A cycle takes 8 ms of the wall's clock for both: a machine that is busy with other things then keeps a real robot's
-bounds, the one on late data too."""
+# For a machine that is busy with other things: nothing but what a test brings about may stop a motion.
+PATIENT = MotionWatch(tracking_error=0.5, data_cycles=100.0, overruns=100)
+
+
+def patient(host: str) -> UrArmConfig:
+    """For a machine that is busy with other things; `toolee bench-servo` says what the driver can do on an idle one."""
+    return UrArmConfig(
+        host, watchdog=5.0, connect_timeout=15.0, handshake_timeout=5.0, hang_timeout=1.0, heartbeat_timeout=1.0
+    )
 
 
 @contextmanager

@@ -6,13 +6,13 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import numpy as np
 import pybullet as pb
 
 from tests.sim_backend.kinematics import joints_for_hand, line
-from tests.stand_in import HOME, PACE, stand_in
+from tests.stand_in import HOME, PATIENT, patient, stand_in
 from toolee_robot.config import ArmLimits, StationConfig
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array, transform
@@ -49,7 +49,7 @@ class Rig(ABC):
         return line([q, q + share * (towards - q)], duration)
 
     def execute(self, trajectory: Trajectory, guard: ContactGuard | None = None) -> MotionReport:
-        return self.arm.execute(trajectory, guard)
+        return self.arm.execute(trajectory, guard, PATIENT)
 
     @abstractmethod
     def now(self) -> float: ...
@@ -179,23 +179,22 @@ class SimRig(Rig):
 class StandInRig(Rig):
     """UrArm on the controller stand-in, over the loopback address `host`."""
 
-    def __init__(self, arm: UrArm, controller: ControllerProcess, config: UrArmConfig, limits: ArmLimits) -> None:
+    def __init__(self, arm: UrArm, controller: ControllerProcess, model: ArmModel, limits: ArmLimits) -> None:
         self.arm: UrArm = arm
-        self._config, self._clock = config, config.clock
         self.controller, self.limits = controller, limits
-        self.rate = 500.0 if limits.model is ArmModel.UR10E else 125.0
+        self.rate = 500.0 if model is ArmModel.UR10E else 125.0
 
     def start(self) -> Array:
         return self.arm.q_commanded
 
     def now(self) -> float:
-        return self._clock.now()
+        return time.monotonic()
 
     def sleep(self, duration: float) -> None:
-        self._clock.sleep(duration)
+        time.sleep(duration)
 
     def after(self, delay: float, action: Callable[[], object]) -> None:
-        timer = threading.Timer(self._clock.wall(delay), action)
+        timer = threading.Timer(delay, action)
         timer.daemon = True
         timer.start()
 
@@ -226,7 +225,7 @@ class StandInRig(Rig):
         """The dead connections stay dead; new ones work."""
 
     def reopened(self) -> Arm:
-        return UrArm(self._config, self.limits)
+        return UrArm(patient(self.controller.host), self.limits)
 
 
 class HardwareRig(Rig):
@@ -279,9 +278,11 @@ def sim_rig() -> Iterator[Rig]:
 
 @contextmanager
 def stand_in_rig(model: ArmModel, host: str) -> Iterator[Rig]:
-    limits, config = ArmLimits(model=model), UrArmConfig(host, pace=PACE[model])
-    with stand_in(model, host, config.pace) as controller, UrArm(config, limits) as arm:
-        yield StandInRig(arm, controller, config, limits)
+    limits = ArmLimits(model=model)
+    with ExitStack() as stack:
+        controller = stack.enter_context(stand_in(model, host))
+        arm = stack.enter_context(UrArm(patient(host), limits))
+        yield StandInRig(arm, controller, model, limits)
 
 
 @contextmanager

@@ -4,12 +4,14 @@ as UR10e, and with --hardware a robot."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.contract.rigs import Rig
 from tests.sim_backend.kinematics import line
+from tests.stand_in import PATIENT
 from toolee_robot.errors import (
     DeviceError,
     EmergencyStopError,
@@ -21,7 +23,7 @@ from toolee_robot.errors import (
     TrackingError,
 )
 from toolee_robot.frames import Array
-from toolee_robot.hal import Arm, ArmStatus, ContactGuard, MotionOutcome, MotionReport, MotionWatch
+from toolee_robot.hal import Arm, ArmStatus, ContactGuard, MotionOutcome, MotionReport
 from toolee_robot.types import Payload, Trajectory
 
 AT_REST = 0.02  # [rad/s]
@@ -220,7 +222,7 @@ def test_an_arm_that_does_not_follow_is_stopped_on_its_path(rig: Rig) -> None:
     trajectory = rig.nudge(1.5)
     rig.after(0.3, rig.hold_up)
     with pytest.raises(TrackingError) as caught:
-        rig.arm.execute(trajectory, None, MotionWatch(tracking_error=0.1))
+        rig.arm.execute(trajectory, None, replace(PATIENT, tracking_error=0.1))
     report = caught.value.report
     assert report is not None
     assert along(report, trajectory)[-1] < 0.9

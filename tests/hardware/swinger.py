@@ -7,16 +7,16 @@ import sys
 import threading
 
 from tests.hardware.swings import LONG, swing, wait_for_mid_swing
+from tests.stand_in import PATIENT, patient
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import DeviceError
 from toolee_robot.hardware.ur_arm import UrArm
-from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.types import ArmModel
 
 
 def main() -> None:
     host, model = sys.argv[1], ArmModel(sys.argv[2])
-    with UrArm(UrArmConfig(host), ArmLimits(model=model)) as arm:
+    with UrArm(patient(host), ArmLimits(model=model)) as arm:
         trajectory = swing(arm.q_commanded, LONG)
 
         def say() -> None:
@@ -25,7 +25,7 @@ def main() -> None:
 
         threading.Thread(target=say, daemon=True).start()
         try:
-            arm.execute(trajectory)
+            arm.execute(trajectory, None, PATIENT)
             print("completed", flush=True)
         except KeyboardInterrupt:
             print("interrupted", float(abs(arm.state(1.0).joints.qd).max()), flush=True)

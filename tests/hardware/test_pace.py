@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from tests.sim_backend.kinematics import line
-from tests.stand_in import HOME, stand_in
+from tests.stand_in import HOME, PATIENT, stand_in
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import NotReadyError, UserError
-from toolee_robot.hal import ContactGuard, MotionOutcome, MotionWatch
+from toolee_robot.hal import ContactGuard, MotionOutcome
 from toolee_robot.hardware.ur_arm import UrArm
 from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.host_clock import HostClock
@@ -90,9 +90,7 @@ def test_a_knock_among_readings_that_come_at_once_is_felt(
     there = HOME if np.abs(arm.q_commanded - HOME).max() > 0.05 else HOME + WAY
     timer = threading.Timer(0.3 / PACE, knock)
     timer.start()
-    report = arm.execute(
-        line([arm.q_commanded, there], 1.2), ContactGuard(force=15.0, over=over), MotionWatch(data_cycles=10.0)
-    )
+    report = arm.execute(line([arm.q_commanded, there], 1.2), ContactGuard(force=15.0, over=over), PATIENT)
     timer.join()
     assert report.outcome is MotionOutcome.CONTACT
     assert np.linalg.norm(report.wrenches[:, :3], axis=1).max() == pytest.approx(30.0, abs=0.1)

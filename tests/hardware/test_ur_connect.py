@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.sim_backend.kinematics import line
-from tests.stand_in import PACE, stand_in
+from tests.stand_in import PATIENT, patient, stand_in
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import DeviceError, NotReadyError, ServoCrashError
 from toolee_robot.hardware.servo_client import ServoClient
@@ -21,13 +21,12 @@ from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel, Payload
 
 HOST, NOBODY, SILENT = "127.0.0.25", "127.0.0.26", "127.0.0.27"
-CONFIG = UrArmConfig(HOST, pace=PACE[ArmModel.UR10E])
 PORTS = (29999, 30001, 30002, 30003, 30004)
 
 
 @pytest.fixture(scope="module")
 def controller() -> Iterator[ControllerProcess]:
-    with stand_in(ArmModel.UR10E, HOST, CONFIG.pace) as process:
+    with stand_in(ArmModel.UR10E, HOST) as process:
         yield process
 
 
@@ -50,9 +49,8 @@ def test_a_robot_that_is_silent_ends_the_servo_process_in_time() -> None:
         assert time.monotonic() - began < 1.0 + 8.0  # starting a process on a busy machine
 
 
-@pytest.mark.usefixtures("controller")
-def test_another_model_than_configured_is_refused() -> None:
-    with pytest.raises(NotReadyError, match="UR10"), UrArm(CONFIG, ArmLimits()):
+def test_another_model_than_configured_is_refused(controller: ControllerProcess) -> None:
+    with pytest.raises(NotReadyError, match="UR10"), UrArm(patient(controller.host), ArmLimits()):
         pass
 
 
@@ -60,7 +58,7 @@ def test_a_robot_in_protective_stop_is_refused(controller: ControllerProcess) ->
     controller.fault("protective_stop")
     with (
         pytest.raises(NotReadyError, match="protective"),
-        UrArm(CONFIG, ArmLimits(model=ArmModel.UR10E)),
+        UrArm(patient(controller.host), ArmLimits(model=ArmModel.UR10E)),
     ):
         pass
     controller.fault("reset")
@@ -68,7 +66,7 @@ def test_a_robot_in_protective_stop_is_refused(controller: ControllerProcess) ->
 
 def test_payload_and_freedrive_reach_the_robot_and_nobody_else_does(controller: ControllerProcess) -> None:
     limits = ArmLimits(model=ArmModel.UR10E)
-    with UrArm(CONFIG, limits) as arm:
+    with UrArm(patient(controller.host), limits) as arm:
         arm.set_payload(Payload(2.5, np.array([0.01, -0.02, 0.09])))
         state = controller.state()
         assert state["payload"] == pytest.approx(2.5)
@@ -76,13 +74,13 @@ def test_payload_and_freedrive_reach_the_robot_and_nobody_else_does(controller: 
         assert state["tcp"] == pytest.approx([0.0] * 6)
         # A second driver is refused, and the first does not notice.
         with pytest.raises(DeviceError, match=r"(?i)use"):
-            ServoClient(CONFIG, 500.0)
+            ServoClient(patient(controller.host), 500.0)
         q = arm.q_commanded
         with arm.freedrive():
             with pytest.raises(DeviceError, match="freedrive"):
                 arm.execute(line([q, q + 0.05], 0.5))
             time.sleep(0.5)  # the watchdog is fed
             assert controller.state()["program_state"] == "PLAYING"
-        arm.execute(line([arm.q_commanded, arm.q_commanded + 0.05], 0.5))
+        arm.execute(line([arm.q_commanded, arm.q_commanded + 0.05], 0.5), None, PATIENT)
         np.testing.assert_allclose(controller.state()["q"], q + 0.05, atol=1e-6)
     assert controller.state()["program_state"] == "STOPPED"

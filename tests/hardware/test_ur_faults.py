@@ -13,7 +13,7 @@ from functools import partial
 import pytest
 
 from tests.hardware.swings import SLACK, Stop, braked, shortest_stop, stop_after, swing, wait_for_mid_swing
-from tests.stand_in import HOME, stand_in
+from tests.stand_in import HOME, PATIENT, patient, stand_in
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import (
     DeviceError,
@@ -29,13 +29,12 @@ from toolee_robot.errors import (
 )
 from toolee_robot.hal import ArmStatus, MotionOutcome, MotionWatch
 from toolee_robot.hardware.ur_arm import UrArm
-from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
 HOST = "127.0.0.23"
 LIMITS = ArmLimits(model=ArmModel.UR10)
-CONFIG = UrArmConfig(HOST)
+CONFIG = patient(HOST)
 WATCHDOG = 1.0 / CONFIG.watchdog
 
 
@@ -46,8 +45,8 @@ def controller() -> Iterator[ControllerProcess]:
 
 
 @pytest.fixture(scope="module")
-def shared_arm(controller: ControllerProcess) -> Iterator[UrArm]:  # noqa: ARG001  (it is on the way)
-    with UrArm(CONFIG, LIMITS) as arm:
+def shared_arm(controller: ControllerProcess) -> Iterator[UrArm]:
+    with UrArm(patient(controller.host), LIMITS) as arm:
         yield arm
 
 
@@ -68,7 +67,7 @@ def arm(shared_arm: UrArm, controller: ControllerProcess) -> Iterator[UrArm]:
 
 
 def happens(
-    arm: UrArm, controller: ControllerProcess, event: Callable[[], object], watch: MotionWatch | None = None
+    arm: UrArm, controller: ControllerProcess, event: Callable[[], object], watch: MotionWatch = PATIENT
 ) -> tuple[Stop, Exception | None]:
     """A swing in the middle of which `event` happens, and how the joints stopped."""
     trajectory = swing(arm.q_commanded)
@@ -148,9 +147,7 @@ def test_dropped_link(arm: UrArm, controller: ControllerProcess, reset: bool) ->
 
 
 def test_half_open_link(arm: UrArm, controller: ControllerProcess) -> None:
-    stop, error = happens(
-        arm, controller, lambda: controller.fault("half_open", port="rtde"), MotionWatch(data_cycles=10.0, overruns=40)
-    )
+    stop, error = happens(arm, controller, lambda: controller.fault("half_open", port="rtde"), MotionWatch(0.5, 10, 40))
     assert isinstance(error, LinkLostError)
     assert stop.time < WATCHDOG + 0.5 + SLACK
     with pytest.raises(StaleDataError):
@@ -170,7 +167,7 @@ def test_a_controller_that_pauses_at_rest_is_stale_meanwhile_and_no_more(
     assert arm.state(0.5).status is ArmStatus.READY
     arm.reset()
     assert arm.servo_pid == pid
-    assert arm.execute(swing(arm.q_commanded)).outcome is MotionOutcome.COMPLETED
+    assert arm.execute(swing(arm.q_commanded), None, PATIENT).outcome is MotionOutcome.COMPLETED
 
 
 def test_a_network_that_is_stuck_for_a_second_stops_the_motion(arm: UrArm, controller: ControllerProcess) -> None:
@@ -179,7 +176,7 @@ def test_a_network_that_is_stuck_for_a_second_stops_the_motion(arm: UrArm, contr
     assert isinstance(error, MotionFaultError)
     expect_latch(arm)
     arm.reset()
-    assert arm.execute(swing(arm.q_commanded)).outcome is MotionOutcome.COMPLETED
+    assert arm.execute(swing(arm.q_commanded), None, PATIENT).outcome is MotionOutcome.COMPLETED
 
 
 def test_a_stall_of_three_seconds_is_a_lost_link(arm: UrArm, controller: ControllerProcess) -> None:
@@ -223,7 +220,7 @@ def test_late_commands(arm: UrArm, controller: ControllerProcess) -> None:
         time.sleep(0.06)
         os.kill(pid, signal.SIGCONT)
 
-    stop, error = happens(arm, controller, hold_up, MotionWatch(data_cycles=40.0))
+    stop, error = happens(arm, controller, hold_up, MotionWatch(0.5, 40.0, 3))
     assert isinstance(error, OverrunError)
     assert error.report is not None
     assert error.report.overruns >= 3

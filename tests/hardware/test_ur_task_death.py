@@ -13,15 +13,14 @@ import numpy as np
 import pytest
 
 from tests.hardware.swings import LONG, braked, stop_after, swing
-from tests.stand_in import stand_in
+from tests.stand_in import patient, stand_in
 from toolee_robot.config import ArmLimits
-from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
 HOST = "127.0.0.24"
 LIMITS = ArmLimits()
-HEARTBEAT = UrArmConfig(HOST).heartbeat_timeout
+HEARTBEAT = patient(HOST).heartbeat_timeout
 
 
 @pytest.fixture(scope="module")
