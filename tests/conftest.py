@@ -1,36 +1,38 @@
-"""Options of the whole suite, and how it is spread over several processes."""
+"""Options of the whole suite, and what becomes of tests that are bound to the clock on the wall."""
 
 from __future__ import annotations
 
 import os
 import signal
-from typing import Any
 
 import pytest
 
-LANES = {
-    "driver": (
-        "cli/test_hammer_ur.py",
-        "contract/",
-        "hardware/test_pace.py",
-        "hardware/test_standstill.py",
-        "hardware/test_ur_",
-        "tasks/test_swing_faults.py::test_somebody_steps_in",
-        "tasks/test_swing_faults.py::test_the_hand_is_watched_all_the_way",
-    ),
-    "stand-in": (
-        "cli/test_doctor.py",
-        "cli/test_ur_controller.py",
-        "faults/test_start_rows.py",
-        "sim_backend/test_world_service.py",
-        "sim_backend/ur_controller/test_compiling.py",
-        "sim_backend/ur_controller/test_faults.py",
-        "sim_backend/ur_controller/test_survival.py",
-        "sim_backend/ur_controller/test_wheel_",
-    ),
-}
-"""Beginnings of the names of tests that are bound to the wall's clock, and wait for it most of the time. Tests of one
-lane run one after another, in one process. `-m realtime` selects all of them."""
+from tests.steadiness import Steadiness
+
+REALTIME = (
+    "cli/test_doctor.py",
+    "cli/test_hammer_ur.py",
+    "cli/test_ur_controller.py",
+    "contract/",
+    "faults/test_start_rows.py",
+    "hardware/test_pace.py",
+    "hardware/test_standstill.py",
+    "hardware/test_ur_",
+    "sim_backend/test_world_service.py",
+    "sim_backend/ur_controller/test_compiling.py",
+    "sim_backend/ur_controller/test_faults.py",
+    "sim_backend/ur_controller/test_survival.py",
+    "sim_backend/ur_controller/test_urscript_wheel.py",
+    "sim_backend/ur_controller/test_wheel_",
+    "tasks/test_swing_faults.py::test_somebody_steps_in",
+    "tasks/test_swing_faults.py::test_the_hand_is_watched_all_the_way",
+)
+"""Beginnings of the names of tests that are bound to the clock on the wall: a machine to themselves, one at a time."""
+
+STANDSTILL = 0.02
+"""[s] Under the least bound that they keep (24 ms: three readings of 125 Hz). A machine that stood still for so long
+itself, as `Steadiness` sees it, has broken the bound: a test that failed meanwhile is run again, and the report says
+so. Any other failure counts."""
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # one of several processes: torch would take all cores in each of them
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -43,29 +45,57 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--hardware-model", default="UR10", choices=["UR10", "UR10e"], help="what robot that is")
 
 
+class _Machine:
+    """How steady it is while tests that are bound to the clock run."""
+
+    def __init__(self) -> None:
+        self._steadiness = Steadiness()
+        self._running = ""
+        self.excuses: list[str] = []
+
+    def begin(self, name: str) -> None:
+        if not self._running:
+            self._steadiness.__enter__()
+        self._running = name
+        self._steadiness.begin()
+
+    def stood_still(self) -> bool:
+        standstill = self._steadiness.standstill
+        if standstill < STANDSTILL:
+            return False
+        self.excuses.append(f"{self._running}: failed while the machine stood still for {1e3 * standstill:.0f} ms")
+        return True
+
+    def end(self) -> None:
+        if self._running:
+            self._steadiness.__exit__(None, None, None)
+
+
+_MACHINE = _Machine()
+
+
 @pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if lane_of(item.nodeid):
+        if item.nodeid.removeprefix("tests/").startswith(REALTIME):
             item.add_marker("realtime")
+            item.add_marker(pytest.mark.xdist_group("realtime"))
+            item.add_marker(pytest.mark.flaky(reruns=2, condition=_MACHINE.stood_still))
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """`pytest -n 3` on two cores: two processes that mostly wait, and one that computes."""
-    from xdist.scheduler import LoadScopeScheduling
-
-    class Lanes(LoadScopeScheduling):
-        def _split_scope(self, nodeid: str) -> str:
-            """Tests of one scope stay in one process; the scopes with most tests go first."""
-            return lane_of(nodeid) or nodeid
-
-    return Lanes(config, log)
+@pytest.hookimpl(tryfirst=True)  # before its fixtures
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker("realtime"):
+        _MACHINE.begin(item.name)
 
 
-def lane_of(nodeid: str) -> str | None:
-    name = nodeid.removeprefix("tests/")
-    return next((lane for lane, beginnings in LANES.items() if name.startswith(beginnings)), None)
+def pytest_unconfigure() -> None:
+    _MACHINE.end()
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    for excuse in _MACHINE.excuses:
+        terminalreporter.line(f"RERUN {excuse}")
 
 
 def pytest_report_header(config: pytest.Config) -> str | None:
