@@ -51,7 +51,7 @@ class _Machine:
     def __init__(self) -> None:
         self._steadiness = Steadiness()
         self._running = ""
-        self.excuses: list[str] = []
+        self.standstills: dict[str, float] = {}
 
     def begin(self, name: str) -> None:
         if not self._running:
@@ -63,7 +63,7 @@ class _Machine:
         standstill = self._steadiness.standstill
         if standstill < STANDSTILL:
             return False
-        self.excuses.append(f"{self._running}: failed while the machine stood still for {1e3 * standstill:.0f} ms")
+        self.standstills[self._running] = standstill
         return True
 
     def end(self) -> None:
@@ -86,7 +86,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.hookimpl(tryfirst=True)  # before its fixtures
 def pytest_runtest_setup(item: pytest.Item) -> None:
     if item.get_closest_marker("realtime"):
-        _MACHINE.begin(item.name)
+        _MACHINE.begin(item.nodeid)
 
 
 def pytest_unconfigure() -> None:
@@ -94,8 +94,12 @@ def pytest_unconfigure() -> None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    for excuse in _MACHINE.excuses:
-        terminalreporter.line(f"RERUN {excuse}")
+    """What was run again, and why: none of it goes unseen."""
+    for report in terminalreporter.stats.get("rerun", []):
+        terminalreporter.section(f"RUN AGAIN: {report.nodeid}")
+        terminalreporter.line(report.longreprtext)
+        standstill = _MACHINE.standstills.get(report.nodeid, 0.0)
+        terminalreporter.line(f"failed while the machine stood still for {1e3 * standstill:.0f} ms")
 
 
 def pytest_report_header(config: pytest.Config) -> str | None:

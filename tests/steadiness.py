@@ -25,9 +25,11 @@ class Steadiness:
     def __enter__(self) -> Steadiness:
         spawn = multiprocessing.get_context("spawn")
         cores = sorted(os.sched_getaffinity(0))
-        self._longest = spawn.RawArray(ctypes.c_double, len(cores))
+        self._longest = spawn.RawArray(ctypes.c_double, [-1.0] * len(cores))
         self._process = spawn.Process(target=_watch, args=(self._longest, cores), daemon=True)
         self._process.start()
+        while min(self._longest) < 0.0:  # not watching yet
+            time.sleep(PAUSE)
         return self
 
     def __exit__(
@@ -58,6 +60,7 @@ def _watch(longest: ctypes.Array[ctypes.c_double], cores: list[int]) -> None:
 
 def _sleep(longest: ctypes.Array[ctypes.c_double], i: int, core: int) -> None:
     os.sched_setaffinity(0, {core})
+    longest[i] = 0.0
     before = time.monotonic()
     while True:
         time.sleep(PAUSE)
