@@ -40,6 +40,7 @@ from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.hardware.ur_link import UrLink
 
 EXIT_LINK_LOST = 3
+_FRESH, _PATIENCE = 3, 5  # readings, cycles
 
 
 class ServoProcess:
@@ -107,7 +108,7 @@ class ServoProcess:
             elif self._fault is not Cause.NONE:
                 reply = Moved(self._fault) if isinstance(order, MotionOrder) else Refused("the arm is latched", False)
             elif isinstance(order, MotionOrder):
-                schedule.resume()
+                self._await_data(schedule)
                 reply = Moved(self._move(order, schedule))
             else:
                 reply = self._handshake(order)
@@ -150,6 +151,20 @@ class ServoProcess:
         if self._terminated or self._memory.life.cut or hung_up:
             return Cause.TASK_ENDED
         return Cause.TASK_STALLED if now - self._since > self._config.heartbeat_timeout else Cause.NONE
+
+    def _await_data(self, schedule: Schedule) -> None:
+        """Up to three new readings, within _PATIENCE cycles at most: a motion does not begin with data that were old
+        before it."""
+        end = schedule.deadline + _PATIENCE / self._link.rate
+        fresh = 0
+        while fresh < _FRESH and schedule.deadline < end:
+            schedule.resume()
+            schedule.wait()
+            if self._link.read():
+                fresh += 1
+                if self._fault is Cause.NONE and self._link.playing:
+                    self._link.kick()
+        schedule.resume()
 
     def _terminate(self, _signum: int, _frame: object) -> None:
         self._terminated = True
