@@ -7,10 +7,9 @@ import signal
 
 import pytest
 
-from toolee_robot.host_steadiness import Steadiness
+from tests.steadiness import Steadiness
 
 REALTIME = (
-    "cli/test_bench_servo.py",
     "cli/test_doctor.py",
     "cli/test_hammer_ur.py",
     "cli/test_ur_controller.py",
@@ -61,7 +60,7 @@ class _Machine:
         self._steadiness.begin()
 
     def stood_still(self) -> bool:
-        standstill = self._steadiness.longest
+        standstill = self._steadiness.standstill
         if standstill < STANDSTILL:
             return False
         self.standstills[self._running] = standstill

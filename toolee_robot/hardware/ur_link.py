@@ -102,11 +102,6 @@ class UrLink:
         """[s] Of the newest reading, of joints or of force, whichever is older."""
         return self._clock.now() - min(float(self.reading[StateColumn.SEEN]), self._wrenches.seen)
 
-    @property
-    def arrived(self) -> float:
-        """[s] When the newest reading of the force came in, not when it was read: by it, the controller's cycle."""
-        return self._wrenches.arrived
-
     def unread_wrenches(self) -> list[Array]:
         """All (6,) that have come since this was last asked, the oldest first."""
         return self._wrenches.unread()

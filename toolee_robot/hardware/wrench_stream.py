@@ -25,8 +25,8 @@ _TURN = np.array([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
 
 
 class WrenchStream:
-    """newest: (6,) [N, Nm] at the flange, in `base`; arrived: when it came, seen: when it was read [s]. lost: True for
-    good once the connection is gone. sane: False for good once data made no sense; they are never taken in."""
+    """newest: (6,) [N, Nm] at the flange, in `base`; seen: when it came [s]. lost: True for good once the connection is
+    gone. sane: False for good once data made no sense; they are never taken in."""
 
     def __init__(self, host: str, rate: float, timeout: float, clock: HostClock) -> None:
         """Connect, and wait for the first reading; timeout [s] of the wall. Raises NoAnswerError, ProtocolError, and
@@ -35,7 +35,6 @@ class WrenchStream:
         self._clock, self._timestamp = clock, -np.inf
         self._unread: list[Array] = []
         self.newest, self.seen = np.zeros(6), clock.now()
-        self.arrived = self.seen
         self.lost, self.sane = False, True
         self._reader = RtdeReader.connect(host, deadline)
         if self._reader.subscribe(["timestamp", "actual_TCP_force"], rate, deadline):
@@ -69,5 +68,4 @@ class WrenchStream:
             if not (wrench.shape == (6,) and np.all(np.abs(wrench) < ABSURD)):
                 raise ProtocolError("the robot's forces are no forces")
             self._timestamp, self.newest, self.seen = timestamp, wrench * _TURN, self._clock.now()
-            self.arrived = sample.received * self._clock.pace
             self._unread.append(self.newest)
