@@ -30,7 +30,7 @@ REALTIME = (
 """Beginnings of the names of tests that are bound to the clock on the wall: a machine to themselves, one at a time."""
 
 STANDSTILL = 0.02
-"""[s] Under the least bound that they keep (24 ms: three readings of 125 Hz). A machine that stood still for so long
+"""[s] Under a UR10's bound on its data's age (24 ms: three readings of 125 Hz). A machine that stood still for so long
 itself, as `Steadiness` sees it, has broken the bound: a test that failed meanwhile is run again, and the report says
 so. Any other failure counts."""
 

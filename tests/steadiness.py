@@ -14,7 +14,7 @@ from types import TracebackType
 
 PAUSE = 0.002  # [s]
 PRIORITY = 60
-"""Of SCHED_FIFO: over the driver's and the stand-in's (40), so that what they do to each other is never put down to
+"""Of SCHED_FIFO: over the driver's (40) and the stand-in's (1), so that what they do to each other is never put down to
 the machine."""
 
 
@@ -29,6 +29,8 @@ class Steadiness:
         self._process = spawn.Process(target=_watch, args=(self._longest, cores), daemon=True)
         self._process.start()
         while min(self._longest) < 0.0:  # not watching yet
+            if not self._process.is_alive():
+                raise RuntimeError("the process that watches the machine's steadiness died at its start")
             time.sleep(PAUSE)
         return self
 
