@@ -108,7 +108,7 @@ class Detection:
     """One EE found in an image.
 
     mask: (H, W) bool, the EE. tool_mask: (H, W) bool, the whole visible tool it belongs to, or None.
-    box: x0, y0, x1, y1 [px]. score in [0, 1].
+    box: x0, y0, x1, y1 [px]. score in [0, 1]; tool_score: likewise of the tool, 0 without one.
     """
 
     category: Category
@@ -116,6 +116,7 @@ class Detection:
     mask: NDArray[np.bool_]
     box: tuple[float, float, float, float]
     tool_mask: NDArray[np.bool_] | None = None
+    tool_score: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,8 @@ class ToolEstimate:
 
     X_camera_ee: 4x4, pooled, and with the spin fixed by the hand where the hand's pose was given.
     covariance: 6x6, position [m] then rotation vector [rad], both in the camera frame's axes; a free spin shows
-    as a variance of (pi)^2/3 about the axis. confidence in [0, 1]: probability of being within 10 deg and 2 cm.
+    as a variance of (pi)^2/3 about the axis. confidence in [0, 1]: probability of being within 10 deg and 2 cm if the
+    detection is right; trust: that both are.
     usable: whether to act on it; reason says why not (or "ok").
     """
 
@@ -151,6 +153,7 @@ class ToolEstimate:
     usable: bool
     reason: str
     hypotheses: PoseHypotheses | None = None
+    trust: float = 0.0
 
     @property
     def category(self) -> Category:

@@ -175,6 +175,7 @@ class Controller:
         )
         if self.publish_at > 0.0:
             self._serve_until(due + self.publish_at * robot.model.period)
+        self.inputs.catching_up = self.schedule.overdue
         for service in self.services:
             service.on_tick(robot.model.period)
         if robot.ticks % COLLECT_TICKS == 0 and not any(port.clients for port in self.ports.values()):
@@ -190,11 +191,11 @@ class Controller:
         """Read from whoever sends until the time `due` [s]; at least once."""
         clock = self.clock
         clock.sleep(self.frozen_until - clock.now())
-        self.inputs.catching_up = clock.now() > due
         while True:
             readers = {fd: service for service in self.services for fd in service.filenos()}
             timeout = max(0.0, clock.wall(due - clock.now()))
             ready, _, _ = select.select(list(readers), [], [], timeout)
+            self.inputs.catching_up = self.schedule.overdue  # the computer may have stopped in the midst of the wait
             # A flood on many connections must not hold up the tick, nor one of them always come last.
             enough = max(due, clock.now()) + self.schedule.period
             self._turn = (self._turn + 1) % max(len(ready), 1)

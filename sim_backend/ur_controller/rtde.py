@@ -55,7 +55,6 @@ class RtdeSession:
         self._drop_after, faults.drop_after = faults.drop_after, None
         self._ended = False
         self._written = 0  # the input recipe that came last since the last tick
-        self._queueing = False  # a stream's packets wait for their ticks
 
     def feed(self, data: bytes) -> None:
         self._buffer += data
@@ -69,7 +68,6 @@ class RtdeSession:
             if len(self._buffer) < size:
                 return
             if kind == wire.DATA and self._must_wait(size):
-                self._queueing = True
                 return
             payload = bytes(self._buffer[wire.HEADER.size : size])
             del self._buffer[:size]
@@ -79,16 +77,14 @@ class RtdeSession:
         """Publish what the client has subscribed to, if it is due; take what it had to wait with."""
         self._publish()
         self._written = 0
-        self._queueing = bool(self._buffer)
         self.feed(b"")
 
     def _must_wait(self, size: int) -> bool:
-        """Whether the next packet is of a stream of which one has been taken in this tick, on a late computer. What
-        began to queue goes on one by one until something else comes: no step later on either."""
-        if not self._written or len(self._buffer) > QUEUE * size:
+        """Whether the next packet is of a stream of which one has been taken in this tick, while ticks are caught up.
+        There may be fewer of those than packets: time that the schedule gave up is not caught up."""
+        if not (self._written and self._inputs.catching_up) or len(self._buffer) > QUEUE * size:
             return False
-        same = len(self._buffer) > wire.HEADER.size and self._buffer[wire.HEADER.size] == self._written
-        return same and (self._queueing or self._inputs.catching_up)
+        return len(self._buffer) > wire.HEADER.size and self._buffer[wire.HEADER.size] == self._written
 
     def _publish(self) -> None:
         recipe = self._output

@@ -40,8 +40,9 @@ _LAST_DIGITAL = 18
 class Inputs:
     """Input variables of one controller. owners: variable -> who has claimed it; any hashable object is an owner.
 
-    catching_up: this tick is overdue, since the computer was late. What a client streamed meanwhile is then taken one
-    packet a tick, as it would have come: all at once, a servo's path would have a step.
+    catching_up: the next tick is overdue, since the computer was late. What a client streamed meanwhile is then taken
+    one packet a tick, as it would have come: all at once, a servo's path would have a step. With the ticks on time
+    again the newest counts, as in a real controller: what was still left would make every later packet late.
     """
 
     def __init__(self, robot: Robot) -> None:

@@ -40,6 +40,11 @@ class Schedule:
         """Time of the next tick."""
         return self._start + self._count * self.period
 
+    @property
+    def overdue(self) -> bool:
+        """Whether the next tick should have begun already."""
+        return self.clock.now() > self.due
+
     def begin(self) -> float:
         """The tick that is due begins; returns its time on the schedule."""
         due, statistics = self.due, self.statistics

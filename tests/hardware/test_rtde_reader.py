@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tests.hardware.wire import FORMATS, data, packet, peer_sends, setup_reply, soon
 from toolee_robot.errors import DeviceError, NoAnswerError, ProtocolError
 from toolee_robot.hardware.dashboard_reader import DashboardReader, ask_all
-from toolee_robot.hardware.links import connect
+from toolee_robot.hardware.links import connect, receive_now
 from toolee_robot.hardware.rtde_reader import PacketBuffer, RtdeReader
 
 _number = st.floats(allow_nan=False)
@@ -231,3 +231,18 @@ def test_nobody_there_is_said_at_once() -> None:
     with pytest.raises(NoAnswerError, match="no address is known for the host"):
         connect("no.such.robot.invalid", 30004, soon(0.5))
     assert time.monotonic() - began < 3.0
+
+
+def test_what_waited_to_be_read_says_when_it_came() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        ours = connect("127.0.0.1", server.getsockname()[1], soon())
+        theirs, _ = server.accept()
+        with ours, theirs:
+            assert receive_now(ours)[0] == b""
+            time.sleep(0.05)  # the kernel begins to stamp
+            theirs.sendall(b"early")
+            sent = time.monotonic()
+            time.sleep(0.1)
+            data, came = receive_now(ours)
+            assert data == b"early"
+            assert abs(came - sent) < 0.05

@@ -9,14 +9,17 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from toolee_robot.errors import DeviceError, LimitError
-from toolee_robot.hardware.servo_clock import Schedule
+from toolee_robot.frames import Array
+from toolee_robot.hardware.servo_clock import AFTER_PACKET, FOLLOW, SEEK, Schedule
 from toolee_robot.hardware.servo_memory import ServoMemory, StateColumn, Word, presample
 from toolee_robot.host_clock import HostClock
 from toolee_robot.types import Trajectory
@@ -161,15 +164,67 @@ def test_the_schedule_is_counted_from_its_start_and_skips_what_it_missed() -> No
     assert schedule.deadline > start + 7.5 * period
 
 
-def test_the_schedule_follows_the_controllers_packets() -> None:
+@dataclass(frozen=True)
+class _Clock(HostClock):
+    """It stands still but for those who wait for it."""
+
+    time: list[float] = field(default_factory=lambda: [100.0])
+
+    def now(self) -> float:
+        self.time[0] += 1e-6
+        return self.time[0]
+
+    def sleep(self, duration: float) -> None:
+        self.time[0] += max(duration, 0.0)
+
+
+@given(
+    phase=st.floats(0.0, 1.0),
+    crystal=st.floats(-5e-5, 5e-5),
+    late=st.lists(st.tuples(st.integers(300, 3900), st.floats(0.0, 0.9)), max_size=400),
+)
+@settings(deadline=None, max_examples=30)
+def test_slots_keep_their_place_after_the_controllers_packets(
+    phase: float, crystal: float, late: list[tuple[int, float]]
+) -> None:
+    """They find it at rest, and keep it in motion, though another crystal counts the controller's cycles and one packet
+    in ten comes late."""
+    period, clock = 0.002, _Clock()
+    start = clock.now()
+    sent: Any = start + period * (phase + (1.0 + crystal) * np.arange(4200))
+    arrivals = sent.copy()
+    for i, by in late:
+        arrivals[i] = sent[i] + by * period
+
+    schedule = Schedule(start, period, clock)
+
+    def cycle(by: float) -> int:
+        _, missed = schedule.wait()
+        come = arrivals[arrivals <= clock.time[0]]
+        if len(come):
+            schedule.follow(float(come.max()), by)
+        return missed
+
+    for _ in range(200):
+        cycle(SEEK)
+    assert _place(clock, sent, period) == pytest.approx(AFTER_PACKET, abs=0.03)
+    for _ in range(3800):
+        assert cycle(FOLLOW) == 0
+    assert _place(clock, sent, period) == pytest.approx(AFTER_PACKET, abs=0.06)
+
+
+def _place(clock: _Clock, sent: Array, period: float) -> float:
+    """Of the slot that has just begun, in its cycle."""
+    return float((clock.time[0] - sent[np.searchsorted(sent, clock.time[0]) - 1]) / period)
+
+
+def test_a_schedule_that_resumes_misses_nothing() -> None:
     period = 0.002
-    schedule = Schedule(time.monotonic() + period, period, HostClock())
-    before = schedule.deadline
-    for _ in range(5):
-        schedule.follow(lambda: True)
-    assert schedule.deadline < before
-    # Never by more than crystals differ.
-    assert schedule.deadline > before - 6e-4 * period
-    for _ in range(5):
-        schedule.follow(lambda: False)
-    assert schedule.deadline <= before + 6e-4 * period
+    start = time.monotonic()
+    schedule = Schedule(start, period, HostClock())
+    time.sleep(5.5 * period)
+    schedule.resume()
+    now = time.monotonic()
+    assert now - 1e-3 < schedule.deadline <= now + period
+    assert (schedule.deadline - start) / period == pytest.approx(round((schedule.deadline - start) / period), abs=1e-6)
+    assert schedule.wait()[1] == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import select
 import socket
+import struct
 import threading
 import time
 from contextlib import suppress
@@ -11,6 +12,7 @@ from contextlib import suppress
 from toolee_robot.errors import NoAnswerError
 
 _CHUNK = 65536
+_SO_TIMESTAMPNS, _STAMP = 35, struct.Struct("@qq")  # Linux, socket(7); of the wall's clock
 
 
 def remaining(deadline: float) -> float:
@@ -47,6 +49,7 @@ def connect(host: str, port: int, deadline: float) -> socket.socket:
     except OSError as error:
         raise NoAnswerError(f"{host}:{port}: {error.strerror or error}") from error
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
     return sock
 
 
@@ -73,15 +76,20 @@ def receive(sock: socket.socket, deadline: float) -> bytes:
     return data
 
 
-def receive_now(sock: socket.socket) -> bytes:
-    """Whatever has come, which may be nothing. Never waits. Raises NoAnswerError."""
+def receive_now(sock: socket.socket) -> tuple[bytes, float]:
+    """Whatever has come, which may be nothing, and when the last of it did, a value of `time.monotonic()`: by the
+    kernel's own stamp, however late this is called. Never waits. Raises NoAnswerError."""
     sock.setblocking(False)
     try:
-        data = sock.recv(_CHUNK)
+        data, control, _, _ = sock.recvmsg(_CHUNK, socket.CMSG_SPACE(_STAMP.size))
     except BlockingIOError:
-        return b""
+        return b"", time.monotonic()
     except OSError as error:
         raise NoAnswerError(f"the connection broke: {error}") from error
     if not data:
         raise NoAnswerError("the other side closed the connection")
-    return data
+    for level, kind, stamp in control:
+        if (level, kind) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS) and len(stamp) == _STAMP.size:
+            seconds, nanoseconds = _STAMP.unpack(stamp)
+            return data, time.monotonic() - max(time.time() - (seconds + 1e-9 * nanoseconds), 0.0)
+    return data, time.monotonic()

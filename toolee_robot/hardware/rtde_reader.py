@@ -70,7 +70,8 @@ class PacketBuffer:
 
 @dataclass(frozen=True)
 class RtdeSample:
-    """One data packet. received: `time.monotonic()` when its bytes were read [s]. values: by name."""
+    """One data packet. received: when the last of its bytes came, or, waited for, were read, a value of
+    `time.monotonic()` [s]. values: by name."""
 
     received: float
     values: dict[str, Value]
@@ -140,7 +141,7 @@ class RtdeReader:
 
     def arrived(self) -> list[RtdeSample]:
         """The data packets that have come by now, the oldest first. Never waits. Raises as `read`."""
-        self._fill(receive_now(self._sock))
+        self._fill(*receive_now(self._sock))
         samples = [self._sample(*packet) for packet in self._packets]
         self._packets.clear()
         return [sample for sample in samples if sample is not None]
@@ -192,13 +193,12 @@ class RtdeReader:
 
     def _packet(self, deadline: float) -> tuple[float, int, bytes]:
         while not self._packets:
-            self._fill(receive(self._sock, deadline))
+            self._fill(receive(self._sock, deadline), time.monotonic())
         if time.monotonic() > deadline:  # a flood of packets that are passed over must end as well
             raise NoAnswerError("the RTDE server sends, but not what was asked for in time")
         return self._packets.popleft()
 
-    def _fill(self, data: bytes) -> None:
-        received = time.monotonic()
+    def _fill(self, data: bytes, received: float) -> None:
         self._packets.extend((received, kind, payload) for kind, payload in self._buffer.feed(data))
 
 

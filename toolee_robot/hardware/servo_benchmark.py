@@ -31,10 +31,9 @@ WARM_UP: Final = 2.0  # [s] after which memory is first looked at
 @dataclass(frozen=True)
 class ServoFigures:
     """rate [Hz]. cycles: commands sent. period_error_*: of the time between two commands from its nominal value [s].
-    overruns: cycles that the driver itself reported as late by half a cycle or more. drift: by how much the last
-    commands were off their places on the schedule of the first [s], missed cycles taken off. memory_growth: of the
-    servo process from WARM_UP to the end [bytes], what it shares left out. cpu: cores' worth of time that it took.
-    fifo, locked: what the system granted it."""
+    overruns: cycles that the driver itself reported as late by half a cycle or more. drift: of the schedule from the
+    first second to the last [s], see `drift`. memory_growth: of the servo process from WARM_UP to the end [bytes], what
+    it shares left out. cpu: cores' worth of time that it took. fifo, locked: what the system granted it."""
 
     rate: float
     seconds: float
@@ -89,9 +88,6 @@ def servo_benchmark(arm: UrArm, seconds: float) -> tuple[ServoFigures, MotionRep
     stamps = report.stamps
     steps = np.diff(stamps)
     error = np.abs(steps - period)
-    # Where each command was on the schedule; single late ones do not count as drift.
-    place = stamps - period * np.concatenate([[0.0], np.cumsum(np.round(steps / period))])
-    ends = max(len(place) // 100, 1)
     figures = ServoFigures(
         rate=arm.rate,
         seconds=float(stamps[-1] - stamps[0]),
@@ -100,13 +96,28 @@ def servo_benchmark(arm: UrArm, seconds: float) -> tuple[ServoFigures, MotionRep
         period_error_p99=float(np.percentile(error, 99)),
         period_error_max=float(error.max()),
         overruns=report.overruns,
-        drift=float(np.median(place[-ends:]) - np.median(place[:ends])),
+        drift=drift(stamps, period),
         memory_growth=memory[1] - memory[0],
         cpu=cpu / float(stamps[-1] - stamps[0]),
         fifo=realtime.fifo,
         locked=realtime.locked,
     )
     return figures, report
+
+
+def drift(stamps: Array, period: float) -> float:
+    """By how much the last whole second's commands, sent at stamps (N,) [s], are off the first second's grid [s].
+
+    A command counts by its place within its period, followed from second to second: late and missed ones change
+    nothing, a schedule that wanders does, by whole periods too. Raises ValueError for less than two seconds."""
+    turn = np.exp(2j * np.pi * (stamps - stamps[0]) / period)
+    phases = []
+    for part in np.split(turn, np.searchsorted(stamps, np.arange(stamps[0] + 1.0, stamps[-1])))[:-1]:
+        mean = np.sum(part)
+        phases.append(np.angle(mean) + np.median(np.angle(part / mean)))
+    if not phases:
+        raise ValueError("drift needs two seconds")
+    return float((np.unwrap(phases)[-1] - phases[0]) / (2 * np.pi) * period)
 
 
 def _private_memory(pid: int) -> int:

@@ -12,7 +12,6 @@ import ctypes
 import gc
 import os
 import resource
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -20,11 +19,15 @@ from toolee_robot.host_clock import HostClock
 
 SPIN = 1e-4
 """[s] of the wall. Sleep until so long before a deadline, then watch the clock: the kernel wakes late, never early."""
-AFTER_PACKET = 0.3
+AFTER_PACKET = 0.2
 """Of a period, from the controller's packet to a slot. The controller takes commands in when its cycle begins, sends
-its packet some way into the cycle, and this process is late at times but never early: this is the cycle's middle."""
+its packet some way into the cycle, and this process is late at times but never early: a command that is late by less
+than half a cycle, which nobody counts, still comes in time."""
 FOLLOW = 1e-4
-"""Of a period, the most by which a slot moves against the one before: more than crystals differ."""
+"""Of a period, the most by which a slot moves against the one before in a motion: more than crystals differ."""
+SEEK = 1e-2
+"""Likewise at rest, where nothing depends on even slots: half a period is made up in 50 cycles. Packets come late
+while a robot compiles the program that it has just been sent, and slots that begin by those are late ones."""
 PRIORITY = 40
 """Of SCHED_FIFO: over everything ordinary, under the kernel's own interrupt threads (50)."""
 
@@ -43,13 +46,16 @@ class Schedule:
         """Of the next slot [s]. Counted from the start: no rounding adds up."""
         return self._start + self._slot * self._period
 
-    def follow(self, arrived: Callable[[], bool]) -> None:
-        """Wait until the controller's packet should come, AFTER_PACKET before the next slot, ask whether it has come
-        already, and move the slots towards having it come right then."""
-        pause = self.deadline - AFTER_PACKET * self._period - self._clock.now()
-        if pause > 0:
-            self._clock.sleep(pause)
-            self._start += self._period * (-FOLLOW if arrived() else FOLLOW)
+    def resume(self) -> None:
+        """Go on with the next slot to come; nothing was due in those that have passed."""
+        self._slot += max(0, int((self._clock.now() - self.deadline) / self._period) + 1)
+
+    def follow(self, arrived: float, by: float) -> None:
+        """Move the slots by a part `by` of a period at most towards AFTER_PACKET after the time `arrived` [s] of a
+        packet, of whichever cycle. Its phase alone counts: a packet that has overtaken its slot is a late one, not an
+        early one of the next."""
+        off = (arrived - self.deadline) / self._period + AFTER_PACKET
+        self._start += self._period * min(max((off + 0.5) % 1.0 - 0.5, -by), by)
 
     def wait(self) -> tuple[float, int]:
         """Wait for the next slot. Returns how late it is [s] and how many slots were missed whole.

@@ -11,7 +11,7 @@ import numpy as np
 from toolee_robot.braking import brake_on_path
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmStatus
-from toolee_robot.hardware.servo_clock import Schedule
+from toolee_robot.hardware.servo_clock import FOLLOW, Schedule
 from toolee_robot.hardware.servo_memory import Column, ServoMemory, StateColumn, Word
 from toolee_robot.hardware.servo_orders import Cause, MotionOrder
 from toolee_robot.hardware.ur_link import UrLink
@@ -62,9 +62,9 @@ class Motion:
         settled = 0
         link.unread_wrenches()
         while self._row < len(self._memory.rows):
-            self._schedule.follow(link.read)
             lateness, missed = self._schedule.wait()
             link.read()
+            self._schedule.follow(link.arrived, FOLLOW)
             self._wrenches = link.unread_wrenches()
             self._judge(lateness, missed)
             following = None if self._silent else next(self._commands, None)

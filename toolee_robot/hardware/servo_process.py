@@ -19,7 +19,7 @@ from typing import Any
 
 from toolee_robot.errors import DeviceError, NotReadyError
 from toolee_robot.hal import ArmStatus
-from toolee_robot.hardware.servo_clock import AFTER_PACKET, Schedule, become_realtime
+from toolee_robot.hardware.servo_clock import SEEK, Schedule, become_realtime
 from toolee_robot.hardware.servo_memory import ServoMemory, StateColumn, Word
 from toolee_robot.hardware.servo_motion import Motion
 from toolee_robot.hardware.servo_orders import (
@@ -40,7 +40,7 @@ from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.hardware.ur_link import UrLink
 
 EXIT_LINK_LOST = 3
-_ALIGNMENT = 3  # packets
+_FRESH, _PATIENCE = 3, 5  # readings, cycles
 
 
 class ServoProcess:
@@ -59,12 +59,13 @@ class ServoProcess:
     def run(self) -> None:
         """Until the task ends it, is gone, or the link is lost. Does not return."""
         link, memory = self._link, self._memory
-        schedule = self._aligned()
+        schedule = Schedule(self._clock.now(), 1.0 / link.rate, self._clock)
+        schedule.follow(link.arrived, 0.5)
         answered = 0.0
         while True:
-            schedule.follow(link.read)
             schedule.wait()
             link.read()
+            schedule.follow(link.arrived, SEEK)
             link.unread_wrenches()
             self._judge()
             # A kick that meets an ended program would wait for it in vain. One for each reading: what is sent to a
@@ -77,7 +78,7 @@ class ServoProcess:
             if self._terminated:
                 link.close()
             if self._poll.poll(0):
-                schedule = self._obey(schedule)
+                self._obey(schedule)
 
     def _judge(self) -> None:
         """What happens at rest latches as well: nothing moves before a reset."""
@@ -97,7 +98,7 @@ class ServoProcess:
             self._fault = cause
             self._memory.words[Word.CAUSE] = cause
 
-    def _obey(self, schedule: Schedule) -> Schedule:
+    def _obey(self, schedule: Schedule) -> None:
         link = self._link
         try:
             order: Order = self._pipe.recv()
@@ -107,16 +108,15 @@ class ServoProcess:
             elif self._fault is not Cause.NONE:
                 reply = Moved(self._fault) if isinstance(order, MotionOrder) else Refused("the arm is latched", False)
             elif isinstance(order, MotionOrder):
-                schedule = self._aligned()
+                self._await_data(schedule)
                 reply = Moved(self._move(order, schedule))
             else:
                 reply = self._handshake(order)
-                schedule = self._aligned()
+            schedule.resume()
             self._pipe.send(reply)
         except (EOFError, OSError):
             # The task's process is gone; the arm stands.
             link.close()
-        return schedule
 
     def _move(self, order: MotionOrder, schedule: Schedule) -> Cause:
         cause = Motion(self._link, self._memory, order, schedule, self, self._clock).run()
@@ -152,25 +152,19 @@ class ServoProcess:
             return Cause.TASK_ENDED
         return Cause.TASK_STALLED if now - self._since > self._config.heartbeat_timeout else Cause.NONE
 
-    def _aligned(self) -> Schedule:
-        """A schedule whose slots lie AFTER_PACKET after the controller's packets come in, so that no command meets
-        another in one cycle and no reading is missed by a hair."""
-        period = 1.0 / self._link.rate
-        arrivals: list[float] = []
-        end = self._clock.now() + (_ALIGNMENT + 2) * period
-        while len(arrivals) < _ALIGNMENT and self._clock.now() < end:
+    def _await_data(self, schedule: Schedule) -> None:
+        """Up to three new readings, within _PATIENCE cycles at most: a motion does not begin with data that were old
+        before it."""
+        end = schedule.deadline + _PATIENCE / self._link.rate
+        fresh = 0
+        while fresh < _FRESH and schedule.deadline < end:
+            schedule.resume()
+            schedule.wait()
             if self._link.read():
-                arrivals.append(self._link.reading[StateColumn.SEEN])
+                fresh += 1
                 if self._fault is Cause.NONE and self._link.playing:
                     self._link.kick()
-            time.sleep(5e-5)
-        now = self._clock.now()
-        if not arrivals:
-            return Schedule(now, period, self._clock)
-        # Arrivals are seen late, never early: the least late of them tells most.
-        last = arrivals[-1]
-        least_late = last + min((a - last + period / 2) % period - period / 2 for a in arrivals)
-        return Schedule(now + (least_late + AFTER_PACKET * period - now) % period, period, self._clock)
+        schedule.resume()
 
     def _terminate(self, _signum: int, _frame: object) -> None:
         self._terminated = True

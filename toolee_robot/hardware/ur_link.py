@@ -1,10 +1,10 @@
-"""The ur_rtde wheel's two objects, in the servo process, and the stream of forces beside them: nothing else in the
-project touches the wheel.
+"""The ur_rtde wheel's control interface, in the servo process, and the stream of the robot's state beside it: nothing
+else in the project touches the wheel.
 
-What the wheel returns is not believed: its calls answer True, and its getters give old values, long after the link is
-gone. Only the advance of the controller's timestamp says that a reading is new. Calls that shake hands with the control
-script can block for minutes, so each runs under a timer whose signal ends this process: nothing here is worth waiting
-for, and the robot's watchdog stops the robot.
+What the wheel returns is not believed: its calls answer True long after the link is gone. Only the advance of the
+controller's timestamp says that a reading is new. Calls that shake hands with the control script can block for minutes,
+so each runs under a timer whose signal ends this process: nothing here is worth waiting for, and the robot's watchdog
+stops the robot.
 """
 
 from __future__ import annotations
@@ -17,25 +17,21 @@ from contextlib import contextmanager
 
 import numpy as np
 from rtde_control import RTDEControlInterface
-from rtde_receive import RTDEReceiveInterface
 
 from toolee_robot.errors import DeviceError, NotReadyError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmStatus
 from toolee_robot.hardware.rtde_reader import RTDE_PORT
 from toolee_robot.hardware.servo_memory import StateColumn
+from toolee_robot.hardware.state_stream import StateStream
 from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.hardware.ur_status import RUNTIME_PLAYING, advice, arm_status
 from toolee_robot.hardware.wheel_sockets import WheelSockets
-from toolee_robot.hardware.wrench_stream import WrenchStream
 
 PAYLOAD_TOLERANCE = 1e-3
 """[kg], [m] Between what was set and what the controller reports."""
 
-_ABSURD = 100.0
-"""[rad], [rad/s] No joint of a robot reads so much, nor what is not a number."""
-
-_JOINTS = slice(StateColumn.Q.start, StateColumn.QD.stop)
+_CATCH_UP = 100  # times, of what has come during a handshake
 
 
 @contextmanager
@@ -61,15 +57,13 @@ class UrLink:
         DeviceError for what the wheel throws."""
         self._config, self.rate, self._clock = config, rate, config.clock
         self.reading: Array = np.zeros(StateColumn.COUNT)
-        self._sane, self.refused, self._lost = True, False, False
+        self.refused, self._lost = False, False
+        self._wrenches: list[Array] = []
         self.status, self.playing, self.servoing = ArmStatus.NOT_READY, False, False
         with bounded(self._clock.wall(config.connect_timeout)):
             try:
-                self._receive = RTDEReceiveInterface(config.host)
-                self._wrenches = WrenchStream(config.host, rate, self._clock.wall(config.connect_timeout), self._clock)
-                while not self.read():
-                    self._expect(self.sane)
-                    time.sleep(1e-3)
+                self._stream = StateStream(config.host, rate, self._clock.wall(config.connect_timeout), self._clock)
+                self._show_newest()
                 if self.status is not ArmStatus.READY:
                     raise NotReadyError(advice(self.status))
                 self._control = RTDEControlInterface(config.host)
@@ -77,7 +71,7 @@ class UrLink:
                 self._control.setTcp([0.0] * 6)
                 while not self.playing:
                     self.read()
-                    self._expect(self.sane)
+                    self._expect_sane()
                     time.sleep(1e-3)
                 self._control.setWatchdog(config.watchdog)
                 self._take_target()
@@ -88,50 +82,45 @@ class UrLink:
     @property
     def connected(self) -> bool:
         """Whether all connections are there, the ones of the beginning. True says nothing; False is the truth."""
-        return not (self._lost or self._wrenches.lost) and bool(
-            self._receive.isConnected() and self._control.isConnected() and self._sockets.same
-        )
+        return not (self._lost or self._stream.lost) and bool(self._control.isConnected() and self._sockets.same)
 
     @property
     def sane(self) -> bool:
         """False for good once data made no sense; they are never taken in."""
-        return self._sane and self._wrenches.sane
+        return self._stream.sane
 
     @property
     def age(self) -> float:
-        """[s] Of the newest reading, of joints or of force, whichever is older."""
-        return self._clock.now() - min(float(self.reading[StateColumn.SEEN]), self._wrenches.seen)
+        """[s] Of the newest reading."""
+        return self._clock.now() - self._stream.seen
+
+    @property
+    def arrived(self) -> float:
+        """[s] When the newest reading came in, not when it was taken: by it, the controller's cycle."""
+        return self._stream.arrived
 
     def unread_wrenches(self) -> list[Array]:
         """All (6,) that have come since this was last asked, the oldest first."""
-        return self._wrenches.unread()
+        unread, self._wrenches = self._wrenches, []
+        return unread
 
     def read(self) -> bool:
-        """Take the newest data in; False when nothing new of the joints has come, or nothing that makes sense. Never
-        waits."""
-        self._wrenches.read()
-        self.reading[StateColumn.WRENCH] = self._wrenches.newest
-        receive, reading = self._receive, self.reading.copy()
-        timestamp = receive.getTimestamp()
-        if timestamp == reading[StateColumn.TIMESTAMP]:
+        """Take in what has come; False when nothing new has, or something that makes no sense. Never waits."""
+        readings = self._stream.take()
+        if not readings:
             return False
-        for _ in range(3):  # until all of it is of one packet
-            reading[StateColumn.Q] = receive.getActualQ()
-            reading[StateColumn.QD] = receive.getActualQd()
-            safety, mode, runtime = receive.getSafetyStatusBits(), receive.getRobotMode(), receive.getRuntimeState()
-            before, timestamp = timestamp, receive.getTimestamp()
-            if timestamp == before:
-                break
-        # The controller's clock only goes forward. NaN fails every comparison.
-        forward = self.reading[StateColumn.TIMESTAMP] < timestamp < np.inf
-        if not (forward and np.all(np.abs(reading[_JOINTS]) < _ABSURD)):
-            self._sane = False
-            return False
-        reading[:5] = self._clock.now(), timestamp, safety, mode, runtime
-        self.reading[:] = reading
+        self._wrenches += [reading.wrench for reading in readings]
+        self._show_newest()
+        return True
+
+    def _show_newest(self) -> None:
+        newest, reading = self._stream.newest, self.reading
+        safety, mode, runtime = newest.safety_bits, newest.robot_mode, newest.runtime_state
+        reading[:5] = self._stream.seen, newest.timestamp, safety, mode, runtime
+        reading[StateColumn.Q], reading[StateColumn.QD] = newest.q, newest.qd
+        reading[StateColumn.WRENCH] = newest.wrench
         self.status = arm_status(safety, mode)
         self.playing = runtime == RUNTIME_PLAYING
-        return True
 
     def servo(self, q: Array) -> None:
         """Send one position (6,) [rad]; feeds the robot's watchdog as well."""
@@ -159,7 +148,9 @@ class UrLink:
         while True:
             self.kick()
             self._clock.sleep(1.0 / self.rate)
-            reported = self._reported_payload()
+            self.read()
+            self._expect_sane()
+            reported = self._stream.newest.payload
             if reported is None or np.abs(np.subtract(reported, [mass, *center_of_mass])).max() < PAYLOAD_TOLERANCE:
                 return
             if self._clock.now() > deadline:
@@ -201,21 +192,15 @@ class UrLink:
 
     def _take_target(self) -> None:
         """Where the controller holds the arm is where the next motion starts."""
-        target = np.array(self._receive.getTargetQ())
-        self._expect(bool(np.all(np.abs(target) < _ABSURD)))
-        self.reading[StateColumn.COMMANDED] = target
+        for _ in range(_CATCH_UP):
+            if not self.read():
+                break
+        self._expect_sane()
+        self.reading[StateColumn.COMMANDED] = self._stream.newest.target
 
-    @staticmethod
-    def _expect(sane: bool) -> None:
-        if not sane:
+    def _expect_sane(self) -> None:
+        if not self.sane:
             raise DeviceError("the robot's data make no sense (joints, forces or time): restart its controller")
-
-    def _reported_payload(self) -> list[float] | None:
-        """Mass and centre of gravity, or None from a controller that does not report them."""
-        try:
-            return [self._receive.getPayload(), *self._receive.getPayloadCog()]
-        except RuntimeError:
-            return None
 
 
 def _explain(message: str, host: str) -> str:

@@ -132,6 +132,30 @@ def test_input_recipes_are_numbered_from_one_and_write_the_registers() -> None:
     assert (registers.int_in[0], registers.float_in[0], registers.int_in[1]) == (33, 2.5, 1)
 
 
+def test_a_stream_that_a_late_computer_finds_is_caught_up_one_by_one_and_no_further() -> None:
+    server = RtdeServer()
+    client, registers = server.connect(), server.robot.registers
+    client.inputs("input_int_register_0")
+
+    def sent(*numbers: int) -> int:
+        """What the next tick sees."""
+        client.session.feed(b"".join(packet(ord("U"), b"\x01" + struct.pack(">i", number)) for number in numbers))
+        return registers.int_in[0]
+
+    server.inputs.catching_up = True
+    assert sent(1, 2, 3, 4, 5) == 1
+    client.tick()
+    assert sent() == 2
+    client.tick()
+    assert sent(6) == 3
+    server.inputs.catching_up = False
+    client.tick()
+    assert sent() == 6
+    client.tick()
+    assert sent(7) == 7
+    assert sent(8, 9) == 9
+
+
 def test_registers_belong_to_one_client_until_it_leaves() -> None:
     server = RtdeServer()
     first, second = server.connect(), server.connect()
