@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from toolee_robot.hardware.servo_benchmark import ServoFigures
 
 _PERIOD_TARGET_MS = 1.0
+_AROUND = 60.0  # [s] of the stand-in before and after the motion, at most
+_PAUSE = 0.005  # [s] of the witness: it takes little of the machine that it watches
 
 
 @dataclass(frozen=True)
@@ -48,36 +51,44 @@ class BenchServo:
     def run(self) -> int:
         if not 5.0 <= self.seconds <= 3600.0:
             raise UserError(f"--seconds {self.seconds:g}: give 5 to 3600")
-        from toolee_robot.cli.servo_trace import TraceRecorder, compare
+        from toolee_robot.cli.servo_trace import RecordedJoints, TraceMemory, compare
         from toolee_robot.hardware.servo_benchmark import servo_benchmark
         from toolee_robot.hardware.ur_arm import UrArm
         from toolee_robot.hardware.ur_config import UrArmConfig
-        from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
+        from toolee_robot.host_awake import CoresAwake
+        from toolee_robot.host_steadiness import Steadiness
+        from toolee_robot.sim_backend.ur_controller.model import MODELS
         from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 
         console = Console(stderr=self.json, highlight=False)
         # What is measured is the servo loop: this process may be held up without ending it.
         config = UrArmConfig(self.host, longest_motion=self.seconds + 10.0, heartbeat_timeout=5.0, hang_timeout=5.0)
-        plant = partial(JointPlant, q=np.array(SceneConfig().home))
         load = os.getloadavg()[0]
         with (
-            ControllerProcess(model=self.model, host=self.host, plant=plant, realtime=True) as controller,
+            closing(TraceMemory(round((self.seconds + _AROUND) / MODELS[self.model].period))) as trace_memory,
+            ControllerProcess(
+                model=self.model,
+                host=self.host,
+                plant=partial(RecordedJoints, q=np.array(SceneConfig().home), fd=trace_memory.fd),
+                inherit=(trace_memory.fd,),
+                realtime=True,
+            ),
             UrArm(config, ArmLimits(model=ArmModel(self.model))) as arm,
+            CoresAwake(),
+            Steadiness(_PAUSE) as steadiness,
+            console.status(f"servoing at {arm.rate:.0f} Hz for {self.seconds:g} s"),
         ):
-            recorder = TraceRecorder(controller.trace, int(controller.state()["tick"]))
-            try:
-                with console.status(f"servoing at {arm.rate:.0f} Hz for {self.seconds:g} s"):
-                    figures, report = servo_benchmark(arm, self.seconds)
-            finally:
-                stamps, q = recorder.finish()
-            trace = compare(report, stamps, q, arm.rate)
+            steadiness.begin()
+            figures, report = servo_benchmark(arm, self.seconds)
+            standstills = Standstills(steadiness.count, steadiness.longest)
+            trace = compare(report, *trace_memory.read(), arm.rate)
         met = {
             "period error p99 under 1 ms": figures.period_error_p99 * 1e3 < _PERIOD_TARGET_MS,
             "no missed cycle unreported": trace.unreported == 0,
             "no drift": abs(figures.drift) < 0.5 / figures.rate,
             "tracking to 1e-6 rad plus the lag": trace.lag_error < 1e-6,
         }
-        console.print(_table(figures, trace, met))
+        console.print(_table(figures, trace, standstills, met))
         if self.json:
             record = {
                 "machine": asdict(describe_machine()),
@@ -85,24 +96,34 @@ class BenchServo:
                 "model": self.model,
                 "servo": asdict(figures),
                 "trace": asdict(trace),
+                "standstills": asdict(standstills),
                 "targets": met,
             }
             print(json_line(record), flush=True)
         return 0 if all(met.values()) else 1
 
 
-def _table(servo: ServoFigures, trace: TraceFigures, met: dict[str, bool]) -> Table:
+@dataclass(frozen=True)
+class Standstills:
+    """Of the machine itself, as a witness at a higher priority saw it: how many of more than 5 ms, the longest [s]."""
+
+    count: int
+    longest: float
+
+
+def _table(servo: ServoFigures, trace: TraceFigures, machine: Standstills, met: dict[str, bool]) -> Table:
     table = Table(show_header=False)
     rows = {
         "commands": f"{servo.cycles} at {servo.rate:.0f} Hz in {servo.seconds:.2f} s",
         "period error": f"p50 {servo.period_error_p50 * 1e3:.3f}, p99 {servo.period_error_p99 * 1e3:.3f}, "
         f"max {servo.period_error_max * 1e3:.3f} ms",
+        "the machine itself": f"stood still {machine.count} times over 5 ms, {machine.longest * 1e3:.1f} ms at most",
         "late cycles, by the driver": f"{servo.overruns}",
         "at the robot": f"{trace.ticks} ticks ({trace.late_ticks} late themselves); {trace.held} without a command, "
         f"{trace.skipped} commands overtaken; {trace.unreported} not explained",
         "drift": f"{servo.drift * 1e3:+.3f} ms",
         "lag": f"{trace.lag * 1e3:.2f} ms from sending to the joint",
-        "tracking, lag taken off": f"{trace.lag_error:.1e} rad at most",
+        "tracking, lag taken off": f"{trace.lag_error:.1e} rad at most, in {trace.followed:.1%} of the ticks",
         "memory of the servo process": f"{servo.memory_growth / 1024:+.0f} KiB",
         "its load": f"{servo.cpu:.0%} of a core; SCHED_FIFO {'yes' if servo.fifo else 'no'}, "
         f"memory locked {'yes' if servo.locked else 'no'}",

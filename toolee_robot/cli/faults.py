@@ -40,7 +40,10 @@ class Faults:
 
     def run(self) -> int:
         console = Console(stderr=self.json, highlight=False)
+        if not console.is_terminal:  # a file takes whole rows
+            console.width = max(console.width, _ROW)
         from toolee_robot.faults.matrix import ELSEWHERE, MatrixOptions, Part, run_matrix
+        from toolee_robot.host_steadiness import EXCUSE
 
         models = tuple(ArmModel) if self.robot == "both" else (ArmModel(self.robot),)
         rows: list[FaultRow] = []
@@ -63,10 +66,19 @@ class Faults:
             "[dim]reaction, standstill: after the fault, as the joints of the simulated robot show it. Software guards "
             "are not safety-rated: the robot's own safety system is what protects people.[/dim]"
         )
+        again = sum(row.again > 0 for row in rows)
+        if again:
+            console.print(
+                f"{again} of them not at the first try: the machine itself had stood still for over "
+                f"{EXCUSE * 1e3:.0f} ms, as a witness saw, or the moment for the fault was missed."
+            )
         if self.json:
             record = {"handled": handled, "rows": [asdict(row) for row in rows], "not_covered": ELSEWHERE}
             print(json_line(record), flush=True)
         return int(handled < len(rows))
+
+
+_ROW = 180  # [characters]
 
 
 def _table(rows: list[FaultRow]) -> Table:

@@ -2,65 +2,83 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable
+import mmap
+import os
+import time
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
-from toolee_robot.sim_backend.ur_controller.fault_client import Trace
+from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
+from toolee_robot.sim_backend.ur_controller.model import ControllerModel
 
-_POLL = 0.1  # [s]: the trace comes in pages small enough not to make a tick late
+_ROW = np.dtype([("stamp", np.float64), ("q", np.float64, 6)])
 _LATEST = 6  # cycles within which a command must have reached the robot
+_SETTLING = 5 * _LATEST  # cycles that the joints need to catch up, after what was late
+_EXACT = 1e-6  # [rad]
 
 
 @dataclass(frozen=True)
 class TraceFigures:
     """ticks: of the robot during the motion. lag: the median time from sending to the joints being there [s].
-    lag_error: the most that the joints were off the command so many ticks before, where none was lost [rad]. held:
-    ticks without a new command; skipped: commands that a later one overtook; of both, those counted as unreported
-    coincide neither with a cycle that the driver sent late (by half a cycle) nor with a tick of the stand-in that was
-    late (by a quarter, which is what a command sent in the middle of a cycle leaves). late_ticks: those.
+    lag_error: the most that the joints were off the command of that lag, in the share `followed` of the ticks: all but
+    those about an irregular or late one or a command that was sent late, and those in which the robot goes by an older
+    command than usual [rad]. held:
+    ticks without a new command; skipped: commands that a later one overtook. unreported: of the held, and of the
+    skipped that do not just end the lateness which a held one began, those that coincide neither with a cycle that the
+    driver sent late (by half a cycle) nor with a tick of the stand-in that was late (by a quarter, which is what a
+    command sent in the middle of a cycle leaves), nor show joints that still catch up after one. late_ticks: those.
     """
 
     ticks: int
     lag: float
     lag_error: float
+    followed: float
     held: int
     skipped: int
     unreported: int
     late_ticks: int
 
 
-class TraceRecorder:
-    """Collects a stand-in's trace in the background; it keeps only a minute or so itself."""
+class TraceMemory:
+    """When and where the joints were after each tick: an anonymous file that the stand-in inherits and its plant writes
+    (`RecordedJoints`). Nothing is asked of the stand-in while it is measured: an answer between two ticks would have a
+    command wait for the tick after the next."""
 
-    def __init__(self, trace: Callable[[int], Trace], after: int) -> None:
-        """trace: `ControllerProcess.trace`, which nobody else calls meanwhile. after: the tick to begin with."""
-        self._trace, self._after = trace, after
-        self._parts: list[Trace] = []
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+    def __init__(self, ticks: int) -> None:
+        self.fd = os.memfd_create("toolee-trace")
+        os.truncate(self.fd, ticks * _ROW.itemsize)
+        _rows(self.fd)[:] = 0.0  # every page is there before it is needed
 
-    def finish(self) -> tuple[Array, Array]:
-        """stamps (N,) and joints (N, 6) of all ticks so far."""
-        self._ended.set()
-        self._thread.join()
-        self._collect()
-        return np.concatenate([p.stamps for p in self._parts]), np.concatenate([p.q for p in self._parts])
+    def read(self) -> tuple[Array, Array]:
+        """stamps (N,) [s] and joints (N, 6) of all ticks so far."""
+        rows = _rows(self.fd)
+        written = rows[rows["stamp"] > 0.0]
+        return written["stamp"].copy(), written["q"].copy()
 
-    def _run(self) -> None:
-        while not self._ended.wait(_POLL):
-            self._collect()
+    def close(self) -> None:
+        os.close(self.fd)
 
-    def _collect(self) -> None:
-        part = self._trace(self._after)
-        if len(part.ticks):
-            self._after = int(part.ticks[-1])
-            self._parts.append(part)
+
+class RecordedJoints(JointPlant):
+    """Ideal joints that start at q (6,) and write a row of the `TraceMemory` of the file descriptor `fd` a tick."""
+
+    def __init__(self, model: ControllerModel, q: Array, fd: int) -> None:
+        super().__init__(model, q)
+        self._rows, self._tick = _rows(fd), 0
+
+    def step(self, dt: float) -> None:
+        super().step(dt)
+        if self._tick < len(self._rows):
+            self._rows[self._tick] = (time.monotonic(), self.q)
+            self._tick += 1
+
+
+def _rows(fd: int) -> NDArray[np.void]:
+    return np.frombuffer(mmap.mmap(fd, 0), dtype=_ROW)
 
 
 def compare(report: MotionReport, stamps: Array, q: Array, rate: float) -> TraceFigures:
@@ -83,15 +101,23 @@ def compare(report: MotionReport, stamps: Array, q: Array, rate: float) -> Trace
     late_sent = sent[1:][np.abs(np.diff(sent) - period) >= period / 2]
     late_ticks = stamps[1:][np.abs(np.diff(stamps) - period) >= period / 4]
     excuses = np.sort(np.concatenate([late_sent, late_ticks]))
-    unreported = sum(not _near(excuses, stamps[i], (_LATEST + 1) * period) for i in irregular)
-    # After an irregular tick the joints need a few ticks to catch up.
-    calm = np.ones(len(stamps), dtype=bool)
-    for i in irregular:
-        calm[i : i + 5 * _LATEST] = False
+    behind = newest - k
+    behind -= int(np.median(behind))
+    # Joints that catch up are between two commands, and the nearest one says little of which they were given.
+    between = error > _EXACT
+    unreported = sum(
+        not _near(excuses, stamps[i], (_SETTLING if between[i - 1 : i + 1].any() else _LATEST + 1) * period)
+        for i in irregular
+        if steps[i - 1] < 1 or behind[i - 1] <= 0
+    )
+    calm = behind == 0
+    for i in (*irregular, *np.searchsorted(stamps, excuses)):
+        calm[max(i - _LATEST, 0) : i + _SETTLING] = False
     return TraceFigures(
         ticks=len(stamps),
         lag=float(np.median(stamps - sent[k])),
         lag_error=float(error[calm].max()) if calm.any() else float("nan"),
+        followed=float(calm.mean()),
         held=int(np.sum(steps == 0)),
         skipped=int(np.sum(np.maximum(steps - 1, 0))),
         unreported=int(unreported),

@@ -10,6 +10,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.hal import Station
 from toolee_robot.hardware.ur_arm import UrArm
 from toolee_robot.hardware.ur_config import UrArmConfig
+from toolee_robot.host_awake import CoresAwake
 from toolee_robot.host_clock import HostClock
 from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.options import SimOptions
@@ -36,6 +37,7 @@ class UrStation:
         """Raises UserError for a host that cannot be served, DeviceError when the arm cannot be had."""
         config = self._config
         with ExitStack() as stack:
+            stack.enter_context(CoresAwake())
             world = stack.enter_context(self._world)
             # The last to come is the first to go: a client outlives no controller.
             hand = load_robot(config.arm.model, config.arm.calibration)

@@ -6,7 +6,6 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
@@ -20,12 +19,12 @@ from toolee_robot.errors import (
     OverrunError,
     ProtectiveStopError,
     ServoCrashError,
-    TooleeError,
     TrackingError,
 )
 from toolee_robot.faults.joints_path import braking_time
+from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.rig import Happening, MissedMomentError, Rig
+from toolee_robot.faults.rig import Happening, Rig
 from toolee_robot.faults.watch import PATIENT, SHORT_AGE, STRICT_AGE, STRICT_LOOP
 from toolee_robot.hal import MotionOutcome, MotionWatch
 from toolee_robot.sim_backend.ur_controller.model import MODELS
@@ -35,7 +34,6 @@ OFF_PATH = 5e-3  # [rad]
 OFF_PATH_BY_ROBOT = 20e-3  # [rad]: it brakes along the direction of the moment, from which the path bends away
 WATCHDOG = 0.1  # [s] of silence after which the controller stops the program: `UrArmConfig.watchdog`
 HEARTBEAT = 0.1  # [s] `UrArmConfig.heartbeat_timeout`
-ATTEMPTS = 3  # to catch the moment, on a busy machine
 REST_TIME = 0.4  # [s] that a fault at rest gets to be noticed
 QUIET_TIME = 2.2  # [s] the same for a link that dies without a word: `UrArmConfig.link_timeout` and some
 
@@ -141,24 +139,12 @@ ARM_FAULTS = (
 )  # fmt: skip
 
 
-def arm_rows(rig: Rig) -> Iterator[FaultRow]:
+def arm_rows(rig: Rig) -> Iterator[Measurement]:
     """Every arm fault in mid-swing and, where it is one there, at rest."""
     for fault in ARM_FAULTS:
-        yield _guarded(fault, Phase.SWING, rig, partial(_in_swing, fault, rig))
-        if fault.at_rest is not None:
-            yield _guarded(fault, Phase.REST, rig, partial(_at_rest, fault, rig))
-
-
-def _guarded(fault: ArmFault, phase: Phase, rig: Rig, run: Callable[[], FaultRow]) -> FaultRow:
-    """A row that could not be measured is a row that is not handled."""
-    try:
-        for _ in range(ATTEMPTS - 1):
-            with suppress(MissedMomentError):
-                return run()
-        return run()
-    except TooleeError as error:
-        why = f"{type(error).__name__}: {error}"
-        return FaultRow(fault.number, fault.fault, phase, rig.name, fault.expected, "not measured", False, False, why)
+        for phase, run in ((Phase.SWING, _in_swing), (Phase.REST, _at_rest)):
+            if phase is Phase.SWING or fault.at_rest is not None:
+                yield Measurement(fault.number, fault.fault, phase, rig.name, fault.expected, partial(run, fault, rig))
 
 
 def _in_swing(fault: ArmFault, rig: Rig) -> FaultRow:

@@ -25,6 +25,7 @@ from toolee_robot.errors import (
 from toolee_robot.faults import bad_commands as bad
 from toolee_robot.faults.arm_rows import AT_REST, OFF_PATH
 from toolee_robot.faults.joints_path import braking_time
+from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.people import People
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rig import Happening, Rig
@@ -35,6 +36,7 @@ from toolee_robot.types import Trajectory
 
 FAR = 10.0  # [m] to a nail that no arm reaches
 WATCH = 0.01  # [s] between two questions whether a person is near
+COMES, BRAKES = "a person comes into reach", "brakes on the path, latches"
 
 
 @dataclass(frozen=True)
@@ -79,20 +81,16 @@ COMMAND_FAULTS = (
 )
 
 
-def command_rows(rig: Rig) -> Iterator[FaultRow]:
+def command_rows(rig: Rig) -> Iterator[Measurement]:
     """Every command fault at rest and from another thread in mid-swing; then the person."""
     for fault in COMMAND_FAULTS:
         for phase, run in ((Phase.SWING, _in_swing), (Phase.REST, _at_rest)):
             if phase is Phase.SWING and fault.number == 27:
                 continue  # the mode cannot be a handover's in mid-swing
-            try:
-                yield run(fault, rig)
-            except TooleeError as error:
-                why = f"{type(error).__name__}: {error}"
-                yield FaultRow(
-                    fault.number, fault.fault, phase, rig.name, "rejected", "not measured", False, False, why
-                )
-    yield from _person_rows(rig)
+            yield Measurement(fault.number, fault.fault, phase, rig.name, "rejected", partial(run, fault, rig))
+    yield Measurement(27, COMES, Phase.SWING, rig.name, BRAKES, partial(_person_comes, rig))
+    for inside, name in ((True, "a person is in reach"), (False, "nobody confirmed the swing")):
+        yield Measurement(27, name, Phase.REST, rig.name, "no motion", partial(_no_motion, rig, inside, name))
 
 
 def _supervised(rig: Rig) -> tuple[Supervisor, People]:
@@ -200,9 +198,7 @@ def _not_stopped(rig: Rig, happened: Happening, notice: float) -> list[str]:
     return [f"standstill after {happened.stop.standstill * 1e3:.0f} ms, {allowed * 1e3:.0f} allowed"]
 
 
-def _person_rows(rig: Rig) -> Iterator[FaultRow]:
-    """Somebody comes into reach."""
-    name, expected = "a person comes into reach", "brakes on the path, latches"
+def _person_comes(rig: Rig) -> FaultRow:
     supervisor, person = _supervised(rig)
     happened = rig.inject(partial(setattr, person, "is_inside", True), execute=_swing(supervisor, rig))
     wrong = _not_stopped(rig, happened, WATCH + rig.period)
@@ -213,30 +209,32 @@ def _person_rows(rig: Rig) -> Iterator[FaultRow]:
     if happened.stop.off_path > OFF_PATH:
         wrong.append(f"the joints left the path by {happened.stop.off_path:.4f} rad")
     stop = happened.stop
-    yield FaultRow(
-        27, name, Phase.SWING, rig.name, expected, type(happened.error).__name__, bool(supervisor.latched), not wrong,
+    return FaultRow(
+        27, COMES, Phase.SWING, rig.name, BRAKES, type(happened.error).__name__, bool(supervisor.latched), not wrong,
         "; ".join(wrong), stop.reaction, stop.standstill, _allowed(rig, happened, WATCH + rig.period), stop.speed,
         stop.off_path,
     )  # fmt: skip
 
-    for inside, name in ((True, "a person is in reach"), (False, "nobody confirmed the swing")):
-        rig.prepare()
-        supervisor, person = _supervised(rig)
-        person.is_inside = inside
-        if not inside:
-            supervisor.mode = Mode.HAMMERING  # which takes the permission away
-        before = rig.controller.state()["tick"]
-        got: object = None
-        try:
-            got = _swing(supervisor, rig)(rig.strike, None, PATIENT)
-        except DeviceError as error:
-            got = error
-        time.sleep(0.1)
-        moved = float(np.ptp(rig.controller.trace(before).q_target, axis=0).max())
-        wrong = [] if isinstance(got, PersonNearError) else [f"PersonNearError expected, got {got!r}"]
-        if moved > AT_REST:
-            wrong.append(f"the arm moved by {moved:.4f} rad")
-        yield FaultRow(
-            27, name, Phase.REST, rig.name, "no motion", f"{type(got).__name__}, stands still",
-            bool(supervisor.latched), not wrong, "; ".join(wrong), off_path=moved,
-        )  # fmt: skip
+
+def _no_motion(rig: Rig, inside: bool, name: str) -> FaultRow:
+    """inside: a person is; else nobody has confirmed."""
+    rig.prepare()
+    supervisor, person = _supervised(rig)
+    person.is_inside = inside
+    if not inside:
+        supervisor.mode = Mode.HAMMERING  # which takes the permission away
+    before = rig.controller.state()["tick"]
+    got: object = None
+    try:
+        got = _swing(supervisor, rig)(rig.strike, None, PATIENT)
+    except DeviceError as error:
+        got = error
+    time.sleep(0.1)
+    moved = float(np.ptp(rig.controller.trace(before).q_target, axis=0).max())
+    wrong = [] if isinstance(got, PersonNearError) else [f"PersonNearError expected, got {got!r}"]
+    if moved > AT_REST:
+        wrong.append(f"the arm moved by {moved:.4f} rad")
+    return FaultRow(
+        27, name, Phase.REST, rig.name, "no motion", f"{type(got).__name__}, stands still",
+        bool(supervisor.latched), not wrong, "; ".join(wrong), off_path=moved,
+    )  # fmt: skip

@@ -10,10 +10,13 @@ from toolee_robot.faults.arm_rows import arm_rows
 from toolee_robot.faults.command_rows import command_rows
 from toolee_robot.faults.job_bench import Bench
 from toolee_robot.faults.job_rows import job_rows
+from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.process_rows import process_rows
 from toolee_robot.faults.record import FaultRow
 from toolee_robot.faults.rig import rig
 from toolee_robot.faults.start_rows import calibration_rows, start_rows
+from toolee_robot.host_awake import CoresAwake
+from toolee_robot.host_steadiness import Steadiness
 from toolee_robot.types import ArmModel
 
 ELSEWHERE = {
@@ -45,6 +48,12 @@ class MatrixOptions:
 
 def run_matrix(options: MatrixOptions) -> Iterator[FaultRow]:
     """Every row, sorted by nothing but the order of measuring."""
+    with CoresAwake(), Steadiness() as machine:
+        for measurement in _measurements(options):
+            yield measurement.row(machine)
+
+
+def _measurements(options: MatrixOptions) -> Iterator[Measurement]:
     if options.part is not Part.JOB:
         for model in options.models:
             yield from _arm_part(model, options.host)
@@ -52,7 +61,7 @@ def run_matrix(options: MatrixOptions) -> Iterator[FaultRow]:
         yield from _job_part()
 
 
-def _arm_part(model: ArmModel, host: str) -> Iterator[FaultRow]:
+def _arm_part(model: ArmModel, host: str) -> Iterator[Measurement]:
     yield from start_rows(model, host)
     with rig(model, host) as arm_rig:
         yield from arm_rows(arm_rig)
@@ -60,7 +69,7 @@ def _arm_part(model: ArmModel, host: str) -> Iterator[FaultRow]:
     yield from process_rows(model, host)
 
 
-def _job_part() -> Iterator[FaultRow]:
+def _job_part() -> Iterator[Measurement]:
     bench = Bench()
     with bench.sim:
         yield from calibration_rows(bench)

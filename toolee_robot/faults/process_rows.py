@@ -12,9 +12,10 @@ from functools import partial
 
 import numpy as np
 
-from toolee_robot.errors import DeviceError, MotionFaultError, TooleeError
+from toolee_robot.errors import DeviceError, MotionFaultError
 from toolee_robot.faults.arm_rows import AT_REST, HEARTBEAT, OFF_PATH
 from toolee_robot.faults.joints_path import MOVING, braking_time, stop_after
+from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rig import BEFORE_CONTACT, SETTLE_TIME, START_TIME
 from toolee_robot.faults.strikes import plan_swing
@@ -44,16 +45,13 @@ TASK_FAULTS = (
 )
 
 
-def process_rows(model: ArmModel, host: str) -> Iterator[FaultRow]:
+def process_rows(model: ArmModel, host: str) -> Iterator[Measurement]:
     """Each task fault in mid-swing and at rest, each with a task and a stand-in of its own."""
     name = f"{model.value}, {500 if model is ArmModel.UR10E else 125} Hz"
     for fault in TASK_FAULTS:
         for phase in (Phase.SWING, Phase.REST):
-            try:
-                yield _row(fault, phase, model, host, name)
-            except TooleeError as error:
-                why = f"{type(error).__name__}: {error}"
-                yield FaultRow(11, fault.fault, phase, name, "brakes on the path", "not measured", False, False, why)
+            run = partial(_row, fault, phase, model, host, name)
+            yield Measurement(11, fault.fault, phase, name, "brakes on the path", run)
 
 
 def _row(fault: TaskFault, phase: Phase, model: ArmModel, host: str, name: str) -> FaultRow:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from toolee_robot.config import SIMULATED, ArmLimits, CalibrationConfig
-from toolee_robot.errors import NotReadyError, TooleeError
+from toolee_robot.errors import NotReadyError
 from toolee_robot.faults.job_bench import CONFIG, Bench, Log, at_rest, grip_kept
 from toolee_robot.faults.job_rows import ON
+from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.hardware.ur_arm import UrArm
 from toolee_robot.hardware.ur_config import UrArmConfig
@@ -51,17 +53,14 @@ START_FAULTS = (
 )  # fmt: skip
 
 
-def start_rows(model: ArmModel, host: str) -> Iterator[FaultRow]:
+def start_rows(model: ArmModel, host: str) -> Iterator[Measurement]:
     """Each of them before the driver is entered, on one stand-in of this model."""
     with ControllerProcess(model=model.value, host=host) as controller:
         for fault in START_FAULTS:
             if fault.e_series and model is not ArmModel.UR10E:
                 continue
-            try:
-                yield start_row(fault, model, controller)
-            except TooleeError as error:
-                why = f"{type(error).__name__}: {error}"
-                yield FaultRow(14, fault.fault, Phase.START, _name(model), REFUSES, "not measured", False, False, why)
+            run = partial(start_row, fault, model, controller)
+            yield Measurement(14, fault.fault, Phase.START, _name(model), REFUSES, run)
 
 
 def start_row(fault: StartFault, model: ArmModel, controller: ControllerProcess) -> FaultRow:
@@ -111,10 +110,11 @@ CALIBRATIONS = (
 )
 
 
-def calibration_rows(bench: Bench) -> Iterator[FaultRow]:
+def calibration_rows(bench: Bench) -> Iterator[Measurement]:
     """Each calibration that must keep the job from starting."""
     for name, calibration, says in CALIBRATIONS:
-        yield calibration_row(bench, name, calibration, says)
+        run = partial(calibration_row, bench, name, calibration, says)
+        yield Measurement(24, name, Phase.START, ON, REFUSES, run)
 
 
 def calibration_row(bench: Bench, name: str, calibration: CalibrationConfig | None, says: str) -> FaultRow:
