@@ -20,6 +20,7 @@ from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.cloud import check_depth_unit, ee_cloud
 from toolee_robot.perception.pose import CloudEstimator, PoseEstimator, fuse_in_hand
 from toolee_robot.perception.segmentation import Segmenter
+from toolee_robot.perception.trust import Trust
 from toolee_robot.types import Category, Detection, InHandEstimate, RgbdFrame, ToolEstimate
 
 
@@ -45,14 +46,17 @@ class StageTimes:
 class ToolPerception:
     """Detector, cloud and pose estimator in one. Calls keep no state: the same frame gives the same estimates."""
 
-    def __init__(self, detector: EeDetector, pose: CloudEstimator) -> None:
+    def __init__(self, detector: EeDetector, pose: CloudEstimator, trust: Trust | None = None) -> None:
+        """trust: as fitted for the two; None: nothing was."""
         self.detector = detector
         self.pose = pose
+        self.trust = trust or Trust()
 
     @classmethod
     def load(cls, weights_dir: Path | None = None, device: str = "cpu") -> ToolPerception:
         """With the shipped weights, or those in a folder. Raises AssetError that names a missing file."""
-        return cls(Segmenter.load(weights_dir, device), PoseEstimator.load(weights_dir, device))
+        detector, pose = Segmenter.load(weights_dir, device), PoseEstimator.load(weights_dir, device)
+        return cls(detector, pose, Trust.load(weights_dir, weights_dir))
 
     def estimate(
         self, frame: RgbdFrame, X_camera_hand: Array | None = None, categories: Sequence[Category] = tuple(Category)
@@ -90,18 +94,20 @@ class ToolPerception:
                 continue
             finally:
                 pose_time += time.perf_counter() - start
+            trust, usable, reason = self.trust.judge(detection.score, detection.tool_score, result)
             estimates.append(
                 ToolEstimate(
                     detection,
                     result.X_camera_ee,
                     result.covariance,
                     result.confidence,
-                    result.usable,
-                    result.reason,
+                    usable,
+                    reason,
                     result.hypotheses,
+                    trust,
                 )
             )
-        estimates.sort(key=_trust, reverse=True)
+        estimates.sort(key=_rank, reverse=True)
         return estimates, StageTimes(1000 * segmentation, 1000 * cloud_time, 1000 * pose_time)
 
     def fuse(
@@ -171,13 +177,13 @@ def _same_end(candidates: list[_Candidate], radius: float = 0.02) -> list[_Candi
 
     def support(center: _Candidate) -> tuple[float, tuple[bool, float]]:
         inside = [c for c in nearest(center) if np.linalg.norm((c.X_hand_ee - center.X_hand_ee)[:3, 3]) < radius]
-        return sum(c.estimate.usable + c.estimate.confidence for c in inside), _trust(center.estimate)
+        return sum(c.estimate.usable + c.estimate.confidence for c in inside), _rank(center.estimate)
 
     return sorted(nearest(max(candidates, key=support)), key=lambda c: c.frame)
 
 
-def _trust(estimate: ToolEstimate) -> tuple[bool, float]:
-    return estimate.usable, estimate.confidence * estimate.detection.score
+def _rank(estimate: ToolEstimate) -> tuple[bool, float]:
+    return estimate.usable, estimate.trust
 
 
 def _without_pose(detection: Detection, reason: str) -> ToolEstimate:

@@ -135,15 +135,17 @@ def associate(
     boxes: list[Box],
 ) -> list[Detection]:
     """EE detections, best first, each with the mask of the tool that covers most of it."""
-    tools = [m for m, label in zip(masks, labels, strict=True) if label == TOOL]
+    tools = [(m, score) for m, label, score in zip(masks, labels, scores, strict=True) if label == TOOL]
     found = []
     for mask, label, score, box in zip(masks, labels, scores, boxes, strict=True):
         if label == TOOL:
             continue
-        overlaps = [float((mask & tool).sum()) / float(mask.sum()) for tool in tools]
+        overlaps = [float((mask & tool).sum()) / float(mask.sum()) for tool, _ in tools]
         best = int(np.argmax(overlaps)) if overlaps else -1
-        tool_mask = (tools[best] | mask) if overlaps and overlaps[best] >= LEAST_TOOL_OVERLAP else None
-        found.append(Detection(Category(CLASSES[label]), score, mask, box, tool_mask))
+        tool_mask, tool_score = None, 0.0
+        if overlaps and overlaps[best] >= LEAST_TOOL_OVERLAP:
+            tool_mask, tool_score = tools[best][0] | mask, tools[best][1]
+        found.append(Detection(Category(CLASSES[label]), score, mask, box, tool_mask, tool_score))
     return sorted(found, key=lambda d: -d.score)
 
 

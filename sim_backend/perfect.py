@@ -30,7 +30,7 @@ class PerfectPerception:
         u, v = uv[:2] / uv[2]
         mask = np.zeros(frame.depth.shape, dtype=np.bool_)
         detection = Detection(Category.HAMMER_HEAD, 1.0, mask, (u - 8.0, v - 8.0, u + 8.0, v + 8.0))
-        return [ToolEstimate(detection, X, np.eye(6) * _SIGMA**2, 1.0, True, "ok")]
+        return [ToolEstimate(detection, X, np.eye(6) * _SIGMA**2, 1.0, True, "ok", trust=1.0)]
 
     def fuse(
         self,

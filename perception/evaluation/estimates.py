@@ -20,6 +20,7 @@ from toolee_robot.perception.pose.estimator import PoseEstimator
 from toolee_robot.perception.pose.paper import PaperEstimator
 from toolee_robot.perception.pose.paper.estimator import NAME as PAPER
 from toolee_robot.perception.pose.paper.representation import class_ambiguity
+from toolee_robot.perception.trust import Trust
 from toolee_robot.symmetry import SymmetryKind
 from toolee_robot.types import Category
 
@@ -69,7 +70,7 @@ class Estimates:
 
 @dataclass(frozen=True, eq=False)
 class Ranked:
-    """A detection in a ranking. score: the detector's times the pose's confidence."""
+    """A detection in a ranking, by how far it is to be trusted."""
 
     image: int
     category: Category
@@ -138,16 +139,18 @@ def questions(examples: Examples, masks: str, of_tool: bool) -> list[Question]:
     ]
 
 
-def answer(estimator: CloudEstimator, question: Question) -> Answer:
+def answer(estimator: CloudEstimator, trust: Trust, question: Question) -> Answer:
     """Estimate, and judge it."""
     case, instance = question.case, question.instance
     result, ms = estimate_case(estimator, case, question.number)
     ranked = row = None
-    if result is not None and (instance is None or instance.target):
-        score = case.score * result.confidence
-        ranked = Ranked(case.image, case.category, score, result.X_camera_ee, result.usable)
+    usable = False
+    if result is not None:
+        probability, usable, _ = trust.judge(case.score, case.tool_score, result)
+        if instance is None or instance.target:
+            ranked = Ranked(case.image, case.category, probability, result.X_camera_ee, usable)
     if question.best and instance is not None and _asked_for(instance, estimator.of_tool):
-        row = _row(instance, case, result, ms)
+        row = _row(instance, case, result, usable, ms)
     return Answer(ranked, case.instance, row)
 
 
@@ -163,7 +166,7 @@ def summary(examples: Examples, of_tool: bool, answers: Iterable[Answer]) -> tup
         if each.row is not None:
             by_instance[each.number] = each.row
     rows = [
-        by_instance.get(number) or _row(instance, None, None, 0.0)
+        by_instance.get(number) or _row(instance, None, None, False, 0.0)
         for number, instance in enumerate(examples.instances)
         if _asked_for(instance, of_tool)
     ]
@@ -179,7 +182,9 @@ _TYPES = (int, bool, *[float] * 9, bool, bool, float, bool, float)
 _INF = float("inf")
 
 
-def _row(instance: Instance, case: Case | None, result: PoseResult | None, ms: float) -> tuple[object, ...]:
+def _row(
+    instance: Instance, case: Case | None, result: PoseResult | None, usable: bool, ms: float
+) -> tuple[object, ...]:
     category, X_true = instance.category, instance.X_camera_ee
     index = CATEGORIES.index(category)
     told = case is not None and case.cloud.usable and spin_is_told(instance, case)
@@ -208,7 +213,7 @@ def _row(instance: Instance, case: Case | None, result: PoseResult | None, ms: f
         spin,
         spin_fixed,
         result.confidence,
-        result.usable,
+        usable,
         told,
         result.hypotheses.spin_observable,
         bool((said == class_ambiguity()[index].numpy().astype(bool)).all()),

@@ -55,7 +55,7 @@ class Instance:
 @dataclass(frozen=True, eq=False)
 class Case:
     """One mask, and the cloud under it. instance: index of what it shows, None for a false alarm. score: the
-    detector's. tool_points: (N, 3) [m] of the whole tool."""
+    detector's; tool_score: its tool's. tool_points: (N, 3) [m] of the whole tool."""
 
     instance: int | None
     image: int
@@ -63,6 +63,7 @@ class Case:
     score: float
     cloud: EeCloud
     tool_points: Array
+    tool_score: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +200,9 @@ def _add(
         found.instances.append(instance)
         here[number] = mask
         if instance.target:
-            detection = Detection(instance.category, 1.0, mask, (0.0, 0.0, 0.0, 0.0), tool == table.tool[ee_id - 1])
+            detection = Detection(
+                instance.category, 1.0, mask, (0.0, 0.0, 0.0, 0.0), tool == table.tool[ee_id - 1], 1.0
+            )
             found.cases["truth"].append(_case(number, image, frame, detection))
     if detector is None:
         return
@@ -221,7 +224,8 @@ def _add(
 def _case(instance: int | None, image: int, frame: RgbdFrame, detection: Detection) -> Case:
     tool_mask = detection.mask if detection.tool_mask is None else detection.tool_mask
     tool_points = back_project(frame.depth, without_flying_pixels(frame.depth, tool_mask), frame.intrinsics)
-    return Case(instance, image, detection.category, detection.score, ee_cloud(frame, detection), tool_points)
+    score, tool_score = detection.score, detection.tool_score
+    return Case(instance, image, detection.category, score, ee_cloud(frame, detection), tool_points, tool_score)
 
 
 def _splits(folder: Path) -> list[list[Path]]:

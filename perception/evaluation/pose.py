@@ -136,9 +136,7 @@ def _kept(e: Estimates) -> dict[str, Any]:
 
 def ranked_ap(instances: list[Instance], ranked: list[Ranked]) -> dict[str, dict[str, float | None]]:
     """Class AP over detections ranked by score, jointly under n deg and m cm, at IoU over 0.1 (NOCS); and the mean."""
-    by_image: dict[tuple[int, Category], list[Instance]] = {}
-    for instance in instances:
-        by_image.setdefault((instance.image, instance.category), []).append(instance)
+    by_image = _by_image(instances)
     table: dict[str, dict[str, float | None]] = {}
     for category in CATEGORIES:
         targets = sum(i.target and i.category is category for i in instances)
@@ -157,7 +155,34 @@ def ranked_ap(instances: list[Instance], ranked: list[Ranked]) -> dict[str, dict
     return table
 
 
+def usable_poses(instances: list[Instance], ranked: list[Ranked], images: int) -> dict[str, float | None]:
+    """What comes of acting on every usable pose, false alarms among them: share of those within 10 deg 2 cm of an end
+    effector of their category, how many an image are not, and the share of the end effectors that are asked for and
+    get a right one."""
+    by_image = _by_image(instances)
+    right = counted = targets = 0
+    for category in CATEGORIES:
+        usable = sorted((r for r in ranked if r.category is category and r.usable), key=lambda r: -r.score)
+        overlaps = [_overlaps(r, by_image.get((r.image, category), [])) for r in usable]
+        correct, counts = _matched(usable, overlaps, metrics.THRESHOLDS["10deg2cm"])
+        right, counted = right + int(correct.sum()), counted + int(counts.sum())
+        targets += sum(i.target and i.category is category for i in instances)
+    return {
+        "poses": counted,
+        "right_10deg2cm": right / counted if counted else None,
+        "wrong_per_image": (counted - right) / images if images else None,
+        "found_10deg2cm": right / targets if targets else None,
+    }
+
+
 _Overlap = list[tuple[float, Instance]]
+
+
+def _by_image(instances: list[Instance]) -> dict[tuple[int, Category], list[Instance]]:
+    found: dict[tuple[int, Category], list[Instance]] = {}
+    for instance in instances:
+        found.setdefault((instance.image, instance.category), []).append(instance)
+    return found
 
 
 def _overlaps(detection: Ranked, instances: list[Instance]) -> _Overlap:

@@ -24,7 +24,7 @@ _DEFINITIONS = {
     "left out. Only for comparison with its tables",
     "AR MSSD, MSPD": "BOP's average recall of the maximum symmetry-aware surface distance (0.05 to 0.5 of the EE's "
     "diameter) and projection distance (5 to 50 px at a width of 640)",
-    "ranked AP": "area under the precision-recall curve of detections ranked by detector score times confidence, right "
+    "ranked AP": "area under the precision-recall curve of detections ranked by trust, right "
     "if their box overlaps the EE's (IoU over 0.1) and the pose is under the threshold (NOCS)",
     "held-out, seen": "tools that training never showed, and tools that it did, both in new images",
     "usable": "the estimate's confidence is over the threshold that was fixed after training",
@@ -185,6 +185,18 @@ def _ranked(out: Page, report: dict[str, Any]) -> None:
         for category, row in record[masks]["ranked_ap"].items()
     ]
     out.table(head, rows, left=3)
+    out.section("Usable poses")
+    out.paragraph("What comes of acting on every pose that claims to be usable, false alarms among them.")
+    head = ["estimator", "masks", "poses", "within 10° 2 cm", "wrong ones an image", "end effectors with a right one"]
+    rows = [
+        [label, _MASKS[masks], u["poses"]]
+        + [_share(u[k]) for k in ("right_10deg2cm", "wrong_per_image", "found_10deg2cm")]
+        for label, record in report["estimators"].items()
+        for masks in _MASKS
+        if masks in record
+        for u in (record[masks]["usable"],)
+    ]
+    out.table(head, rows, left=2)
 
 
 def sampler_page(rows: list[dict[str, Any]], images: dict[str, bytes], subtitle: str) -> str:

@@ -30,6 +30,7 @@ from toolee_robot.perception.evaluation.samplers import sampler_table
 from toolee_robot.perception.pipeline import EeDetector, ToolPerception
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
 from toolee_robot.perception.pose.paper import PaperEstimator
+from toolee_robot.perception.trust import Trust
 from toolee_robot.types import RgbdFrame
 
 T = TypeVar("T")
@@ -63,19 +64,22 @@ class Networks:
     """What each process holds."""
 
     estimators: dict[str, CloudEstimator]
+    trust: dict[str, Trust]
     detector: EeDetector | None
 
     @staticmethod
     def load(plan: Plan) -> Networks:
         """Raises AssetError when weights are missing."""
         estimators = {label: load_estimator(folder, plan.device) for label, folder in plan.weights.items()}
-        return Networks(estimators, None if plan.true_masks_only else Segmenter.load(plan.detector, plan.device))
+        trust = {label: Trust.load(folder, plan.detector) for label, folder in plan.weights.items()}
+        return Networks(estimators, trust, None if plan.true_masks_only else Segmenter.load(plan.detector, plan.device))
 
     @property
     def perception(self) -> ToolPerception:
         """The detector with the first estimator."""
         assert self.detector is not None
-        return ToolPerception(self.detector, next(iter(self.estimators.values())))
+        label, estimator = next(iter(self.estimators.items()))
+        return ToolPerception(self.detector, estimator, self.trust[label])
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +117,7 @@ def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
                 record[masks] = {
                     "groups": pose.tables(rows),
                     "ranked_ap": ranked[label, masks],
+                    "usable": pose.usable_poses(examples.instances, rankings[label, masks], examples.images),
                     "latency": {
                         **pose.latency(rows),
                         "device": plan.device,
@@ -140,7 +145,7 @@ def _read(networks: Networks, part: Part) -> Examples:
 
 
 def _answer(label: str, networks: Networks, question: Question) -> Answer:
-    return answer(networks.estimators[label], question)
+    return answer(networks.estimators[label], networks.trust[label], question)
 
 
 def _ranked_ap(

@@ -68,10 +68,11 @@ def held_hammer(seed: int, index: int, split: str = "test") -> HeldHammer | None
     return HeldHammer(frames, Xs, [X_hand_tool @ X for X in faces])
 
 
-def empty_frame(seed: int, index: int) -> RgbdFrame:
-    """A cluttered frame of the hard scenes without a tool, in many of them an empty hand."""
+def empty_frame(seed: int, index: int, split: str = "test") -> RgbdFrame:
+    """A cluttered frame of the hard scenes without a tool, in many of them an empty hand. split: of textures and
+    backgrounds."""
     rng = np.random.default_rng([seed, index, 3])
-    sample = hard_scene(rng, Pool.random(rng, "test"), with_tools=False)
+    sample = hard_scene(rng, Pool.random(rng, split), with_tools=False)
     return taken_frame(sample, Shot(sample.scene, sample.intrinsics, sample.X_world_camera), rng)
 
 

@@ -6,7 +6,7 @@ clouds that are no EE of the claimed category (hands, other parts, other EEs), f
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -62,13 +62,14 @@ def features(
 
 @dataclass(frozen=True)
 class ConfidenceModel:
-    """p = sigmoid(bias + weights . (x - mean) / std); a pose is usable from `threshold` on."""
+    """p = sigmoid(bias + weights . (x - mean) / std); a pose is usable from `threshold` on. names: of the features."""
 
     mean: tuple[float, ...]
     std: tuple[float, ...]
     weights: tuple[float, ...]
     bias: float
     threshold: float = 0.5
+    names: tuple[str, ...] = FEATURES
 
     def probability(self, x: Array) -> Array:
         """(...,) of features (..., F)."""
@@ -77,7 +78,7 @@ class ConfidenceModel:
 
     def to_dict(self) -> dict[str, Any]:
         return {
-            "features": list(FEATURES),
+            "features": list(self.names),
             "mean": list(self.mean),
             "std": list(self.std),
             "weights": list(self.weights),
@@ -86,15 +87,17 @@ class ConfidenceModel:
         }
 
     @staticmethod
-    def from_dict(data: dict[str, Any]) -> ConfidenceModel:
+    def from_dict(data: dict[str, Any], names: tuple[str, ...] = FEATURES) -> ConfidenceModel:
         """Raises ValueError when the model was fitted on other features."""
-        if tuple(data["features"]) != FEATURES:
+        if tuple(data["features"]) != names:
             raise ValueError("the confidence model was fitted on other features; train again")
         mean, std, weights = (tuple(map(float, data[k])) for k in ("mean", "std", "weights"))
-        return ConfidenceModel(mean, std, weights, float(data["bias"]), float(data["threshold"]))
+        return ConfidenceModel(mean, std, weights, float(data["bias"]), float(data["threshold"]), names)
 
 
-def fit(x: Array, success: Array, precision: float = 0.95, ridge: float = 10.0) -> ConfidenceModel:
+def fit(
+    x: Array, success: Array, precision: float = 0.95, ridge: float = 10.0, names: tuple[str, ...] = FEATURES
+) -> ConfidenceModel:
     """Fit on features (N, F) and success (N,) in {0, 1} by Newton's method on the ridge-penalised likelihood.
 
     ridge: with 1 instead of 10, the calibration error on other tools was twice as large. The threshold is the lowest
@@ -116,7 +119,7 @@ def fit(x: Array, success: Array, precision: float = 0.95, ridge: float = 10.0) 
     share = np.cumsum(y[order]) / np.arange(1, len(y) + 1)
     good = np.flatnonzero(share >= precision)
     threshold = max(float(p[order][good[-1]]), 0.3) if len(good) else 0.9
-    return ConfidenceModel(model.mean, model.std, model.weights, model.bias, min(threshold, 0.95))
+    return replace(model, threshold=min(threshold, 0.95), names=names)
 
 
 def reason(category: Category, x: Array, usable: bool) -> str:

@@ -20,7 +20,7 @@ from toolee_robot.types import Category
 _HEAD = CATEGORIES.index(Category.HAMMER_HEAD) + 1
 _STATION = 1
 """The kind of scene that shows a tool in the robot's hand."""
-_KEYS = {"category", "score", "X_camera_ee", "covariance", "mask_box", "confidence", "usable", "reason"}
+_KEYS = {"category", "score", "X_camera_ee", "covariance", "mask_box", "confidence", "trust", "usable", "reason"}
 
 
 def _clear_view(example: Example) -> bool:

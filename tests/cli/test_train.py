@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,10 @@ import pytest
 
 from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.cli.app import run
+from toolee_robot.perception.assets import WEIGHTS_DIR
+from toolee_robot.perception.dataset.example import examples_of
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH, EeTable, Example
+from toolee_robot.perception.dataset.spec import DatasetSpec
 from toolee_robot.perception.dataset.storage import write_scene
 from toolee_robot.types import CameraIntrinsics
 
@@ -71,3 +75,19 @@ def test_a_bad_configuration_is_named(
 def test_pose_needs_a_column_of_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["train", "pose", "--out", str(tmp_path / "out"), "--column", "ee"]) == 2
     assert "--estimator paper" in capsys.readouterr().err
+
+
+def test_what_is_trusted_is_fitted_on_a_data_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The shipped networks on a few rendered frames: too few to fit on, which is said, and what is there stays."""
+    (tmp_path / "data" / "test").mkdir(parents=True)
+    scene = tmp_path / "data" / "test" / "000000"
+    write_scene(scene, examples_of(DatasetSpec("hard", 8, 5, 0.5), "test", 0, 2))
+    weights = tmp_path / "weights"
+    shutil.copytree(WEIGHTS_DIR, weights)
+    before = (weights / "trust.json").read_bytes()
+    command = ["train", "trust", "--data", str(tmp_path / "data"), "--weights", str(weights), "--frames", "1"]
+    assert run(command) == 2
+    assert "take more images" in capsys.readouterr().err
+    assert (weights / "trust.json").read_bytes() == before
+    assert run(["train", "trust", "--data", str(tmp_path / "nothing")]) == 1
+    assert "dataset generate" in capsys.readouterr().err

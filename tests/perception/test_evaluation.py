@@ -35,6 +35,7 @@ from toolee_robot.perception.evaluation.shapes import ee_shape
 from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.segmentation import Segmenter
 from toolee_robot.perception.segmentation_evaluation import STATISTICS, coco_task, statistics
+from toolee_robot.perception.trust import Trust
 from toolee_robot.tools import ee_radius
 
 FRAMES = 4
@@ -97,6 +98,19 @@ def test_perfect_detections_rank_perfectly_and_confident_mistakes_cost(examples:
     assert (missed["average"]["2deg2mm"] or 0) < 1.0
 
 
+def test_what_comes_of_acting_on_usable_poses(examples: Examples) -> None:
+    right = [Ranked(i.image, i.category, 0.9, i.X_camera_ee, True) for i in examples.instances if i.target]
+    far = [replace(r, X_camera_ee=r.X_camera_ee @ transform(p=(0.0, 0.0, 0.5))) for r in right]
+    unsure = [replace(r, usable=False) for r in far]
+    found = pose.usable_poses(examples.instances, [*right, *far, *unsure], examples.images)
+    assert found["poses"] == 2 * len(right)
+    assert found["right_10deg2cm"] == pytest.approx(0.5)
+    assert found["wrong_per_image"] == pytest.approx(len(right) / examples.images)
+    assert found["found_10deg2cm"] == pytest.approx(1.0)
+    nothing = pose.usable_poses(examples.instances, unsure, examples.images)
+    assert (nothing["poses"], nothing["right_10deg2cm"], nothing["found_10deg2cm"]) == (0, None, 0.0)
+
+
 def test_tables_and_the_report(examples: Examples) -> None:
     estimator = PoseEstimator.load()
     fused = {**dict.fromkeys(metrics.THRESHOLDS, 1.0), "median_mm": 1.0}
@@ -116,7 +130,7 @@ def test_tables_and_the_report(examples: Examples) -> None:
     record: dict[str, object] = {"method": {"name": "ours", "candidates": 32, "sampler": "Euler(steps=5)"}}
     kinds = {}
     for masks in ("truth", "predicted"):
-        answers = (answer(estimator, question) for question in questions(examples, masks, of_tool=False))
+        answers = (answer(estimator, Trust(), question) for question in questions(examples, masks, of_tool=False))
         rows, ranked = summary(examples, False, answers)
         assert len(rows) == sum(i.target for i in examples.instances)
         assert np.all(rows.position[~rows.made] == np.inf)
@@ -126,7 +140,12 @@ def test_tables_and_the_report(examples: Examples) -> None:
         for category, row in groups["held-out"]["accuracy"].items():
             assert row["2deg2mm"] <= row["5deg5mm"] <= row["5deg1cm"] <= row["5deg2cm"] <= row["10deg5cm"], category
         latency = {**pose.latency(rows), "device": "cpu", "torch_threads": 1}
-        record[masks] = {"groups": groups, "ranked_ap": pose.ranked_ap(examples.instances, ranked), "latency": latency}
+        record[masks] = {
+            "groups": groups,
+            "ranked_ap": pose.ranked_ap(examples.instances, ranked),
+            "usable": pose.usable_poses(examples.instances, ranked, examples.images),
+            "latency": latency,
+        }
     report["estimators"] = {"ours & more": record}
     evaluation = Evaluation(report, {"ours & more": kinds})
     images = pictures(evaluation)

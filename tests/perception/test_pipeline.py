@@ -13,7 +13,9 @@ from toolee_robot.errors import AssetError, PerceptionError, UserError
 from toolee_robot.frames import transform
 from toolee_robot.perception import ToolPerception
 from toolee_robot.perception.pose import PoseEstimator
+from toolee_robot.perception.pose.confidence import FEATURES, ConfidenceModel
 from toolee_robot.perception.pose.network import NetworkConfig, PoseNet
+from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.types import CameraIntrinsics, Category, Detection, RgbdFrame, ToolEstimate
 
 CAMERA = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)
@@ -22,12 +24,15 @@ CAMERA = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)
 class ColourDetector:
     """Finds what is painted in one colour a category: a real, if simple, detector."""
 
+    def __init__(self, score: float = 0.9) -> None:
+        self._score = score
+
     def detect(self, frame: RgbdFrame) -> list[Detection]:
         rgb, found = frame.rgb, []
         for k, category in enumerate(Category):
             mask = rgb[:, :, 0] == 50 * (k + 1)
             if mask.any():
-                found.append(Detection(category, 0.9, mask, (0.0, 0.0, 1.0, 1.0), None))
+                found.append(Detection(category, self._score, mask, (0.0, 0.0, 1.0, 1.0), None))
         return found
 
 
@@ -54,6 +59,20 @@ def test_every_detection_gets_a_pose_near_its_cloud(perception: ToolPerception) 
         np.testing.assert_allclose(e.X_camera_ee[2, 3], 0.8, atol=0.15)
         assert e.hypotheses is not None
     assert times.total_ms >= times.segmentation_ms + times.pose_ms > 0
+
+
+def test_a_pose_under_a_doubtful_detection_is_not_usable() -> None:
+    """However well the pose fits the cloud: the cloud may be of something else."""
+    torch.manual_seed(0)
+    n = len(FEATURES)
+    sure = Calibration(confidence=ConfidenceModel((0.0,) * n, (1.0,) * n, (0.0,) * n, 2.0))
+    pose = PoseEstimator(PoseNet(NetworkConfig()), sure)
+    assert pose.calibration.confidence.probability(np.zeros(n)) == pytest.approx(0.88, abs=0.01)
+    for score, usable in ((0.9, True), (0.2, True), (0.1, False), (0.01, False)):
+        (estimate,) = ToolPerception(ColourDetector(score), pose).estimate(frame((0, 150, 14)))
+        assert estimate.confidence == pytest.approx(0.88, abs=0.01), "the pose's own, if the detection is right"
+        assert estimate.usable is usable is (estimate.trust >= 0.5)
+        assert estimate.reason == "ok" if usable else f"score {score:.2f}" in estimate.reason
 
 
 def test_the_same_frame_gives_the_same_estimates(perception: ToolPerception) -> None:

@@ -132,6 +132,7 @@ def as_record(estimate: ToolEstimate) -> dict[str, Any]:
         "covariance": estimate.covariance.tolist() if known else None,
         "mask_box": [float(v) for v in estimate.detection.box],
         "confidence": round(float(estimate.confidence), 4),
+        "trust": round(float(estimate.trust), 4),
         "usable": bool(estimate.usable),
         "reason": estimate.reason,
     }
@@ -160,6 +161,7 @@ def _table(estimates: list[ToolEstimate], title: str) -> Table:
         "X_camera_ee: position, rotation vector",
         "uncertainty",
         "confidence",
+        "trust",
         "usable",
     ):
         table.add_column(name)
@@ -170,6 +172,7 @@ def _table(estimates: list[ToolEstimate], title: str) -> Table:
             pose_text(e.X_camera_ee),
             sigma_text(e.covariance, e.X_camera_ee),
             f"{e.confidence:.2f}",
+            f"{e.trust:.2f}",
             "[green]yes[/green]" if e.usable else f"[red]no: {escape(e.reason)}[/red]",
         )
     return table

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -223,11 +224,17 @@ def _labelled(weights: tuple[str, ...]) -> dict[str, Path | None]:
 
 @contextmanager
 def _progress(console: Console) -> Iterator[Report]:
+    """Bars; on a stream that is no terminal a line now and then."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as bars:
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
         tasks: dict[str, Any] = {}
+        told = -1e9
 
         def report(what: str, done: int, total: int) -> None:
+            nonlocal told
+            if not console.is_terminal and (time.monotonic() - told > 30.0 or done == total):
+                told = time.monotonic()
+                console.print(f"{what}: {done} of {total}")
             if what not in tasks:
                 tasks[what] = bars.add_task(what, total=total)
             bars.update(tasks[what], completed=done)

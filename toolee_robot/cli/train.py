@@ -1,4 +1,4 @@
-"""`toolee train`: the detector and the pose network."""
+"""`toolee train`: the detector, the pose network, and how far the two are to be trusted."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 import yaml
+from rich.console import Console
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line, write_whole
@@ -133,12 +134,62 @@ class Pose:
         return 0
 
 
-_Action = Annotated[Segmentation, tyro.conf.subcommand("segmentation")] | Annotated[Pose, tyro.conf.subcommand("pose")]
+@dataclass(frozen=True)
+class Trust:
+    """Fit how far a pose under the detector's mask is to be trusted, once both networks are trained.
+
+    Example: toolee train trust --data data/hard-trust/train --weights runs/both --workers 2
+
+    Take data that neither network was trained on, and that nothing is reported on.
+    """
+
+    data: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """A data set, or one split of it."""
+    weights: _File = None
+    """Folder with the weights of both networks, where trust.json goes, too (default: those that ship)."""
+    frames: Annotated[int, tyro.conf.arg(metavar="N")] = 1000
+    """Without a tool, to render beside."""
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
+    """Of these frames."""
+    workers: Annotated[int, tyro.conf.arg(metavar="W")] = 1
+    """Processes at a time."""
+    json: Flag = False
+    """Print one line of JSON last on standard output; everything for people goes to standard error."""
+
+    def run(self) -> int:
+        console = Console(stderr=self.json, highlight=False)
+        from toolee_robot.perception.fit_trust import fit_trust
+
+        with console.status("loading the networks") as status:
+            report = fit_trust(
+                self.data,
+                self.weights,
+                self.frames,
+                self.seed,
+                self.workers,
+                lambda done, of: status.update(f"{done} of {of}: scene folders, then frames without a tool"),
+            )
+        console.print(
+            f"fitted on {report['poses']} poses in {report['images']} images and {report['frames_without_a_tool']} "
+            f"frames without a tool\n{report['usable_right']:.3f} of the usable poses are right, "
+            f"{report['right_usable']:.3f} of the right ones usable; {report['quiet']:.3f} of the frames without a "
+            "tool give none"
+        )
+        if self.json:
+            print(json_line(report), flush=True)
+        return 0
+
+
+_Action = (
+    Annotated[Segmentation, tyro.conf.subcommand("segmentation")]
+    | Annotated[Pose, tyro.conf.subcommand("pose")]
+    | Annotated[Trust, tyro.conf.subcommand("trust")]
+)
 
 
 @dataclass(frozen=True)
 class Train:
-    """Train the detector or the pose network.
+    """Train the detector or the pose network, or fit how far the two are to be trusted.
 
     Example: toolee train segmentation --data data/hard/train --out runs/segmentation
     """

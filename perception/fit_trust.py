@@ -1,0 +1,158 @@
+"""Fit how far a pose under a detector's mask is to be trusted, on frames with tools and on rendered ones without.
+
+    report = fit_trust(Path("data/hard-trust/train"), workers=2)  # or: toolee train trust --data data/hard-trust/train
+
+Take data that neither network was trained on, and that nothing is reported on. A detection counts as right where its
+pose is within 10 deg and 2 cm of an end effector of its category. The threshold is the lowest above which PRECISION of
+the poses are right and at which QUIET of the frames without a tool give none.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from toolee_robot.errors import UserError
+from toolee_robot.frames import Array
+from toolee_robot.perception import assets
+from toolee_robot.perception.evaluation import metrics, views
+from toolee_robot.perception.evaluation.crew import Crew
+from toolee_robot.perception.evaluation.estimates import estimate_case
+from toolee_robot.perception.evaluation.examples import Examples, Instance, Part, parts, read_part
+from toolee_robot.perception.pipeline import ToolPerception
+from toolee_robot.perception.pose import PoseEstimator, confidence
+from toolee_robot.perception.segmentation import Segmenter
+from toolee_robot.perception.trust import FEATURES, Trust, features
+from toolee_robot.types import Category
+
+PRECISION = 0.95
+QUIET = 0.993
+"""A little over the 99 % that are wanted: other frames than those of the fit are a little louder."""
+_RIDGE = 3.0
+_HIGHEST = 0.95  # threshold
+
+
+@dataclass(frozen=True, eq=False)
+class Networks:
+    """What each process holds."""
+
+    detector: Segmenter
+    pose: PoseEstimator
+
+    @staticmethod
+    def load(folder: Path | None) -> Networks:
+        """Raises AssetError when weights are missing."""
+        return Networks(Segmenter.load(folder), PoseEstimator.load(folder))
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """What was found, one row a pose: features (N, F) of the model; right (N,); usable (N,): as the pose's own
+    confidence has it; images: how many were looked at."""
+
+    x: Array
+    right: Array
+    usable: Array
+    images: int
+
+
+def look(seed: int, networks: Networks, part: Part | int) -> Looked:
+    """At a part of a data set, or at a frame without a tool, rendered by seed and number."""
+    if isinstance(part, Part):
+        return _look_at_tools(networks, read_part(part, networks.detector))
+    rows = []
+    sure = networks.pose.calibration.confidence.threshold
+    for e in ToolPerception(networks.detector, networks.pose).estimate(views.empty_frame(seed, part, "train")):
+        if np.isfinite(e.X_camera_ee).all():
+            d = e.detection
+            rows.append((features(e.confidence, d.score, d.tool_score, d.category), 0.0, e.confidence >= sure))
+    return _looked(rows, 1)
+
+
+def _look_at_tools(networks: Networks, examples: Examples) -> Looked:
+    there: dict[tuple[int, Category], list[Instance]] = defaultdict(list)
+    for instance in examples.instances:
+        there[instance.image, instance.category].append(instance)
+    rows = []
+    for number, case in enumerate(examples.cases["predicted"]):
+        result, _ = estimate_case(networks.pose, case, number)
+        if result is None:
+            continue
+        X, group = result.X_camera_ee, case.category.symmetry
+        right = any(
+            bool(
+                metrics.within(
+                    np.asarray(group.rotation_error(X[:3, :3], i.X_camera_ee[:3, :3])),
+                    np.asarray(np.linalg.norm(X[:3, 3] - i.X_camera_ee[:3, 3])),
+                    *metrics.THRESHOLDS["10deg2cm"],
+                )
+            )
+            for i in there[case.image, case.category]
+        )
+        x = features(result.confidence, case.score, case.tool_score, case.category)
+        rows.append((x, float(right), result.usable))
+    return _looked(rows, examples.images)
+
+
+def _looked(rows: list[tuple[Array, float, bool]], images: int) -> Looked:
+    x = np.array([row[0] for row in rows]).reshape(-1, len(FEATURES))
+    right, usable = (np.array([row[k] for row in rows], dtype=np.float64) for k in (1, 2))
+    return Looked(x, right, usable, images)
+
+
+def fit(tools: list[Looked], empty: list[Looked]) -> tuple[Trust, dict[str, float]]:
+    """The model, and what it does on what it was fitted on. Raises UserError where there is too little to fit on."""
+    x = np.concatenate([each.x for each in (*tools, *empty)])
+    right = np.concatenate([each.right for each in (*tools, *empty)])
+    if right.sum() < 50 or not empty:
+        raise UserError("too few poses are right, or no frame is without a tool: take more images")
+    model = confidence.fit(x, right, PRECISION, _RIDGE, FEATURES)
+    loudest = np.array([_loudest(model, each) for each in empty])
+    needed = float(np.quantile(loudest, QUIET, method="higher")) + 1e-6
+    model = replace(model, threshold=min(max(model.threshold, needed), _HIGHEST))
+    p = model.probability(np.concatenate([each.x for each in tools]))
+    passed = (p >= model.threshold) & (np.concatenate([each.usable for each in tools]) > 0)
+    of_tools = np.concatenate([each.right for each in tools])
+    report = {
+        "images": sum(each.images for each in tools),
+        "poses": len(p),
+        "frames_without_a_tool": len(empty),
+        "usable_right": float(of_tools[passed].mean()) if passed.any() else float("nan"),
+        "right_usable": float(passed[of_tools > 0].mean()),
+        "quiet": float((loudest < model.threshold).mean()),
+    }
+    return Trust(model), report
+
+
+def _loudest(model: confidence.ConfidenceModel, each: Looked) -> float:
+    claims = model.probability(each.x)[each.usable > 0]
+    return float(claims.max()) if len(claims) else 0.0
+
+
+def fit_trust(
+    data: Path,
+    folder: Path | None = None,
+    frames: int = 1000,
+    seed: int = 0,
+    workers: int = 1,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> dict[str, float]:
+    """Look at a data set (or one split of it) and at `frames` rendered frames without a tool, fit, and write trust.json
+    into `folder`, which holds the weights of both networks (those that ship if None). Returns the report: shares on
+    what it was fitted on. Raises AssetError when data or weights are missing, UserError when they are too few."""
+    todo = [*parts(data), *range(frames)]
+    found = []
+    with Crew(partial(Networks.load, folder), workers) as crew:
+        for each in crew.map(partial(look, seed), todo):
+            found.append(each)
+            progress(len(found), len(todo))
+    count = len(todo) - frames
+    trust, report = fit(found[:count], found[count:])
+    about = {"data": "/".join(data.resolve().parts[-2:]), "seed": seed}
+    trust.save(folder or assets.WEIGHTS_DIR, {**report, **about})
+    return report
