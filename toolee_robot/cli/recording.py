@@ -52,7 +52,13 @@ class RecordingObserver(TaskObserver):
                 "score": e.detection.score,
                 "box": list(e.detection.box),
             }
-            data |= {"confidence": e.confidence, "usable": e.usable, "reason": e.reason, "covariance": e.covariance}
+            data |= {
+                "confidence": e.confidence,
+                "trust": e.trust,
+                "usable": e.usable,
+                "reason": e.reason,
+                "covariance": e.covariance,
+            }
             self._recorder.record_event(frame.stamp, "estimate", data)
             if np.all(np.isfinite(e.X_camera_ee)):
                 self._recorder.record_pose(frame.stamp, "camera", f"seen_{e.category}", e.X_camera_ee)
