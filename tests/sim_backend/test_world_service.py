@@ -27,7 +27,7 @@ from toolee_robot.sim_backend.ur_controller.world_plant import WorldPlant
 from toolee_robot.sim_backend.ur_controller.world_service import WorldService
 
 CONFIG, SEED, TICK = StationConfig(), 101, 0.008
-PERIOD = 0.005  # [s] between ticks: faster than real, and time for the other thread
+PERIOD = 0.005  # [s] at most between ticks: faster than real, and time for the other thread
 # The palm faces the person, fingers down.
 X_BASE_HAND = frame_from_axes(z=np.array([0.0, -0.3, -1.0]), x=np.array([1.0, 0.0, 0.0]), p=[0.55, -0.35, 0.75])
 OPTIONS = SimOptions(q_start=joints_for_hand(X_BASE_HAND))
@@ -55,9 +55,8 @@ class Loop(threading.Thread):
         self.plant: Plant = plant
         self.world = service.world
         self.ready.set()
-        due = time.monotonic()
         while not self.ended.is_set():
-            due += PERIOD
+            due = time.monotonic() + PERIOD  # no tick is caught up: that would be the other thread's time
             for fd in select.select(part.filenos(), [], [], max(0.0, due - time.monotonic()))[0]:
                 part.on_readable(fd)
             if not self.hold.is_set():
