@@ -115,14 +115,16 @@ def farthest_points_first(points: Tensor, count: int) -> Tensor:
     """The same points (B, N, 3), reordered: `count` farthest-point samples first, from the point farthest from 0."""
     B, N, _ = points.shape
     distance = torch.full((B, N), torch.inf, device=points.device)
-    index = points.square().sum(-1).argmax(1)
-    taken = torch.zeros(B, N, device=points.device)
-    batch = torch.arange(B, device=points.device)
-    for i in range(count):
-        taken[batch, index] = float(count - i)
-        distance = torch.minimum(distance, (points - points[batch, index][:, None]).square().sum(-1))
+    index = points.square().sum(-1).argmax(1, keepdim=True)
+    picked = []
+    for _ in range(count):
+        picked.append(index)
+        distance = torch.minimum(distance, (points - _rows(points, index)).square_().sum(-1))
         # Repeated points have distance 0; prefer any point not taken yet over one that is.
-        index = (distance - taken).argmax(1)
+        distance.scatter_(1, index, -1.0)
+        index = distance.argmax(1, keepdim=True)
+    rank = torch.arange(count, 0, -1, device=points.device).expand(B, -1)
+    taken = rank.new_zeros(B, N).scatter_(1, torch.cat(picked, 1), rank)
     return _rows(points, taken.argsort(dim=1, descending=True, stable=True))
 
 

@@ -30,10 +30,10 @@ from toolee_robot.tools.model import ee_radius
 from toolee_robot.types import Category
 
 _CATEGORY_SHARE = {
-    Category.HAMMER_HEAD: 0.36,
-    Category.HAMMER_GRIP: 0.18,
-    Category.SCREWDRIVER_HEAD: 0.20,
-    Category.WRENCH_HEAD: 0.26,
+    Category.HAMMER_HEAD: 0.28,
+    Category.HAMMER_GRIP: 0.26,
+    Category.SCREWDRIVER_HEAD: 0.16,
+    Category.WRENCH_HEAD: 0.30,
 }
 
 
