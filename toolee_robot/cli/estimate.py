@@ -154,24 +154,18 @@ def _verdict(console: Console, estimates: list[ToolEstimate]) -> int:
 
 
 def _table(estimates: list[ToolEstimate], title: str) -> Table:
+    """What a person acts on; the detector's score and the pose's confidence, which the trust weighs, are in --json."""
     table = Table(title=title, title_justify="left")
-    for name in (
-        "end effector",
-        "score",
-        "X_camera_ee: position, rotation vector",
-        "uncertainty",
-        "confidence",
-        "trust",
-        "usable",
-    ):
-        table.add_column(name)
+    table.add_column("end effector", min_width=len("screwdriver"))
+    table.add_column("X_camera_ee: position\nrotation vector", no_wrap=True)
+    table.add_column("uncertainty", no_wrap=True)
+    table.add_column("trust")
+    table.add_column("usable")
     for e in estimates:
         table.add_row(
             e.category.replace("_", " "),
-            f"{e.detection.score:.2f}",
-            pose_text(e.X_camera_ee),
-            sigma_text(e.covariance, e.X_camera_ee),
-            f"{e.confidence:.2f}",
+            pose_text(e.X_camera_ee).replace("  ", "\n"),  # position over rotation: it fits 80 columns
+            sigma_text(e.covariance, e.X_camera_ee).replace("  ", "\n"),
             f"{e.trust:.2f}",
             "[green]yes[/green]" if e.usable else f"[red]no: {escape(e.reason)}[/red]",
         )
