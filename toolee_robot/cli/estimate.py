@@ -155,7 +155,7 @@ def _verdict(console: Console, estimates: list[ToolEstimate]) -> int:
 
 def _table(estimates: list[ToolEstimate], title: str) -> Table:
     """What a person acts on; the detector's score and the pose's confidence, which the trust weighs, are in --json."""
-    table = Table(title=title, title_justify="left")
+    table = Table(title=title, title_justify="left", show_edge=False)
     table.add_column("end effector", min_width=len("screwdriver"))
     table.add_column("X_camera_ee: position\nrotation vector", no_wrap=True)
     table.add_column("uncertainty", no_wrap=True)
