@@ -180,7 +180,7 @@ def test_somebody_steps_in(swing: Swing) -> None:
     """A thread of its own asks for it every 10 ms of real time: how many simulated cycles that takes depends on the
     machine, hence a blow that never gets to the nail is all that is asked here."""
     swing.bench.soon(swing.bench.people.step_in, 0.05)()
-    with pytest.raises(PersonNearError, match="was stopped") as caught:
+    with swing.bench.in_real_time(), pytest.raises(PersonNearError, match="was stopped") as caught:
         swing.run()
     assert caught.value.report is not None
     assert on_path(caught.value.report.q_commanded, swing.plan.strike) < 1e-3
