@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import cycle
@@ -49,7 +50,10 @@ class Bench:
 
         from toolee_robot.cli.bench_scene import bench_scene
 
-        with console.status("a hammer is handed over and brought before the camera"), bench_scene(_SEED) as scene:
+        with ExitStack() as stack:
+            # Its thread draws: not while something is measured.
+            with console.status("a hammer is handed over and brought before the camera"):
+                scene = stack.enter_context(bench_scene(_SEED))
             latencies = [*_perception(scene, self.repeats), *_planning(scene, self.repeats)]
             real_time_factor = scene.simulation_speed()
         console.print(_table(latencies))
