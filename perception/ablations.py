@@ -22,7 +22,7 @@ from toolee_robot.perception.ablation.variants import POOLINGS, Uncentred, WithP
 from toolee_robot.perception.pose import validation
 from toolee_robot.perception.pose.bank import load_hands, tool_bank
 from toolee_robot.perception.pose.cloud_batch import CloudBatch, CloudConfig
-from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
+from toolee_robot.perception.pose.cloud_estimator import CANDIDATES, CloudEstimator, PoseResult
 from toolee_robot.perception.pose.estimator import PoseEstimator
 from toolee_robot.perception.pose.flow import Euler
 from toolee_robot.perception.pose.method import Method, Ours
@@ -32,7 +32,6 @@ from toolee_robot.perception.pose.training import TrainConfig, Trainer
 from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.perception.ranks import ranks
 
-CANDIDATES = 32
 KS = (1, 5, 10, 20, 32, 50)
 STEPS = (1, 2, 3, 5, 10, 20)
 RADII_MM = (40, 50, 60, 70)
@@ -66,6 +65,7 @@ ROWS: dict[str, Row] = {
     "no-direction": Row("rest of the tool", "unknown", _ours(rest_dropout=1.0, direction_dropout=1.0)),
     "uncentred": Row("centring", "encoder sees the cloud in the camera's frame", Uncentred(name=_NAME)),
     "no-augmentation": Row("augmentation", "without", _ours(augmentation=False)),
+    "no-guesses": Row("pixels without a depth", "left out", _ours(clouds_config=CloudConfig(guessed=False))),
     **{
         f"radius-{r}": Row(
             "crop radius", f"{r} mm for every category", _ours(clouds_config=CloudConfig(radius=r / 1e3))

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.perception.pose.canonical import MIN_POINTS, REST_LEAST, REST_REACH
+from toolee_robot.perception.pose.fill import fill
 from toolee_robot.tools.model import ee_radius
 from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
 
@@ -25,12 +27,20 @@ NEAR_QUANTILE = 0.2
 class EeCloud:
     """points (N, 3) [m], camera frame, or the reason why there are none.
 
-    rest: (M, 3) [m], camera frame, the visible points of the rest of the tool.
+    rest: (M, 3) [m], camera frame, the visible points of the rest of the tool. guessed: (G, 3) [m], camera frame, the
+    mask's pixels without a depth, at the one of their neighbours.
     """
 
     points: Array
     rest: Array
+    guessed: Array
     reason: str = "ok"
+
+    @classmethod
+    def refused(cls, reason: str) -> EeCloud:
+        """No cloud."""
+        nothing = np.empty((0, 3))
+        return cls(nothing, nothing, nothing, reason)
 
     @property
     def direction(self) -> Array | None:
@@ -118,16 +128,35 @@ def ee_cloud(frame: RgbdFrame, detection: Detection) -> EeCloud:
 
     Of a thin tool nearly every pixel is at an edge: what cleaning would leave without an estimate stays as it is.
     """
-    points = back_project(frame.depth, detection.mask, frame.intrinsics)
+    radius = TRIM_RADII * ee_radius(detection.category)
+    measured = detection.mask & np.isfinite(frame.depth) & (frame.depth > 0)
+    points = back_project(frame.depth, measured, frame.intrinsics)
     if len(points) < MIN_POINTS:
         seen = int(np.count_nonzero(detection.mask))
-        reason = f"only {len(points)} of {seen} mask pixels have depth, {MIN_POINTS} are needed: look from nearer"
-        return EeCloud(np.empty((0, 3)), np.empty((0, 3)), reason)
-    mask = without_flying_pixels(frame.depth, detection.mask)
-    cleaned = trim(back_project(frame.depth, mask, frame.intrinsics), TRIM_RADII * ee_radius(detection.category))
+        return EeCloud.refused(
+            f"only {len(points)} of {seen} mask pixels have depth, {MIN_POINTS} are needed: look from nearer"
+        )
+    clean = without_flying_pixels(frame.depth, detection.mask)
+    cleaned = trim(back_project(frame.depth, clean, frame.intrinsics), radius)
     if len(cleaned) >= MIN_POINTS:
-        points = cleaned
-    return EeCloud(points, rest_of_tool(frame, detection, np.median(points, axis=0)))
+        points, measured = cleaned, clean
+    centre = np.median(points, axis=0)
+    guessed = guessed_points(frame, detection.mask, measured)
+    guessed = guessed[np.linalg.norm(guessed - centre, axis=1) < radius]
+    return EeCloud(points, rest_of_tool(frame, detection, centre), guessed)
+
+
+def guessed_points(frame: RgbdFrame, mask: NDArray[np.bool_], measured: NDArray[np.bool_]) -> Array:
+    """Points (G, 3) [m], camera frame, of the mask's pixels that are not measured, at the depth of their neighbours."""
+    rows, columns = np.nonzero(mask)
+    window = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    depth, known, wanted = (
+        torch.from_numpy(np.ascontiguousarray(x[window]))[None]
+        for x in (frame.depth.astype(np.float32), measured, mask & ~measured)
+    )
+    guess = np.zeros(mask.shape, np.float32)
+    guess[window] = fill(depth, known, wanted)[0].numpy()
+    return back_project(guess, guess > 0, frame.intrinsics)
 
 
 def rest_of_tool(frame: RgbdFrame, detection: Detection, centroid: Array) -> Array:

@@ -88,7 +88,9 @@ class ToolPerception:
                 continue
             start = time.perf_counter()
             try:
-                result = self.pose.estimate(cloud.points, detection.category, cloud.rest, X_camera_hand)
+                result = self.pose.estimate(
+                    cloud.points, detection.category, cloud.rest, X_camera_hand, guessed=cloud.guessed
+                )
             except PerceptionError as error:
                 estimates.append(_without_pose(detection, str(error)))
                 continue

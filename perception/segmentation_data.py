@@ -139,7 +139,7 @@ def augment(sample: ImageSample, size: tuple[int, int], strength: float = 1.0) -
 
     The images are resampled to `size` (height, width), then padded to multiples of STRIDE.
 
-    Geometry: mirror, scale 0.65 to 1.5 (as if by another lens: depths stay), shift, roll (any angle for a third).
+    Geometry: mirror, scale 0.65 to 1.7 (as if by another lens: depths stay), shift, roll (any angle for a third).
     Mirrored tools are as good for masks. Colour: gain and offset a channel, contrast, saturation, grey, channel order,
     gamma; blur, noise, rectangles that hide. Depth: the focal length is off by 3 %. strength 0 only resamples.
     """
@@ -168,7 +168,7 @@ def _warp(sample: ImageSample, size: tuple[int, int], strength: float) -> tuple[
     images = sample.rgb.permute(0, 3, 1, 2).float()
     n, _, height, width = images.shape
     device = images.device
-    scale = torch.exp(_uniform(n, -0.43, 0.4, device).view(n) * strength)
+    scale = torch.exp(_uniform(n, -0.43, 0.53, device).view(n) * strength)
     angle = torch.randn(n, device=device) * 0.08 * strength
     angle = torch.where(
         torch.rand(n, device=device) < 0.33 * strength, torch.rand(n, device=device) * 2 * math.pi, angle

@@ -45,6 +45,7 @@ class DetectorConfig:
     anchor_sizes: square root of the anchors' areas [px], two a pyramid level (strides 8 to 64).
     working_pixels: images are scaled to about this area, up by at most MOST_ENLARGED: an EE a metre away is
     20 px wide in a depth camera's image, few for a pyramid that begins at stride 4. pre_nms a level, post_nms an image.
+    score_threshold: doubtful detections are given, too; whether a pose is usable is decided by `trust.py`.
     """
 
     widths: tuple[int, int, int, int] = (64, 128, 256, 384)
@@ -57,7 +58,7 @@ class DetectorConfig:
     pre_nms: int = 200
     post_nms: int = 60
     rpn_nms: float = 0.7
-    score_threshold: float = 0.3
+    score_threshold: float = 0.08
     box_nms: float = 0.5
     max_detections: int = 12
 

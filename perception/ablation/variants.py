@@ -50,7 +50,7 @@ class WithPointNet(Ours):
 
     def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
         """See `Method`."""
-        return CloudGenerator(bank, hands, device, seed, replace(self.clouds_config, ordered=POINTS))
+        return CloudGenerator(bank, hands, device, seed, replace(self.clouds_config, ordered=POINTS, guessed=False))
 
     def network(self, bank: ToolBank) -> PoseNet:  # noqa: ARG002 - as the protocol
         """See `Method`."""

@@ -97,7 +97,7 @@ def estimate_case(estimator: CloudEstimator, case: Case, seed: int) -> tuple[Pos
         return None, 0.0
     begun = time.perf_counter()
     try:
-        result = estimator.estimate(points, case.category, case.cloud.rest, seed=seed)
+        result = estimator.estimate(points, case.category, case.cloud.rest, seed=seed, guessed=case.cloud.guessed)
     except PerceptionError:
         return None, 0.0
     return result, 1e3 * (time.perf_counter() - begun)

@@ -243,4 +243,4 @@ def _iou(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
     return int(np.count_nonzero(a & b)) / union if union else 0.0
 
 
-_NOTHING = Case(None, -1, Category.HAMMER_HEAD, -1.0, EeCloud(np.empty((0, 3)), np.empty((0, 3)), ""), np.empty((0, 3)))
+_NOTHING = Case(None, -1, Category.HAMMER_HEAD, -1.0, EeCloud.refused(""), np.empty((0, 3)))

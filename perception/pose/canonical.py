@@ -1,5 +1,6 @@
 """The canonical view of a cloud: outliers trimmed, centred, turned so that the ray to its centre is z, 512 points;
-beside it, in the same frame, a coarse cloud of what else is seen of the tool.
+beside it, in the same frame, a coarse cloud of what else is seen of the tool. Points whose depth is only guessed
+(`fill.py`) are among the 512, marked.
 
 Centring keeps the working distance out of the network, turning makes the result independent of where in the image the
 EE stands. One implementation for training (batches on the GPU) and inference (a batch of one).
@@ -32,11 +33,13 @@ REST_LEAST = 20
 
 @dataclass(frozen=True)
 class CanonicalCloud:
-    """points: (B, N, 3) [m], canonical frame. centre: (B, 3) [m] and R: (B, 3, 3) with
-    p_canonical = R @ (p_camera - centre). count: (B,) points that survived the trimming. rest: (B, 256, 3) [m] of the
-    tool beyond its EE, canonical frame, zeros where rest_known (B,) is not; see `with_rest`."""
+    """points: (B, N, 3) [m], canonical frame; guessed: (B, N), 1 where a point's depth is guessed, else 0. centre:
+    (B, 3) [m] and R: (B, 3, 3) with p_canonical = R @ (p_camera - centre). count: (B,) measured points that survived
+    the trimming. rest: (B, 256, 3) [m] of the tool beyond its EE, canonical frame, zeros where rest_known (B,) is not;
+    see `with_rest`."""
 
     points: Tensor
+    guessed: Tensor
     centre: Tensor
     R: Tensor
     count: Tensor
@@ -51,8 +54,11 @@ def canonicalize(
     generator: torch.Generator | None = None,
     size: int = POINTS,
     ordered: int = PATCHES,
+    guessed: tuple[Tensor, Tensor] | None = None,
 ) -> CanonicalCloud:
     """Clouds (B, N, 3) [m] in the camera frame with a mask (B, N) of real points -> canonical clouds.
+
+    guessed: points (B, M, 3) [m] and mask (B, M), likewise, of a guessed depth; they do not move the centre.
 
     radius: (B,) [m] of the EE's area. A dilated mask on a thin tool is mostly background, so the centre starts at the
     30 % quantile of the depth, then is the median of what lies near, then outliers are cut. The generator draws the
@@ -69,17 +75,25 @@ def canonicalize(
     kept = valid & ((points - centre[:, None]).norm(dim=-1) < 1.6 * radius)
     count = kept.sum(1)
     R = ray_rotation(centre)
+    marks = torch.zeros_like(points[..., :1])
+    if guessed is not None:
+        more, real = guessed
+        points = torch.cat([points, more], 1)
+        marks = torch.cat([marks, torch.ones_like(more[..., :1])], 1)
+        kept = torch.cat([kept, real & ((more - centre[:, None]).norm(dim=-1) < 1.6 * radius)], 1)
+    total = kept.sum(1)
     # Random order with the real points first; then repeat them up to `size`.
-    key = torch.rand(valid.shape, device=points.device, generator=generator) + (~kept).float() * 2
+    key = torch.rand(kept.shape, device=points.device, generator=generator) + (~kept).float() * 2
     order = key.argsort(1)
-    pick = torch.arange(size, device=points.device)[None] % count.clamp(1, size)[:, None]
-    chosen = _rows(points, order.gather(1, pick))
+    pick = torch.arange(size, device=points.device)[None] % total.clamp(1, size)[:, None]
+    chosen = _rows(torch.cat([points, marks], -1), order.gather(1, pick))
     # A cloud that lost everything becomes its centre: it is refused later, but must stay finite.
-    chosen = torch.where((count > 0)[:, None, None], chosen, centre[:, None])
-    local = torch.einsum("bij,bnj->bni", R, chosen - centre[:, None])
+    offset = torch.where((count > 0)[:, None, None], chosen[..., :3] - centre[:, None], 0.0)
+    local = torch.cat([torch.einsum("bij,bnj->bni", R, offset), chosen[..., 3:]], -1)
     rest = local.new_zeros(len(local), REST_POINTS, 3)
     unknown = torch.zeros(len(local), dtype=torch.bool, device=local.device)
-    return CanonicalCloud(farthest_points_first(local, ordered), centre, R, count, rest, unknown)
+    local = farthest_points_first(local, ordered)
+    return CanonicalCloud(local[..., :3].contiguous(), local[..., 3].contiguous(), centre, R, count, rest, unknown)
 
 
 def with_rest(
@@ -112,14 +126,16 @@ def ray_rotation(centre: Tensor) -> Tensor:
 
 
 def farthest_points_first(points: Tensor, count: int) -> Tensor:
-    """The same points (B, N, 3), reordered: `count` farthest-point samples first, from the point farthest from 0."""
+    """The same points (B, N, 3), reordered: `count` farthest-point samples first, from the point farthest from 0.
+    More columns than three travel with their points."""
     B, N, _ = points.shape
+    places = points[..., :3]
     distance = torch.full((B, N), torch.inf, device=points.device)
-    index = points.square().sum(-1).argmax(1, keepdim=True)
+    index = places.square().sum(-1).argmax(1, keepdim=True)
     picked = []
     for _ in range(count):
         picked.append(index)
-        distance = torch.minimum(distance, (points - _rows(points, index)).square_().sum(-1))
+        distance = torch.minimum(distance, (places - _rows(places, index)).square_().sum(-1))
         # Repeated points have distance 0; prefer any point not taken yet over one that is.
         distance.scatter_(1, index, -1.0)
         index = distance.argmax(1, keepdim=True)

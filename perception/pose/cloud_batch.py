@@ -16,7 +16,8 @@ class CloudConfig:
     radius [m] of the crop about the EE, None: the category's own; other_radius_share: how often the mask is cut at half
     to one and a half times that, as another's masks may be (the paper's circle in pixels). rest: whether the rest of
     the tool is seen, too; rest_error_share, rest_chunk_share: how often its mask is imperfect, a piece of it missing;
-    wrong_rest_share: how often it is another tool's. points, of which the first `ordered` are
+    wrong_rest_share: how often it is another tool's. guessed: whether the mask's pixels without a depth are there, too,
+    at a guessed one. points, of which the first `ordered` are
     farthest-point samples: what the network takes."""
 
     distance: tuple[float, float] = (0.35, 1.1)
@@ -38,6 +39,7 @@ class CloudConfig:
     rest_error_share: float = 0.7
     rest_chunk_share: float = 0.3
     wrong_rest_share: float = 0.02
+    guessed: bool = True
     points: int = POINTS
     ordered: int = PATCHES
 
@@ -46,7 +48,7 @@ class CloudConfig:
 class CloudBatch:
     """Canonical clouds and their truth, all tensors with the batch first.
 
-    points (B, 512, 3), centre (B, 3), R_canonical (B, 3, 3), rest (B, 256, 3), rest_known (B,): see
+    points (B, 512, 3), guessed (B, 512), centre (B, 3), R_canonical (B, 3, 3), rest (B, 256, 3), rest_known (B,): see
     `canonical.CanonicalCloud`. R (B, 3, 3), p (B, 3):
     the EE's pose in the canonical frame. direction (B, 5): the token, given for all. tells_spin (B,): pixels in the
     mask that tell the spin. category, item (B,); positive (B,): whether it is that category's EE at all;
@@ -54,6 +56,7 @@ class CloudBatch:
     """
 
     points: Tensor
+    guessed: Tensor
     centre: Tensor
     R_canonical: Tensor
     rest: Tensor
@@ -75,7 +78,8 @@ class CloudBatch:
     @property
     def cloud(self) -> CanonicalCloud:
         """What an estimator gets of it."""
-        return CanonicalCloud(self.points, self.centre, self.R_canonical, self.visible, self.rest, self.rest_known)
+        seen = self.points, self.guessed, self.centre, self.R_canonical
+        return CanonicalCloud(*seen, self.visible, self.rest, self.rest_known)
 
     def select(self, index: Tensor) -> CloudBatch:
         """The rows of an index or mask."""

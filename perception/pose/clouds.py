@@ -25,6 +25,7 @@ from toolee_robot.perception.pose.cloud_scene import (
     rigid_inverse,
 )
 from toolee_robot.perception.pose.draws import Draws
+from toolee_robot.perception.pose.fill import fill
 from toolee_robot.perception.pose.splat import GRID, Window, ZBuffer
 from toolee_robot.tools.model import ee_radius
 from toolee_robot.types import Category
@@ -35,6 +36,7 @@ _CATEGORY_SHARE = {
     Category.SCREWDRIVER_HEAD: 0.16,
     Category.WRENCH_HEAD: 0.30,
 }
+_MOST_GUESSED = 512
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,11 @@ class CloudGenerator:
 
         usable = mask & (depth > 0)
         points, valid, count = pick(usable, depth, rays)
-        cloud = canonicalize(points, valid, target.radius, draws.generator, c.points, c.ordered)
+        guessed = None
+        if c.guessed:
+            guess = fill(depth, usable, mask & ~usable)
+            guessed = pick(guess > 0, guess, rays, most=_MOST_GUESSED)[:2]
+        cloud = canonicalize(points, valid, target.radius, draws.generator, c.points, c.ordered, guessed)
         visible = cloud.count / valid.sum(1).clamp_min(1) * count * (placed.f_native / f) ** 2
         if c.rest:
             cloud = self._with_rest(cloud, placed, target)
@@ -143,6 +149,7 @@ class CloudGenerator:
         R, p = self._truth(placed)
         result = CloudBatch(
             points=cloud.points,
+            guessed=cloud.guessed,
             centre=cloud.centre,
             R_canonical=cloud.R,
             rest=cloud.rest,

@@ -6,6 +6,7 @@ result = estimator.estimate(points, Category.HAMMER_HEAD, rest, X_camera_hand)
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,12 @@ import torch
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception.pose import confidence
 from toolee_robot.perception.pose.canonical import CanonicalCloud
+from toolee_robot.perception.pose.captured import Captured
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
-from toolee_robot.perception.pose.flow import Sampler
-from toolee_robot.perception.pose.network import CATEGORIES, CONTEXT_DIM, SAMPLER, PoseNet, Seen, sample
+from toolee_robot.perception.pose.flow import Euler, Sampler
+from toolee_robot.perception.pose.network import CATEGORIES, CONTEXT_DIM, REGRESSED, SAMPLER, PoseNet, Seen
 from toolee_robot.perception.pose.pooling import Pooled, pairwise_angles, pool
-from toolee_robot.perception.pose.representation import T_SCALE, decode
+from toolee_robot.perception.pose.representation import DIM, T_SCALE, decode
 from toolee_robot.perception.pose.weights import Calibration, load
 from toolee_robot.types import Category, PoseHypotheses
 
@@ -37,6 +39,7 @@ class PoseEstimator(CloudEstimator):
         self.calibration = calibration or Calibration()
         self._device = torch.device(device)
         self.process, self.sampler = net.process, sampler
+        self._captured: dict[Sampler, Captured] = {}
 
     @classmethod
     def load(cls, weights_dir: Path | None = None, device: str = "cpu") -> PoseEstimator:
@@ -57,10 +60,12 @@ class PoseEstimator(CloudEstimator):
         device = self._device
         index = torch.tensor([CATEGORIES.index(c) for c in categories], device=device)
         context = context_input(cloud, torch.as_tensor(visible))
-        feature = self._net.encode(Seen.of(cloud, index, direction, context))
-        u = sample(self._net, feature, candidates, generator, self.sampler)
-        regression = {k: v.cpu() for k, v in self._net.regress(feature).items()}
-        R, p, ambiguous = (x.double().numpy() for x in decode(u.float().cpu()))
+        # The generator lives on the CPU: the same seed gives the same draws on any device.
+        noise = torch.randn(len(categories), candidates, DIM, generator=generator).to(device)
+        run = self._pass(alone=len(categories) == 1)
+        u, *direct = (x.float().cpu() for x in run(*Seen.of(cloud, index, direction, context), noise))
+        regression = dict(zip(REGRESSED, direct, strict=True))
+        R, p, ambiguous = (x.double().numpy() for x in decode(u))
         R_direct, p_direct, _ = (x.double().numpy() for x in decode(regression["mean"]))
         sigmas = regression["log_sigma"].double().exp().numpy() * [T_SCALE, 1.0, 1.0]
         valid = regression["valid"].double().numpy()
@@ -86,6 +91,22 @@ class PoseEstimator(CloudEstimator):
                 )
             )
         return results
+
+    def _pass(self, alone: bool) -> Callable[..., tuple[torch.Tensor, ...]]:
+        """How to run `_network`: for one cloud on a GPU as a recorded graph. RK45 cannot be recorded: it chooses its
+        steps by values."""
+        if not (alone and self._device.type == "cuda" and isinstance(self.sampler, Euler)):
+            return self._network
+        return self._captured.setdefault(self.sampler, Captured(self._network))
+
+    def _network(self, *inputs: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Candidates u (B, K, 12) and `REGRESSED` from the fields of `Seen` and noise (B, K, 12)."""
+        *seen, noise = inputs
+        feature = self._net.encode(Seen(*seen))
+        condition = self._net.flow.condition(feature)
+        u = self.sampler(self.process, lambda u, t: self._net.flow(u, t, condition), noise)
+        regression = self._net.regress(feature)
+        return u, *(regression[name] for name in REGRESSED)
 
     def _result(
         self,

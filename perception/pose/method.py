@@ -118,15 +118,18 @@ class Ours:
     def report(self, net: PoseNet, held_out: CloudBatch, device: str) -> tuple[dict[str, Any], Calibration]:
         """Fits the calibration on one half of the tools and reports it on the other."""
         estimator = self.estimator(net, Calibration(), device)
-        results = {k: validation.evaluate(estimator, held_out, k) for k in (20, 32)}
+        K = estimator.candidates
+        result = validation.evaluate(estimator, held_out, K)
         no_rest = validation.without_rest(held_out)
         none = validation.without_direction(no_rest)
-        report: dict[str, Any] = {f"K{k}": validation.metrics(result) for k, result in results.items()}
-        report["K32_no_rest"] = validation.metrics(validation.evaluate(estimator, no_rest, 32))
-        report["K32_no_direction"] = validation.metrics(validation.evaluate(estimator, none, 32))
         near = (held_out.distance < 0.75).cpu().numpy() & (held_out.occlusion < 0.2).cpu().numpy()
-        report["K32_near_unoccluded"] = validation.metrics(results[32], near)
-        fit, test = (_half(held_out, results[32], parity) for parity in (0, 1))
+        report: dict[str, Any] = {
+            f"K{K}": validation.metrics(result),
+            f"K{K}_near_unoccluded": validation.metrics(result, near),
+            f"K{K}_no_rest": validation.metrics(validation.evaluate(estimator, no_rest, K)),
+            f"K{K}_no_direction": validation.metrics(validation.evaluate(estimator, none, K)),
+        }
+        fit, test = (_half(held_out, result, parity) for parity in (0, 1))
         calibration = validation.calibrate(fit)
         report["confidence"] = validation.confidence_report(test, calibration)
         report["clouds"] = asdict(self.clouds_config)

@@ -1,9 +1,10 @@
 """The pose network: a patch transformer over the EE's cloud and the rest of the tool, a generative head and a
 regression head.
 
-Encoder: 64 patches of 32 points within 12 mm of their centres, and 32 coarser ones of the rest of the tool, a small
-PointNet each, then a transformer with tokens for the category and for the direction to the rest of the tool, for when
-no more is known of that. Measured against PointNet++ at equal data it is better and faster.
+Encoder: 64 patches of 32 points (marked where their depth is guessed) within 12 mm of their centres, and 32 coarser
+ones of the rest of the tool, a small PointNet each, then a transformer with tokens for the category and for the
+direction to the rest of the tool, for when no more is known of that. Measured against PointNet++ at equal data it is
+better and faster.
 Generative head: what `NetworkConfig.process` asks for, conditioned by FiLM. About 5 M parameters, pure PyTorch.
 """
 
@@ -16,13 +17,15 @@ import torch
 from torch import Tensor, nn
 
 from toolee_robot.perception.pose.canonical import PATCHES, REST_PATCHES, CanonicalCloud
-from toolee_robot.perception.pose.flow import Euler, Process, Sampler
+from toolee_robot.perception.pose.flow import Euler, Process
 from toolee_robot.perception.pose.processes import PROCESSES
 from toolee_robot.perception.pose.representation import DIM
 from toolee_robot.types import Category
 
 CATEGORIES = tuple(Category)
 SAMPLER = Euler(5)
+REGRESSED = ("mean", "log_sigma", "valid")
+"""What `PoseNet.regress` gives."""
 DIRECTION_DIM = 5
 """Direction (3), then flags: given at all; given as the direction to the hand, not to the tool's visible rest."""
 CONTEXT_DIM = 2
@@ -50,10 +53,11 @@ class NetworkConfig:
 
 
 class Seen(NamedTuple):
-    """The network's input: a canonical cloud's points (B, 512, 3) and rest (B, 256, 3) [m] with rest_known (B,); the
-    category (B,); the tokens direction (B, 5) and context (B, 2)."""
+    """The network's input: a canonical cloud's points (B, 512, 3) [m] with guessed (B, 512), and rest (B, 256, 3) [m]
+    with rest_known (B,); the category (B,); the tokens direction (B, 5) and context (B, 2)."""
 
     points: Tensor
+    guessed: Tensor
     rest: Tensor
     rest_known: Tensor
     category: Tensor
@@ -64,8 +68,8 @@ class Seen(NamedTuple):
     def of(cloud: CanonicalCloud, category: Tensor, direction: Tensor, context: Tensor) -> Seen:
         """On the category's device."""
         to = category.device
-        tokens = direction.to(to), context.to(to)
-        return Seen(cloud.points.to(to), cloud.rest.to(to), cloud.rest_known.to(to), category, *tokens)
+        points, guessed, tokens = cloud.points.to(to), cloud.guessed.to(to), (direction.to(to), context.to(to))
+        return Seen(points, guessed, cloud.rest.to(to), cloud.rest_known.to(to), category, *tokens)
 
 
 class PoseNet(nn.Module):
@@ -75,7 +79,7 @@ class PoseNet(nn.Module):
         super().__init__()
         c = self.config = config or NetworkConfig()
         d = c.width
-        self.ee = Patches(d, PATCHES, c.neighbours, c.ball, 0.02)
+        self.ee = Patches(d, PATCHES, c.neighbours, c.ball, 0.02, marked=True)
         self.rest = Patches(d, REST_PATCHES, c.rest_neighbours, c.rest_ball, 0.1)
         self.no_rest = nn.Parameter(torch.zeros(d))
         self.category = nn.Embedding(len(CATEGORIES), d)
@@ -100,7 +104,7 @@ class PoseNet(nn.Module):
                 self.category(seen.category)[:, None],
                 self.direction(seen.direction)[:, None],
                 self.context(seen.context)[:, None],
-                self.ee(seen.points),
+                self.ee(seen.points, seen.guessed),
                 self.rest_tokens(seen),
             ],
             dim=1,
@@ -128,15 +132,18 @@ class PoseNet(nn.Module):
 class Patches(nn.Module):
     """A small PointNet on the neighbourhood of each of a cloud's first points: tokens (B, count, width)."""
 
-    def __init__(self, width: int, count: int, neighbours: int, ball: float, scale: float) -> None:
-        """ball [m]: of a patch; scale [m]: of the places."""
+    def __init__(
+        self, width: int, count: int, neighbours: int, ball: float, scale: float, marked: bool = False
+    ) -> None:
+        """ball [m]: of a patch; scale [m]: of the places. marked: the points come with a mark each."""
         super().__init__()
         self._count, self._neighbours, self._ball, self._scale = count, neighbours, ball, scale
-        self.inner = nn.Sequential(nn.Linear(3, width // 4), nn.SiLU(), nn.Linear(width // 4, width // 2))
+        self.inner = nn.Sequential(nn.Linear(3 + marked, width // 4), nn.SiLU(), nn.Linear(width // 4, width // 2))
         self.outer = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.place = nn.Sequential(nn.Linear(3, width // 2), nn.SiLU(), nn.Linear(width // 2, width))
 
-    def forward(self, points: Tensor) -> Tensor:
+    def forward(self, points: Tensor, marks: Tensor | None = None) -> Tensor:
+        """points (B, N, 3) [m], marks (B, N) -> tokens (B, count, width)."""
         centres = points[:, : self._count]
         with torch.no_grad():
             squared = (centres[:, :, None] - points[:, None]).square().sum(-1)
@@ -144,7 +151,12 @@ class Patches(nn.Module):
             rows = index.flatten(1)[..., None].expand(-1, -1, 3)
             patches = points.gather(1, rows).view(*index.shape, 3) - centres[:, :, None]
             # A neighbour outside of the ball is replaced by the centre itself.
-            patches = torch.where((near < self._ball**2)[..., None], patches, 0.0) / self._ball
+            inside = near < self._ball**2
+            patches = torch.where(inside[..., None], patches, 0.0) / self._ball
+            if marks is not None:
+                own = marks[:, : self._count, None]
+                mark = torch.where(inside, marks.gather(1, index.flatten(1)).view(index.shape), own)
+                patches = torch.cat([patches, mark[..., None]], -1)
         h = self.inner(patches)
         # max(dim), not amax: under torch.compile in bfloat16 the gradient of amax was not finite.
         pooled = h.max(2)[0]
@@ -201,20 +213,3 @@ class FlowHead(nn.Module):
             scale, shift = condition[:, i, 0, None], condition[:, i, 1, None]
             h = h + layer(self.norm(h) * (1 + scale) + shift)
         return self.out(h)
-
-
-@torch.no_grad()
-def sample(
-    net: PoseNet,
-    feature: Tensor,
-    K: int,
-    generator: torch.Generator,
-    sampler: Sampler = SAMPLER,
-) -> Tensor:
-    """K draws of u (B, K, 12).
-
-    The noise comes from `generator`, which must live on the CPU: the same seed gives the same draws on any device.
-    """
-    noise = torch.randn(feature.shape[0], K, DIM, generator=generator).to(feature)
-    condition = net.flow.condition(feature)
-    return sampler(net.process, lambda u, t: net.flow(u, t, condition), noise)

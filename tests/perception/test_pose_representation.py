@@ -69,6 +69,29 @@ def test_canonical_cloud_ignores_background_and_distance() -> None:
     assert float(head.min()) > 0.004
 
 
+def test_guessed_points_are_marked_and_do_not_move_the_centre() -> None:
+    rng = np.random.default_rng(0)
+    points = torch.as_tensor(rng.uniform(-0.02, 0.0, (200, 3)) + np.array([0.1, 0.0, 0.5]), dtype=torch.float32)[None]
+    rim = torch.as_tensor(rng.uniform(0.005, 0.02, (100, 3)) + np.array([0.1, 0.0, 0.5]), dtype=torch.float32)[None]
+    rim[0, 90:] = torch.tensor([0.1, 0.0, 0.9])
+    everything = torch.ones(1, 200, dtype=torch.bool)
+    alone = canonicalize(points, everything, torch.tensor([0.05]), torch.Generator().manual_seed(0))
+    real = torch.arange(100)[None] >= 10
+    cloud = canonicalize(
+        points, everything, torch.tensor([0.05]), torch.Generator().manual_seed(0), guessed=(rim, real)
+    )
+    torch.testing.assert_close(cloud.centre, alone.centre)
+    assert int(cloud.count[0]) == int(alone.count[0]) == 200
+    assert not bool(alone.guessed.any())
+    back = cloud.points[0] @ cloud.R[0] + cloud.centre[0]
+    guessed = cloud.guessed[0] > 0
+    assert float((back[~guessed, None] - points[0]).norm(dim=-1).min(1).values.max()) < 1e-5
+    # Neither the ones that are not real nor the ones far away.
+    offset = (back[guessed, None] - rim[0, 10:90]).norm(dim=-1).min(1)
+    assert float(offset.values.max()) < 1e-5
+    assert len(torch.unique(offset.indices)) == 80
+
+
 def test_padding_flags_are_obeyed() -> None:
     points = torch.full((1, 200, 3), 9.0)
     points[0, :60] = torch.rand(60, 3) * 0.02 + torch.tensor([0.0, 0.0, 0.5])

@@ -42,7 +42,7 @@ class PaperMethod:
 
     def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
         """Clouds of the EE, or of the whole tool, as large as the paper's."""
-        config = replace(self.clouds_config, points=POINTS, ordered=ORDERED, rest=False)
+        config = replace(self.clouds_config, points=POINTS, ordered=ORDERED, rest=False, guessed=False)
         make = object_clouds.ObjectCloudGenerator if self.column.of_tool else CloudGenerator
         return make(bank, hands, device, seed, config)
 
