@@ -80,6 +80,7 @@ class CloudEstimator(ABC):
         """Radius [m] of the sphere that holds what the cloud shows."""
         return ee_radius(category)
 
+    @torch.inference_mode()
     def estimate(
         self,
         points: Array,
@@ -124,10 +125,7 @@ class CloudEstimator(ABC):
         elif X_camera_hand is not None:
             goal = X_camera_hand[:3, 3]
         direction = direction_input(cloud, None if goal is None else goal - cloud.centre[0].double().numpy(), from_hand)
-        with torch.inference_mode():
-            result = self.infer(
-                cloud, [category], direction, np.array([kept]), generator, candidates or self.candidates
-            )[0]
+        result = self.infer(cloud, [category], direction, np.array([kept]), generator, candidates or self.candidates)[0]
         if X_camera_hand is not None:
             result = with_hand(result, X_camera_hand)
         return result
