@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.perception.pose.canonical import MIN_POINTS, REST_LEAST, REST_REACH
-from toolee_robot.perception.pose.fill import fill
+from toolee_robot.perception.pose.fill import fill, surface_step
 from toolee_robot.tools.model import ee_radius
 from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
 
@@ -84,11 +84,9 @@ def back_project(depth: NDArray[np.floating], mask: NDArray[np.bool_], intrinsic
     return np.column_stack([x, y, z])
 
 
-def without_flying_pixels(
-    depth: NDArray[np.floating], mask: NDArray[np.bool_], tolerance: float = 0.012, least: int = 2
-) -> NDArray[np.bool_]:
+def without_flying_pixels(depth: NDArray[np.floating], mask: NDArray[np.bool_], least: int = 2) -> NDArray[np.bool_]:
     """The mask less pixels that hang between surfaces: fewer than `least` of the eight neighbours, anywhere in the
-    image, have a depth within `tolerance` [m] + 1 % of theirs."""
+    image, have a depth within `surface_step` of theirs."""
     rows, columns = np.nonzero(mask)
     if rows.size == 0:
         return mask
@@ -97,7 +95,7 @@ def without_flying_pixels(
     z = np.nan_to_num(depth[r0:r1, c0:c1].astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
     padded = np.pad(z, 1)
     near = np.zeros(z.shape, dtype=np.int32)
-    limit = tolerance + 0.01 * z
+    limit = surface_step(z)
     height, width = z.shape
     for dy in (0, 1, 2):
         for dx in (0, 1, 2):
@@ -149,14 +147,16 @@ def ee_cloud(frame: RgbdFrame, detection: Detection) -> EeCloud:
 def guessed_points(frame: RgbdFrame, mask: NDArray[np.bool_], measured: NDArray[np.bool_]) -> Array:
     """Points (G, 3) [m], camera frame, of the mask's pixels that are not measured, at the depth of their neighbours."""
     rows, columns = np.nonzero(mask)
-    window = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
-    depth, known, wanted = (
-        torch.from_numpy(np.ascontiguousarray(x[window]))[None]
-        for x in (frame.depth.astype(np.float32), measured, mask & ~measured)
+    top, left, bottom, right = rows.min(), columns.min(), rows.max() + 1, columns.max() + 1
+    window = np.s_[top:bottom, left:right]
+    known = measured[window]
+    depth, seen, wanted = (
+        torch.from_numpy(np.ascontiguousarray(x))[None]
+        for x in (frame.depth[window].astype(np.float32), known, mask[window] & ~known)
     )
-    guess = np.zeros(mask.shape, np.float32)
-    guess[window] = fill(depth, known, wanted)[0].numpy()
-    return back_project(guess, guess > 0, frame.intrinsics)
+    guess = fill(depth, seen, wanted)[0].numpy()
+    K, (height, width) = frame.intrinsics, guess.shape
+    return back_project(guess, guess > 0, CameraIntrinsics(K.fx, K.fy, K.cx - left, K.cy - top, width, height))
 
 
 def rest_of_tool(frame: RgbdFrame, detection: Detection, centroid: Array) -> Array:

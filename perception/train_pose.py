@@ -21,6 +21,7 @@ from pathlib import Path
 
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.pose.bank import save_hands
+from toolee_robot.perception.pose.cloud_batch import PROTOCOLS
 from toolee_robot.perception.pose.method import Ours
 from toolee_robot.perception.pose.paper import COLUMNS, PaperMethod
 from toolee_robot.perception.pose.training import TrainConfig, train
@@ -32,6 +33,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="folder for the weights, the log and the checkpoint")
     parser.add_argument("--estimator", choices=("ours", "paper"), default="ours", help="paper: ToolEENet's own")
     parser.add_argument("--column", choices=tuple(COLUMNS), help="of the paper's Table I (default: symmetry-aware)")
+    parser.add_argument(
+        "--protocol", choices=tuple(PROTOCOLS), default="hard", help="of the clouds, as of the data set's"
+    )
     parser.add_argument("--init", type=Path, help="folder of weights to start from")
     parser.add_argument("--hands", type=Path, help="hand samples written by --prepare-hands")
     parser.add_argument("--calibrate-only", action="store_true", help="validate and calibrate the weights in --out")
@@ -54,7 +58,10 @@ def main(arguments: list[str] | None = None) -> int:
         if options.column is not None and options.estimator != "paper":
             raise UserError("--column belongs to the paper's estimator: add --estimator paper")
         config = TrainConfig(**{f.name: getattr(options, f.name) for f in fields(TrainConfig)})
-        method = PaperMethod(COLUMNS[options.column or "symmetry-aware"]) if options.estimator == "paper" else Ours()
+        clouds = PROTOCOLS[options.protocol]()
+        method: Ours | PaperMethod = Ours(clouds_config=clouds)
+        if options.estimator == "paper":
+            method = PaperMethod(COLUMNS[options.column or "symmetry-aware"], clouds)
         train(options.out, config, method, options.hands, options.calibrate_only, options.init)
     except TooleeError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -31,6 +31,9 @@ REGION = 1.15
 # What breaks the rotational symmetry of a hammer's face when it is seen.
 ASYMMETRIC = ("handle", "shaft", "grip", "claw")
 
+NOWHERE = 1e3
+"""[m] Where the other end of a tool is that has only one."""
+
 Float32 = NDArray[np.float32]
 
 
@@ -39,7 +42,8 @@ class ToolBank:
     """One row per EE of one tool, all in the EE's frame [m].
 
     ee_points, ee_normals (I, 8192, 3): the surface near the EE; asymmetric (I, 8192): whether a point tells the spin.
-    rest (I, 4096, 3): the tool's other surface. X_ee_tool (I, 4, 4). category (I,): index into `Category`.
+    rest (I, 4096, 3): the tool's other surface. X_ee_tool (I, 4, 4). category (I,): index into `Category`. other_end
+    (I, 3), other_category (I,): origin and category of the tool's other EE; 1 km away if it has none.
     handle (I, 3): z_min, z_max and radius of the handle, tool frame. shininess (I,) in [0, 1].
     """
 
@@ -49,12 +53,14 @@ class ToolBank:
     rest: Float32
     X_ee_tool: Float32
     category: NDArray[np.int64]
+    other_end: Float32
+    other_category: NDArray[np.int64]
     handle: Float32
     shininess: Float32
     names: tuple[str, ...]
 
 
-_Row = tuple[Float32, Float32, NDArray[np.bool_], Float32, Float32, int, Float32, float, str]
+_Row = tuple[Float32, Float32, NDArray[np.bool_], Float32, Float32, int, Float32, int, Float32, float, str]
 
 
 def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
@@ -67,6 +73,7 @@ def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
     rows: list[_Row] = []
     for ee in tool.ees:
         X_ee_tool = inverse(ee.X_tool_ee)
+        other = next((e for e in tool.ees if e is not ee), None)
         p = points @ X_ee_tool[:3, :3].T + X_ee_tool[:3, 3]
         n = normals @ X_ee_tool[:3, :3].T
         near = np.linalg.norm(p, axis=1) < REGION * ee_radius(ee.category)
@@ -83,6 +90,8 @@ def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
                 p[rest_pick].astype(np.float32),
                 X_ee_tool.astype(np.float32),
                 list(Category).index(ee.category),
+                (X_ee_tool @ other.X_tool_ee)[:3, 3].astype(np.float32) if other else np.full(3, NOWHERE, np.float32),
+                list(Category).index((other or ee).category),
                 np.array([tool.handle.z_min, tool.handle.z_max, radius], np.float32),
                 float(shininess[ee_pick].mean()),
                 f"{tool.name}/{ee.category}",
@@ -115,8 +124,10 @@ def tool_bank(held_out: bool, seeds_per_kind: int, workers: int | None = None) -
         np.stack(columns[4]),
         np.array(columns[5], np.int64),
         np.stack(columns[6]),
-        np.array(columns[7], np.float32),
-        tuple(columns[8]),
+        np.array(columns[7], np.int64),
+        np.stack(columns[8]),
+        np.array(columns[9], np.float32),
+        tuple(columns[10]),
     )
 
 
@@ -172,23 +183,24 @@ def load_hands(path: Path | None) -> Float32:
         ) from error
 
 
-def random_grasps(handle: Float32, rng: np.random.Generator, shift: float = 0.05) -> Float32:
-    """X_tool_hand (B, 4, 4) of hands that hold handles (B, 3: z_min, z_max, radius): nominal in most, turned about the
-    handle, displaced along it, tilted, and now and then reversed."""
+def random_grasps(handle: Float32, rng: np.random.Generator, shift: float = 0.05, nominal: bool = False) -> Float32:
+    """X_tool_hand (B, 4, 4) of hands that hold handles (B, 3: z_min, z_max, radius): displaced along them by up to
+    `shift` [m]; if not `nominal`, turned about the handle, too, tilted, and now and then reversed."""
     from toolee_robot.robots.grasp import nominal_X_hand_tool
 
     B = len(handle)
     # The nominal grasp is linear in the handle's radius.
     thin, thick = nominal_X_hand_tool(0.0), nominal_X_hand_tool(1.0)
-    nominal = inverse(thin + handle[:, 2, None, None].astype(np.float64) * (thick - thin))
+    X_tool_hand = inverse(thin + handle[:, 2, None, None].astype(np.float64) * (thick - thin))
     about = np.where(rng.random(B) < 0.6, rng.normal(0, np.deg2rad(20), B), rng.uniform(-np.pi, np.pi, B))
     turn = Rotation.from_rotvec(about[:, None] * [0.0, 0.0, 1.0])
     tilt = Rotation.from_rotvec(np.column_stack([rng.normal(0, np.deg2rad(8), (B, 2)), np.zeros(B)]))
     flip = Rotation.from_rotvec(np.where(rng.random(B) < 0.12, np.pi, 0.0)[:, None] * [1.0, 0.0, 0.0])
     X: Array = np.tile(np.eye(4), (B, 1, 1))
-    X[:, :3, :3] = (turn * tilt * flip).as_matrix()
+    if not nominal:
+        X[:, :3, :3] = (turn * tilt * flip).as_matrix()
     X[:, 2, 3] = np.clip(rng.uniform(-shift, shift, B), handle[:, 0] + 0.03, np.maximum(handle[:, 1], 0.0))
-    return (X @ nominal).astype(np.float32)
+    return (X @ X_tool_hand).astype(np.float32)
 
 
 def _sample_mesh(vertices: Array, faces: NDArray[np.int64], n: int, rng: np.random.Generator) -> Array:

@@ -12,17 +12,24 @@ from toolee_robot.perception.pose.canonical import PATCHES, POINTS, CanonicalClo
 
 @dataclass(frozen=True)
 class CloudConfig:
-    """What is varied. distance [m], focal [px]; shares are probabilities. sensor_level: None for random sensors.
-    radius [m] of the crop about the EE, None: the category's own; other_radius_share: how often the mask is cut at half
-    to one and a half times that, as another's masks may be (the paper's circle in pixels). rest: whether the rest of
-    the tool is seen, too; rest_error_share, rest_chunk_share: how often its mask is imperfect, a piece of it missing;
-    wrong_rest_share: how often it is another tool's. guessed: whether the mask's pixels without a depth are there, too,
-    at a guessed one. points, of which the first `ordered` are
-    farthest-point samples: what the network takes."""
+    """What is varied; shares are probabilities.
+
+    distance: of the EE [m]; near_share of them not beyond `near` [m]. focal [px], or, in a kinect_share, a Kinect's.
+    field: half the field of view to the right and down, as tangents. upright: tools stand, held in the nominal grasp up
+    to 5 cm along the handle, before a camera that is pitched from -45 to 30 deg and never rolled. sensor_level: None:
+    random sensors. radius [m] of the crop about the EE, None: the category's own. other_cut_share: how often the mask
+    is cut at a radius that many times as large (`other_cut`), as a detector's or another's may be, and circle_share:
+    how often that is a circle in the image, as the paper's; circle: if not None, every mask is one of this radius [px].
+    rest: whether the rest of the tool is seen, too; rest_error_share, rest_chunk_share: how often its mask is
+    imperfect, a piece of it missing; wrong_rest_share: how often it is another tool's. guessed: whether the mask's
+    pixels without a depth are there, too, at a guessed one. points, of which the first `ordered` are farthest-point
+    samples: what the network takes."""
 
     distance: tuple[float, float] = (0.35, 1.1)
-    near_share: float = 0.65
+    near_share: float = 0.25
     near: float = 0.75
+    field: tuple[float, float] = (0.5, 0.42)
+    upright: bool = False
     focal: tuple[float, float] = (350.0, 700.0)
     kinect_share: float = 0.5
     hand_share: float = 0.85
@@ -34,7 +41,10 @@ class CloudConfig:
     max_occlusion: float = 0.7
     sensor_level: float | None = None
     radius: float | None = None
-    other_radius_share: float = 0.35
+    other_cut_share: float = 0.5
+    other_cut: tuple[float, float] = (0.5, 1.65)
+    circle_share: float = 0.35
+    circle: float | None = None
     rest: bool = True
     rest_error_share: float = 0.7
     rest_chunk_share: float = 0.3
@@ -42,6 +52,33 @@ class CloudConfig:
     guessed: bool = True
     points: int = POINTS
     ordered: int = PATCHES
+
+    @classmethod
+    def paper(cls) -> CloudConfig:
+        """The paper's protocol, as `dataset.paper` renders it: exact depth and masks, an upright tool in one grasp, the
+        EE a circle in the image. No negatives: the paper's estimator has no use for them."""
+        return cls(
+            distance=(0.42, 0.98),
+            near_share=0.0,
+            focal=(480.0, 480.0),
+            kinect_share=0.0,
+            field=(0.875, 0.4375),
+            upright=True,
+            hand_share=1.0,
+            occluder_share=0.0,
+            mask_error_share=0.0,
+            chunk_share=0.0,
+            negative_share=0.0,
+            sensor_level=0.0,
+            circle=30.0,
+            rest_error_share=0.0,
+            rest_chunk_share=0.0,
+            wrong_rest_share=0.0,
+        )
+
+
+PROTOCOLS = {"hard": CloudConfig, "paper": CloudConfig.paper}
+"""Clouds as the data set's configurations of these names have them."""
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,14 @@ from torch import Tensor
 
 from toolee_robot.perception.pose import splat
 from toolee_robot.perception.pose.draws import Draws
+from toolee_robot.perception.pose.fill import surface_step
 from toolee_robot.perception.pose.splat import GRID
 
 
 def cleaned(depth: Tensor, share: float, draws: Draws) -> Tensor:
     """Which pixels are left (B, GRID, GRID): in a `share` of the clouds those that hang between surfaces are removed,
     as `toolee_robot.perception.cloud` does."""
-    limit = 0.012 + 0.01 * depth
+    limit = surface_step(depth)
     padded = torch.nn.functional.pad(depth, (1, 1, 1, 1))
     near = torch.zeros_like(depth)
     for dj in range(3):

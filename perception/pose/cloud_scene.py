@@ -95,6 +95,19 @@ def directions(placed: Placement, centre: Tensor, R_canonical: Tensor, draws: Dr
     return torch.cat([d, torch.ones_like(d[:, :1]), by_hand.float()[:, None]], dim=-1)
 
 
+def upright_rotations(X_ee_tool: Tensor, draws: Draws) -> Tensor:
+    """(B, 3, 3) of EEs, camera frame: their tools, X_ee_tool (B, 4, 4), stand upright, turned at will, before a camera
+    that is pitched by -45 to 30 deg."""
+    B = len(X_ee_tool)
+    yaw, pitch = draws.uniform(B, -torch.pi, torch.pi), torch.deg2rad(draws.uniform(B, -45.0, 30.0))
+    zero, one = torch.zeros_like(yaw), torch.ones_like(yaw)
+    turn = torch.stack([yaw.cos(), -yaw.sin(), zero, yaw.sin(), yaw.cos(), zero, zero, zero, one], -1)
+    # Rows: right, down and forward in a world whose z is up.
+    c, s = pitch.cos(), pitch.sin()
+    camera = torch.stack([zero, -one, zero, s, zero, -c, c, zero, s], -1)
+    return camera.view(B, 3, 3) @ turn.view(B, 3, 3) @ X_ee_tool[:, :3, :3].mT
+
+
 def rigid_inverse(X: Tensor) -> Tensor:
     """Inverse of rigid transforms (B, 4, 4)."""
     Y = X.clone()

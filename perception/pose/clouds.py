@@ -13,9 +13,10 @@ import torch
 from torch import Tensor
 
 from toolee_robot.perception.pose import splat
-from toolee_robot.perception.pose.bank import Float32, ToolBank, random_grasps
+from toolee_robot.perception.pose.bank import NOWHERE, Float32, ToolBank, random_grasps
 from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, CanonicalCloud, canonicalize, with_rest
 from toolee_robot.perception.pose.cloud_batch import CloudBatch, CloudConfig
+from toolee_robot.perception.pose.cloud_cuts import Cut
 from toolee_robot.perception.pose.cloud_masks import cleaned, imperfect, pick
 from toolee_robot.perception.pose.cloud_scene import (
     Placement,
@@ -23,6 +24,7 @@ from toolee_robot.perception.pose.cloud_scene import (
     draw_backgrounds,
     draw_occluders,
     rigid_inverse,
+    upright_rotations,
 )
 from toolee_robot.perception.pose.draws import Draws
 from toolee_robot.perception.pose.fill import fill
@@ -31,24 +33,23 @@ from toolee_robot.tools.model import ee_radius
 from toolee_robot.types import Category
 
 _CATEGORY_SHARE = {
-    Category.HAMMER_HEAD: 0.28,
-    Category.HAMMER_GRIP: 0.26,
-    Category.SCREWDRIVER_HEAD: 0.16,
-    Category.WRENCH_HEAD: 0.30,
+    Category.HAMMER_HEAD: 0.25,
+    Category.HAMMER_GRIP: 0.28,
+    Category.SCREWDRIVER_HEAD: 0.15,
+    Category.WRENCH_HEAD: 0.32,
 }
 _MOST_GUESSED = 512
 
 
 @dataclass(frozen=True)
 class Target:
-    """What a mask is said to show. focus (B, 3) [m, camera frame] and radius (B,) [m] of its sphere; cut
-    (B,) [m]: of the sphere that the mask really shows; claimed (B,): the
-    category; positive (B,): rightly so; admissible (B,): whether, if not, it is a negative that makes sense; on_hand
-    (B,): the mask lies on the hand instead of on the tool."""
+    """What a mask is said to show. focus (B, 3) [m, camera frame] and radius (B,) [m] of its sphere; cut: what it
+    really shows; claimed (B,): the category; positive (B,): rightly so; admissible (B,): whether, if not, it is a
+    negative that makes sense; on_hand (B,): the mask lies on the hand instead of on the tool."""
 
     focus: Tensor
     radius: Tensor
-    cut: Tensor
+    cut: Cut
     claimed: Tensor
     positive: Tensor
     admissible: Tensor
@@ -78,6 +79,7 @@ class CloudGenerator:
         self._ee, self._normals, self._tells = put(bank.ee_points), put(bank.ee_normals), put(bank.asymmetric)
         self._rest, self._X_ee_tool = put(bank.rest), put(bank.X_ee_tool)
         self._category, self._shininess = put(bank.category), put(bank.shininess)
+        self._other_end, self._other_category = put(bank.other_end), put(bank.other_category)
         self._hands, self._handle = put(hands), put(bank.handle)
         categories = list(Category)
         radii = [self.config.radius or ee_radius(c) for c in categories]
@@ -108,7 +110,7 @@ class CloudGenerator:
         c, draws = self.config, self._draws
         placed = self._place(B)
         target = self._target(placed)
-        focus, radius = target.focus, target.cut
+        focus, radius = target.focus, target.cut.radius
         depth_focus = focus[:, 2].clamp_min(0.15)
         f = torch.minimum(placed.f_native, GRID / 2 * depth_focus / (1.35 * radius))
         window = Window(
@@ -200,12 +202,16 @@ class CloudGenerator:
         item_np = self._rng.choice(len(self._weights), B, p=self._weights)
         item = torch.as_tensor(item_np, device=self._device)
         X_ee_tool = self._X_ee_tool[item]
-        X_tool_hand = torch.as_tensor(random_grasps(self._bank.handle[item_np], self._rng), device=self._device)
+        grasps = random_grasps(self._bank.handle[item_np], self._rng, nominal=c.upright)
+        X_tool_hand = torch.as_tensor(grasps, device=self._device)
         f_native = torch.where(draws.uniform(B) < c.kinect_share, 365.5, draws.uniform(B, *c.focal))
         near = draws.uniform(B) < c.near_share
         distance = torch.where(near, draws.uniform(B, c.distance[0], c.near), draws.uniform(B, *c.distance))
-        R = draws.rotations(B)
-        ray = torch.stack([draws.uniform(B, -0.5, 0.5), draws.uniform(B, -0.42, 0.42), torch.ones_like(distance)], -1)
+        R = upright_rotations(X_ee_tool, draws) if c.upright else draws.rotations(B)
+        right, down = c.field
+        ray = torch.stack(
+            [draws.uniform(B, -right, right), draws.uniform(B, -down, down), torch.ones_like(distance)], -1
+        )
         p = ray * distance[:, None]
         X_ee_hand = X_ee_tool @ X_tool_hand
         p_hand = torch.einsum("bij,bj->bi", R, X_ee_hand[:, :3, 3]) + p
@@ -250,14 +256,16 @@ class CloudGenerator:
         on_handle = (height > self._handle[item, 0] + 0.03) & (height < self._handle[item, 1] - 0.03)
         focus = torch.where(on_hand[:, None], placed.hand[batch, spot], focus)
         far_enough = (focus - p).norm(dim=-1) > 0.07
-        other = draws.uniform(B) < self.config.other_radius_share
-        factor = torch.where(other, draws.uniform(B, 0.5, 1.5), 1.0)
+        on_ee = ~(on_hand | on_rest)
+        other = torch.einsum("bij,bj->bi", placed.R, self._other_end[item]) + p
+        other = torch.where(on_ee[:, None], other, NOWHERE)
+        c, radius = self.config, self._radius[claimed]
         return Target(
             focus=focus,
-            radius=self._radius[claimed],
-            cut=self._radius[claimed] * factor,
+            radius=radius,
+            cut=Cut.drawn(focus, radius, other, self._radius[self._other_category[item]], c, placed.f_native, draws),
             claimed=claimed,
-            positive=~(swapped | on_hand | on_rest),
+            positive=on_ee & ~swapped,
             admissible=swapped | (on_hand & far_enough) | (on_rest & on_handle),
             on_hand=on_hand,
         )
@@ -270,8 +278,7 @@ class CloudGenerator:
         """The tool alone, and with its hand. reach: of splats without normals [px]."""
 
         def label(points: Tensor, usual: int, wanted: Tensor, tells: Tensor | None = None) -> Tensor:
-            inside = (points - target.focus[:, None]).norm(dim=-1) < target.cut[:, None]
-            inside = inside & wanted[:, None]
+            inside = target.cut.holds(points) & wanted[:, None]
             hit = torch.full_like(inside, splat.TARGET, dtype=torch.int32)
             if tells is not None:
                 hit = torch.where(tells, splat.TARGET_TELLS_SPIN, hit)

@@ -97,7 +97,9 @@ class PoseEstimator(CloudEstimator):
         steps by values."""
         if not (alone and self._device.type == "cuda" and isinstance(self.sampler, Euler)):
             return self._network
-        return self._captured.setdefault(self.sampler, Captured(self._network))
+        if self.sampler not in self._captured:
+            self._captured[self.sampler] = Captured(self._network)
+        return self._captured[self.sampler]
 
     def _network(self, *inputs: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Candidates u (B, K, 12) and `REGRESSED` from the fields of `Seen` and noise (B, K, 12)."""

@@ -8,7 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.perception.pose.canonical import PATCHES, POINTS, REST_PATCHES, canonicalize, ray_rotation, with_rest
+from toolee_robot.perception.pose import canonical
+from toolee_robot.perception.pose.canonical import (
+    PATCHES,
+    POINTS,
+    REST_PATCHES,
+    canonicalize,
+    farthest_points_first,
+    ray_rotation,
+    with_rest,
+)
 from toolee_robot.perception.pose.representation import DIM, decode, encode
 
 seeds = st.integers(0, 2**31)
@@ -47,6 +56,29 @@ def test_ray_rotation_turns_the_ray_onto_z() -> None:
     torch.testing.assert_close(
         turned, torch.tensor([[0.0, 0.0, 1.0]]) * centre.norm(dim=1, keepdim=True), atol=1e-6, rtol=0
     )
+
+
+@given(seeds, st.integers(1, 40), st.integers(1, 12))
+@settings(max_examples=30, deadline=None)
+def test_farthest_points_come_first_and_none_is_lost(seed: int, different: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    # Repeated points, as of a cloud with too few; marks travel along.
+    points = rng.normal(size=(2, different, 3)).astype(np.float32)[:, rng.integers(0, different, 40)]
+    marked = torch.as_tensor(np.concatenate([points, np.arange(80.0, dtype=np.float32).reshape(2, 40, 1)], -1))
+    ordered = farthest_points_first(marked, count)
+    for before, after in zip(marked, ordered, strict=True):
+        assert sorted(after[:, 3].tolist()) == before[:, 3].tolist()
+        rows = before[(after[:, 3] - before[0, 3]).long()]
+        torch.testing.assert_close(rows, after)
+        first = after[:count, :3].double()
+        everything = before[:, :3].double()
+        torch.testing.assert_close(first[0].norm(), everything.norm(dim=1).max())
+        for k in range(1, count):
+            to_picked = torch.cdist(everything, first[:k]).amin(1)
+            torch.testing.assert_close(to_picked.max(), torch.cdist(first[k : k + 1], first[:k]).amin())
+    # A GPU takes another way to the same.
+    on_gpu = canonical._farthest_of_batch(marked[..., :3], count)
+    torch.testing.assert_close(marked.gather(1, on_gpu[..., None].expand(-1, -1, 4)), ordered[:, :count])
 
 
 def test_canonical_cloud_ignores_background_and_distance() -> None:

@@ -35,7 +35,7 @@ CLEAN = CloudConfig(
     chunk_share=0.0,
     negative_share=0.0,
     sensor_level=0.0,
-    other_radius_share=0.0,
+    other_cut_share=0.0,
 )
 
 
@@ -68,7 +68,7 @@ def test_clean_clouds_lie_on_the_tools_surface(bank: ToolBank, hands: Float32) -
 
 
 def test_masks_may_be_cut_at_another_radius(bank: ToolBank, hands: Float32) -> None:
-    batch = CloudGenerator(bank, hands, "cpu", 1, replace(CLEAN, other_radius_share=1.0)).collect(24, 32)
+    batch = CloudGenerator(bank, hands, "cpu", 1, replace(CLEAN, other_cut_share=1.0)).collect(24, 32)
     nominal = torch.tensor([ee_radius(list(Category)[int(c)]) for c in batch.category])
     reach = ((batch.points - batch.p[:, None]).norm(dim=-1).max(1).values) / nominal
     assert float(reach.min()) < 0.75

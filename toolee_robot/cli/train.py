@@ -97,12 +97,14 @@ class Pose:
     """paper: ToolEENet's own."""
     column: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """Of the paper's Table I, for --estimator paper (default: symmetry-aware)."""
+    protocol: Literal["hard", "paper"] = "hard"
+    """Which data set's views the clouds are like."""
     minutes: _Number = None
     """Wall-clock of the optimisation (default: 9)."""
     max_steps: _Count = None
     """Budget in steps instead of minutes."""
     batch: _Count = None
-    """Clouds a step (default: 256)."""
+    """Clouds a step (default: 512)."""
     learning_rate: _Number = None
     """(default: 0.001)"""
     seed: _Count = None
@@ -115,6 +117,7 @@ class Pose:
     """Print one line of JSON last on standard output."""
 
     def run(self) -> int:
+        from toolee_robot.perception.pose.cloud_batch import PROTOCOLS
         from toolee_robot.perception.pose.method import Ours
         from toolee_robot.perception.pose.paper import COLUMNS, PaperMethod
         from toolee_robot.perception.pose.training import TrainConfig, train
@@ -126,8 +129,9 @@ class Pose:
         resume = (self.out / "checkpoint.pt").is_file()
         column = (self.column or "symmetry-aware") if self.estimator == "paper" else None
         about = {f.name: getattr(config, f.name) for f in fields(TrainConfig)}
-        _remember(self.out, resume, {**about, "estimator": self.estimator, "column": column})
-        method: Any = Ours() if column is None else PaperMethod(COLUMNS[column])
+        _remember(self.out, resume, {**about, "estimator": self.estimator, "column": column, "protocol": self.protocol})
+        clouds = PROTOCOLS[self.protocol]()
+        method: Any = Ours(clouds_config=clouds) if column is None else PaperMethod(COLUMNS[column], clouds)
         report = train(self.out, config, method, self.hands)
         if self.json:
             print(json_line({"out": str(self.out), "resumed": resume, "report": report}), flush=True)

@@ -1,0 +1,72 @@
+"""Which part of a tool a training cloud's mask shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from toolee_robot.perception.pose.bank import NOWHERE
+from toolee_robot.perception.pose.cloud_batch import CloudConfig
+from toolee_robot.perception.pose.draws import Draws
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A sphere about focus (B, 3) of radius (B,); or, where circle (B,), what a circle in the image shows that has this
+    radius at the focus's depth. Less what is nearer to the tool's other end, other (B, 3): for spheres in proportion to
+    the radii, theirs other_radius (B,). All [m], camera frame."""
+
+    focus: Tensor
+    radius: Tensor
+    other: Tensor
+    other_radius: Tensor
+    circle: Tensor
+
+    @classmethod
+    def sphere(cls, focus: Tensor, radius: Tensor) -> Cut:
+        """Of tools with one end."""
+        return cls(focus, radius, torch.full_like(focus, NOWHERE), radius, torch.zeros_like(radius, dtype=torch.bool))
+
+    @classmethod
+    def drawn(
+        cls,
+        focus: Tensor,
+        radius: Tensor,
+        other: Tensor,
+        other_radius: Tensor,
+        config: CloudConfig,
+        f: Tensor,
+        draws: Draws,
+    ) -> Cut:
+        """As `config` has it; radius (B,) [m]: the category's own. f (B,) [px] of the camera."""
+        B = len(focus)
+        if config.circle is not None:
+            radius = config.circle / f * focus[:, 2]
+            return cls(focus, radius, other, radius, torch.ones_like(radius, dtype=torch.bool))
+        differs = draws.uniform(B) < config.other_cut_share
+        factor = torch.where(differs, draws.uniform(B, *config.other_cut), 1.0)
+        circle = differs & (draws.uniform(B) < config.circle_share)
+        return cls(focus, radius * factor, other, other_radius * factor, circle)
+
+    def holds(self, points: Tensor) -> Tensor:
+        """Whether the mask shows them: (B, N) of points (B, N, 3)."""
+        ratio = (self.radius / self.other_radius)[:, None]
+        own, other = _distance(points, self.focus), _distance(points, self.other)
+        in_sphere = (own < self.radius[:, None]) & (own <= ratio * other)
+        own, other = self._across(points, self.focus), self._across(points, self.other)
+        in_circle = (own < self.radius[:, None]) & (own <= other)
+        return torch.where(self.circle[:, None], in_circle, in_sphere)
+
+    def _across(self, points: Tensor, centre: Tensor) -> Tensor:
+        """(B, N) distance [m] in the image from a centre (B, 3), at the focus's depth."""
+
+        def projected(x: Tensor) -> Tensor:
+            return x[..., :2] / x[..., 2:].clamp_min(0.05)
+
+        return self.focus[:, None, 2] * (projected(points) - projected(centre)[:, None]).norm(dim=-1)
+
+
+def _distance(points: Tensor, centre: Tensor) -> Tensor:
+    return (points - centre[:, None]).norm(dim=-1)

@@ -1,0 +1,57 @@
+"""Training clouds are cut as the data set's masks are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from toolee_robot.frames import transform
+from toolee_robot.perception.dataset.example import _Reach
+from toolee_robot.perception.pose.cloud_batch import CloudConfig
+from toolee_robot.perception.pose.cloud_cuts import Cut
+from toolee_robot.perception.pose.draws import Draws
+from toolee_robot.types import CameraIntrinsics
+
+CAMERA = CameraIntrinsics(365.0, 365.0, 31.5, 31.5, 64, 64)
+
+
+@given(st.integers(0, 2**31), st.booleans(), st.floats(0.05, 0.14))
+@settings(max_examples=40, deadline=None)
+def test_a_cut_holds_the_pixels_that_the_data_sets_mask_shows(seed: int, circle: bool, apart: float) -> None:
+    rng = np.random.default_rng(seed)
+    depth = rng.uniform(0.5, 0.62, (64, 64)).astype(np.float32)
+    direction = rng.normal(size=3)
+    origins = np.array([[0.0, 0.0, 0.56], [0.0, 0.0, 0.56] + apart * direction / np.linalg.norm(direction)])
+    radii = np.array([rng.uniform(0.02, 0.06)] * 2 if circle else rng.uniform(0.02, 0.06, 2))
+    pixels = CAMERA.fx * radii[0] / origins[0, 2] if circle else None
+    labelled = np.zeros(depth.shape, np.uint8)
+    Xs = [transform(np.eye(3), p) for p in origins]
+    _Reach(Xs, radii, pixels).number(labelled, depth, np.ones(depth.shape, bool), 1, CAMERA)
+
+    v, u = np.indices(depth.shape)
+    points = np.stack([(u - CAMERA.cx) / CAMERA.fx * depth, (v - CAMERA.cy) / CAMERA.fy * depth, depth], -1)
+    focus, other = torch.as_tensor(origins, dtype=torch.float32)[:, None]
+    radius, other_radius = torch.as_tensor(radii, dtype=torch.float32)[:, None]
+    cut = Cut(focus, radius, other, other_radius, torch.tensor([circle]))
+    held = cut.holds(torch.as_tensor(points.reshape(1, -1, 3), dtype=torch.float32))[0].numpy().reshape(64, 64)
+    # Rounding decides of a pixel on the very edge.
+    assert np.count_nonzero(held != (labelled == 1)) <= 3
+
+
+def test_shares_of_cuts() -> None:
+    B = 4000
+    focus = torch.tensor([[0.0, 0.0, 0.6]]).expand(B, 3)
+    radius = torch.full((B,), 0.05)
+    other = focus + torch.tensor([0.0, 0.1, 0.0])
+    config = CloudConfig(other_cut_share=0.5, other_cut=(0.5, 1.6), circle_share=0.4)
+    cut = Cut.drawn(focus, radius, other, 2 * radius, config, torch.full((B,), 480.0), Draws(torch.device("cpu"), 0))
+    own = cut.radius == radius
+    assert float(own.float().mean()) == pytest.approx(0.5, abs=0.03)
+    assert float(cut.circle.float().mean()) == pytest.approx(0.2, abs=0.03)
+    assert not bool((cut.circle & own).any())
+    assert float(cut.radius.min()) == pytest.approx(0.025, abs=0.001)
+    assert float(cut.radius.max()) == pytest.approx(0.08, abs=0.001)
+    torch.testing.assert_close(cut.other_radius, 2 * cut.radius)
