@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from toolee_robot.errors import AssetError
 from toolee_robot.perception.assets import load_weights
 from toolee_robot.perception.segmentation_input import RgbdBatch, encode_rgbd
+from toolee_robot.perception.segmentation_instances import Instances, associate, without_duplicates
+from toolee_robot.perception.segmentation_look import LEAST_PROBABLE, crops, cut, merge, placed
 from toolee_robot.perception.segmentation_model import (
-    CLASSES,
-    TOOL,
     WEIGHTS_NAME,
     Detector,
     DetectorConfig,
@@ -24,20 +24,10 @@ from toolee_robot.perception.segmentation_model import (
     load_detector,
     working_size,
 )
-from toolee_robot.types import Category, Detection, RgbdFrame
-
-LEAST_TOOL_OVERLAP = 0.5
-"""Share of an EE's mask that a tool's mask must cover for the EE to belong to that tool."""
-
-MOST_COVERED = 0.6
-"""Share of an instance's mask that a better one of the same class may cover."""
+from toolee_robot.types import Detection, RgbdFrame
 
 EVERYTHING = 0.02
 """Score threshold for evaluation: AP ranks the weak detections too."""
-
-Box = tuple[float, float, float, float]
-Instances = tuple[list[NDArray[np.bool_]], list[int], list[float], list[Box]]
-"""Masks (H, W), labels, scores and boxes [px] of one image, in the image's own size."""
 
 
 class Segmenter:
@@ -67,15 +57,29 @@ class Segmenter:
         return associate(*self.instances(frame))
 
     def instances(self, frame: RgbdFrame, score_threshold: float | None = None) -> Instances:
-        """Every instance, whole tools among them, over `score_threshold` (the configured one if None)."""
+        """Every instance, whole tools among them, of which the class is at least as probable as `score_threshold` (the
+        configured one if None). Tools without a certain EE are looked at twice: see `segmentation_look`."""
         height, width = frame.depth.shape
-        batch, scale = self._prepare(frame)
-        return without_duplicates(*paste(self._detector.detect(batch, score_threshold)[0], scale, height, width))
+        threshold = self.config.score_threshold if score_threshold is None else score_threshold
+        size = working_size(height, width, self.config.working_pixels)
+        first = self._look(frame, size, threshold)
+        again = crops(first, (height, width), size, self.config.working_pixels)
+        if not again:
+            return first
+        second = []
+        for crop in again:
+            seen = self._look(cut(frame, crop), crop.size, max(threshold, LEAST_PROBABLE))
+            second.append(placed(seen, crop, (height, width)))
+        return without_duplicates(*merge(first, second, again, (height, width)))
 
-    def _prepare(self, frame: RgbdFrame) -> tuple[RgbdBatch, tuple[float, float]]:
-        """Network input and the factors (x, y) from its pixels to the image's."""
-        height, width = frame.depth.shape
-        h, w = working_size(height, width, self.config.working_pixels)
+    def _look(self, frame: RgbdFrame, size: tuple[int, int], threshold: float) -> Instances:
+        """What the network finds in an image that it sees at `size` (height, width)."""
+        batch, scale = self._prepare(frame, size)
+        return without_duplicates(*paste(self._detector.detect(batch, threshold)[0], scale, *frame.depth.shape))
+
+    def _prepare(self, frame: RgbdFrame, size: tuple[int, int]) -> tuple[RgbdBatch, tuple[float, float]]:
+        """Network input of `size` (height, width) and the factors (x, y) from its pixels to the image's."""
+        (height, width), (h, w) = frame.depth.shape, size
         rgb, depth = frame.rgb, np.nan_to_num(frame.depth, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
         if (h, w) != (height, width):
             method = cv2.INTER_AREA if h < height else cv2.INTER_LINEAR
@@ -113,40 +117,6 @@ def paste(raw: RawDetections, scale: tuple[float, float], height: int, width: in
             scores.append(float(score))
             boxes.append((float(x0), float(y0), float(x1), float(y1)))
     return masks, labels, scores, boxes
-
-
-def without_duplicates(
-    masks: list[NDArray[np.bool_]], labels: list[int], scores: list[float], boxes: list[Box]
-) -> Instances:
-    """The instances, best score first, without those of which a better one of the same class covers most: the boxes of
-    a slanting, thin thing found twice hardly overlap."""
-    kept: list[int] = []
-    for i in sorted(range(len(masks)), key=lambda i: -scores[i]):
-        same = [k for k in kept if labels[k] == labels[i]]
-        if all(np.count_nonzero(masks[k] & masks[i]) <= MOST_COVERED * np.count_nonzero(masks[i]) for k in same):
-            kept.append(i)
-    return [masks[i] for i in kept], [labels[i] for i in kept], [scores[i] for i in kept], [boxes[i] for i in kept]
-
-
-def associate(
-    masks: list[NDArray[np.bool_]],
-    labels: list[int],
-    scores: list[float],
-    boxes: list[Box],
-) -> list[Detection]:
-    """EE detections, best first, each with the mask of the tool that covers most of it."""
-    tools = [(m, score) for m, label, score in zip(masks, labels, scores, strict=True) if label == TOOL]
-    found = []
-    for mask, label, score, box in zip(masks, labels, scores, boxes, strict=True):
-        if label == TOOL:
-            continue
-        overlaps = [float((mask & tool).sum()) / float(mask.sum()) for tool, _ in tools]
-        best = int(np.argmax(overlaps)) if overlaps else -1
-        tool_mask, tool_score = None, 0.0
-        if overlaps and overlaps[best] >= LEAST_TOOL_OVERLAP:
-            tool_mask, tool_score = tools[best][0] | mask, tools[best][1]
-        found.append(Detection(Category(CLASSES[label]), score, mask, box, tool_mask, tool_score))
-    return sorted(found, key=lambda d: -d.score)
 
 
 def _paste_one(patch: NDArray[np.float32], box: NDArray[np.float64], height: int, width: int) -> NDArray[np.bool_]:
