@@ -75,6 +75,25 @@ def test_masks_may_be_cut_at_another_radius(bank: ToolBank, hands: Float32) -> N
     assert float(reach.max()) > 1.2
 
 
+def test_clouds_of_the_papers_protocol_show_upright_tools_through_a_circle(bank: ToolBank, hands: Float32) -> None:
+    batch = CloudGenerator(bank, hands, "cpu", 1, CloudConfig.paper()).collect(24, 32)
+    back = batch.R_canonical.mT
+    points = torch.einsum("bij,bnj->bni", back, batch.points) + batch.centre[:, None]
+    origin = torch.einsum("bij,bj->bi", back, batch.p) + batch.centre
+    assert 0.42 <= float(origin[:, 2].min()) <= float(origin[:, 2].max()) <= 0.98
+    pixels = 480 * (points[..., :2] / points[..., 2:] - (origin[:, :2] / origin[:, 2:])[:, None]).norm(dim=-1)
+    # Half a pixel, and the depth of a pixel that is not the point's.
+    assert float(pixels.quantile(0.99)) < 31.0
+    assert float(pixels.amax(1).median()) > 26.0
+    # The handle's axis in the camera's frame: never rolled, and tilted by the camera's pitch.
+    X_ee_tool = torch.as_tensor(bank.X_ee_tool)[batch.item]
+    up = (back @ batch.R @ X_ee_tool[:, :3, :3])[..., 2]
+    assert float(up[:, 0].abs().max()) < 1e-4
+    pitch = torch.rad2deg(torch.atan2(up[:, 2], -up[:, 1]))
+    assert -45.1 < float(pitch.min()) < -10
+    assert 5 < float(pitch.max()) < 30.1
+
+
 def test_the_rest_of_the_tool_is_its_surface_beyond_the_end_effector(bank: ToolBank, hands: Float32) -> None:
     clean = replace(CLEAN, rest_error_share=0.0, rest_chunk_share=0.0, wrong_rest_share=0.0)
     batch = CloudGenerator(bank, hands, "cpu", 1, clean).collect(12, 16)
