@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from toolee_robot.frames import transform
+from toolee_robot.perception.dataset import paper
 from toolee_robot.perception.dataset.example import _Reach
 from toolee_robot.perception.pose.cloud_batch import CloudConfig
 from toolee_robot.perception.pose.cloud_cuts import Cut
@@ -39,6 +40,15 @@ def test_a_cut_holds_the_pixels_that_the_data_sets_mask_shows(seed: int, circle:
     held = cut.holds(torch.as_tensor(points.reshape(1, -1, 3), dtype=torch.float32))[0].numpy().reshape(64, 64)
     # Rounding decides of a pixel on the very edge.
     assert np.count_nonzero(held != (labelled == 1)) <= 3
+
+
+def test_the_papers_protocol_is_the_data_sets() -> None:
+    config = CloudConfig.paper()
+    assert config.distance == paper.DEPTHS
+    assert config.focal == (paper.FOCAL, paper.FOCAL)
+    assert config.circle == paper.CIRCLE
+    half = np.array([paper.FULL_WIDTH, paper.FULL_HEIGHT]) / 2 - 60
+    np.testing.assert_allclose(config.field, half / paper.FOCAL)
 
 
 def test_shares_of_cuts() -> None:
