@@ -52,3 +52,9 @@ def associate(
             tool_mask, tool_score = tools[best][0] | mask, tools[best][1]
         found.append(Detection(Category(CLASSES[label]), score, mask, box, tool_mask, tool_score))
     return sorted(found, key=lambda d: -d.score)
+
+
+def mask_iou(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
+    """Intersection over union of two masks (H, W); 0 of two empty ones."""
+    union = int(np.count_nonzero(a | b))
+    return int(np.count_nonzero(a & b)) / union if union else 0.0

@@ -16,7 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.perception.segmentation_input import STRIDE
-from toolee_robot.perception.segmentation_instances import LEAST_TOOL_OVERLAP, Box, Instances, without_duplicates
+from toolee_robot.perception.segmentation_instances import (
+    LEAST_TOOL_OVERLAP,
+    Box,
+    Instances,
+    mask_iou,
+    without_duplicates,
+)
 from toolee_robot.perception.segmentation_model import TOOL
 from toolee_robot.types import RgbdFrame
 
@@ -145,7 +151,7 @@ def merge(first: Instances, second: Sequence[Instances], again: Sequence[Crop], 
     later = list(zip(*without_duplicates(*together), strict=True))
     merged: list[_Instance] = []
     for mask, label, score, box in zip(*first, strict=True):
-        overlaps = [_iou(mask, other[0]) if other[1] == label else 0.0 for other in later]
+        overlaps = [mask_iou(mask, other[0]) if other[1] == label else 0.0 for other in later]
         best = int(np.argmax(overlaps)) if overlaps else -1
         if overlaps and overlaps[best] >= SAME:
             other_mask, _, other_score, other_box = later.pop(best)
@@ -166,8 +172,3 @@ def _columns(instances: Sequence[_Instance]) -> Instances:
         [score for _, _, score, _ in instances],
         [box for _, _, _, box in instances],
     )
-
-
-def _iou(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
-    union = int(np.count_nonzero(a | b))
-    return int(np.count_nonzero(a & b)) / max(1, union)

@@ -18,6 +18,7 @@ from toolee_robot.perception.dataset.records import CATEGORIES, MIN_POINTS, SCEN
 from toolee_robot.perception.dataset.spec import catalogue_of
 from toolee_robot.perception.dataset.storage import load_scenes, read_json, scene_folders
 from toolee_robot.perception.pipeline import EeDetector
+from toolee_robot.perception.segmentation_instances import mask_iou
 from toolee_robot.types import CameraIntrinsics, Category, Detection, RgbdFrame
 
 SPLITS = ("test", "train")
@@ -209,7 +210,7 @@ def _add(
     taken: set[int] = set()
     for detection in detector.detect(frame):
         overlaps = {
-            n: _iou(mask, detection.mask)
+            n: mask_iou(mask, detection.mask)
             for n, mask in here.items()
             if found.instances[n].category == detection.category and n not in taken
         }
@@ -236,11 +237,6 @@ def _splits(folder: Path) -> list[list[Path]]:
     if not any(splits):
         raise AssetError(f"no BOP scene in {folder}: give the folder of a data set made by `toolee dataset generate`")
     return splits
-
-
-def _iou(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
-    union = int(np.count_nonzero(a | b))
-    return int(np.count_nonzero(a & b)) / union if union else 0.0
 
 
 _NOTHING = Case(None, -1, Category.HAMMER_HEAD, -1.0, EeCloud.refused(""), np.empty((0, 3)))
