@@ -56,7 +56,9 @@ class Cut:
         own, other = _distance(points, self.focus), _distance(points, self.other)
         in_sphere = (own < self.radius[:, None]) & (own <= ratio * other)
         own, other = self._across(points, self.focus), self._across(points, self.other)
-        in_circle = (own < self.radius[:, None]) & (own <= other)
+        # What is nowhere may still lie in the line of sight.
+        alone = (self.other.norm(dim=-1) > NOWHERE / 2)[:, None]
+        in_circle = (own < self.radius[:, None]) & (alone | (own <= other))
         return torch.where(self.circle[:, None], in_circle, in_sphere)
 
     def _across(self, points: Tensor, centre: Tensor) -> Tensor:

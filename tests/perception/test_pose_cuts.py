@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from toolee_robot.frames import transform
 from toolee_robot.perception.dataset import paper
 from toolee_robot.perception.dataset.example import _Reach
+from toolee_robot.perception.pose.bank import NOWHERE
 from toolee_robot.perception.pose.cloud_batch import CloudConfig
 from toolee_robot.perception.pose.cloud_cuts import Cut
 from toolee_robot.perception.pose.draws import Draws
@@ -40,6 +41,18 @@ def test_a_cut_holds_the_pixels_that_the_data_sets_mask_shows(seed: int, circle:
     held = cut.holds(torch.as_tensor(points.reshape(1, -1, 3), dtype=torch.float32))[0].numpy().reshape(64, 64)
     # Rounding decides of a pixel on the very edge.
     assert np.count_nonzero(held != (labelled == 1)) <= 3
+
+
+@given(st.integers(0, 2**31))
+@settings(max_examples=20, deadline=None)
+def test_a_tool_with_one_end_loses_nothing_to_another(seed: int) -> None:
+    focus = torch.tensor([[0.1, 0.0, 0.6]])
+    points = focus[:, None] + 0.03 * torch.randn(1, 50, 3, generator=torch.Generator().manual_seed(seed)).clamp(-1, 1)
+    # Behind the focus as the camera sees it, and a little beside.
+    other = NOWHERE * focus / focus[:, 2:] + torch.tensor([[NOWHERE / 40, 0.0, 0.0]])
+    for circle in (False, True):
+        cut = Cut(focus, torch.tensor([0.1]), other, torch.tensor([0.05]), torch.tensor([circle]))
+        assert bool(cut.holds(points).all())
 
 
 def test_the_papers_protocol_is_the_data_sets() -> None:
