@@ -59,6 +59,13 @@ class ToolBank:
     shininess: Float32
     names: tuple[str, ...]
 
+    @property
+    def tools(self) -> NDArray[np.int64]:
+        """(I,) the number of the tool that each EE is of."""
+        names = [name.rsplit("/", 1)[0] for name in self.names]
+        numbers = {name: i for i, name in enumerate(dict.fromkeys(names))}
+        return np.array([numbers[name] for name in names], np.int64)
+
 
 _Row = tuple[Float32, Float32, NDArray[np.bool_], Float32, Float32, int, Float32, int, Float32, float, str]
 

@@ -21,7 +21,8 @@ class CloudConfig:
     is cut at a radius that many times as large (`other_cut`), as a detector's or another's may be, and circle_share:
     how often that is a circle in the image, as the paper's; circle: if not None, every mask is one of this radius [px].
     rest: whether the rest of the tool is seen, too; rest_error_share, rest_chunk_share: how often its mask is
-    imperfect, a piece of it missing; wrong_rest_share: how often it is another tool's. guessed: whether the mask's
+    imperfect, a piece of it missing; rest_gap_share: how often it begins up to rest_gap [m] beyond the cut;
+    wrong_rest_share: how often it is another tool's. guessed: whether the mask's
     pixels without a depth are there, too, at a guessed one. points, of which the first `ordered` are farthest-point
     samples: what the network takes."""
 
@@ -48,6 +49,8 @@ class CloudConfig:
     rest: bool = True
     rest_error_share: float = 0.7
     rest_chunk_share: float = 0.3
+    rest_gap_share: float = 0.5
+    rest_gap: float = 0.02
     wrong_rest_share: float = 0.02
     guessed: bool = True
     points: int = POINTS
@@ -73,6 +76,7 @@ class CloudConfig:
             circle=30.0,
             rest_error_share=0.0,
             rest_chunk_share=0.0,
+            rest_gap_share=0.0,
             wrong_rest_share=0.0,
         )
 

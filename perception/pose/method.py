@@ -60,8 +60,8 @@ class Method(Protocol, Generic[Net]):
         """Held-out clouds with the EE's pose as their truth."""
         ...
 
-    def report(self, net: Net, held_out: CloudBatch, device: str) -> tuple[dict[str, Any], Calibration]:
-        """Metrics on held-out clouds, and what is calibrated there."""
+    def report(self, net: Net, held_out: CloudBatch, bank: ToolBank, device: str) -> tuple[dict[str, Any], Calibration]:
+        """Metrics on held-out clouds, of a bank's tools, and what is calibrated there."""
         ...
 
     def save(self, folder: Path, net: Net, calibration: Calibration, report: dict[str, Any]) -> None:
@@ -115,7 +115,9 @@ class Ours:
             batch = validation.without_rest(batch)
         return batch if self.direction_dropout < 1 else validation.without_direction(batch)
 
-    def report(self, net: PoseNet, held_out: CloudBatch, device: str) -> tuple[dict[str, Any], Calibration]:
+    def report(
+        self, net: PoseNet, held_out: CloudBatch, bank: ToolBank, device: str
+    ) -> tuple[dict[str, Any], Calibration]:
         """Fits the calibration on one half of the tools and reports it on the other."""
         estimator = self.estimator(net, Calibration(), device)
         K = estimator.candidates
@@ -129,7 +131,7 @@ class Ours:
             f"K{K}_no_rest": validation.metrics(validation.evaluate(estimator, no_rest, K)),
             f"K{K}_no_direction": validation.metrics(validation.evaluate(estimator, none, K)),
         }
-        fit, test = (_half(held_out, result, parity) for parity in (0, 1))
+        fit, test = (_half(held_out, bank, result, parity) for parity in (0, 1))
         calibration = validation.calibrate(fit)
         report["confidence"] = validation.confidence_report(test, calibration)
         report["clouds"] = asdict(self.clouds_config)
@@ -144,8 +146,8 @@ class Ours:
         return weights.load(folder, self.name)[0]
 
 
-def _half(batch: CloudBatch, evaluated: validation.Evaluated, parity: int) -> validation.Evaluated:
-    """The clouds of every second tool."""
-    chosen = np.flatnonzero(evaluated.item % 2 == parity)
+def _half(batch: CloudBatch, bank: ToolBank, evaluated: validation.Evaluated, parity: int) -> validation.Evaluated:
+    """The clouds of every second tool; not of every second EE, which would part a hammer's claw from its head."""
+    chosen = np.flatnonzero(bank.tools[evaluated.item] % 2 == parity)
     index = torch.as_tensor(chosen, device=batch.points.device)
     return validation.Evaluated(batch.select(index), [evaluated.results[i] for i in chosen])

@@ -168,7 +168,7 @@ class Trainer(Generic[Net]):
 
     def finish(self, held_out: CloudBatch, trained: dict[str, Any] | None = None) -> dict[str, Any]:
         """Validate and calibrate on held-out tools, and save. trained: the training's own configuration, if another."""
-        report, calibration = self.method.report(self.export(), held_out, str(self.device))
+        report, calibration = self.method.report(self.export(), held_out, self._test_bank, str(self.device))
         self.log(event="finished", **{k: v for k, v in report.items() if k != "clouds"})
         report |= {
             "calibrated": True,

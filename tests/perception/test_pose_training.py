@@ -67,6 +67,25 @@ def test_clean_clouds_lie_on_the_tools_surface(bank: ToolBank, hands: Float32) -
         assert float(distance.quantile(0.95)) < 0.004
 
 
+def test_the_confidence_is_fitted_on_clouds_of_every_category(bank: ToolBank, clouds: CloudBatch) -> None:
+    """A claw's row follows that of its hammer's head: half of the rows, instead of half of the tools, had no claw."""
+    model = Ours(TINY).report(PoseNet(TINY), clouds, bank, "cpu")[1].confidence
+    share = dict(zip(model.names, model.mean, strict=True))
+    for category in Category:
+        assert share[f"is_{category}"] > 0.05
+
+
+def test_the_rest_may_begin_beyond_the_cut(bank: ToolBank, hands: Float32) -> None:
+    gaps = []
+    for share in (0.0, 1.0):
+        config = replace(CLEAN, rest_gap_share=share, rest_gap=0.02, rest_error_share=0.0, rest_chunk_share=0.0)
+        batch = CloudGenerator(bank, hands, "cpu", 2, config).collect(24, 32)
+        distance = torch.cdist(batch.rest, batch.points).amin((1, 2))[batch.rest_known]
+        gaps.append(float(distance.median()))
+    assert gaps[0] < 0.006
+    assert gaps[0] + 0.004 < gaps[1] < 0.02
+
+
 def test_masks_may_be_cut_at_another_radius(bank: ToolBank, hands: Float32) -> None:
     batch = CloudGenerator(bank, hands, "cpu", 1, replace(CLEAN, other_cut_share=1.0)).collect(24, 32)
     nominal = torch.tensor([ee_radius(list(Category)[int(c)]) for c in batch.category])

@@ -80,7 +80,13 @@ class PaperMethod:
         """See `Method`."""
         return object_clouds.with_ee_truth(batch, bank) if self.column.of_tool else batch
 
-    def report(self, net: PaperNet, held_out: CloudBatch, device: str) -> tuple[dict[str, Any], Calibration]:
+    def report(
+        self,
+        net: PaperNet,
+        held_out: CloudBatch,
+        bank: ToolBank,  # noqa: ARG002 - others need it
+        device: str,
+    ) -> tuple[dict[str, Any], Calibration]:
         """See `Method`."""
         result = validation.evaluate(self.estimator(net, Calibration(), device), held_out, PaperEstimator.candidates)
         report = {"K20": validation.metrics(result), "column": self.column.name, "clouds": asdict(self.clouds_config)}
