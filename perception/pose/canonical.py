@@ -68,7 +68,7 @@ def canonicalize(
     """
     radius = radius[:, None]
     z = points[..., 2]
-    z30 = _masked_quantile(z, valid, 0.3)[:, None]
+    z30 = _masked_quantile(points[..., 2:], valid, 0.3)
     near = valid & ((z - z30).abs() < 1.6 * radius)
     centre = _masked_median(points, near)
     kept = valid & ((points - centre[:, None]).norm(dim=-1) < 1.8 * radius)
@@ -173,13 +173,14 @@ def _rows(x: Tensor, index: Tensor) -> Tensor:
 
 
 def _masked_quantile(x: Tensor, mask: Tensor, q: float) -> Tensor:
-    """(B,) quantile of x (B, N) where mask; 0 where the mask is empty."""
-    ordered = torch.where(mask, x, torch.inf).sort(1).values
+    """(B, C) quantile of each column of x (B, N, C) where mask (B, N); 0 where the mask is empty."""
+    ordered = torch.where(mask[..., None], x, torch.inf).sort(1).values
     n = mask.sum(1)
-    value = ordered.gather(1, ((n - 1).clamp_min(0) * q).long()[:, None])[:, 0]
-    return torch.where(n > 0, value, 0.0)
+    place = ((n - 1).clamp_min(0) * q).long()
+    value = ordered.gather(1, place[:, None, None].expand(-1, 1, x.shape[-1]))[:, 0]
+    return torch.where(n[:, None] > 0, value, 0.0)
 
 
 def _masked_median(x: Tensor, mask: Tensor) -> Tensor:
     """(B, 3) median per coordinate of x (B, N, 3) where mask."""
-    return torch.stack([_masked_quantile(x[..., k], mask, 0.5) for k in range(3)], dim=-1)
+    return _masked_quantile(x, mask, 0.5)

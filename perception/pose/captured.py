@@ -1,4 +1,4 @@
-"""A function on CUDA tensors recorded once as a graph and replayed: one launch instead of some hundreds."""
+"""A function recorded once as a CUDA graph and replayed: one launch instead of some hundreds, and one wait."""
 
 from __future__ import annotations
 
@@ -15,44 +15,54 @@ _WARM_UP = 3
 
 @dataclass(frozen=True, eq=False)
 class _Recording:
+    """inputs, outputs: in pinned memory of the host. held: the device's side of the inputs."""
+
     graph: torch.cuda.CUDAGraph
     inputs: tuple[Tensor, ...]
     outputs: tuple[Tensor, ...]
+    held: tuple[Tensor, ...]
 
 
 class Captured:
-    """`function` with the same results, faster; one recording for each shape of its inputs.
+    """`function` of tensors on `device`, with the same results, faster: from tensors on the host to tensors on the
+    host, the way there and back recorded, too. One recording for each shape of its inputs.
 
     The function must not look at values (no branch on a tensor, no copy to the host). Calls wait for each other: a
     recording has one set of buffers.
     """
 
-    def __init__(self, function: Function) -> None:
-        self._function = function
+    def __init__(self, function: Function, device: torch.device) -> None:
+        self._function, self._device = function, device
         self._recordings: dict[tuple[torch.Size, ...], _Recording] = {}
         self._lock = threading.Lock()
 
     def __call__(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        """The function's outputs for inputs on its device."""
+        """The function's outputs, on the host, for inputs on the host."""
         key = tuple(x.shape for x in inputs)
-        with self._lock:
+        with self._lock, torch.cuda.device(self._device):
             if key not in self._recordings:
                 self._recordings[key] = self._record(inputs)
             recording = self._recordings[key]
             for buffer, x in zip(recording.inputs, inputs, strict=True):
                 buffer.copy_(x)
             recording.graph.replay()
+            torch.cuda.current_stream().synchronize()
             return tuple(x.clone() for x in recording.outputs)
 
     def _record(self, inputs: tuple[Tensor, ...]) -> _Recording:
-        buffers = tuple(x.clone() for x in inputs)
+        given = tuple(x.cpu().clone().pin_memory() for x in inputs)
+        held = tuple(x.to(self._device) for x in given)
         side = torch.cuda.Stream()  # type: ignore[no-untyped-call]
         side.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(side):
             for _ in range(_WARM_UP):
-                self._function(*buffers)
+                results = self._function(*held)
         torch.cuda.current_stream().wait_stream(side)
+        taken = tuple(torch.empty_like(x, device="cpu").pin_memory() for x in results)
         graph = torch.cuda.CUDAGraph()
         with torch.cuda.graph(graph):
-            outputs = self._function(*buffers)
-        return _Recording(graph, buffers, outputs)
+            for there, here in zip(held, given, strict=True):
+                there.copy_(here, non_blocking=True)
+            for here, result in zip(taken, self._function(*held), strict=True):
+                here.copy_(result, non_blocking=True)
+        return _Recording(graph, given, taken, held)

@@ -57,16 +57,16 @@ class PoseEstimator(CloudEstimator):
         candidates: int,
     ) -> list[PoseResult]:
         """See `CloudEstimator.infer`."""
-        device = self._device
+        run, device = self._pass(alone=len(categories) == 1)
         index = torch.tensor([CATEGORIES.index(c) for c in categories], device=device)
         context = context_input(cloud, torch.as_tensor(visible))
         # The generator lives on the CPU: the same seed gives the same draws on any device.
         noise = torch.randn(len(categories), candidates, DIM, generator=generator).to(device)
-        run = self._pass(alone=len(categories) == 1)
         u, *direct = (x.float().cpu() for x in run(*Seen.of(cloud, index, direction, context), noise))
         regression = dict(zip(REGRESSED, direct, strict=True))
-        R, p, ambiguous = (x.double().numpy() for x in decode(u))
-        R_direct, p_direct, _ = (x.double().numpy() for x in decode(regression["mean"]))
+        # The candidates, and the regression's pose as one more.
+        R, p, ambiguous = (x.double().numpy() for x in decode(torch.cat([u, regression["mean"][:, None]], 1)))
+        ambiguous = ambiguous[:, :-1].mean(1)
         sigmas = regression["log_sigma"].double().exp().numpy() * [T_SCALE, 1.0, 1.0]
         valid = regression["valid"].double().numpy()
         R_camera = np.swapaxes(cloud.R.cpu().double().numpy(), 1, 2)
@@ -75,31 +75,29 @@ class PoseEstimator(CloudEstimator):
         results = []
         for b, category in enumerate(categories):
             Xs = np.tile(np.eye(4), (candidates, 1, 1))
-            Xs[:, :3, :3] = R_camera[b] @ R[b]
-            Xs[:, :3, 3] = p[b] @ R_camera[b].T + centre[b]
-            X_direct = transform(R_camera[b] @ R_direct[b], R_camera[b] @ p_direct[b] + centre[b])
+            Xs[:, :3, :3] = R_camera[b] @ R[b, :-1]
+            Xs[:, :3, 3] = p[b, :-1] @ R_camera[b].T + centre[b]
+            X_direct = transform(R_camera[b] @ R[b, -1], R_camera[b] @ p[b, -1] + centre[b])
             axis_index = int(np.argmax(category.symmetry.axis))
             # Half from the samples' S, half from the regression's.
-            spin_free = float(np.clip(ambiguous[b, :, axis_index].mean(), 0, 1))
+            spin_free = float(np.clip(ambiguous[b, axis_index], 0, 1))
             logit = float(regression["mean"][b, 6 + axis_index])
             spin_free = 0.5 * spin_free + 0.5 / (1 + float(np.exp(-np.clip(logit, -30, 30))))
             points = local[b] @ R_camera[b].T + centre[b]
             hypotheses = PoseHypotheses(Xs, points, float(sigmas[b, 0]), float(sigmas[b, 1]), 1 - spin_free)
             results.append(
-                self._result(
-                    category, hypotheses, X_direct, sigmas[b], int(visible[b]), float(valid[b]), ambiguous[b].mean(0)
-                )
+                self._result(category, hypotheses, X_direct, sigmas[b], int(visible[b]), float(valid[b]), ambiguous[b])
             )
         return results
 
-    def _pass(self, alone: bool) -> Callable[..., tuple[torch.Tensor, ...]]:
-        """How to run `_network`: for one cloud on a GPU as a recorded graph. RK45 cannot be recorded: it chooses its
-        steps by values."""
+    def _pass(self, alone: bool) -> tuple[Callable[..., tuple[torch.Tensor, ...]], torch.device]:
+        """How to run `_network`, and where it wants its inputs: for one cloud on a GPU as a recorded graph. RK45 cannot
+        be recorded: it chooses its steps by values."""
         if not (alone and self._device.type == "cuda" and isinstance(self.sampler, Euler)):
-            return self._network
+            return self._network, self._device
         if self.sampler not in self._captured:
-            self._captured[self.sampler] = Captured(self._network)
-        return self._captured[self.sampler]
+            self._captured[self.sampler] = Captured(self._network, self._device)
+        return self._captured[self.sampler], torch.device("cpu")
 
     def _network(self, *inputs: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Candidates u (B, K, 12) and `REGRESSED` from the fields of `Seen` and noise (B, K, 12)."""
