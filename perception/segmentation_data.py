@@ -139,7 +139,7 @@ def augment(sample: ImageSample, size: tuple[int, int], strength: float = 1.0) -
 
     The images are resampled to `size` (height, width), then padded to multiples of STRIDE.
 
-    Geometry: mirror, scale 0.65 to 1.7 (as if by another lens: depths stay), shift, roll (any angle for a third).
+    Geometry: mirror, scale 0.74 to 1.9 (as if by another lens: depths stay), shift, roll (any angle for a third).
     Mirrored tools are as good for masks. Colour: gain and offset a channel, contrast, saturation, grey, channel order,
     gamma; blur, noise, rectangles that hide. Depth: the focal length is off by 3 %. strength 0 only resamples.
     """
@@ -151,7 +151,7 @@ def augment(sample: ImageSample, size: tuple[int, int], strength: float = 1.0) -
         images = _recolour(images, strength)
         images = _blur(images, strength)
         images, depth, maps = _hide(images, depth, maps, strength)
-        sigma = torch.rand((n, 1, 1, 1), device=device) ** 2 * 14 * strength
+        sigma = torch.rand((n, 1, 1, 1), device=device) ** 2 * 9 * strength
         images = images + torch.randn_like(images) * sigma
         images = images.clamp(0, 255)
         focal = focal * (1 + 0.015 * strength * torch.randn_like(focal))
@@ -168,7 +168,7 @@ def _warp(sample: ImageSample, size: tuple[int, int], strength: float) -> tuple[
     images = sample.rgb.permute(0, 3, 1, 2).float()
     n, _, height, width = images.shape
     device = images.device
-    scale = torch.exp(_uniform(n, -0.43, 0.53, device).view(n) * strength)
+    scale = torch.exp(_uniform(n, -0.3, 0.64, device).view(n) * strength)
     angle = torch.randn(n, device=device) * 0.08 * strength
     angle = torch.where(
         torch.rand(n, device=device) < 0.33 * strength, torch.rand(n, device=device) * 2 * math.pi, angle
@@ -216,12 +216,12 @@ def _recolour(images: Tensor, strength: float) -> Tensor:
 
 
 def _blur(images: Tensor, strength: float) -> Tensor:
-    """The first two fifths blurred: the batch's order is random."""
-    count = round(0.4 * strength * len(images))
+    """The first quarter blurred: the batch's order is random."""
+    count = round(0.25 * strength * len(images))
     if count == 0:
         return images
     device = images.device
-    sigma = 0.2 + torch.rand((count, 1), device=device) * 1.5 * strength
+    sigma = 0.2 + torch.rand((count, 1), device=device) * strength
     offsets = torch.arange(-3, 4, device=device)
     kernel = torch.exp(-0.5 * (offsets / sigma) ** 2)
     kernel = (kernel / kernel.sum(1, keepdim=True)).repeat_interleave(3, 0)

@@ -46,6 +46,7 @@ class MaskHead(nn.Module):
         self.ascend = nn.ConvTranspose2d(channels, channels, 2, 2)
         self.narrow = nn.Conv2d(channels, width, 1)
         self.fuse = nn.Sequential(*_conv(width + half, width), *_conv(width, width))
+        self.refine = _Refinement(width)
         self.output = nn.Conv2d(width, classes, 1)
         self.quality = nn.Sequential(nn.Linear(2 * width, 128), nn.ReLU(), nn.Linear(128, classes))
 
@@ -57,13 +58,33 @@ class MaskHead(nn.Module):
         detail = self.detail(_near(batch, rois))
         x = self.context(features + self.descend(detail))
         x = F.interpolate(self.narrow(F.relu(self.ascend(x))), (MASK_SIZE, MASK_SIZE), mode="bilinear")
-        x = self.fuse(torch.cat([x, detail], 1))
+        x = self.refine(self.fuse(torch.cat([x, detail], 1)))
         index = torch.arange(len(rois), device=rois.device)
         logits = self.output(x)[index, labels].float()
         inside = logits.detach().sigmoid()[:, None]
         within = (x * inside).sum((2, 3)) / inside.sum((2, 3)).clamp(min=1.0)
         quality = self.quality(torch.cat([within, x.mean((2, 3))], 1))[index, labels].float()
         return logits, quality
+
+
+class _Refinement(nn.Module):
+    """What outlines still lack, from features of a mask that are drawn already: an hourglass of two scales, added."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        wide = width + width // 2
+        self.fine = nn.Sequential(*_conv(width, width))
+        self.coarse = nn.Sequential(*_conv(width, wide, 2), *_conv(wide, wide), *_conv(wide, wide))
+        self.widen = nn.Conv2d(wide, width, 1)
+        self.last = nn.Conv2d(width, width, 3, padding=1)
+        nn.init.zeros_(self.last.weight)
+        nn.init.zeros_(self.last.bias)  # type: ignore[arg-type]
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Features (R, C, MASK_SIZE, MASK_SIZE), of the same shape."""
+        fine = self.fine(x)
+        coarse = F.interpolate(self.widen(self.coarse(x)), fine.shape[-2:], mode="bilinear")
+        return x + self.last(F.relu(fine + coarse))
 
 
 def features_size() -> int:

@@ -105,7 +105,7 @@ def test_augmentation_moves_image_and_maps_together() -> None:
     assert (images[:, 0][tool] > 100).float().mean() > 0.97
     assert (depth[tool] == 0.6).all(), "depth is never a mean of two things"
     assert (depth[~tool] != 0.6).all()
-    assert ((scale > 0.6) & (scale < 1.6)).all()
+    assert ((scale > 0.74) & (scale < 1.9)).all()
 
 
 def test_augmented_batches_are_finite_and_padded() -> None:
