@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolee_robot.errors import AssetError
-from toolee_robot.perception.dataset.storage import load_scenes, scene_folders
+from toolee_robot.perception.dataset.scene_reader import load_scenes, scene_folders
 from toolee_robot.perception.segmentation_input import STRIDE, RgbdBatch, encode_rgbd
 
 _CHUNK = 512

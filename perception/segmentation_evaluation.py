@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.errors import AssetError, UserError
-from toolee_robot.perception.dataset.storage import load_scenes, scene_folders
+from toolee_robot.perception.dataset.scene_reader import load_scenes, scene_folders
 from toolee_robot.perception.segmentation import EVERYTHING, Segmenter
 from toolee_robot.perception.segmentation_data import SegmentationImages
 from toolee_robot.perception.segmentation_model import CLASSES, TOOL

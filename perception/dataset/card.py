@@ -10,8 +10,8 @@ import numpy as np
 
 from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.dataset.records import CATEGORIES, MIN_POINTS
+from toolee_robot.perception.dataset.scene_reader import pose_of
 from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec
-from toolee_robot.perception.dataset.storage import pose_of
 from toolee_robot.perception.dataset.surfaces import BACKDROPS, ROOMS, TEXTURES
 
 EDGES: dict[str, list[float]] = {

@@ -9,19 +9,14 @@ from pathlib import Path
 from typing import IO, Any
 
 from toolee_robot.perception.dataset.card import Card
+from toolee_robot.perception.dataset.checksums import SUMS, write_sums
 from toolee_robot.perception.dataset.instances import MODELS, TOOLS
 from toolee_robot.perception.dataset.models import write_models_info
 from toolee_robot.perception.dataset.paper import FOCAL, FULL_HEIGHT, FULL_WIDTH
 from toolee_robot.perception.dataset.records import CATEGORIES, HEIGHT, WIDTH
+from toolee_robot.perception.dataset.scene_reader import read_json, scene_folders
+from toolee_robot.perception.dataset.scene_writer import COCO_CATEGORIES, json_by_line
 from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec
-from toolee_robot.perception.dataset.storage import (
-    COCO_CATEGORIES,
-    SUMS,
-    json_by_line,
-    read_json,
-    scene_folders,
-    write_sums,
-)
 from toolee_robot.types import Category
 
 README, CARD, CAMERA, TARGETS, COCO = "README.md", "card.json", "camera.json", "test_targets_bop19.json", "coco"

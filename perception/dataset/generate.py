@@ -25,13 +25,15 @@ from typing import TypeVar
 
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.dataset.bodies import forget_tools
+from toolee_robot.perception.dataset.checksums import SUMS
 from toolee_robot.perception.dataset.example import examples_of
 from toolee_robot.perception.dataset.finish import finish, is_finished
 from toolee_robot.perception.dataset.instances import tool_path
 from toolee_robot.perception.dataset.models import write_models, write_whole
 from toolee_robot.perception.dataset.own import OwnMesh
+from toolee_robot.perception.dataset.scene_reader import read_json
+from toolee_robot.perception.dataset.scene_writer import json_by_line, write_scene
 from toolee_robot.perception.dataset.spec import CONFIGS, DESCRIPTION, SPLITS, DatasetSpec, SceneJob
-from toolee_robot.perception.dataset.storage import SUMS, json_by_line, read_json, write_scene
 
 T = TypeVar("T")
 Progress = Callable[[int, int], None]

@@ -76,7 +76,7 @@ def ply_bytes(vertices: Array, faces: NDArray[np.int64]) -> bytes:
 
 
 def read_ply(path: Path) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices (V, 3) float64 [mm] and faces (F, 3) of a mesh of this storage. Raises AssetError."""
+    """Vertices (V, 3) float64 [mm] and faces (F, 3) of a mesh that `ply_bytes` wrote. Raises AssetError."""
     try:
         data = path.read_bytes()
         end = data.index(b"end_header\n") + len(b"end_header\n")

@@ -20,7 +20,7 @@ from toolee_robot.perception.dataset.instances import (
     read_ply,
     tool_path,
 )
-from toolee_robot.perception.dataset.storage import json_by_line
+from toolee_robot.perception.dataset.scene_writer import json_by_line
 from toolee_robot.types import Category
 
 

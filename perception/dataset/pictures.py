@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from toolee_robot.perception.dataset.records import CATEGORIES, EeTable, FloatArray
-from toolee_robot.perception.dataset.storage import load_scenes, scene_folders
+from toolee_robot.perception.dataset.scene_reader import load_scenes, scene_folders
 from toolee_robot.types import CameraIntrinsics
 
 COLORS = ((230, 60, 60), (240, 180, 0), (0, 180, 90), (60, 140, 255))

@@ -26,6 +26,8 @@ INSTANCES = 150
 SCENES = ("hard", "station", "empty", "paper")
 """Kinds of scenes; `Example.scene` is an index in it. Hard: anything, anywhere; station: a UR10 and a hand show a
 tool; empty: no tool."""
+POSES = {"m2c": "X_camera_ee", "t2c": "X_camera_tool", "h2c": "X_camera_hand"}
+"""Suffix of scene_gt's cam_R_ and cam_t_ -> pose in `EeTable`: EE (BOP's model), tool, hand to camera."""
 
 FloatArray = NDArray[np.float32]
 

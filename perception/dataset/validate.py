@@ -9,12 +9,12 @@ from functools import partial
 from pathlib import Path
 
 from toolee_robot.errors import AssetError, TooleeError
+from toolee_robot.perception.dataset.checksums import SUMS, read_sums
 from toolee_robot.perception.dataset.finish import COCO, derive, is_finished, listed, sha256
 from toolee_robot.perception.dataset.generate import on_processes
 from toolee_robot.perception.dataset.instances import MODELS
 from toolee_robot.perception.dataset.scene_check import check_scene
 from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec, SceneJob
-from toolee_robot.perception.dataset.storage import SUMS, read_sums
 
 
 @dataclass(frozen=True, order=True)

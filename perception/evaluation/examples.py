@@ -15,8 +15,8 @@ from toolee_robot.perception.cloud import EeCloud, back_project, ee_cloud, witho
 from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.dataset.instances import object_of
 from toolee_robot.perception.dataset.records import CATEGORIES, MIN_POINTS, SCENES, EeTable
+from toolee_robot.perception.dataset.scene_reader import load_scenes, read_json, scene_folders
 from toolee_robot.perception.dataset.spec import catalogue_of
-from toolee_robot.perception.dataset.storage import load_scenes, read_json, scene_folders
 from toolee_robot.perception.pipeline import EeDetector
 from toolee_robot.perception.segmentation_instances import mask_iou
 from toolee_robot.types import CameraIntrinsics, Category, Detection, RgbdFrame

@@ -14,8 +14,8 @@ from toolee_robot.cli.app import run
 from toolee_robot.perception.assets import WEIGHTS_DIR
 from toolee_robot.perception.dataset.example import examples_of
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH, EeTable, Example
+from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.spec import DatasetSpec
-from toolee_robot.perception.dataset.storage import write_scene
 from toolee_robot.types import CameraIntrinsics
 
 

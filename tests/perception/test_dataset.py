@@ -15,7 +15,8 @@ from toolee_robot.perception.dataset.example import label, make_example, take_sh
 from toolee_robot.perception.dataset.instances import object_of
 from toolee_robot.perception.dataset.paper import CIRCLE, DEPTHS, FOCAL
 from toolee_robot.perception.dataset.records import CATEGORIES, FARTHEST, MAX_EES, NEAREST, SCENES, Example
-from toolee_robot.perception.dataset.storage import load, write_scene
+from toolee_robot.perception.dataset.scene_reader import load
+from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.surfaces import Surfaces, draw
 from toolee_robot.render.renderer import pixel_rays
 from toolee_robot.tools import ee_radius, split

@@ -21,8 +21,8 @@ from toolee_robot.cli.app import run
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.frames import transform
 from toolee_robot.perception.dataset.example import examples_of
+from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.spec import DatasetSpec
-from toolee_robot.perception.dataset.storage import write_scene
 from toolee_robot.perception.evaluation import metrics, pose, views
 from toolee_robot.perception.evaluation.crew import Crew
 from toolee_robot.perception.evaluation.estimates import Ranked, answer, load_estimator, questions, summary
@@ -282,7 +282,7 @@ def test_coco_figures_are_pycocotools_own(folder: Path) -> None:
     pycocotools = pytest.importorskip("pycocotools.coco")
     from pycocotools.cocoeval import COCOeval
 
-    from toolee_robot.perception.dataset.storage import load
+    from toolee_robot.perception.dataset.scene_reader import load
     from toolee_robot.perception.segmentation_model import CLASSES
 
     task = coco_task(Segmenter.load(), load(folder / "test"))

@@ -21,8 +21,8 @@ from toolee_robot.frames import is_rigid, transform, transform_points
 from toolee_robot.perception.dataset.instances import read_ply
 from toolee_robot.perception.dataset.own import OwnTool
 from toolee_robot.perception.dataset.own_reader import read_own_tools
+from toolee_robot.perception.dataset.scene_reader import read_json
 from toolee_robot.perception.dataset.spec import catalogue_of
-from toolee_robot.perception.dataset.storage import read_json
 from toolee_robot.perception.evaluation.shapes import ee_shape
 from toolee_robot.types import Category
 

@@ -13,7 +13,8 @@ import torch
 from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.errors import AssetError
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH, EeTable, Example
-from toolee_robot.perception.dataset.storage import load, write_scene
+from toolee_robot.perception.dataset.scene_reader import load
+from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.segmentation_data import DeviceImages, SceneStream, augment
 from toolee_robot.perception.segmentation_evaluation import true_instances
 from toolee_robot.perception.segmentation_input import STRIDE

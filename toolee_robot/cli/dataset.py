@@ -141,8 +141,8 @@ class Inspect:
         if self.count < 1 or self.pairs < 1:
             raise UserError("--count and --pairs must be 1 or more")
         from toolee_robot.perception.dataset import finish, pictures, plots, shapes
+        from toolee_robot.perception.dataset.scene_reader import read_json, scene_folders
         from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec
-        from toolee_robot.perception.dataset.storage import read_json, scene_folders
 
         spec = DatasetSpec.read(self.folder)
         if not finish.is_finished(self.folder):
