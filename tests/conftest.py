@@ -83,7 +83,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.nodeid.removeprefix("tests/").startswith(REALTIME):
             item.add_marker("realtime")
-            item.add_marker(pytest.mark.xdist_group("realtime"))
             item.add_marker(pytest.mark.flaky(reruns=2, condition=_MACHINE.stood_still))
 
 

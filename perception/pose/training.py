@@ -43,8 +43,8 @@ class TrainConfig:
     chunk: int = 2048
     capacity: int = 65_536
     first_fill: int = 8192
-    train_seeds: int = 80
-    test_seeds: int = 20
+    train_seeds: int = 480
+    test_seeds: int = 30
     validation: int = 4096
     checkpoint_seconds: float = 120.0
     compile: bool = True

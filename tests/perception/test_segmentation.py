@@ -31,8 +31,6 @@ from toolee_robot.perception.segmentation_model import (
 from toolee_robot.perception.train_segmentation import SegmentationTraining, train
 from toolee_robot.types import CameraIntrinsics, Category, RgbdFrame
 
-pytestmark = pytest.mark.xdist_group("toy detector")  # it is trained once, not in each process
-
 TINY = DetectorConfig(
     widths=(16, 24, 32, 48),
     fpn_channels=32,
