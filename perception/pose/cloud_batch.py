@@ -22,9 +22,8 @@ class CloudConfig:
     how often that is a circle in the image, as the paper's; circle: if not None, every mask is one of this radius [px].
     rest: whether the rest of the tool is seen, too; rest_error_share, rest_chunk_share: how often its mask is
     imperfect, a piece of it missing; rest_gap_share: how often it begins up to rest_gap [m] beyond the cut;
-    wrong_rest_share: how often it is another tool's. guessed: whether the mask's
-    pixels without a depth are there, too, at a guessed one. points, of which the first `ordered` are farthest-point
-    samples: what the network takes."""
+    wrong_rest_share: how often it is another tool's. guessed: whether the mask's pixels without a depth are there, too,
+    at a guessed one. points, of which the first `ordered` are farthest-point samples: what the network takes."""
 
     distance: tuple[float, float] = (0.35, 1.1)
     near_share: float = 0.25

@@ -193,8 +193,9 @@ class CloudGenerator:
         points, valid, _ = pick(mask & (depth > 0), depth, rays)
         # Here the rest begins a pixel of this window beside the cut, in an image at the very next point: what it says
         # of the cut is not to be relied on.
-        gap = torch.where(draws.uniform(len(points)) < c.rest_gap_share, draws.uniform(len(points), 0.0, c.rest_gap), 0)
-        valid &= (points - target.focus[:, None]).norm(dim=-1) > (target.cut.radius + gap)[:, None] * (gap > 0)[:, None]
+        wide = draws.uniform(len(points)) < c.rest_gap_share
+        start = torch.where(wide, target.cut.radius + draws.uniform(len(points), 0.0, c.rest_gap), 0.0)
+        valid &= (points - target.focus[:, None]).norm(dim=-1) > start[:, None]
         other = (draws.uniform(len(points)) < c.wrong_rest_share)[:, None]
         points = torch.where(other[..., None], points.roll(1, 0), points)
         valid = torch.where(other, valid.roll(1, 0), valid)
