@@ -38,6 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--init", type=Path, help="folder of weights to start from")
     parser.add_argument("--hands", type=Path, help="hand samples written by --prepare-hands")
+    parser.add_argument("--rendered", type=Path, nargs="+", default=[], help="files of `toolee train clouds` to mix in")
     parser.add_argument("--calibrate-only", action="store_true", help="validate and calibrate the weights in --out")
     parser.add_argument("--prepare-hands", type=Path, metavar="FILE", help="write the hand samples and end")
     for f in fields(TrainConfig):
@@ -57,12 +58,14 @@ def main(arguments: list[str] | None = None) -> int:
             raise UserError("say where the weights go: --out DIR")
         if options.column is not None and options.estimator != "paper":
             raise UserError("--column belongs to the paper's estimator: add --estimator paper")
+        if options.rendered and options.estimator == "paper":
+            raise UserError("--rendered: the paper's estimator is trained on clouds of its own protocol alone")
         config = TrainConfig(**{f.name: getattr(options, f.name) for f in fields(TrainConfig)})
         clouds = PROTOCOLS[options.protocol]()
         method: Ours | PaperMethod = Ours(clouds_config=clouds)
         if options.estimator == "paper":
             method = PaperMethod(COLUMNS[options.column or "symmetry-aware"], clouds)
-        train(options.out, config, method, options.hands, options.calibrate_only, options.init)
+        train(options.out, config, method, options.hands, options.calibrate_only, options.init, options.rendered)
     except TooleeError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2 if isinstance(error, UserError) else 1

@@ -56,7 +56,8 @@ class Instance:
 @dataclass(frozen=True, eq=False)
 class Case:
     """One mask, and the cloud under it. instance: index of what it shows, None for a false alarm. score: the
-    detector's; tool_score: its tool's. tool_points: (N, 3) [m] of the whole tool."""
+    detector's; tool_score: its tool's. tool_points: (N, 3) [m] of the whole tool. overlap: the largest IoU of the mask
+    with an EE of its category, whether that counts as found or not."""
 
     instance: int | None
     image: int
@@ -65,6 +66,7 @@ class Case:
     cloud: EeCloud
     tool_points: Array
     tool_score: float = 1.0
+    overlap: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,21 +214,22 @@ def _add(
         overlaps = {
             n: mask_iou(mask, detection.mask)
             for n, mask in here.items()
-            if found.instances[n].category == detection.category and n not in taken
+            if found.instances[n].category == detection.category
         }
-        best = max(overlaps, key=lambda n: overlaps[n], default=None)
+        best = max(overlaps.keys() - taken, key=lambda n: overlaps[n], default=None)
         if best is not None and overlaps[best] < MATCH_IOU:
             best = None
         if best is not None:
             taken.add(best)
-        found.cases["predicted"].append(_case(best, image, frame, detection))
+        found.cases["predicted"].append(_case(best, image, frame, detection, max(overlaps.values(), default=0.0)))
 
 
-def _case(instance: int | None, image: int, frame: RgbdFrame, detection: Detection) -> Case:
+def _case(instance: int | None, image: int, frame: RgbdFrame, detection: Detection, overlap: float = 1.0) -> Case:
     tool_mask = detection.mask if detection.tool_mask is None else detection.tool_mask
     tool_points = back_project(frame.depth, without_flying_pixels(frame.depth, tool_mask), frame.intrinsics)
     score, tool_score = detection.score, detection.tool_score
-    return Case(instance, image, detection.category, score, ee_cloud(frame, detection), tool_points, tool_score)
+    cloud = ee_cloud(frame, detection)
+    return Case(instance, image, detection.category, score, cloud, tool_points, tool_score, overlap)
 
 
 def _splits(folder: Path) -> list[list[Path]]:

@@ -47,11 +47,16 @@ def spin_is_told(instance: Instance, case: Case) -> bool:
     z = instance.X_camera_ee[:3, 2]
     if case.cloud.direction is not None and float(np.linalg.norm(np.cross(case.cloud.direction, z))) > 0.3:
         return True
+    return telling_points(instance, case) >= SPIN_PIXELS
+
+
+def telling_points(instance: Instance, case: Case) -> int:
+    """How many points of the cloud are of what tells the spin about a hammer's axis: handle or claw."""
     tree, tells = _labelled_surface(instance.catalogue, instance.tool)
     X_tool_ee = instance.catalogue.tool(instance.tool).ees[instance.ee].X_tool_ee
     X_tool_camera = X_tool_ee @ inverse(instance.X_camera_ee)
     nearest = tree.query(transform_points(X_tool_camera, case.cloud.points))[1]
-    return int(np.count_nonzero(tells[nearest])) >= SPIN_PIXELS
+    return int(np.count_nonzero(tells[nearest]))
 
 
 @lru_cache(maxsize=512)

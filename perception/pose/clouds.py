@@ -15,7 +15,7 @@ from torch import Tensor
 from toolee_robot.perception.pose import splat
 from toolee_robot.perception.pose.bank import NOWHERE, Float32, ToolBank, random_grasps
 from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, CanonicalCloud, canonicalize, with_rest
-from toolee_robot.perception.pose.cloud_batch import CloudBatch, CloudConfig
+from toolee_robot.perception.pose.cloud_batch import CATEGORY_SHARE, CloudBatch, CloudConfig
 from toolee_robot.perception.pose.cloud_cuts import Cut
 from toolee_robot.perception.pose.cloud_masks import cleaned, imperfect, pick
 from toolee_robot.perception.pose.cloud_scene import (
@@ -26,18 +26,13 @@ from toolee_robot.perception.pose.cloud_scene import (
     rigid_inverse,
     upright_rotations,
 )
+from toolee_robot.perception.pose.cloud_source import CloudSource
 from toolee_robot.perception.pose.draws import Draws
 from toolee_robot.perception.pose.fill import fill
 from toolee_robot.perception.pose.splat import GRID, Window, ZBuffer
 from toolee_robot.tools.model import ee_radius
 from toolee_robot.types import Category
 
-_CATEGORY_SHARE = {
-    Category.HAMMER_HEAD: 0.25,
-    Category.HAMMER_GRIP: 0.28,
-    Category.SCREWDRIVER_HEAD: 0.15,
-    Category.WRENCH_HEAD: 0.32,
-}
 _MOST_GUESSED = 512
 
 
@@ -56,7 +51,7 @@ class Target:
     on_hand: Tensor
 
 
-class CloudGenerator:
+class CloudGenerator(CloudSource):
     """Endless clouds of one bank on one device, from one seed."""
 
     def __init__(
@@ -85,26 +80,19 @@ class CloudGenerator:
         radii = [self.config.radius or ee_radius(c) for c in categories]
         self._radius = put(np.array(radii, np.float32))
         counts = np.bincount(bank.category, minlength=len(categories))
-        share = np.array([_CATEGORY_SHARE[c] for c in categories])
+        share = np.array([CATEGORY_SHARE[c] for c in categories])
         self._weights = share[bank.category] / counts[bank.category]
         self._weights /= self._weights.sum()
 
     def reseed(self, seed: int) -> None:
-        """Start another sequence of clouds."""
+        """See `CloudSource`."""
         self._draws.generator.manual_seed(seed)
         self._rng = np.random.default_rng(seed)
 
     def generate(self, n: int) -> CloudBatch:
-        """Up to n clouds: those that show too little are dropped."""
+        """See `CloudSource`."""
         with torch.no_grad():
             return self._generate(n)
-
-    def collect(self, n: int, chunk: int) -> CloudBatch:
-        """Exactly n clouds, made `chunk` at a time."""
-        batches: list[CloudBatch] = []
-        while sum(map(len, batches)) < n:
-            batches.append(self.generate(chunk))
-        return CloudBatch.cat(batches).select(torch.arange(n, device=self._device))
 
     def _generate(self, B: int) -> CloudBatch:
         c, draws = self.config, self._draws

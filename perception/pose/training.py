@@ -6,6 +6,7 @@ import copy
 import json
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Generic
@@ -17,7 +18,9 @@ from toolee_robot.errors import AssetError, TooleeError
 from toolee_robot.perception.pose import validation
 from toolee_robot.perception.pose.bank import Float32, ToolBank, load_hands, tool_bank
 from toolee_robot.perception.pose.cloud_batch import CloudBatch
+from toolee_robot.perception.pose.cloud_source import CloudSource, Mixture
 from toolee_robot.perception.pose.method import Method, Net, Ours
+from toolee_robot.perception.pose.rendered import RenderedClouds, RenderedSource
 from toolee_robot.perception.pose.reservoir import Reservoir
 from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.perception.ranks import Ranks, ranks
@@ -28,7 +31,8 @@ from toolee_robot.perception.training_log import Scalars
 class TrainConfig:
     """minutes: wall-clock of the optimisation; max_steps: if not 0, the budget is in steps instead. The learning rate
     follows a cosine over it. session_minutes: how much of it this process does (0: all that is left); the next one
-    resumes. reuse: how often a cloud is shown. train_seeds, test_seeds: tools of each kind, training and held out."""
+    resumes. reuse: how often a cloud is shown. train_seeds, test_seeds: tools of each kind, training and held out.
+    rendered_share: of the clouds, where rendered ones are given."""
 
     minutes: float = 9.0
     max_steps: int = 0
@@ -46,6 +50,7 @@ class TrainConfig:
     train_seeds: int = 480
     test_seeds: int = 30
     validation: int = 4096
+    rendered_share: float = 0.5
     checkpoint_seconds: float = 120.0
     compile: bool = True
     seed: int = 0
@@ -63,8 +68,9 @@ class Trainer(Generic[Net]):
         hands: Float32,
         method: Method[Net],
         place: Ranks,
+        rendered: RenderedClouds | None = None,
     ) -> None:
-        """banks: training and held-out tools. The first rank validates, logs and writes."""
+        """banks: training and held-out tools. rendered: clouds to mix in. The first rank validates, logs and writes."""
         self.out, self.config, self.ranks = out, config, place
         self.device = place.device
         torch.manual_seed(config.seed)
@@ -79,7 +85,11 @@ class Trainer(Generic[Net]):
             betas=(0.9, 0.99),
             fused=self.device.type == "cuda",
         )
-        self._generator = method.clouds(banks[0], hands, self.device, self._seed(1))
+        made = method.clouds(banks[0], hands, self.device, self._seed(1))
+        self._generator: CloudSource = made
+        if rendered is not None:
+            kept = RenderedSource(rendered, self.device, self._seed(3), made.config)
+            self._generator = Mixture(made, kept, config.rendered_share)
         self._test_bank = banks[1]
         self._held_out = method.clouds(banks[1], hands, self.device, 10_000 + config.seed)
         self._g = torch.Generator(self.device).manual_seed(self._seed(2))
@@ -275,18 +285,21 @@ def train(
     hands_file: Path | None = None,
     calibrate_only: bool = False,
     init: Path | None = None,
+    rendered: Sequence[Path] = (),
 ) -> dict[str, Any]:
     """The whole job: surface samples, training, validation, weights in `out`. Raises AssetError, TooleeError.
 
     method: `Ours` if None. calibrate_only: no training, but validation and calibration of the weights that are there.
-    init: folder of weights to start from, of the same architecture; their process may be another.
+    init: folder of weights to start from, of the same architecture; their process may be another. rendered: files of
+    `RenderedClouds` to mix in.
     """
+    kept = RenderedClouds.cat([RenderedClouds.load(path) for path in rendered]) if rendered else None
     begun = time.monotonic()
     banks = tool_bank(False, config.train_seeds), tool_bank(True, config.test_seeds)
     hands = load_hands(hands_file)
     print(f"{[len(b.category) for b in banks]} EEs and {len(hands)} hands sampled in {time.monotonic() - begun:.0f} s")
     with ranks() as place:
-        trainer = Trainer(out, config, banks, hands, method or Ours(), place)
+        trainer = Trainer(out, config, banks, hands, method or Ours(), place, kept)
         if init is not None:
             trainer.start_from(init)
         return trainer.calibrate() if calibrate_only else trainer.run()

@@ -113,6 +113,8 @@ class Pose:
     """Between checkpoints (default: 120)."""
     hands: _File = None
     """Hand samples, for machines without the hand's model."""
+    rendered: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = ()
+    """Clouds of rendered images to mix in, made by `toolee train clouds`."""
     json: Flag = False
     """Print one line of JSON last on standard output."""
 
@@ -124,6 +126,8 @@ class Pose:
 
         if self.column is not None and (self.estimator != "paper" or self.column not in COLUMNS):
             raise UserError(f"--column {self.column}: with --estimator paper one of {', '.join(COLUMNS)}")
+        if self.rendered and self.estimator == "paper":
+            raise UserError("--rendered: the paper's estimator is trained on clouds of its own protocol alone")
         options = _options(self, self.config, {f.name for f in fields(TrainConfig) if f.default is not MISSING})
         config: TrainConfig = TrainConfig(**options)
         resume = (self.out / "checkpoint.pt").is_file()
@@ -132,7 +136,7 @@ class Pose:
         _remember(self.out, resume, {**about, "estimator": self.estimator, "column": column, "protocol": self.protocol})
         clouds = PROTOCOLS[self.protocol]()
         method: Any = Ours(clouds_config=clouds) if column is None else PaperMethod(COLUMNS[column], clouds)
-        report = train(self.out, config, method, self.hands)
+        report = train(self.out, config, method, self.hands, rendered=self.rendered)
         if self.json:
             print(json_line({"out": str(self.out), "resumed": resume, "report": report}), flush=True)
         return 0
@@ -184,8 +188,54 @@ class Trust:
         return 0
 
 
+@dataclass(frozen=True)
+class Clouds:
+    """Keep the clouds of a data set's images, under true masks and the detector's, for the pose network's training.
+
+    Example: toolee train clouds data/hard/train --out runs/clouds.npz --workers 2
+
+    Take images that the detector was not trained on.
+    """
+
+    data: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
+    """A data set, or one split of it."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """Where the clouds go, for `toolee train pose --rendered FILE`."""
+    weights: _File = None
+    """Folder with the detector's weights (default: those that ship)."""
+    limit: _Count = None
+    """Images of each split (default: all)."""
+    workers: Annotated[int, tyro.conf.arg(metavar="W")] = 1
+    """Processes at a time."""
+    device: Annotated[str, tyro.conf.arg(metavar="NAME")] = "cpu"
+    """Where the detector runs: cpu, cuda, cuda:1."""
+    json: Flag = False
+    """Print one line of JSON last on standard output; everything for people goes to standard error."""
+
+    def run(self) -> int:
+        console = Console(stderr=self.json, highlight=False)
+        from toolee_robot.perception.rendered_clouds import rendered_clouds
+
+        with console.status("loading the detector") as status:
+            clouds = rendered_clouds(
+                self.data,
+                self.weights,
+                self.device,
+                self.workers,
+                self.limit,
+                lambda done, of: status.update(f"{done} of {of} scene folders"),
+            )
+        clouds.save(self.out)
+        shown = int(clouds.positive.sum())
+        console.print(f"{shown} clouds of end effectors and {len(clouds) - shown} of what is none in {self.out}")
+        if self.json:
+            print(json_line({"out": str(self.out), "positive": shown, "negative": len(clouds) - shown}), flush=True)
+        return 0
+
+
 _Action = (
     Annotated[Segmentation, tyro.conf.subcommand("segmentation")]
+    | Annotated[Clouds, tyro.conf.subcommand("clouds")]
     | Annotated[Pose, tyro.conf.subcommand("pose")]
     | Annotated[Trust, tyro.conf.subcommand("trust")]
 )

@@ -1,0 +1,196 @@
+"""Clouds of rendered images, kept: what a depth camera and a detector's masks really leave of an end effector.
+
+The clouds of `clouds.py` are new each time, but of tools that stand alone before a plane, under masks that are wrong at
+random. These are of whole scenes, under true masks and under those of a detector that never saw the images.
+`toolee_robot.perception.rendered_clouds` makes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolee_robot.errors import AssetError
+from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, CanonicalCloud, canonicalize, with_rest
+from toolee_robot.perception.pose.cloud_batch import CATEGORY_SHARE, CloudBatch, CloudConfig
+from toolee_robot.perception.pose.cloud_source import CloudSource
+from toolee_robot.perception.pose.draws import Draws
+from toolee_robot.tools.model import ee_radius
+from toolee_robot.types import Category
+
+MOST_POINTS, MOST_GUESSED, MOST_REST = 1024, 512, 1024
+"""More points of a cloud are not kept: the network takes 512 of them, and 256 of the rest."""
+_DIRECTION_SIGMA = 0.1
+"""As the direction to the rest of the tool is uncertain in `cloud_scene.directions`."""
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedClouds:
+    """N clouds and their truth, camera frame.
+
+    points (P, 3), guessed (G, 3), rest (Q, 3) float32 [m]: as `EeCloud` has them, one cloud's after the other's; counts
+    (N, 3) int64: how many of each are a cloud's. X_camera_ee (N, 4, 4) float32; p_camera_hand (N, 3) float32 [m]: NaN
+    where no hand is known. category (N,) int64; positive (N,) bool: whether the mask shows an EE of that category.
+    visible (N,) int64: points there were before they were thinned; tells_spin (N,) int64: how many of these tell the
+    spin; occlusion (N,) float32 in [0, 1].
+    """
+
+    points: NDArray[np.float32]
+    guessed: NDArray[np.float32]
+    rest: NDArray[np.float32]
+    counts: NDArray[np.int64]
+    X_camera_ee: NDArray[np.float32]
+    p_camera_hand: NDArray[np.float32]
+    category: NDArray[np.int64]
+    positive: NDArray[np.bool_]
+    visible: NDArray[np.int64]
+    tells_spin: NDArray[np.int64]
+    occlusion: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+    @classmethod
+    def cat(cls, several: Sequence[RenderedClouds]) -> RenderedClouds:
+        """All of them in one."""
+        many = [_none(), *several]
+        return cls(*(np.concatenate([getattr(each, f.name) for each in many]) for f in fields(cls)))
+
+    def save(self, path: Path) -> None:
+        """Write them into one file."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_name(f".{path.name}.part")
+        with part.open("wb") as file:
+            np.savez(file, **{f.name: getattr(self, f.name) for f in fields(self)})
+        part.replace(path)
+
+    @classmethod
+    def load(cls, path: Path) -> RenderedClouds:
+        """Raises AssetError where the file is missing or no such file."""
+        try:
+            with np.load(path) as data:
+                return cls(*(data[f.name] for f in fields(cls)))
+        except (OSError, ValueError, KeyError) as error:
+            raise AssetError(f"{path} holds no clouds: make them with `toolee train clouds` ({error})") from error
+
+
+def _none() -> RenderedClouds:
+    points, numbers = np.empty((0, 3), np.float32), np.empty(0, np.int64)
+    return RenderedClouds(
+        points,
+        guessed=points,
+        rest=points,
+        counts=np.empty((0, 3), np.int64),
+        X_camera_ee=np.empty((0, 4, 4), np.float32),
+        p_camera_hand=points,
+        category=numbers,
+        positive=np.empty(0, np.bool_),
+        visible=numbers,
+        tells_spin=numbers,
+        occlusion=np.empty(0, np.float32),
+    )
+
+
+class RenderedSource(CloudSource):
+    """Endless draws from kept clouds; each time the network's points are drawn anew."""
+
+    def __init__(self, clouds: RenderedClouds, device: torch.device | str, seed: int, config: CloudConfig) -> None:
+        """config: its negative_share, points and ordered hold here, too."""
+        self._device, self._config = torch.device(device), config
+        self._draws = Draws(self._device, seed)
+
+        def put(x: np.ndarray) -> Tensor:
+            return torch.as_tensor(x, device=self._device)
+
+        self._flat = put(clouds.points), put(clouds.guessed), put(clouds.rest)
+        self._counts = put(clouds.counts)
+        self._starts = self._counts.cumsum(0) - self._counts
+        self._X, self._p_hand = put(clouds.X_camera_ee), put(clouds.p_camera_hand)
+        self._category, self._positive = put(clouds.category), put(clouds.positive)
+        self._visible, self._tells, self._occlusion = put(clouds.visible), put(clouds.tells_spin), put(clouds.occlusion)
+        self._radius = put(np.array([ee_radius(c) for c in Category], np.float32))
+        self._weights = put(_weights(clouds, config.negative_share))
+
+    def reseed(self, seed: int) -> None:
+        """See `CloudSource`."""
+        self._draws.generator.manual_seed(seed)
+
+    def generate(self, n: int) -> CloudBatch:
+        """See `CloudSource`."""
+        with torch.no_grad():
+            return self._generate(n)
+
+    def _generate(self, n: int) -> CloudBatch:
+        c, draws = self._config, self._draws
+        which = torch.multinomial(self._weights, n, replacement=True, generator=draws.generator)
+        points, valid = self._take(0, which, MOST_POINTS)
+        rest, rest_valid = self._take(2, which, MOST_REST)
+        category = self._category[which]
+        guessed = self._take(1, which, MOST_GUESSED) if c.guessed else None
+        cloud = canonicalize(points, valid, self._radius[category], draws.generator, c.points, c.ordered, guessed)
+        # A fraction of what was seen, as at inference.
+        visible = cloud.count / valid.sum(1).clamp_min(1) * self._visible[which]
+        if c.rest:
+            cloud = with_rest(cloud, rest, rest_valid, draws.generator)
+        X = self._X[which]
+        result = CloudBatch(
+            points=cloud.points,
+            guessed=cloud.guessed,
+            centre=cloud.centre,
+            R_canonical=cloud.R,
+            rest=cloud.rest,
+            rest_known=cloud.rest_known,
+            R=cloud.R @ X[:, :3, :3],
+            p=torch.einsum("bij,bj->bi", cloud.R, X[:, :3, 3] - cloud.centre),
+            direction=self._direction(cloud, rest, rest_valid, self._p_hand[which]),
+            tells_spin=self._tells[which],
+            category=category,
+            item=torch.full_like(which, -1),
+            positive=self._positive[which],
+            visible=visible,
+            occlusion=self._occlusion[which],
+            distance=X[:, 2, 3],
+        )
+        return result.select((cloud.count >= MIN_KEPT) & (visible >= MIN_POINTS))
+
+    def _take(self, kind: int, which: Tensor, most: int) -> tuple[Tensor, Tensor]:
+        """points (B, most, 3) of those clouds, and which of them are real (B, most)."""
+        k = torch.arange(most, device=self._device)
+        valid = k < self._counts[which, kind, None]
+        flat = self._flat[kind]
+        if not len(flat):
+            return flat.new_zeros(*valid.shape, 3), valid
+        rows = (self._starts[which, kind, None] + k).clamp(max=len(flat) - 1)
+        return torch.where(valid[..., None], flat[rows], 0.0), valid
+
+    def _direction(self, cloud: CanonicalCloud, rest: Tensor, valid: Tensor, p_hand: Tensor) -> Tensor:
+        """Tokens (B, 5), as the estimator makes them: to the median of the rest, or else to the hand, where known."""
+        ordered = torch.where(valid[..., None], rest, torch.inf).sort(1).values
+        middle = ((valid.sum(1) - 1).clamp_min(0) // 2)[:, None, None].expand(-1, 1, 3)
+        by_hand = ~cloud.rest_known
+        goal = torch.where(by_hand[:, None], p_hand, ordered.gather(1, middle)[:, 0])
+        known = torch.isfinite(goal).all(1)
+        d = torch.nn.functional.normalize(torch.where(known[:, None], goal, 0.0) - cloud.centre, dim=-1)
+        d = torch.nn.functional.normalize(d + _DIRECTION_SIGMA * self._draws.normal(len(d), 3), dim=-1)
+        d = torch.einsum("bij,bj->bi", cloud.R, d)
+        token = torch.cat([d, torch.ones_like(d[:, :1]), by_hand.float()[:, None]], dim=-1)
+        return torch.where(known[:, None], token, 0.0)
+
+
+def _weights(clouds: RenderedClouds, negative_share: float) -> NDArray[np.float32]:
+    """(N,) how often each cloud is drawn: the categories by their shares, negatives by theirs."""
+    weights = np.zeros(len(clouds), np.float32)
+    kinds = [(~clouds.positive, negative_share)]
+    for k, category in enumerate(Category):
+        kinds.append((clouds.positive & (clouds.category == k), (1 - negative_share) * CATEGORY_SHARE[category]))
+    for rows, share in kinds:
+        weights[rows] = share / max(int(rows.sum()), 1)
+    if not weights.any():
+        raise AssetError("the file of rendered clouds is empty: take more images")
+    return weights
