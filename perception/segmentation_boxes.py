@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import torch
 from torch import Tensor
 
+ANCHOR_RATIOS = (0.5, 1.0, 2.0)
+
+_STRIDES = (8, 16, 32, 64)
 _LOG_LIMIT = math.log(1000.0 / 16.0)
 
 
@@ -55,3 +59,20 @@ def greedy_suppression(boxes: Tensor, threshold: float, iterations: int = 8) -> 
     for _ in range(iterations):
         keep = ~(overlaps & keep[:, :, None]).any(1)
     return keep
+
+
+@lru_cache(maxsize=8)
+def anchor_boxes(sizes: tuple[tuple[float, float], ...], height: int, width: int, device: torch.device) -> list[Tensor]:
+    """Per pyramid level, of which `sizes` has the square roots of the anchors' areas [px]: the anchors (A_l, 4) of an
+    input of this size."""
+    levels = []
+    for stride, scales in zip(_STRIDES, sizes, strict=True):
+        ratio = torch.tensor(ANCHOR_RATIOS).repeat(len(scales))
+        scale = torch.tensor(scales).repeat_interleave(len(ANCHOR_RATIOS))
+        half = torch.stack([scale / ratio.sqrt(), scale * ratio.sqrt()], 1) / 2
+        ys = (torch.arange(-(-height // stride)) + 0.5) * stride
+        xs = (torch.arange(-(-width // stride)) + 0.5) * stride
+        y, x = torch.meshgrid(ys, xs, indexing="ij")
+        centre = torch.stack([x, y], -1)[:, :, None]
+        levels.append(torch.cat([centre - half, centre + half], -1).reshape(-1, 4).to(device))
+    return levels

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from typing import Any
 
 import torch
@@ -21,7 +20,7 @@ from torchvision.models.resnet import BasicBlock
 from torchvision.ops import batched_nms, roi_align
 
 from toolee_robot.errors import AssetError
-from toolee_robot.perception.segmentation_boxes import clip, decode, greedy_suppression
+from toolee_robot.perception.segmentation_boxes import ANCHOR_RATIOS, anchor_boxes, clip, decode, greedy_suppression
 from toolee_robot.perception.segmentation_input import CHANNELS, RgbdBatch
 from toolee_robot.perception.segmentation_masks import MaskHead, features_size, mask_boxes
 from toolee_robot.types import Category
@@ -32,9 +31,7 @@ TOOL = len(CLASSES) - 1
 WEIGHTS_NAME = "segmentation"
 MOST_ENLARGED = 2.0
 
-_RPN_STRIDES = (8, 16, 32, 64)
 _ROI_STRIDES = (4, 8, 16, 32)
-_RATIOS = (0.5, 1.0, 2.0)
 ROI_DELTA_WEIGHTS = (10.0, 10.0, 5.0, 5.0)
 
 
@@ -124,7 +121,7 @@ class Detector(nn.Module):
     def __init__(self, config: DetectorConfig | None = None) -> None:
         super().__init__()
         self.config = config = config or DetectorConfig()
-        c, n_anchors, n_classes = config.fpn_channels, 2 * len(_RATIOS), len(CLASSES)
+        c, n_anchors, n_classes = config.fpn_channels, 2 * len(ANCHOR_RATIOS), len(CLASSES)
         self.backbone = Backbone(config)
         self.rpn_conv = nn.Conv2d(c, c, 3, padding=1)
         self.rpn_score = nn.Conv2d(c, n_anchors, 1)
@@ -161,7 +158,7 @@ class Detector(nn.Module):
 
     def anchors(self, height: int, width: int, device: torch.device) -> list[Tensor]:
         """Per level: anchor boxes (A_l, 4) of an input of this size."""
-        return _anchors(self.config.anchor_sizes, height, width, device)
+        return anchor_boxes(self.config.anchor_sizes, height, width, device)
 
     @torch.no_grad()
     def proposals(
@@ -267,18 +264,3 @@ def pyramid_roi_align(pyramid: list[Tensor], rois: Tensor, size: int) -> Tensor:
 
 def _conv_bn(n_in: int, n_out: int, size: int) -> nn.Sequential:
     return nn.Sequential(nn.Conv2d(n_in, n_out, size, padding=size // 2, bias=False), nn.BatchNorm2d(n_out))
-
-
-@lru_cache(maxsize=8)
-def _anchors(sizes: tuple[tuple[float, float], ...], height: int, width: int, device: torch.device) -> list[Tensor]:
-    levels = []
-    for stride, scales in zip(_RPN_STRIDES, sizes, strict=True):
-        ratio = torch.tensor(_RATIOS).repeat(len(scales))
-        scale = torch.tensor(scales).repeat_interleave(len(_RATIOS))
-        half = torch.stack([scale / ratio.sqrt(), scale * ratio.sqrt()], 1) / 2
-        ys = (torch.arange(-(-height // stride)) + 0.5) * stride
-        xs = (torch.arange(-(-width // stride)) + 0.5) * stride
-        y, x = torch.meshgrid(ys, xs, indexing="ij")
-        centre = torch.stack([x, y], -1)[:, :, None]
-        levels.append(torch.cat([centre - half, centre + half], -1).reshape(-1, 4).to(device))
-    return levels
