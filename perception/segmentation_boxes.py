@@ -38,6 +38,12 @@ def clip(boxes: Tensor, height: int, width: int) -> Tensor:
     return torch.minimum(boxes.nan_to_num(0.0, 0.0, 0.0).clamp(min=0.0), limit)
 
 
+def mirror_boxes(boxes: Tensor, width: int) -> Tensor:
+    """The boxes (N, 4) as a mirror image of `width` [px] shows them, left for right."""
+    x0, y0, x1, y1 = boxes.unbind(1)
+    return torch.stack([width - x1, y0, width - x0, y1], 1)
+
+
 def pairwise_iou(a: Tensor, b: Tensor) -> Tensor:
     """Intersection over union (..., N, M) of boxes (..., N, 4) and (..., M, 4)."""
     a, b = a[..., :, None, :], b[..., None, :, :]

@@ -20,8 +20,15 @@ from torchvision.models.resnet import BasicBlock
 from torchvision.ops import batched_nms, roi_align
 
 from toolee_robot.errors import AssetError
-from toolee_robot.perception.segmentation_boxes import ANCHOR_RATIOS, anchor_boxes, clip, decode, greedy_suppression
-from toolee_robot.perception.segmentation_input import CHANNELS, RgbdBatch
+from toolee_robot.perception.segmentation_boxes import (
+    ANCHOR_RATIOS,
+    anchor_boxes,
+    clip,
+    decode,
+    greedy_suppression,
+    mirror_boxes,
+)
+from toolee_robot.perception.segmentation_input import CHANNELS, RgbdBatch, mirror
 from toolee_robot.perception.segmentation_masks import MaskHead, features_size, mask_boxes
 from toolee_robot.types import Category
 
@@ -195,26 +202,51 @@ class Detector(nn.Module):
 
     @torch.inference_mode()
     def detect(self, batch: RgbdBatch, score_threshold: float | None = None) -> list[RawDetections]:
-        """Detections of each image, of which the class is at least as probable as the threshold (None: configured)."""
+        """Detections of each image, of which the class is at least as probable as the threshold (None: configured).
+
+        What is found is judged and drawn again in the mirrored image: probabilities and logits are the means of both.
+        """
         threshold = self.config.score_threshold if score_threshold is None else score_threshold
-        height, width = batch.pixels.shape[-2:]
+        height, width = size = (batch.pixels.shape[2], batch.pixels.shape[3])
         pyramid = self.backbone(batch.pixels)
         boxes, valid = self.proposals(*self.rpn(pyramid), height, width, self.config.pre_nms, self.config.post_nms)
+        found = [self._found(pyramid, i, boxes[i][valid[i]], size, threshold) for i in range(len(boxes))]
+        rois, scores, labels = (torch.cat(values) for values in zip(*found, strict=True))
+        masks, quality = self.mask_outputs(pyramid, batch, rois, labels)
+        if len(rois):
+            again = self._mirrored_outputs(batch, rois, labels)
+            scores, masks, quality = ((a + b) / 2 for a, b in zip((scores, masks, quality), again, strict=True))
+        scores, masks, covered = scores * quality.sigmoid(), masks.sigmoid(), mask_boxes(rois[:, 1:])
         results = []
-        for i in range(len(batch.pixels)):
-            proposals = boxes[i][valid[i]]
-            index = torch.full((len(proposals), 1), float(i), device=boxes.device)
-            logits, deltas = self.box_outputs(pyramid, torch.cat([index, proposals], 1))
-            probability = logits.float().softmax(1)[:, 1:]
-            roi, label = torch.nonzero(probability > threshold, as_tuple=True)
-            score, label = probability[roi, label], label + 1
-            box = clip(decode(deltas[roi, label].float(), proposals[roi], ROI_DELTA_WEIGHTS), height, width)
-            keep = batched_nms(box, score, label, self.config.box_nms)[: self.config.max_detections]
-            box, score, label = box[keep], score[keep], label[keep]
-            rois = torch.cat([index[:1].expand(len(box), 1), box], 1)
-            masks, quality = self.mask_outputs(pyramid, batch, rois, label)
-            results.append(RawDetections(box, score * quality.sigmoid(), label, masks.sigmoid(), mask_boxes(box)))
+        for i in range(len(boxes)):
+            here = rois[:, 0] == i
+            results.append(RawDetections(rois[here, 1:], scores[here], labels[here], masks[here], covered[here]))
         return results
+
+    def _found(
+        self, pyramid: list[Tensor], image: int, proposals: Tensor, size: tuple[int, int], threshold: float
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """What is in the proposals (P, 4) of one image of `size` (height, width), each thing once: rois (N, 5),
+        probabilities (N,) and labels (N,) of their classes."""
+        index = torch.full((len(proposals), 1), float(image), device=proposals.device)
+        logits, deltas = self.box_outputs(pyramid, torch.cat([index, proposals], 1))
+        probability = logits.float().softmax(1)[:, 1:]
+        roi, label = torch.nonzero(probability > threshold, as_tuple=True)
+        score, label = probability[roi, label], label + 1
+        box = clip(decode(deltas[roi, label].float(), proposals[roi], ROI_DELTA_WEIGHTS), *size)
+        keep = batched_nms(box, score, label, self.config.box_nms)[: self.config.max_detections]
+        return torch.cat([index[roi[keep]], box[keep]], 1), score[keep], label[keep]
+
+    def _mirrored_outputs(self, batch: RgbdBatch, rois: Tensor, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Of rois (R, 5), as the mirrored images show them: the probabilities (R,) of the classes `labels` (R,), mask
+        logits (R, MASK_SIZE, MASK_SIZE), the right way round again, and logits (R,) of the masks' IoU."""
+        images, index = torch.unique(rois[:, 0].long(), return_inverse=True)
+        mirrored = mirror(batch, images)
+        pyramid = self.backbone(mirrored.pixels)
+        rois = torch.cat([index[:, None].to(rois.dtype), mirror_boxes(rois[:, 1:], batch.pixels.shape[-1])], 1)
+        probability = self.box_outputs(pyramid, rois)[0].float().softmax(1)
+        masks, quality = self.mask_outputs(pyramid, mirrored, rois, labels)
+        return probability.gather(1, labels[:, None])[:, 0], masks.flip(2), quality
 
     def fuse(self) -> Detector:
         """Fold batch normalisation into the convolutions, in place, for inference only."""
