@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import torch
 from torch import Tensor
 
+ANCHOR_RATIOS = (0.5, 1.0, 2.0)
+
+_STRIDES = (8, 16, 32, 64)
 _LOG_LIMIT = math.log(1000.0 / 16.0)
 
 
@@ -34,6 +38,12 @@ def clip(boxes: Tensor, height: int, width: int) -> Tensor:
     return torch.minimum(boxes.nan_to_num(0.0, 0.0, 0.0).clamp(min=0.0), limit)
 
 
+def mirror_boxes(boxes: Tensor, width: int) -> Tensor:
+    """The boxes (N, 4) as a mirror image of `width` [px] shows them, left for right."""
+    x0, y0, x1, y1 = boxes.unbind(1)
+    return torch.stack([width - x1, y0, width - x0, y1], 1)
+
+
 def pairwise_iou(a: Tensor, b: Tensor) -> Tensor:
     """Intersection over union (..., N, M) of boxes (..., N, 4) and (..., M, 4)."""
     a, b = a[..., :, None, :], b[..., None, :, :]
@@ -55,3 +65,20 @@ def greedy_suppression(boxes: Tensor, threshold: float, iterations: int = 8) -> 
     for _ in range(iterations):
         keep = ~(overlaps & keep[:, :, None]).any(1)
     return keep
+
+
+@lru_cache(maxsize=8)
+def anchor_boxes(sizes: tuple[tuple[float, float], ...], height: int, width: int, device: torch.device) -> list[Tensor]:
+    """Per pyramid level, of which `sizes` has the square roots of the anchors' areas [px]: the anchors (A_l, 4) of an
+    input of this size."""
+    levels = []
+    for stride, scales in zip(_STRIDES, sizes, strict=True):
+        ratio = torch.tensor(ANCHOR_RATIOS).repeat(len(scales))
+        scale = torch.tensor(scales).repeat_interleave(len(ANCHOR_RATIOS))
+        half = torch.stack([scale / ratio.sqrt(), scale * ratio.sqrt()], 1) / 2
+        ys = (torch.arange(-(-height // stride)) + 0.5) * stride
+        xs = (torch.arange(-(-width // stride)) + 0.5) * stride
+        y, x = torch.meshgrid(ys, xs, indexing="ij")
+        centre = torch.stack([x, y], -1)[:, :, None]
+        levels.append(torch.cat([centre - half, centre + half], -1).reshape(-1, 4).to(device))
+    return levels

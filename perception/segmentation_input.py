@@ -47,6 +47,14 @@ def encode_rgbd(rgb: Tensor, depth: Tensor, focal: Tensor) -> RgbdBatch:
     return RgbdBatch(pixels, depth[:, 0], focal)
 
 
+def mirror(batch: RgbdBatch, images: Tensor) -> RgbdBatch:
+    """Those of the batch's images that `images` (N,) names, left for right, their padding now at the left.
+
+    No channel has a direction: they are as if the mirrored image had been encoded.
+    """
+    return RgbdBatch(batch.pixels[images].flip(3), batch.depth[images].flip(2), batch.focal[images])
+
+
 def _surroundings(depth: Tensor, known: Tensor) -> Tensor:
     """Mean of the known depths about each pixel."""
     cells = F.avg_pool2d(torch.cat([depth, known], 1), _RELIEF_CELL)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from typing import Any
 
 import torch
@@ -21,8 +20,15 @@ from torchvision.models.resnet import BasicBlock
 from torchvision.ops import batched_nms, roi_align
 
 from toolee_robot.errors import AssetError
-from toolee_robot.perception.segmentation_boxes import clip, decode, greedy_suppression
-from toolee_robot.perception.segmentation_input import CHANNELS, RgbdBatch
+from toolee_robot.perception.segmentation_boxes import (
+    ANCHOR_RATIOS,
+    anchor_boxes,
+    clip,
+    decode,
+    greedy_suppression,
+    mirror_boxes,
+)
+from toolee_robot.perception.segmentation_input import CHANNELS, RgbdBatch, mirror
 from toolee_robot.perception.segmentation_masks import MaskHead, features_size, mask_boxes
 from toolee_robot.types import Category
 
@@ -32,9 +38,7 @@ TOOL = len(CLASSES) - 1
 WEIGHTS_NAME = "segmentation"
 MOST_ENLARGED = 2.0
 
-_RPN_STRIDES = (8, 16, 32, 64)
 _ROI_STRIDES = (4, 8, 16, 32)
-_RATIOS = (0.5, 1.0, 2.0)
 ROI_DELTA_WEIGHTS = (10.0, 10.0, 5.0, 5.0)
 
 
@@ -124,7 +128,7 @@ class Detector(nn.Module):
     def __init__(self, config: DetectorConfig | None = None) -> None:
         super().__init__()
         self.config = config = config or DetectorConfig()
-        c, n_anchors, n_classes = config.fpn_channels, 2 * len(_RATIOS), len(CLASSES)
+        c, n_anchors, n_classes = config.fpn_channels, 2 * len(ANCHOR_RATIOS), len(CLASSES)
         self.backbone = Backbone(config)
         self.rpn_conv = nn.Conv2d(c, c, 3, padding=1)
         self.rpn_score = nn.Conv2d(c, n_anchors, 1)
@@ -161,7 +165,7 @@ class Detector(nn.Module):
 
     def anchors(self, height: int, width: int, device: torch.device) -> list[Tensor]:
         """Per level: anchor boxes (A_l, 4) of an input of this size."""
-        return _anchors(self.config.anchor_sizes, height, width, device)
+        return anchor_boxes(self.config.anchor_sizes, height, width, device)
 
     @torch.no_grad()
     def proposals(
@@ -198,26 +202,51 @@ class Detector(nn.Module):
 
     @torch.inference_mode()
     def detect(self, batch: RgbdBatch, score_threshold: float | None = None) -> list[RawDetections]:
-        """Detections of each image, of which the class is at least as probable as the threshold (None: configured)."""
+        """Detections of each image, of which the class is at least as probable as the threshold (None: configured).
+
+        What is found is judged and drawn again in the mirrored image: probabilities and logits are the means of both.
+        """
         threshold = self.config.score_threshold if score_threshold is None else score_threshold
-        height, width = batch.pixels.shape[-2:]
+        height, width = size = (batch.pixels.shape[2], batch.pixels.shape[3])
         pyramid = self.backbone(batch.pixels)
         boxes, valid = self.proposals(*self.rpn(pyramid), height, width, self.config.pre_nms, self.config.post_nms)
+        found = [self._found(pyramid, i, boxes[i][valid[i]], size, threshold) for i in range(len(boxes))]
+        rois, scores, labels = (torch.cat(values) for values in zip(*found, strict=True))
+        masks, quality = self.mask_outputs(pyramid, batch, rois, labels)
+        if len(rois):
+            again = self._mirrored_outputs(batch, rois, labels)
+            scores, masks, quality = ((a + b) / 2 for a, b in zip((scores, masks, quality), again, strict=True))
+        scores, masks, covered = scores * quality.sigmoid(), masks.sigmoid(), mask_boxes(rois[:, 1:])
         results = []
-        for i in range(len(batch.pixels)):
-            proposals = boxes[i][valid[i]]
-            index = torch.full((len(proposals), 1), float(i), device=boxes.device)
-            logits, deltas = self.box_outputs(pyramid, torch.cat([index, proposals], 1))
-            probability = logits.float().softmax(1)[:, 1:]
-            roi, label = torch.nonzero(probability > threshold, as_tuple=True)
-            score, label = probability[roi, label], label + 1
-            box = clip(decode(deltas[roi, label].float(), proposals[roi], ROI_DELTA_WEIGHTS), height, width)
-            keep = batched_nms(box, score, label, self.config.box_nms)[: self.config.max_detections]
-            box, score, label = box[keep], score[keep], label[keep]
-            rois = torch.cat([index[:1].expand(len(box), 1), box], 1)
-            masks, quality = self.mask_outputs(pyramid, batch, rois, label)
-            results.append(RawDetections(box, score * quality.sigmoid(), label, masks.sigmoid(), mask_boxes(box)))
+        for i in range(len(boxes)):
+            here = rois[:, 0] == i
+            results.append(RawDetections(rois[here, 1:], scores[here], labels[here], masks[here], covered[here]))
         return results
+
+    def _found(
+        self, pyramid: list[Tensor], image: int, proposals: Tensor, size: tuple[int, int], threshold: float
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """What is in the proposals (P, 4) of one image of `size` (height, width), each thing once: rois (N, 5),
+        probabilities (N,) and labels (N,) of their classes."""
+        index = torch.full((len(proposals), 1), float(image), device=proposals.device)
+        logits, deltas = self.box_outputs(pyramid, torch.cat([index, proposals], 1))
+        probability = logits.float().softmax(1)[:, 1:]
+        roi, label = torch.nonzero(probability > threshold, as_tuple=True)
+        score, label = probability[roi, label], label + 1
+        box = clip(decode(deltas[roi, label].float(), proposals[roi], ROI_DELTA_WEIGHTS), *size)
+        keep = batched_nms(box, score, label, self.config.box_nms)[: self.config.max_detections]
+        return torch.cat([index[roi[keep]], box[keep]], 1), score[keep], label[keep]
+
+    def _mirrored_outputs(self, batch: RgbdBatch, rois: Tensor, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Of rois (R, 5), as the mirrored images show them: the probabilities (R,) of the classes `labels` (R,), mask
+        logits (R, MASK_SIZE, MASK_SIZE), the right way round again, and logits (R,) of the masks' IoU."""
+        images, index = torch.unique(rois[:, 0].long(), return_inverse=True)
+        mirrored = mirror(batch, images)
+        pyramid = self.backbone(mirrored.pixels)
+        rois = torch.cat([index[:, None].to(rois.dtype), mirror_boxes(rois[:, 1:], batch.pixels.shape[-1])], 1)
+        probability = self.box_outputs(pyramid, rois)[0].float().softmax(1)
+        masks, quality = self.mask_outputs(pyramid, mirrored, rois, labels)
+        return probability.gather(1, labels[:, None])[:, 0], masks.flip(2), quality
 
     def fuse(self) -> Detector:
         """Fold batch normalisation into the convolutions, in place, for inference only."""
@@ -267,18 +296,3 @@ def pyramid_roi_align(pyramid: list[Tensor], rois: Tensor, size: int) -> Tensor:
 
 def _conv_bn(n_in: int, n_out: int, size: int) -> nn.Sequential:
     return nn.Sequential(nn.Conv2d(n_in, n_out, size, padding=size // 2, bias=False), nn.BatchNorm2d(n_out))
-
-
-@lru_cache(maxsize=8)
-def _anchors(sizes: tuple[tuple[float, float], ...], height: int, width: int, device: torch.device) -> list[Tensor]:
-    levels = []
-    for stride, scales in zip(_RPN_STRIDES, sizes, strict=True):
-        ratio = torch.tensor(_RATIOS).repeat(len(scales))
-        scale = torch.tensor(scales).repeat_interleave(len(_RATIOS))
-        half = torch.stack([scale / ratio.sqrt(), scale * ratio.sqrt()], 1) / 2
-        ys = (torch.arange(-(-height // stride)) + 0.5) * stride
-        xs = (torch.arange(-(-width // stride)) + 0.5) * stride
-        y, x = torch.meshgrid(ys, xs, indexing="ij")
-        centre = torch.stack([x, y], -1)[:, :, None]
-        levels.append(torch.cat([centre - half, centre + half], -1).reshape(-1, 4).to(device))
-    return levels
