@@ -3,7 +3,8 @@ beside it, in the same frame, a coarse cloud of what else is seen of the tool. P
 (`fill.py`) are among the 512, marked.
 
 Centring keeps the working distance out of the network, turning makes the result independent of where in the image the
-EE stands. One implementation for training (batches on the GPU) and inference (a batch of one).
+EE stands. Here for batches, as training has them on the GPU; `canonical_one.py` does the same to the one cloud of an
+estimate.
 """
 
 from __future__ import annotations

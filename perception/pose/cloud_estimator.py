@@ -13,15 +13,8 @@ import torch
 
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, transform
-from toolee_robot.perception.pose.canonical import (
-    MIN_KEPT,
-    MIN_POINTS,
-    PATCHES,
-    POINTS,
-    CanonicalCloud,
-    canonicalize,
-    with_rest,
-)
+from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, PATCHES, POINTS, CanonicalCloud
+from toolee_robot.perception.pose.canonical_one import canonicalize_one, with_rest_one
 from toolee_robot.perception.pose.flow import Process, Sampler
 from toolee_robot.perception.pose.network import DIRECTION_DIM
 from toolee_robot.perception.pose.spin import fix_spin, nominal_R_tool_ee, with_spin_variance
@@ -107,9 +100,8 @@ class CloudEstimator(ABC):
         generator = torch.Generator().manual_seed(seed)
         visible = len(points)
         points = _thinned(points, generator)
-        radius = torch.tensor([self.radius(category)])
-        more = _batch_of_one(_thinned(_finite(guessed), generator)) if self.guesses and guessed is not None else None
-        cloud = canonicalize(*_batch_of_one(points), radius, generator, self.points, self.ordered, more)
+        more = _thinned(_finite(guessed), generator) if self.guesses and guessed is not None else None
+        cloud = canonicalize_one(points, self.radius(category), generator, self.points, self.ordered, more)
         if int(cloud.count[0]) < MIN_KEPT:
             raise PerceptionError(
                 f"the mask of the {category} covers no compact surface: {len(points)} scattered points"
@@ -117,7 +109,7 @@ class CloudEstimator(ABC):
         kept = round(int(cloud.count[0]) / len(points) * visible)
         if rest is not None:
             rest = _finite(rest)
-            cloud = with_rest(cloud, *_batch_of_one(_thinned(rest, generator)), generator)
+            cloud = with_rest_one(cloud, _thinned(rest, generator), generator)
         from_hand = not bool(cloud.rest_known[0]) and X_camera_hand is not None
         goal = None
         if bool(cloud.rest_known[0]) and rest is not None:
@@ -154,10 +146,6 @@ def _thinned(points: Array, generator: torch.Generator) -> Array:
     if len(points) > MAX_INPUT:
         points = points[torch.randperm(len(points), generator=generator)[:MAX_INPUT].numpy()]
     return points
-
-
-def _batch_of_one(points: Array) -> tuple[torch.Tensor, torch.Tensor]:
-    return torch.as_tensor(points, dtype=torch.float32)[None], torch.ones(1, len(points), dtype=torch.bool)
 
 
 def with_hand(result: PoseResult, X_camera_hand: Array, spin_sigma: float = HAND_SPIN_SIGMA) -> PoseResult:
