@@ -202,7 +202,8 @@ class Detector(nn.Module):
 
     @torch.inference_mode()
     def detect(self, batch: RgbdBatch, score_threshold: float | None = None) -> list[RawDetections]:
-        """Detections of each image, of which the class is at least as probable as the threshold (None: configured).
+        """Detections of each image, of which the class is at first at least as probable as the threshold (None:
+        configured).
 
         What is found is judged and drawn again in the mirrored image: probabilities and logits are the means of both.
         """

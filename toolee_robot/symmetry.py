@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -30,10 +31,9 @@ class SymmetryGroup:
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def elements(self, steps: int = 64) -> Array:
-        """The group's rotations, (G, 3, 3); a continuous group is sampled in `steps` equal steps."""
+        """The group's rotations, (G, 3, 3), read-only; a continuous group is sampled in `steps` equal steps."""
         n = {SymmetryKind.NONE: 1, SymmetryKind.C2: 2, SymmetryKind.CINF: steps}[self.kind]
-        angles = 2 * np.pi * np.arange(n) / n
-        return Rotation.from_rotvec(angles[:, None] * np.asarray(self.axis)).as_matrix()
+        return _turns(self.axis, n)
 
     def rotation_error(self, R_a: Array, R_b: Array) -> float:
         """Smallest angle [rad] between R_a and R_b @ g over the group; exact for the continuous group too."""
@@ -52,3 +52,12 @@ class SymmetryGroup:
             return R @ Rotation.from_rotvec(angle * axis).as_matrix()
         candidates = [R @ g for g in self.elements()]
         return min(candidates, key=lambda C: rotation_angle(C.T @ R_reference))
+
+
+@cache
+def _turns(axis: tuple[float, float, float], n: int) -> Array:
+    """(n, 3, 3): rotations about `axis` by n equal steps. Every comparison of two poses asks for the same ones."""
+    angles = 2 * np.pi * np.arange(n) / n
+    turns: Array = Rotation.from_rotvec(angles[:, None] * np.asarray(axis)).as_matrix()
+    turns.setflags(write=False)
+    return turns

@@ -3,7 +3,8 @@ beside it, in the same frame, a coarse cloud of what else is seen of the tool. P
 (`fill.py`) are among the 512, marked.
 
 Centring keeps the working distance out of the network, turning makes the result independent of where in the image the
-EE stands. One implementation for training (batches on the GPU) and inference (a batch of one).
+EE stands. Here for batches, as training has them on the GPU; `canonical_one.py` does the same to the one cloud of an
+estimate.
 """
 
 from __future__ import annotations
@@ -131,7 +132,7 @@ def farthest_points_first(points: Tensor, count: int) -> Tensor:
     More columns than three travel with their points."""
     places = points[..., :3]
     if points.device.type == "cpu":
-        picked = torch.from_numpy(np.stack([_farthest_of_one(p, count) for p in places.numpy()]))
+        picked = torch.from_numpy(np.stack([farthest_of_one(p, count) for p in places.numpy()]))
     else:
         picked = _farthest_of_batch(places, count)
     rank = torch.arange(count, 0, -1, device=points.device).expand(len(points), -1)
@@ -153,16 +154,28 @@ def _farthest_of_batch(places: Tensor, count: int) -> Tensor:
     return torch.cat(picked, 1)
 
 
-def _farthest_of_one(places: NDArray[np.float32], count: int) -> NDArray[np.int64]:
-    """The same (count,) of one cloud (N, 3). For the latency of a single estimate: torch's dispatch takes three times
+def farthest_of_one(places: NDArray[np.float32], count: int) -> NDArray[np.int64]:
+    """The same (count,) of one cloud (N, 3). For the latency of a single estimate: torch's dispatch takes several times
     as long as the arithmetic."""
-    x, y, z = np.ascontiguousarray(places.T)
-    distance = np.full(len(places), np.inf, np.float32)
+    x, n = places.T.astype(np.float64), len(places)
+    squared = (x * x).sum(0)
+    # |p - x|^2 = |p|^2 - 2 p.x + |x|^2 of all points with one of them is one product of a row with a matrix; in double
+    # precision, for single would lose what is near.
+    row, matrix = np.ones((n, 5)), np.ones((5, n))
+    row[:, :3], row[:, 4] = -2 * places, squared
+    matrix[:3], matrix[3] = x, squared
+    index = int(squared.argmax())
+    rounding = 1e-14 * squared[index]
+    distance, to_this = np.full(n, np.inf), np.empty(n)
     picked = np.empty(count, np.int64)
-    index = int((x * x + y * y + z * z).argmax())
     for k in range(count):
+        if distance[index] <= rounding:
+            # All that is left repeats points that are taken.
+            picked[k:] = np.flatnonzero(distance >= -rounding)[: count - k]
+            break
         picked[k] = index
-        np.minimum(distance, (x - x[index]) ** 2 + (y - y[index]) ** 2 + (z - z[index]) ** 2, out=distance)
+        row[index].dot(matrix, out=to_this)
+        np.minimum(distance, to_this, out=distance)
         distance[index] = -1.0
         index = int(distance.argmax())
     return picked

@@ -6,22 +6,16 @@ A subclass says how a batch of canonical clouds becomes poses (`infer`).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import torch
 
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, transform
-from toolee_robot.perception.pose.canonical import (
-    MIN_KEPT,
-    MIN_POINTS,
-    PATCHES,
-    POINTS,
-    CanonicalCloud,
-    canonicalize,
-    with_rest,
-)
+from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, PATCHES, POINTS, CanonicalCloud
+from toolee_robot.perception.pose.canonical_one import canonicalize_one, with_rest_one
 from toolee_robot.perception.pose.flow import Process, Sampler
 from toolee_robot.perception.pose.network import DIRECTION_DIM
 from toolee_robot.perception.pose.spin import fix_spin, nominal_R_tool_ee, with_spin_variance
@@ -107,9 +101,8 @@ class CloudEstimator(ABC):
         generator = torch.Generator().manual_seed(seed)
         visible = len(points)
         points = _thinned(points, generator)
-        radius = torch.tensor([self.radius(category)])
-        more = _batch_of_one(_thinned(_finite(guessed), generator)) if self.guesses and guessed is not None else None
-        cloud = canonicalize(*_batch_of_one(points), radius, generator, self.points, self.ordered, more)
+        more = _thinned(_finite(guessed), generator) if self.guesses and guessed is not None else None
+        cloud = canonicalize_one(points, self.radius(category), generator, self.points, self.ordered, more)
         if int(cloud.count[0]) < MIN_KEPT:
             raise PerceptionError(
                 f"the mask of the {category} covers no compact surface: {len(points)} scattered points"
@@ -117,7 +110,7 @@ class CloudEstimator(ABC):
         kept = round(int(cloud.count[0]) / len(points) * visible)
         if rest is not None:
             rest = _finite(rest)
-            cloud = with_rest(cloud, *_batch_of_one(_thinned(rest, generator)), generator)
+            cloud = with_rest_one(cloud, _thinned(rest, generator), generator)
         from_hand = not bool(cloud.rest_known[0]) and X_camera_hand is not None
         goal = None
         if bool(cloud.rest_known[0]) and rest is not None:
@@ -147,7 +140,8 @@ class CloudEstimator(ABC):
 
 def _finite(points: Array) -> Array:
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    return points[np.isfinite(points).all(1)]
+    finite = np.isfinite(points)
+    return points if finite.all() else points[finite.all(1)]
 
 
 def _thinned(points: Array, generator: torch.Generator) -> Array:
@@ -156,33 +150,34 @@ def _thinned(points: Array, generator: torch.Generator) -> Array:
     return points
 
 
-def _batch_of_one(points: Array) -> tuple[torch.Tensor, torch.Tensor]:
-    return torch.as_tensor(points, dtype=torch.float32)[None], torch.ones(1, len(points), dtype=torch.bool)
-
-
 def with_hand(result: PoseResult, X_camera_hand: Array, spin_sigma: float = HAND_SPIN_SIGMA) -> PoseResult:
     """The result with the spin about a symmetric EE's axis fixed by the hand's pose (4x4); see `spin.py`."""
-    from toolee_robot.robots.grasp import nominal_X_hand_tool
-
     group = result.category.symmetry
-    R_hand_ee = nominal_X_hand_tool(0.015)[:3, :3] @ nominal_R_tool_ee(result.category)
     R = result.X_camera_ee[:3, :3]
     axis = R @ np.asarray(group.axis)
     variance = float(axis @ result.covariance[3:, 3:] @ axis)
-    R_fixed, fixed_variance = fix_spin(R, X_camera_hand[:3, :3] @ R_hand_ee, group, variance, spin_sigma**2)
+    R_camera_ee = X_camera_hand[:3, :3] @ _nominal_R_hand_ee(result.category)
+    R_fixed, fixed_variance = fix_spin(R, R_camera_ee, group, variance, spin_sigma**2)
     covariance = result.covariance
     if group.kind is SymmetryKind.CINF:
         covariance = with_spin_variance(covariance, axis, fixed_variance)
     X = transform(R_fixed, result.X_camera_ee[:3, 3])
-    return PoseResult(**{**result.__dict__, "X_camera_ee": X, "covariance": covariance})
+    return replace(result, X_camera_ee=X, covariance=covariance)
+
+
+@cache
+def _nominal_R_hand_ee(category: Category) -> Array:
+    """3x3, of an EE in the hand that holds its tool as the project's hand does."""
+    from toolee_robot.robots.grasp import nominal_X_hand_tool
+
+    R: Array = nominal_X_hand_tool(0.015)[:3, :3] @ nominal_R_tool_ee(category)
+    return R
 
 
 def direction_input(cloud: CanonicalCloud, direction: Array | None, from_hand: bool = False) -> torch.Tensor:
     """The network's direction token (1, 5) from a direction (3,) in the camera's frame, or None."""
-    token = torch.zeros(1, DIRECTION_DIM)
-    if direction is not None and np.isfinite(direction).all() and np.linalg.norm(direction) > 1e-6:
-        d = torch.as_tensor(direction / np.linalg.norm(direction), dtype=torch.float32)
-        token[0, :3] = cloud.R[0].cpu() @ d
-        token[0, 3] = 1.0
-        token[0, 4] = float(from_hand)
-    return token
+    token = np.zeros((1, DIRECTION_DIM), np.float32)
+    length = 0.0 if direction is None else float(np.linalg.norm(direction))
+    if direction is not None and 1e-6 < length < np.inf:
+        token[0] = [*cloud.R[0].cpu().numpy() @ (direction / length), 1.0, from_hand]
+    return torch.from_numpy(token)

@@ -6,6 +6,7 @@ result = estimator.estimate(points, Category.HAMMER_HEAD, rest, X_camera_hand)
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -74,15 +75,17 @@ class PoseEstimator(CloudEstimator):
         local = cloud.points.cpu().double().numpy()
         results = []
         for b, category in enumerate(categories):
-            Xs = np.tile(np.eye(4), (candidates, 1, 1))
+            Xs = np.zeros((candidates, 4, 4))
+            Xs[:, 3, 3] = 1.0
             Xs[:, :3, :3] = R_camera[b] @ R[b, :-1]
             Xs[:, :3, 3] = p[b, :-1] @ R_camera[b].T + centre[b]
             X_direct = transform(R_camera[b] @ R[b, -1], R_camera[b] @ p[b, -1] + centre[b])
-            axis_index = int(np.argmax(category.symmetry.axis))
+            axis = category.symmetry.axis
+            axis_index = axis.index(max(axis))
             # Half from the samples' S, half from the regression's.
-            spin_free = float(np.clip(ambiguous[b, axis_index], 0, 1))
-            logit = float(regression["mean"][b, 6 + axis_index])
-            spin_free = 0.5 * spin_free + 0.5 / (1 + float(np.exp(-np.clip(logit, -30, 30))))
+            spin_free = min(max(float(ambiguous[b, axis_index]), 0.0), 1.0)
+            logit = min(max(float(regression["mean"][b, 6 + axis_index]), -30.0), 30.0)
+            spin_free = 0.5 * spin_free + 0.5 / (1 + math.exp(-logit))
             points = local[b] @ R_camera[b].T + centre[b]
             hypotheses = PoseHypotheses(Xs, points, float(sigmas[b, 0]), float(sigmas[b, 1]), 1 - spin_free)
             results.append(

@@ -6,13 +6,15 @@ compared modulo the EE's group, the densest mode is found, and only its members 
 
 from __future__ import annotations
 
+import cmath
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, transform
+from toolee_robot.perception.pose.rotations import rotation_matrix, rotation_vectors, rotations_about, twist_angles
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 
 FREE_SPIN_VARIANCE = np.pi**2 / 3
@@ -65,56 +67,57 @@ def pool(
     scale = scale or SigmaScale()
     R, p = Xs[:, :3, :3], Xs[:, :3, 3]
     angle = pairwise_angles(R, group)
-    distance = np.linalg.norm(p[:, None] - p[None], axis=-1)
+    distance = _lengths(p[:, None] - p)
     density = np.exp(-0.5 * ((angle / _BANDWIDTH_ANGLE) ** 2 + (distance / _BANDWIDTH_DISTANCE) ** 2)).sum(1)
     members, modes = _modes(angle, distance, density)
     centre = int(members[np.argmax(density[members])])
 
     continuous = group.kind is SymmetryKind.CINF
+    symmetry_axis = np.asarray(group.axis)
     aligned = align(R[members], R[centre], group)
     R_mean = R[centre]
-    p_mean = np.median(p[members], axis=0)
+    positions = p[members]
+    p_mean = _median(positions)
     weight = np.ones(len(members))
+    # No member is far from the centre, so that the vectors of the differences are well defined.
+    w, dp = rotation_vectors(aligned @ R_mean.T), positions - p_mean
     for _ in range(3):
-        w = _rotation_vectors(aligned @ R_mean.T)
-        dp = p[members] - p_mean
         # Cauchy weights over both deviations, scaled by their medians.
-        r2 = (w**2).sum(1) / (np.median((w**2).sum(1)) + 1e-6) + (dp**2).sum(1) / (np.median((dp**2).sum(1)) + 1e-9)
-        weight = 1 / (1 + r2 / 4)
+        w2, dp2 = np.vecdot(w, w), np.vecdot(dp, dp)
+        weight = 1 / (1 + (w2 / (_median(w2) + 1e-6) + dp2 / (_median(dp2) + 1e-9)) / 4)
         weight /= weight.sum()
-        R_mean = Rotation.from_rotvec(weight @ w).as_matrix() @ R_mean
+        R_mean = rotation_matrix(weight @ w) @ R_mean
         p_mean = p_mean + weight @ dp
-    w = _rotation_vectors(aligned @ R_mean.T)
-    dp = p[members] - p_mean
+        w, dp = rotation_vectors(aligned @ R_mean.T), positions - p_mean
     scatter_w = (w * weight[:, None]).T @ w
     scatter_p = (dp * weight[:, None]).T @ dp
 
-    axis = R_mean @ np.asarray(group.axis)
+    axis = R_mean @ symmetry_axis
     spin_variance = sigma_spin**2
     if continuous:
-        twist = twist_angles(R_mean.T @ R[members], np.asarray(group.axis))
-        resultant = complex((weight * np.exp(1j * twist)).sum())
-        R_mean = R_mean @ Rotation.from_rotvec(np.angle(resultant) * np.asarray(group.axis)).as_matrix()
-        seen = min(max(-2 * np.log(max(abs(resultant), 1e-6)), sigma_spin**2), FREE_SPIN_VARIANCE)
+        twist = twist_angles(R_mean.T @ R[members], symmetry_axis)
+        resultant = complex(weight @ np.exp(1j * twist))
+        R_mean = R_mean @ rotation_matrix(cmath.phase(resultant) * symmetry_axis)
+        seen = min(max(-2 * math.log(max(abs(resultant), 1e-6)), sigma_spin**2), FREE_SPIN_VARIANCE)
         spin_variance = spin_observable * seen + (1 - spin_observable) * FREE_SPIN_VARIANCE
 
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = scale.position**2 * 0.5 * (scatter_p + sigma_position**2 * np.eye(3))
     if continuous:
-        P = np.eye(3) - np.outer(axis, axis)
+        along = axis[:, None] * axis
+        P = np.eye(3) - along
         swing = P @ scatter_w @ P + sigma_axis**2 * P
-        covariance[3:, 3:] = scale.angle**2 * 0.5 * swing + spin_variance * np.outer(axis, axis)
+        covariance[3:, 3:] = scale.angle**2 * 0.5 * swing + spin_variance * along
     else:
-        predicted = R_mean @ np.diag([sigma_axis**2, sigma_axis**2, sigma_spin**2]) @ R_mean.T
+        predicted = R_mean * [sigma_axis**2, sigma_axis**2, sigma_spin**2] @ R_mean.T
         covariance[3:, 3:] = scale.angle**2 * 0.5 * (scatter_w + predicted)
         spin_variance = float(R_mean[:, 2] @ covariance[3:, 3:] @ R_mean[:, 2])
-    spread_angle = float(np.sqrt(np.trace(scatter_w)))
     return Pooled(
         transform(R_mean, p_mean),
         covariance,
         modes,
-        float(np.sqrt(np.trace(scatter_p))),
-        spread_angle,
+        math.sqrt(np.trace(scatter_p)),
+        math.sqrt(np.trace(scatter_w)),
         float(spin_variance),
     )
 
@@ -123,13 +126,11 @@ def pairwise_angles(R: Array, group: SymmetryGroup) -> Array:
     """(K, K) angles [rad] between rotations (K, 3, 3) modulo the group."""
     if group.kind is SymmetryKind.CINF:
         axes = R @ np.asarray(group.axis)
-        return 2 * np.arcsin(np.clip(np.linalg.norm(axes[:, None] - axes[None], axis=-1) / 2, 0, 1))
-    best = np.full((len(R), len(R)), np.inf)
-    for g in group.elements():
-        # The chord |A - B|_F = 2 sqrt(2) sin(angle / 2) is accurate near 0, where arccos of the trace is not.
-        chord = np.linalg.norm((R @ g)[None] - R[:, None], axis=(-2, -1))
-        best = np.minimum(best, 2 * np.arcsin(np.clip(chord / (2 * np.sqrt(2)), 0, 1)))
-    return best
+        return 2 * np.arcsin(np.minimum(_lengths(axes[:, None] - axes) / 2, 1))
+    # The chord |A - B|_F = 2 sqrt(2) sin(angle / 2) is accurate near 0, where arccos of the trace is not.
+    flat = R.reshape(-1, 1, 9)
+    chords = [_lengths((R @ g).reshape(-1, 9) - flat) for g in group.elements()]
+    return 2 * np.arcsin(np.minimum(np.minimum.reduce(chords) / math.sqrt(8), 1))
 
 
 def align(R: Array, R_reference: Array, group: SymmetryGroup) -> Array:
@@ -137,22 +138,21 @@ def align(R: Array, R_reference: Array, group: SymmetryGroup) -> Array:
     if group.kind is SymmetryKind.CINF:
         axis = np.asarray(group.axis)
         twist = twist_angles(np.swapaxes(R, 1, 2) @ R_reference, axis)
-        return R @ Rotation.from_rotvec(twist[:, None] * axis).as_matrix()
+        return R @ rotations_about(axis, twist)
     orbit = np.stack([R @ g for g in group.elements()])
     best = np.einsum("gkij,ij->gk", orbit, R_reference).argmax(0)
     return orbit[best, np.arange(len(R))]
 
 
-def twist_angles(R: Array, axis: Array) -> Array:
-    """(K,) twist [rad] about `axis` (3,) of rotations (K, 3, 3), by the decomposition R = swing @ twist."""
-    q = Rotation.from_matrix(R, assume_valid=True).as_quat()
-    angle = 2 * np.arctan2(q[..., :3] @ axis, q[..., 3])
-    return np.arctan2(np.sin(angle), np.cos(angle))
+def _lengths(x: Array) -> Array:
+    """Of vectors (..., D); `np.linalg.norm` takes its time to find out which norm is meant."""
+    return np.sqrt(np.vecdot(x, x))
 
 
-def _rotation_vectors(R: Array) -> Array:
-    # They are rotations to rounding: making them orthogonal once more takes three quarters of the time.
-    return Rotation.from_matrix(R, assume_valid=True).as_rotvec()
+def _median(x: Array) -> Array:
+    """Along the first axis, of a few finite numbers; `np.median` takes ten times as long to look for others."""
+    ordered = np.sort(x, axis=0)
+    return 0.5 * (ordered[(len(x) - 1) // 2] + ordered[len(x) // 2])
 
 
 def _modes(angle: Array, distance: Array, density: Array) -> tuple[NDArray[np.intp], tuple[float, ...]]:

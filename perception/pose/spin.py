@@ -7,11 +7,13 @@ cloud's own evidence for the spin is weaker than the hand's.
 
 from __future__ import annotations
 
+import cmath
+
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array
-from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE, twist_angles
+from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE, align
+from toolee_robot.perception.pose.rotations import rotation_matrix, twist_angles
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 from toolee_robot.types import Category
 
@@ -44,13 +46,12 @@ def fix_spin(
     if group.kind is SymmetryKind.NONE:
         return R, variance
     if group.kind is SymmetryKind.C2:
-        return group.canonical(R, R_prior), variance
+        return align(R[None], R_prior, group)[0], variance
     axis = np.asarray(group.axis)
     delta = float(twist_angles((R.T @ R_prior)[None], axis)[0])
     seen, hand = (max(1 / max(v, 1e-9) - 1 / FREE_SPIN_VARIANCE, 0.0) for v in (variance, prior_variance))
-    total = seen + hand * np.exp(1j * delta)
-    turn = Rotation.from_rotvec(float(np.angle(total)) * axis).as_matrix()
-    return R @ turn, float(1 / (abs(total) + 1 / FREE_SPIN_VARIANCE))
+    total = seen + cmath.rect(hand, delta)
+    return R @ rotation_matrix(cmath.phase(total) * axis), 1 / (abs(total) + 1 / FREE_SPIN_VARIANCE)
 
 
 def with_spin_variance(covariance: Array, axis: Array, variance: float) -> Array:

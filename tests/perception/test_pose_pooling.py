@@ -15,8 +15,8 @@ from toolee_robot.perception.pose.pooling import (
     align,
     pairwise_angles,
     pool,
-    twist_angles,
 )
+from toolee_robot.perception.pose.rotations import rotation_matrix, rotation_vectors, rotations_about, twist_angles
 from toolee_robot.perception.pose.spin import fix_spin, nominal_R_tool_ee, with_spin_variance
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 from toolee_robot.tools import ToolKind, make_tool, train_seeds
@@ -42,6 +42,24 @@ def random_pose(rng: np.random.Generator) -> Array:
 def random_element(rng: np.random.Generator, group: SymmetryGroup) -> Array:
     elements = group.elements(360)
     return np.asarray(elements[rng.integers(len(elements))])
+
+
+@given(seeds)
+@settings(max_examples=30, deadline=None)
+def test_the_closed_forms_of_rotations_are_scipys(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    axes = rng.normal(size=(8, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    w = axes * np.array([0.0, 1e-12, 1e-7, 1e-3, 0.1, 1.0, 2.0, 2.8])[:, None]
+    R = Rotation.from_rotvec(w).as_matrix()
+    np.testing.assert_allclose([rotation_matrix(v) for v in w], R, atol=1e-15)
+    np.testing.assert_allclose(rotation_vectors(R), w, atol=1e-14)
+    angles = rng.uniform(-np.pi, np.pi, 8)
+    about = Rotation.from_rotvec(angles[:, None] * axes[0]).as_matrix()
+    np.testing.assert_allclose(rotations_about(axes[0], angles), about, atol=1e-15)
+    # A swing, whose axis is at right angles to the twist's, takes nothing from the twist.
+    swing = Rotation.from_rotvec(np.cross(axes[0], axes)).as_matrix()
+    np.testing.assert_allclose(twist_angles(swing @ about, axes[0]), angles, atol=1e-13)
 
 
 @pytest.mark.parametrize("group", GROUPS, ids=lambda g: g.kind.value)

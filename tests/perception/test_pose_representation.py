@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
+import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -13,11 +16,13 @@ from toolee_robot.perception.pose.canonical import (
     PATCHES,
     POINTS,
     REST_PATCHES,
+    CanonicalCloud,
     canonicalize,
     farthest_points_first,
     ray_rotation,
     with_rest,
 )
+from toolee_robot.perception.pose.canonical_one import canonicalize_one, with_rest_one
 from toolee_robot.perception.pose.representation import DIM, decode, encode
 
 seeds = st.integers(0, 2**31)
@@ -122,6 +127,42 @@ def test_guessed_points_are_marked_and_do_not_move_the_centre() -> None:
     offset = (back[guessed, None] - rim[0, 10:90]).norm(dim=-1).min(1)
     assert float(offset.values.max()) < 1e-5
     assert len(torch.unique(offset.indices)) == 80
+
+
+@pytest.mark.parametrize("seen", [50, 200, 700, 1500])
+@pytest.mark.parametrize("guesses", [None, 0, 150])
+@pytest.mark.parametrize("rest", [0, 15, 60, 900])
+def test_one_cloud_becomes_what_it_becomes_in_a_batch(seen: int, guesses: int | None, rest: int) -> None:
+    rng = np.random.default_rng(seen + rest)
+    ee, background = np.array([0.1, -0.05, 0.5]), np.array([0.1, 0.0, 1.4])
+    # A flat EE with a wall behind it, and a handle that begins beside it.
+    points = rng.normal(0, [0.02, 0.01, 0.004], (seen, 3)) + ee
+    points[::9] = rng.uniform(-0.1, 0.1, (len(points[::9]), 3)) + background
+    guessed = None if guesses is None else rng.normal(0, 0.03, (guesses, 3)) + ee
+    handle = rng.uniform(0.03, 0.8, (rest, 1)) * [0.6, 0.0, 0.8] + rng.normal(0, 0.003, (rest, 3)) + ee
+
+    def pair(x: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+        # The first of a batch of two draws what it draws alone.
+        return torch.as_tensor(np.stack([x, x + 0.01]), dtype=torch.float32), torch.ones(2, len(x), dtype=torch.bool)
+
+    radius = torch.tensor([0.04, 0.04])
+    more = None if guessed is None else pair(guessed)
+    batch = canonicalize(*pair(points), radius, torch.Generator().manual_seed(1), guessed=more)
+    batch = with_rest(batch, *pair(handle), torch.Generator().manual_seed(2))
+    one = canonicalize_one(points, 0.04, torch.Generator().manual_seed(1), guessed=guessed)
+    one = with_rest_one(one, handle, torch.Generator().manual_seed(2))
+    for field in fields(CanonicalCloud):
+        of_one, of_batch = getattr(one, field.name), getattr(batch, field.name)[:1]
+        torch.testing.assert_close(of_one, of_batch, atol=1e-6, rtol=0, msg=f"{field.name}: {{}}".format)
+
+
+def test_one_cloud_that_loses_everything_is_its_centre() -> None:
+    # Three specks, none of them at their common median.
+    points = np.repeat([[0.5, 0.0, 0.6], [0.0, 0.5, 0.6], [-0.5, -0.5, 0.6]], 40, axis=0)
+    cloud = canonicalize_one(points, 0.04, torch.Generator().manual_seed(0))
+    assert int(cloud.count[0]) == 0
+    assert not bool(cloud.points.any())
+    assert not bool(cloud.guessed.any())
 
 
 def test_padding_flags_are_obeyed() -> None:
