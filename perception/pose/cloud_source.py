@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 
 import torch
 
+from toolee_robot.errors import UserError
 from toolee_robot.perception.pose.cloud_batch import CloudBatch
 
 
@@ -29,15 +30,18 @@ class CloudSource(ABC):
 
 
 class Mixture(CloudSource):
-    """Of two sources, the second's for a `share` of the clouds."""
+    """Of two sources, the second's for a `share` of the clouds. Raises UserError where that is none."""
 
     def __init__(self, first: CloudSource, second: CloudSource, share: float) -> None:
+        if not 0.0 <= share <= 1.0:
+            raise UserError(f"a share of {share} of the clouds: give one from 0 to 1")
         self._first, self._second, self._share = first, second, share
 
     def generate(self, n: int) -> CloudBatch:
         """See `CloudSource`."""
         of_second = round(self._share * n)
-        return CloudBatch.cat([self._first.generate(n - of_second), self._second.generate(of_second)])
+        asked = (self._first, n - of_second), (self._second, of_second)
+        return CloudBatch.cat([source.generate(count) for source, count in asked if count])
 
     def reseed(self, seed: int) -> None:
         """See `CloudSource`."""
