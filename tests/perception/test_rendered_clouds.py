@@ -186,7 +186,7 @@ def test_a_mixture_takes_its_share_of_each() -> None:
     assert (first.asked, second.asked) == (150, 50)
     mixture.reseed(7)
     assert first.asked != second.asked, "two sources of one kind must not give the same"
-    with pytest.raises(UserError, match="share of 1.5"):
+    with pytest.raises(UserError, match="give one from 0 to 1"):
         Mixture(first, second, 1.5)
 
 
