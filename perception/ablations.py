@@ -28,7 +28,8 @@ from toolee_robot.perception.pose.flow import Euler
 from toolee_robot.perception.pose.method import Method, Ours
 from toolee_robot.perception.pose.network import NetworkConfig
 from toolee_robot.perception.pose.paper import PaperMethod
-from toolee_robot.perception.pose.training import TrainConfig, Trainer
+from toolee_robot.perception.pose.train_config import TrainConfig
+from toolee_robot.perception.pose.training import Trainer
 from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.perception.ranks import ranks
 

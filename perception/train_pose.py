@@ -24,7 +24,8 @@ from toolee_robot.perception.pose.bank import save_hands
 from toolee_robot.perception.pose.cloud_batch import PROTOCOLS
 from toolee_robot.perception.pose.method import Ours
 from toolee_robot.perception.pose.paper import COLUMNS, PaperMethod
-from toolee_robot.perception.pose.training import TrainConfig, train
+from toolee_robot.perception.pose.train_config import TrainConfig
+from toolee_robot.perception.pose.training import train
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -7,7 +7,7 @@ import json
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Generic
 
@@ -22,38 +22,10 @@ from toolee_robot.perception.pose.cloud_source import CloudSource, Mixture
 from toolee_robot.perception.pose.method import Method, Net, Ours
 from toolee_robot.perception.pose.rendered import RenderedClouds, RenderedSource
 from toolee_robot.perception.pose.reservoir import Reservoir
+from toolee_robot.perception.pose.train_config import TrainConfig
 from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.perception.ranks import Ranks, ranks
 from toolee_robot.perception.training_log import Scalars
-
-
-@dataclass(frozen=True)
-class TrainConfig:
-    """minutes: wall-clock of the optimisation; max_steps: if not 0, the budget is in steps instead. The learning rate
-    follows a cosine over it. session_minutes: how much of it this process does (0: all that is left); the next one
-    resumes. reuse: how often a cloud is shown. train_seeds, test_seeds: tools of each kind, training and held out.
-    rendered_share: of the clouds, where rendered ones are given."""
-
-    minutes: float = 9.0
-    max_steps: int = 0
-    session_minutes: float = 0.0
-    batch: int = 512
-    learning_rate: float = 1e-3
-    warm_up: int = 300
-    weight_decay: float = 1e-4
-    clip: float = 1.0
-    ema: float = 0.999
-    reuse: float = 4.0
-    chunk: int = 2048
-    capacity: int = 65_536
-    first_fill: int = 8192
-    train_seeds: int = 480
-    test_seeds: int = 30
-    validation: int = 4096
-    rendered_share: float = 0.5
-    checkpoint_seconds: float = 120.0
-    compile: bool = True
-    seed: int = 0
 
 
 class Trainer(Generic[Net]):
@@ -87,6 +59,7 @@ class Trainer(Generic[Net]):
         )
         made = method.clouds(banks[0], hands, self.device, self._seed(1))
         self._generator: CloudSource = made
+        self._rendered = 0 if rendered is None else len(rendered)
         if rendered is not None:
             kept = RenderedSource(rendered, self.device, self._seed(3), made.config)
             self._generator = Mixture(made, kept, config.rendered_share)
@@ -117,7 +90,8 @@ class Trainer(Generic[Net]):
         forward = self.ranks.shared(forward)
         reservoir = Reservoir(self._generator.collect(max(c.first_fill, c.batch), c.chunk), c.capacity)
         held_out = self.judged() if self.ranks.first else None
-        self.log(event="start", device=self.ranks.device_name, parameters=sum(p.numel() for p in self.net.parameters()))
+        size = sum(p.numel() for p in self.net.parameters())
+        self.log(event="start", device=self.ranks.device_name, parameters=size, rendered_clouds=self._rendered)
         before, begun = self.elapsed, time.monotonic()
         base, last_save, last_log, logged_steps = reservoir.made, begun, begun, self.steps
         start_steps = self.steps
@@ -184,7 +158,7 @@ class Trainer(Generic[Net]):
             "calibrated": True,
             "steps": self.steps,
             "minutes": round(self.elapsed / 60, 2),
-            "train": trained or asdict(self.config),
+            "train": trained or self._described(),
         }
         self.method.save(self.out, self.export(), calibration, report)
         return report
@@ -192,6 +166,10 @@ class Trainer(Generic[Net]):
     def judged(self) -> CloudBatch:
         """The next held-out clouds."""
         return self.method.judged(self._held_out.collect(self.config.validation, self.config.chunk), self._test_bank)
+
+    def _described(self) -> dict[str, Any]:
+        """What the network was trained with, kept beside its weights."""
+        return {**asdict(self.config), "rendered_clouds": self._rendered}
 
     def _progress(self) -> float:
         """How much of the budget is used, 1 at its end."""
@@ -256,7 +234,7 @@ class Trainer(Generic[Net]):
                 "calibrated": False,
                 "steps": self.steps,
                 "minutes": round(self.elapsed / 60, 2),
-                "train": asdict(self.config),
+                "train": self._described(),
             },
         )
         if held_out is not None:

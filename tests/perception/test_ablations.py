@@ -22,7 +22,7 @@ from toolee_robot.perception.pose.flow import Euler, Process, RectifiedFlow
 from toolee_robot.perception.pose.method import Ours
 from toolee_robot.perception.pose.network import NetworkConfig
 from toolee_robot.perception.pose.paper.rk45 import Rk45
-from toolee_robot.perception.pose.training import TrainConfig
+from toolee_robot.perception.pose.train_config import TrainConfig
 from toolee_robot.perception.pose.variance_exploding import VarianceExploding
 from toolee_robot.types import Category
 

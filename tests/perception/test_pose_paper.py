@@ -22,7 +22,8 @@ from toolee_robot.perception.pose.paper.pointnet2 import Level, PointNet2, Share
 from toolee_robot.perception.pose.paper.pooling import mean_pose
 from toolee_robot.perception.pose.paper.representation import class_ambiguity, decode, encode
 from toolee_robot.perception.pose.paper.rk45 import Rk45, solve
-from toolee_robot.perception.pose.training import TrainConfig, Trainer
+from toolee_robot.perception.pose.train_config import TrainConfig
+from toolee_robot.perception.pose.training import Trainer
 from toolee_robot.perception.pose.variance_exploding import VarianceExploding
 from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.perception.ranks import Ranks

@@ -20,7 +20,8 @@ from toolee_robot.perception.pose.confidence import fit
 from toolee_robot.perception.pose.losses import augment, canonical_rotation, pose_loss
 from toolee_robot.perception.pose.method import Ours
 from toolee_robot.perception.pose.network import SAMPLER, NetworkConfig, PoseNet
-from toolee_robot.perception.pose.training import TrainConfig, Trainer
+from toolee_robot.perception.pose.train_config import TrainConfig
+from toolee_robot.perception.pose.training import Trainer
 from toolee_robot.perception.ranks import Ranks
 from toolee_robot.tools import ee_radius
 from toolee_robot.types import Category

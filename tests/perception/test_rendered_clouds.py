@@ -27,7 +27,8 @@ from toolee_robot.perception.pose.cloud_source import CloudSource, Mixture
 from toolee_robot.perception.pose.method import Ours
 from toolee_robot.perception.pose.network import NetworkConfig
 from toolee_robot.perception.pose.rendered import RenderedClouds, RenderedSource
-from toolee_robot.perception.pose.training import TrainConfig, Trainer
+from toolee_robot.perception.pose.train_config import TrainConfig
+from toolee_robot.perception.pose.training import Trainer
 from toolee_robot.perception.ranks import Ranks
 from toolee_robot.perception.rendered_clouds import of_part
 from toolee_robot.perception.segmentation import Segmenter
@@ -221,7 +222,9 @@ def test_a_training_learns_from_them_and_the_paper_s_does_not(clouds: RenderedCl
     def weights(share: float) -> torch.Tensor:
         shares = replace(config, rendered_share=share)
         trainer = Trainer(tmp_path / str(share), shares, (bank, held_out), hand_bank(4), method, place, clouds)
-        assert np.isfinite(trainer.run()["K20"]["average"]["median_mm"])
+        report = trainer.run()
+        assert np.isfinite(report["K20"]["average"]["median_mm"])
+        assert report["train"]["rendered_clouds"] == len(clouds)
         return torch.cat([p.detach().flatten() for p in trainer.net.parameters()])
 
     shown = [weights(share) for share in (0.0, 1.0)]

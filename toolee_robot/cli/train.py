@@ -16,7 +16,7 @@ from toolee_robot.cli.output import json_line, write_whole
 from toolee_robot.errors import UserError
 
 if TYPE_CHECKING:
-    from toolee_robot.perception.pose.training import TrainConfig
+    from toolee_robot.perception.pose.train_config import TrainConfig
 
 _CONFIG = "config.json"
 """Beside the checkpoint: the configuration it was made with."""
@@ -122,7 +122,8 @@ class Pose:
         from toolee_robot.perception.pose.cloud_batch import PROTOCOLS
         from toolee_robot.perception.pose.method import Ours
         from toolee_robot.perception.pose.paper import COLUMNS, PaperMethod
-        from toolee_robot.perception.pose.training import TrainConfig, train
+        from toolee_robot.perception.pose.train_config import TrainConfig
+        from toolee_robot.perception.pose.training import train
 
         if self.column is not None and (self.estimator != "paper" or self.column not in COLUMNS):
             raise UserError(f"--column {self.column}: with --estimator paper one of {', '.join(COLUMNS)}")

@@ -1,0 +1,34 @@
+"""How the pose network is trained."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """minutes: wall-clock of the optimisation; max_steps: if not 0, the budget is in steps instead. The learning rate
+    follows a cosine over it. session_minutes: how much of it this process does (0: all that is left); the next one
+    resumes. reuse: how often a cloud is shown. train_seeds, test_seeds: tools of each kind, training and held out.
+    rendered_share: of the clouds, where rendered ones are given."""
+
+    minutes: float = 9.0
+    max_steps: int = 0
+    session_minutes: float = 0.0
+    batch: int = 512
+    learning_rate: float = 1e-3
+    warm_up: int = 300
+    weight_decay: float = 1e-4
+    clip: float = 1.0
+    ema: float = 0.999
+    reuse: float = 4.0
+    chunk: int = 2048
+    capacity: int = 65_536
+    first_fill: int = 8192
+    train_seeds: int = 480
+    test_seeds: int = 30
+    validation: int = 4096
+    rendered_share: float = 0.5
+    checkpoint_seconds: float = 120.0
+    compile: bool = True
+    seed: int = 0
