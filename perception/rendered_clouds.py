@@ -67,7 +67,9 @@ def _cloud(case: Case, instance: Instance | None, rng: np.random.Generator) -> R
     kinds = (cloud.points, MOST_POINTS), (cloud.guessed, MOST_GUESSED), (cloud.rest, MOST_REST)
     points, guessed, rest = (_thinned(x, most, rng).astype(np.float32) for x, most in kinds)
     hand = None if instance is None else instance.X_camera_hand
-    spins = instance is not None and instance.category is Category.HAMMER_HEAD
+    tells = 0
+    if instance is not None and instance.category is Category.HAMMER_HEAD:
+        tells = telling_points(instance, case)
     return RenderedClouds(
         points,
         guessed,
@@ -78,7 +80,7 @@ def _cloud(case: Case, instance: Instance | None, rng: np.random.Generator) -> R
         category=np.array([list(Category).index(case.category)]),
         positive=np.array([instance is not None]),
         visible=np.array([len(cloud.points)]),
-        tells_spin=np.array([telling_points(instance, case) if instance is not None and spins else 0]),
+        tells_spin=np.array([tells]),
         occlusion=np.array([0.0 if instance is None else instance.occlusion], np.float32),
     )
 

@@ -59,8 +59,6 @@ def main(arguments: list[str] | None = None) -> int:
             raise UserError("say where the weights go: --out DIR")
         if options.column is not None and options.estimator != "paper":
             raise UserError("--column belongs to the paper's estimator: add --estimator paper")
-        if options.rendered and options.estimator == "paper":
-            raise UserError("--rendered: the paper's estimator is trained on clouds of its own protocol alone")
         config = TrainConfig(**{f.name: getattr(options, f.name) for f in fields(TrainConfig)})
         clouds = PROTOCOLS[options.protocol]()
         method: Ours | PaperMethod = Ours(clouds_config=clouds)

@@ -71,9 +71,9 @@ def canonicalize(
     z = points[..., 2]
     z30 = _masked_quantile(points[..., 2:], valid, 0.3)
     near = valid & ((z - z30).abs() < 1.6 * radius)
-    centre = _masked_median(points, near)
+    centre = masked_median(points, near)
     kept = valid & ((points - centre[:, None]).norm(dim=-1) < 1.8 * radius)
-    centre = _masked_median(points, kept)
+    centre = masked_median(points, kept)
     kept = valid & ((points - centre[:, None]).norm(dim=-1) < 1.6 * radius)
     count = kept.sum(1)
     R = ray_rotation(centre)
@@ -194,6 +194,6 @@ def _masked_quantile(x: Tensor, mask: Tensor, q: float) -> Tensor:
     return torch.where(n[:, None] > 0, value, 0.0)
 
 
-def _masked_median(x: Tensor, mask: Tensor) -> Tensor:
+def masked_median(x: Tensor, mask: Tensor) -> Tensor:
     """(B, 3) median per coordinate of x (B, N, 3) where mask."""
     return _masked_quantile(x, mask, 0.5)

@@ -130,6 +130,22 @@ class CloudBatch:
         seen = self.points, self.guessed, self.centre, self.R_canonical
         return CanonicalCloud(*seen, self.visible, self.rest, self.rest_known)
 
+    @classmethod
+    def of(cls, cloud: CanonicalCloud, R: Tensor, p: Tensor, **about: Tensor) -> CloudBatch:
+        """Of clouds with their EEs' poses R (B, 3, 3), p (B, 3) [m], camera frame; about: the fields that neither
+        has."""
+        return cls(
+            points=cloud.points,
+            guessed=cloud.guessed,
+            centre=cloud.centre,
+            R_canonical=cloud.R,
+            rest=cloud.rest,
+            rest_known=cloud.rest_known,
+            R=cloud.R @ R,
+            p=torch.einsum("bij,bj->bi", cloud.R, p - cloud.centre),
+            **about,
+        )
+
     def select(self, index: Tensor) -> CloudBatch:
         """The rows of an index or mask."""
         return CloudBatch(*(getattr(self, f.name)[index] for f in fields(self)))

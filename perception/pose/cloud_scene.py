@@ -12,6 +12,9 @@ from toolee_robot.perception.pose import splat
 from toolee_robot.perception.pose.draws import Draws
 from toolee_robot.perception.pose.splat import ZBuffer
 
+DIRECTION_SIGMA = 0.1
+"""[rad] How uncertain most directions to the rest of a tool are."""
+
 
 @dataclass(frozen=True)
 class Placement:
@@ -88,10 +91,16 @@ def directions(placed: Placement, centre: Tensor, R_canonical: Tensor, draws: Dr
     mean = (placed.rest * kept[..., None]).sum(1) / kept.sum(1, keepdim=True).clamp_min(1)
     by_hand = (draws.uniform(B) < 0.3) | (kept.sum(1) < 20)
     goal = torch.where(by_hand[:, None], placed.p_hand + 0.01 * draws.normal(B, 3), mean)
+    sigma = torch.where(draws.uniform(B) < 0.1, 0.35, DIRECTION_SIGMA)[:, None]
+    return direction_token(goal, centre, R_canonical, by_hand, sigma, draws)
+
+
+def direction_token(goal: Tensor, centre: Tensor, R: Tensor, by_hand: Tensor, sigma: Tensor, draws: Draws) -> Tensor:
+    """Tokens (B, 5) of the directions from centres to goals, (B, 3) each, camera frame, that are uncertain by sigma
+    [rad]; R (B, 3, 3): canonical; by_hand (B,): the goal is the hand."""
     d = torch.nn.functional.normalize(goal - centre, dim=-1)
-    sigma = torch.where(draws.uniform(B) < 0.1, 0.35, 0.10)[:, None]
-    d = torch.nn.functional.normalize(d + sigma * draws.normal(B, 3), dim=-1)
-    d = torch.einsum("bij,bj->bi", R_canonical, d)
+    d = torch.nn.functional.normalize(d + sigma * draws.normal(len(d), 3), dim=-1)
+    d = torch.einsum("bij,bj->bi", R, d)
     return torch.cat([d, torch.ones_like(d[:, :1]), by_hand.float()[:, None]], dim=-1)
 
 

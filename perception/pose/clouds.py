@@ -136,16 +136,9 @@ class CloudGenerator(CloudSource):
         shows &= torch.where(target.positive, occlusion <= c.max_occlusion, target.admissible)
         # Where the mask slid off the EE altogether, what is left is no positive.
         shows &= ~target.positive | ((mask & seen).sum((1, 2)) > 0.3 * mask.sum((1, 2)))
-        R, p = self._truth(placed)
-        result = CloudBatch(
-            points=cloud.points,
-            guessed=cloud.guessed,
-            centre=cloud.centre,
-            R_canonical=cloud.R,
-            rest=cloud.rest,
-            rest_known=cloud.rest_known,
-            R=cloud.R @ R,
-            p=torch.einsum("bij,bj->bi", cloud.R, p - cloud.centre),
+        result = CloudBatch.of(
+            cloud,
+            *self._truth(placed),
             direction=direction,
             tells_spin=tells_spin,
             category=target.claimed,

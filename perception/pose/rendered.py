@@ -17,8 +17,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolee_robot.errors import AssetError
-from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, CanonicalCloud, canonicalize, with_rest
+from toolee_robot.perception.pose.canonical import (
+    MIN_KEPT,
+    MIN_POINTS,
+    CanonicalCloud,
+    canonicalize,
+    masked_median,
+    with_rest,
+)
 from toolee_robot.perception.pose.cloud_batch import CATEGORY_SHARE, CloudBatch, CloudConfig
+from toolee_robot.perception.pose.cloud_scene import DIRECTION_SIGMA, direction_token
 from toolee_robot.perception.pose.cloud_source import CloudSource
 from toolee_robot.perception.pose.draws import Draws
 from toolee_robot.tools.model import ee_radius
@@ -26,8 +34,6 @@ from toolee_robot.types import Category
 
 MOST_POINTS, MOST_GUESSED, MOST_REST = 1024, 512, 1024
 """More points of a cloud are not kept: the network takes 512 of them, and 256 of the rest."""
-_DIRECTION_SIGMA = 0.1
-"""As the direction to the rest of the tool is uncertain in `cloud_scene.directions`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,15 +145,10 @@ class RenderedSource(CloudSource):
         if c.rest:
             cloud = with_rest(cloud, rest, rest_valid, draws.generator)
         X = self._X[which]
-        result = CloudBatch(
-            points=cloud.points,
-            guessed=cloud.guessed,
-            centre=cloud.centre,
-            R_canonical=cloud.R,
-            rest=cloud.rest,
-            rest_known=cloud.rest_known,
-            R=cloud.R @ X[:, :3, :3],
-            p=torch.einsum("bij,bj->bi", cloud.R, X[:, :3, 3] - cloud.centre),
+        result = CloudBatch.of(
+            cloud,
+            X[:, :3, :3],
+            X[:, :3, 3],
             direction=self._direction(cloud, rest, rest_valid, self._p_hand[which]),
             tells_spin=self._tells[which],
             category=category,
@@ -171,16 +172,12 @@ class RenderedSource(CloudSource):
 
     def _direction(self, cloud: CanonicalCloud, rest: Tensor, valid: Tensor, p_hand: Tensor) -> Tensor:
         """Tokens (B, 5), as the estimator makes them: to the median of the rest, or else to the hand, where known."""
-        ordered = torch.where(valid[..., None], rest, torch.inf).sort(1).values
-        middle = ((valid.sum(1) - 1).clamp_min(0) // 2)[:, None, None].expand(-1, 1, 3)
         by_hand = ~cloud.rest_known
-        goal = torch.where(by_hand[:, None], p_hand, ordered.gather(1, middle)[:, 0])
-        known = torch.isfinite(goal).all(1)
-        d = torch.nn.functional.normalize(torch.where(known[:, None], goal, 0.0) - cloud.centre, dim=-1)
-        d = torch.nn.functional.normalize(d + _DIRECTION_SIGMA * self._draws.normal(len(d), 3), dim=-1)
-        d = torch.einsum("bij,bj->bi", cloud.R, d)
-        token = torch.cat([d, torch.ones_like(d[:, :1]), by_hand.float()[:, None]], dim=-1)
-        return torch.where(known[:, None], token, 0.0)
+        goal = torch.where(by_hand[:, None], p_hand, masked_median(rest, valid))
+        known = torch.isfinite(goal).all(1)[:, None]
+        sigma = goal.new_tensor(DIRECTION_SIGMA)
+        token = direction_token(torch.where(known, goal, 0.0), cloud.centre, cloud.R, by_hand, sigma, self._draws)
+        return torch.where(known, token, 0.0)
 
 
 def _weights(clouds: RenderedClouds, negative_share: float) -> NDArray[np.float32]:

@@ -14,7 +14,7 @@ from typing import Any, Generic
 import torch
 from torch import Tensor, nn
 
-from toolee_robot.errors import AssetError, TooleeError
+from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.pose import validation
 from toolee_robot.perception.pose.bank import Float32, ToolBank, load_hands, tool_bank
 from toolee_robot.perception.pose.cloud_batch import CloudBatch
@@ -271,13 +271,16 @@ def train(
     init: folder of weights to start from, of the same architecture; their process may be another. rendered: files of
     `RenderedClouds` to mix in.
     """
+    method = method or Ours()
+    if rendered and not isinstance(method, Ours):
+        raise UserError("--rendered: the paper's estimator is trained on clouds of its own protocol alone")
     kept = RenderedClouds.cat([RenderedClouds.load(path) for path in rendered]) if rendered else None
     begun = time.monotonic()
     banks = tool_bank(False, config.train_seeds), tool_bank(True, config.test_seeds)
     hands = load_hands(hands_file)
     print(f"{[len(b.category) for b in banks]} EEs and {len(hands)} hands sampled in {time.monotonic() - begun:.0f} s")
     with ranks() as place:
-        trainer = Trainer(out, config, banks, hands, method or Ours(), place, kept)
+        trainer = Trainer(out, config, banks, hands, method, place, kept)
         if init is not None:
             trainer.start_from(init)
         return trainer.calibrate() if calibrate_only else trainer.run()

@@ -231,3 +231,10 @@ def test_a_training_learns_from_them_and_the_paper_s_does_not(clouds: RenderedCl
     assert (shown[0] - shown[1]).abs().max() > 1e-5
     arguments = ["train", "pose", "--out", str(tmp_path / "paper"), "--rendered", str(tmp_path / "clouds.npz")]
     assert run([*arguments, "--estimator", "paper"]) == 2
+
+
+def test_a_folder_that_cannot_be_is_refused_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("in the way")
+    out = tmp_path / "file" / "clouds.npz"
+    assert run(["train", "clouds", str(tmp_path / "no data"), "--out", str(out)]) == 2
+    assert "cannot make the folder" in capsys.readouterr().err

@@ -127,14 +127,13 @@ class Pose:
 
         if self.column is not None and (self.estimator != "paper" or self.column not in COLUMNS):
             raise UserError(f"--column {self.column}: with --estimator paper one of {', '.join(COLUMNS)}")
-        if self.rendered and self.estimator == "paper":
-            raise UserError("--rendered: the paper's estimator is trained on clouds of its own protocol alone")
         options = _options(self, self.config, {f.name for f in fields(TrainConfig) if f.default is not MISSING})
         config: TrainConfig = TrainConfig(**options)
         resume = (self.out / "checkpoint.pt").is_file()
         column = (self.column or "symmetry-aware") if self.estimator == "paper" else None
         about = {f.name: getattr(config, f.name) for f in fields(TrainConfig)}
-        _remember(self.out, resume, {**about, "estimator": self.estimator, "column": column, "protocol": self.protocol})
+        about |= {"estimator": self.estimator, "column": column, "protocol": self.protocol}
+        _remember(self.out, resume, {**about, "rendered": [str(path) for path in self.rendered]})
         clouds = PROTOCOLS[self.protocol]()
         method: Any = Ours(clouds_config=clouds) if column is None else PaperMethod(COLUMNS[column], clouds)
         report = train(self.out, config, method, self.hands, rendered=self.rendered)
@@ -217,6 +216,8 @@ class Clouds:
         console = Console(stderr=self.json, highlight=False)
         from toolee_robot.perception.rendered_clouds import rendered_clouds
 
+        # Before the work: it may take hours.
+        _make_folder(self.out.parent)
         with console.status("loading the detector") as status:
             clouds = rendered_clouds(
                 self.data,
@@ -282,11 +283,15 @@ def _remember(out: Path, resume: bool, config: dict[str, Any]) -> None:
             raise UserError(
                 f"{out} was begun with another {', '.join(sorted(changed))} ({path}): use those values or another --out"
             )
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make the folder {out}: {error.strerror or error}") from error
+    _make_folder(out)
     write_whole(path, (json.dumps(config, indent=1, default=str) + "\n").encode())
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the folder {folder}: {error.strerror or error}") from error
 
 
 _MAY_CHANGE = {
