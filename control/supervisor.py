@@ -15,8 +15,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-import numpy as np
-
+from toolee_robot.arm_checks import check_start
 from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import BRAKE_EXEMPT, RUN_UP_EXEMPT, CollisionWorld
 from toolee_robot.control.contact import ContactVerdict, ExpectedContact, judge_contact
@@ -25,14 +24,13 @@ from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.supervisor_checks import (
     check_clear,
     check_limits,
+    check_place,
     check_ready,
     check_speed,
-    check_start,
     is_finite,
 )
 from toolee_robot.control.watcher import Watcher
 from toolee_robot.errors import DeviceError, LatchedError, LimitError, MotionFaultError, PersonNearError
-from toolee_robot.frames import Array
 from toolee_robot.hal import Arm, ArmState, ContactGuard, MotionReport, MotionWatch, Person
 from toolee_robot.types import Payload, Trajectory
 
@@ -65,7 +63,6 @@ class Supervisor:
         self._mode = Mode.HANDOVER
         self._swings_permitted = False
         self._latched = ""
-        self._q: Array | None = None  # commanded, once something has moved
 
     def __enter__(self) -> Self:
         self._arm.__enter__()
@@ -157,7 +154,7 @@ class Supervisor:
         if not confirmed:
             raise DeviceError("a reset needs a person who has looked at the robot: confirm it")
         self._arm.reset()
-        self._latched, self._q = "", None
+        self._latched = ""
         self._mode, self._swings_permitted = Mode.HANDOVER, False
 
     def _check(self, trajectory: Trajectory) -> CollisionWorld:
@@ -168,14 +165,15 @@ class Supervisor:
         if not is_finite(trajectory):
             # Whoever sends this computes with rubbish: nothing else of theirs is carried out either.
             self._arm.stop()
-            self._latch("a command held NaN or infinite values", None)
+            self._latch("a command held NaN or infinite values")
             raise LimitError(f"{self._latched}: nothing was sent; find out where they come from, then reset")
         check_limits(trajectory, self._robot, config)
         world = self._world()
         check_speed(trajectory, world, self._mode.speed(config.supervisor), self._mode)
         state = self._arm.state(config.supervisor.max_data_age)
         check_ready(state)
-        check_start(trajectory, state, self._q)
+        check_place(state)
+        check_start(trajectory, state.q_commanded)
         reason = self._why_not()
         if reason:
             raise PersonNearError(f"{reason}: no motion")
@@ -194,17 +192,14 @@ class Supervisor:
             with Watcher(self._why_not, self._arm.stop, UNSURE) as person:
                 report = self._arm.execute(trajectory, guard, watch)
         except MotionFaultError as fault:
-            self._latch(str(fault), fault.report)
+            self._latch(str(fault))
             raise
-        self._q = report.q_commanded[-1]
         if person.reason:
             if self._mode is Mode.HAMMERING:
-                self._latch(person.reason, report)
+                self._latch(person.reason)
             raise PersonNearError(f"{person.reason}: the arm was stopped", report)
         return report
 
-    def _latch(self, reason: str, report: MotionReport | None) -> None:
+    def _latch(self, reason: str) -> None:
         self._latched = reason
         self._swings_permitted = False
-        if report is not None and len(report.q_commanded):
-            self._q = np.array(report.q_commanded[-1])

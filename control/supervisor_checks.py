@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from toolee_robot.arm_checks import START_TOLERANCE
 from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.limits import check_trajectory
@@ -58,19 +57,13 @@ def check_ready(state: ArmState) -> None:
         raise NotReadyError(f"the arm still moves ({fastest:.2f} rad/s): wait until it stands")
 
 
-def check_start(trajectory: Trajectory, state: ArmState, q_commanded: Array | None) -> None:
-    """Raise LimitError unless the trajectory starts where the arm is and, if that is known, where it was commanded."""
-    off = float(np.max(np.abs(trajectory.q[0] - state.joints.q)))
+def check_place(state: ArmState) -> None:
+    """Raise LimitError unless the arm stands where it was commanded."""
+    off = float(np.max(np.abs(state.joints.q - state.q_commanded)))
     if not off <= OFF_COMMAND:  # NaN included
         raise LimitError(
-            f"the trajectory starts {off:.3f} rad from where the arm stands (allowed {OFF_COMMAND}): has somebody "
-            "moved it? Plan from its present state"
-        )
-    if q_commanded is not None and np.max(np.abs(trajectory.q[0] - q_commanded)) > START_TOLERANCE:
-        jump = np.max(np.abs(trajectory.q[0] - q_commanded))
-        raise LimitError(
-            f"the trajectory starts {jump:.3f} rad from the commanded position (allowed {START_TOLERANCE}): plan from "
-            "where the last motion ended"
+            f"the arm stands {off:.3f} rad from where it was commanded (allowed {OFF_COMMAND}): has somebody moved it, "
+            "or does it lean on something? Free it, reset it, then plan from its present state"
         )
 
 

@@ -73,7 +73,7 @@ class SimArm:
 
     @property
     def q_commanded(self) -> Array:
-        """(6,) [rad] where the next motion has to start."""
+        """(6,) [rad] of the newest state, also while the link is down and none arrives."""
         return self._q.copy()
 
     def state(self, max_age: float = 0.1) -> ArmState:
@@ -88,7 +88,7 @@ class SimArm:
 
     def _read(self) -> ArmState:
         q, qd = self._world.robot.arm_state()
-        return ArmState(JointState(q, qd, self._world.time), self._sensor.wrench.copy(), self._status)
+        return ArmState(JointState(q, qd, self._world.time), self._q.copy(), self._sensor.wrench.copy(), self._status)
 
     def _newest(self) -> ArmState:
         return self._read() if self._last is None else self._last

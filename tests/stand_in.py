@@ -9,7 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from toolee_robot.hal import MotionWatch
+from toolee_robot.frames import Array
+from toolee_robot.hal import Arm, MotionWatch
 from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
@@ -25,6 +26,11 @@ def patient(host: str) -> UrArmConfig:
     return UrArmConfig(
         host, watchdog=5.0, connect_timeout=15.0, handshake_timeout=5.0, hang_timeout=1.0, heartbeat_timeout=1.0
     )
+
+
+def held(arm: Arm) -> Array:
+    """(6,) [rad] where the arm's next motion starts, however old its newest state is."""
+    return arm.state(np.inf).q_commanded
 
 
 @contextmanager

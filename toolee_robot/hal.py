@@ -39,10 +39,13 @@ class ArmStatus(StrEnum):
 
 @dataclass(frozen=True)
 class ArmState:
-    """joints: 6 joints. wrench: (6,) force [N] and torque [Nm] that the environment puts on the flange, base axes,
-    payload's weight and inertia compensated as well as the arm can. status: of the robot's own safety system."""
+    """joints: 6 joints, measured. q_commanded: (6,) [rad] the position that the arm holds: commanded last, or, before
+    anything was and after a reset or a hand has moved it, where it came to rest; the next motion starts there. wrench:
+    (6,) force [N] and torque [Nm] that the environment puts on the flange, base axes, payload's weight and inertia
+    compensated as well as the arm can. status: of the robot's own safety system."""
 
     joints: JointState
+    q_commanded: Array
     wrench: Array
     status: ArmStatus = ArmStatus.READY
 
@@ -109,10 +112,10 @@ class Arm(Device, Protocol):
     """A six-joint position-controlled arm.
 
     `execute` blocks until standstill and returns what was really sent and measured; the first sample must equal the
-    present commanded position within 0.01 rad or nothing moves (`LimitError`). Commands go out at `rate` [Hz] on an
-    absolute schedule. `stop` brings the arm to a standstill as fast as its limits allow, from the last commanded
-    state, and may be called at any time, from any thread. `state(max_age)` raises `StaleDataError` when the newest
-    reading is older than max_age [s].
+    state's `q_commanded` within `arm_checks.START_TOLERANCE` or nothing moves (`LimitError`). Commands go out at
+    `rate` [Hz] on an absolute schedule. `stop` brings the arm to a standstill as fast as its limits allow, from the
+    last commanded state, and may be called at any time, from any thread. `state(max_age)` raises `StaleDataError` when
+    the newest reading is older than max_age [s].
 
     Anything that ends a motion other than its end, a contact or `stop` is a fault: the arm stands still, latches, and
     raises a `MotionFaultError` that carries the report of what was done. While it is latched, `execute` raises

@@ -80,4 +80,4 @@ def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
         *("joints", "contact_forces", "holding", "assisted"),
         *("temperature", "fault"),
     }
-    assert {f.name for f in dataclasses.fields(hal.ArmState)} == {"joints", "wrench", "status"}
+    assert {f.name for f in dataclasses.fields(hal.ArmState)} == {"joints", "q_commanded", "wrench", "status"}

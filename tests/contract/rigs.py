@@ -12,7 +12,7 @@ import numpy as np
 import pybullet as pb
 
 from tests.sim_backend.kinematics import joints_for_hand, line
-from tests.stand_in import HOME, PATIENT, patient, stand_in
+from tests.stand_in import HOME, PATIENT, held, patient, stand_in
 from toolee_robot.config import ArmLimits, StationConfig
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array, transform
@@ -38,9 +38,9 @@ class Rig(ABC):
     faults = True
     disturbed = False
 
-    @abstractmethod
     def start(self) -> Array:
-        """The commanded position that the next motion starts from."""
+        """(6,) [rad] The commanded position that the next motion starts from."""
+        return held(self.arm)
 
     def nudge(self, duration: float = 1.0, share: float = 1.0) -> Trajectory:
         """Away from where the arm is and back the next time, so that tests follow one another."""
@@ -123,9 +123,6 @@ class SimRig(Rig):
         assert isinstance(arm, SimArm)
         self.arm: SimArm = arm
 
-    def start(self) -> Array:
-        return self.arm.q_commanded
-
     def now(self) -> float:
         return self._simulation.station.clock.now()
 
@@ -184,9 +181,6 @@ class StandInRig(Rig):
         self.controller, self.limits = controller, limits
         self.rate = 500.0 if model is ArmModel.UR10E else 125.0
 
-    def start(self) -> Array:
-        return self.arm.q_commanded
-
     def now(self) -> float:
         return time.monotonic()
 
@@ -237,10 +231,7 @@ class HardwareRig(Rig):
     def __init__(self, arm: UrArm, limits: ArmLimits) -> None:
         self.arm: UrArm = arm
         self.limits, self.rate = limits, arm.rate
-        self._home = arm.q_commanded
-
-    def start(self) -> Array:
-        return self.arm.q_commanded
+        self._home = held(arm)
 
     def nudge(self, duration: float = 1.0, share: float = 1.0) -> Trajectory:
         q = self.start()

@@ -12,6 +12,7 @@ import pytest
 from tests.contract.rigs import Rig
 from tests.sim_backend.kinematics import line
 from tests.stand_in import PATIENT
+from toolee_robot.arm_checks import START_TOLERANCE
 from toolee_robot.errors import (
     DeviceError,
     EmergencyStopError,
@@ -63,8 +64,8 @@ def test_it_is_an_arm_at_its_rate(rig: Rig) -> None:
 def test_its_state_is_fresh_finite_and_ready(rig: Rig) -> None:
     state = rig.arm.state(max_age=0.5)
     assert state.status is ArmStatus.READY
-    assert state.joints.q.shape == state.joints.qd.shape == state.wrench.shape == (6,)
-    assert np.all(np.isfinite(np.concatenate([state.joints.q, state.joints.qd, state.wrench])))
+    assert state.joints.q.shape == state.joints.qd.shape == state.q_commanded.shape == state.wrench.shape == (6,)
+    assert np.all(np.isfinite(np.concatenate([state.joints.q, state.joints.qd, state.q_commanded, state.wrench])))
     assert 0.0 <= rig.now() - state.joints.stamp < 0.5
     np.testing.assert_allclose(state.joints.q, rig.true_joints()[0], atol=1e-6)
     rig.sleep(0.1)
@@ -93,10 +94,12 @@ def test_a_motion_is_driven_as_planned_and_reported_as_sent(rig: Rig) -> None:
     stands(rig)
     np.testing.assert_allclose(rig.true_joints()[0], trajectory.q[-1], atol=rig.tracking)
     np.testing.assert_allclose(report.q_measured[-1], trajectory.q[-1], atol=rig.tracking)
+    np.testing.assert_array_equal(rig.start(), report.q_commanded[-1])
 
 
 BREACHES: list[tuple[Callable[[Trajectory], Trajectory], str]] = [
     (lambda t: Trajectory(t.times, t.q + 0.05, t.qd, t.qdd), "starts"),
+    (lambda t: Trajectory(t.times, t.q + 2 * START_TOLERANCE, t.qd, t.qdd), "starts"),
     (lambda t: Trajectory(t.times / 40, t.q, t.qd * 40, t.qdd * 1600), "too fast"),
     (lambda t: Trajectory(t.times, np.where(t.q == t.q[-1], np.nan, t.q), t.qd, t.qdd), "finite"),
     (lambda t: Trajectory(t.times, t.q, t.qd, np.where(t.qdd == t.qdd[1], np.inf, t.qdd)), "finite"),
@@ -119,8 +122,9 @@ def test_what_breaks_a_limit_is_refused_and_nothing_moves(
 
 def test_a_start_within_the_tolerance_is_taken(rig: Rig) -> None:
     trajectory = rig.nudge(share=0.3)
-    shifted = Trajectory(trajectory.times, trajectory.q + 0.003, trajectory.qd, trajectory.qdd)
+    shifted = replace(trajectory, q=trajectory.q + 0.5 * START_TOLERANCE)
     assert rig.execute(shifted).outcome is MotionOutcome.COMPLETED
+    np.testing.assert_array_equal(rig.start(), shifted.q[-1])
 
 
 def test_a_contact_brakes_on_the_path(rig: Rig) -> None:
@@ -176,6 +180,8 @@ def latched(rig: Rig) -> None:
 
 def goes_on(rig: Rig) -> None:
     rig.recover()
+    # Wherever it has come to rest: it is planned from there, and nothing jumps.
+    np.testing.assert_allclose(rig.start(), rig.true_joints()[0], atol=rig.tracking)
     assert rig.execute(rig.nudge(0.5, share=0.3)).outcome is MotionOutcome.COMPLETED
 
 

@@ -50,7 +50,8 @@ class PaperArm:
     def state(self, max_age: float = 0.1) -> ArmState:
         if not self.fresh:
             raise StaleDataError(f"nothing for {max_age} s: check the link")
-        return ArmState(JointState(self.q + self.measured_off, np.zeros(6), 0.0), np.zeros(6), self.status)
+        joints = JointState(self.q + self.measured_off, np.zeros(6), 0.0)
+        return ArmState(joints, self.q.copy(), np.zeros(6), self.status)
 
     def execute(
         self, trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None

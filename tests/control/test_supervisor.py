@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.control.paper_arm import Bystander, PaperArm
+from toolee_robot.arm_checks import START_TOLERANCE
 from toolee_robot.config import StationConfig, SupervisorConfig
 from toolee_robot.control import CollisionWorld, Meeting, Mode, RobotModel, StrikePlan, Supervisor, paced, plan_strike
 from toolee_robot.control.collision_shapes import box_body
@@ -141,14 +142,14 @@ def _from(name: str, row: int, value: float) -> Callable[[Trajectory], Trajector
         (_spoil("qdd", -1, 3, 3.0), "jerk of joint 4"),
         (_spoil("qdd", 40, 3, 30.0), "acceleration of joint 4"),
         (lambda t: replace(t, times=t.times / 30, qd=t.qd * 30, qdd=t.qdd * 900), "velocity of joint"),
-        (lambda t: replace(t, q=t.q + 0.02), "starts 0.020 rad"),
-        (lambda t: replace(t, q=t.q + 0.2), "starts 0.200 rad"),
+        (lambda t: replace(t, q=t.q + 0.02), "starts 0.02 rad"),
+        (lambda t: replace(t, q=t.q + 0.2), "starts 0.2 rad"),
         (lambda t: replace(t, q=t.q + np.array([0, 0, 3.0, 0, 0, 0])), "position of joint 3"),
         (lambda t: replace(t, q=t.q[:, :5], qd=t.qd[:, :5], qdd=t.qdd[:, :5]), "5 joints"),
     ],
 )
 def test_what_breaks_a_limit_is_refused(desk: Desk, change: Callable[[Trajectory], Trajectory], says: str) -> None:
-    desk.supervisor.execute(desk.slow(0.1))  # so that the commanded position is known
+    desk.supervisor.execute(desk.slow(0.1))
     refused(desk, LimitError, lambda: desk.supervisor.execute(change(desk.slow())), says)
     desk.supervisor.execute(desk.slow())  # it was the change, nothing else
 
@@ -225,7 +226,22 @@ def test_an_arm_that_is_not_ready_not_known_or_elsewhere_is_not_moved(desk: Desk
             refused(desk, NotReadyError, lambda: desk.supervisor.execute(move))
     desk.arm.status = ArmStatus.READY
     desk.arm.measured_off = np.array([0, 0.05, 0, 0, 0, 0])
-    refused(desk, LimitError, lambda: desk.supervisor.execute(move), "has somebody moved it")
+    refused(desk, LimitError, lambda: desk.supervisor.execute(move), "stands 0.050 rad from where it was commanded")
+    # Nor from where it has been moved to: it would jump there from where it holds itself.
+    there = paced(replace(move, q=move.q + desk.arm.measured_off), desk.world, 0.2)
+    refused(desk, LimitError, lambda: desk.supervisor.execute(there), "has somebody moved it")
+
+
+@pytest.mark.parametrize("moved_before", [False, True], ids=["first", "second"])
+@pytest.mark.parametrize("off", [2 * START_TOLERANCE, 1e-4, 0.009, 0.015625])
+def test_a_motion_starts_at_the_command_and_not_beside_it(desk: Desk, off: float, moved_before: bool) -> None:
+    """Where the arm's joints are measured, a servo's lag or a load away from it, is beside it, too."""
+    if moved_before:
+        desk.supervisor.execute(desk.slow(0.1))
+    move, there = desk.slow(), np.array([0, off, 0, 0, 0, 0])
+    desk.arm.measured_off = there
+    refused(desk, LimitError, lambda: desk.supervisor.execute(replace(move, q=move.q + there)), "from the commanded")
+    desk.supervisor.execute(replace(move, q=move.q + 0.5 * START_TOLERANCE))
 
 
 # -- people ------------------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, event, given, settings
+from hypothesis import HealthCheck, event, example, given, settings
 from hypothesis import strategies as st
 
 from tests.control.paper_arm import STOP_ACCELERATION, STOP_JERK, Bystander, PaperArm
@@ -24,6 +24,22 @@ VALUES = st.one_of(
     st.floats(-4.0, 4.0),
     st.sampled_from([np.nan, np.inf, -np.inf, 1e9]),
 )
+
+# A first motion that starts beside where the arm is commanded, which follows exactly and jumps there in one cycle.
+BESIDE = {
+    "goal": [0.0] * 6,
+    "slowed": False,
+    "speed": 1.0,
+    "acceleration": 8.0,
+    "jerk": 300.0,
+    "mode": Mode.HANDOVER,
+    "inside": False,
+    "absent": False,
+    "status": ArmStatus.READY,
+    "off": 0.0,
+    "fault": None,
+    "again": False,
+}
 
 RARELY = st.sampled_from([False] * 5 + [True])
 
@@ -73,6 +89,8 @@ def free(robot: RobotModel, config: StationConfig, q_hand: Array, X_hand_ee: Arr
     fault=st.sampled_from([None, None, None, TrackingError, ProtectiveStopError, EmergencyStopError]),
     again=st.booleans(),
 )
+@example(**BESIDE, changes=[("q", 0.0, 0, True, 0.015625)])
+@example(**BESIDE, changes=[("q", 0.0, 0, True, 0.009)])
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_nothing_that_is_driven_breaks_a_limit(
     robot: RobotModel,

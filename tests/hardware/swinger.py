@@ -7,7 +7,7 @@ import sys
 import threading
 
 from tests.hardware.swings import LONG, swing, wait_for_mid_swing
-from tests.stand_in import PATIENT, patient
+from tests.stand_in import PATIENT, held, patient
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import DeviceError
 from toolee_robot.hardware.ur_arm import UrArm
@@ -17,7 +17,7 @@ from toolee_robot.types import ArmModel
 def main() -> None:
     host, model = sys.argv[1], ArmModel(sys.argv[2])
     with UrArm(patient(host), ArmLimits(model=model)) as arm:
-        trajectory = swing(arm.q_commanded, LONG)
+        trajectory = swing(held(arm), LONG)
 
         def say() -> None:
             wait_for_mid_swing(arm, trajectory)

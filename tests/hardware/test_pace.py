@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.sim_backend.kinematics import line
-from tests.stand_in import HOME, PATIENT, stand_in
+from tests.stand_in import HOME, PATIENT, held, stand_in
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import NotReadyError, UserError
 from toolee_robot.hal import ContactGuard, MotionOutcome
@@ -42,7 +42,7 @@ def test_all_of_the_station_runs_at_its_pace_and_on_one_clock(controller: Contro
     clock = HostClock(PACE)
     before = controller.state()
     wall, began = time.monotonic(), clock.now()
-    report = arm.execute(line([arm.q_commanded, HOME + WAY], 0.8))
+    report = arm.execute(line([held(arm), HOME + WAY], 0.8))
     took, passed = time.monotonic() - wall, clock.now() - began
     after = controller.state()
     assert report.outcome is MotionOutcome.COMPLETED
@@ -68,10 +68,10 @@ def test_a_knock_is_no_contact_for_a_guard_that_averages_and_a_push_is(
         controller.fault("force", wrench=[0.0, 0.0, 30.0, 0.0, 0.0, 0.0], seconds=seconds)
 
     for seconds, outcome in ((0.03, MotionOutcome.COMPLETED), (0.6, MotionOutcome.CONTACT)):
-        there = HOME if np.abs(arm.q_commanded - HOME).max() > 0.05 else HOME + WAY
+        there = HOME if np.abs(held(arm) - HOME).max() > 0.05 else HOME + WAY
         timer = threading.Timer(0.3 / PACE, push, [seconds])
         timer.start()
-        report = arm.execute(line([arm.q_commanded, there], 1.2), guard)
+        report = arm.execute(line([held(arm), there], 1.2), guard)
         timer.join()
         assert np.linalg.norm(report.wrenches[:, :3], axis=1).max() > guard.force
         assert report.outcome is outcome
@@ -87,10 +87,10 @@ def test_a_knock_among_readings_that_come_at_once_is_felt(
         controller.fault("stall", port="rtde", seconds=5 / 125)
         controller.fault("force", wrench=[0.0, 0.0, 30.0, 0.0, 0.0, 0.0], seconds=2 / 125)
 
-    there = HOME if np.abs(arm.q_commanded - HOME).max() > 0.05 else HOME + WAY
+    there = HOME if np.abs(held(arm) - HOME).max() > 0.05 else HOME + WAY
     timer = threading.Timer(0.3 / PACE, knock)
     timer.start()
-    report = arm.execute(line([arm.q_commanded, there], 1.2), ContactGuard(force=15.0, over=over), PATIENT)
+    report = arm.execute(line([held(arm), there], 1.2), ContactGuard(force=15.0, over=over), PATIENT)
     timer.join()
     assert report.outcome is MotionOutcome.CONTACT
     assert np.linalg.norm(report.wrenches[:, :3], axis=1).max() == pytest.approx(30.0, abs=0.1)
@@ -112,13 +112,13 @@ def test_the_collector_does_not_pause_a_task_whose_arm_moves(arm: UrArm) -> None
                 loop: list[object] = []
                 loop.append(loop)
 
-    there = HOME if np.abs(arm.q_commanded - HOME).max() > 0.05 else HOME + WAY
+    there = HOME if np.abs(held(arm) - HOME).max() > 0.05 else HOME + WAY
     task = threading.Thread(target=litter)
     timer = threading.Timer(0.3 / PACE, lambda: gc.callbacks.append(pause))
     task.start()
     timer.start()
     try:
-        report = arm.execute(line([arm.q_commanded, there], 0.8))
+        report = arm.execute(line([held(arm), there], 0.8))
     finally:
         gc.callbacks.remove(pause)
         ended.set()

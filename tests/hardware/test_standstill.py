@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from tests.sim_backend.kinematics import line
-from tests.stand_in import HOME
+from tests.stand_in import HOME, held
 from toolee_robot.config import ArmLimits
 from toolee_robot.frames import Array
 from toolee_robot.hardware.ur_arm import UrArm
@@ -51,7 +51,7 @@ def test_an_arm_that_swings_is_not_taken_for_one_that_stands() -> None:
     ):
         way = np.array([0.15, 0.0, 0.0, 0.0, 0.0, 0.0])
         for target in (HOME + way, HOME):
-            arm.execute(line([arm.q_commanded, target], 0.5))
+            arm.execute(line([held(arm), target], 0.5))
             tick = controller.state()["tick"]
             time.sleep(0.4 / PACE)
             assert np.abs(controller.trace(tick).qd).max() < 0.01

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from tests.sim_backend.kinematics import line
-from tests.stand_in import PATIENT, patient, stand_in
+from tests.stand_in import PATIENT, held, patient, stand_in
+from toolee_robot.arm_checks import START_TOLERANCE
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import DeviceError, NotReadyError, ServoCrashError
 from toolee_robot.hardware.servo_client import ServoClient
@@ -75,12 +76,23 @@ def test_payload_and_freedrive_reach_the_robot_and_nobody_else_does(controller: 
         # A second driver is refused, and the first does not notice.
         with pytest.raises(DeviceError, match=r"(?i)use"):
             ServoClient(patient(controller.host), 500.0)
-        q = arm.q_commanded
+        q = held(arm)
         with arm.freedrive():
             with pytest.raises(DeviceError, match="freedrive"):
                 arm.execute(line([q, q + 0.05], 0.5))
             time.sleep(0.5)  # the watchdog is fed
             assert controller.state()["program_state"] == "PLAYING"
-        arm.execute(line([arm.q_commanded, arm.q_commanded + 0.05], 0.5), None, PATIENT)
+        arm.execute(line([held(arm), held(arm) + 0.05], 0.5), None, PATIENT)
         np.testing.assert_allclose(controller.state()["q"], q + 0.05, atol=1e-6)
+        # Let go of in mid-motion it brakes first, and what comes next starts where it then stands.
+        q = held(arm)
+        controller.fault("force", wrench=[0.0, 40.0, 0.0, 0.0, 0.0, 0.0], seconds=0.8)
+        with arm.freedrive():
+            time.sleep(0.5)
+        there = held(arm)
+        assert np.abs(there - q).max() > 0.02
+        time.sleep(0.2)
+        np.testing.assert_allclose(controller.state()["q"], there, atol=START_TOLERANCE)
+        arm.execute(line([there, there + 0.05], 0.5), None, PATIENT)
+        np.testing.assert_allclose(controller.state()["q"], there + 0.05, atol=1e-6)
     assert controller.state()["program_state"] == "STOPPED"

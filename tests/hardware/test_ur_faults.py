@@ -13,7 +13,7 @@ from functools import partial
 import pytest
 
 from tests.hardware.swings import SLACK, Stop, braked, shortest_stop, stop_after, swing, wait_for_mid_swing
-from tests.stand_in import HOME, PATIENT, patient, stand_in
+from tests.stand_in import HOME, PATIENT, held, patient, stand_in
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import (
     DeviceError,
@@ -70,7 +70,7 @@ def happens(
     arm: UrArm, controller: ControllerProcess, event: Callable[[], object], watch: MotionWatch = PATIENT
 ) -> tuple[Stop, Exception | None]:
     """A swing in the middle of which `event` happens, and how the joints stopped."""
-    trajectory = swing(arm.q_commanded)
+    trajectory = swing(held(arm))
     before = controller.state()["tick"]
     at: list[float] = []
 
@@ -96,7 +96,7 @@ def happens(
 
 def expect_latch(arm: UrArm) -> None:
     with pytest.raises(LatchedError):
-        arm.execute(swing(arm.q_commanded))
+        arm.execute(swing(held(arm)))
 
 
 def test_stop_from_another_thread(arm: UrArm, controller: ControllerProcess) -> None:
@@ -167,7 +167,7 @@ def test_a_controller_that_pauses_at_rest_is_stale_meanwhile_and_no_more(
     assert arm.state(0.5).status is ArmStatus.READY
     arm.reset()
     assert arm.servo_pid == pid
-    assert arm.execute(swing(arm.q_commanded), None, PATIENT).outcome is MotionOutcome.COMPLETED
+    assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
 
 
 def test_a_network_that_is_stuck_for_a_second_stops_the_motion(arm: UrArm, controller: ControllerProcess) -> None:
@@ -176,7 +176,7 @@ def test_a_network_that_is_stuck_for_a_second_stops_the_motion(arm: UrArm, contr
     assert isinstance(error, MotionFaultError)
     expect_latch(arm)
     arm.reset()
-    assert arm.execute(swing(arm.q_commanded), None, PATIENT).outcome is MotionOutcome.COMPLETED
+    assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
 
 
 def test_a_stall_of_three_seconds_is_a_lost_link(arm: UrArm, controller: ControllerProcess) -> None:

@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from tests.hardware.evil_proxy import EvilProxy, Rule
 from tests.hardware.swings import MOVING, swing, wait_for_mid_swing
 from tests.hardware.wire import packet
-from tests.stand_in import HOME, stand_in
+from tests.stand_in import HOME, held, stand_in
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import DeviceError, LatchedError, LinkLostError, MotionFaultError
 from toolee_robot.hal import ArmStatus, MotionOutcome, MotionWatch
@@ -271,7 +271,7 @@ def _swing_while_struck(
     cycles = PATIENCE * arm.rate
     patient = MotionWatch(tracking_error=0.5, data_cycles=cycles, overruns=int(cycles))
     _ready(arm)
-    trajectory = swing(arm.q_commanded)
+    trajectory = swing(held(arm))
 
     def strike() -> None:
         with suppress(DeviceError):

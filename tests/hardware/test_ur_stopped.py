@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tests.stand_in import PATIENT, patient, stand_in
+from tests.stand_in import PATIENT, held, patient, stand_in
 from toolee_robot.cli.servo_trace import compare
 from toolee_robot.config import ArmLimits
 from toolee_robot.hal import MotionOutcome
@@ -55,7 +55,7 @@ def test_commands_are_followed_with_the_usual_lag_after_a_standstill(
     before = controller.state()["tick"]
     timer = threading.Timer(0.5, stop)
     timer.start()
-    report = arm.execute(wave(arm.q_commanded, 4.0), None, PATIENT)
+    report = arm.execute(wave(held(arm), 4.0), None, PATIENT)
     timer.join()
     assert report.outcome is MotionOutcome.COMPLETED
     trace = controller.trace(before)

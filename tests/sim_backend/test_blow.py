@@ -24,7 +24,7 @@ def held() -> Iterator[SimStation]:
     robot = RobotModel.load()
     with SimStation.build(CONFIG, 0) as simulation:
         station = simulation.station
-        q, q_hand = station.arm.state().joints.q, station.hand.state().joints.q
+        q, q_hand = station.arm.state().q_commanded, station.hand.state().joints.q
         station.arm.execute(plan_handover(robot, CONFIG, CollisionWorld(robot, CONFIG, q_hand), q, q_hand))
         assert station.person.request_handover("", 10.0)
         station.hand.close(8.0)
@@ -42,7 +42,7 @@ def test_blows_drive_the_nail_by_the_hammers_energy_and_the_hand_keeps_it(held: 
     for _ in range(2):
         X_before = inverse(world.X_base_hand()) @ world.X_base_tool()
         X_hand_ee = inverse(world.X_base_hand()) @ world.X_base_ee()
-        q, q_hand = world.robot.q_arm_target.copy(), station.hand.state().joints.q
+        q, q_hand = station.arm.state().q_commanded, station.hand.state().joints.q
         collisions = CollisionWorld(robot, CONFIG, q_hand, X_hand_ee)
         protrusion = world.nail.protrusion
         X_base_nail = CONFIG.work.X_base_nail(protrusion)
@@ -54,7 +54,7 @@ def test_blows_drive_the_nail_by_the_hammers_energy_and_the_hand_keeps_it(held: 
         report = station.arm.execute(plan.strike, guard)
         station.clock.sleep(0.1)
         held.observers.clear()
-        retract = plan_straight(robot, CONFIG, collisions, world.robot.q_arm_target.copy(), 0.2)
+        retract = plan_straight(robot, CONFIG, collisions, station.arm.state().q_commanded, 0.2)
         station.arm.execute(retract)
         station.clock.sleep(0.3)
 

@@ -78,7 +78,7 @@ def on_path(q: Array, path: Trajectory) -> float:
 def over_nail() -> Iterator[tuple[Bench, StrikePlan]]:
     robot, bench = RobotModel.load(), Bench()
     with bench.sim:
-        q, q_hand, X_hand_ee = bench.arm.q_commanded, bench.hand.state().joints.q, bench.true_grasp.X_hand_ee
+        q, q_hand, X_hand_ee = bench.arm.state().q_commanded, bench.hand.state().joints.q, bench.true_grasp.X_hand_ee
         world = CollisionWorld(robot, CONFIG, q_hand, X_hand_ee)
         plan = plan_strike(robot, CONFIG, world, q, q_hand, X_hand_ee, CONFIG.work.X_base_nail())
         bench.arm.execute(plan.approach)

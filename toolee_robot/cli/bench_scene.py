@@ -42,7 +42,7 @@ class BenchScene:
         self._sim, self._config, self._grasp = sim, config, grasp
         self.frame, self.X_camera_hand = frame, X
         self.robot = RobotModel.load(config.arm.model, config.arm.calibration)
-        self.q_arm = sim.station.arm.state().joints.q
+        self.q_arm = sim.station.arm.state().q_commanded
         self.q_hand = sim.station.hand.state().joints.q
 
     def random_grasps(self, n: int) -> list[Array]:

@@ -118,7 +118,7 @@ def _in_swing(fault: CommandFault, rig: Rig) -> FaultRow:
     def send() -> object:
         began = time.monotonic()
         try:
-            return fault.send(supervisor, rig, rig.arm.q_commanded)
+            return fault.send(supervisor, rig, rig.q_commanded)
         except TooleeError as error:
             return error, time.monotonic() - began
 
@@ -154,7 +154,7 @@ def _at_rest(fault: CommandFault, rig: Rig) -> FaultRow:
     began = time.monotonic()
     got: object = None
     try:
-        got = fault.send(supervisor, rig, rig.arm.q_commanded)
+        got = fault.send(supervisor, rig, rig.q_commanded)
     except TooleeError as error:
         got = error
     took = time.monotonic() - began
@@ -180,7 +180,7 @@ def _expected(fault: CommandFault, end: str) -> str:
 
 def _refuses(supervisor: Supervisor, rig: Rig) -> bool:
     try:
-        supervisor.execute(bad.good(rig.swing, rig.arm.q_commanded, np.full(6, 0.01)), None, PATIENT)
+        supervisor.execute(bad.good(rig.swing, rig.q_commanded, np.full(6, 0.01)), None, PATIENT)
     except LatchedError:
         return True
     return False

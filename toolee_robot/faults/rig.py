@@ -16,6 +16,7 @@ from toolee_robot.errors import DeviceError, LatchedError, MotionFaultError
 from toolee_robot.faults.joints_path import MOVING, Stop, stop_after
 from toolee_robot.faults.strikes import Swing, plan_swing
 from toolee_robot.faults.watch import PATIENT
+from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
 from toolee_robot.hardware.ur_arm import UrArm
 from toolee_robot.hardware.ur_config import UrArmConfig
@@ -56,6 +57,11 @@ class Rig:
     @property
     def strike(self) -> Trajectory:
         return self.swing.plan.strike
+
+    @property
+    def q_commanded(self) -> Array:
+        """(6,) [rad] where the next motion starts, however old the arm's newest state is."""
+        return self.arm.state(np.inf).q_commanded
 
     @property
     def period(self) -> float:
@@ -137,7 +143,7 @@ class Rig:
         self.make_ready()
         limits = self.swing.config.arm
         way = joint_move(
-            self.arm.q_commanded,
+            self.q_commanded,
             self.strike.q[0],
             0.5 * np.asarray(limits.velocity),
             np.full(6, limits.transfer_acceleration),

@@ -79,7 +79,7 @@ def servo_benchmark(arm: UrArm, seconds: float) -> tuple[ServoFigures, MotionRep
     cpu = _cpu_time(pid)
     watcher.start()
     try:
-        report = arm.execute(wave(arm.q_commanded, seconds), None, _PATIENT)
+        report = arm.execute(wave(arm.state().q_commanded, seconds), None, _PATIENT)
         cpu = _cpu_time(pid) - cpu
     finally:
         ended.set()

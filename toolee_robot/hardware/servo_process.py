@@ -140,6 +140,7 @@ class ServoProcess:
                     self._link.end_freedrive()
         except DeviceError as error:
             return Refused(str(error), False)
+        self._memory.write_state(self._link.reading)  # whoever gets the answer plans from this
         return Done()
 
     def lost(self) -> Cause:

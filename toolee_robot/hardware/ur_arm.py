@@ -2,7 +2,7 @@
 
     limits = ArmLimits(model=ArmModel.UR10)
     with UrArm(UrArmConfig("192.168.1.10"), limits) as arm:
-        q = arm.state().joints.q
+        q = arm.state().q_commanded
         arm.execute(joint_move(q, q_goal, ...))
 
 None of this is a safety function: the robot's own safety system is, with its limits set for this task.
@@ -123,12 +123,7 @@ class UrArm:
                 f"the arm's newest state is {age:.2f} s old: check the robot and its network cable, then reset the arm"
             )
         joints = JointState(state[StateColumn.Q], state[StateColumn.QD], float(state[StateColumn.SEEN]))
-        return ArmState(joints, state[StateColumn.WRENCH], _status(state))
-
-    @property
-    def q_commanded(self) -> Array:
-        """(6,) [rad] The position that was commanded last, from which the next motion starts."""
-        return self._open().memory.read_state()[StateColumn.COMMANDED]
+        return ArmState(joints, state[StateColumn.COMMANDED], state[StateColumn.WRENCH], _status(state))
 
     def execute(
         self, trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None
@@ -136,7 +131,8 @@ class UrArm:
         """See `hal.Arm`. Ctrl-C brakes the arm on the path first, and is raised when it stands."""
         with self._exclusive():
             servo = self._ready()
-            check_trajectory(trajectory, self.q_commanded, -POSITION, POSITION, self._velocity)
+            q_commanded = servo.memory.read_state()[StateColumn.COMMANDED]
+            check_trajectory(trajectory, q_commanded, -POSITION, POSITION, self._velocity)
             samples, knots = servo.memory.write_path(trajectory, self._rate)
             limits = self._limits
             order = MotionOrder(

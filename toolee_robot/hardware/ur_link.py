@@ -18,6 +18,7 @@ from contextlib import contextmanager
 import numpy as np
 from rtde_control import RTDEControlInterface
 
+from toolee_robot.arm_checks import START_TOLERANCE
 from toolee_robot.errors import DeviceError, NotReadyError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmStatus
@@ -32,6 +33,7 @@ PAYLOAD_TOLERANCE = 1e-3
 """[kg], [m] Between what was set and what the controller reports."""
 
 _CATCH_UP = 100  # times, of what has come during a handshake
+_HELD = 5  # readings with one set-point
 
 
 @contextmanager
@@ -47,8 +49,8 @@ def bounded(seconds: float) -> Iterator[None]:
 
 class UrLink:
     """rate [Hz]: the controller's. reading: (StateColumn.COUNT,), the newest; its commanded position is what went out
-    last, or, before anything did, where the controller holds the arm. refused: True for good once the wheel did not
-    send a position, since it believes that the robot's program has ended, whatever the receiving end says. status,
+    last, or, while nothing is servoed, where the controller holds the arm. refused: True for good once the wheel did
+    not send a position, since it believes that the robot's program has ended, whatever the receiving end says. status,
     playing: what the robot says of its safety and of its program. servoing: the control script's servo thread runs, and
     holds the last position sent."""
 
@@ -74,7 +76,7 @@ class UrLink:
                     self._expect_sane()
                     time.sleep(1e-3)
                 self._control.setWatchdog(config.watchdog)
-                self._take_target()
+                self._catch_up()
                 self._sockets = WheelSockets(RTDE_PORT)
             except (RuntimeError, ValueError, IndexError, MemoryError) as error:  # whatever C++ may throw
                 raise DeviceError(_explain(str(error), config.host)) from error
@@ -119,6 +121,8 @@ class UrLink:
         reading[:5] = self._stream.seen, newest.timestamp, safety, mode, runtime
         reading[StateColumn.Q], reading[StateColumn.QD] = newest.q, newest.qd
         reading[StateColumn.WRENCH] = newest.wrench
+        if not self.servoing:  # a person may move it, and it may still come to rest after a program's end
+            reading[StateColumn.COMMANDED] = newest.target
         self.status = arm_status(safety, mode)
         self.playing = runtime == RUNTIME_PLAYING
 
@@ -168,9 +172,19 @@ class UrLink:
                 raise DeviceError("the robot did not go into freedrive: its program does not run; reset the arm")
 
     def end_freedrive(self) -> None:
+        """Returns when the controller holds the arm at one place: let go of in mid-motion, it brakes first."""
         with bounded(self._clock.wall(self._config.handshake_timeout)):
             self._control.endTeachMode()
-        self._take_target()
+            self._catch_up()
+            held = 0
+            while held < _HELD:
+                before = self.reading[StateColumn.COMMANDED].copy()
+                self.kick()
+                self._clock.sleep(1.0 / self.rate)
+                if self.read():
+                    moved = np.abs(self.reading[StateColumn.COMMANDED] - before).max()
+                    held = held + 1 if moved <= START_TOLERANCE else 0
+                self._expect_sane()
 
     def close(self) -> None:
         """End the robot's program, at rest, and the connections; whatever does not end by itself ends the process."""
@@ -190,13 +204,12 @@ class UrLink:
         except RuntimeError:
             self._lost = True
 
-    def _take_target(self) -> None:
-        """Where the controller holds the arm is where the next motion starts."""
+    def _catch_up(self) -> None:
+        """Take in all that came during a handshake."""
         for _ in range(_CATCH_UP):
             if not self.read():
                 break
         self._expect_sane()
-        self.reading[StateColumn.COMMANDED] = self._stream.newest.target
 
     def _expect_sane(self) -> None:
         if not self.sane:

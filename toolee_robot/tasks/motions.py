@@ -57,8 +57,8 @@ class Motions:
         self._observer = observer
 
     def begin(self) -> None:
-        """Read where the arm stands. Raises StaleDataError when it does not say."""
-        self.q = self.arm.state().joints.q
+        """Read where the arm holds itself. Raises StaleDataError when it does not say."""
+        self.q = self.arm.state().q_commanded
 
     @property
     def q_hand(self) -> Array:
