@@ -21,7 +21,7 @@ from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseRes
 from toolee_robot.perception.pose.flow import Euler, Sampler
 from toolee_robot.perception.pose.network import CATEGORIES, CONTEXT_DIM, REGRESSED, SAMPLER, PoseNet, Seen
 from toolee_robot.perception.pose.pooling import Pooled, pairwise_angles, pool
-from toolee_robot.perception.pose.representation import DIM, T_SCALE, decode
+from toolee_robot.perception.pose.representation import DIM, T_SCALE, decode, mirrored
 from toolee_robot.perception.pose.weights import Calibration, load
 from toolee_robot.types import Category, PoseHypotheses
 
@@ -103,13 +103,24 @@ class PoseEstimator(CloudEstimator):
         return self._captured[self.sampler], torch.device("cpu")
 
     def _network(self, *inputs: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Candidates u (B, K, 12) and `REGRESSED` from the fields of `Seen` and noise (B, K, 12)."""
-        *seen, noise = inputs
-        feature = self._net.encode(Seen(*seen))
+        """Candidates u (B, K, 12) and `REGRESSED` from the fields of `Seen` and noise (B, K, 12).
+
+        Half of the candidates come from the cloud and half from its mirror image, whose errors are others; sigmas and
+        validity are the mean of both, the regressed pose is the cloud's own.
+        """
+        *fields, noise = inputs
+        B, K = noise.shape[:2]
+        half = (K + 1) // 2
+        feature = self._net.encode(Seen(*fields).with_mirror())
         condition = self._net.flow.condition(feature)
-        u = self.sampler(self.process, lambda u, t: self._net.flow(u, t, condition), noise)
-        regression = self._net.regress(feature)
-        return u, *(regression[name] for name in REGRESSED)
+        drawn = self.sampler(
+            self.process,
+            lambda u, t: self._net.flow(u, t, condition),
+            torch.cat([noise[:, :half], noise[:, K - half :]]),
+        )
+        u = torch.cat([drawn[:B], mirrored(drawn[B:, 2 * half - K :])], 1)
+        mean, log_sigma, valid = (self._net.regress(feature)[name].unflatten(0, (2, B)) for name in REGRESSED)
+        return u, mean[0], log_sigma.mean(0), valid.mean(0)
 
     def _result(
         self,

@@ -71,6 +71,15 @@ class Seen(NamedTuple):
         points, guessed, tokens = cloud.points.to(to), cloud.guessed.to(to), (direction.to(to), context.to(to))
         return Seen(points, guessed, cloud.rest.to(to), cloud.rest_known.to(to), category, *tokens)
 
+    def with_mirror(self) -> Seen:
+        """Twice as many: as they are, then their mirror images in x."""
+        other = self._replace(points=_in_x(self.points), rest=_in_x(self.rest), direction=_in_x(self.direction))
+        return Seen(*(torch.cat(pair) for pair in zip(self, other, strict=True)))
+
+
+def _in_x(x: Tensor) -> Tensor:
+    return torch.cat([-x[..., :1], x[..., 1:]], -1)
+
 
 class PoseNet(nn.Module):
     """Heads on one shared encoding; see `encode`, `velocity` and `regress`."""
@@ -109,10 +118,10 @@ class PoseNet(nn.Module):
             ],
             dim=1,
         )
-        for block in self.blocks:
+        for block in self.blocks[:-1]:
             tokens = block(tokens)
-        tokens = self.norm(tokens)
-        return torch.cat([tokens[:, 0], tokens[:, 3 : 3 + PATCHES].mean(1)], dim=-1)
+        tokens = self.norm(self.blocks[-1](tokens, 3 + PATCHES))
+        return torch.cat([tokens[:, 0], tokens[:, 3:].mean(1)], dim=-1)
 
     def rest_tokens(self, seen: Seen) -> Tensor:
         """(B, 32, width) of the rest of the tool."""
@@ -174,11 +183,12 @@ class Block(nn.Module):
         self.qkv, self.out = nn.Linear(width, 3 * width), nn.Linear(width, width)
         self.mlp = nn.Sequential(nn.Linear(width, 4 * width), nn.GELU(), nn.Linear(4 * width, width))
 
-    def forward(self, x: Tensor) -> Tensor:
+    def forward(self, x: Tensor, count: int | None = None) -> Tensor:
+        """The first `count` of the tokens x (B, N, width), all if None."""
         B, N, d = x.shape
         q, k, v = self.qkv(self.norm_1(x)).view(B, N, 3, self.heads, d // self.heads).permute(2, 0, 3, 1, 4)
-        attended = nn.functional.scaled_dot_product_attention(q, k, v)
-        x = x + self.out(attended.transpose(1, 2).reshape(B, N, d))
+        attended = nn.functional.scaled_dot_product_attention(q[:, :, :count], k, v)
+        x = x[:, :count] + self.out(attended.transpose(1, 2).flatten(2))
         return x + self.mlp(self.norm_2(x))
 
 

@@ -46,6 +46,18 @@ def decode(u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return torch.stack([x, y, z], dim=-1), u[..., POSITION] * T_SCALE, u[..., AMBIGUOUS]
 
 
+def mirrored(u: Tensor) -> Tensor:
+    """u (..., 12) of the view mirrored by M = diag(-1, 1, 1), and back.
+
+    There a tool with a mirror plane of its own, D = diag(1, -1, 1) (hammers, claws, screwdrivers), has the rotation
+    M R D, whose z and x are M's of R's; wrenches mirror in z instead, which is the same modulo their C2 group.
+    """
+    u = u.clone()
+    for part in (AXIS_Z, AXIS_X, POSITION):
+        u[..., part.start].neg_()
+    return u
+
+
 def _unit(v: Tensor, fallback: Tensor) -> Tensor:
     norm = v.norm(dim=-1, keepdim=True)
     return torch.where(norm > 1e-6, v / norm.clamp_min(1e-6), fallback.expand_as(v))

@@ -50,6 +50,7 @@ class Trainer(Generic[Net]):
         self.steps, self.elapsed = 0, 0.0
         self.net = method.network(banks[0]).to(self.device)
         self.ema = copy.deepcopy(self.net).requires_grad_(False)
+        self._init: dict[str, Tensor] = {}
         self.optimizer = torch.optim.AdamW(
             self.net.parameters(),
             config.learning_rate,
@@ -138,6 +139,7 @@ class Trainer(Generic[Net]):
         try:
             self.net.load_state_dict(state)
             self.ema.load_state_dict(state)
+            self._init = {name: value.to(self.device) for name, value in state.items()}
         except RuntimeError as error:
             raise AssetError(f"{weights} holds a network of another architecture: {error}") from error
         self.log(event="begun from other weights")
@@ -146,6 +148,7 @@ class Trainer(Generic[Net]):
         """Validate and calibrate the weights that lie in `out`, on any machine: what a training that ran out of time
         left undone. Returns the report."""
         self.ema.load_state_dict(self.method.load(self.out).state_dict())
+        self._init = {}  # these are in the weights already
         described = json.loads((self.out / f"{self.method.name}.json").read_text())["report"]
         self.steps, self.elapsed = int(described["steps"]), 60.0 * float(described["minutes"])
         return self.finish(self.judged(), described["train"])
@@ -177,10 +180,12 @@ class Trainer(Generic[Net]):
         return self.steps / c.max_steps if c.max_steps else self.elapsed / (60 * c.minutes)
 
     def export(self) -> Net:
-        """The averaged network as it will be loaded: rounded to half precision."""
+        """The averaged network, with its share of the weights it started from, as it will be loaded: rounded to half
+        precision."""
         net = copy.deepcopy(self.ema)
-        for value in net.state_dict().values():
+        for name, value in net.state_dict().items():
             if value.is_floating_point():
+                value.lerp_(self._init.get(name, value), self.config.init_share)
                 value.copy_(value.half().float())
         return net.eval()
 

@@ -23,7 +23,9 @@ from toolee_robot.perception.pose.canonical import (
     with_rest,
 )
 from toolee_robot.perception.pose.canonical_one import canonicalize_one, with_rest_one
-from toolee_robot.perception.pose.representation import DIM, decode, encode
+from toolee_robot.perception.pose.representation import DIM, decode, encode, mirrored
+from toolee_robot.symmetry import SymmetryKind
+from toolee_robot.types import Category
 
 seeds = st.integers(0, 2**31)
 
@@ -39,6 +41,29 @@ def test_round_trip(seed: int) -> None:
     torch.testing.assert_close(R2, R, atol=1e-9, rtol=0)
     torch.testing.assert_close(p2, p)
     torch.testing.assert_close(s2, s)
+
+
+@given(seeds, st.sampled_from(list(Category)))
+@settings(max_examples=40, deadline=None)
+def test_the_mirrored_pose_is_what_the_mirrored_view_shows(seed: int, category: Category) -> None:
+    """The plane that an EE mirrors in: y = 0, and z = 0 of wrenches. Where its points are mirrored in the camera's x,
+    they must lie on the EE in the mirrored pose, up to its own symmetry."""
+    rng = np.random.default_rng(seed)
+    R, p = Rotation.random(rng=rng).as_matrix(), rng.normal(0, 0.05, 3)
+    plane = [1.0, 1.0, -1.0] if category.symmetry.kind is SymmetryKind.C2 else [1.0, -1.0, 1.0]
+    half = rng.normal(0, 0.02, (50, 3))
+    ee = np.concatenate([half, half * plane])
+    seen = (ee @ R.T + p) * [-1.0, 1.0, 1.0]
+    u = mirrored(encode(torch.as_tensor(R), torch.as_tensor(p), torch.zeros(3, dtype=torch.float64)))
+    R_seen, p_seen, _ = (x.numpy() for x in decode(u))
+    found = (seen - p_seen) @ R_seen
+    turns = [np.ones(3)]
+    if category.symmetry.kind is SymmetryKind.C2:
+        assert tuple(category.symmetry.axis) == (1.0, 0.0, 0.0)
+        turns.append(np.array([1.0, -1.0, -1.0]))
+    distances = [np.linalg.norm(found[:, None] - ee * turn, axis=2).min(1).max() for turn in turns]
+    assert min(distances) < 1e-9
+    torch.testing.assert_close(mirrored(u), encode(torch.as_tensor(R), torch.as_tensor(p), torch.zeros(3).double()))
 
 
 @given(seeds)

@@ -17,9 +17,9 @@ from toolee_robot.perception.pose.canonical import MIN_POINTS
 from toolee_robot.perception.pose.cloud_batch import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.clouds import CloudGenerator
 from toolee_robot.perception.pose.confidence import fit
-from toolee_robot.perception.pose.losses import augment, canonical_rotation, pose_loss
+from toolee_robot.perception.pose.losses import augment, canonical_rotation, context, pose_loss
 from toolee_robot.perception.pose.method import Ours
-from toolee_robot.perception.pose.network import SAMPLER, NetworkConfig, PoseNet
+from toolee_robot.perception.pose.network import SAMPLER, NetworkConfig, PoseNet, Seen
 from toolee_robot.perception.pose.train_config import TrainConfig
 from toolee_robot.perception.pose.training import Trainer
 from toolee_robot.perception.ranks import Ranks
@@ -290,6 +290,32 @@ def test_a_training_starts_from_weights_of_its_architecture(
     assert all(torch.equal(value, kept[name]) for name, value in begun.export().state_dict().items())
     with pytest.raises(AssetError, match="architecture"):
         trainer("edm", 2 * TINY.width).start_from(trained)
+
+
+def test_a_training_may_keep_a_share_of_the_weights_it_started_from(
+    tmp_path: Path, trained: Path, bank: ToolBank, hands: Float32
+) -> None:
+    config = replace(small(1.0), init_share=0.25)
+    trainer = Trainer(tmp_path, config, (bank, bank), hands, Ours(TINY, draws=2), CPU)
+    trainer.start_from(trained)
+    with torch.no_grad():
+        for value in trainer.ema.parameters():
+            value += 1.0
+    before = Ours(TINY).load(trained).state_dict()
+    for name, value in trainer.export().named_parameters():
+        torch.testing.assert_close(value, before[name] + 0.75, atol=2e-3, rtol=2e-3)
+
+
+def test_the_mirrored_view_is_the_view_of_the_mirror_image(trained: Path, clouds: CloudBatch) -> None:
+    net = Ours(TINY).load(trained)
+    few = clouds.select(torch.arange(8))
+    x = torch.tensor([-1.0, 1.0, 1.0])
+    direction = torch.cat([few.direction[:, :3] * x, few.direction[:, 3:]], 1)
+    other = replace(few, points=few.points * x, rest=few.rest * x, direction=direction)
+    seen, image = (Seen.of(b.cloud, b.category, b.direction, context(b)) for b in (few, other))
+    with torch.inference_mode():
+        both = net.encode(seen.with_mirror())
+        torch.testing.assert_close(both, torch.cat([net.encode(seen), net.encode(image)]), atol=1e-5, rtol=1e-4)
 
 
 def test_missing_or_broken_weights_say_what_to_do(tmp_path: Path) -> None:
