@@ -90,7 +90,7 @@ class CloudEstimator(ABC):
         rest: (M, 3) [m], the visible points of the rest of the tool, camera frame. guessed: (G, 3) [m], likewise, those
         of the EE's mask whose depth is guessed from their neighbours' (`fill.py`). X_camera_hand: 4x4, the hand that
         holds the tool; tells where the rest is if that is not seen, and the spin about a symmetric EE's axis.
-        The same input and seed give the same result. Raises PerceptionError with fewer than 50 finite points.
+        The same input and seed give the same result. Raises PerceptionError with fewer than 25 finite points.
         """
         points = _finite(points)
         if len(points) < MIN_POINTS:

@@ -140,7 +140,7 @@ def test_what_a_wide_mask_holds_of_the_wall_is_not_guessed_to_be_the_tool() -> N
 
 def test_too_few_points_give_a_reason_instead_of_a_cloud() -> None:
     depth = np.zeros((424, 512))
-    depth[200:205, 250:255] = 0.8
+    depth[200:204, 250:255] = 0.8
     cloud = ee_cloud(frame(depth), detection(disc(202, 252, 10)))
     assert not cloud.usable
     assert str(MIN_POINTS) in cloud.reason
