@@ -119,7 +119,8 @@ class PoseEstimator(CloudEstimator):
             torch.cat([noise[:, :half], noise[:, K - half :]]),
         )
         u = torch.cat([drawn[:B], mirrored(drawn[B:, 2 * half - K :])], 1)
-        mean, log_sigma, valid = (self._net.regress(feature)[name].unflatten(0, (2, B)) for name in REGRESSED)
+        regression = self._net.regress(feature)
+        mean, log_sigma, valid = (torch.stack(regression[name].chunk(2)) for name in REGRESSED)
         return u, mean[0], log_sigma.mean(0), valid.mean(0)
 
     def _result(
