@@ -82,7 +82,7 @@ def _in_x(x: Tensor) -> Tensor:
 
 
 class PoseNet(nn.Module):
-    """Heads on one shared encoding; see `encode`, `velocity` and `regress`."""
+    """Heads on one shared encoding; see `encode`, `flow` and `regress`."""
 
     def __init__(self, config: NetworkConfig | None = None) -> None:
         super().__init__()

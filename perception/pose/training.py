@@ -270,7 +270,7 @@ def train(
     init: Path | None = None,
     rendered: Sequence[Path] = (),
 ) -> dict[str, Any]:
-    """The whole job: surface samples, training, validation, weights in `out`. Raises AssetError, TooleeError.
+    """Surface samples, training, validation, weights in `out`. Raises AssetError, UserError, TooleeError.
 
     method: `Ours` if None. calibrate_only: no training, but validation and calibration of the weights that are there.
     init: folder of weights to start from, of the same architecture; their process may be another. rendered: files of
@@ -279,6 +279,8 @@ def train(
     method = method or Ours()
     if rendered and not isinstance(method, Ours):
         raise UserError("--rendered: the paper's estimator is trained on clouds of its own protocol alone")
+    if config.init_share and init is None and not calibrate_only:
+        raise UserError("--init-share: say whose share that is, with --init FOLDER")
     kept = RenderedClouds.cat([RenderedClouds.load(path) for path in rendered]) if rendered else None
     begun = time.monotonic()
     banks = tool_bank(False, config.train_seeds), tool_bank(True, config.test_seeds)

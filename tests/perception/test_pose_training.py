@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from toolee_robot.errors import AssetError, PerceptionError, TooleeError
+from toolee_robot.errors import AssetError, PerceptionError, TooleeError, UserError
 from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.pose.bank import Float32, ToolBank, hand_bank, load_hands, save_hands, tool_bank
 from toolee_robot.perception.pose.canonical import MIN_POINTS
@@ -21,7 +21,7 @@ from toolee_robot.perception.pose.losses import augment, canonical_rotation, con
 from toolee_robot.perception.pose.method import Ours
 from toolee_robot.perception.pose.network import SAMPLER, NetworkConfig, PoseNet, Seen
 from toolee_robot.perception.pose.train_config import TrainConfig
-from toolee_robot.perception.pose.training import Trainer
+from toolee_robot.perception.pose.training import Trainer, train
 from toolee_robot.perception.ranks import Ranks
 from toolee_robot.tools import ee_radius
 from toolee_robot.types import Category
@@ -304,6 +304,8 @@ def test_a_training_may_keep_a_share_of_the_weights_it_started_from(
     before = Ours(TINY).load(trained).state_dict()
     for name, value in trainer.export().named_parameters():
         torch.testing.assert_close(value, before[name] + 0.75, atol=2e-3, rtol=2e-3)
+    with pytest.raises(UserError, match="--init"):
+        train(tmp_path / "without", config)
 
 
 def test_the_mirrored_view_is_the_view_of_the_mirror_image(trained: Path, clouds: CloudBatch) -> None:
