@@ -31,7 +31,8 @@ def knock_at_the_wood(bench: Bench, monkeypatch: pytest.MonkeyPatch, force: floa
         if guard is not None and guard.over > 0.0:
             touches[0] += 1
             if touches[0] == 2:
-                until[:] = world.time + 0.06, world.time + 0.06 + seconds
+                # From the middle of a step: just so many steps, however the clock is rounded.
+                until[:] = world.time + 0.0605, world.time + 0.0605 + seconds
         return execute(trajectory, guard, watch)
 
     world.before_step.append(push)
