@@ -16,9 +16,12 @@ from toolee_robot.errors import UnreachableError
 from toolee_robot.frames import Array, inverse
 
 BRANCHES = 8
-NEWTON_STEPS = 5
+NEWTON_STEPS = 20
 NEWTON_ERROR = 1e-10
-"""[m, rad] A model with nominal kinematics is met by the closed form: no step; a calibrated one takes three or four."""
+"""[m, rad] A model with nominal kinematics is met by the closed form: no step; a calibrated one takes three or four,
+near a singularity up to a dozen."""
+_ON_BRANCH = 1e-6
+"""[rad] A line planned on a branch starts on it: further from the given joints than this, an arm refuses the motion."""
 
 
 class InverseKinematics:
@@ -96,7 +99,7 @@ class InverseKinematics:
         error = np.abs(np.mod(candidates - q + np.pi, 2 * np.pi) - np.pi).max(axis=-1)
         error = np.where(np.isfinite(error), error, np.inf)
         best = int(np.argmin(error))
-        if error[best] > 1e-3:
+        if error[best] > _ON_BRANCH:
             raise UnreachableError("the configuration is at a singularity: move the arm by some degrees first")
         return best
 
@@ -108,16 +111,20 @@ class InverseKinematics:
         return np.where(q < self.arm.lower, q + turn, q)
 
     def polish(self, q: Array, Xs_base_flange: Array) -> Array:
-        """Newton steps from q (N, 6) towards the poses (N, 4, 4), until all are met or NEWTON_STEPS are done."""
+        """Newton steps from q (N, 6) towards the poses (N, 4, 4): NEWTON_STEPS of those not met before."""
+        q, unmet = q.copy(), np.arange(len(q))
         for _ in range(NEWTON_STEPS):
-            X, J = self.arm.fk_jacobian(q)
-            error = np.empty((len(q), 6))
-            error[:, :3] = Xs_base_flange[:, :3, 3] - X[:, :3, 3]
+            X, J = self.arm.fk_jacobian(q[unmet])
+            wanted = Xs_base_flange[unmet]
+            error = np.empty((len(unmet), 6))
+            error[:, :3] = wanted[:, :3, 3] - X[:, :3, 3]
             # Half the sum of the axes' cross products: the rotation vector for small errors.
-            error[:, 3:] = 0.5 * np.sum(np.cross(X[:, :3, :3], Xs_base_flange[:, :3, :3], axis=1), axis=2)
-            if len(q) == 0 or np.abs(error).max() < NEWTON_ERROR:
+            error[:, 3:] = 0.5 * np.sum(np.cross(X[:, :3, :3], wanted[:, :3, :3], axis=1), axis=2)
+            off = np.abs(error).max(axis=1) >= NEWTON_ERROR
+            unmet = unmet[off]
+            if len(unmet) == 0:
                 break
-            q = q + np.clip(solve(J, error), -0.2, 0.2)
+            q[unmet] += np.clip(solve(J[off], error[off]), -0.2, 0.2)
         return q
 
     def _dh_fk(self, q: Array) -> Array:

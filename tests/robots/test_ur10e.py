@@ -10,10 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from toolee_robot.arm_checks import START_TOLERANCE
 from toolee_robot.config import ArmLimits, SceneConfig, StationConfig, load_station
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.control.kinematics import smallest_singular_value
-from toolee_robot.errors import ConfigError
+from toolee_robot.control.line import Line
+from toolee_robot.errors import ConfigError, UnreachableError
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.robots import FLANGE_FRAME, load_robot
 from toolee_robot.robots.dh import HALF_TURN, DhParameters
@@ -119,6 +121,23 @@ def test_every_pose_is_found_again(model: ArmModel, calibrated: bool) -> None:
     assert regular.sum() > 100
     for wanted, pose in zip(q[regular], X[regular], strict=True):
         np.testing.assert_allclose(robot.ik.solve(pose, near=wanted)[0], wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_calibrated_arm_s_line_starts_where_the_arm_is(model: ArmModel) -> None:
+    """Near a singularity, too, where few Newton steps are not enough; an arm refuses to start elsewhere."""
+    ik, near = RobotModel.load(model, _measured(model, 1)[0]).ik, 0
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        q = rng.uniform(-3, 3, 6)
+        q[rng.choice([2, 4])] = rng.choice([-1, 1]) * rng.uniform(0.01, 0.1)
+        try:
+            line = Line.through(ik, q, np.array([0.0, 0.0, 1.0]))
+        except UnreachableError:  # of the singularity's own neighbourhood: it is elsewhere for the closed form
+            continue
+        near += 1
+        np.testing.assert_allclose(line.q(np.zeros(1))[0], q, atol=START_TOLERANCE)
+    assert near > 180
 
 
 def test_the_station_says_which_arm_it_is(tmp_path: Path) -> None:
