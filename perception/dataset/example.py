@@ -34,20 +34,26 @@ def _pool(seed: int, block: int, split: str, catalogue: Catalogue) -> Pool:
     return Pool.random(np.random.default_rng([seed, SPLITS.index(split), 0, block]), split, catalogue)
 
 
-def make_example(
-    seed: int,
-    index: int,
-    split: str = "train",
-    config: str = "hard",
-    block: int = 32,
-    catalogue: Catalogue = GENERATED,
-) -> Example:
-    """Example `index` of the data set `seed`; depends on nothing else. split: "train" or "test" (held-out tools).
-    block: so many consecutive examples share a dozen tools of the catalogue."""
-    taken = take_shot(seed, index, split, config, block, catalogue)
+@dataclass(frozen=True)
+class Series:
+    """What examples are drawn from; they depend on nothing else but their index.
+
+    split: "train" or "test" (held-out tools). block: so many consecutive examples share a dozen tools of the catalogue.
+    """
+
+    seed: int
+    split: str = "train"
+    config: str = "hard"
+    block: int = 32
+    catalogue: Catalogue = GENERATED
+
+
+def make_example(series: Series, index: int) -> Example:
+    """Example `index` of a series."""
+    taken = take_shot(series, index)
     sample, shot, rng = taken.sample, taken.shot, taken.rng
     ee, tool, full, table = taken.labels
-    if config == "paper":
+    if series.config == "paper":
         rendering = shot.develop(exposure=1.0, auto_exposure=1.0)
         rgb, depth = rendering.rgb, rendering.depth
     else:
@@ -74,22 +80,16 @@ class Taken:
     rng: np.random.Generator
 
 
-def take_shot(
-    seed: int,
-    index: int,
-    split: str = "train",
-    config: str = "hard",
-    block: int = 32,
-    catalogue: Catalogue = GENERATED,
-) -> Taken:
-    """An example before it is developed; arguments as for `make_example`.
+def take_shot(series: Series, index: int) -> Taken:
+    """Example `index` of a series before it is developed.
 
     A scene with tools none of whose EEs is a target (`EeTable.targets`) is drawn again.
     """
-    pool = _pool(seed, index // block, split, catalogue)
+    seed, split, config = series.seed, SPLITS.index(series.split), CONFIGS.index(series.config)
+    pool = _pool(series.seed, index // series.block, series.split, series.catalogue)
     for attempt in range(_ATTEMPTS):
-        rng = np.random.default_rng([seed, SPLITS.index(split), 1, index, CONFIGS.index(config), attempt])
-        sample = paper_scene(rng, pool) if config == "paper" else _hard_scene(rng, pool)
+        rng = np.random.default_rng([seed, split, 1, index, config, attempt])
+        sample = paper_scene(rng, pool) if series.config == "paper" else _hard_scene(rng, pool)
         shot = Shot(sample.scene, sample.intrinsics, sample.X_world_camera)
         labels = label(sample, shot.depth, shot.body_ids)
         if not sample.tools or labels[3].targets.any():
@@ -101,8 +101,9 @@ def examples_of(
     spec: DatasetSpec, split: str, first: int, last: int, catalogue: Catalogue = GENERATED
 ) -> Iterator[Example]:
     """Examples first .. last - 1 of a split, one at a time."""
+    series = Series(spec.seed, split, spec.config, spec.scene_size, catalogue)
     for i in range(first, last):
-        yield make_example(spec.seed, i, split, spec.config, spec.scene_size, catalogue)
+        yield make_example(series, i)
 
 
 def _hard_scene(rng: np.random.Generator, pool: Pool) -> SceneSample:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
 from toolee_robot.perception.dataset.card import Card
-from toolee_robot.perception.dataset.checksums import SUMS, write_sums
+from toolee_robot.perception.dataset.checksums import SUMS, sha256, write_sums
 from toolee_robot.perception.dataset.instances import MODELS, TOOLS
 from toolee_robot.perception.dataset.models import write_models_info
 from toolee_robot.perception.dataset.paper import FOCAL, FULL_HEIGHT, FULL_WIDTH
@@ -77,12 +76,6 @@ def listed(root: Path) -> Iterator[str]:
         yield from (f"{folder}/{p.name}" for p in sorted((root / folder).glob("[!.]*")))
     for split in SPLITS:
         yield from (f"{split}/{scene.name}/{SUMS}" for scene in scene_folders(root / split))
-
-
-def sha256(path: Path) -> str:
-    """Of a file's bytes."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _targets(scene: int, gt: dict[str, Any], info: dict[str, Any]) -> list[dict[str, int]]:

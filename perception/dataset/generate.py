@@ -1,19 +1,14 @@
 """Generate a data set on several processes, or on a Ray cluster; the same bytes for any number of them.
 
-python -m toolee_robot.perception.dataset.generate --config hard --size 58000 --out data/hard --workers 16
-
-This is `toolee dataset generate` for machines without the command line's libraries. A run that was killed goes on
-where it stopped when it is started again.
+A run that was killed goes on where it stopped when it is started again.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import multiprocessing
 import os
 import shutil
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -33,7 +28,7 @@ from toolee_robot.perception.dataset.models import write_models, write_whole
 from toolee_robot.perception.dataset.own import OwnMesh
 from toolee_robot.perception.dataset.scene_reader import read_json
 from toolee_robot.perception.dataset.scene_writer import json_by_line, write_scene
-from toolee_robot.perception.dataset.spec import CONFIGS, DESCRIPTION, SPLITS, DatasetSpec, SceneJob
+from toolee_robot.perception.dataset.spec import DESCRIPTION, SPLITS, DatasetSpec, SceneJob
 
 T = TypeVar("T")
 Progress = Callable[[int, int], None]
@@ -189,35 +184,3 @@ def _prepare(cores: multiprocessing.Queue[int]) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--config", choices=CONFIGS, required=True)
-    parser.add_argument("--size", type=int, required=True, help="number of examples, train and test")
-    parser.add_argument("--out", type=Path, required=True, help="folder for the data set")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--test-share", type=float, default=DatasetSpec.test_share, help="of the examples")
-    options = parser.parse_args(arguments)
-    began = time.monotonic()
-    first: list[int] = []
-
-    def report(done: int, total: int) -> None:
-        first.append(done)
-        rate = (done - first[0]) / (time.monotonic() - began)
-        left = f", {(total - done) / rate:.0f} s left" if rate > 0 else ""
-        print(f"{done}/{total} examples, {rate:.1f}/s{left}", flush=True)
-
-    try:
-        spec = DatasetSpec(options.config, options.size, options.seed, options.test_share)
-        generate(spec, options.out, options.workers, report)
-    except TooleeError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2 if isinstance(error, UserError) else 1
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 
 from toolee_robot.errors import AssetError, TooleeError
-from toolee_robot.perception.dataset.checksums import SUMS, read_sums
-from toolee_robot.perception.dataset.finish import COCO, derive, is_finished, listed, sha256
+from toolee_robot.perception.dataset.checksums import SUMS, read_sums, sha256
+from toolee_robot.perception.dataset.finish import COCO, derive, is_finished, listed
 from toolee_robot.perception.dataset.generate import on_processes
 from toolee_robot.perception.dataset.instances import MODELS
 from toolee_robot.perception.dataset.scene_check import check_scene

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.perception.dataset.example import label, take_shot
+from toolee_robot.perception.dataset.example import Series, label, take_shot
 from toolee_robot.perception.dataset.hard import ARM, HAND, hard_scene
 from toolee_robot.perception.dataset.placement import PlacedTool, Pool, SceneSample
 from toolee_robot.perception.dataset.records import EeTable
@@ -47,7 +47,7 @@ def held_hammers(count: int, seed: int) -> Iterator[HeldHammer]:
 def held_hammer(seed: int, index: int, split: str = "test") -> HeldHammer | None:
     """A hammer in a right hand among the clutter of the hard scenes, the hand turned by up to 60 deg and moved by 5 cm
     between the frames; a face is a target (`EeTable.targets`) in each. None if that scene holds no such hammer."""
-    taken = take_shot(seed, index, split)
+    taken = take_shot(Series(seed, split), index)
     hammer = _held_hammer(taken.sample, taken.labels[3])
     if hammer is None:
         return None

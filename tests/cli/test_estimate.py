@@ -13,7 +13,7 @@ import pytest
 
 from toolee_robot.cli.app import run
 from toolee_robot.frames import is_rigid
-from toolee_robot.perception.dataset.example import make_example, take_shot
+from toolee_robot.perception.dataset.example import Series, make_example, take_shot
 from toolee_robot.perception.dataset.records import CATEGORIES, Example
 from toolee_robot.types import Category
 
@@ -34,8 +34,8 @@ def _clear_view(example: Example) -> bool:
 def examples() -> list[Example]:
     found = []
     for index in range(200):
-        if take_shot(7, index, "test").sample.kind == _STATION:
-            example = make_example(7, index, "test")
+        if take_shot(Series(7, "test"), index).sample.kind == _STATION:
+            example = make_example(Series(7, "test"), index)
             found += [example] if _clear_view(example) else []
         if len(found) == 3:
             return found

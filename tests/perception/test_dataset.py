@@ -11,7 +11,7 @@ import pytest
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, is_rigid
 from toolee_robot.perception.dataset.catalogue import GENERATED, number_of
-from toolee_robot.perception.dataset.example import label, make_example, take_shot
+from toolee_robot.perception.dataset.example import Series, label, make_example, take_shot
 from toolee_robot.perception.dataset.instances import object_of
 from toolee_robot.perception.dataset.paper import CIRCLE, DEPTHS, FOCAL
 from toolee_robot.perception.dataset.records import CATEGORIES, FARTHEST, MAX_EES, NEAREST, SCENES, Example
@@ -30,7 +30,7 @@ def back_project(depth: Array, intrinsics: CameraIntrinsics) -> Array:
 
 @pytest.fixture(scope="module")
 def examples() -> list[Example]:
-    return [make_example(5, i) for i in range(9)]
+    return [make_example(Series(5), i) for i in range(9)]
 
 
 def test_examples_cover_scenes_and_show_tools(examples: list[Example]) -> None:
@@ -46,7 +46,7 @@ def test_examples_cover_scenes_and_show_tools(examples: list[Example]) -> None:
 def test_ee_masks_are_the_tools_pixels_within_the_sphere() -> None:
     checked = 0
     for index in range(4):
-        taken = take_shot(5, index)
+        taken = take_shot(Series(5), index)
         sample, depth = taken.sample, taken.shot.depth
         ee, tool, full, table = label(sample, depth, taken.shot.body_ids)
         points = back_project(depth.astype(np.float64), sample.intrinsics)
@@ -96,7 +96,7 @@ def test_poses_agree_with_the_tools(examples: list[Example]) -> None:
 
 
 def test_held_out_tools_only_in_the_test_split() -> None:
-    e = make_example(5, 1, "test")
+    e = make_example(Series(5, "test"), 1)
     rows = np.flatnonzero(e.table.category)
     assert all(GENERATED.split(object_of(int(obj_id))[0]) == "test" for obj_id in e.table.obj_id[rows])
 
@@ -115,14 +115,14 @@ def test_the_papers_protocol() -> None:
     """Upright tool, no roll, one grasp, exact depth, a circle of pixels; held-out tools only in the test split."""
     grips = []
     for index in range(3):
-        taken = take_shot(6, index, "test", "paper")
+        taken = take_shot(Series(6, "test", "paper"), index)
         sample, table = taken.sample, taken.labels[3]
         (placed,) = sample.tools
         assert GENERATED.split(number_of(placed.tool)) == "test"
         np.testing.assert_allclose(placed.X_world_tool[:3, 2], [0, 0, 1], atol=1e-12)
         assert abs(sample.X_world_camera[2, 0]) < 1e-12, "the image's rows are level"
         assert sample.intrinsics.fx == FOCAL
-        e = make_example(6, index, "test", "paper")
+        e = make_example(Series(6, "test", "paper"), index)
         assert np.array_equal(e.depth_mm, (taken.shot.depth * np.float32(1000) + np.float32(0.5)).astype(np.uint16))
         rows, columns = np.nonzero(e.ee)
         assert len(rows) >= 50

@@ -21,9 +21,9 @@ from PIL import Image
 from toolee_robot.errors import UserError
 from toolee_robot.perception.cloud import check_depth_unit
 from toolee_robot.perception.dataset import rle
-from toolee_robot.perception.dataset.checksums import SUMS, write_sums
+from toolee_robot.perception.dataset.checksums import SUMS, sha256, write_sums
 from toolee_robot.perception.dataset.clouds import read_clouds
-from toolee_robot.perception.dataset.finish import listed, sha256
+from toolee_robot.perception.dataset.finish import listed
 from toolee_robot.perception.dataset.generate import generate
 from toolee_robot.perception.dataset.instances import read_ply
 from toolee_robot.perception.dataset.scene_reader import load, read_json

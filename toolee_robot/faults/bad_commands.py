@@ -12,6 +12,7 @@ from toolee_robot.frames import Array
 from toolee_robot.types import Trajectory
 
 STEP = 0.004  # [s] between the samples of a hand-made trajectory
+BESIDE = 1e-3  # [rad] from where the arm was last commanded: about a millimetre at the tool
 
 
 def good(swing: Swing, q: Array, change: Array) -> Trajectory:
@@ -43,6 +44,11 @@ def _integrated(q: Array, qdd: Array) -> Trajectory:
     times: Array = np.linspace(0.0, (n - 1) * STEP, n)
     first = np.eye(6)[0]
     return Trajectory(times, q + np.outer(way, first), np.outer(speed, first), np.outer(qdd, first))
+
+
+def beside_the_arm(swing: Swing, q: Array) -> Trajectory:
+    """A good motion, of an arm that stands BESIDE this one."""
+    return good(swing, q + BESIDE, np.full(6, 0.02))
 
 
 def velocity_step(q: Array) -> Trajectory:

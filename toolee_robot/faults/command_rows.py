@@ -68,6 +68,7 @@ COMMAND_FAULTS = (
         1, "infinity in a command", LimitError, _execute(lambda r, q: bad.not_finite(r.swing, q, np.inf)), True
     ),
     CommandFault(2, "beyond a joint's limit", LimitError, _execute(lambda r, q: bad.beyond_joint_limit(r.swing, q))),
+    CommandFault(3, "start beside the arm", LimitError, _execute(lambda r, q: bad.beside_the_arm(r.swing, q))),
     CommandFault(3, "step in velocity", LimitError, _execute(lambda _, q: bad.velocity_step(q))),
     CommandFault(3, "step in acceleration", LimitError, _execute(lambda r, q: bad.acceleration_step(r.swing, q))),
     CommandFault(3, "step in jerk", LimitError, _execute(lambda r, q: bad.jerk_step(r.swing, q))),
