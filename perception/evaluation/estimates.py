@@ -32,10 +32,10 @@ class Estimates:
     """One row per instance that was asked for, (N,) each; no estimate is an infinite error and confidence 0.
 
     category: index; held_out; angle [rad] modulo the group, position [m]; paper_angle [rad] by the paper's rule; axis
-    [rad]: between the z axes; mssd [m] and its ratio to the diameter, mspd [px of an image 640 wide]; spin, spin_fixed
-    [rad]: the whole rotation error of a continuously symmetric EE without and with the hand's pose, NaN elsewhere;
-    confidence, usable; spin_told: whether the view tells a hammer's spin; spin_observable: what the estimator says of
-    that; class_ambiguity_right: whether its S is the class's; ms: wall-clock time of the estimate.
+    [rad]: between the z axes, modulo the group; mssd [m] and its ratio to the diameter, mspd [px of an image 640 wide];
+    spin, spin_fixed [rad]: the whole rotation error of a continuously symmetric EE without and with the hand's pose,
+    NaN elsewhere; confidence, usable; spin_told: whether the view tells a hammer's spin; spin_observable: what the
+    estimator says of that; class_ambiguity_right: whether its S is the class's; ms: wall-clock time of the estimate.
     """
 
     category: NDArray[np.int64]
@@ -207,7 +207,7 @@ def _row(
         group.rotation_error(X[:3, :3], X_true[:3, :3]),
         float(np.linalg.norm(X[:3, 3] - X_true[:3, 3])),
         metrics.paper_rule_angle(X[:3, :3], X_true[:3, :3], result.ambiguous),
-        metrics.paper_rule_angle(X[:3, :3], X_true[:3, :3], np.array([0.0, 0.0, 1.0])),
+        metrics.axis_angle(X[:3, :3], X_true[:3, :3], group),
         metrics.mssd(X, X_true, shape.vertices, group) / shape.diameter,
         metrics.mspd(X, X_true, shape.vertices, group, K.matrix) * 640 / K.width,
         spin,

@@ -7,6 +7,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 from toolee_robot.perception.evaluation.estimates import CATEGORIES, Estimates
 
@@ -59,14 +60,20 @@ def risk_coverage_curves(reports: dict[str, dict[str, Any]], title: str) -> byte
 
 
 def reliability_diagram(reports: dict[str, dict[str, Any]], title: str) -> bytes:
-    """Share of successes (10 deg, 2 cm) over the confidence, ten bins; on the diagonal it is calibrated."""
+    """Share of successes (10 deg, 2 cm) over the confidence, ten bins; on the diagonal it is calibrated. Bars: what the
+    share may be by chance (95 %, Wilson); areas: how many."""
     figure, axes = _figure(1, 1, (4.4, 3.6))
     ax = axes[0, 0]
     ax.plot([0, 1], [0, 1], color="#9aa7b3", linestyle="--", linewidth=1)
     for colour, (label, report) in zip(_cycle(len(reports)), reports.items(), strict=True):
         confidence, success, count = (np.array(v) for v in zip(*report["reliability"], strict=True))
-        ax.plot(confidence, success, color=colour, label=label, zorder=2)
-        ax.scatter(confidence, success, s=12 + 120 * count / count.sum(), color=colour, zorder=3, linewidths=0)
+        chance = [
+            binomtest(round(share * n), n).proportion_ci(method="wilson") for _, share, n in report["reliability"]
+        ]
+        low, high = ([getattr(c, end) for c in chance] for end in ("low", "high"))
+        ax.vlines(confidence, low, high, color=colour, linewidth=1.2, zorder=2)
+        size = 12 + 120 * count / count.sum()
+        ax.scatter(confidence, success, s=size, color=colour, label=label, zorder=3, linewidths=0, clip_on=False)
     ax.set_xlim(0, 1)
     ax.set_ylim(0, 1.02)
     ax.set_xlabel("confidence")

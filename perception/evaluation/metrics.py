@@ -45,6 +45,12 @@ def paper_rule_angle(R: Array, R_true: Array, ambiguous: Array) -> float:
     return 0.0
 
 
+def axis_angle(R: Array, R_true: Array, group: SymmetryGroup) -> float:
+    """Angle [rad] between the z axes of R_true and of the member of R's orbit that is nearest to it: a wrench turned
+    over is the same wrench."""
+    return angle_between(group.canonical(R, R_true)[:, 2], R_true[:, 2])
+
+
 def mssd(X: Array, X_true: Array, vertices: Array, group: SymmetryGroup) -> float:
     """Maximum symmetry-aware surface distance [m] (BOP): over the group, the least of the largest distances between the
     vertices (V, 3) in the two poses. A continuous symmetry in 64 steps."""

@@ -94,7 +94,7 @@ def page(evaluation: Evaluation, images: dict[str, bytes], subtitle: str) -> str
                     out,
                     images,
                     f"reliability_{group}_{masks}.png",
-                    "Confidence against what became of it; areas: how many.",
+                    "Confidence against what became of it; areas: how many; bars: what chance makes of these (95 %).",
                 )
     _ranked(out, report)
     _extras(out, report, images)

@@ -49,6 +49,17 @@ def test_a_shift_is_its_own_surface_distance_and_a_known_overlap(seed: int, cate
     assert found == pytest.approx(expected, abs=0.1)  # a grid of ten points along a side
 
 
+@given(seeds, categories, st.integers(0, 63), st.floats(0.0, 1.0))
+@settings(max_examples=50, deadline=None)
+def test_an_axis_s_error_is_that_of_the_nearest_of_like_poses(
+    seed: int, category: Category, member: int, tilt: float
+) -> None:
+    R, group = random_pose(seed)[:3, :3], category.symmetry
+    like = R @ group.elements()[member % len(group.elements())]
+    tilted = like @ Rotation.from_rotvec([0.0, tilt, 0.0]).as_matrix()
+    assert metrics.axis_angle(tilted, R, group) == pytest.approx(tilt, abs=1e-6)
+
+
 def test_projection_distance_in_pixels() -> None:
     X = transform(p=(0.0, 0.0, 0.5))
     moved = transform(p=(0.01, 0.0, 0.5))
