@@ -8,6 +8,7 @@ import json
 import os
 import re
 import shutil
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from toolee_robot.cli.app import run
@@ -206,6 +208,16 @@ def test_the_command_writes_the_report(folder: Path, tmp_path: Path, capsys: pyt
     assert run(["evaluate", "pose", str(folder), "--weights", "a=x", "a=y"]) == 2
 
 
+@pytest.fixture
+def one_thread() -> Iterator[None]:
+    """As a worker has: with another number of threads sums are rounded otherwise."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.usefixtures("one_thread")
 def test_the_figures_are_the_same_for_any_number_of_workers(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     reports = []
     for workers in ("1", "2"):
