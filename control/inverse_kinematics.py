@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from toolee_robot.arm_checks import START_TOLERANCE
 from toolee_robot.control.kinematics import ArmKinematics, solve
 from toolee_robot.errors import UnreachableError
 from toolee_robot.frames import Array, inverse
@@ -20,8 +21,6 @@ NEWTON_STEPS = 20
 NEWTON_ERROR = 1e-10
 """[m, rad] A model with nominal kinematics is met by the closed form: no step; a calibrated one takes three or four,
 near a singularity up to a dozen."""
-_ON_BRANCH = 1e-6
-"""[rad] A line planned on a branch starts on it: further from the given joints than this, an arm refuses the motion."""
 
 
 class InverseKinematics:
@@ -65,9 +64,7 @@ class InverseKinematics:
         reference = np.zeros(6) if near is None else near
         q = self.branches(X_base_flange)
         q = self.unwrap(q[np.all(np.isfinite(q), axis=-1)], reference)
-        X, _ = self.arm.fk_jacobian(q)
-        exact = np.all(np.abs(X - X_base_flange) < 1e-6, axis=(-2, -1))
-        q = q[exact & np.all((q >= self.arm.lower) & (q <= self.arm.upper), axis=-1)]
+        q = q[np.all((q >= self.arm.lower) & (q <= self.arm.upper), axis=-1)]
         if len(q) == 0:
             p = X_base_flange[:3, 3]
             raise UnreachableError(
@@ -88,7 +85,7 @@ class InverseKinematics:
         ok = np.all(np.isfinite(q), axis=-1)
         q[ok] = self.polish(q[ok], X[ok])
         q = q.reshape(count, length, 6)
-        whole = ok.reshape(count, length).all(axis=1)
+        whole = np.isfinite(q).all(axis=(1, 2))
         turned = np.unwrap(q[whole], axis=1)
         q[whole] = turned + 2 * np.pi * np.round((near[whole, None] - turned[:, :1]) / (2 * np.pi))
         return q
@@ -99,7 +96,7 @@ class InverseKinematics:
         error = np.abs(np.mod(candidates - q + np.pi, 2 * np.pi) - np.pi).max(axis=-1)
         error = np.where(np.isfinite(error), error, np.inf)
         best = int(np.argmin(error))
-        if error[best] > _ON_BRANCH:
+        if error[best] > START_TOLERANCE:  # an arm would refuse the line that begins there
             raise UnreachableError("the configuration is at a singularity: move the arm by some degrees first")
         return best
 
@@ -111,7 +108,7 @@ class InverseKinematics:
         return np.where(q < self.arm.lower, q + turn, q)
 
     def polish(self, q: Array, Xs_base_flange: Array) -> Array:
-        """Newton steps from q (N, 6) towards the poses (N, 4, 4): NEWTON_STEPS of those not met before."""
+        """Newton steps from q (N, 6) towards the poses (N, 4, 4): NaN where NEWTON_STEPS do not meet them."""
         q, unmet = q.copy(), np.arange(len(q))
         for _ in range(NEWTON_STEPS):
             X, J = self.arm.fk_jacobian(q[unmet])
@@ -125,6 +122,7 @@ class InverseKinematics:
             if len(unmet) == 0:
                 break
             q[unmet] += np.clip(solve(J[off], error[off]), -0.2, 0.2)
+        q[unmet] = np.nan
         return q
 
     def _dh_fk(self, q: Array) -> Array:

@@ -59,10 +59,9 @@ class Line:
         Xs[:, :3, 3] += s_sorted[:, None] * self.direction
         q = self.ik.branches_along(Xs[None], np.array([self.branch]), self.q_zero[None])[0]
         arm = self.ik.arm
-        if not np.all(np.isfinite(q)):
-            raise UnreachableError(
-                f"the straight line is out of reach from s = {s_sorted[~np.isfinite(q[:, 0])][0]:.3f} m on"
-            )
+        reached = np.isfinite(q).all(axis=1)
+        if not reached.all():
+            raise UnreachableError(f"the straight line is out of reach from s = {s_sorted[~reached][0]:.3f} m on")
         if np.any((q < arm.lower) | (q > arm.upper)):
             raise UnreachableError("the straight line leaves a joint's position limits")
         out = np.empty((len(s), 6))

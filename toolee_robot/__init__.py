@@ -4,7 +4,7 @@ import os
 
 # Waiting threads spin for some tens of microseconds, then sleep, unless the user says otherwise. Measured on 2 cores of
 # a virtual machine, medians for a pose: 26 ms with these, 52 with a tenth of the spins, 21 where they spin for good;
-# beside a program that keeps one core busy 77, 40 and 225 ms. A robot has a free core for each thread.
+# beside a program that keeps one core busy 77, 40 and 225 ms. Chosen for cores that have nothing else to do.
 # OpenMP reads this once, when torch is first imported: this package must come before it.
 if "OMP_WAIT_POLICY" not in os.environ:
     os.environ["OMP_WAIT_POLICY"] = "PASSIVE"

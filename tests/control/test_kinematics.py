@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from toolee_robot.control import RobotModel
+from toolee_robot.control.line import Line
 from toolee_robot.errors import UnreachableError, UserError
 from toolee_robot.frames import Array, inverse, transform
 
@@ -94,3 +95,9 @@ def test_payload_adds_the_tool_to_the_hand(robot: RobotModel, q_hand: Array, X_h
     p_tool = (robot.X_flange_hand(q_hand) @ X_hand_ee)[:3, 3]
     share = 0.8 / payload.mass
     assert np.allclose(payload.center_of_mass, (1 - share) * hand.center_of_mass + share * p_tool)
+
+
+def test_a_line_that_leaves_the_workspace_says_where(robot: RobotModel) -> None:
+    line = Line.through(robot.ik, np.array([0.3, -1.1, 0.9, -0.4, 0.7, 0.2]), np.array([1.0, 0.0, 0.0]))
+    with pytest.raises(UnreachableError, match="out of reach from s = 0"):
+        line.q(np.linspace(0.0, 2.0, 50))

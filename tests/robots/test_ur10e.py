@@ -137,6 +137,12 @@ def test_a_calibrated_arm_s_line_starts_where_the_arm_is(model: ArmModel) -> Non
             continue
         near += 1
         np.testing.assert_allclose(line.q(np.zeros(1))[0], q, atol=START_TOLERANCE)
+        s = np.linspace(0.0, 0.05, 11)
+        try:
+            X, _ = ik.arm.fk_jacobian(line.q(s))
+        except UnreachableError:  # further on: said, not driven beside the line
+            continue
+        np.testing.assert_allclose(X[:, :3, 3], line.X_base_flange[:3, 3] + s[:, None] * line.direction, atol=1e-8)
     assert near > 180
 
 
