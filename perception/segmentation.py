@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from toolee_robot.errors import AssetError
+from toolee_robot.perception.arithmetic import bfloat16_pays, in_bfloat16
 from toolee_robot.perception.assets import load_weights
 from toolee_robot.perception.segmentation_input import RgbdBatch, encode_rgbd
 from toolee_robot.perception.segmentation_instances import Instances, associate, without_duplicates
@@ -33,9 +34,13 @@ EVERYTHING = 0.02
 class Segmenter:
     """A trained detector, ready for images of any size. Thread-safe once loaded: inference keeps no state."""
 
-    def __init__(self, detector: Detector, device: torch.device | str = "cpu") -> None:
+    def __init__(self, detector: Detector, device: torch.device | str = "cpu", bfloat16: bool | None = None) -> None:
+        """bfloat16: whether a processor computes in it; where it pays if None."""
         self._device = torch.device(device)
+        self._bfloat16 = bfloat16_pays(self._device) if bfloat16 is None else bfloat16
         self._detector = detector.fuse().to(self._device).to(memory_format=torch.channels_last)
+        if self._bfloat16:
+            in_bfloat16(self._detector)
         self.config: DetectorConfig = detector.config
 
     @classmethod
@@ -75,7 +80,9 @@ class Segmenter:
     def _look(self, frame: RgbdFrame, size: tuple[int, int], threshold: float) -> Instances:
         """What the network finds in an image that it sees at `size` (height, width)."""
         batch, scale = self._prepare(frame, size)
-        return without_duplicates(*paste(self._detector.detect(batch, threshold)[0], scale, *frame.depth.shape))
+        with torch.autocast(self._device.type, torch.bfloat16, enabled=self._bfloat16):
+            raw = self._detector.detect(batch, threshold)[0]
+        return without_duplicates(*paste(raw, scale, *frame.depth.shape))
 
     def _prepare(self, frame: RgbdFrame, size: tuple[int, int]) -> tuple[RgbdBatch, tuple[float, float]]:
         """Network input of `size` (height, width) and the factors (x, y) from its pixels to the image's."""

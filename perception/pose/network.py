@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from toolee_robot.perception.arithmetic import in_bfloat16
 from toolee_robot.perception.pose.canonical import PATCHES, REST_PATCHES, CanonicalCloud
 from toolee_robot.perception.pose.flow import Euler, Process
 from toolee_robot.perception.pose.processes import PROCESSES
@@ -122,6 +123,11 @@ class PoseNet(nn.Module):
             tokens = block(tokens)
         tokens = self.norm(self.blocks[-1](tokens, 3 + PATCHES))
         return torch.cat([tokens[:, 0], tokens[:, 3:].mean(1)], dim=-1)
+
+    def encoder_in_bfloat16(self) -> None:
+        """See `in_bfloat16`. The heads, small as they are, stay as they are."""
+        for part in (self.ee, self.rest, self.direction, self.context, self.blocks):
+            in_bfloat16(part)
 
     def rest_tokens(self, seen: Seen) -> Tensor:
         """(B, 32, width) of the rest of the tool."""

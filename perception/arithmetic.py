@@ -1,0 +1,41 @@
+"""How the networks compute on a processor: in bfloat16 where it has matrix units for that (Intel's AMX, servers from
+2023 on), which halves the time of an image; in float32 elsewhere. Both networks are trained in bfloat16."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+
+import torch
+from torch import nn
+
+
+def bfloat16_pays(device: torch.device) -> bool:
+    """Whether the device is a processor with matrix units for bfloat16. Without them it is slower than float32."""
+    return device.type == "cpu" and _matrix_units()
+
+
+@cache
+def _matrix_units() -> bool:
+    # Older releases of torch cannot tell.
+    capabilities: dict[str, object] = getattr(torch.cpu, "get_capabilities", dict)()
+    return bool(capabilities.get("amx_bf16", False))
+
+
+def in_bfloat16(network: nn.Module) -> None:
+    """Keep the weights of its products in bfloat16, in place: under `torch.autocast` each call would convert them."""
+    for module in network.modules():
+        if isinstance(module, nn.Linear | nn.Conv2d | nn.ConvTranspose2d):
+            module.to(torch.bfloat16)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """With one of torch's threads: for what takes so little that waking the others costs more than they do."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
