@@ -44,7 +44,9 @@ class Segmenter:
         self.config: DetectorConfig = detector.config
 
     @classmethod
-    def load(cls, weights_dir: Path | None = None, device: torch.device | str = "cpu") -> Segmenter:
+    def load(
+        cls, weights_dir: Path | None = None, device: torch.device | str = "cpu", bfloat16: bool | None = None
+    ) -> Segmenter:
         """The shipped detector, or the one a training run left in `weights_dir`.
 
         Raises AssetError that names the missing or unreadable file.
@@ -55,7 +57,7 @@ class Segmenter:
         except (KeyError, TypeError, ValueError) as error:
             raise AssetError(f"the detector's description is damaged, fetch it again: {error!r}") from error
         load_detector(detector, tensors, description)
-        return cls(detector, device)
+        return cls(detector, device, bfloat16)
 
     def detect(self, frame: RgbdFrame) -> list[Detection]:
         """End effectors in an image, best score first, each with its tool's mask where seen."""
