@@ -192,7 +192,9 @@ def test_exported_weights_give_the_average_s_output(trained: Path) -> None:
     reference = Detector(TINY)
     reference.load_state_dict(state["average"], strict=False)
     frame = frame_of(toy_scenes(1, seed=9))
-    expected, found = Segmenter(reference).detect(frame), Segmenter.load(trained).detect(frame)
+    # In float32: in bfloat16 weights that differ by so little may be rounded apart.
+    expected = Segmenter(reference, bfloat16=False).detect(frame)
+    found = Segmenter.load(trained, bfloat16=False).detect(frame)
     assert [d.category for d in expected] == [d.category for d in found]
     for a, b in zip(expected, found, strict=True):
         assert a.score == pytest.approx(b.score, abs=0.02)
