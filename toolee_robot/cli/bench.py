@@ -75,7 +75,8 @@ def _describe(machine: Machine) -> str:
     versions = ", ".join(f"{name} {v}" for name, v in machine.versions.items())
     return (
         f"[bold]{machine.cpu}[/bold], {machine.cores} cores for this process, {machine.memory_gb} GB\n"
-        f"{machine.system}, Python {machine.python}, torch on {machine.torch_threads} threads\n[dim]{versions}[/dim]"
+        f"{machine.system}, Python {machine.python}, torch on {machine.torch_threads} threads, "
+        f"networks in {machine.arithmetic}\n[dim]{versions}[/dim]"
     )
 
 

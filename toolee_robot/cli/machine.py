@@ -17,7 +17,8 @@ _PACKAGES = ("toolee_robot", "numpy", "scipy", "torch", "torchvision", "pin", "c
 
 @dataclass(frozen=True)
 class Machine:
-    """Enough to judge a latency by. cores: those this process may use; memory_gb: all of it."""
+    """Enough to judge a latency by. cores: those this process may use; memory_gb: all of it; arithmetic: of the
+    networks on the processor."""
 
     cpu: str
     cores: int
@@ -25,6 +26,7 @@ class Machine:
     system: str
     python: str
     torch_threads: int
+    arithmetic: str
     versions: dict[str, str]
 
     def as_dict(self) -> dict[str, object]:
@@ -34,6 +36,8 @@ class Machine:
 def describe_machine() -> Machine:
     """Read it from the operating system; "unknown" where that does not tell."""
     import torch
+
+    from toolee_robot.perception.arithmetic import bfloat16_pays
 
     cpu = platform.processor() or platform.machine() or "unknown"
     cpuinfo = Path("/proc/cpuinfo")
@@ -55,6 +59,7 @@ def describe_machine() -> Machine:
         system=f"{platform.system()} {platform.release()} {platform.machine()}",
         python=platform.python_version(),
         torch_threads=torch.get_num_threads(),
+        arithmetic="bfloat16" if bfloat16_pays(torch.device("cpu")) else "float32",
         versions=versions,
     )
 
