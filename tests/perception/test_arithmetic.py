@@ -20,6 +20,10 @@ from toolee_robot.perception.segmentation import Segmenter
 from toolee_robot.perception.segmentation_instances import mask_iou
 from toolee_robot.types import RgbdFrame
 
+swift = pytest.mark.skipif(
+    "AVX512" not in torch.backends.cpu.get_cpu_capability(), reason="bfloat16 takes minutes an image on this processor"
+)
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -29,6 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@swift
 def test_the_detector_finds_the_same(folder: Path) -> None:
     data = load_scenes([folder / "test" / "000000"])
     exact, fast = Segmenter.load(bfloat16=False), Segmenter.load(bfloat16=True)
@@ -45,6 +50,7 @@ def test_the_detector_finds_the_same(folder: Path) -> None:
     assert seen >= 3
 
 
+@swift
 def test_poses_are_the_same_to_a_fraction_of_their_error(folder: Path) -> None:
     examples = collect(folder)
     exact, fast = (PoseEstimator(*weights.load(), bfloat16=b) for b in (False, True))
