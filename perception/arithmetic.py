@@ -12,7 +12,7 @@ from torch import nn
 
 
 def bfloat16_pays(device: torch.device) -> bool:
-    """Whether the device is a processor with matrix units for bfloat16. Without them it is slower than float32."""
+    """Whether the device is a processor with matrix units for bfloat16. Without them it was not tried."""
     return device.type == "cpu" and _matrix_units()
 
 
@@ -32,7 +32,8 @@ def in_bfloat16(network: nn.Module) -> None:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """With one of torch's threads: for what takes so little that waking the others costs more than they do."""
+    """With one of torch's threads: for what takes so little that others gain nothing, and make it wait where they are
+    busy elsewhere."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -47,7 +47,7 @@ class Segmenter:
     def load(
         cls, weights_dir: Path | None = None, device: torch.device | str = "cpu", bfloat16: bool | None = None
     ) -> Segmenter:
-        """The shipped detector, or the one a training run left in `weights_dir`.
+        """The shipped detector, or the one a training run left in `weights_dir`. bfloat16: as for the constructor.
 
         Raises AssetError that names the missing or unreadable file.
         """

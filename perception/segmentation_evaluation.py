@@ -94,7 +94,7 @@ def coco_task(segmenter: Segmenter, images: SegmentationImages, limit: int | Non
             entry = {"id": len(annotations) + 1, "image_id": i + 1, "category_id": label, "bbox": box}
             annotations.append({**entry, "area": area, "iscrowd": crowd, "segmentation": encoded(mask)})
         start = time.perf_counter()
-        masks, labels, scores, _ = segmenter.instances(_frame(images, i), EVERYTHING)
+        masks, labels, scores, _ = segmenter.instances(frame_of(images, i), EVERYTHING)
         times.append(time.perf_counter() - start)
         for mask, label, score in zip(masks, labels, scores, strict=True):
             entry = {"image_id": i + 1, "category_id": label, "score": score}
@@ -108,7 +108,8 @@ def coco_task(segmenter: Segmenter, images: SegmentationImages, limit: int | Non
     return CocoTask(truth, results, times)
 
 
-def _frame(images: SegmentationImages, index: int) -> RgbdFrame:
+def frame_of(images: SegmentationImages, index: int) -> RgbdFrame:
+    """One image of a data set as a camera gives it."""
     height, width = images.rgb.shape[1:3]
     fx, fy, cx, cy = (float(v) for v in images.intrinsics[index])
     depth = (images.depth_mm[index] / 1000.0).astype(np.float32)

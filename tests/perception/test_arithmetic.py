@@ -17,11 +17,12 @@ from toolee_robot.perception.evaluation.examples import collect
 from toolee_robot.perception.pose import PoseEstimator, weights
 from toolee_robot.perception.pose.network import PoseNet
 from toolee_robot.perception.segmentation import Segmenter
+from toolee_robot.perception.segmentation_evaluation import frame_of
 from toolee_robot.perception.segmentation_instances import mask_iou
-from toolee_robot.types import RgbdFrame
 
 swift = pytest.mark.skipif(
-    "AVX512" not in torch.backends.cpu.get_cpu_capability(), reason="bfloat16 takes minutes an image on this processor"
+    "AVX512" not in torch.backends.cpu.get_cpu_capability(),
+    reason="bfloat16 without AVX-512 is emulated, slowly: not what is shipped there",
 )
 
 
@@ -39,7 +40,7 @@ def test_the_detector_finds_the_same(folder: Path) -> None:
     exact, fast = Segmenter.load(bfloat16=False), Segmenter.load(bfloat16=True)
     seen = 0
     for i in range(len(data)):
-        frame = RgbdFrame(data.rgb[i], data.depth_mm[i].astype(np.float32) * np.float32(1e-3), data.camera(i))
+        frame = frame_of(data, i)
         also = list(zip(*fast.instances(frame)[:3], strict=True))
         for mask, label, score in zip(*exact.instances(frame)[:3], strict=True):
             if score > 0.3:
