@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception.dataset.surfaces import Surfaces
 from toolee_robot.render import Body, Mesh
-from toolee_robot.render.mesh import FloatArray, box, cylinder, plane, sphere, tube
+from toolee_robot.render.scene import Backdrop, Patch
+from toolee_robot.render.mesh import box, cylinder, plane, sphere, tube
 from toolee_robot.render.palette import any_color, linear
 
 
@@ -85,17 +84,18 @@ def walls(rng: np.random.Generator, surfaces: Surfaces, body_id: int, floor_heig
     return bodies
 
 
-def picture(rng: np.random.Generator, surfaces: Surfaces, height: int, width: int) -> FloatArray:
-    """(H, W, 3) linear RGB: a flat backdrop without depth, of gradients and random shapes."""
+def backdrop(rng: np.random.Generator, surfaces: Surfaces) -> Backdrop:
+    """A gradient with random shapes."""
     rng = surfaces.backdrop(rng)
-    y, x = np.mgrid[0:height, 0:width].astype(np.float32) / np.float32(width)
-    corners = rng.uniform(0.0, 0.7, (3, 3)).astype(np.float32)
-    image = corners[0] + x[..., None] * (corners[1] - corners[0]) + y[..., None] * (corners[2] - corners[0])
+    corners = rng.uniform(0.0, 0.7, (3, 3))
+    patches = []
     for _ in range(rng.integers(3, 25)):
-        cx, cy = rng.uniform(0.0, 1.0, 2).tolist()
-        a, b = (0.3 * rng.uniform(0.05, 1.0, 2) ** 1.5).tolist()
-        c, s = math.cos(t := rng.uniform(0, np.pi)), math.sin(t)
-        u, v = c * (x - cx) + s * (y - cy), c * (y - cy) - s * (x - cx)
-        inside = (u / a) ** 2 + (v / b) ** 2 < 1 if rng.random() < 0.5 else (np.abs(u) < a) & (np.abs(v) < b)
-        image[inside] = np.asarray(linear(any_color(rng)), np.float32) * np.float32(rng.uniform(0.5, 1.0))
-    return np.asarray(image, np.float32)
+        centre = rng.uniform(0.0, 1.0, 2)
+        half_axes = 0.3 * rng.uniform(0.05, 1.0, 2) ** 1.5
+        angle, oval = float(rng.uniform(0, np.pi)), bool(rng.random() < 0.5)
+        color = np.asarray(linear(any_color(rng))) * rng.uniform(0.5, 1.0)
+        (x, y), (a, b), (red, green, blue) = centre.tolist(), half_axes.tolist(), color.tolist()
+        patches.append(Patch((x, y), (a, b), angle, oval, (red, green, blue)))
+    corner, right, below = corners
+    rows = ((float(r), float(g), float(b)) for r, g, b in (corner, right - corner, below - corner))
+    return Backdrop(*rows, tuple(patches))

@@ -48,22 +48,28 @@ class Series:
     catalogue: Catalogue = GENERATED
 
 
-def make_example(series: Series, index: int) -> Example:
-    """Example `index` of a series."""
-    taken = take_shot(series, index)
+def make_example(series: Series, index: int, device: str = "cpu") -> Example:
+    """Example `index` of a series, rendered on a device (see `render`)."""
+    taken = take_shot(series, index, device)
     sample, shot, rng = taken.sample, taken.shot, taken.rng
     ee, tool, full, table = taken.labels
     if series.config == "paper":
-        rendering = shot.develop(exposure=1.0, auto_exposure=1.0)
-        rgb, depth = rendering.rgb, rendering.depth
+        rgb, depth = shot.develop(exposure=1.0, auto_exposure=1.0).rgb.numpy(), shot.depth
     else:
         exposure, automatic = float(rng.uniform(0.75, 1.35)), float(rng.uniform(0.3, 1.0))
-        rendering = shot.develop(exposure=exposure, auto_exposure=automatic)
-        incidence, shininess = rendering.cos_incidence, rendering.shininess
-        depth = measure_depth(shot.depth, incidence, shininess, sample.intrinsics, DepthNoise.random(rng), rng)
-        rgb = photograph(rendering.rgb, Photo.random(rng), rng)
+        depth, rgb = expose(shot, sample.intrinsics, exposure, automatic, rng)
     depth_mm = np.minimum(depth * np.float32(1000.0) + np.float32(0.5), np.float32(65535.0)).astype(np.uint16)
     return Example(rgb, depth_mm, ee, tool, table, sample.intrinsics, sample.kind, full)
+
+
+def expose(
+    shot: Shot, intrinsics: CameraIntrinsics, exposure: float, automatic: float, rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Depth (H, W) [m] and RGB (H, W, 3) of a random sensor and a random camera; the rest as `render` takes it."""
+    image = shot.develop(exposure=exposure, auto_exposure=automatic)
+    surface = (image.depth, image.cos_incidence, image.shininess)
+    depth = measure_depth(*surface, intrinsics, DepthNoise.random(rng), rng, shot.device)
+    return depth, photograph(image.rgb, Photo.random(rng), rng, shot.device)
 
 
 Labels = tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8], EeTable]
@@ -80,7 +86,7 @@ class Taken:
     rng: np.random.Generator
 
 
-def take_shot(series: Series, index: int) -> Taken:
+def take_shot(series: Series, index: int, device: str = "cpu") -> Taken:
     """Example `index` of a series before it is developed.
 
     A scene with tools none of whose EEs is a target (`EeTable.targets`) is drawn again.
@@ -90,8 +96,8 @@ def take_shot(series: Series, index: int) -> Taken:
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, split, 1, index, config, attempt])
         sample = paper_scene(rng, pool) if series.config == "paper" else _hard_scene(rng, pool)
-        shot = Shot(sample.scene, sample.intrinsics, sample.X_world_camera)
-        labels = label(sample, shot.depth, shot.body_ids)
+        shot = Shot(sample.scene, sample.intrinsics, sample.X_world_camera, device)
+        labels = label(sample, shot)
         if not sample.tools or labels[3].targets.any():
             break
     return Taken(sample, shot, labels, rng)
@@ -103,7 +109,7 @@ def examples_of(
     """Examples first .. last - 1 of a split, one at a time."""
     series = Series(spec.seed, split, spec.config, spec.scene_size, catalogue)
     for i in range(first, last):
-        yield make_example(series, i)
+        yield make_example(series, i, spec.device)
 
 
 def _hard_scene(rng: np.random.Generator, pool: Pool) -> SceneSample:
@@ -118,9 +124,10 @@ def _hard_scene(rng: np.random.Generator, pool: Pool) -> SceneSample:
     return hard_scene(rng, pool)
 
 
-def label(sample: SceneSample, depth: NDArray[np.float32], body_ids: NDArray[np.int16]) -> Labels:
+def label(sample: SceneSample, shot: Shot) -> Labels:
     """EE ids, tool ids, unoccluded EEs as bits (H, W) as in `Example`, and the table of the EEs, from a scene's exact
-    depth [m] and body ids."""
+    depth and body ids."""
+    depth, body_ids = shot.depth, shot.body_ids
     tool_ids = np.where((body_ids >= 1) & (body_ids <= len(sample.tools)), body_ids, 0).astype(np.uint8)
     ee_ids, full = np.zeros(tool_ids.shape, np.uint8), np.zeros(tool_ids.shape, np.uint8)
     table = EeTable.empty()
@@ -132,7 +139,7 @@ def label(sample: SceneSample, depth: NDArray[np.float32], body_ids: NDArray[np.
         Xs_camera_ee = [X_camera_tool @ ee.X_tool_ee for ee in ees]
         reach = _Reach(Xs_camera_ee, np.array([ee_radius(ee.category) for ee in ees]), sample.circle)
         reach.number(ee_ids, depth, tool_ids == placed.body_id, next_id, sample.intrinsics)
-        alone = _alone(placed, sample, reach, full, next_id)
+        alone = _alone(placed, sample, reach, full, next_id, shot.device)
         for k, ee in enumerate(ees):
             row = next_id - 1 + k
             table.category[row] = CATEGORIES.index(ee.category) + 1
@@ -196,14 +203,16 @@ class _Reach:
         return (int(x0), int(y0), int(x1), int(y1)) if x1 > x0 and y1 > y0 else None
 
 
-def _alone(placed: PlacedTool, sample: SceneSample, reach: _Reach, full: NDArray[np.uint8], first_id: int) -> list[int]:
+def _alone(
+    placed: PlacedTool, sample: SceneSample, reach: _Reach, full: NDArray[np.uint8], first_id: int, device: str
+) -> list[int]:
     """How many pixels each EE's mask would have if nothing but its tool were there; sets their bits in `full`."""
     own: list[Body] = [body for body in sample.scene.bodies if body.body_id == placed.body_id]
     region = reach.region(sample.intrinsics)
     counts = [0] * len(reach.radii)
     if region is None:
         return counts
-    depth, _ = cast(own, sample.intrinsics, sample.X_world_camera, region)
+    depth, _ = cast(own, sample.intrinsics, sample.X_world_camera, region, device)
     ids = np.zeros(depth.shape, np.uint8)
     x0, y0, x1, y1 = region
     K = sample.intrinsics

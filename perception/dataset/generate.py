@@ -29,6 +29,7 @@ from toolee_robot.perception.dataset.own import OwnMesh
 from toolee_robot.perception.dataset.scene_reader import read_json
 from toolee_robot.perception.dataset.scene_writer import json_by_line, write_scene
 from toolee_robot.perception.dataset.spec import DESCRIPTION, SPLITS, DatasetSpec, SceneJob
+from toolee_robot.render.device import checked
 
 T = TypeVar("T")
 Progress = Callable[[int, int], None]
@@ -47,12 +48,14 @@ def generate(
     """Write the data set into the folder `out`; False if it was there already. Scenes that exist are kept.
 
     own: the meshes of `spec.tools`. cluster: "local" for `workers` processes here; "ray" for as many on a Ray cluster,
-    whose machines share `out`. Raises UserError when `out` holds another data set, TooleeError when a worker dies.
+    whose machines share `out`. Raises UserError when `out` holds another data set or there is no such device, TooleeError
+    when a worker dies.
     """
     if workers < 1:
         raise UserError(f"--workers {workers}: give 1 or more")
     if cluster not in CLUSTERS:
         raise UserError(f"--cluster {cluster}: choose one of {', '.join(CLUSTERS)}")
+    checked(spec.device)
     begin(spec, out, own)
     if is_finished(out):
         return False

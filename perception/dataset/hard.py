@@ -14,7 +14,7 @@ from toolee_robot.perception.dataset.bodies import (
     hand_bodies,
     tool_bodies,
 )
-from toolee_robot.perception.dataset.clutter import any_object, picture, walls
+from toolee_robot.perception.dataset.clutter import any_object, backdrop, walls
 from toolee_robot.perception.dataset.placement import (
     PlacedTool,
     Pool,
@@ -28,7 +28,7 @@ from toolee_robot.perception.dataset.placement import (
     ray,
     tool_in_view,
 )
-from toolee_robot.perception.dataset.records import FARTHEST, HEIGHT, NEAREST, WIDTH
+from toolee_robot.perception.dataset.records import FARTHEST, NEAREST
 from toolee_robot.perception.dataset.surfaces import Surfaces
 from toolee_robot.render import Body, Scene
 from toolee_robot.render.lab import environment, lamps
@@ -88,7 +88,7 @@ def hard_scene(rng: np.random.Generator, pool: Pool, with_tools: bool = True) ->
         floor = (min(lowest, 0.0) if table is None else table) - float(rng.uniform(0.3, 1.2))
         bodies += walls(rng, pool.surfaces, ROOM, floor)
     else:
-        background = picture(rng, pool.surfaces, HEIGHT, WIDTH)
+        background = backdrop(rng, pool.surfaces)
     scene = Scene(bodies, lamps(rng), environment(rng), background)
     return SceneSample(scene, intrinsics, X_world_camera, tuple(placed), 0 if with_tools else 2)
 

@@ -14,6 +14,7 @@ from toolee_robot.perception.dataset.own import OwnToolRecord
 
 CONFIGS = ("paper", "hard")
 SPLITS = ("train", "test")
+DEVICES = ("cpu", "cuda")
 LICENCE = "MIT"
 FORMAT = 1
 DESCRIPTION = "dataset.json"
@@ -36,7 +37,8 @@ class SceneJob:
 class DatasetSpec:
     """config: "paper" or "hard". size: examples in all; test_share of them show held-out instances, textures and
     backgrounds. scene_size: examples in a BOP scene, which share a dozen tools. tools: a user's own, instead of the
-    generated ones; all of them are held out. Equal specs give equal bytes."""
+    generated ones; all of them are held out. device: what renders, "cpu" or "cuda": they round differently. Equal specs
+    give equal bytes."""
 
     config: str
     size: int
@@ -44,10 +46,13 @@ class DatasetSpec:
     test_share: float = 0.1
     scene_size: int = 32
     tools: tuple[OwnToolRecord, ...] = ()
+    device: str = "cpu"
 
     def __post_init__(self) -> None:
         if self.config not in CONFIGS:
             raise UserError(f"--config {self.config}: choose one of {', '.join(CONFIGS)}")
+        if self.device not in DEVICES:
+            raise UserError(f"--device {self.device}: choose one of {', '.join(DEVICES)}")
         if self.size < 1 or self.scene_size < 1:
             raise UserError(f"--size {self.size}, scenes of {self.scene_size}: both must be 1 or more")
         if not 0 <= self.seed < 2**31:
@@ -75,7 +80,7 @@ class DatasetSpec:
         ]
 
     def to_json(self) -> dict[str, Any]:
-        asked = {k: getattr(self, k) for k in ("config", "size", "seed", "test_share", "scene_size")}
+        asked = {k: getattr(self, k) for k in ("config", "size", "seed", "test_share", "scene_size", "device")}
         data = {"format": FORMAT, **asked, "generator": f"toolee_robot {__version__}", "licence": LICENCE}
         return {**data, "tools": [tool.to_json() for tool in self.tools]} if self.tools else data
 
@@ -96,6 +101,7 @@ class DatasetSpec:
                 float(data["test_share"]),
                 data["scene_size"],
                 tuple(OwnToolRecord.from_json(tool) for tool in data.get("tools", ())),
+                data["device"],
             )
         except FileNotFoundError as error:
             raise UserError(

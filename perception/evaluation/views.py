@@ -57,7 +57,7 @@ def held_hammer(seed: int, index: int, split: str = "test") -> HeldHammer | None
             break
         sample = _moved(taken.sample, hammer, taken.rng)
         shot = Shot(sample.scene, sample.intrinsics, sample.X_world_camera)
-        moved = _held_hammer(sample, label(sample, shot.depth, shot.body_ids)[3])
+        moved = _held_hammer(sample, label(sample, shot)[3])
         if moved is not None:
             frames.append(taken_frame(sample, shot, taken.rng))
             Xs.append(_X_camera_hand(sample, moved))
@@ -78,10 +78,9 @@ def empty_frame(seed: int, index: int, split: str = "test") -> RgbdFrame:
 
 def taken_frame(sample: SceneSample, shot: Shot, rng: np.random.Generator) -> RgbdFrame:
     """The frame with a random camera's and sensor's noise."""
-    rendering = shot.develop(exposure=float(rng.uniform(0.75, 1.35)), auto_exposure=float(rng.uniform(0.3, 1.0)))
-    incidence, shininess = rendering.cos_incidence, rendering.shininess
-    depth = measure_depth(shot.depth, incidence, shininess, sample.intrinsics, DepthNoise.random(rng), rng)
-    return RgbdFrame(photograph(rendering.rgb, Photo.random(rng), rng), depth.astype(np.float32), sample.intrinsics)
+    exposure, automatic = float(rng.uniform(0.75, 1.35)), float(rng.uniform(0.3, 1.0))
+    depth, rgb = expose(shot, sample.intrinsics, exposure, automatic, rng)
+    return RgbdFrame(rgb, depth, sample.intrinsics)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from toolee_robot.render.photo import Photo, photograph
-from toolee_robot.render.sensor import NOISELESS, DepthNoise, axial_sigma, measure_depth
+from toolee_robot.render.sensor import NOISELESS, DepthNoise, measure_depth
 from toolee_robot.types import CameraIntrinsics
 
 K = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)
@@ -32,7 +32,6 @@ def test_axial_noise_has_the_published_deviation(z: float, degrees: float, corre
     inner = inner[inner > 0]
     assert np.std(inner) == pytest.approx(expected, rel=0.05)
     assert np.mean(inner) == pytest.approx(z, abs=1e-4)
-    assert float(axial_sigma(np.array([z]), np.array([theta]))[0]) == pytest.approx(expected, rel=1e-4)
 
 
 def test_readings_are_whole_millimetres() -> None:

@@ -54,6 +54,8 @@ class Generate:
     and a mesh."""
     cluster: Literal["local", "ray"] = "local"
     """ray: on the Ray cluster that RAY_ADDRESS names (extra `cluster`), whose machines share DIR."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """What renders. cuda: the GPUs of this machine, which the processes share. Pixels may differ by a rounding."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
@@ -67,7 +69,8 @@ class Generate:
 
             own = read_own_tools(self.tools)
         share = self.test_share if self.test_share is not None else 1.0 if own else DatasetSpec.test_share
-        spec = DatasetSpec(self.config, self.size, self.seed, share, tools=tuple(tool.record for tool in own))
+        tools = tuple(tool.record for tool in own)
+        spec = DatasetSpec(self.config, self.size, self.seed, share, tools=tools, device=self.device)
         workers = _cores() if self.workers is None else self.workers
         console = Console(stderr=self.json, highlight=False)
         began = time.monotonic()

@@ -9,24 +9,27 @@ from __future__ import annotations
 import ctypes
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import repeat
 from typing import Any
 
 import numpy as np
+import warp as wp
 from embreex import rtcore_scene
-from numpy.typing import NDArray
 
-from toolee_robot.render.mesh import FloatArray
+from toolee_robot.frames import Array
+from toolee_robot.render.device import DeviceArray, put
+from toolee_robot.render.mesh import FloatArray, IntArray, Mesh
+from toolee_robot.render.tracing import Found, in_camera
 
 _BATCH = 512
 """Packets that are filled and shot together; they stay in the processor's cache."""
 # RTCRayHit16 and the like, in fields of one float a ray: origin 0-2, tnear 3, direction 4-6, time 7, tfar 8, mask 9,
 # id, flags, Ng 12-14, u 15, v 16, primID 17, geomID 18, instID, instPrimID.
 _RAY, _RAY_HIT = 12, 21
-_ORIGIN, _DIRECTION, _REACH, _HIT = slice(0, 3), slice(4, 7), slice(8, 9), slice(12, 19)
+_ORIGIN, _DIRECTION, _REACH = slice(0, 3), slice(4, 7), slice(8, 9)
 _TFAR, _MASK, _GEOMETRY = 8, 9, 18
+_VALUES, _IDS = slice(12, 17), slice(17, 19)
 _TRIANGLES, _INDEX, _VERTEX, _UINT3, _FLOAT3 = 0, 0, 1, 0x5003, 0x9003
 _NATIVE = {16: 34, 8: 33}
 """Packet width -> RTC_DEVICE_PROPERTY_NATIVE_RAY*_SUPPORTED."""
@@ -103,35 +106,16 @@ def _library() -> _Library:
     return _Library()
 
 
-@dataclass(frozen=True, eq=False)
-class Closest:
-    """What rays (N,) hit first. mesh (N,) int32: index of the mesh, -1 for none; the rest is undefined there. face (N,)
-    int32; distance (N,) in lengths of the ray's direction; u, v (N,): barycentric, of the face's second and third
-    corner; normals (3, N): geometric, of any length, on either side."""
+class EmbreeTracer:
+    """`tracing.Tracer` on the processor."""
 
-    mesh: NDArray[np.int32]
-    face: NDArray[np.int32]
-    distance: FloatArray
-    u: FloatArray
-    v: FloatArray
-    normals: FloatArray
-
-    def followed_by(self, other: Closest) -> Closest:
-        """What these rays hit, and then what other rays at the same meshes hit."""
-        pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
-        return Closest(*(np.concatenate(pair, axis=-1) for pair in pairs))
-
-
-class Tracer:
-    """Meshes that rays are shot at."""
-
-    def __init__(self, meshes: Sequence[tuple[FloatArray, NDArray[np.int32]]]) -> None:
-        """meshes: vertices (V, 3) and faces (F, 3)."""
+    def __init__(self, meshes: Sequence[tuple[Mesh, Array]]) -> None:
+        """meshes: each with its X_camera_body (4x4)."""
         self._library = e = _library()
         self._scene = e.new_scene(e.device)
-        for vertices, faces in meshes:
+        for mesh, X_camera_body in meshes:
             geometry = e.new_geometry(e.device, _TRIANGLES)
-            for what, kind, rows in ((_VERTEX, _FLOAT3, vertices), (_INDEX, _UINT3, faces)):
+            for what, kind, rows in ((_VERTEX, _FLOAT3, in_camera(mesh, X_camera_body)), (_INDEX, _UINT3, mesh.faces)):
                 data = np.ascontiguousarray(rows, np.float32 if what == _VERTEX else np.int32)
                 ctypes.memmove(e.new_buffer(geometry, what, 0, kind, 12, len(data)), data.ctypes.data, data.nbytes)
             e.commit_geometry(geometry)
@@ -142,42 +126,44 @@ class Tracer:
     def __del__(self) -> None:
         self._library.release_scene(self._scene)
 
-    def closest(self, directions: FloatArray) -> Closest:
-        """What rays from the origin hit; directions (3, N), of any length."""
-        e, n = self._library, directions.shape[1]
+    def closest(self, rays: DeviceArray) -> Found:
+        e, directions = self._library, rays.numpy()
+        n = directions.shape[1]
         packets, batch = e.packets(n, _RAY_HIT), _BATCH * e.width
-        found = np.empty((8, -(-n // e.width) * e.width), np.float32)
+        values, ids = np.empty((6, n), np.float32), np.empty((2, n), np.int32)
         for start in range(0, n, batch):
-            part = _whole_packets(directions[:, start : start + batch], e.width)
+            place = slice(start, min(start + batch, n))
+            part = _whole_packets(directions[:, place], e.width)
             count = part.shape[1] // e.width
             packets[:count, _DIRECTION] = part.reshape(3, count, e.width).transpose(1, 0, 2)
             packets[:count, _TFAR] = np.inf
             packets.view(np.uint32)[:count, _GEOMETRY] = 0xFFFFFFFF
             self._shoot(e.intersect, packets[:count])
-            out = found[:, start : start + part.shape[1]].reshape(8, count, e.width)
-            out[0], out[1:] = packets[:count, _TFAR], packets[:count, _HIT].transpose(1, 0, 2)
-        ids = found.view(np.int32)[:, :n]
-        found = found[:, :n]
-        return Closest(ids[7], ids[6], found[0], found[4], found[5], found[1:4])
+            found = packets[:count].transpose(1, 0, 2).reshape(_RAY_HIT, -1)[:, : place.stop - start]
+            values[0, place], values[1:, place] = found[_TFAR], found[_VALUES]
+            ids[:, place] = found.view(np.int32)[_IDS]
+        return Found(put(values, wp.float32, "cpu"), put(ids, wp.int32, "cpu"))
 
-    def blocked(self, origins: FloatArray, directions: FloatArray, reach: FloatArray) -> NDArray[np.bool_]:
-        """(N,) whether anything is met between origins (3, N) and origins + reach (N,) * directions (3, N)."""
-        e, n = self._library, len(reach)
+    def blocked(self, origins: DeviceArray, directions: DeviceArray, reach: DeviceArray) -> DeviceArray:
+        e, n = self._library, reach.shape[0]
+        rows = ((_ORIGIN, origins.numpy()), (_DIRECTION, directions.numpy()), (_REACH, reach.numpy()[None]))
         packets, batch = e.packets(n, _RAY), _BATCH * e.width
-        found = np.empty(-(-n // e.width) * e.width, np.bool_)
+        met = np.empty(-(-n // e.width) * e.width, np.uint8)
         for start in range(0, n, batch):
             place = slice(start, start + batch)
-            for field, rows in ((_ORIGIN, origins), (_DIRECTION, directions), (_REACH, reach[None])):
-                part = _whole_packets(rows[:, place], e.width)
+            for field, values in rows:
+                part = _whole_packets(values[:, place], e.width)
                 count = part.shape[1] // e.width
                 packets[:count, field] = part.reshape(-1, count, e.width).transpose(1, 0, 2)
-            self._shoot(e.occluded, packets[:count])
-            found[place].reshape(count, e.width)[:] = packets[:count, _TFAR] < 0
-        return found[:n]
+            asked = np.flatnonzero((packets[:count, _TFAR] > 0).any(axis=1))
+            self._shoot(e.occluded, packets, asked)
+            met[place].reshape(count, e.width)[:] = packets[:count, _TFAR] < 0
+        return put(met[:n], wp.uint8, "cpu")
 
-    def _shoot(self, function: Any, packets: FloatArray) -> None:
+    def _shoot(self, function: Any, packets: FloatArray, which: IntArray | None = None) -> None:
         first, step = packets.ctypes.data, packets.strides[0]
-        addresses = range(first, first + len(packets) * step, step)
+        every = range(first, first + len(packets) * step, step)
+        addresses = every if which is None else [every[k] for k in which.tolist()]
         valid, arguments = self._library.valid.ctypes.data, ctypes.addressof(_COHERENT)
         deque(map(function, repeat(valid), repeat(self._scene), addresses, repeat(arguments)), maxlen=0)
 

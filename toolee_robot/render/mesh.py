@@ -11,26 +11,28 @@ from numpy.typing import NDArray
 from toolee_robot.frames import Array
 
 FloatArray = NDArray[np.float32]
+IntArray = NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """vertices (V, 3) [m] in the body's frame; faces (F, 3) int32, counter-clockwise seen from outside;
-    corner_normals (F, 3, 3) unit."""
+    corner_normals (F, 3, 3) unit. lasting: many scenes show it, so that what is worked out of it is worth keeping."""
 
     vertices: FloatArray
     faces: NDArray[np.int32]
     corner_normals: FloatArray
+    lasting: bool = False
 
     @staticmethod
     def build(vertices: object, faces: object, crease_deg: float = 35.0) -> Mesh:
-        """Mesh with normals smoothed across edges flatter than `crease_deg`; corners that coincide to 1 um share
+        """Lasting mesh with normals smoothed across edges flatter than `crease_deg`; corners that coincide to 1 um share
         their normals even where the file stores them as separate vertices (STL)."""
         v = np.ascontiguousarray(np.asarray(vertices, dtype=np.float32).reshape(-1, 3))
         f = np.ascontiguousarray(np.asarray(faces, dtype=np.int32).reshape(-1, 3))
         if not np.all(np.isfinite(v)) or (f.size and (f.min() < 0 or f.max() >= len(v))):
             raise ValueError("mesh has non-finite vertices or faces that point outside of them")
-        return Mesh(v, f, corner_normals(v, f, crease_deg))
+        return Mesh(v, f, corner_normals(v, f, crease_deg), True)
 
     def mirrored(self) -> Mesh:
         """The mesh reflected in x = 0 (a right hand's link as a left hand's), winding kept outward."""
@@ -40,6 +42,7 @@ class Mesh:
             np.ascontiguousarray(self.vertices * flip),
             np.ascontiguousarray(self.faces[:, order]),
             np.ascontiguousarray(self.corner_normals[:, order] * flip),
+            self.lasting,
         )
 
     def scaled(self, factor: float) -> Mesh:

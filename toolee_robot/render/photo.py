@@ -6,10 +6,13 @@ from dataclasses import dataclass
 from io import BytesIO
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 from PIL import Image
 
-from toolee_robot.render.filters import gaussian, white
+from toolee_robot.render.device import DeviceArray, checked, empty, launch, put
+from toolee_robot.render.filters import gaussian
+from toolee_robot.render.kernels import photo as kernels
 
 
 @dataclass(frozen=True)
@@ -45,32 +48,34 @@ class Photo:
         )
 
 
-def photograph(rgb: NDArray[np.uint8], photo: Photo, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 RGB as that camera would deliver the ideal image `rgb`."""
+def photograph(
+    rgb: NDArray[np.uint8] | DeviceArray, photo: Photo, rng: np.random.Generator, device: str = "cpu"
+) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8 RGB as that camera would deliver the ideal image `rgb`, in memory or on `device`."""
+    checked(device)
+    rgb = put(rgb, wp.uint8, device)
     height, width = rgb.shape[:2]
+    shape = (3, height, width)
     level = np.arange(256) / 255.0
     curve = 0.5 + photo.contrast * (level**photo.gamma - 0.5)
     table = np.clip(255.0 * curve[:, None] * np.asarray(photo.gain), 0, 255).astype(np.float32)
-    image = np.stack([table[:, c].take(rgb[..., c]) for c in range(3)])
+    image = empty(shape, wp.float32, device)
+    table = put(table.reshape(-1), wp.float32, device)
+    launch(kernels.through_curve, height * width, rgb.flatten(), table, image.flatten(), device=device)
     if photo.blur > 0:
-        image = gaussian(image, photo.blur)
+        image = gaussian(image, photo.blur, device)
     if photo.motion > 1:
-        # The mean of copies shifted along the stroke; whole pixels are enough.
         half = photo.motion / 2 * np.array([np.sin(photo.motion_angle), np.cos(photo.motion_angle)])
-        count = 2 * int(np.ceil(photo.motion))
-        shifts = [np.round(t * half).astype(int) for t in np.linspace(-1, 1, count)]
-        padded = np.pad(image, ((0, 0), (4, 4), (4, 4)), mode="edge")
-        copies = [padded[:, 4 + a : 4 + a + height, 4 + b : 4 + b + width] for a, b in shifts]
-        image = np.asarray(np.mean(copies, axis=0, dtype=np.float32))
-    if photo.vignette > 0:
-        y = (np.arange(height, dtype=np.float32) / height * 2 - 1)[:, None]
-        x = np.arange(width, dtype=np.float32) / width * 2 - 1
-        image = image * (1 - np.float32(photo.vignette) * (x * x + y * y) / 2)
-    if photo.grain > 0:
-        image = image + np.float32(photo.grain) * white(rng, image.shape)
-    out = np.ascontiguousarray(np.clip(np.rint(image), 0, 255).astype(np.uint8).transpose(1, 2, 0))
+        strokes = np.linspace(-1, 1, 2 * int(np.ceil(photo.motion)))
+        shifts = put(np.round(strokes[:, None] * half).astype(np.int32), wp.int32, device)
+        moved, image = image, empty(shape, wp.float32, device)
+        launch(kernels.smear, image.size, moved.flatten(), width, height, shifts, image.flatten(), device=device)
+    out = empty((height, width, 3), wp.uint8, device)
+    effects = (photo.vignette, photo.grain, int(rng.integers(2**31)))
+    launch(kernels.expose, height * width, image.flatten(), width, *effects, out.flatten(), device=device)
+    delivered: NDArray[np.uint8] = out.numpy()
     if photo.jpeg > 0:
         buffer = BytesIO()
-        Image.fromarray(out).save(buffer, "JPEG", quality=photo.jpeg)
-        out = np.array(Image.open(buffer))
-    return out
+        Image.fromarray(delivered).save(buffer, "JPEG", quality=photo.jpeg)
+        delivered = np.array(Image.open(buffer))
+    return delivered

@@ -1,4 +1,5 @@
-"""The renderer: embree finds the hits, numpy shades them. Deterministic, no OpenGL, no system library.
+"""The renderer: rays find what is seen, kernels shade it. No OpenGL, no system library; equal calls on one device give
+equal bytes.
 
 rendering = render(Scene([Body(box((0.1, 0.1, 0.1)), X_world_box)]), intrinsics, X_world_camera)
 """
@@ -6,21 +7,30 @@ rendering = render(Scene([Body(box((0.1, 0.1, 0.1)), X_world_box)]), intrinsics,
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from toolee_robot.frames import Array
-from toolee_robot.render.caster import Caster, dot, unit
-from toolee_robot.render.embree import Closest
+from toolee_robot.render.caster import Caster, Hits
+from toolee_robot.render.device import DeviceArray, checked, empty, launch, put
+from toolee_robot.render.kernels import image as kernels
 from toolee_robot.render.mesh import FloatArray
 from toolee_robot.render.scene import Body, Rendering, Scene
+from toolee_robot.render.surroundings import picture
+from toolee_robot.render.tracing import Found
 from toolee_robot.types import CameraIntrinsics
 
 _MIDDLE_GREY = 0.2
 """Linear brightness that automatic exposure aims at."""
-_SUBPIXELS = ((-0.33, -0.17), (0.33, 0.17))
+_SUBPIXELS = np.array([(-0.33, -0.17), (0.33, 0.17)], np.float32)
 """Further rays through a pixel on an outline [px from its centre]."""
+
+Region = tuple[int, int, int, int]
+"""The pixels x0 <= x < x1, y0 <= y < y1."""
 
 
 def render(
@@ -30,141 +40,143 @@ def render(
     antialias: bool = True,
     exposure: float = 1.0,
     auto_exposure: float = 0.0,
+    device: str = "cpu",
 ) -> Rendering:
     """Render the scene from a camera (OpenCV axes: x right, y down, z forward).
 
     antialias: shoot two more rays through each pixel on an outline (colour only; depth and ids stay those of the
     pixel's centre). exposure: factor on the linear colour before the sRGB curve.
     auto_exposure: in [0, 1], how much the camera makes up for a dark or bright scene.
+    device: "cpu", or an NVIDIA GPU's: "cuda". Raises UserError where there is none.
     """
-    return Shot(scene, intrinsics, X_world_camera).develop(antialias, exposure, auto_exposure)
+    shot = Shot(scene, intrinsics, X_world_camera, device)
+    image = shot.develop(antialias, exposure, auto_exposure)
+    grid = shot.depth.shape
+    return Rendering(
+        rgb=image.rgb.numpy().reshape(*grid, 3),
+        depth=shot.depth,
+        body_ids=shot.body_ids,
+        cos_incidence=image.cos_incidence.numpy().reshape(grid),
+        shininess=image.shininess.numpy().reshape(grid),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """What `Rendering` holds, still on its device: rgb (H, W, 3) uint8; depth, cos_incidence, shininess (H, W)
+    float32."""
+
+    rgb: DeviceArray
+    depth: DeviceArray
+    cos_incidence: DeviceArray
+    shininess: DeviceArray
 
 
 class Shot:
     """A scene seen by a camera before it is shaded: depth (H, W) float32 [m] and body_ids (H, W) int16 as in
     `Rendering`. Whoever dislikes what is seen need not pay for the colours."""
 
-    def __init__(self, scene: Scene, intrinsics: CameraIntrinsics, X_world_camera: Array) -> None:
-        self._scene, self._intrinsics = scene, intrinsics
-        self._caster = Caster(scene, X_world_camera)
-        self._directions = _rays(intrinsics, (0, 0, intrinsics.width, intrinsics.height))
-        self._found = self._caster.closest(self._directions)
-        grid = (intrinsics.height, intrinsics.width)
-        depth, ids = _seen(scene.bodies, self._found)
-        self.depth, self.body_ids = depth.reshape(grid), ids.reshape(grid)
+    def __init__(
+        self, scene: Scene, intrinsics: CameraIntrinsics, X_world_camera: Array, device: str = "cpu"
+    ) -> None:
+        self._scene, self._intrinsics, self.device = scene, intrinsics, checked(device)
+        self._caster = Caster(scene, X_world_camera, device)
+        region = (0, 0, intrinsics.width, intrinsics.height)
+        self._rays = _rays(intrinsics, region, device)
+        self._found = self._caster.closest(self._rays)
+        self._depth, ids = _seen(scene.bodies, self._found, device)
+        self._grid = (intrinsics.height, intrinsics.width)
+        self.depth: FloatArray = self._depth.numpy().reshape(self._grid)
+        self.body_ids: NDArray[np.int16] = ids.numpy().reshape(self._grid)
 
-    def develop(self, antialias: bool = True, exposure: float = 1.0, auto_exposure: float = 0.0) -> Rendering:
+    def develop(self, antialias: bool = True, exposure: float = 1.0, auto_exposure: float = 0.0) -> Image:
         """Shade it; arguments as for `render`."""
-        grid, caster, rays, found = self.depth.shape, self._caster, self._directions, self._found
-        outlines = np.zeros(0, np.int64)
-        if antialias:
-            outlines = _outlines(self.depth, found.mesh.reshape(grid))
-            more = self._around(outlines)
-            rays, found = np.concatenate([rays, more], axis=1), found.followed_by(caster.closest(more))
-        hits = caster.hits(rays, found)
-        color = self._background(rays, found.mesh, outlines)
-        cos, shininess = np.zeros((2, rays.shape[1]), np.float32)
-        color[:, hits.ray], shininess[hits.ray] = caster.shade(hits, (grid[0], grid[1]))
-        cos[hits.ray] = np.clip(dot(hits.normals, hits.views), 0.0, 1.0)
-        color, further = np.split(color, [self.depth.size], axis=1)
-        color[:, outlines] += further.reshape(3, len(_SUBPIXELS), -1).sum(axis=1)
-        color[:, outlines] /= 1 + len(_SUBPIXELS)
+        device, count, behind = self.device, self._rays.shape[1], self._scene.background
+        outlines = self._outlines() if antialias else None  # first: from here on nothing waits for a GPU
+        background = None if behind is None else picture(behind, *self._grid, device)
+        hits = self._caster.shade(self._rays, self._found, self._grid, background)
+        if outlines is not None:
+            self._smooth(hits, outlines, background)
+        light = wp.full(1, exposure, dtype=wp.float32, device=device)
         if auto_exposure > 0:
-            mean = float(np.minimum(color, 1.0).mean())
-            exposure *= float(np.clip((_MIDDLE_GREY / max(mean, 1e-3)) ** auto_exposure, 0.4, 6.0))
-        return Rendering(
-            rgb=np.ascontiguousarray(to_srgb(color * np.float32(exposure)).reshape(3, *grid).transpose(1, 2, 0)),
-            depth=self.depth,
-            body_ids=self.body_ids,
-            cos_incidence=cos[: self.depth.size].reshape(grid),
-            shininess=shininess[: self.depth.size].reshape(grid),
+            total = wp.zeros(1, dtype=wp.int64, device=device)
+            launch(kernels.meter, count, hits.colors, total, device=device)
+            launch(kernels.adapt, 1, total, 3.0 * count, _MIDDLE_GREY, auto_exposure, light, device=device)
+        rgb = empty((count, 3), wp.uint8, device)
+        launch(kernels.to_srgb, count, hits.colors, light, _srgb_curve(device), rgb, device=device)
+        return Image(
+            rgb.reshape((*self._grid, 3)),
+            self._depth.reshape(self._grid),
+            hits.cos_incidence.reshape(self._grid),
+            hits.shininess.reshape(self._grid),
         )
 
-    def _around(self, pixels: NDArray[np.int64]) -> FloatArray:
-        """(3, N) further rays through these pixels, a whole set for each of `_SUBPIXELS`."""
-        K = self._intrinsics
-        rows, columns = np.divmod(pixels, K.width)
-        rays = np.ones((3, len(_SUBPIXELS), len(pixels)), np.float32)
-        for k, (du, dv) in enumerate(_SUBPIXELS):
-            rays[0, k], rays[1, k] = (columns + (du - K.cx)) / K.fx, (rows + (dv - K.cy)) / K.fy
-        return rays.reshape(3, -1)
+    def _outlines(self) -> DeviceArray | None:
+        """The pixels (P,) int32 on outlines, None where there are none."""
+        K, found = self._intrinsics, self._found
+        marks = empty(self._rays.shape[1], wp.uint8, self.device)
+        launch(kernels.outlines, marks.size, found.values, found.ids, K.width, K.height, marks, device=self.device)
+        pixels = np.flatnonzero(marks.numpy()).astype(np.int32)
+        return put(pixels, wp.int32, self.device) if len(pixels) else None
 
-    def _background(self, rays: FloatArray, body: NDArray[np.int32], outlines: NDArray[np.int64]) -> FloatArray:
-        """(3, N) linear colour along those rays that hit nothing (body -1); anything elsewhere."""
-        image = self._scene.background
-        if image is not None:
-            if image.shape != (*self.depth.shape, 3):
-                raise ValueError(f"background is {image.shape}, the camera's image is {(*self.depth.shape, 3)}")
-            flat = np.ascontiguousarray(image.reshape(-1, 3).T, np.float32)
-            return np.concatenate([flat, *[flat[:, outlines]] * len(_SUBPIXELS)], axis=1)
-        color = np.empty_like(rays)
-        missed = np.flatnonzero(body < 0)
-        towards = unit(self._caster.R_world_camera @ rays[:, missed])
-        color[:, missed] = self._caster.environment.specular(towards, 0.0)
-        return color
+    def _smooth(self, hits: Hits, pixels: DeviceArray, background: DeviceArray | None) -> None:
+        """Mix what further rays through these pixels find into their colours."""
+        K, device = self._intrinsics, self.device
+        rays = empty((3, len(_SUBPIXELS) * pixels.size), wp.float32, device)
+        camera = (K.width, K.fx, K.fy, K.cx, K.cy)
+        launch(kernels.rays_beside, rays.shape[1], pixels, *camera, _subpixels(device), rays, device=device)
+        found = self._caster.closest(rays)
+        more = self._caster.shade(rays, found, None, background, pixels, self._rays.shape[1])
+        launch(kernels.mix_in, pixels.size, pixels, more.colors, len(_SUBPIXELS), hits.colors, device=device)
 
 
 def cast(
     bodies: Sequence[Body],
     intrinsics: CameraIntrinsics,
     X_world_camera: Array,
-    region: tuple[int, int, int, int] | None = None,
+    region: Region | None = None,
+    device: str = "cpu",
 ) -> tuple[FloatArray, NDArray[np.int16]]:
-    """depth [m] and body_ids as in `Rendering`, without colours, of the pixels x0 <= x < x1, y0 <= y < y1."""
+    """depth [m] and body_ids as in `Rendering`, without colours, of a region or of the whole image."""
     x0, y0, x1, y1 = region if region is not None else (0, 0, intrinsics.width, intrinsics.height)
-    found = Caster(Scene(bodies), X_world_camera).closest(_rays(intrinsics, (x0, y0, x1, y1)))
-    depth, ids = _seen(bodies, found)
-    return depth.reshape(y1 - y0, x1 - x0), ids.reshape(y1 - y0, x1 - x0)
+    found = Caster(Scene(bodies), X_world_camera, checked(device)).closest(_rays(intrinsics, (x0, y0, x1, y1), device))
+    depth, ids = _seen(bodies, found, device)
+    return depth.numpy().reshape(y1 - y0, x1 - x0), ids.numpy().reshape(y1 - y0, x1 - x0)
 
 
-def _seen(bodies: Sequence[Body], found: Closest) -> tuple[FloatArray, NDArray[np.int16]]:
+def _seen(bodies: Sequence[Body], found: Found, device: str) -> tuple[DeviceArray, DeviceArray]:
     """depth and body_ids, (N,) each, as in `Rendering`."""
-    ids = np.array([b.body_id for b in bodies] + [-1], np.int16)[found.mesh]  # mesh -1 takes the last entry
-    return np.where(found.mesh >= 0, found.distance, np.float32(0)), ids
+    n = found.ids.shape[1]
+    names = put(np.array([b.body_id for b in bodies], np.int16), wp.int16, device)
+    depth, body = empty(n, wp.float32, device), empty(n, wp.int16, device)
+    launch(kernels.depth_and_body, n, found.values, found.ids, names, depth, body, device=device)
+    return depth, body
 
 
 def pixel_rays(intrinsics: CameraIntrinsics) -> FloatArray:
     """(H, W, 3) rays through the pixel centres, z = 1, camera frame."""
-    u = ((np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx).astype(np.float32)
-    v = ((np.arange(intrinsics.height) - intrinsics.cy) / intrinsics.fy).astype(np.float32)
-    rays = np.ones((intrinsics.height, intrinsics.width, 3), np.float32)
-    rays[..., 0] = u
-    rays[..., 1] = v[:, None]
+    grid = (intrinsics.height, intrinsics.width)
+    rays = _rays(intrinsics, (0, 0, *grid[::-1]), checked("cpu")).numpy()
+    return np.ascontiguousarray(rays.T).reshape(*grid, 3)
+
+
+def _rays(intrinsics: CameraIntrinsics, region: Region, device: str) -> DeviceArray:
+    """(3, N) rays through the centres of a region's pixels, z = 1, camera frame."""
+    x0, y0, x1, y1 = region
+    K = intrinsics
+    rays = empty((3, (x1 - x0) * (y1 - y0)), wp.float32, device)
+    camera = (x1 - x0, x0, y0, K.fx, K.fy, K.cx, K.cy)
+    launch(kernels.pixel_rays, rays.shape[1], *camera, rays, device=device)
     return rays
 
 
-def _rays(intrinsics: CameraIntrinsics, region: tuple[int, int, int, int]) -> FloatArray:
-    """(3, N) rays through the centres of the pixels x0 <= x < x1, y0 <= y < y1, z = 1, camera frame."""
-    x0, y0, x1, y1 = region
-    return np.ascontiguousarray(pixel_rays(intrinsics)[y0:y1, x0:x1].reshape(-1, 3).T)
+@lru_cache
+def _subpixels(device: str) -> DeviceArray:
+    return put(_SUBPIXELS, wp.vec2, device)
 
 
-def to_srgb(linear: FloatArray) -> NDArray[np.uint8]:
-    """Linear RGB to 8-bit sRGB, highlights rolled off softly above 0.8."""
-    x = np.maximum(linear, 0.0)
-    bright = x > 0.8
-    x[bright] = 1.0 - 0.2 * np.exp(-(x[bright] - 0.8) / 0.2)
-    return _SRGB.take((x * np.float32(4095)).astype(np.int32))
-
-
-def _srgb_table() -> NDArray[np.uint8]:
-    x = np.arange(4096) / 4095
+@lru_cache
+def _srgb_curve(device: str) -> DeviceArray:
+    x = np.arange(kernels.CURVE) / (kernels.CURVE - 1)
     y = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
-    return np.round(255 * y).astype(np.uint8)
-
-
-_SRGB = _srgb_table()
-
-
-def _outlines(depth: FloatArray, body: NDArray[np.int32]) -> NDArray[np.int64]:
-    """The pixels, numbered row by row, beside which another body or a step in depth begins; images (H, W)."""
-    edge = np.zeros(body.shape, bool)
-    for axis in (0, 1):
-        a = [slice(None)] * 2
-        b = [slice(None)] * 2
-        a[axis], b[axis] = slice(1, None), slice(None, -1)
-        da, db = depth[tuple(a)], depth[tuple(b)]
-        step = (body[tuple(a)] != body[tuple(b)]) | (np.abs(da - db) > 0.02 * np.minimum(da, db))
-        edge[tuple(a)] |= step
-        edge[tuple(b)] |= step
-    return np.flatnonzero(edge)
+    return put(np.round(255 * y).astype(np.uint8), wp.uint8, device)

@@ -59,30 +59,38 @@ class Environment:
     ground: tuple[float, float, float] = (0.18, 0.17, 0.16)
     lobes: tuple[Lobe, ...] = ()
 
-    def radiance(self, directions: Array, blur: float) -> FloatArray:
-        """(N, 3) radiance from unit directions (N, 3), averaged over a lobe of half-width `blur` [rad]."""
-        z = directions[:, 2:3]
-        # The gradient's slope at the horizon softens with the blur.
-        s = 0.5 + 0.5 * np.tanh(z / (0.25 + blur))
-        zenith, horizon, ground = (np.asarray(c) for c in (self.zenith, self.horizon, self.ground))
-        up = horizon + (zenith - horizon) * np.clip(z, 0.0, 1.0)
-        total = ground + (up - ground) * s
-        for lobe in self.lobes:
-            width2 = lobe.width**2 + blur**2
-            cos = directions @ np.asarray(lobe.direction)
-            gain = lobe.width**2 / width2
-            total = total + gain * np.exp((cos - 1.0) / width2)[:, None] * np.asarray(lobe.color)
-        return total.astype(np.float32)
+
+@dataclass(frozen=True)
+class Patch:
+    """An ellipse (oval) or a rectangle of one colour in an image. centre, half_axes: x and y in widths of the image; angle:
+    of the first half axis against x [rad]. color: linear RGB."""
+
+    centre: tuple[float, float]
+    half_axes: tuple[float, float]
+    angle: float
+    oval: bool
+    color: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Backdrop:
+    """A flat picture behind everything, without depth: linear RGB in the image's upper left corner, what is added to it
+    over one width of the image to the right and down, and patches, the last one on top."""
+
+    corner: tuple[float, float, float]
+    right: tuple[float, float, float]
+    down: tuple[float, float, float]
+    patches: tuple[Patch, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """background: (H, W, 3) linear RGB float32 shown where no body is hit, or None for the environment itself."""
+    """background: shown where no body is hit; None for the environment itself."""
 
     bodies: Sequence[Body]
     lights: Sequence[Light] = ()
     environment: Environment = field(default_factory=Environment)
-    background: FloatArray | None = None
+    background: Backdrop | None = None
 
 
 @dataclass(frozen=True, eq=False)

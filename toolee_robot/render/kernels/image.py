@@ -1,0 +1,149 @@
+"""A camera's pixels: its rays, outlines, and linear colours as 8-bit sRGB."""
+
+from __future__ import annotations
+
+import warp as wp
+
+METERED = 1 << 20
+"""What a brightness of 1 counts in `meter`: whole numbers have the same sum in any order."""
+_METERED = wp.constant(float(METERED))
+CURVE = 4096
+"""Entries of the sRGB table."""
+_LAST = wp.constant(float(CURVE - 1))
+
+
+@wp.kernel(enable_backward=False)
+def pixel_rays(
+    width: wp.int32,
+    x0: wp.int32,
+    y0: wp.int32,
+    fx: wp.float64,
+    fy: wp.float64,
+    cx: wp.float64,
+    cy: wp.float64,
+    rays: wp.array2d[wp.float32],
+):
+    """Rays (3, N) with z = 1 through the pixel centres of a region of that width, row by row."""
+    i = wp.tid()
+    rays[0, i] = wp.float32((wp.float64(x0 + i % width) - cx) / fx)
+    rays[1, i] = wp.float32((wp.float64(y0 + i // width) - cy) / fy)
+    rays[2, i] = 1.0
+
+
+@wp.kernel(enable_backward=False)
+def rays_beside(
+    pixels: wp.array[wp.int32],
+    width: wp.int32,
+    fx: wp.float64,
+    fy: wp.float64,
+    cx: wp.float64,
+    cy: wp.float64,
+    shifts: wp.array[wp.vec2],
+    rays: wp.array2d[wp.float32],
+):
+    """Further rays (3, S * P) through P pixels: a whole set for each of the S shifts [px] from their centres."""
+    i = wp.tid()
+    pixel = pixels[i % pixels.shape[0]]
+    shift = shifts[i // pixels.shape[0]]
+    rays[0, i] = wp.float32((wp.float64(pixel % width) + wp.float64(shift[0]) - cx) / fx)
+    rays[1, i] = wp.float32((wp.float64(pixel // width) + wp.float64(shift[1]) - cy) / fy)
+    rays[2, i] = 1.0
+
+
+@wp.func
+def steps(a: wp.int32, b: wp.int32, found: wp.array2d[wp.float32], ids: wp.array2d[wp.int32]) -> wp.bool:
+    """Whether two pixels show different bodies, or depths that differ by 2 %."""
+    if ids[1, a] != ids[1, b]:
+        return True
+    if ids[1, a] < 0:
+        return False
+    return wp.abs(found[0, a] - found[0, b]) > 0.02 * wp.min(found[0, a], found[0, b])
+
+
+@wp.kernel(enable_backward=False)
+def outlines(
+    found: wp.array2d[wp.float32],
+    ids: wp.array2d[wp.int32],
+    width: wp.int32,
+    height: wp.int32,
+    marks: wp.array[wp.uint8],
+):
+    """1 at the pixels beside which another body or a step in depth begins."""
+    i = wp.tid()
+    x = i % width
+    y = i // width
+    on = wp.bool(False)
+    if x > 0:
+        on = on or steps(i, i - 1, found, ids)
+    if x < width - 1:
+        on = on or steps(i, i + 1, found, ids)
+    if y > 0:
+        on = on or steps(i, i - width, found, ids)
+    if y < height - 1:
+        on = on or steps(i, i + width, found, ids)
+    marks[i] = wp.where(on, wp.uint8(1), wp.uint8(0))
+
+
+@wp.kernel(enable_backward=False)
+def depth_and_body(
+    found: wp.array2d[wp.float32],
+    ids: wp.array2d[wp.int32],
+    body_ids: wp.array[wp.int16],
+    depth: wp.array[wp.float32],
+    body: wp.array[wp.int16],
+):
+    """Depth [m] and body id of each ray; 0 and -1 where nothing is hit."""
+    i = wp.tid()
+    depth[i] = 0.0
+    body[i] = wp.int16(-1)
+    if ids[1, i] >= 0:
+        depth[i] = found[0, i]
+        body[i] = body_ids[ids[1, i]]
+
+
+@wp.kernel(enable_backward=False)
+def mix_in(pixels: wp.array[wp.int32], more: wp.array[wp.vec3], sets: wp.int32, colors: wp.array[wp.vec3]):
+    """The mean of each of P pixels' colour and what `sets` further rays (sets * P,) through it found."""
+    i = wp.tid()
+    total = colors[pixels[i]]
+    for k in range(sets):
+        total += more[k * pixels.shape[0] + i]
+    colors[pixels[i]] = total / wp.float32(1 + sets)
+
+
+@wp.kernel(enable_backward=False)
+def meter(colors: wp.array[wp.vec3], total: wp.array[wp.int64]):
+    """Add up the brightness of all channels, each at most 1."""
+    c = colors[wp.tid()]
+    bright = wp.min(c[0], 1.0) + wp.min(c[1], 1.0) + wp.min(c[2], 1.0)
+    wp.atomic_add(total, 0, wp.int64(bright * _METERED))
+
+
+@wp.kernel(enable_backward=False)
+def adapt(
+    total: wp.array[wp.int64],
+    values: wp.float32,
+    wanted: wp.float32,
+    share: wp.float32,
+    exposure: wp.array[wp.float32],
+):
+    """Multiply the exposure by what brings the mean of so many values to the wanted one, to the power `share`."""
+    mean = wp.float32(wp.float64(total[0]) / (wp.float64(_METERED) * wp.float64(values)))
+    exposure[0] = exposure[0] * wp.clamp(wp.pow(wanted / wp.max(mean, 1e-3), share), 0.4, 6.0)
+
+
+@wp.kernel(enable_backward=False)
+def to_srgb(
+    colors: wp.array[wp.vec3],
+    exposure: wp.array[wp.float32],
+    curve: wp.array[wp.uint8],
+    rgb: wp.array2d[wp.uint8],
+):
+    """Linear RGB times the exposure to 8-bit sRGB (N, 3), highlights rolled off softly above 0.8."""
+    i = wp.tid()
+    color = colors[i] * exposure[0]
+    for k in range(3):
+        x = wp.max(color[k], 0.0)
+        if x > 0.8:
+            x = 1.0 - 0.2 * wp.exp(-(x - 0.8) / 0.2)
+        rgb[i, k] = curve[wp.int32(x * _LAST)]

@@ -1,0 +1,44 @@
+"""The light from all around and the picture behind everything, on a device."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import warp as wp
+
+from toolee_robot.render.device import DeviceArray, empty, launch, put
+from toolee_robot.render.kernels import surroundings as kernels
+from toolee_robot.render.scene import Backdrop, Environment
+
+_BLURS = (0.05, 0.25, 0.6, 1.0)
+"""Half-widths [rad] of the maps; the last one serves as the diffuse irradiance."""
+assert len(_BLURS) == kernels.SKY_LEVELS
+
+
+def sky_maps(environment: Environment, device: str) -> DeviceArray:
+    """(4 * 64 * 64,) vec3: the maps one after another, cells row by row, as `kernels.surroundings.sky` reads them."""
+    lobes = np.zeros(len(environment.lobes), kernels.Lobe.numpy_dtype())
+    for k, lobe in enumerate(environment.lobes):
+        lobes[k] = (lobe.direction, lobe.width, lobe.color)
+    maps = empty(kernels.SKY_LEVELS * kernels.SKY_SIZE**2, wp.vec3, device)
+    colors = (wp.vec3(c) for c in (environment.zenith, environment.horizon, environment.ground))
+    launch(kernels.bake, maps.size, *colors, put(lobes, kernels.Lobe, device), _blurs(device), maps, device=device)
+    return maps
+
+
+def picture(backdrop: Backdrop, height: int, width: int, device: str) -> DeviceArray:
+    """(H * W,) vec3, linear RGB."""
+    patches = np.zeros(len(backdrop.patches), kernels.Patch.numpy_dtype())
+    for k, patch in enumerate(backdrop.patches):
+        turn = (np.cos(patch.angle), np.sin(patch.angle))
+        patches[k] = (patch.centre, patch.half_axes, *turn, patch.oval, patch.color)
+    out = empty(height * width, wp.vec3, device)
+    colors = (wp.vec3(c) for c in (backdrop.corner, backdrop.right, backdrop.down))
+    launch(kernels.backdrop, out.size, width, *colors, put(patches, kernels.Patch, device), out, device=device)
+    return out
+
+
+@lru_cache
+def _blurs(device: str) -> DeviceArray:
+    return put(np.array(_BLURS, np.float32), wp.float32, device)
