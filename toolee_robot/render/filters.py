@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import warp as wp
+from scipy.special import ndtri
 
 from toolee_robot.render.device import DeviceArray, empty, launch, put
 from toolee_robot.render.kernels import filters as kernels
@@ -24,8 +27,14 @@ def gaussian(image: DeviceArray, sigma: float, device: str, gain: float = 1.0) -
 
 
 def white(seed: int, shape: tuple[int, int, int], device: str) -> DeviceArray:
-    """Independent standard normal numbers (C, H, W) float32; the same for equal seeds on every device, but for the last
-    bits."""
+    """Independent standard normal numbers (C, H, W) float32; the same for equal seeds on every device."""
     out = empty(shape, wp.float32, device)
-    launch(kernels.white, (out.size + 1) // 2, seed, out.flatten(), device=device)
+    launch(kernels.white, (out.size + 1) // 2, seed, normal_table(device), out.flatten(), device=device)
     return out
+
+
+@lru_cache
+def normal_table(device: str) -> DeviceArray:
+    """(65536,) float32: what `kernels.filters.normals` looks up; up to 4.3 standard deviations."""
+    shares = (np.arange(kernels.NORMALS) + 0.5) / kernels.NORMALS
+    return put(ndtri(shares).astype(np.float32), wp.float32, device)

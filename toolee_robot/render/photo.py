@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from toolee_robot.render.device import DeviceArray, checked, empty, launch, put
-from toolee_robot.render.filters import gaussian
+from toolee_robot.render.filters import gaussian, normal_table
 from toolee_robot.render.kernels import photo as kernels
 
 
@@ -71,7 +71,7 @@ def photograph(
         moved, image = image, empty(shape, wp.float32, device)
         launch(kernels.smear, image.size, moved.flatten(), width, height, shifts, image.flatten(), device=device)
     out = empty((height, width, 3), wp.uint8, device)
-    effects = (photo.vignette, photo.grain, int(rng.integers(2**31)))
+    effects = (photo.vignette, photo.grain, int(rng.integers(2**31)), normal_table(device))
     launch(kernels.expose, height * width, image.flatten(), width, *effects, out.flatten(), device=device)
     delivered: NDArray[np.uint8] = out.numpy()
     if photo.jpeg > 0:

@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from toolee_robot.render.device import DeviceArray, checked, empty, launch, put
-from toolee_robot.render.filters import gaussian, white
+from toolee_robot.render.filters import gaussian, normal_table, white
 from toolee_robot.render.kernels import sensor as kernels
 from toolee_robot.render.mesh import FloatArray
 from toolee_robot.types import CameraIntrinsics
@@ -93,7 +93,8 @@ def measure_depth(
     if noise.lateral > 0:
         seen = empty(depth.size, wp.float32, device)
         spread = noise.lateral * intrinsics.fx
-        launch(kernels.look_beside, depth.size, flat, width, spread, noise.edge_step, beside, seen, device=device)
+        jitter = (spread, noise.edge_step, beside, normal_table(device))
+        launch(kernels.look_beside, depth.size, flat, width, *jitter, seen, device=device)
     common = empty(0, wp.float32, device)
     if noise.axial > 0 and noise.correlation > 0:
         # Scaled back to unit variance, which the blur takes from it.
@@ -101,7 +102,8 @@ def measure_depth(
         common = gaussian(white(shared, (1, *depth.shape), device), _COMMON, device, gain).flatten()
     out = empty(depth.shape, wp.float32, device)
     images = (flat, seen, cos_incidence.flatten(), shininess.flatten(), common)
-    launch(kernels.read, depth.size, *images, width, _sensor(noise), own, out.flatten(), device=device)
+    chances = (_sensor(noise), own, normal_table(device))
+    launch(kernels.read, depth.size, *images, width, *chances, out.flatten(), device=device)
     reading: FloatArray = out.numpy()
     return reading
 

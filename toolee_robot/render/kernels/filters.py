@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import warp as wp
 
-_TWO_PI = wp.constant(6.2831853)
+NORMALS = 1 << 16
+"""Entries of the table of normal numbers: quantiles at the middles of so many equal shares."""
+_LOW = wp.constant(wp.uint32(NORMALS - 1))
+_SHIFT = wp.constant(wp.uint32(16))
 
 
 @wp.func
-def normals(seed: wp.int32, number: wp.int32) -> wp.vec2:
-    """Two independent standard normal numbers, by Box and Muller: the pair of that number."""
-    state = wp.rand_init(seed, number)
-    radius = wp.sqrt(-2.0 * wp.log(1.0 - wp.randf(state)))
-    angle = _TWO_PI * wp.randf(state)
-    return wp.vec2(radius * wp.cos(angle), radius * wp.sin(angle))
+def normals(seed: wp.int32, number: wp.int32, table: wp.array[wp.float32]) -> wp.vec2:
+    """Two independent standard normal numbers, the pair of that number: one hash looks both up in the table."""
+    bits = wp.randu(wp.rand_init(seed, number))
+    return wp.vec2(table[wp.int32(bits & _LOW)], table[wp.int32(bits >> _SHIFT)])
 
 
 @wp.func
@@ -49,10 +50,10 @@ def blur(
 
 
 @wp.kernel(enable_backward=False)
-def white(seed: wp.int32, out: wp.array[wp.float32]):
+def white(seed: wp.int32, table: wp.array[wp.float32], out: wp.array[wp.float32]):
     """Independent standard normal numbers, two by each thread; equal seeds give equal ones, whatever computes them."""
     i = wp.tid()
-    pair = normals(seed, i)
+    pair = normals(seed, i, table)
     out[2 * i] = pair[0]
     if 2 * i + 1 < out.shape[0]:
         out[2 * i + 1] = pair[1]

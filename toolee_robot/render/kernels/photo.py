@@ -45,6 +45,7 @@ def expose(
     vignette: wp.float32,
     grain: wp.float32,
     seed: wp.int32,
+    table: wp.array[wp.float32],
     rgb: wp.array[wp.uint8],
 ):
     """To 8 bit: darker in the corners, with grain of that standard deviation [steps]."""
@@ -53,8 +54,8 @@ def expose(
     v = wp.float32(i // width) / wp.float32(count // width) * 2.0 - 1.0
     u = wp.float32(i % width) / wp.float32(width) * 2.0 - 1.0
     light = 1.0 - vignette * (u * u + v * v) / 2.0
-    first = normals(seed, 2 * i)
-    second = normals(seed, 2 * i + 1)
+    first = normals(seed, 2 * i, table)
+    second = normals(seed, 2 * i + 1, table)
     noise = wp.vec3(first[0], first[1], second[0])
     for c in range(3):
         value = image[c * count + i] * light + grain * noise[c]

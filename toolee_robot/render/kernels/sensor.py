@@ -46,14 +46,15 @@ def look_beside(
     spread: wp.float32,
     edge_step: wp.float32,
     seed: wp.int32,
+    table: wp.array[wp.float32],
     out: wp.array[wp.float32],
 ):
     """Each pixel looks up to a few pixels beside its place: lateral noise, whose deviation in pixels is spread / depth.
     A pixel that would jump over a small step keeps its value: only outlines fray, not slopes, whose error is the
-    axial one."""
+    axial one. table: see `filters.normals`."""
     i = wp.tid()
     own = depth[i]
-    jump = normals(seed, i) * (spread / wp.max(own, 0.3))
+    jump = normals(seed, i, table) * (spread / wp.max(own, 0.3))
     row = wp.clamp(i // width + wp.int32(wp.rint(jump[0])), 0, depth.shape[0] // width - 1)
     column = wp.clamp(i % width + wp.int32(wp.rint(jump[1])), 0, width - 1)
     other = depth[row * width + column]
@@ -70,6 +71,7 @@ def read(
     width: wp.int32,
     s: Sensor,
     seed: wp.int32,
+    table: wp.array[wp.float32],
     out: wp.array[wp.float32],
 ):
     """Readings [m], 0 where there is none. seen: depth after `look_beside`; common: noise of unit variance that
@@ -93,7 +95,7 @@ def read(
     # The jitter may pull in a neighbour whose incidence is another: at edges the difference does not matter.
     value = z * (1.0 + s.scale) + s.bias
     if s.axial > 0.0:
-        noise = wp.sqrt(1.0 - s.correlation) * normals(seed, 2 * i + 1)[0]
+        noise = wp.sqrt(1.0 - s.correlation) * normals(seed, 2 * i + 1, table)[0]
         if common.shape[0] > 0:
             noise += wp.sqrt(s.correlation) * common[i]
         value += s.axial * axial_sigma(z, incidence) * noise
