@@ -6,6 +6,7 @@ placed with a 4x4 pose.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -195,6 +196,15 @@ def _stays_convex(rings: Array, sizes: Array, tolerance: float) -> bool:
 def hull(points: Array) -> trimesh.Trimesh:
     """Convex hull of points (K, 3)."""
     return to_trimesh(manifold3d.Manifold.hull_points(np.ascontiguousarray(points, dtype=np.float64)))
+
+
+def without(solid: Any, others: Iterable[Any]) -> Any:
+    """The solid less the others."""
+    for other in others:
+        box, other_box = np.array(solid.bounding_box()), np.array(other.bounding_box())
+        if np.all(box[:3] <= other_box[3:]) and np.all(other_box[:3] <= box[3:]):
+            solid = solid - other
+    return solid
 
 
 def to_trimesh(solid: Any) -> trimesh.Trimesh:
