@@ -135,8 +135,8 @@ def solid_from(vertices: Array, faces: NDArray[np.int64]) -> Any:
 
 def signed_volume(vertices: Array, faces: NDArray[np.int64]) -> float:
     """[m^3], positive when the faces turn outwards."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = (vertices[faces[:, i]].T for i in range(3))
+    return float((ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)).sum() / 6.0)
 
 
 def extrude(polygons: Any, z_min: float, z_max: float) -> Any:
