@@ -13,6 +13,7 @@ from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, number_of
 from toolee_robot.perception.dataset.hard import hard_scene
 from toolee_robot.perception.dataset.instances import object_id
+from toolee_robot.perception.dataset.masks import pixels_of
 from toolee_robot.perception.dataset.paper import paper_scene
 from toolee_robot.perception.dataset.placement import PlacedTool, Pool, SceneSample
 from toolee_robot.perception.dataset.records import CATEGORIES, HEIGHT, MAX_EES, WIDTH, EeTable, Example
@@ -164,7 +165,7 @@ class _Reach:
         intrinsics: CameraIntrinsics,
     ) -> None:
         """Write first_id + k into `ids` at the tool's pixels that belong to EE k (the relatively nearer one's)."""
-        rows, columns = np.nonzero(mask)
+        rows, columns = pixels_of(mask)
         if not len(rows):
             return
         K = intrinsics
