@@ -122,7 +122,8 @@ def _hard_scene(rng: np.random.Generator, pool: Pool) -> SceneSample:
 def label(sample: SceneSample, depth: NDArray[np.float32], body_ids: NDArray[np.int16]) -> Labels:
     """EE ids, tool ids, unoccluded EEs as bits (H, W) as in `Example`, and the table of the EEs, from a scene's exact
     depth [m] and body ids."""
-    tool_ids = np.where((body_ids >= 1) & (body_ids <= len(sample.tools)), body_ids, 0).astype(np.uint8)
+    ids = body_ids.view(np.uint16)  # nothing there is -1
+    tool_ids = np.where(ids <= len(sample.tools), ids, 0).astype(np.uint8)
     ee_ids, full = np.zeros(tool_ids.shape, np.uint8), np.zeros(tool_ids.shape, np.uint8)
     table = EeTable.empty()
     X_camera_world = inverse(sample.X_world_camera)
@@ -132,7 +133,9 @@ def label(sample: SceneSample, depth: NDArray[np.float32], body_ids: NDArray[np.
         ees = placed.tool.ees[: MAX_EES + 1 - next_id]
         Xs_camera_ee = [X_camera_tool @ ee.X_tool_ee for ee in ees]
         reach = _Reach(Xs_camera_ee, np.array([ee_radius(ee.category) for ee in ees]), sample.circle)
-        reach.number(ee_ids, depth, tool_ids == placed.body_id, next_id, sample.intrinsics)
+        rows, columns, own = reach.pixels(depth, tool_ids == placed.body_id, sample.intrinsics)
+        ee_ids[rows, columns] = next_id + own
+        visible = np.bincount(own, minlength=len(ees))
         alone = _alone(placed, sample, reach, full, next_id)
         for k, ee in enumerate(ees):
             row = next_id - 1 + k
@@ -144,7 +147,7 @@ def label(sample: SceneSample, depth: NDArray[np.float32], body_ids: NDArray[np.
             if placed.X_world_hand is not None:
                 table.X_camera_hand[row] = X_camera_world @ placed.X_world_hand
             table.mirrored[row] = placed.mirrored
-            table.visible[row] = np.count_nonzero(ee_ids == next_id + k)
+            table.visible[row] = visible[k]
             table.unoccluded[row] = alone[k]
         next_id += len(ees)
     return ee_ids, tool_ids, full, table
@@ -156,30 +159,23 @@ class _Reach:
     def __init__(self, Xs_camera_ee: list[Array], radii: Array, circle: float | None) -> None:
         self.Xs_camera_ee, self.radii, self.circle = Xs_camera_ee, radii, circle
 
-    def number(
-        self,
-        ids: NDArray[np.uint8],
-        depth: NDArray[np.float32],
-        mask: NDArray[np.bool_],
-        first_id: int,
-        intrinsics: CameraIntrinsics,
-    ) -> None:
-        """Write first_id + k into `ids` at the tool's pixels that belong to EE k (the relatively nearer one's)."""
+    def pixels(
+        self, depth: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: CameraIntrinsics
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Rows and columns of the tool's pixels that belong to an EE, and to which (the relatively nearer one)."""
         rows, columns = pixels_of(mask)
-        if not len(rows):
-            return
         K = intrinsics
         if self.circle is None:
-            z = depth[rows, columns]
-            points = np.column_stack([(columns - K.cx) / K.fx * z, (rows - K.cy) / K.fy * z, z])
-            distances = [np.linalg.norm(points - X[:3, 3], axis=1) for X in self.Xs_camera_ee]
+            z = depth[rows, columns].astype(np.float64)
+            x, y = (columns - K.cx) / K.fx * z, (rows - K.cy) / K.fy * z
+            origins = [X[:3, 3].tolist() for X in self.Xs_camera_ee]
+            distances = [np.sqrt((x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2) for u, v, w in origins]
             relative = np.stack([d / r for d, r in zip(distances, self.radii, strict=True)])
         else:
             centres = [X[:2, 3] / X[2, 3] * [K.fx, K.fy] + [K.cx, K.cy] for X in self.Xs_camera_ee]
             relative = np.stack([np.hypot(columns - u, rows - v) for u, v in centres]) / self.circle
-        nearest = relative.argmin(axis=0)
-        inside = relative[nearest, np.arange(len(rows))] <= 1.0
-        ids[rows[inside], columns[inside]] = first_id + nearest[inside]
+        inside = np.flatnonzero(relative.min(axis=0) <= 1.0)
+        return rows[inside], columns[inside], relative[:, inside].argmin(axis=0)
 
     def region(self, intrinsics: CameraIntrinsics) -> tuple[int, int, int, int] | None:
         """x0, y0, x1, y1 [px] around the EEs, cut with the image; None where nothing is left."""
@@ -197,21 +193,18 @@ class _Reach:
         return (int(x0), int(y0), int(x1), int(y1)) if x1 > x0 and y1 > y0 else None
 
 
-def _alone(placed: PlacedTool, sample: SceneSample, reach: _Reach, full: NDArray[np.uint8], first_id: int) -> list[int]:
+def _alone(
+    placed: PlacedTool, sample: SceneSample, reach: _Reach, full: NDArray[np.uint8], first_id: int
+) -> NDArray[np.int64]:
     """How many pixels each EE's mask would have if nothing but its tool were there; sets their bits in `full`."""
     own: list[Body] = [body for body in sample.scene.bodies if body.body_id == placed.body_id]
     region = reach.region(sample.intrinsics)
-    counts = [0] * len(reach.radii)
     if region is None:
-        return counts
+        return np.zeros(len(reach.radii), np.int64)
     depth, _ = cast(own, sample.intrinsics, sample.X_world_camera, region)
-    ids = np.zeros(depth.shape, np.uint8)
-    x0, y0, x1, y1 = region
+    x0, y0, _, _ = region
     K = sample.intrinsics
     shifted = CameraIntrinsics(K.fx, K.fy, K.cx - x0, K.cy - y0, depth.shape[1], depth.shape[0])
-    reach.number(ids, depth, depth > 0, 1, shifted)
-    for k in range(len(counts)):
-        own_pixels = ids == k + 1
-        counts[k] = int(np.count_nonzero(own_pixels))
-        full[y0:y1, x0:x1] |= own_pixels.astype(np.uint8) << np.uint8(first_id - 1 + k)
-    return counts
+    rows, columns, ees = reach.pixels(depth, depth > 0, shifted)
+    full[y0 + rows, x0 + columns] |= (1 << (first_id - 1 + ees)).astype(np.uint8)
+    return np.bincount(ees, minlength=len(reach.radii))
