@@ -122,9 +122,10 @@ def _hard_scene(rng: np.random.Generator, pool: Pool) -> SceneSample:
 def label(sample: SceneSample, depth: NDArray[np.float32], body_ids: NDArray[np.int16]) -> Labels:
     """EE ids, tool ids, unoccluded EEs as bits (H, W) as in `Example`, and the table of the EEs, from a scene's exact
     depth [m] and body ids."""
-    ids = body_ids.view(np.uint16)  # nothing there is -1
-    tool_ids = np.where(ids <= len(sample.tools), ids, 0).astype(np.uint8)
-    ee_ids, full = np.zeros(tool_ids.shape, np.uint8), np.zeros(tool_ids.shape, np.uint8)
+    tool_ids, ee_ids, full = (np.zeros(body_ids.shape, np.uint8) for _ in range(3))
+    tool_rows, tool_columns = pixels_of((body_ids >= 1) & (body_ids <= len(sample.tools)))
+    shown = body_ids[tool_rows, tool_columns]
+    tool_ids[tool_rows, tool_columns] = shown
     table = EeTable.empty()
     X_camera_world = inverse(sample.X_world_camera)
     next_id = 1
@@ -133,7 +134,8 @@ def label(sample: SceneSample, depth: NDArray[np.float32], body_ids: NDArray[np.
         ees = placed.tool.ees[: MAX_EES + 1 - next_id]
         Xs_camera_ee = [X_camera_tool @ ee.X_tool_ee for ee in ees]
         reach = _Reach(Xs_camera_ee, np.array([ee_radius(ee.category) for ee in ees]), sample.circle)
-        rows, columns, own = reach.pixels(depth, tool_ids == placed.body_id, sample.intrinsics)
+        of_tool = shown == placed.body_id
+        rows, columns, own = reach.within(depth, tool_rows[of_tool], tool_columns[of_tool], sample.intrinsics)
         ee_ids[rows, columns] = next_id + own
         visible = np.bincount(own, minlength=len(ees))
         alone = _alone(placed, sample, reach, full, next_id)
@@ -159,11 +161,14 @@ class _Reach:
     def __init__(self, Xs_camera_ee: list[Array], radii: Array, circle: float | None) -> None:
         self.Xs_camera_ee, self.radii, self.circle = Xs_camera_ee, radii, circle
 
-    def pixels(
-        self, depth: NDArray[np.float32], mask: NDArray[np.bool_], intrinsics: CameraIntrinsics
+    def within(
+        self,
+        depth: NDArray[np.float32],
+        rows: NDArray[np.int64],
+        columns: NDArray[np.int64],
+        intrinsics: CameraIntrinsics,
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Rows and columns of the tool's pixels that belong to an EE, and to which (the relatively nearer one)."""
-        rows, columns = pixels_of(mask)
+        """Of the tool's pixels those that belong to an EE: rows, columns, and to which (the relatively nearer one)."""
         K = intrinsics
         if self.circle is None:
             z = depth[rows, columns].astype(np.float64)
@@ -205,6 +210,6 @@ def _alone(
     x0, y0, _, _ = region
     K = sample.intrinsics
     shifted = CameraIntrinsics(K.fx, K.fy, K.cx - x0, K.cy - y0, depth.shape[1], depth.shape[0])
-    rows, columns, ees = reach.pixels(depth, depth > 0, shifted)
+    rows, columns, ees = reach.within(depth, *pixels_of(depth > 0), shifted)
     full[y0 + rows, x0 + columns] |= (1 << (first_id - 1 + ees)).astype(np.uint8)
     return np.bincount(ees, minlength=len(reach.radii))
