@@ -21,6 +21,7 @@ from toolee_robot.errors import FrameMismatchError
 
 Array = NDArray[np.float64]
 """Any float64 array; the docstring at the use gives shape and units."""
+_IDENTITY = np.eye(4)
 
 
 class Frame(StrEnum):
@@ -84,7 +85,7 @@ def is_rigid(X: Array, tolerance: float = 1e-6) -> bool:
 
 def transform(R: Any = None, p: Any = None) -> Array:
     """4x4 pose from a rotation (3x3 array or scipy Rotation; identity if None) and a position [m] (zero if None)."""
-    X = np.eye(4)
+    X = _IDENTITY.copy()
     if R is not None:
         X[:3, :3] = R.as_matrix() if isinstance(R, Rotation) else np.asarray(R, dtype=np.float64)
     if p is not None:

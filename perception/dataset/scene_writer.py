@@ -116,11 +116,14 @@ class _SceneWriter:
             instance = {**self._catalogue.about(number), "objects": {}}
             instance = self._instances.setdefault(entry["instance"], instance)
             instance["objects"][str(entry["obj_id"])] = str(CATEGORIES[entry["category_id"] - 1])
-            self._annotate(visible, im_id, entry["category_id"], {"obj_id": entry["obj_id"], "gt_id": gt})
             if info["px_count_visib"]:
+                more = {"obj_id": entry["obj_id"], "gt_id": gt}
+                self._annotate(visible, info["bbox_visib"], im_id, entry["category_id"], more)
                 self._clouds.add(im_id, gt, visible, e)
         for tool_id in range(1, int(e.tool.max()) + 1):
-            self._annotate(e.tool == tool_id, im_id, len(COCO_CATEGORIES), {"tool_id": tool_id})
+            mask = e.tool == tool_id
+            if mask.any():
+                self._annotate(mask, bbox(mask), im_id, len(COCO_CATEGORIES), {"tool_id": tool_id})
 
     @property
     def objects(self) -> set[int]:
@@ -146,12 +149,12 @@ class _SceneWriter:
         (self._folder / name).write_bytes(data)
         self._sums[name] = hashlib.sha256(data).hexdigest()
 
-    def _annotate(self, mask: NDArray[np.bool_], im_id: int, category: int, more: dict[str, Any]) -> None:
+    def _annotate(
+        self, mask: NDArray[np.bool_], box: list[int], im_id: int, category: int, more: dict[str, Any]
+    ) -> None:
         """A COCO annotation; what shows too little to be found is crowd: neither found nor missed."""
         area = int(np.count_nonzero(mask))
-        if area == 0:
-            return
-        entry = {"id": len(self._annotations), "image_id": im_id, "category_id": category, "bbox": bbox(mask)}
+        entry = {"id": len(self._annotations), "image_id": im_id, "category_id": category, "bbox": box}
         crowd = int(area < MIN_POINTS)
         self._annotations.append({**entry, "area": area, "iscrowd": crowd, "segmentation": rle.encode(mask), **more})
 

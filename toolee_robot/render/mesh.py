@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -138,10 +139,11 @@ def cylinder(radius: float, length: float, sections: int = 24, top_radius: float
     vertices[:sections, 2] = vertices[2 * sections, 2] = -length / 2
     vertices[sections : 2 * sections, 2] = vertices[2 * sections + 1, 2] = length / 2
     # The sides' normals lean by the frustum's slope.
-    out, up = length / np.hypot(length, radius - top), (radius - top) / np.hypot(length, radius - top)
-    side = np.column_stack([out * ring, np.full(sections, up)]).astype(np.float32)
+    slope = np.hypot(length, radius - top)
+    side = np.empty((sections, 3), np.float32)
+    side[:, :2], side[:, 2] = length / slope * ring, (radius - top) / slope
     normals = np.empty((len(faces), 3, 3), np.float32)
-    normals[: 2 * sections] = side[faces[: 2 * sections] % sections]
+    normals[: 2 * sections] = side[_cylinder_sides(sections)]
     normals[2 * sections : 3 * sections], normals[3 * sections :] = (0, 0, -1), (0, 0, 1)
     return Mesh(vertices, faces, normals)
 
@@ -161,6 +163,12 @@ def _cylinder_faces(n: int) -> NDArray[np.int32]:
     low, high = np.full(n, 2 * n), np.full(n, 2 * n + 1)
     sides = [np.column_stack([i, j, j + n]), np.column_stack([i, j + n, i + n])]
     return np.vstack([*sides, np.column_stack([low, j, i]), np.column_stack([high, i + n, j + n])]).astype(np.int32)
+
+
+@lru_cache(maxsize=16)
+def _cylinder_sides(n: int) -> NDArray[np.int32]:
+    """(2 n, 3) places on the ring of the sides' corners."""
+    return _cylinder_faces(n)[: 2 * n] % n
 
 
 def sphere(radius: float, subdivisions: int = 3) -> Mesh:
@@ -185,18 +193,24 @@ def tube(points: Array, radius: float, sections: int = 10) -> Mesh:
     references = np.empty_like(p)
     for k, t in enumerate(tangent):
         reference = reference - (reference @ t) * t
-        reference /= np.sqrt(reference @ reference)
+        reference /= math.sqrt(reference @ reference)
         references[k] = reference
     ring = _ring(sections).astype(np.float64)
     around = ring[:, :1] * references[:, None] + ring[:, 1:] * np.cross(tangent, references)[:, None]
+    faces = _tube_faces(len(p), sections)
+    normals = around.reshape(-1, 3).astype(np.float32)
+    vertices = (p[:, None] + radius * around).reshape(-1, 3).astype(np.float32)
+    return Mesh(vertices, faces, normals[faces])
+
+
+@lru_cache(maxsize=16)
+def _tube_faces(n: int, sections: int) -> NDArray[np.int32]:
+    """Two triangles for each quad between n rings."""
     i = np.arange(sections)
     j = (i + 1) % sections
-    base = (np.arange(len(p) - 1) * sections)[:, None]
+    base = (np.arange(n - 1) * sections)[:, None]
     quads = [
         np.stack([base + i, base + j, base + sections + j], -1),
         np.stack([base + i, base + sections + j, base + sections + i], -1),
     ]
-    faces = np.vstack([q.reshape(-1, 3) for q in quads]).astype(np.int32)
-    normals = around.reshape(-1, 3).astype(np.float32)
-    vertices = (p[:, None] + radius * around).reshape(-1, 3).astype(np.float32)
-    return Mesh(vertices, faces, normals[faces])
+    return np.vstack([q.reshape(-1, 3) for q in quads]).astype(np.int32)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import manifold3d
@@ -104,6 +105,16 @@ def loft_piece(label: str, rings: Array, material: Material, tolerance: float = 
 def loft(rings: Array) -> Any:
     """The solid through the rings, closed by flat fans; rings may turn either way."""
     n, m, _ = rings.shape
+    vertices = np.concatenate([rings.reshape(-1, 3), rings[0].mean(0)[None], rings[-1].mean(0)[None]])
+    faces = _loft_faces(n, m)
+    if signed_volume(vertices, faces) < 0:
+        faces = faces[:, ::-1]
+    return solid_from(vertices, faces)
+
+
+@lru_cache(maxsize=256)
+def _loft_faces(n: int, m: int) -> NDArray[np.int64]:
+    """Of n rings of m points, with the middles of the first and the last ring after them."""
     j = np.arange(m)
     k = (j + 1) % m
     base = (np.arange(n - 1) * m)[:, None]
@@ -116,11 +127,7 @@ def loft(rings: Array) -> Any:
         np.column_stack([np.full(m, bottom), k, j]),
         np.column_stack([np.full(m, top), (n - 1) * m + j, (n - 1) * m + k]),
     ]
-    vertices = np.concatenate([rings.reshape(-1, 3), rings[0].mean(0)[None], rings[-1].mean(0)[None]])
-    faces = np.concatenate([sides, *caps])
-    if signed_volume(vertices, faces) < 0:
-        faces = faces[:, ::-1]
-    return solid_from(vertices, faces)
+    return np.concatenate([sides, *caps])
 
 
 def solid_from(vertices: Array, faces: NDArray[np.int64]) -> Any:
