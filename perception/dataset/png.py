@@ -37,7 +37,7 @@ def encode(pixels: NDArray[Any]) -> bytes:
         [
             b"\x89PNG\r\n\x1a\n",
             _chunk(b"IHDR", header),
-            _chunk(b"IDAT", packer.compress(data) + packer.flush()),
+            _chunk(b"IDAT", packer.compress(data.data) + packer.flush()),
             _chunk(b"IEND", b""),
         ]
     )
