@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array
+from toolee_robot.perception.dataset.masks import pixels_of
 from toolee_robot.perception.dataset.records import Example, FloatArray
 from toolee_robot.types import CameraIntrinsics
 
@@ -24,7 +25,7 @@ MAX_POINTS = 1024
 
 def back_projected(mask: NDArray[np.bool_], depth_mm: NDArray[np.uint16], K: CameraIntrinsics) -> FloatArray:
     """Points (N, 3) [m], camera frame, of the mask's pixels that have a depth."""
-    rows, columns = np.nonzero(mask & (depth_mm > 0))
+    rows, columns = pixels_of(mask & (depth_mm > 0))
     z = depth_mm[rows, columns] * 1e-3
     return np.column_stack([(columns - K.cx) / K.fx * z, (rows - K.cy) / K.fy * z, z]).astype(np.float32)
 

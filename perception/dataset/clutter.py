@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.frames import Array, transform
+from toolee_robot.frames import Array, random_rotation, rotation_z, transform
 from toolee_robot.perception.dataset.surfaces import Surfaces
 from toolee_robot.render import Body, Mesh
 from toolee_robot.render.scene import Backdrop, Patch
 from toolee_robot.render.mesh import box, cylinder, plane, sphere, tube
 from toolee_robot.render.palette import any_color, linear
+
+_R_WALL = Rotation.from_euler("y", -np.pi / 2)
+"""Turns a plane's normal from z to -x."""
 
 
 def any_object(rng: np.random.Generator, surfaces: Surfaces, X: Array, body_id: int, size: float) -> list[Body]:
@@ -34,7 +37,7 @@ def any_object(rng: np.random.Generator, surfaces: Surfaces, X: Array, body_id: 
     for _ in range(rng.integers(1, 3)):
         other = surfaces.material(rng)
         place = transform(
-            Rotation.random(rng=rng) if rng.random() < 0.3 else None, (0.0, 0.0, length * float(rng.uniform(-0.5, 0.5)))
+            random_rotation(rng) if rng.random() < 0.3 else None, (0.0, 0.0, length * float(rng.uniform(-0.5, 0.5)))
         )
         if rng.random() < 0.5:
             mesh = box(length * rng.uniform(0.05, 0.35, 3))
@@ -71,15 +74,14 @@ def walls(rng: np.random.Generator, surfaces: Surfaces, body_id: int, floor_heig
     for k in range(4):
         yaw = turn + k * np.pi / 2
         distance = float(rng.uniform(1.0, 3.5))
-        R = Rotation.from_euler("z", yaw) * Rotation.from_euler("y", -np.pi / 2)
+        R_yaw = rotation_z(yaw)
+        R = Rotation.from_euler("z", yaw) * _R_WALL
         if rng.random() < 0.4:
             wall = surfaces.material(rng, 0.2)
-        bodies.append(
-            Body(plane(14.0), transform(R, Rotation.from_euler("z", yaw).apply([distance, 0, 0])), wall, body_id)
-        )
+        bodies.append(Body(plane(14.0), transform(R, R_yaw @ [distance, 0.0, 0.0]), wall, body_id))
         for _ in range(rng.integers(0, 5)):
-            p = Rotation.from_euler("z", yaw).apply([distance - rng.uniform(0.1, 0.5), *rng.uniform(-1.2, 1.2, 2)])
-            R_object = Rotation.from_euler("z", yaw) if rng.random() < 0.7 else Rotation.random(rng=rng)
+            p = R_yaw @ [distance - rng.uniform(0.1, 0.5), *rng.uniform(-1.2, 1.2, 2)]
+            R_object = R_yaw if rng.random() < 0.7 else random_rotation(rng)
             bodies += any_object(rng, surfaces, transform(R_object, p), body_id, float(rng.uniform(0.1, 0.9)))
     return bodies
 

@@ -13,6 +13,7 @@ from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, number_of
 from toolee_robot.perception.dataset.hard import hard_scene
 from toolee_robot.perception.dataset.instances import object_id
+from toolee_robot.perception.dataset.masks import pixels_of
 from toolee_robot.perception.dataset.paper import paper_scene
 from toolee_robot.perception.dataset.placement import PlacedTool, Pool, SceneSample
 from toolee_robot.perception.dataset.records import CATEGORIES, HEIGHT, MAX_EES, WIDTH, EeTable, Example
@@ -128,8 +129,10 @@ def label(sample: SceneSample, shot: Shot) -> Labels:
     """EE ids, tool ids, unoccluded EEs as bits (H, W) as in `Example`, and the table of the EEs, from a scene's exact
     depth and body ids."""
     depth, body_ids = shot.depth, shot.body_ids
-    tool_ids = np.where((body_ids >= 1) & (body_ids <= len(sample.tools)), body_ids, 0).astype(np.uint8)
-    ee_ids, full = np.zeros(tool_ids.shape, np.uint8), np.zeros(tool_ids.shape, np.uint8)
+    tool_ids, ee_ids, full = (np.zeros(body_ids.shape, np.uint8) for _ in range(3))
+    tool_rows, tool_columns = pixels_of((body_ids >= 1) & (body_ids <= len(sample.tools)))
+    shown = body_ids[tool_rows, tool_columns]
+    tool_ids[tool_rows, tool_columns] = shown
     table = EeTable.empty()
     X_camera_world = inverse(sample.X_world_camera)
     next_id = 1
@@ -138,7 +141,10 @@ def label(sample: SceneSample, shot: Shot) -> Labels:
         ees = placed.tool.ees[: MAX_EES + 1 - next_id]
         Xs_camera_ee = [X_camera_tool @ ee.X_tool_ee for ee in ees]
         reach = _Reach(Xs_camera_ee, np.array([ee_radius(ee.category) for ee in ees]), sample.circle)
-        reach.number(ee_ids, depth, tool_ids == placed.body_id, next_id, sample.intrinsics)
+        of_tool = shown == placed.body_id
+        rows, columns, own = reach.within(depth, tool_rows[of_tool], tool_columns[of_tool], sample.intrinsics)
+        ee_ids[rows, columns] = next_id + own
+        visible = np.bincount(own, minlength=len(ees))
         alone = _alone(placed, sample, reach, full, next_id, shot.device)
         for k, ee in enumerate(ees):
             row = next_id - 1 + k
@@ -150,7 +156,7 @@ def label(sample: SceneSample, shot: Shot) -> Labels:
             if placed.X_world_hand is not None:
                 table.X_camera_hand[row] = X_camera_world @ placed.X_world_hand
             table.mirrored[row] = placed.mirrored
-            table.visible[row] = np.count_nonzero(ee_ids == next_id + k)
+            table.visible[row] = visible[k]
             table.unoccluded[row] = alone[k]
         next_id += len(ees)
     return ee_ids, tool_ids, full, table
@@ -162,30 +168,26 @@ class _Reach:
     def __init__(self, Xs_camera_ee: list[Array], radii: Array, circle: float | None) -> None:
         self.Xs_camera_ee, self.radii, self.circle = Xs_camera_ee, radii, circle
 
-    def number(
+    def within(
         self,
-        ids: NDArray[np.uint8],
         depth: NDArray[np.float32],
-        mask: NDArray[np.bool_],
-        first_id: int,
+        rows: NDArray[np.int64],
+        columns: NDArray[np.int64],
         intrinsics: CameraIntrinsics,
-    ) -> None:
-        """Write first_id + k into `ids` at the tool's pixels that belong to EE k (the relatively nearer one's)."""
-        rows, columns = np.nonzero(mask)
-        if not len(rows):
-            return
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Of the tool's pixels those that belong to an EE: rows, columns, and to which (the relatively nearer one)."""
         K = intrinsics
         if self.circle is None:
-            z = depth[rows, columns]
-            points = np.column_stack([(columns - K.cx) / K.fx * z, (rows - K.cy) / K.fy * z, z])
-            distances = [np.linalg.norm(points - X[:3, 3], axis=1) for X in self.Xs_camera_ee]
+            z = depth[rows, columns].astype(np.float64)
+            x, y = (columns - K.cx) / K.fx * z, (rows - K.cy) / K.fy * z
+            origins = [X[:3, 3].tolist() for X in self.Xs_camera_ee]
+            distances = [np.sqrt((x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2) for u, v, w in origins]
             relative = np.stack([d / r for d, r in zip(distances, self.radii, strict=True)])
         else:
             centres = [X[:2, 3] / X[2, 3] * [K.fx, K.fy] + [K.cx, K.cy] for X in self.Xs_camera_ee]
             relative = np.stack([np.hypot(columns - u, rows - v) for u, v in centres]) / self.circle
-        nearest = relative.argmin(axis=0)
-        inside = relative[nearest, np.arange(len(rows))] <= 1.0
-        ids[rows[inside], columns[inside]] = first_id + nearest[inside]
+        inside = np.flatnonzero(relative.min(axis=0) <= 1.0)
+        return rows[inside], columns[inside], relative[:, inside].argmin(axis=0)
 
     def region(self, intrinsics: CameraIntrinsics) -> tuple[int, int, int, int] | None:
         """x0, y0, x1, y1 [px] around the EEs, cut with the image; None where nothing is left."""
@@ -205,21 +207,16 @@ class _Reach:
 
 def _alone(
     placed: PlacedTool, sample: SceneSample, reach: _Reach, full: NDArray[np.uint8], first_id: int, device: str
-) -> list[int]:
+) -> NDArray[np.int64]:
     """How many pixels each EE's mask would have if nothing but its tool were there; sets their bits in `full`."""
     own: list[Body] = [body for body in sample.scene.bodies if body.body_id == placed.body_id]
     region = reach.region(sample.intrinsics)
-    counts = [0] * len(reach.radii)
     if region is None:
-        return counts
+        return np.zeros(len(reach.radii), np.int64)
     depth, _ = cast(own, sample.intrinsics, sample.X_world_camera, region, device)
-    ids = np.zeros(depth.shape, np.uint8)
-    x0, y0, x1, y1 = region
+    x0, y0, _, _ = region
     K = sample.intrinsics
     shifted = CameraIntrinsics(K.fx, K.fy, K.cx - x0, K.cy - y0, depth.shape[1], depth.shape[0])
-    reach.number(ids, depth, depth > 0, 1, shifted)
-    for k in range(len(counts)):
-        own_pixels = ids == k + 1
-        counts[k] = int(np.count_nonzero(own_pixels))
-        full[y0:y1, x0:x1] |= own_pixels.astype(np.uint8) << np.uint8(first_id - 1 + k)
-    return counts
+    rows, columns, ees = reach.within(depth, *pixels_of(depth > 0), shifted)
+    full[y0 + rows, x0 + columns] |= (1 << (first_id - 1 + ees)).astype(np.uint8)
+    return np.bincount(ees, minlength=len(reach.radii))

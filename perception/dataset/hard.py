@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.frames import Array, frame_from_axes, inverse, transform, transform_points
+from toolee_robot.frames import (
+    Array,
+    frame_from_axes,
+    inverse,
+    random_rotation,
+    rotation_z,
+    transform,
+    transform_points,
+)
 from toolee_robot.perception.dataset.bodies import (
     HandStyle,
     X_base_hand_of,
@@ -38,6 +46,8 @@ from toolee_robot.types import CameraIntrinsics
 
 ROOM, HAND, ARM, OBJECT = 100, 101, 102, 103
 """Body ids of what is no tool."""
+_R_ROD = Rotation.from_euler("x", np.pi / 2).as_matrix()
+"""Lays a rod, made along z, along y."""
 
 
 def hard_scene(rng: np.random.Generator, pool: Pool, with_tools: bool = True) -> SceneSample:
@@ -68,7 +78,7 @@ def hard_scene(rng: np.random.Generator, pool: Pool, with_tools: bool = True) ->
     if not with_tools and rng.random() < 0.6:
         grasp = pool.any_grasp(rng)
         X = X_world_camera @ transform(
-            Rotation.random(rng=rng), ray(intrinsics, random_pixel(rng)) * rng.uniform(NEAREST, FARTHEST)
+            random_rotation(rng), ray(intrinsics, random_pixel(rng)) * rng.uniform(NEAREST, FARTHEST)
         )
         bodies += hand_bodies(grasp, HandStyle.random(rng), X, HAND)
     for item in placed:
@@ -122,7 +132,7 @@ def _table(rng: np.random.Generator, surfaces: Surfaces, X_world_camera: Array, 
     """A table top (or the ground) under what the camera looks at."""
     size = rng.uniform(0.6, 2.5, 2)
     ahead = X_world_camera[:3, 2] * rng.uniform(0.3, 1.0)
-    X = transform(Rotation.from_euler("z", rng.uniform(0, np.pi)), (ahead[0], ahead[1], height - 0.02))
+    X = transform(rotation_z(rng.uniform(0, np.pi)), (ahead[0], ahead[1], height - 0.02))
     return Body(box((float(size[0]), float(size[1]), 0.04)), X, surfaces.material(rng, 0.1), ROOM)
 
 
@@ -155,11 +165,11 @@ def _objects(
         pixel = random_pixel(rng, -0.1)
         point = None if table is None else on_plane(intrinsics, X_world_camera, table, pixel)
         if point is not None and rng.random() < 0.85:
-            R = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)) if rng.random() < 0.6 else Rotation.random(rng=rng)
+            R = rotation_z(rng.uniform(0, 2 * np.pi)) if rng.random() < 0.6 else random_rotation(rng)
             X = transform(R, np.add(point, [0.0, 0.0, 0.3 * size]))
         else:
             p = X_world_camera[:3, :3] @ ray(intrinsics, pixel) * rng.uniform(0.7, 2.2)
-            X = transform(Rotation.random(rng=rng), p)
+            X = transform(random_rotation(rng), p)
         bodies += any_object(rng, surfaces, X, OBJECT, size)
     return bodies
 
@@ -180,7 +190,7 @@ def _occluders(
         R = frame_from_axes(z=sight, x=np.cross(sight, rng.normal(size=3)), p=np.zeros(3))[:3, :3]
         if rng.random() < 0.3:
             p = R[:, 0] * rng.uniform(0.2, 1.3) * reach
-            X = transform(Rotation.random(rng=rng), X_world_camera[:3, 3] + share * sight + p)
+            X = transform(random_rotation(rng), X_world_camera[:3, 3] + share * sight + p)
             bodies += any_object(rng, surfaces, X, OBJECT, float(reach * rng.uniform(1.0, 3.0)))
             continue
         # A board or a rod, one edge of which passes before the EE.
@@ -191,7 +201,7 @@ def _occluders(
         R = R @ Rotation.from_rotvec(rng.normal(0.0, 0.25, 3)).as_matrix()
         mesh = box(np.asarray(size)) if board else cylinder(size[0], size[1], 16)
         if not board:
-            R = R @ Rotation.from_euler("x", np.pi / 2).as_matrix()
+            R = R @ _R_ROD
         X = transform(R, X_world_camera[:3, 3] + share * sight + p)
         bodies.append(Body(mesh, X, surfaces.material(rng), OBJECT))
     return bodies

@@ -8,7 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.frames import Array, frame_from_axes, inverse, transform, transform_points
+from toolee_robot.frames import (
+    Array,
+    frame_from_axes,
+    inverse,
+    random_rotation,
+    rotation_z,
+    transform,
+    transform_points,
+)
 from toolee_robot.perception.dataset.bodies import Grasp, random_grasp
 from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue
 from toolee_robot.perception.dataset.records import FARTHEST, HEIGHT, NEAREST, WIDTH
@@ -103,7 +111,7 @@ def look(position: Array, target: Array, roll: float) -> Array:
     right = np.cross(z, [0.0, 0.0, 1.0])
     if np.linalg.norm(right) < 1e-6 * np.linalg.norm(z):
         right = np.array([1.0, 0.0, 0.0])
-    return frame_from_axes(z=z, x=right, p=position) @ transform(Rotation.from_euler("z", roll))
+    return frame_from_axes(z=z, x=right, p=position) @ transform(rotation_z(roll))
 
 
 def ray(intrinsics: CameraIntrinsics, pixel: Array) -> Array:
@@ -120,7 +128,7 @@ def random_pixel(rng: np.random.Generator, margin: float = 0.08) -> Array:
 def tool_in_view(tool: ToolShape, intrinsics: CameraIntrinsics, rng: np.random.Generator) -> Array:
     """X_camera_tool: any orientation, with one of its EEs (or, a quarter of the time, its grip) at a pixel of the
     image, 0.4 to 1.1 m away."""
-    R = Rotation.random(rng=rng).as_matrix()
+    R = random_rotation(rng)
     anchor = np.zeros(3)
     if rng.random() < 0.75:
         anchor = tool.ees[int(rng.integers(len(tool.ees)))].X_tool_ee[:3, 3]

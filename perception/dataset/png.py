@@ -25,22 +25,23 @@ def encode(pixels: NDArray[Any]) -> bytes:
     else:
         raise TypeError(f"no PNG of {pixels.dtype}")
     data = np.empty((height, 1 + rows.shape[1]), np.uint8)
-    data[:, 0], data[:, 1:] = _NO_FILTER, rows
     if bits == 16:
         # Byte by byte what changed from the left neighbour's.
-        data[:, 0] = _LEFT
-        data[:, 3:] -= rows[:, :-2]
+        data[:, 0], data[:, 1:3] = _LEFT, rows[:, :2]
+        np.subtract(rows[:, 2:], rows[:, :-2], out=data[:, 3:])
+    else:
+        data[:, 0], data[:, 1:] = _NO_FILTER, rows
     packer = zlib.compressobj(1, zlib.DEFLATED, zlib.MAX_WBITS, 9, zlib.Z_RLE)
     header = struct.pack(">IIBBBBB", width, height, bits, _GREY, 0, 0, 0)
     return b"".join(
         [
             b"\x89PNG\r\n\x1a\n",
             _chunk(b"IHDR", header),
-            _chunk(b"IDAT", packer.compress(data.tobytes()) + packer.flush()),
+            _chunk(b"IDAT", packer.compress(data.data) + packer.flush()),
             _chunk(b"IEND", b""),
         ]
     )
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))

@@ -10,11 +10,15 @@ from toolee_robot.errors import UserError
 
 def encode(mask: NDArray[np.bool_]) -> dict[str, object]:
     """{"size": [H, W], "counts": text} of a mask (H, W): runs of 0 and 1, column by column."""
-    flat = np.ravel(mask, order="F")
-    ends = np.flatnonzero(flat[1:] != flat[:-1]) + 1
-    runs = np.diff(np.concatenate([[0], ends, [flat.size]]))
-    counts = runs.tolist() if not flat[0] else [0, *runs.tolist()]
-    return {"size": [int(mask.shape[0]), int(mask.shape[1])], "counts": _compressed(counts)}
+    height, width = mask.shape
+    columns = np.flatnonzero(mask.any(axis=0))
+    first, end = (columns[0], columns[-1] + 1) if len(columns) else (0, 0)
+    flat = np.ravel(mask[:, first:end], order="F")
+    changes = first * height + np.flatnonzero(np.diff(flat, prepend=False, append=False))
+    counts = np.diff(np.concatenate([[0], changes, [mask.size]])).tolist()
+    if counts[-1] == 0:  # the last run of 1 reaches the end
+        counts.pop()
+    return {"size": [int(height), int(width)], "counts": _compressed(counts)}
 
 
 def decode(rle: dict[str, object]) -> NDArray[np.bool_]:

@@ -103,23 +103,27 @@ class _SceneWriter:
         cam_K = [K.fx, 0.0, K.cx, 0.0, K.fy, K.cy, 0.0, 0.0, 1.0]
         self._camera[key] = {"cam_K": cam_K, "depth_scale": 1.0, "scene": SCENES[e.scene]}
         self._gt[key], self._info[key] = [], []
-        targets = e.table.targets
+        targets, measured = e.table.targets, e.depth_mm > 0
         for gt, row in enumerate(np.flatnonzero(e.table.category)):
-            visible, full = e.ee == row + 1, (e.full >> np.uint8(row)) & 1 > 0
+            visible, full = e.ee == row + 1, e.full & np.uint8(1 << row) != 0
             self._file(f"mask/{name}_{gt:06d}.png", png.encode(full))
             self._file(f"mask_visib/{name}_{gt:06d}.png", png.encode(visible))
             number, _ = object_of(int(e.table.obj_id[row]))
             entry = _gt_entry(e.table, int(row), self._catalogue.name(number))
             self._gt[key].append(entry)
-            self._info[key].append(_info_entry(visible, full, e, bool(targets[row])))
+            info = _info_entry(visible, full, measured, bool(targets[row]))
+            self._info[key].append(info)
             instance = {**self._catalogue.about(number), "objects": {}}
             instance = self._instances.setdefault(entry["instance"], instance)
             instance["objects"][str(entry["obj_id"])] = str(CATEGORIES[entry["category_id"] - 1])
-            self._annotate(visible, im_id, entry["category_id"], {"obj_id": entry["obj_id"], "gt_id": gt})
-            if visible.any():
+            if info["px_count_visib"]:
+                more = {"obj_id": entry["obj_id"], "gt_id": gt}
+                self._annotate(visible, info["bbox_visib"], im_id, entry["category_id"], more)
                 self._clouds.add(im_id, gt, visible, e)
-        for tool_id in np.flatnonzero(np.bincount(e.tool.ravel())[1:]) + 1:
-            self._annotate(e.tool == tool_id, im_id, len(COCO_CATEGORIES), {"tool_id": int(tool_id)})
+        for tool_id in range(1, int(e.tool.max()) + 1):
+            mask = e.tool == tool_id
+            if mask.any():
+                self._annotate(mask, bbox(mask), im_id, len(COCO_CATEGORIES), {"tool_id": tool_id})
 
     @property
     def objects(self) -> set[int]:
@@ -145,12 +149,12 @@ class _SceneWriter:
         (self._folder / name).write_bytes(data)
         self._sums[name] = hashlib.sha256(data).hexdigest()
 
-    def _annotate(self, mask: NDArray[np.bool_], im_id: int, category: int, more: dict[str, Any]) -> None:
+    def _annotate(
+        self, mask: NDArray[np.bool_], box: list[int], im_id: int, category: int, more: dict[str, Any]
+    ) -> None:
         """A COCO annotation; what shows too little to be found is crowd: neither found nor missed."""
         area = int(np.count_nonzero(mask))
-        if area == 0:
-            return
-        entry = {"id": len(self._annotations), "image_id": im_id, "category_id": category, "bbox": bbox(mask)}
+        entry = {"id": len(self._annotations), "image_id": im_id, "category_id": category, "bbox": box}
         crowd = int(area < MIN_POINTS)
         self._annotations.append({**entry, "area": area, "iscrowd": crowd, "segmentation": rle.encode(mask), **more})
 
@@ -161,19 +165,21 @@ def _gt_entry(table: EeTable, row: int, instance: str) -> dict[str, Any]:
         X = np.asarray(getattr(table, name)[row], np.float64)
         if np.all(np.isfinite(X)):
             # Nine digits give a float32 back exactly.
-            entry[f"cam_R_{suffix}"] = [float(f"{v:.9g}") for v in X[:3, :3].reshape(-1)]
-            entry[f"cam_t_{suffix}"] = [float(f"{1e3 * v:.9g}") for v in X[:3, 3]]
+            entry[f"cam_R_{suffix}"] = [float(f"{v:.9g}") for v in X[:3, :3].reshape(-1).tolist()]
+            entry[f"cam_t_{suffix}"] = [float(f"{1e3 * v:.9g}") for v in X[:3, 3].tolist()]
     more = {"category_id": int(table.category[row]), "tool_id": int(table.tool[row])}
     return {**entry, **more, "instance": instance, "left_hand": bool(table.mirrored[row])}
 
 
-def _info_entry(visible: NDArray[np.bool_], full: NDArray[np.bool_], e: Example, target: bool) -> dict[str, Any]:
+def _info_entry(
+    visible: NDArray[np.bool_], full: NDArray[np.bool_], measured: NDArray[np.bool_], target: bool
+) -> dict[str, Any]:
     seen, all_ = int(np.count_nonzero(visible)), int(np.count_nonzero(full))
     return {
         "bbox_obj": bbox(full),
         "bbox_visib": bbox(visible),
         "px_count_all": all_,
-        "px_count_valid": int(np.count_nonzero(e.depth_mm[visible])),
+        "px_count_valid": int(np.count_nonzero(visible & measured)),
         "px_count_visib": seen,
         "visib_fract": round(min(seen / all_, 1.0), 6) if all_ else 0.0,
         "target": target,

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from toolee_robot.frames import Array
 
 FloatArray = NDArray[np.float32]
 IntArray = NDArray[np.int32]
+_MOST_PARTNERS = 48
+"""Corners at a vertex that count for a normal: the tip of a fan has more, and a 49th changes nothing visible."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,32 +58,48 @@ def corner_normals(vertices: FloatArray, faces: NDArray[np.int32], crease_deg: f
     """(F, 3, 3) area-weighted means over the faces around a vertex that lie within `crease_deg` of the corner's."""
     if len(faces) == 0:
         return np.zeros((0, 3, 3), np.float32)
-    corners = vertices[faces]
-    area_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(area_normals, axis=1, keepdims=True)
-    unit = area_normals / np.maximum(area, 1e-20)
-    keys = np.round(vertices.astype(np.float64) * 1e6).astype(np.int64)
-    merged = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)[faces].reshape(-1)  # vertex of each corner
-    order = np.argsort(merged, kind="stable")
-    counts = np.bincount(merged)
-    # Pairs of corners that share a vertex: k-th partner of each corner, for the vertex valences that occur.
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    sorted_face = order // 3
-    valence = counts[merged[order]]
-    start = starts[merged[order]]
-    total = np.zeros((len(order), 3), np.float32)
-    cos_crease = np.cos(np.deg2rad(crease_deg))
-    alive = np.arange(len(order))
-    for k in range(min(int(counts.max()), 48)):  # a fan tip's 49th neighbour changes nothing visible
-        alive = alive[valence[alive] > k]
-        partner = sorted_face[start[alive] + k]
-        close = np.einsum("ij,ij->i", unit[partner], unit[sorted_face[alive]]) > cos_crease
-        total[alive[close]] += area_normals[partner[close]]
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    normals = np.where(length > 1e-20, total / np.maximum(length, 1e-20), unit[sorted_face])
-    out = np.empty((len(faces) * 3, 3), np.float32)
-    out[order] = normals
+    (ax, ay, az), (bx, by, bz) = (vertices[faces[:, k]].T - vertices[faces[:, 0]].T for k in (1, 2))
+    area_normals = np.column_stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+    unit = area_normals / np.maximum(_lengths(area_normals), 1e-20)
+    vertex = _merged(vertices, faces).reshape(-1)  # of each corner
+    # Sorted by vertex, a corner's partners (the corners at its vertex, itself included) are neighbours.
+    order = np.argsort(vertex, kind="stable")
+    face = (order // 3).astype(np.int32)
+    counts = np.bincount(vertex)
+    first = (np.cumsum(counts) - counts)[vertex[order]]
+    partners = np.minimum(counts, _MOST_PARTNERS)[vertex[order]]
+    ends = np.cumsum(partners)
+    # All pairs of a corner and its partner, as rows and columns of a sparse matrix: 1 where the two faces are smooth.
+    partner = face.take(np.arange(ends[-1]) + np.repeat(first - ends + partners, partners))
+    own_unit = unit.take(face, axis=0)
+    cosine = np.einsum("ij,ij->i", unit.take(partner, axis=0), np.repeat(own_unit, partners, axis=0))
+    smooth = (cosine > np.cos(np.deg2rad(crease_deg))).astype(np.float32)
+    rows = np.concatenate([[0], ends])
+    total = csr_array((smooth, partner, rows), shape=(len(order), len(faces))) @ area_normals
+    length = _lengths(total)
+    out = np.empty((len(order), 3), np.float32)
+    out[order] = np.where(length > 1e-20, total / np.maximum(length, 1e-20), own_unit)
     return out.reshape(-1, 3, 3)
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    """(N, 1) of (N, 3); np.linalg.norm takes several times as long for so short rows."""
+    x, y, z = vectors.T
+    return np.asarray(np.sqrt(x * x + y * y + z * z)[:, None])
+
+
+def _merged(vertices: FloatArray, faces: NDArray[np.int32]) -> NDArray[np.int64]:
+    """(F, 3) numbers of the faces' vertices from 0 on, the same one for those that coincide to 1 um."""
+    used = np.zeros(len(vertices), np.bool_)
+    used[faces] = True
+    x, y, z = np.round(vertices[used].T.astype(np.float64) * 1e6)
+    order = np.lexsort((x, y, z))
+    x, y, z = x[order], y[order], z[order]
+    number = np.zeros(len(order), np.int64)
+    number[order[1:]] = np.cumsum((x[1:] != x[:-1]) | (y[1:] != y[:-1]) | (z[1:] != z[:-1]))
+    of_vertex = np.zeros(len(vertices), np.int64)
+    of_vertex[used] = number
+    return of_vertex[faces]
 
 
 _BOX_CORNERS: FloatArray = np.array(
@@ -122,10 +142,11 @@ def cylinder(radius: float, length: float, sections: int = 24, top_radius: float
     vertices[:sections, 2] = vertices[2 * sections, 2] = -length / 2
     vertices[sections : 2 * sections, 2] = vertices[2 * sections + 1, 2] = length / 2
     # The sides' normals lean by the frustum's slope.
-    out, up = length / np.hypot(length, radius - top), (radius - top) / np.hypot(length, radius - top)
-    side = np.column_stack([out * ring, np.full(sections, up)]).astype(np.float32)
+    slope = np.hypot(length, radius - top)
+    side = np.empty((sections, 3), np.float32)
+    side[:, :2], side[:, 2] = length / slope * ring, (radius - top) / slope
     normals = np.empty((len(faces), 3, 3), np.float32)
-    normals[: 2 * sections] = side[faces[: 2 * sections] % sections]
+    normals[: 2 * sections] = side[_cylinder_sides(sections)]
     normals[2 * sections : 3 * sections], normals[3 * sections :] = (0, 0, -1), (0, 0, 1)
     return Mesh(vertices, faces, normals)
 
@@ -145,6 +166,12 @@ def _cylinder_faces(n: int) -> NDArray[np.int32]:
     low, high = np.full(n, 2 * n), np.full(n, 2 * n + 1)
     sides = [np.column_stack([i, j, j + n]), np.column_stack([i, j + n, i + n])]
     return np.vstack([*sides, np.column_stack([low, j, i]), np.column_stack([high, i + n, j + n])]).astype(np.int32)
+
+
+@lru_cache(maxsize=16)
+def _cylinder_sides(n: int) -> NDArray[np.int32]:
+    """(2 n, 3) places on the ring of the sides' corners."""
+    return _cylinder_faces(n)[: 2 * n] % n
 
 
 def sphere(radius: float, subdivisions: int = 3) -> Mesh:
@@ -169,18 +196,24 @@ def tube(points: Array, radius: float, sections: int = 10) -> Mesh:
     references = np.empty_like(p)
     for k, t in enumerate(tangent):
         reference = reference - (reference @ t) * t
-        reference /= np.sqrt(reference @ reference)
+        reference /= math.sqrt(reference @ reference)
         references[k] = reference
     ring = _ring(sections).astype(np.float64)
     around = ring[:, :1] * references[:, None] + ring[:, 1:] * np.cross(tangent, references)[:, None]
+    faces = _tube_faces(len(p), sections)
+    normals = around.reshape(-1, 3).astype(np.float32)
+    vertices = (p[:, None] + radius * around).reshape(-1, 3).astype(np.float32)
+    return Mesh(vertices, faces, normals[faces])
+
+
+@lru_cache(maxsize=16)
+def _tube_faces(n: int, sections: int) -> NDArray[np.int32]:
+    """Two triangles for each quad between n rings."""
     i = np.arange(sections)
     j = (i + 1) % sections
-    base = (np.arange(len(p) - 1) * sections)[:, None]
+    base = (np.arange(n - 1) * sections)[:, None]
     quads = [
         np.stack([base + i, base + j, base + sections + j], -1),
         np.stack([base + i, base + sections + j, base + sections + i], -1),
     ]
-    faces = np.vstack([q.reshape(-1, 3) for q in quads]).astype(np.int32)
-    normals = around.reshape(-1, 3).astype(np.float32)
-    vertices = (p[:, None] + radius * around).reshape(-1, 3).astype(np.float32)
-    return Mesh(vertices, faces, normals[faces])
+    return np.vstack([q.reshape(-1, 3) for q in quads]).astype(np.int32)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from toolee_robot.frames import Array
 
@@ -74,11 +77,31 @@ class Tree:
     links: tuple[Link, ...]
     by_name: Mapping[str, Link] = field(init=False)
     _axes: Array = field(init=False)
+    _levels: tuple[tuple[slice, NDArray[np.int64]], ...] = field(init=False)
+    _rows: dict[str, int] = field(init=False)
+    _movable: NDArray[np.int64] = field(init=False)
+    _Xs_parent_joint: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "by_name", {link.name: link for link in self.links})
+        set_ = partial(object.__setattr__, self)
+        set_("by_name", {link.name: link for link in self.links})
         axes = [link.axis for link in self.links if link.axis is not None]
-        object.__setattr__(self, "_axes", np.reshape(axes, (-1, 3)))
+        set_("_axes", np.reshape(axes, (-1, 3)))
+        # Links as deep as each other (the fingers' joints) are computed together: rows by depth.
+        depth: dict[str, int] = {}
+        for link in self.links:
+            depth[link.name] = depth[link.parent] + 1 if link.parent in depth else 0
+        ordered = sorted(self.links, key=lambda link: depth[link.name])
+        rows = {link.name: i for i, link in enumerate(ordered)}
+        ends = np.cumsum(np.bincount([*depth.values()])).tolist()
+        levels = [
+            (slice(first, end), np.array([rows[link.parent] for link in ordered[first:end] if link.parent]))
+            for first, end in pairwise(ends)
+        ]
+        set_("_levels", tuple(levels))
+        set_("_rows", {link.name: rows[link.name] for link in self.links})
+        set_("_movable", np.array([rows[link.name] for link in self.links if link.axis is not None], np.int64))
+        set_("_Xs_parent_joint", np.stack([link.X_parent_joint for link in ordered]))
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -95,14 +118,8 @@ class Tree:
         q = np.asarray(q, dtype=np.float64)
         if q.shape != (len(self._axes),):
             raise ValueError(f"q must have shape ({len(self._axes)},), got {q.shape}")
-        turns = _rotations(self._axes, q)
-        poses: dict[str, Array] = {}
-        i = 0
-        for link in self.links:
-            X = link.X_parent_joint
-            if link.axis is not None:
-                X = X.copy()
-                X[:3, :3] = X[:3, :3] @ turns[i]
-                i += 1
-            poses[link.name] = poses[link.parent] @ X if link.parent in poses else X
-        return poses
+        X = self._Xs_parent_joint.copy()
+        X[self._movable, :3, :3] = X[self._movable, :3, :3] @ _rotations(self._axes, q)
+        for level, parents in self._levels:
+            X[level] = X[parents] @ X[level]
+        return {name: X[row] for name, row in self._rows.items()}

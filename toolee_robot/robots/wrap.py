@@ -2,56 +2,90 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from toolee_robot.frames import Array, inverse
 from toolee_robot.robots.description import HAND_FRAME, HAND_JOINTS, hand_tree
 from toolee_robot.robots.grasp import posture_vector
 
-_LONG_FINGERS = ("index", "middle", "ring", "little")
-_PREFIX = {"thumb": "TH", "index": "FF", "middle": "MF", "ring": "RF", "little": "LF"}
-_FINGERS = (*_LONG_FINGERS, "thumb")
-_LINKS = tuple(f"rh_{_PREFIX[f].lower()}{part}" for f in _FINGERS for part in ("proximal", "middle", "distal"))
-# The phalanges' capsules, as in the collision model.
-_RADII = np.array([*[0.010, 0.00805, 0.00705] * 4, 0.013, 0.011, 0.00918])
-_LENGTHS = np.array([*[0.045, 0.025, 0.024] * 4, 0.038, 0.032, 0.026])
-_ALONG = np.linspace(0.0, 1.0, 7) * _LENGTHS[:, None]
+_PHALANGES = ("proximal", "middle", "distal")
 
 
-def _clearance(q_hand: Array, X_hand_tool: Array, radius: float, half_length: float) -> dict[str, float]:
-    """Smallest distance [m] of each finger's capsules to the handle's (negative: they overlap)."""
-    poses = hand_tree().link_poses(q_hand)
-    X_tool_links = inverse(poses[HAND_FRAME] @ X_hand_tool) @ np.stack([poses[link] for link in _LINKS])
-    points = X_tool_links[:, None, :3, 3] + _ALONG[..., None] * X_tool_links[:, None, :3, 2]
-    points[..., 2] -= np.clip(points[..., 2], -half_length, half_length)
-    distance = np.sqrt(np.einsum("lpi,lpi->lp", points, points).min(axis=1)) - _RADII - radius
-    return dict(zip(_FINGERS, distance.reshape(-1, 3).min(axis=1).tolist(), strict=True))
+@dataclass(frozen=True, eq=False)
+class _Fingers:
+    """Fingers that close together: the prefixes of their names; radii and lengths (3,) [m] of the phalanges' capsules,
+    as in the collision model; joints: the joints that close, each with the link it turns and its first phalanx."""
+
+    prefixes: tuple[str, ...]
+    radii: Array
+    lengths: Array
+    joints: tuple[tuple[str, str, int], ...]
+
+
+# In the order of a real grasp: MCP, PIP, DIP, then the thumb.
+_GRASP = (
+    _Fingers(
+        ("FF", "MF", "RF", "LF"),
+        np.array([0.010, 0.00805, 0.00705]),
+        np.array([0.045, 0.025, 0.024]),
+        (("J3", "proximal", 0), ("J2", "middle", 1), ("J1", "distal", 2)),
+    ),
+    _Fingers(
+        ("TH",),
+        np.array([0.013, 0.011, 0.00918]),
+        np.array([0.038, 0.032, 0.026]),
+        (("J5", "base", 0), ("J2", "middle", 1), ("J1", "distal", 2)),
+    ),
+)
+_ALONG = np.linspace(0.0, 1.0, 7)
 
 
 def wrap_fingers(X_hand_tool: Array, handle_radius: float, half_length: float = 0.06, press: float = 0.0005) -> Array:
     """Joint positions (24,) [rad] of a hand closed around a round handle of radius [m].
 
     X_hand_tool: 4x4. half_length: how far the handle reaches to each side of the tool's origin [m]. press: depth [m]
-    by which a finger may sink in. Joints close in the order of a real grasp: MCP, PIP, DIP, then the thumb.
+    by which a finger may sink in. Joints close one after the other, each as far as the handle lets it.
     """
     q = posture_vector("open", HAND_JOINTS)
     closed = posture_vector("closed", HAND_JOINTS)
-    steps: list[tuple[str, tuple[str, ...]]] = [(joint, _LONG_FINGERS) for joint in ("J3", "J2", "J1")]
-    steps += [(joint, ("thumb",)) for joint in ("J5", "J2", "J1")]
-    for joint, fingers in steps:
-        index = {finger: HAND_JOINTS.index(f"rh_{_PREFIX[finger]}{joint}") for finger in fingers}
-        low = {finger: q[i] for finger, i in index.items()}
-        high = {finger: closed[i] for finger, i in index.items()}
-        for k in range(9):
-            trial = q.copy()
-            for finger, i in index.items():
-                trial[i] = high[finger] if k == 0 else 0.5 * (low[finger] + high[finger])
-            clearance = _clearance(trial, X_hand_tool, handle_radius, half_length)
-            for finger, i in index.items():
-                if clearance[finger] > -press:
-                    low[finger] = trial[i]
-                else:
-                    high[finger] = trial[i]
-        for finger, i in index.items():
-            q[i] = low[finger]
+    for fingers in _GRASP:
+        reach = (fingers.radii + handle_radius - press)[:, None]
+        for joint, link, first in fingers.joints:
+            index = [HAND_JOINTS.index(f"rh_{prefix}{joint}") for prefix in fingers.prefixes]
+            centre, cosine, sine = _circles(q, X_hand_tool, fingers, link, first)
+            low, high = q[index], closed[index]
+            for k in range(9):
+                trial = high if k == 0 else 0.5 * (low + high)
+                turn = (trial - q[index])[:, None, None, None]
+                points = centre + np.cos(turn) * cosine + np.sin(turn) * sine
+                points[..., 2] -= np.clip(points[..., 2], -half_length, half_length)
+                free = (np.sqrt(np.einsum("fpni,fpni->fpn", points, points)) > reach).all(axis=(1, 2))
+                low, high = np.where(free, trial, low), np.where(free, high, trial)
+            q[index] = low
     return q
+
+
+def _circles(q_hand: Array, X_hand_tool: Array, fingers: _Fingers, link: str, first: int) -> tuple[Array, Array, Array]:
+    """Where the points of the capsules' axes go as a joint of each finger turns by `a` from q_hand (24,) [rad]: to
+    centre + cos(a) cosine + sin(a) sine, (fingers, 3 phalanges, 7 points, 3) [m] each, in the tool's frame.
+
+    The joint turns `link` and moves the phalanges from `first` on.
+    """
+    tree = hand_tree()
+    poses = tree.link_poses(q_hand)
+    X_tool_root = inverse(poses[HAND_FRAME] @ X_hand_tool)
+    names = [[f"rh_{prefix.lower()}{phalanx}" for phalanx in _PHALANGES] for prefix in fingers.prefixes]
+    Xs = X_tool_root @ np.array([[poses[name] for name in finger] for finger in names])
+    along = (fingers.lengths[:, None] * _ALONG)[..., None]
+    points = Xs[:, :, None, :3, 3] + along * Xs[:, :, None, :3, 2]
+    turned = [f"rh_{prefix.lower()}{link}" for prefix in fingers.prefixes]
+    Xs_tool_link = X_tool_root @ np.array([poses[name] for name in turned])
+    axes = np.array([tree.by_name[name].axis for name in turned])
+    axis = (Xs_tool_link[:, :3, :3] @ axes[..., None])[:, None, None, :, 0]
+    arm = points[:, first:] - Xs_tool_link[:, None, None, :3, 3]
+    cosine, sine = np.zeros_like(points), np.zeros_like(points)
+    cosine[:, first:] = arm - (arm * axis).sum(axis=-1, keepdims=True) * axis
+    sine[:, first:] = np.cross(axis, arm)
+    return points - cosine, cosine, sine

@@ -17,7 +17,7 @@ from toolee_robot.tools.wrenches import make_wrench
 _MAKERS = {Family.HAMMERS: make_hammer, Family.SCREWDRIVERS: make_screwdriver, Family.WRENCHES: make_wrench}
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=512)
 def make_tool(kind: ToolKind, seed: int) -> Tool:
     """The tool of that kind and seed (0 or more), always the same one. Tools are shared: do not change their meshes."""
     if seed < 0:

@@ -41,7 +41,7 @@ def make_hammer(kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
     """A hammer of 0.3 to 1.5 kg; draws again (deterministically) when the mass falls outside."""
     for _ in range(20):
         tool = _draw(kind, seed, rng)
-        if 0.3 <= tool.mass <= 1.5:
+        if tool.mass_within(0.3, 1.5):
             return tool
     raise AssertionError(f"no plausible mass for {kind} {seed}: {tool.mass:.2f} kg")
 

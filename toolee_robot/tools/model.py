@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -17,8 +18,9 @@ from numpy.typing import NDArray
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
+from toolee_robot.tools.mass import mass_properties
 from toolee_robot.tools.materials import Material
-from toolee_robot.tools.solids import Convex, hull
+from toolee_robot.tools.solids import Convex, hull, signed_volume, to_trimesh, without
 from toolee_robot.types import Category
 
 
@@ -84,12 +86,16 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class SolidPart(Part):
-    """A part as a body. Parts do not overlap: a handle's eye is a hole in the head.
+    """A part as a body. Parts do not overlap: a handle's eye is a hole in the head."""
 
-    mesh: watertight, `tool` frame [m].
-    """
+    _solid: Any
+    _others: tuple[Any, ...]
 
-    mesh: trimesh.Trimesh
+    @cached_property
+    def mesh(self) -> trimesh.Trimesh:
+        """Watertight, `tool` frame [m]. Cut out when first asked for: a picture of the tool does not need it, and it
+        takes as long as the tool's surface."""
+        return to_trimesh(without(self._solid, self._others))
 
     @property
     def density(self) -> float:
@@ -183,19 +189,49 @@ class ToolShape:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tool(ToolShape):
-    """A generated tool. mesh: the union of all parts, watertight, without inner surfaces. center_of_mass (3,) [m];
-    inertia 3x3 [kg m^2] about it, tool axes."""
+    """A generated tool. mesh: the union of all parts, watertight, without inner surfaces."""
 
     kind: ToolKind
     seed: int
     parts: tuple[SolidPart, ...]
-    mass: float
-    center_of_mass: Array
-    inertia: Array
     _convex: tuple[tuple[str, Convex], ...]
 
     def __repr__(self) -> str:
         return f"<Tool {self.name}: {self.mass:.3f} kg, {', '.join(part.label for part in self.parts)}>"
+
+    @property
+    def mass(self) -> float:
+        """[kg]"""
+        return self._mass_properties[0]
+
+    def mass_within(self, low: float, high: float) -> bool:
+        """Whether the mass [kg] is; told without cutting the parts apart where that is clear.
+
+        Each point where parts overlap is counted too often, by densities between the least and the greatest.
+        """
+        densities = [part.density for part in self.parts]
+        volumes = [float(part._solid.volume()) for part in self.parts]
+        counted = float(np.dot(densities, volumes))
+        overlap = sum(volumes) - signed_volume(self.mesh.vertices.view(np.ndarray), self.mesh.faces.view(np.ndarray))
+        slack = 1e-3 * counted  # the surface is in single precision
+        least, greatest = counted - max(densities) * overlap - slack, counted - min(densities) * overlap + slack
+        if low <= least and greatest <= high:
+            return True
+        return greatest >= low and least <= high and low <= self.mass <= high
+
+    @property
+    def center_of_mass(self) -> Array:
+        """(3,) [m], `tool` frame."""
+        return self._mass_properties[1]
+
+    @property
+    def inertia(self) -> Array:
+        """3x3 [kg m^2] about the centre of mass, tool axes."""
+        return self._mass_properties[2]
+
+    @cached_property
+    def _mass_properties(self) -> tuple[float, Array, Array]:
+        return mass_properties((part.mesh, part.density) for part in self.parts)
 
     def collision_parts(self) -> list[trimesh.Trimesh]:
         """Convex meshes whose union covers the tool, `tool` frame; `metadata["label"]` names each one's part.

@@ -6,7 +6,9 @@ placed with a 4x4 pose.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import manifold3d
@@ -103,6 +105,16 @@ def loft_piece(label: str, rings: Array, material: Material, tolerance: float = 
 def loft(rings: Array) -> Any:
     """The solid through the rings, closed by flat fans; rings may turn either way."""
     n, m, _ = rings.shape
+    vertices = np.concatenate([rings.reshape(-1, 3), rings[0].mean(0)[None], rings[-1].mean(0)[None]])
+    faces = _loft_faces(n, m)
+    if signed_volume(vertices, faces) < 0:
+        faces = faces[:, ::-1]
+    return solid_from(vertices, faces)
+
+
+@lru_cache(maxsize=256)
+def _loft_faces(n: int, m: int) -> NDArray[np.int64]:
+    """Of n rings of m points, with the middles of the first and the last ring after them."""
     j = np.arange(m)
     k = (j + 1) % m
     base = (np.arange(n - 1) * m)[:, None]
@@ -115,11 +127,7 @@ def loft(rings: Array) -> Any:
         np.column_stack([np.full(m, bottom), k, j]),
         np.column_stack([np.full(m, top), (n - 1) * m + j, (n - 1) * m + k]),
     ]
-    vertices = np.concatenate([rings.reshape(-1, 3), rings[0].mean(0)[None], rings[-1].mean(0)[None]])
-    faces = np.concatenate([sides, *caps])
-    if signed_volume(vertices, faces) < 0:
-        faces = faces[:, ::-1]
-    return solid_from(vertices, faces)
+    return np.concatenate([sides, *caps])
 
 
 def solid_from(vertices: Array, faces: NDArray[np.int64]) -> Any:
@@ -134,8 +142,8 @@ def solid_from(vertices: Array, faces: NDArray[np.int64]) -> Any:
 
 def signed_volume(vertices: Array, faces: NDArray[np.int64]) -> float:
     """[m^3], positive when the faces turn outwards."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = (vertices[faces[:, i]].T for i in range(3))
+    return float((ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)).sum() / 6.0)
 
 
 def extrude(polygons: Any, z_min: float, z_max: float) -> Any:
@@ -195,6 +203,15 @@ def _stays_convex(rings: Array, sizes: Array, tolerance: float) -> bool:
 def hull(points: Array) -> trimesh.Trimesh:
     """Convex hull of points (K, 3)."""
     return to_trimesh(manifold3d.Manifold.hull_points(np.ascontiguousarray(points, dtype=np.float64)))
+
+
+def without(solid: Any, others: Iterable[Any]) -> Any:
+    """The solid less the others."""
+    for other in others:
+        box, other_box = np.array(solid.bounding_box()), np.array(other.bounding_box())
+        if np.all(box[:3] <= other_box[3:]) and np.all(other_box[:3] <= box[3:]):
+            solid = solid - other
+    return solid
 
 
 def to_trimesh(solid: Any) -> trimesh.Trimesh:
