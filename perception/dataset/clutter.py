@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, random_rotation, rotation_z, transform
-from toolee_robot.perception.dataset.surfaces import Surfaces
-from toolee_robot.render import Body, Mesh
-from toolee_robot.render.scene import Backdrop, Patch
+from toolee_robot.perception.dataset.surfaces import ROOMS, Surfaces, room_rng
+from toolee_robot.render import Body, Material, Mesh
 from toolee_robot.render.mesh import box, cylinder, plane, sphere, tube
 from toolee_robot.render.palette import any_color, linear
+from toolee_robot.render.scene import Backdrop, Patch
 
 _R_WALL = Rotation.from_euler("y", -np.pi / 2)
 """Turns a plane's normal from z to -x."""
@@ -59,16 +61,18 @@ def cable(rng: np.random.Generator, length: float, radius: float) -> Mesh:
 
 def walls(rng: np.random.Generator, surfaces: Surfaces, body_id: int, floor_height: float) -> list[Body]:
     """A room of the split around the origin: floor at `floor_height` [m], four walls, a ceiling, things."""
-    rng = surfaces.room(rng)
-    bodies = [Body(plane(14.0), transform(p=(0.0, 0.0, floor_height)), surfaces.material(rng, 0.2), body_id)]
-    bodies.append(
-        Body(
-            plane(14.0),
-            transform(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, floor_height + 3.5)),
-            surfaces.material(rng, 0.5),
-            body_id,
-        )
-    )
+    floor, ceiling, around = _walls(surfaces, surfaces.room(rng), body_id)
+    above = transform(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, floor_height + 3.5))
+    below = Body(plane(14.0), transform(p=(0.0, 0.0, floor_height)), floor, body_id)
+    return [below, Body(plane(14.0), above, ceiling, body_id), *around]
+
+
+@lru_cache(maxsize=ROOMS)
+def _walls(surfaces: Surfaces, room: int, body_id: int) -> tuple[Material, Material, tuple[Body, ...]]:
+    """What floor and ceiling are of, and the rest of the room."""
+    rng = room_rng(room)
+    floor, ceiling = surfaces.material(rng, 0.2), surfaces.material(rng, 0.5)
+    bodies: list[Body] = []
     wall = surfaces.material(rng, 0.2)
     turn = rng.uniform(0.0, np.pi)
     for k in range(4):
@@ -83,7 +87,7 @@ def walls(rng: np.random.Generator, surfaces: Surfaces, body_id: int, floor_heig
             p = R_yaw @ [distance - rng.uniform(0.1, 0.5), *rng.uniform(-1.2, 1.2, 2)]
             R_object = R_yaw if rng.random() < 0.7 else random_rotation(rng)
             bodies += any_object(rng, surfaces, transform(R_object, p), body_id, float(rng.uniform(0.1, 0.9)))
-    return bodies
+    return floor, ceiling, tuple(bodies)
 
 
 def backdrop(rng: np.random.Generator, surfaces: Surfaces) -> Backdrop:

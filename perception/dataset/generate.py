@@ -48,8 +48,8 @@ def generate(
     """Write the data set into the folder `out`; False if it was there already. Scenes that exist are kept.
 
     own: the meshes of `spec.tools`. cluster: "local" for `workers` processes here; "ray" for as many on a Ray cluster,
-    whose machines share `out`. Raises UserError when `out` holds another data set or there is no such device, TooleeError
-    when a worker dies.
+    whose machines share `out`. Raises UserError when `out` holds another data set or there is no such device,
+    TooleeError when a worker dies.
     """
     if workers < 1:
         raise UserError(f"--workers {workers}: give 1 or more")

@@ -26,7 +26,6 @@ from toolee_robot.perception.dataset.placement import PlacedTool, Pool, SceneSam
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH
 from toolee_robot.perception.dataset.surfaces import Surfaces
 from toolee_robot.render import Body, Scene
-from toolee_robot.render.lab import laboratory
 from toolee_robot.render.mesh import box, cylinder, sphere
 from toolee_robot.render.palette import any_color, finish, skin_tone
 from toolee_robot.robots import FLANGE_FRAME
@@ -84,7 +83,7 @@ def station_scene(rng: np.random.Generator, pool: Pool) -> SceneSample | None:
     lowest = transform_points(X_base_tool, np.asarray(tool.mesh.vertices))[:, 2].min()
     if lowest < 0.02 or not sees_an_ee(tool, X_camera_tool, intrinsics):
         return None
-    room = laboratory(pool.surfaces.room(rng), ROOM)
+    room = pool.surfaces.laboratory(rng, ROOM)
     bodies = [*room.bodies, *arm_bodies(q_arm, np.eye(4), ARM, rng), *_work(rng, pool.surfaces)]
     bodies += hand_bodies(grasp, _robot_hand(rng), X_base_hand, HAND)
     bodies += tool_bodies(tool, X_base_tool, 1, rng)

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from toolee_robot.render import Material, Pattern
+from toolee_robot.render.lab import Surroundings, laboratory
 from toolee_robot.render.palette import any_color, finish, linear
 
 TEXTURES, ROOMS, BACKDROPS = 1000, 1000, 1000
@@ -35,13 +36,27 @@ class Surfaces:
         x, y, z = (float(v) for v in rng.uniform(-1.0, 1.0, 3))
         return replace(texture, scale=texture.scale * scale / _SCALE, offset=(x, y, z))
 
-    def room(self, rng: np.random.Generator) -> np.random.Generator:
-        """The generator of a room: what it makes depends on the room's number alone."""
-        return np.random.default_rng([_ROOM, draw(rng, self.split, ROOMS)])
+    def room(self, rng: np.random.Generator) -> int:
+        """A room's number, on which alone depends what is in it: see `room_rng`."""
+        return draw(rng, self.split, ROOMS)
+
+    def laboratory(self, rng: np.random.Generator, body_id: int) -> Surroundings:
+        """A furnished room."""
+        return _laboratory(self.room(rng), body_id)
 
     def backdrop(self, rng: np.random.Generator) -> np.random.Generator:
         """The generator of a flat backdrop, likewise."""
         return np.random.default_rng([_BACKDROP, draw(rng, self.split, BACKDROPS)])
+
+
+def room_rng(room: int) -> np.random.Generator:
+    """What a room is made with."""
+    return np.random.default_rng([_ROOM, room])
+
+
+@lru_cache(maxsize=ROOMS)
+def _laboratory(room: int, body_id: int) -> Surroundings:
+    return laboratory(room_rng(room), body_id)
 
 
 @lru_cache(maxsize=TEXTURES)

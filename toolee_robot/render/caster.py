@@ -21,6 +21,7 @@ from toolee_robot.render.scene import Light, Scene
 from toolee_robot.render.surroundings import sky_maps
 from toolee_robot.render.tracing import Found, tracer_of
 
+_SURFACE, _LAMP = Surface.numpy_dtype(), kernels.Lamp.numpy_dtype()
 _SHADOW_BLUR = 2
 """Soft shadows are smoothed over this many pixels to each side."""
 
@@ -105,10 +106,10 @@ class Caster:
     def _look(self) -> _Look:
         """Not made where only depths are asked for."""
         scene, device = self.scene, self.device
-        surfaces = np.zeros(len(scene.bodies), Surface.numpy_dtype())
+        surfaces = np.zeros(len(scene.bodies), _SURFACE)
         for k, (body, X) in enumerate(zip(scene.bodies, self._poses, strict=True)):
             surfaces[k] = (X[:3, :3], X[:3, 3], *body.material.row)
-        lamps = np.zeros(len(scene.lights), kernels.Lamp.numpy_dtype())
+        lamps = np.zeros(len(scene.lights), _LAMP)
         for k, light in enumerate(scene.lights):
             lamps[k] = (self._place(light), light.color, int(light.position is None), light.softness)
         faces = np.cumsum([0, *(len(body.mesh.faces) for body in scene.bodies)]).astype(np.int32)

@@ -13,8 +13,8 @@ from toolee_robot.render.kernels import filters as kernels
 
 
 def gaussian(image: DeviceArray, sigma: float, device: str, gain: float = 1.0) -> DeviceArray:
-    """(C, H, W) float32 blurred over H and W by a Gaussian of `sigma` [px], cut off at 3 sigma, and multiplied by `gain`.
-    Borders are reflected."""
+    """(C, H, W) float32 blurred over H and W by a Gaussian of `sigma` [px], cut off at 3 sigma, and multiplied by
+    `gain`. Borders are reflected."""
     radius = max(1, int(np.ceil(3.0 * sigma)))
     weights = np.exp(-0.5 * (np.arange(radius + 1) / sigma) ** 2)
     weights *= np.sqrt(gain) / (2 * weights.sum() - weights[0])  # once for each axis

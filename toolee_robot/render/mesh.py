@@ -30,8 +30,8 @@ class Mesh:
 
     @staticmethod
     def build(vertices: object, faces: object, crease_deg: float = 35.0) -> Mesh:
-        """Lasting mesh with normals smoothed across edges flatter than `crease_deg`; corners that coincide to 1 um share
-        their normals even where the file stores them as separate vertices (STL)."""
+        """Lasting mesh with normals smoothed across edges flatter than `crease_deg`; corners that coincide to 1 um
+        share their normals even where the file stores them as separate vertices (STL)."""
         v = np.ascontiguousarray(np.asarray(vertices, dtype=np.float32).reshape(-1, 3))
         f = np.ascontiguousarray(np.asarray(faces, dtype=np.int32).reshape(-1, 3))
         if not np.all(np.isfinite(v)) or (f.size and (f.min() < 0 or f.max() >= len(v))):

@@ -11,9 +11,13 @@ Color = tuple[float, float, float]
 
 def linear(srgb: Color) -> Color:
     """Linear RGB of an sRGB colour in [0, 1]."""
-    c = np.clip(np.asarray(srgb, dtype=np.float64), 0.0, 1.0)
-    r, g, b = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
-    return float(r), float(g), float(b)
+    r, g, b = srgb
+    return _linear(r), _linear(g), _linear(b)
+
+
+def _linear(value: float) -> float:
+    c = min(max(float(value), 0.0), 1.0)
+    return c / 12.92 if c <= 0.04045 else float(((c + 0.055) / 1.055) ** 2.4)
 
 
 def finish(
@@ -24,8 +28,8 @@ def finish(
 
     srgb in [0, 1]; roughness, metallic in [0, 1]. The generator places the pattern and ages the surface.
     """
-    base = np.asarray(linear(srgb))
-    offset = tuple(float(o) for o in rng.uniform(-1.0, 1.0, 3))
+    r, g, b = linear(srgb)
+    x, y, z = rng.uniform(-1.0, 1.0, 3).tolist()
     age = float(rng.uniform(0.0, 0.5))
     factor, pattern, scale, wear = 1.0, Pattern.SOLID, 0.02, 0.3 * age
     if name.startswith("wood"):
@@ -37,17 +41,16 @@ def finish(
         factor, pattern, scale = float(rng.uniform(0.75, 0.95)), Pattern.CLOUD, float(rng.uniform(0.004, 0.02))
     elif name == "concrete":
         factor, pattern, scale = 0.75, Pattern.CLOUD, 0.05
-    second = np.clip(base * factor, 0.0, 1.0)
     return Material(
-        color=(float(base[0]), float(base[1]), float(base[2])),
-        color2=(float(second[0]), float(second[1]), float(second[2])),
+        color=(r, g, b),
+        color2=(r * factor, g * factor, b * factor),
         pattern=pattern,
         scale=scale,
         axis=axis,
-        roughness=float(np.clip(roughness + 0.25 * age * metallic, 0.05, 1.0)),
+        roughness=min(max(roughness + 0.25 * age * metallic, 0.05), 1.0),
         metallic=metallic,
         wear=wear,
-        offset=(offset[0], offset[1], offset[2]),
+        offset=(x, y, z),
     )
 
 

@@ -76,9 +76,7 @@ class Shot:
     """A scene seen by a camera before it is shaded: depth (H, W) float32 [m] and body_ids (H, W) int16 as in
     `Rendering`. Whoever dislikes what is seen need not pay for the colours."""
 
-    def __init__(
-        self, scene: Scene, intrinsics: CameraIntrinsics, X_world_camera: Array, device: str = "cpu"
-    ) -> None:
+    def __init__(self, scene: Scene, intrinsics: CameraIntrinsics, X_world_camera: Array, device: str = "cpu") -> None:
         self._scene, self._intrinsics, self.device = scene, intrinsics, checked(device)
         self._caster = Caster(scene, X_world_camera, device)
         region = (0, 0, intrinsics.width, intrinsics.height)

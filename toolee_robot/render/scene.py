@@ -62,8 +62,8 @@ class Environment:
 
 @dataclass(frozen=True)
 class Patch:
-    """An ellipse (oval) or a rectangle of one colour in an image. centre, half_axes: x and y in widths of the image; angle:
-    of the first half axis against x [rad]. color: linear RGB."""
+    """An ellipse (oval) or a rectangle of one colour in an image. centre, half_axes: x and y in widths of the image;
+    angle: of the first half axis against x [rad]. color: linear RGB."""
 
     centre: tuple[float, float]
     half_axes: tuple[float, float]

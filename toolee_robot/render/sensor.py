@@ -19,7 +19,6 @@ from toolee_robot.render.kernels import sensor as kernels
 from toolee_robot.render.mesh import FloatArray
 from toolee_robot.types import CameraIntrinsics
 
-
 _COMMON = 1.2
 """Standard deviation [px] of the blur by which neighbours have a part of their noise in common."""
 

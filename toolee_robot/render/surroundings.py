@@ -11,6 +11,7 @@ from toolee_robot.render.device import DeviceArray, empty, launch, put
 from toolee_robot.render.kernels import surroundings as kernels
 from toolee_robot.render.scene import Backdrop, Environment
 
+_LOBE, _PATCH = kernels.Lobe.numpy_dtype(), kernels.Patch.numpy_dtype()
 _BLURS = (0.05, 0.25, 0.6, 1.0)
 """Half-widths [rad] of the maps; the last one serves as the diffuse irradiance."""
 assert len(_BLURS) == kernels.SKY_LEVELS
@@ -18,7 +19,7 @@ assert len(_BLURS) == kernels.SKY_LEVELS
 
 def sky_maps(environment: Environment, device: str) -> DeviceArray:
     """(4 * 64 * 64,) vec3: the maps one after another, cells row by row, as `kernels.surroundings.sky` reads them."""
-    lobes = np.zeros(len(environment.lobes), kernels.Lobe.numpy_dtype())
+    lobes = np.zeros(len(environment.lobes), _LOBE)
     for k, lobe in enumerate(environment.lobes):
         lobes[k] = (lobe.direction, lobe.width, lobe.color)
     maps = empty(kernels.SKY_LEVELS * kernels.SKY_SIZE**2, wp.vec3, device)
@@ -29,7 +30,7 @@ def sky_maps(environment: Environment, device: str) -> DeviceArray:
 
 def picture(backdrop: Backdrop, height: int, width: int, device: str) -> DeviceArray:
     """(H * W,) vec3, linear RGB."""
-    patches = np.zeros(len(backdrop.patches), kernels.Patch.numpy_dtype())
+    patches = np.zeros(len(backdrop.patches), _PATCH)
     for k, patch in enumerate(backdrop.patches):
         turn = (np.cos(patch.angle), np.sin(patch.angle))
         patches[k] = (patch.centre, patch.half_axes, *turn, patch.oval, patch.color)

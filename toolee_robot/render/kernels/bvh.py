@@ -11,8 +11,8 @@ _FAR = wp.constant(wp.float32(1e6))
 
 @wp.struct
 class Instance:
-    """A lasting mesh in a scene. tree: of its `wp.Mesh`, in the body's frame, whose pose R, p is in the camera's; all of
-    it lies within radius [m] about centre, camera frame. body: its number in the scene."""
+    """A lasting mesh in a scene. tree: of its `wp.Mesh`, in the body's frame, whose pose R, p is in the camera's; all
+    of it lies within radius [m] about centre, camera frame. body: its number in the scene."""
 
     tree: wp.uint64
     R: wp.mat33

@@ -1,5 +1,5 @@
-"""What a colour camera does to the pixels of an ideal image; see `render.photo`. N pixels: (N, 3) values of 8 bit lie in
-memory pixel after pixel, the three channels between them one after the other, (3, N)."""
+"""What a colour camera does to the pixels of an ideal image; see `render.photo`. N pixels: (N, 3) values of 8 bit lie
+in memory pixel after pixel, the three channels between them one after the other, (3, N)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def smear(
     x = i % width
     y = (i // width) % height
     plane = i - y * width - x
-    total = float(0.0)
+    total = 0.0
     for k in range(shifts.shape[0]):
         row = wp.clamp(y + shifts[k, 0], 0, height - 1)
         column = wp.clamp(x + shifts[k, 1], 0, width - 1)
