@@ -30,7 +30,7 @@ def smear(
     x = i % width
     y = (i // width) % height
     plane = i - y * width - x
-    total = 0.0
+    total = wp.float32(0.0)
     for k in range(shifts.shape[0]):
         row = wp.clamp(y + shifts[k, 0], 0, height - 1)
         column = wp.clamp(x + shifts[k, 1], 0, width - 1)
