@@ -21,15 +21,15 @@ def gaussian(image: DeviceArray, sigma: float, device: str, gain: float = 1.0) -
     weights = put(weights.astype(np.float32), wp.float32, device)
     _, height, width = image.shape
     half, out = empty(image.size, wp.float32, device), empty(image.shape, wp.float32, device)
-    launch(kernels.blur, image.size, image.flatten(), weights, 1, width, half, device=device)
-    launch(kernels.blur, image.size, half, weights, width, height, out.flatten(), device=device)
+    launch(kernels.blur, image.size, image.reshape(-1), weights, 1, width, half, device=device)
+    launch(kernels.blur, image.size, half, weights, width, height, out.reshape(-1), device=device)
     return out
 
 
 def white(seed: int, shape: tuple[int, int, int], device: str) -> DeviceArray:
     """Independent standard normal numbers (C, H, W) float32; the same for equal seeds on every device."""
     out = empty(shape, wp.float32, device)
-    launch(kernels.white, (out.size + 1) // 2, seed, normal_table(device), out.flatten(), device=device)
+    launch(kernels.white, (out.size + 1) // 2, seed, normal_table(device), out.reshape(-1), device=device)
     return out
 
 

@@ -61,7 +61,7 @@ def photograph(
     table = np.clip(255.0 * curve[:, None] * np.asarray(photo.gain), 0, 255).astype(np.float32)
     image = empty(shape, wp.float32, device)
     table = put(table.reshape(-1), wp.float32, device)
-    launch(kernels.through_curve, height * width, rgb.flatten(), table, image.flatten(), device=device)
+    launch(kernels.through_curve, height * width, rgb.reshape(-1), table, image.reshape(-1), device=device)
     if photo.blur > 0:
         image = gaussian(image, photo.blur, device)
     if photo.motion > 1:
@@ -69,10 +69,10 @@ def photograph(
         strokes = np.linspace(-1, 1, 2 * int(np.ceil(photo.motion)))
         shifts = put(np.round(strokes[:, None] * half).astype(np.int32), wp.int32, device)
         moved, image = image, empty(shape, wp.float32, device)
-        launch(kernels.smear, image.size, moved.flatten(), width, height, shifts, image.flatten(), device=device)
+        launch(kernels.smear, image.size, moved.reshape(-1), width, height, shifts, image.reshape(-1), device=device)
     out = empty((height, width, 3), wp.uint8, device)
     effects = (photo.vignette, photo.grain, int(rng.integers(2**31)), normal_table(device))
-    launch(kernels.expose, height * width, image.flatten(), width, *effects, out.flatten(), device=device)
+    launch(kernels.expose, height * width, image.reshape(-1), width, *effects, out.reshape(-1), device=device)
     delivered: NDArray[np.uint8] = out.numpy()
     if photo.jpeg > 0:
         buffer = BytesIO()

@@ -87,7 +87,7 @@ def measure_depth(
     checked(device)
     depth, cos_incidence, shininess = (put(a, wp.float32, device) for a in (depth, cos_incidence, shininess))
     beside, own, shared = (int(seed) for seed in rng.integers(2**31, size=3))
-    flat, width = depth.flatten(), depth.shape[1]
+    flat, width = depth.reshape(-1), depth.shape[1]
     seen = flat
     if noise.lateral > 0:
         seen = empty(depth.size, wp.float32, device)
@@ -98,11 +98,11 @@ def measure_depth(
     if noise.axial > 0 and noise.correlation > 0:
         # Scaled back to unit variance, which the blur takes from it.
         gain = 2.0 * np.sqrt(np.pi) * _COMMON
-        common = gaussian(white(shared, (1, *depth.shape), device), _COMMON, device, gain).flatten()
+        common = gaussian(white(shared, (1, *depth.shape), device), _COMMON, device, gain).reshape(-1)
     out = empty(depth.shape, wp.float32, device)
-    images = (flat, seen, cos_incidence.flatten(), shininess.flatten(), common)
+    images = (flat, seen, cos_incidence.reshape(-1), shininess.reshape(-1), common)
     chances = (_sensor(noise), own, normal_table(device))
-    launch(kernels.read, depth.size, *images, width, *chances, out.flatten(), device=device)
+    launch(kernels.read, depth.size, *images, width, *chances, out.reshape(-1), device=device)
     reading: FloatArray = out.numpy()
     return reading
 
