@@ -103,5 +103,5 @@ def backdrop(rng: np.random.Generator, surfaces: Surfaces) -> Backdrop:
         (x, y), (a, b), (red, green, blue) = centre.tolist(), half_axes.tolist(), color.tolist()
         patches.append(Patch((x, y), (a, b), angle, oval, (red, green, blue)))
     corner, right, below = corners
-    rows = ((float(r), float(g), float(b)) for r, g, b in (corner, right - corner, below - corner))
-    return Backdrop(*rows, tuple(patches))
+    start, along, down = ((float(r), float(g), float(b)) for r, g, b in (corner, right - corner, below - corner))
+    return Backdrop(start, along, down, tuple(patches))

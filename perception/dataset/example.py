@@ -15,13 +15,12 @@ from toolee_robot.perception.dataset.hard import hard_scene
 from toolee_robot.perception.dataset.instances import object_id
 from toolee_robot.perception.dataset.masks import pixels_of
 from toolee_robot.perception.dataset.paper import paper_scene
-from toolee_robot.perception.dataset.placement import PlacedTool, Pool, SceneSample
+from toolee_robot.perception.dataset.placement import Pool, SceneSample
 from toolee_robot.perception.dataset.records import CATEGORIES, HEIGHT, MAX_EES, WIDTH, EeTable, Example
 from toolee_robot.perception.dataset.spec import CONFIGS, SPLITS, DatasetSpec
 from toolee_robot.perception.dataset.station import station_scene
-from toolee_robot.render import Body
 from toolee_robot.render.photo import Photo, photograph
-from toolee_robot.render.renderer import Shot, cast
+from toolee_robot.render.renderer import Shot
 from toolee_robot.render.sensor import DepthNoise, measure_depth
 from toolee_robot.tools import ee_radius
 from toolee_robot.types import CameraIntrinsics
@@ -145,7 +144,7 @@ def label(sample: SceneSample, shot: Shot) -> Labels:
         rows, columns, own = reach.within(depth, tool_rows[of_tool], tool_columns[of_tool], sample.intrinsics)
         ee_ids[rows, columns] = next_id + own
         visible = np.bincount(own, minlength=len(ees))
-        alone = _alone(placed, sample, reach, full, next_id, shot.device)
+        alone = _alone(shot, placed.body_id, reach, sample.intrinsics, full, next_id)
         for k, ee in enumerate(ees):
             row = next_id - 1 + k
             table.category[row] = CATEGORIES.index(ee.category) + 1
@@ -206,16 +205,14 @@ class _Reach:
 
 
 def _alone(
-    placed: PlacedTool, sample: SceneSample, reach: _Reach, full: NDArray[np.uint8], first_id: int, device: str
+    shot: Shot, body_id: int, reach: _Reach, K: CameraIntrinsics, full: NDArray[np.uint8], first_id: int
 ) -> NDArray[np.int64]:
     """How many pixels each EE's mask would have if nothing but its tool were there; sets their bits in `full`."""
-    own: list[Body] = [body for body in sample.scene.bodies if body.body_id == placed.body_id]
-    region = reach.region(sample.intrinsics)
+    region = reach.region(K)
     if region is None:
         return np.zeros(len(reach.radii), np.int64)
-    depth, _ = cast(own, sample.intrinsics, sample.X_world_camera, region, device)
+    depth = shot.depth_of(body_id, region)
     x0, y0, _, _ = region
-    K = sample.intrinsics
     shifted = CameraIntrinsics(K.fx, K.fy, K.cx - x0, K.cy - y0, depth.shape[1], depth.shape[0])
     rows, columns, ees = reach.within(depth, *pixels_of(depth > 0), shifted)
     full[y0 + rows, x0 + columns] |= (1 << (first_id - 1 + ees)).astype(np.uint8)

@@ -48,7 +48,7 @@ def test_ee_masks_are_the_tools_pixels_within_the_sphere() -> None:
     for index in range(4):
         taken = take_shot(Series(5), index)
         sample, depth = taken.sample, taken.shot.depth
-        ee, tool, full, table = label(sample, depth, taken.shot.body_ids)
+        ee, tool, full, table = label(sample, taken.shot)
         points = back_project(depth.astype(np.float64), sample.intrinsics)
         assert not np.any((ee > 0) & (tool == 0))
         near_some_ee = np.zeros(ee.shape, bool)
@@ -107,7 +107,7 @@ def test_surfaces_of_the_splits_are_disjoint() -> None:
     assert len(train) > 700
     assert len(test) == 200
     assert not train & test
-    rooms = [{Surfaces(split).room(rng).integers(2**60) for _ in range(300)} for split in ("train", "test")]
+    rooms = [{Surfaces(split).room(rng) for _ in range(300)} for split in ("train", "test")]
     assert not rooms[0] & rooms[1]
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.frames import Array, transform
 from toolee_robot.render import Body, Light, Material, Mesh, Pattern, Scene, render
 from toolee_robot.render.mesh import box, cylinder, plane, sphere
-from toolee_robot.render.renderer import cast, pixel_rays
+from toolee_robot.render.renderer import Shot, pixel_rays
 from toolee_robot.types import CameraIntrinsics
 
 K = CameraIntrinsics(365.5, 360.0, 254.9, 205.4, 512, 424)
@@ -24,7 +24,7 @@ def somewhere() -> Array:
 def test_depth_of_a_tilted_plane_is_exact() -> None:
     X_world_camera = somewhere()
     X_camera_plane = transform(Rotation.from_euler("xy", [np.pi - 0.5, 0.3]), (0.1, -0.05, 0.9))
-    depth, _ = cast([Body(plane(20.0), X_world_camera @ X_camera_plane)], K, X_world_camera)
+    depth = Shot(Scene([Body(plane(20.0), X_world_camera @ X_camera_plane)]), K, X_world_camera).depth
     rays = pixel_rays(K).astype(np.float64)
     n, p = X_camera_plane[:3, 2], X_camera_plane[:3, 3]
     expected = (n @ p) / (rays @ n)
@@ -37,7 +37,7 @@ def test_depth_of_a_sphere() -> None:
     X_world_camera = somewhere()
     centre, radius = np.array([0.05, -0.1, 0.8]), 0.15
     body = Body(sphere(radius, 6), X_world_camera @ transform(p=centre))
-    depth, _ = cast([body], K, X_world_camera)
+    depth = Shot(Scene([body]), K, X_world_camera).depth
     rays = pixel_rays(K).astype(np.float64)
     a, b = (rays**2).sum(-1), rays @ centre
     root = b**2 - a * (centre @ centre - radius**2)
@@ -50,7 +50,7 @@ def test_depth_of_a_sphere() -> None:
 def test_a_known_point_appears_at_its_pixel() -> None:
     p = np.array([0.21, -0.13, 0.7])
     small = Body(sphere(0.002, 2), transform(p=p), body_id=7)
-    _, ids = cast([small], K, np.eye(4))
+    ids = Shot(Scene([small]), K, np.eye(4)).body_ids
     rows, columns = np.nonzero(ids == 7)
     u, v = K.fx * p[0] / p[2] + K.cx, K.fy * p[1] / p[2] + K.cy
     assert abs(columns.mean() - u) < 0.3

@@ -6,6 +6,7 @@ ray parameter of a hit is its depth.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from toolee_robot.frames import Array, inverse
-from toolee_robot.render.device import DeviceArray, empty, launch, put
+from toolee_robot.render.device import DeviceArray, empty, launch, put, rows_of
 from toolee_robot.render.kernels import light as kernels
 from toolee_robot.render.kernels.texture import Surface
 from toolee_robot.render.noise import noise_table
@@ -21,7 +22,6 @@ from toolee_robot.render.scene import Light, Scene
 from toolee_robot.render.surroundings import sky_maps
 from toolee_robot.render.tracing import Found, tracer_of
 
-_SURFACE, _LAMP = Surface.numpy_dtype(), kernels.Lamp.numpy_dtype()
 _SHADOW_BLUR = 2
 """Soft shadows are smoothed over this many pixels to each side."""
 
@@ -43,12 +43,15 @@ class Caster:
         self._X_world_camera = np.asarray(X_world_camera, dtype=np.float64)
         X_camera_world = inverse(self._X_world_camera)
         self._poses = [X_camera_world @ body.X_world_body for body in scene.bodies]
-        meshes = [body.mesh for body in scene.bodies]
-        self._tracer = tracer_of(list(zip(meshes, self._poses, strict=True)), device)
+        self._meshes = [(body.mesh, X) for body, X in zip(scene.bodies, self._poses, strict=True)]
+        self._tracer = tracer_of(self._meshes, device)
 
-    def closest(self, rays: DeviceArray) -> Found:
-        """What rays (3, N) with z = 1 hit; meshes are numbered as the scene's bodies."""
-        return self._tracer.closest(rays)
+    def closest(self, rays: DeviceArray, only: Sequence[int] | None = None) -> Found:
+        """What rays (3, N) with z = 1 hit; meshes are numbered as the scene's bodies, or as those named in `only`, if
+        nothing else is to be there."""
+        if only is None:
+            return self._tracer.closest(rays)
+        return tracer_of([self._meshes[k] for k in only], self.device).closest(rays)
 
     def shade(
         self,
@@ -106,17 +109,14 @@ class Caster:
     def _look(self) -> _Look:
         """Not made where only depths are asked for."""
         scene, device = self.scene, self.device
-        surfaces = np.zeros(len(scene.bodies), _SURFACE)
-        for k, (body, X) in enumerate(zip(scene.bodies, self._poses, strict=True)):
-            surfaces[k] = (X[:3, :3], X[:3, 3], *body.material.row)
-        lamps = np.zeros(len(scene.lights), _LAMP)
-        for k, light in enumerate(scene.lights):
-            lamps[k] = (self._place(light), light.color, int(light.position is None), light.softness)
+        posed = zip(scene.bodies, self._poses, strict=True)
+        surfaces = [(X[:3, :3], X[:3, 3], *body.material.row) for body, X in posed]
+        lamps = [(self._place(l), l.color, l.position is None, l.softness) for l in scene.lights]
         faces = np.cumsum([0, *(len(body.mesh.faces) for body in scene.bodies)]).astype(np.int32)
         normals = [body.mesh.corner_normals.reshape(-1, 3) for body in scene.bodies]
         return _Look(
-            surfaces=put(surfaces, Surface, device),
-            lamps=put(lamps, kernels.Lamp, device),
+            surfaces=put(rows_of(Surface, surfaces), Surface, device),
+            lamps=put(rows_of(kernels.Lamp, lamps), kernels.Lamp, device),
             first_face=put(faces, wp.int32, device),
             corner_normals=put(np.concatenate([np.zeros((0, 3), np.float32), *normals]), wp.vec3, device),
             sky=sky_maps(scene.environment, device),

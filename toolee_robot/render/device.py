@@ -6,8 +6,8 @@ import ctypes
 import ctypes.util
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from functools import lru_cache
 from typing import Any, TypeVar
 
@@ -29,11 +29,9 @@ _BLOCKING_SYNC = 4
 @lru_cache(maxsize=1)
 def _start() -> None:
     wp.config.log_level = wp.LOG_WARNING
-    if ctypes.util.find_library("cuda") is None:
-        with _no_stderr():  # Warp's library warns of a missing driver whoever asks for the processor
-            wp.init()
-    else:
-        wp.init()
+    # Warp's library warns of a missing driver whoever asks for the processor.
+    with _no_stderr() if ctypes.util.find_library("cuda") is None else nullcontext():
+        wp.init()  # type: ignore[no-untyped-call]
 
 
 @contextmanager
@@ -74,6 +72,17 @@ def put(values: NDArray[Any] | DeviceArray, dtype: Any, device: str) -> DeviceAr
     if isinstance(values, wp.array):
         return values
     return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device, copy=device != "cpu")
+
+
+def rows_of(struct: Any, rows: Sequence[tuple[Any, ...]]) -> NDArray[Any]:
+    """Those values of the fields of a `warp.struct`, as `put` takes them."""
+    return np.array(rows, _layout(struct))
+
+
+@lru_cache
+def _layout(struct: Any) -> np.dtype[Any]:
+    layout: np.dtype[Any] = struct.numpy_dtype()
+    return layout
 
 
 def empty(shape: int | tuple[int, ...], dtype: Any, device: str) -> DeviceArray:

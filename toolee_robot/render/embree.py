@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 import warp as wp
 from embreex import rtcore_scene
+from numpy.typing import NDArray
 
 from toolee_robot.frames import Array
 from toolee_robot.render.device import DeviceArray, put
-from toolee_robot.render.mesh import FloatArray, IntArray, Mesh
+from toolee_robot.render.mesh import FloatArray, Mesh
 from toolee_robot.render.tracing import Found, in_camera
 
 _BATCH = 512
@@ -142,6 +143,7 @@ class EmbreeTracer:
             found = packets[:count].transpose(1, 0, 2).reshape(_RAY_HIT, -1)[:, : place.stop - start]
             values[0, place], values[1:, place] = found[_TFAR], found[_VALUES]
             ids[:, place] = found.view(np.int32)[_IDS]
+        values[0, ids[1] < 0] = 0.0
         return Found(put(values, wp.float32, "cpu"), put(ids, wp.int32, "cpu"))
 
     def blocked(self, origins: DeviceArray, directions: DeviceArray, reach: DeviceArray) -> DeviceArray:
@@ -160,7 +162,7 @@ class EmbreeTracer:
             met[place].reshape(count, e.width)[:] = packets[:count, _TFAR] < 0
         return put(met[:n], wp.uint8, "cpu")
 
-    def _shoot(self, function: Any, packets: FloatArray, which: IntArray | None = None) -> None:
+    def _shoot(self, function: Any, packets: FloatArray, which: NDArray[np.signedinteger] | None = None) -> None:
         first, step = packets.ctypes.data, packets.strides[0]
         every = range(first, first + len(packets) * step, step)
         addresses = every if which is None else [every[k] for k in which.tolist()]

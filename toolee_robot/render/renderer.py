@@ -6,7 +6,6 @@ rendering = render(Scene([Body(box((0.1, 0.1, 0.1)), X_world_box)]), intrinsics,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -19,9 +18,8 @@ from toolee_robot.render.caster import Caster, Hits
 from toolee_robot.render.device import DeviceArray, checked, empty, launch, put
 from toolee_robot.render.kernels import image as kernels
 from toolee_robot.render.mesh import FloatArray
-from toolee_robot.render.scene import Body, Rendering, Scene
+from toolee_robot.render.scene import Rendering, Scene
 from toolee_robot.render.surroundings import picture
-from toolee_robot.render.tracing import Found
 from toolee_robot.types import CameraIntrinsics
 
 _MIDDLE_GREY = 0.2
@@ -79,13 +77,21 @@ class Shot:
     def __init__(self, scene: Scene, intrinsics: CameraIntrinsics, X_world_camera: Array, device: str = "cpu") -> None:
         self._scene, self._intrinsics, self.device = scene, intrinsics, checked(device)
         self._caster = Caster(scene, X_world_camera, device)
-        region = (0, 0, intrinsics.width, intrinsics.height)
-        self._rays = _rays(intrinsics, region, device)
+        self._rays = _rays(intrinsics, (0, 0, intrinsics.width, intrinsics.height), device)
         self._found = self._caster.closest(self._rays)
-        self._depth, ids = _seen(scene.bodies, self._found, device)
         self._grid = (intrinsics.height, intrinsics.width)
-        self.depth: FloatArray = self._depth.numpy().reshape(self._grid)
-        self.body_ids: NDArray[np.int16] = ids.numpy().reshape(self._grid)
+        self.depth: FloatArray = self._found.values[0].numpy().reshape(self._grid)
+        names = np.array([b.body_id for b in scene.bodies] + [-1], np.int16)
+        bodies = self._found.ids[1].numpy().reshape(self._grid)
+        self.body_ids: NDArray[np.int16] = names[bodies]  # -1 takes the last entry
+
+    def depth_of(self, body_id: int, region: Region) -> FloatArray:
+        """(H', W') [m]: what the depth of a region would be if nothing but the bodies of that id were there."""
+        x0, y0, x1, y1 = region
+        of_id = [k for k, body in enumerate(self._scene.bodies) if body.body_id == body_id]
+        found = self._caster.closest(_rays(self._intrinsics, region, self.device), of_id)
+        depth: FloatArray = found.values[0].numpy()
+        return depth.reshape(y1 - y0, x1 - x0)
 
     def develop(self, antialias: bool = True, exposure: float = 1.0, auto_exposure: float = 0.0) -> Image:
         """Shade it; arguments as for `render`."""
@@ -104,7 +110,7 @@ class Shot:
         launch(kernels.to_srgb, count, hits.colors, light, _srgb_curve(device), rgb, device=device)
         return Image(
             rgb.reshape((*self._grid, 3)),
-            self._depth.reshape(self._grid),
+            self._found.values[0].reshape(self._grid),
             hits.cos_incidence.reshape(self._grid),
             hits.shininess.reshape(self._grid),
         )
@@ -126,29 +132,6 @@ class Shot:
         found = self._caster.closest(rays)
         more = self._caster.shade(rays, found, None, background, pixels, self._rays.shape[1])
         launch(kernels.mix_in, pixels.size, pixels, more.colors, len(_SUBPIXELS), hits.colors, device=device)
-
-
-def cast(
-    bodies: Sequence[Body],
-    intrinsics: CameraIntrinsics,
-    X_world_camera: Array,
-    region: Region | None = None,
-    device: str = "cpu",
-) -> tuple[FloatArray, NDArray[np.int16]]:
-    """depth [m] and body_ids as in `Rendering`, without colours, of a region or of the whole image."""
-    x0, y0, x1, y1 = region if region is not None else (0, 0, intrinsics.width, intrinsics.height)
-    found = Caster(Scene(bodies), X_world_camera, checked(device)).closest(_rays(intrinsics, (x0, y0, x1, y1), device))
-    depth, ids = _seen(bodies, found, device)
-    return depth.numpy().reshape(y1 - y0, x1 - x0), ids.numpy().reshape(y1 - y0, x1 - x0)
-
-
-def _seen(bodies: Sequence[Body], found: Found, device: str) -> tuple[DeviceArray, DeviceArray]:
-    """depth and body_ids, (N,) each, as in `Rendering`."""
-    n = found.ids.shape[1]
-    names = put(np.array([b.body_id for b in bodies], np.int16), wp.int16, device)
-    depth, body = empty(n, wp.float32, device), empty(n, wp.int16, device)
-    launch(kernels.depth_and_body, n, found.values, found.ids, names, depth, body, device=device)
-    return depth, body
 
 
 def pixel_rays(intrinsics: CameraIntrinsics) -> FloatArray:

@@ -7,7 +7,7 @@ about 1.6 mm. Pixels on depth edges mix the depths in front and behind or drop o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -108,7 +108,8 @@ def measure_depth(
 
 
 def _sensor(noise: DepthNoise) -> Any:
-    sensor = kernels.Sensor()
-    for name in kernels.Sensor.vars:
-        setattr(sensor, name, getattr(noise, name))
+    sensor: Any = kernels.Sensor()
+    for field in fields(noise):
+        if field.name != "lateral":
+            setattr(sensor, field.name, getattr(noise, field.name))
     return sensor

@@ -7,11 +7,10 @@ from functools import lru_cache
 import numpy as np
 import warp as wp
 
-from toolee_robot.render.device import DeviceArray, empty, launch, put
+from toolee_robot.render.device import DeviceArray, empty, launch, put, rows_of
 from toolee_robot.render.kernels import surroundings as kernels
 from toolee_robot.render.scene import Backdrop, Environment
 
-_LOBE, _PATCH = kernels.Lobe.numpy_dtype(), kernels.Patch.numpy_dtype()
 _BLURS = (0.05, 0.25, 0.6, 1.0)
 """Half-widths [rad] of the maps; the last one serves as the diffuse irradiance."""
 assert len(_BLURS) == kernels.SKY_LEVELS
@@ -19,9 +18,7 @@ assert len(_BLURS) == kernels.SKY_LEVELS
 
 def sky_maps(environment: Environment, device: str) -> DeviceArray:
     """(4 * 64 * 64,) vec3: the maps one after another, cells row by row, as `kernels.surroundings.sky` reads them."""
-    lobes = np.zeros(len(environment.lobes), _LOBE)
-    for k, lobe in enumerate(environment.lobes):
-        lobes[k] = (lobe.direction, lobe.width, lobe.color)
+    lobes = rows_of(kernels.Lobe, [(lobe.direction, lobe.width, lobe.color) for lobe in environment.lobes])
     maps = empty(kernels.SKY_LEVELS * kernels.SKY_SIZE**2, wp.vec3, device)
     colors = (wp.vec3(c) for c in (environment.zenith, environment.horizon, environment.ground))
     launch(kernels.bake, maps.size, *colors, put(lobes, kernels.Lobe, device), _blurs(device), maps, device=device)
@@ -30,10 +27,8 @@ def sky_maps(environment: Environment, device: str) -> DeviceArray:
 
 def picture(backdrop: Backdrop, height: int, width: int, device: str) -> DeviceArray:
     """(H * W,) vec3, linear RGB."""
-    patches = np.zeros(len(backdrop.patches), _PATCH)
-    for k, patch in enumerate(backdrop.patches):
-        turn = (np.cos(patch.angle), np.sin(patch.angle))
-        patches[k] = (patch.centre, patch.half_axes, *turn, patch.oval, patch.color)
+    rows = [(p.centre, p.half_axes, np.cos(p.angle), np.sin(p.angle), p.oval, p.color) for p in backdrop.patches]
+    patches = rows_of(kernels.Patch, rows)
     out = empty(height * width, wp.vec3, device)
     colors = (wp.vec3(c) for c in (backdrop.corner, backdrop.right, backdrop.down))
     launch(kernels.backdrop, out.size, width, *colors, put(patches, kernels.Patch, device), out, device=device)

@@ -15,9 +15,9 @@ from toolee_robot.render.mesh import FloatArray, Mesh
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What N rays hit first. values (6, N) float32: distance in lengths of the ray's direction; the geometric normal,
-    of any length, on either side; u, v, barycentric, of the face's second and third corner. ids (2, N) int32: the face,
-    numbered in its mesh, and the mesh, -1 for none, where the rest is undefined."""
+    """What N rays hit first. values (6, N) float32: distance in lengths of the ray's direction, 0 where nothing is hit;
+    the geometric normal, of any length, on either side; u, v, barycentric, of the face's second and third corner. ids
+    (2, N) int32: the face, numbered in its mesh, and the mesh, -1 for none, where the rest is undefined."""
 
     values: DeviceArray
     ids: DeviceArray

@@ -83,7 +83,7 @@ def closest(
                 face = hit.face
     ids[0, i] = face
     ids[1, i] = body
-    found[0, i] = reach
+    found[0, i] = wp.where(body >= 0, reach, 0.0)
     for k in range(3):
         found[1 + k, i] = normal[k]
     # Warp weighs the first two corners.

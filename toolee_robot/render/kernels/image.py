@@ -85,23 +85,6 @@ def outlines(
 
 
 @wp.kernel(enable_backward=False)
-def depth_and_body(
-    found: wp.array2d[wp.float32],
-    ids: wp.array2d[wp.int32],
-    body_ids: wp.array[wp.int16],
-    depth: wp.array[wp.float32],
-    body: wp.array[wp.int16],
-):
-    """Depth [m] and body id of each ray; 0 and -1 where nothing is hit."""
-    i = wp.tid()
-    depth[i] = 0.0
-    body[i] = wp.int16(-1)
-    if ids[1, i] >= 0:
-        depth[i] = found[0, i]
-        body[i] = body_ids[ids[1, i]]
-
-
-@wp.kernel(enable_backward=False)
 def mix_in(pixels: wp.array[wp.int32], more: wp.array[wp.vec3], sets: wp.int32, colors: wp.array[wp.vec3]):
     """The mean of each of P pixels' colour and what `sets` further rays (sets * P,) through it found."""
     i = wp.tid()
