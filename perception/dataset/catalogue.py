@@ -63,8 +63,17 @@ class Catalogue(ABC):
         """The tool; the same object each time while it is in use."""
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class StoredTool(ToolShape):
+    """What is seen and held of a tool that was drawn before. number: in the catalogue."""
+
+    number: int
+
+
 def number_of(tool: ToolShape) -> int:
     """The number of a generated or a data set's own tool."""
+    if isinstance(tool, StoredTool):
+        return tool.number
     if isinstance(tool, OwnTool):
         return _OWN + tool.index
     assert isinstance(tool, Tool)

@@ -20,6 +20,7 @@ from typing import TypeVar
 
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.dataset.bodies import forget_tools
+from toolee_robot.perception.dataset.catalogue import GENERATED
 from toolee_robot.perception.dataset.checksums import SUMS
 from toolee_robot.perception.dataset.example import examples_of
 from toolee_robot.perception.dataset.finish import finish, is_finished
@@ -28,6 +29,7 @@ from toolee_robot.perception.dataset.models import write_models, write_whole
 from toolee_robot.perception.dataset.own import OwnMesh
 from toolee_robot.perception.dataset.scene_reader import read_json
 from toolee_robot.perception.dataset.scene_writer import json_by_line, write_scene
+from toolee_robot.perception.dataset.shelf import Shelf
 from toolee_robot.perception.dataset.spec import DESCRIPTION, SPLITS, DatasetSpec, SceneJob
 from toolee_robot.render.device import checked
 
@@ -120,7 +122,7 @@ def _clear(out: Path) -> None:
 
 def make_scene_folder(spec: DatasetSpec, out: Path, job: SceneJob) -> SceneJob:
     """Write one scene and the models of its tools."""
-    catalogue = spec.catalogue(out)
+    catalogue = spec.catalogue(out) if spec.tools else Shelf(GENERATED, out)
     examples = examples_of(spec, job.split, job.first, job.last, catalogue)
     write_scene(job.folder(out), examples, partial(write_models, out, catalogue), catalogue)
     forget_tools()
