@@ -21,6 +21,7 @@ from PIL import Image
 from toolee_robot.errors import UserError
 from toolee_robot.perception.cloud import check_depth_unit
 from toolee_robot.perception.dataset import rle
+from toolee_robot.perception.dataset.catalogue import GENERATED, number_of
 from toolee_robot.perception.dataset.checksums import SUMS, sha256, write_sums
 from toolee_robot.perception.dataset.clouds import read_clouds
 from toolee_robot.perception.dataset.finish import listed
@@ -28,6 +29,7 @@ from toolee_robot.perception.dataset.generate import generate
 from toolee_robot.perception.dataset.instances import read_ply
 from toolee_robot.perception.dataset.scene_reader import load, read_json
 from toolee_robot.perception.dataset.shapes import distances
+from toolee_robot.perception.dataset.shelf import SHELF, Shelf
 from toolee_robot.perception.dataset.spec import DatasetSpec
 from toolee_robot.perception.dataset.validate import validate
 from toolee_robot.perception.io import bop_frames
@@ -37,6 +39,7 @@ KILLED = """
 import sys
 from pathlib import Path
 from toolee_robot.perception.dataset.generate import generate
+from toolee_robot.perception.dataset.shelf import SHELF, Shelf
 from toolee_robot.perception.dataset.spec import DatasetSpec
 if __name__ == "__main__":
     generate(DatasetSpec("hard", 6, 11, 0.3, 2), Path(sys.argv[1]), 1, lambda done, total: print(done, flush=True))
@@ -322,3 +325,20 @@ def test_shape_distances() -> None:
     row = np.column_stack([np.arange(10.0), np.zeros(10), np.zeros(10)])
     assert distances(row, row) == (0.0, 0.0, 0.0)
     assert distances(row, row + np.array([3.0, 0.0, 0.0])) == pytest.approx((0.6, 3.0, 3.0))
+
+
+def test_a_tool_from_the_shelf_is_the_one_that_was_drawn(tmp_path: Path) -> None:
+    number = GENERATED.numbers("train")[7]
+    drawn, first, second = GENERATED.tool(number), Shelf(GENERATED, tmp_path), Shelf(GENERATED, tmp_path)
+    for tool in (first.tool(number), second.tool(number)):
+        assert number_of(tool) == number
+        assert tool.name == drawn.name
+        assert [(p.label, p.material) for p in tool.parts] == [(p.label, p.material) for p in drawn.parts]
+        assert [ee.category for ee in tool.ees] == [ee.category for ee in drawn.ees]
+        pairs = [(tool.mesh.vertices, drawn.mesh.vertices), (tool.mesh.faces, drawn.mesh.faces)]
+        pairs += [(tool.face_parts, drawn.face_parts), (tool.handle.radii_x, drawn.handle.radii_x)]
+        pairs += [(a.X_tool_ee, b.X_tool_ee) for a, b in zip(tool.ees, drawn.ees, strict=True)]
+        for a, b in pairs:
+            np.testing.assert_array_equal(a, b)
+    assert first.tool(number) is first.tool(number)
+    assert len(list((tmp_path / SHELF).iterdir())) == 1
