@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from toolee_robot.frames import Array, frame_from_axes
+from toolee_robot.perception.dataset.catalogue import StoredTool
 from toolee_robot.render import Body, Material, Mesh
 from toolee_robot.render.palette import any_color, finish, skin_tone
 from toolee_robot.render.robot_look import LookPart, arm_link_parts
@@ -30,6 +31,8 @@ _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 @lru_cache(maxsize=128)
 def tool_meshes(tool: ToolShape) -> tuple[Mesh, ...]:
     """One mesh for each part of the tool: its share of the outer surface, `tool` frame."""
+    if isinstance(tool, StoredTool):
+        return tool.part_meshes
     faces = np.asarray(tool.mesh.faces)
     return tuple(
         Mesh.build(tool.mesh.vertices, faces[tool.face_parts == part])

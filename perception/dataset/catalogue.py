@@ -15,6 +15,7 @@ from toolee_robot.perception.dataset.instances import read_ply, tool_path
 from toolee_robot.perception.dataset.own import OwnTool, OwnToolRecord
 from toolee_robot.perception.dataset.records import INSTANCES
 from toolee_robot.perception.dataset.surfaces import draw
+from toolee_robot.render import Mesh
 from toolee_robot.tools import KINDS_BY_FAMILY, Family, Tool, ToolKind, ToolShape, make_tool, tool_name
 from toolee_robot.tools.catalog import split as split_of
 from toolee_robot.types import Category
@@ -65,9 +66,11 @@ class Catalogue(ABC):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StoredTool(ToolShape):
-    """What is seen and held of a tool that was drawn before. number: in the catalogue."""
+    """What is seen and held of a tool that was drawn before. number: in the catalogue; part_meshes: what
+    `bodies.tool_meshes` makes of its surface."""
 
     number: int
+    part_meshes: tuple[Mesh, ...]
 
 
 def number_of(tool: ToolShape) -> int:

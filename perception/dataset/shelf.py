@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from toolee_robot.perception.dataset.bodies import tool_meshes
 from toolee_robot.perception.dataset.catalogue import Catalogue, StoredTool
 from toolee_robot.perception.dataset.models import write_whole
+from toolee_robot.render import Mesh
 from toolee_robot.tools import EndEffector, Handle, Material, Part, ToolShape
 from toolee_robot.types import Category
 
@@ -67,8 +69,9 @@ def _packed(tool: ToolShape) -> bytes:
         file,
         about=np.array(json.dumps(about)),
         vertices=np.asarray(tool.mesh.vertices),
-        faces=np.asarray(tool.mesh.faces),
-        face_parts=tool.face_parts,
+        faces=np.asarray(tool.mesh.faces, np.int32),
+        face_parts=tool.face_parts.astype(np.uint8),
+        corner_normals=np.concatenate([mesh.corner_normals for mesh in tool_meshes(tool)]),
         Xs_tool_ee=np.stack([ee.X_tool_ee for ee in tool.ees]),
         handle=np.stack([tool.handle.z, tool.handle.radii_x, tool.handle.radii_y]),
     )
@@ -78,12 +81,19 @@ def _packed(tool: ToolShape) -> bytes:
 def _unpacked(path: Path, number: int) -> StoredTool:
     with np.load(path, allow_pickle=False) as file:
         about = json.loads(str(file["about"]))
-        mesh = trimesh.Trimesh(file["vertices"], file["faces"], process=False)
-        face_parts, Xs, sections = file["face_parts"], file["Xs_tool_ee"], file["handle"]
+        vertices, faces, normals = file["vertices"], file["faces"], file["corner_normals"]
+        face_parts, Xs, sections = file["face_parts"].astype(np.int64), file["Xs_tool_ee"], file["handle"]
     parts = tuple(Part(part["label"], _material(part["material"])) for part in about["parts"])
     ees = tuple(EndEffector(Category(c), X) for c, X in zip(about["categories"], Xs, strict=True))
-    return StoredTool(about["name"], parts, mesh, face_parts, ees, Handle(*sections), number)
+    present = [face_parts == part for part in range(len(parts)) if np.any(face_parts == part)]
+    ends = np.cumsum([np.count_nonzero(of_part) for of_part in present])
+    corners = np.split(normals, ends[:-1])
+    rounded = vertices.astype(np.float32)
+    meshes = tuple(Mesh(rounded, faces[of], n, lasting=True) for of, n in zip(present, corners, strict=True))
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    return StoredTool(about["name"], parts, mesh, face_parts, ees, Handle(*sections), number, meshes)
 
 
 def _material(fields: dict[str, Any]) -> Material:
-    return Material(**{k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()})
+    values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()}
+    return Material(**values)

@@ -21,6 +21,7 @@ from PIL import Image
 from toolee_robot.errors import UserError
 from toolee_robot.perception.cloud import check_depth_unit
 from toolee_robot.perception.dataset import rle
+from toolee_robot.perception.dataset.bodies import tool_meshes
 from toolee_robot.perception.dataset.catalogue import GENERATED, number_of
 from toolee_robot.perception.dataset.checksums import SUMS, sha256, write_sums
 from toolee_robot.perception.dataset.clouds import read_clouds
@@ -335,10 +336,13 @@ def test_a_tool_from_the_shelf_is_the_one_that_was_drawn(tmp_path: Path) -> None
         assert tool.name == drawn.name
         assert [(p.label, p.material) for p in tool.parts] == [(p.label, p.material) for p in drawn.parts]
         assert [ee.category for ee in tool.ees] == [ee.category for ee in drawn.ees]
-        pairs = [(tool.mesh.vertices, drawn.mesh.vertices), (tool.mesh.faces, drawn.mesh.faces)]
+        pairs: list[tuple[Any, Any]] = [(tool.mesh.vertices, drawn.mesh.vertices), (tool.mesh.faces, drawn.mesh.faces)]
         pairs += [(tool.face_parts, drawn.face_parts), (tool.handle.radii_x, drawn.handle.radii_x)]
-        pairs += [(a.X_tool_ee, b.X_tool_ee) for a, b in zip(tool.ees, drawn.ees, strict=True)]
-        for a, b in pairs:
-            np.testing.assert_array_equal(a, b)
+        pairs += [(new.X_tool_ee, old.X_tool_ee) for new, old in zip(tool.ees, drawn.ees, strict=True)]
+        for mesh, other in zip(tool_meshes(tool), tool_meshes(drawn), strict=True):
+            pairs += [(mesh.vertices, other.vertices), (mesh.faces, other.faces)]
+            pairs.append((mesh.corner_normals, other.corner_normals))
+        for new, old in pairs:
+            np.testing.assert_array_equal(new, old)
     assert first.tool(number) is first.tool(number)
     assert len(list((tmp_path / SHELF).iterdir())) == 1

@@ -1,4 +1,5 @@
-"""One renderer for the simulated camera and the synthetic data: embree ray casting and numpy shading."""
+"""One renderer for the simulated camera and the synthetic data: rays by embree on the processor or by Warp on a GPU,
+and Warp's kernels, on either, that shade what they hit."""
 
 from toolee_robot.render.material import Material, Pattern
 from toolee_robot.render.mesh import Mesh
