@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from typing import Any
 
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.dataset.spec import SceneJob
 
 
-def on_ray(make: Callable[[SceneJob], SceneJob], jobs: list[SceneJob], workers: int) -> Iterator[SceneJob]:
+def on_ray(make: Callable[[SceneJob], SceneJob], jobs: list[SceneJob], workers: int) -> Generator[SceneJob]:
     """Run make(job) for every job on the cluster that RAY_ADDRESS names, or on one started here; yields them as they
     are done. At most `workers` run at a time, each on one core."""
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
@@ -10,12 +11,12 @@ from typing import IO, Any
 from toolee_robot.perception.dataset.card import Card
 from toolee_robot.perception.dataset.checksums import SUMS, sha256, write_sums
 from toolee_robot.perception.dataset.instances import MODELS, TOOLS
-from toolee_robot.perception.dataset.models import write_models_info
+from toolee_robot.perception.dataset.models import model_entry, write_models_info
 from toolee_robot.perception.dataset.paper import FOCAL, FULL_HEIGHT, FULL_WIDTH
 from toolee_robot.perception.dataset.records import CATEGORIES, HEIGHT, WIDTH
 from toolee_robot.perception.dataset.scene_reader import read_json, scene_folders
 from toolee_robot.perception.dataset.scene_writer import COCO_CATEGORIES, json_by_line
-from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec
+from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec, SceneJob
 from toolee_robot.types import Category
 
 README, CARD, CAMERA, TARGETS, COCO = "README.md", "card.json", "camera.json", "test_targets_bop19.json", "coco"
@@ -31,40 +32,72 @@ def coco_path(root: Path, split: str) -> Path:
     return root / COCO / f"instances_{split}.json"
 
 
-def finish(spec: DatasetSpec, root: Path) -> None:
-    """Write everything but the scenes, one scene in memory at a time. Raises AssetError naming a broken file."""
-    derive(spec, root, root)
+def finish(root: Path) -> None:
+    """Write the checksums of the whole, when everything else is there."""
     write_sums(root, {name: sha256(root / name) for name in listed(root)})
 
 
 def derive(spec: DatasetSpec, root: Path, out: Path) -> None:
-    """Write what follows from the scenes and models in `root` into `out`."""
-    (out / COCO).mkdir(exist_ok=True)
-    catalogue = spec.catalogue(root)
-    card = Card(spec, catalogue)
-    categories: dict[int, Category] = {}
-    targets: list[dict[str, int]] = []
-    for split in SPLITS:
-        with _Coco(coco_path(out, split)) as coco:
-            for scene in scene_folders(root / split):
-                camera, gt, info, own, instances = (
-                    read_json(scene / f"scene_{name}.json")
-                    for name in ("camera", "gt", "gt_info", "gt_coco", "instances")
-                )
-                coco.add(own, f"{split}/{scene.name}")
-                card.add(split, camera, gt, info)
-                for instance in instances.values():
-                    categories |= {int(k): Category(v) for k, v in instance["objects"].items()}
-                if split == "test":
-                    targets += _targets(int(scene.name), gt, info)
-    write_models_info(root, catalogue, categories, out)
-    f, width, height = (FOCAL, FULL_WIDTH, FULL_HEIGHT) if spec.config == "paper" else (365.5, WIDTH, HEIGHT)
-    cx, cy = (width / 2 - 0.5, height / 2 - 0.5) if spec.config == "paper" else (254.9, 205.4)
-    nominal = {"cx": cx, "cy": cy, "depth_scale": 1.0, "fx": f, "fy": f, "height": height, "width": width}
-    (out / CAMERA).write_bytes(json_by_line(nominal))
-    (out / TARGETS).write_text("[" + ",\n ".join(json.dumps(t) for t in targets) + "]\n")
-    (out / CARD).write_text(json.dumps(card.to_json(), indent=1) + "\n")
-    (out / README).write_text(card.to_markdown())
+    """Write what follows from the scenes and models in `root` into `out`. Raises AssetError naming a broken file."""
+    with Summary(spec, root, out) as summary:
+        for job in spec.jobs():
+            summary.add(job)
+
+
+class Summary:
+    """What follows from the scenes and models in `root`, written into `out`; one scene in memory at a time.
+
+    Use as a context manager and add every scene, in the order of `spec.jobs()`. No file appears before the end, and
+    none where an exception passes.
+    """
+
+    def __init__(self, spec: DatasetSpec, root: Path, out: Path) -> None:
+        self._spec, self._root, self._out = spec, root, out
+        self._catalogue = spec.catalogue(root)
+        self._card = Card(spec, self._catalogue)
+        self._models: dict[int, dict[str, Any]] = {}
+        self._targets: list[dict[str, int]] = []
+
+    def __enter__(self) -> Summary:
+        (self._out / COCO).mkdir(exist_ok=True)
+        self._coco = {split: _Coco(coco_path(self._out, split)) for split in SPLITS}
+        return self
+
+    def add(self, job: SceneJob) -> None:
+        """The next scene. Raises AssetError naming a broken file."""
+        scene = job.folder(self._root)
+        camera, gt, info, own, instances = (
+            read_json(scene / f"scene_{name}.json") for name in ("camera", "gt", "gt_info", "gt_coco", "instances")
+        )
+        self._coco[job.split].add(own, f"{job.split}/{scene.name}")
+        self._card.add(job.split, camera, gt, info)
+        for instance in instances.values():
+            for obj_id, category in instance["objects"].items():
+                self._add_model(int(obj_id), Category(category))
+        if job.split == "test":
+            self._targets += _targets(job.scene, gt, info)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        for coco in self._coco.values():
+            coco.close(whole=kind is None)
+        if kind is None:
+            self._write()
+
+    def _add_model(self, obj_id: int, category: Category) -> None:
+        known = self._models.get(obj_id)
+        if known is None or known["category"] != category:
+            self._models[obj_id] = model_entry(self._root, self._catalogue, obj_id, category)
+
+    def _write(self) -> None:
+        write_models_info(self._out, self._models)
+        paper = self._spec.config == "paper"
+        f, width, height = (FOCAL, FULL_WIDTH, FULL_HEIGHT) if paper else (365.5, WIDTH, HEIGHT)
+        cx, cy = (width / 2 - 0.5, height / 2 - 0.5) if paper else (254.9, 205.4)
+        nominal = {"cx": cx, "cy": cy, "depth_scale": 1.0, "fx": f, "fy": f, "height": height, "width": width}
+        (self._out / CAMERA).write_bytes(json_by_line(nominal))
+        (self._out / TARGETS).write_text("[" + ",\n ".join(json.dumps(t) for t in self._targets) + "]\n")
+        (self._out / CARD).write_text(json.dumps(self._card.to_json(), indent=1) + "\n")
+        (self._out / README).write_text(self._card.to_markdown())
 
 
 def listed(root: Path) -> Iterator[str]:
@@ -93,40 +126,43 @@ def _targets(scene: int, gt: dict[str, Any], info: dict[str, Any]) -> list[dict[
 class _Coco:
     """A COCO file that grows scene by scene; the annotations wait in a file of their own."""
 
-    def __init__(self, path: Path) -> None:
-        self._path, self._scratch = path, path.with_suffix(".part")
-        self._images = self._annotations = 0
+    _encode = json.JSONEncoder(separators=(",", ":")).encode
 
-    def __enter__(self) -> _Coco:
-        self._out: IO[str] = self._path.open("w")
-        self._later: IO[str] = self._scratch.open("w+")
-        self._out.write(
-            f'{{"info": {{"description": "{len(CATEGORIES)} kinds of end effectors of tools, and the tools"}},\n'
-        )
-        self._out.write(f'"categories": {json.dumps(COCO_CATEGORIES)},\n"images": [\n')
-        return self
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._parts = [path.with_name(f".{path.stem}.{name}.part") for name in ("images", "annotations")]
+        self._images = self._annotations = 0
+        self._out, self._later = self._files = [part.open("w+b") for part in self._parts]
+        about = f"{len(CATEGORIES)} kinds of end effectors of tools, and the tools"
+        head = f'{{"info": {{"description": "{about}"}},\n"categories": {json.dumps(COCO_CATEGORIES)},\n"images": [\n'
+        self._out.write(head.encode())
 
     def add(self, scene: dict[str, Any], prefix: str) -> None:
         """A scene's own COCO, its numbers made unique and its file names relative to the data set."""
-        for image in scene["images"]:
-            entry = {**image, "id": self._images + image["id"] + 1, "file_name": f"{prefix}/{image['file_name']}"}
-            self._line(self._out, self._images + image["id"] > 0, entry)
-        for annotation in scene["annotations"]:
-            entry = {**annotation, "id": self._annotations + 1, "image_id": self._images + annotation["image_id"] + 1}
-            self._line(self._later, self._annotations > 0, entry)
-            self._annotations += 1
-        self._images += len(scene["images"])
+        first, images, annotations = self._images + 1, scene["images"], scene["annotations"]
+        entries = [{**i, "id": first + i["id"], "file_name": f"{prefix}/{i['file_name']}"} for i in images]
+        self._append(self._out, self._images > 0, entries)
+        entries = [
+            {**a, "id": k, "image_id": first + a["image_id"]} for k, a in enumerate(annotations, self._annotations + 1)
+        ]
+        self._append(self._later, self._annotations > 0, entries)
+        self._images += len(images)
+        self._annotations += len(annotations)
 
-    def __exit__(self, *_: object) -> None:
-        self._out.write('\n],\n"annotations": [\n')
-        self._later.seek(0)
-        while text := self._later.read(1 << 20):
-            self._out.write(text)
-        self._out.write("\n]}\n")
-        self._out.close()
-        self._later.close()
-        self._scratch.unlink()
+    def close(self, whole: bool) -> None:
+        """whole: every scene was added, and the file may appear."""
+        if whole:
+            self._out.write(b'\n],\n"annotations": [\n')
+            self._later.seek(0)
+            shutil.copyfileobj(self._later, self._out, 1 << 20)
+            self._out.write(b"\n]}\n")
+        for file in self._files:
+            file.close()
+        if whole:
+            self._parts[0].replace(self._path)
+        for part in self._parts:
+            part.unlink(missing_ok=True)
 
-    @staticmethod
-    def _line(file: IO[str], more: bool, entry: dict[str, Any]) -> None:
-        file.write((",\n" if more else "") + json.dumps(entry, separators=(",", ":")))
+    def _append(self, file: IO[bytes], more: bool, entries: list[dict[str, Any]]) -> None:
+        if entries:
+            file.write(((",\n" if more else "") + ",\n".join(map(self._encode, entries))).encode())

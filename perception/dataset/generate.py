@@ -11,7 +11,8 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
@@ -23,7 +24,7 @@ from toolee_robot.perception.dataset.bodies import forget_tools
 from toolee_robot.perception.dataset.catalogue import GENERATED
 from toolee_robot.perception.dataset.checksums import SUMS
 from toolee_robot.perception.dataset.example import examples_of
-from toolee_robot.perception.dataset.finish import finish, is_finished
+from toolee_robot.perception.dataset.finish import Summary, finish, is_finished
 from toolee_robot.perception.dataset.instances import tool_path
 from toolee_robot.perception.dataset.models import write_models, write_whole
 from toolee_robot.perception.dataset.own import OwnMesh
@@ -66,17 +67,25 @@ def generate(
     done = spec.size - sum(job.last - job.first for job in todo)
     if progress is not None:
         progress(done, spec.size)
-    run: Callable[..., Iterator[SceneJob]] = on_processes
+    run: Callable[..., Generator[SceneJob]] = on_processes
     if cluster == "ray":
         from toolee_robot.perception.dataset.cluster import on_ray
 
         run = on_ray
-    for job in run(partial(make_scene_folder, spec, out.resolve()), todo, workers):
-        done += job.last - job.first
-        if progress is not None:
-            progress(done, spec.size)
+    waiting = deque(jobs)
+    with Summary(spec, out, out) as summary:
+        with contextlib.closing(run(partial(make_scene_folder, spec, out.resolve()), todo, workers)) as made:
+            for job in made:
+                done += job.last - job.first
+                if progress is not None:
+                    progress(done, spec.size)
+                # By what is seen of it: a folder that machines share may show a scene some time after it was made.
+                while waiting and (waiting[0].folder(out) / SUMS).exists():
+                    summary.add(waiting.popleft())
+        for job in waiting:
+            summary.add(job)
     _clear(out)  # a killed run's workers outlive it by a moment
-    finish(spec, out)
+    finish(out)
     return True
 
 
@@ -129,7 +138,7 @@ def make_scene_folder(spec: DatasetSpec, out: Path, job: SceneJob) -> SceneJob:
     return job
 
 
-def on_processes(make: Callable[[SceneJob], T], jobs: list[SceneJob], workers: int) -> Iterator[T]:
+def on_processes(make: Callable[[SceneJob], T], jobs: list[SceneJob], workers: int) -> Generator[T]:
     """make(job) for every job on so many processes, as they are done.
 
     Fresh processes, even a single one: a fork would inherit embree's threads in an undefined state, and a process

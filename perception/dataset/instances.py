@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import pdist
 
 from toolee_robot.errors import AssetError, UserError
@@ -96,9 +97,12 @@ def read_ply(path: Path) -> tuple[Array, NDArray[np.int64]]:
 
 def model_info(vertices: Array, category: Category) -> dict[str, Any]:
     """A model's entry in models_info.json: diameter, bounding box [mm], symmetries about the EE's axes."""
-    hull = trimesh.convex.convex_hull(np.asarray(vertices, np.float64)).vertices
+    try:
+        hull = ConvexHull(vertices)
+    except QhullError:  # flat
+        hull = ConvexHull(vertices, qhull_options="QJ")
     low, size = vertices.min(axis=0), np.ptp(vertices, axis=0)
-    info: dict[str, Any] = {"diameter": round(float(pdist(hull).max()), 4)}
+    info: dict[str, Any] = {"diameter": round(float(pdist(vertices[hull.vertices]).max()), 4)}
     info |= {f"min_{axis}": round(float(v), 4) for axis, v in zip("xyz", low, strict=True)}
     info |= {f"size_{axis}": round(float(v), 4) for axis, v in zip("xyz", size, strict=True)}
     group = category.symmetry

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,15 +39,16 @@ def write_models(root: Path, catalogue: Catalogue, obj_ids: Iterable[int]) -> No
             write_whole(path, ply_bytes(1e3 * np.asarray(tool.mesh.vertices), np.asarray(tool.mesh.faces)))
 
 
-def write_models_info(root: Path, catalogue: Catalogue, categories: dict[int, Category], out: Path) -> None:
-    """models_info.json of these objects (obj_id -> category), in `out`."""
-    entries = {}
-    for obj_id in sorted(categories):
-        number, _ = object_of(obj_id)
-        info = model_info(read_ply(model_path(root, obj_id))[0], categories[obj_id])
-        more = {"category": str(categories[obj_id]), "instance": catalogue.name(number)}
-        entries[str(obj_id)] = {**info, **more, "split": catalogue.split(number)}
-    write_whole(out / MODELS / "models_info.json", json_by_line(entries))
+def model_entry(root: Path, catalogue: Catalogue, obj_id: int, category: Category) -> dict[str, Any]:
+    """An object's entry in models_info.json. Raises AssetError when its mesh is missing or broken."""
+    number, _ = object_of(obj_id)
+    info = model_info(read_ply(model_path(root, obj_id))[0], category)
+    return {**info, "category": str(category), "instance": catalogue.name(number), "split": catalogue.split(number)}
+
+
+def write_models_info(out: Path, entries: dict[int, dict[str, Any]]) -> None:
+    """models_info.json of these objects (obj_id -> entry), in `out`."""
+    write_whole(out / MODELS / "models_info.json", json_by_line({str(k): entries[k] for k in sorted(entries)}))
 
 
 def write_whole(path: Path, data: bytes) -> None:

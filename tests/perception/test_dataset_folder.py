@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from toolee_robot.errors import UserError
+from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.cloud import check_depth_unit
 from toolee_robot.perception.dataset import rle
 from toolee_robot.perception.dataset.bodies import tool_meshes
@@ -88,6 +88,16 @@ def test_three_workers_give_the_bytes_of_one_and_so_does_a_run_killed_in_the_mid
     assert generate(SPEC, killed, workers=3)
     assert_same(whole, killed)
     assert not generate(SPEC, killed), "what is finished is left alone"
+
+
+def test_a_broken_scene_stops_a_resumed_run_and_nothing_half_written_stays(copy: Path) -> None:
+    (copy / SUMS).unlink()
+    shutil.rmtree(copy / "coco")
+    (copy / "train/000001/scene_gt.json").write_text("{")
+    with pytest.raises(AssetError, match=r"train/000001/scene_gt\.json"):
+        generate(SPEC, copy)
+    assert not list((copy / "coco").iterdir())
+    assert not (copy / SUMS).exists()
 
 
 def test_another_data_set_or_a_full_folder_is_not_touched(copy: Path, tmp_path: Path) -> None:
