@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -17,11 +17,8 @@ from numpy.typing import NDArray
 
 from toolee_robot.errors import UserError
 
-Scalar = TypeVar("Scalar", bound=np.generic)
 DeviceArray = Any
 """A `warp.array`: on "cpu" it and its `numpy()` are the same memory."""
-
-
 _BLOCKING_SYNC = 4
 """CU_CTX_SCHED_BLOCKING_SYNC"""
 
