@@ -58,6 +58,8 @@ def generate(
         raise UserError(f"--workers {workers}: give 1 or more")
     if cluster not in CLUSTERS:
         raise UserError(f"--cluster {cluster}: choose one of {', '.join(CLUSTERS)}")
+    if cluster == "ray" and spec.device != "cpu":
+        raise UserError(f"--device {spec.device}: Ray gives its tasks no GPU unless they ask for it, choose cpu there")
     checked(spec.device)
     begin(spec, out, own)
     if is_finished(out):

@@ -78,6 +78,12 @@ def test_what_is_made_is_not_made_again_and_what_is_missing_tells_its_cost(
         (["generate", "--config", "hard", "--size", "2", "--out", "x", "--workers", "0"], "--workers 0"),
         (["generate", "--config", "hard", "--size", "2", "--out", "x", "--test-share", "2"], "--test-share"),
         (["generate", "--config", "hard", "--size", "2", "--out", "file"], "file"),
+        (["generate", "--config", "hard", "--size", "2", "--out", "x", "--device", "cuda", "--cluster", "ray"], "Ray"),
+        pytest.param(
+            ["generate", "--config", "hard", "--size", "2", "--out", "x", "--device", "cuda"],
+            "choose cpu",
+            marks=pytest.mark.skipif("__import__('warp').is_cuda_available()", reason="there is a GPU"),
+        ),
     ],
 )
 def test_misuse_says_what_to_do(
