@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -39,6 +40,9 @@ def tool_meshes(tool: ToolShape) -> tuple[Mesh, ...]:
         for part in range(len(tool.parts))
         if np.any(tool.face_parts == part)
     )
+
+
+atexit.register(tool_meshes.cache_clear)  # as `make_tool`'s
 
 
 def forget_tools() -> None:

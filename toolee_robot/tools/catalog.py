@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 from functools import lru_cache
 from itertools import count, islice
 from typing import Literal
@@ -25,6 +26,10 @@ def make_tool(kind: ToolKind, seed: int) -> Tool:
     kind = ToolKind(kind)
     rng = np.random.default_rng([list(ToolKind).index(kind), seed])
     return _MAKERS[kind.family](kind, seed, rng)
+
+
+# Before the interpreter takes manifold's module down, which would count the tools' solids as leaked.
+atexit.register(make_tool.cache_clear)
 
 
 def split(seed: int) -> Literal["train", "test"]:
