@@ -21,7 +21,7 @@ from toolee_robot.render.mesh import FloatArray, IntArray, Mesh
 from toolee_robot.render.tracing import Found, in_camera
 
 _KIND = "sah"
-"""Built on the processor: three times as long as on a GPU, and rays take a third of the time."""
+"""Built on the processor: a whole scene took 5 ms where a GPU took 0.8, but its rays then a third of the time."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,10 +40,8 @@ class Caster:
 
     def __init__(self, scene: Scene, X_world_camera: Array, device: str) -> None:
         self.scene, self.device = scene, device
-        self._X_world_camera = np.asarray(X_world_camera, dtype=np.float64)
-        X_camera_world = inverse(self._X_world_camera)
-        self._poses = [X_camera_world @ body.X_world_body for body in scene.bodies]
-        self._meshes = [(body.mesh, X) for body, X in zip(scene.bodies, self._poses, strict=True)]
+        self._X_camera_world = inverse(np.asarray(X_world_camera, dtype=np.float64))
+        self._meshes = [(body.mesh, self._X_camera_world @ body.X_world_body) for body in scene.bodies]
         self._tracer = tracer_of(self._meshes, device)
 
     def closest(self, rays: DeviceArray, only: Sequence[int] | None = None) -> Found:
@@ -76,7 +74,7 @@ class Caster:
         out = (points, normals, colors, cos_incidence, shininess)
         launch(kernels.surfaces_hit, n, rays, found.values, found.ids, *geometry, *out, device=device)
         seen = self._seen(found, points, normals, grid, first)
-        lights = (look.lamps, seen, look.sky, wp.mat33(self._X_world_camera[:3, :3]))
+        lights = (look.lamps, seen, look.sky, wp.mat33(self._X_camera_world[:3, :3].T))
         behind = (look.nothing if background is None else background, look.nobody if pixels is None else pixels)
         place = (rays, found.ids, points, normals, look.surfaces)
         launch(kernels.shade, n, *place, *lights, *behind, colors, device=device)
@@ -109,8 +107,8 @@ class Caster:
     def _look(self) -> _Look:
         """Not made where only depths are asked for."""
         scene, device = self.scene, self.device
-        posed = zip(scene.bodies, self._poses, strict=True)
-        surfaces = [(X[:3, :3], X[:3, 3], *body.material.row) for body, X in posed]
+        posed = zip(scene.bodies, self._meshes, strict=True)
+        surfaces = [(X[:3, :3], X[:3, 3], *body.material.row) for body, (_, X) in posed]
         lamps = [(self._place(l), l.color, l.position is None, l.softness) for l in scene.lights]
         faces = np.cumsum([0, *(len(body.mesh.faces) for body in scene.bodies)]).astype(np.int32)
         normals = [body.mesh.corner_normals.reshape(-1, 3) for body in scene.bodies]
@@ -126,7 +124,7 @@ class Caster:
 
     def _place(self, light: Light) -> Array:
         """Unit direction of a far lamp, position [m] of a near one, (3,), camera frame."""
-        X = inverse(self._X_world_camera)
+        X = self._X_camera_world
         if light.position is not None:
             return np.asarray(X[:3, :3] @ np.asarray(light.position) + X[:3, 3])
         far = X[:3, :3] @ np.asarray(light.direction)
