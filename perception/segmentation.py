@@ -9,7 +9,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from toolee_robot.errors import AssetError
 from toolee_robot.perception.arithmetic import bfloat16_pays, in_bfloat16
@@ -17,6 +16,7 @@ from toolee_robot.perception.assets import load_weights
 from toolee_robot.perception.segmentation_input import RgbdBatch, encode_rgbd
 from toolee_robot.perception.segmentation_instances import Instances, associate, without_duplicates
 from toolee_robot.perception.segmentation_look import LEAST_PROBABLE, crops, cut, merge, placed
+from toolee_robot.perception.segmentation_masks import paste_one
 from toolee_robot.perception.segmentation_model import (
     WEIGHTS_NAME,
     Detector,
@@ -25,6 +25,7 @@ from toolee_robot.perception.segmentation_model import (
     load_detector,
     working_size,
 )
+from toolee_robot.perception.segmentation_redraw import Redraw
 from toolee_robot.types import Detection, RgbdFrame
 
 EVERYTHING = 0.02
@@ -34,10 +35,18 @@ EVERYTHING = 0.02
 class Segmenter:
     """A trained detector, ready for images of any size. Thread-safe once loaded: inference keeps no state."""
 
-    def __init__(self, detector: Detector, device: torch.device | str = "cpu", bfloat16: bool | None = None) -> None:
-        """bfloat16: whether a processor computes in it; where it pays if None."""
+    def __init__(
+        self,
+        detector: Detector,
+        device: torch.device | str = "cpu",
+        bfloat16: bool | None = None,
+        redraw: Redraw | None = None,
+    ) -> None:
+        """bfloat16: whether a processor computes in it; where it pays if None. redraw: what draws the end effectors'
+        masks once more; without it they stay as the detector draws them."""
         self._device = torch.device(device)
         self._bfloat16 = bfloat16_pays(self._device) if bfloat16 is None else bfloat16
+        self._redraw = redraw
         self._detector = detector.fuse().to(self._device).to(memory_format=torch.channels_last)
         if self._bfloat16:
             in_bfloat16(self._detector)
@@ -47,7 +56,8 @@ class Segmenter:
     def load(
         cls, weights_dir: Path | None = None, device: torch.device | str = "cpu", bfloat16: bool | None = None
     ) -> Segmenter:
-        """The shipped detector, or the one a training run left in `weights_dir`. bfloat16: as for the constructor.
+        """The shipped detector, or the one a training run left in `weights_dir`, with the refiner beside it if there is
+        one. bfloat16: as for the constructor.
 
         Raises AssetError that names the missing or unreadable file.
         """
@@ -57,7 +67,9 @@ class Segmenter:
         except (KeyError, TypeError, ValueError) as error:
             raise AssetError(f"the detector's description is damaged, fetch it again: {error!r}") from error
         load_detector(detector, tensors, description)
-        return cls(detector, device, bfloat16)
+        device = torch.device(device)
+        bfloat16 = bfloat16_pays(device) if bfloat16 is None else bfloat16
+        return cls(detector, device, bfloat16, Redraw.load(weights_dir, device, bfloat16))
 
     def detect(self, frame: RgbdFrame) -> list[Detection]:
         """End effectors in an image, best score first, each with its tool's mask where seen."""
@@ -65,7 +77,12 @@ class Segmenter:
 
     def instances(self, frame: RgbdFrame, score_threshold: float | None = None) -> Instances:
         """Every instance, whole tools among them, of which the class is at least as probable as `score_threshold` (the
-        configured one if None). Tools without a certain EE are looked at twice: see `segmentation_look`."""
+        configured one if None). Tools without a certain EE are looked at twice: see `segmentation_look`. What is found
+        is then drawn once more, near: see `segmentation_refiner`."""
+        found = self._found(frame, score_threshold)
+        return found if self._redraw is None else self._redraw(frame, found)
+
+    def _found(self, frame: RgbdFrame, score_threshold: float | None) -> Instances:
         height, width = frame.depth.shape
         threshold = self.config.score_threshold if score_threshold is None else score_threshold
         size = working_size(height, width, self.config.working_pixels)
@@ -118,7 +135,7 @@ def paste(raw: RawDetections, scale: tuple[float, float], height: int, width: in
         raw.masks.cpu().numpy(),
         strict=True,
     ):
-        mask = _paste_one(patch, covered * factors, height, width)
+        mask = paste_one(patch, covered * factors, height, width)
         if mask.any():
             x0, y0, x1, y1 = np.clip(box * factors, 0.0, limits)
             masks.append(mask)
@@ -126,21 +143,3 @@ def paste(raw: RawDetections, scale: tuple[float, float], height: int, width: in
             scores.append(float(score))
             boxes.append((float(x0), float(y0), float(x1), float(y1)))
     return masks, labels, scores, boxes
-
-
-def _paste_one(patch: NDArray[np.float32], box: NDArray[np.float64], height: int, width: int) -> NDArray[np.bool_]:
-    """Bilinear resampling of a mask's probabilities (S, S) from its box, which may reach beyond the image, to the
-    image's pixel centres, over 0.5."""
-    x0, y0, x1, y1 = (float(v) for v in box)
-    mask = np.zeros((height, width), dtype=np.bool_)
-    c0, c1 = max(int(np.floor(x0)), 0), min(int(np.ceil(x1)), width)
-    r0, r1 = max(int(np.floor(y0)), 0), min(int(np.ceil(y1)), height)
-    if c1 <= c0 or r1 <= r0 or x1 - x0 < 0.5 or y1 - y0 < 0.5:
-        return mask
-    size = patch.shape[0]
-    u = (np.arange(c0, c1) + 0.5 - x0) / (x1 - x0) * size - 0.5
-    v = (np.arange(r0, r1) + 0.5 - y0) / (y1 - y0) * size - 0.5
-    grid_u, grid_v = np.meshgrid(u.astype(np.float32), v.astype(np.float32))
-    values = cv2.remap(patch, grid_u, grid_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    mask[r0:r1, c0:c1] = values > 0.5
-    return mask

@@ -148,7 +148,7 @@ def augment(sample: ImageSample, size: tuple[int, int], strength: float = 1.0) -
     images, depth, scale, maps = _warp(sample, size, strength)
     focal = sample.focal * (size[1] / sample.rgb.shape[2]) * scale
     if strength > 0:
-        images = _recolour(images, strength)
+        images = recolour(images, strength)
         images = _blur(images, strength)
         images, depth, maps = _hide(images, depth, maps, strength)
         sigma = torch.rand((n, 1, 1, 1), device=device) ** 2 * 9 * strength
@@ -197,7 +197,8 @@ def _warp(sample: ImageSample, size: tuple[int, int], strength: float) -> tuple[
     return warped, exact[:, 2], scale, exact[:, :2].to(torch.uint8)
 
 
-def _recolour(images: Tensor, strength: float) -> Tensor:
+def recolour(images: Tensor, strength: float) -> Tensor:
+    """Images (B, 3, H, W) in 0..255, each with other gains, contrast, saturation, order of channels and gamma."""
     n, device = len(images), images.device
     grey = images.mean(1, keepdim=True)
     saturation = 1 + _uniform(n, -0.6, 0.6, device) * strength

@@ -6,8 +6,11 @@ the head sees, beside the features, every pixel's place in metres relative to th
 
 from __future__ import annotations
 
+import cv2
+import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torchvision.ops import roi_align
 
@@ -85,6 +88,24 @@ class _Refinement(nn.Module):
         fine = self.fine(x)
         coarse = F.interpolate(self.widen(self.coarse(x)), fine.shape[-2:], mode="bilinear")
         return x + self.last(F.relu(fine + coarse))
+
+
+def paste_one(patch: NDArray[np.float32], box: NDArray[np.float64], height: int, width: int) -> NDArray[np.bool_]:
+    """Bilinear resampling of a mask's probabilities (S, S) from its box, which may reach beyond the image, to the
+    image's pixel centres, over 0.5."""
+    x0, y0, x1, y1 = (float(v) for v in box)
+    mask = np.zeros((height, width), dtype=np.bool_)
+    c0, c1 = max(int(np.floor(x0)), 0), min(int(np.ceil(x1)), width)
+    r0, r1 = max(int(np.floor(y0)), 0), min(int(np.ceil(y1)), height)
+    if c1 <= c0 or r1 <= r0 or x1 - x0 < 0.5 or y1 - y0 < 0.5:
+        return mask
+    size = patch.shape[0]
+    u = (np.arange(c0, c1) + 0.5 - x0) / (x1 - x0) * size - 0.5
+    v = (np.arange(r0, r1) + 0.5 - y0) / (y1 - y0) * size - 0.5
+    grid_u, grid_v = np.meshgrid(u.astype(np.float32), v.astype(np.float32))
+    values = cv2.remap(patch, grid_u, grid_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    mask[r0:r1, c0:c1] = values > 0.5
+    return mask
 
 
 def features_size() -> int:

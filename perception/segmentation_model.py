@@ -211,8 +211,7 @@ class Detector(nn.Module):
         height, width = size = (batch.pixels.shape[2], batch.pixels.shape[3])
         pyramid = self.backbone(batch.pixels)
         boxes, valid = self.proposals(*self.rpn(pyramid), height, width, self.config.pre_nms, self.config.post_nms)
-        found = [self._found(pyramid, i, boxes[i][valid[i]], size, threshold) for i in range(len(boxes))]
-        rois, scores, labels = (torch.cat(values) for values in zip(*found, strict=True))
+        rois, scores, labels = self._found(pyramid, boxes, valid, size, threshold)
         masks, quality = self.mask_outputs(pyramid, batch, rois, labels)
         if len(rois):
             again = self._mirrored_outputs(batch, rois, labels)
@@ -225,18 +224,25 @@ class Detector(nn.Module):
         return results
 
     def _found(
-        self, pyramid: list[Tensor], image: int, proposals: Tensor, size: tuple[int, int], threshold: float
+        self, pyramid: list[Tensor], proposals: Tensor, valid: Tensor, size: tuple[int, int], threshold: float
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """What is in the proposals (P, 4) of one image of `size` (height, width), each thing once: rois (N, 5),
-        probabilities (N,) and labels (N,) of their classes."""
-        index = torch.full((len(proposals), 1), float(image), device=proposals.device)
-        logits, deltas = self.box_outputs(pyramid, torch.cat([index, proposals], 1))
+        """What is in the proposals (B, P, 4), where `valid` (B, P), of images of `size` (height, width), each thing
+        once: rois (N, 5), probabilities (N,) and labels (N,) of their classes."""
+        image = torch.nonzero(valid)[:, 0]
+        proposals = proposals[valid]
+        logits, deltas = self.box_outputs(pyramid, torch.cat([image[:, None].to(proposals.dtype), proposals], 1))
         probability = logits.float().softmax(1)[:, 1:]
         roi, label = torch.nonzero(probability > threshold, as_tuple=True)
         score, label = probability[roi, label], label + 1
         box = clip(decode(deltas[roi, label].float(), proposals[roi], ROI_DELTA_WEIGHTS), *size)
-        keep = batched_nms(box, score, label, self.config.box_nms)[: self.config.max_detections]
-        return torch.cat([index[roi[keep]], box[keep]], 1), score[keep], label[keep]
+        image = image[roi]
+        keep = batched_nms(box, score, image * len(CLASSES) + label, self.config.box_nms)
+        # Each image by itself, its best first.
+        keep = keep[torch.argsort(image[keep], stable=True)]
+        counts = torch.bincount(image[keep], minlength=len(valid))
+        rank = torch.arange(len(keep), device=keep.device) - (counts.cumsum(0) - counts)[image[keep]]
+        keep = keep[rank < self.config.max_detections]
+        return torch.cat([image[keep, None].to(box.dtype), box[keep]], 1), score[keep], label[keep]
 
     def _mirrored_outputs(self, batch: RgbdBatch, rois: Tensor, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Of rois (R, 5), as the mirrored images show them: the probabilities (R,) of the classes `labels` (R,), mask
