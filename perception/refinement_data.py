@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from toolee_robot.errors import AssetError
-from toolee_robot.perception.dataset.records import HEIGHT, WIDTH
-from toolee_robot.perception.dataset.scene_reader import load_scenes, read_json, scene_folders
+from toolee_robot.perception.dataset.records import MIN_POINTS
 from toolee_robot.perception.segmentation_crops import Images, MaskAt, Squares, look
-from toolee_robot.perception.segmentation_data import recolour
+from toolee_robot.perception.segmentation_data import SegmentationImages, grown, recolour
 from toolee_robot.perception.segmentation_input import encode_rgbd
-from toolee_robot.perception.segmentation_losses import EE_PIXELS
 from toolee_robot.perception.segmentation_model import TOOL, Detector, working_size
 
 LEAST_SCORE = 0.02
@@ -90,49 +85,54 @@ class Examples:
 
 
 class RefinementData:
-    """A data set as bytes on the device, and the detector's finds in it."""
+    """A data set, or one rank's part of it, as bytes on the device, and the detector's finds in it. It may grow."""
 
-    def __init__(self, folder: Path, detector: Detector, device: torch.device, threads: int = 8) -> None:
-        """folder: of a split. detector: as it was trained; it must not have been trained on these images. Raises
-        AssetError naming a missing or broken file."""
-        detector = detector.fuse().to(device).to(memory_format=torch.channels_last)
-        scenes = scene_folders(folder)
-        if not scenes:
-            raise AssetError(f"no scene in {folder}: give the folder train of a data set that is finished")
-        counts = [len(read_json(scene / "scene_camera.json")) for scene in scenes]
-        n = sum(counts)
-        self._rgb = torch.empty((n, HEIGHT, WIDTH, 3), dtype=torch.uint8, device=device)
-        self._depth = torch.empty((n, HEIGHT, WIDTH), dtype=torch.int16, device=device)
-        self._ee = torch.empty((n, HEIGHT, WIDTH), dtype=torch.uint8, device=device)
-        self._focal = torch.empty(n, device=device)
-        found, first = [], 0
-        with ThreadPoolExecutor(1) as ahead:
-            loading = [ahead.submit(load_scenes, [scene], threads=threads) for scene in scenes[:1]]
-            for k, count in enumerate(counts):
-                data = loading.pop().result()
-                if k + 1 < len(scenes):
-                    loading.append(ahead.submit(load_scenes, [scenes[k + 1]], threads=threads))
-                part = slice(first, first + count)
-                self._rgb[part] = torch.from_numpy(data.rgb).to(device)
-                millimetres = np.minimum(data.depth_mm, np.iinfo(np.int16).max).astype(np.int16)
-                self._depth[part] = torch.from_numpy(millimetres).to(device)
-                self._ee[part] = torch.from_numpy(data.ee).to(device)
-                focal = np.sqrt(data.intrinsics[:, 0] * data.intrinsics[:, 1]).astype(np.float32)
-                self._focal[part] = torch.from_numpy(focal).to(device)
-                categories = torch.from_numpy(data.categories).to(device)
-                for start in range(0, count, _AT_ONCE):
-                    rows = torch.arange(start, min(start + _AT_ONCE, count), device=device)
-                    found.append(self._look(detector, first + rows, categories[rows]))
-                first += count
+    def __init__(self, detector: Detector, device: torch.device) -> None:
+        """detector: as it was trained; it must not have been trained on the images that come."""
+        self._detector = detector.fuse().to(device).to(memory_format=torch.channels_last)
+        self._count = 0
+        self._rgb = torch.empty((0, 0, 0, 3), dtype=torch.uint8, device=device)
+        self._depth = torch.empty((0, 0, 0), dtype=torch.int16, device=device)
+        self._ee = torch.empty((0, 0, 0), dtype=torch.uint8, device=device)
+        self._focal = torch.empty(0, device=device)
+        self.finds: Finds | None = None
+        self.validation = self._drawn = self._judged = torch.empty(0, dtype=torch.long, device=device)
+
+    def extend(self, more: SegmentationImages) -> None:
+        """Take in more images, all of one size, and look at them."""
+        device, first, n = self._rgb.device, self._count, len(more.rgb)
+        size = more.rgb.shape[1:3]
+        if first + n > len(self._rgb):
+            # Room for more than is needed now, or each scene would copy all that came before it.
+            capacity = max(first + n, 3 * first // 2)
+            kept = (t if first else t.new_empty((0, *size, *t.shape[3:])) for t in (self._rgb, self._depth, self._ee))
+            self._rgb, self._depth, self._ee = (grown(t, capacity) for t in kept)
+            self._focal = grown(self._focal, capacity)
+        part = slice(first, first + n)
+        self._rgb[part] = torch.from_numpy(more.rgb).to(device)
+        millimetres = np.minimum(more.depth_mm, np.iinfo(np.int16).max).astype(np.int16)
+        self._depth[part] = torch.from_numpy(millimetres).to(device)
+        self._ee[part] = torch.from_numpy(more.ee).to(device)
+        focal = np.sqrt(more.intrinsics[:, 0] * more.intrinsics[:, 1]).astype(np.float32)
+        self._focal[part] = torch.from_numpy(focal).to(device)
+        self._count += n
+        categories = torch.from_numpy(more.categories).to(device)
+        found = [] if self.finds is None else [self.finds]
+        for rows in torch.split(torch.arange(n, device=device), _AT_ONCE):
+            found.append(self._look(first + rows, categories[rows]))
         self.finds = Finds.cat(found)
-        kept = self.finds.image % VALIDATION == 0
-        drawn = self.finds.truth > 0
-        self._drawn, self._judged = (torch.nonzero(rows & ~kept)[:, 0] for rows in (drawn, ~drawn))
-        self.validation = torch.nonzero(kept & drawn & self.finds.counts)[:, 0]
+        kept_aside, drawn = self.finds.image % VALIDATION == 0, self.finds.truth > 0
+        self._drawn, self._judged = (torch.nonzero(rows & ~kept_aside)[:, 0] for rows in (drawn, ~drawn))
+        self.validation = torch.nonzero(kept_aside & drawn & self.finds.counts)[:, 0]
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is anything to learn from."""
+        return len(self._drawn) > 0
 
     def __len__(self) -> int:
         """How many images."""
-        return len(self._rgb)
+        return self._count
 
     def batch(self, count: int) -> Examples:
         """Examples for training, drawn and varied at random."""
@@ -142,6 +142,7 @@ class RefinementData:
             for rows, n in ((self._drawn, drawn), (self._judged, count - drawn))
             if n
         ]
+        assert self.finds is not None
         finds = self.finds.of(torch.cat(picks))
         score = torch.logit(finds.score, 1e-3)
         score = torch.sigmoid(score + 0.3 * torch.randn_like(score))
@@ -155,6 +156,7 @@ class RefinementData:
 
     def plain(self, which: Tensor) -> Examples:
         """The finds `which` (N,), as they are seen after training."""
+        assert self.finds is not None
         finds = self.finds.of(which)
         return self._examples(finds, Squares.about(finds.boxes), finds.score)
 
@@ -170,20 +172,21 @@ class RefinementData:
         column, row = pixels.clamp(min=0).unbind(1)
         return torch.where(pixels[:, 0] >= 0, self._ee[image[:, None, None], row, column], 0)
 
-    def _look(self, detector: Detector, image: Tensor, categories: Tensor) -> Finds:
+    def _look(self, image: Tensor, categories: Tensor) -> Finds:
         """The detector's finds in the images `image` (B,), of which categories (B, E) has the EEs' class indices."""
         rgb = self._rgb[image].permute(0, 3, 1, 2).float()
         depth = self._depth[image].float() / 1000.0
-        size = working_size(HEIGHT, WIDTH, detector.config.working_pixels)
-        focal = self._focal[image] * math.sqrt(size[0] * size[1] / (HEIGHT * WIDTH))
+        height, width = rgb.shape[-2:]
+        size = working_size(height, width, self._detector.config.working_pixels)
+        focal = self._focal[image] * math.sqrt(size[0] * size[1] / (height * width))
         rgb = F.interpolate(rgb, size, mode="bilinear", align_corners=False)
         depth = F.interpolate(depth[:, None], size, mode="nearest-exact")[:, 0]
         batch = encode_rgbd(rgb, depth, focal)
         batch = replace(batch, pixels=batch.pixels.contiguous(memory_format=torch.channels_last))
         device = rgb.device.type
         with torch.autocast(device, torch.bfloat16, enabled=device == "cuda"):
-            raw = detector.detect(batch, LEAST_SCORE)
-        scale = rgb.new_tensor([WIDTH / size[1], HEIGHT / size[0]]).repeat(2)
+            raw = self._detector.detect(batch, LEAST_SCORE)
+        scale = rgb.new_tensor([width / size[1], height / size[0]]).repeat(2)
         of = torch.cat([torch.full((len(r.boxes),), i, device=rgb.device) for i, r in enumerate(raw)])
         boxes, covered, masks, labels, score = (
             torch.cat([getattr(r, name) for r in raw]).clone()
@@ -207,7 +210,7 @@ class RefinementData:
         if not len(finds):
             return finds
         zero = torch.zeros(len(finds), dtype=torch.long, device=finds.image.device)
-        blank = torch.zeros((1, HEIGHT, WIDTH), device=zero.device)
+        blank = torch.zeros((1, *self._ee.shape[1:]), device=zero.device)
         images = Images(blank[..., None].expand(-1, -1, -1, 3), blank, zero[:1] + 1.0)
         seen, pixels = look(images, zero, Squares.about(finds.boxes), finds.mask_at())
         mask, ids = seen[:, -1] > 0, self._ids(finds.image, pixels)
@@ -217,6 +220,5 @@ class RefinementData:
             ious.append((there & mask).sum((1, 2)) / (there | mask).sum((1, 2)).clamp(min=1))
         best, which = torch.stack(ious, 1).max(1)
         truth = torch.where(best >= DRAWN, which + 1, 0).to(torch.uint8)
-        # What is seen of it in the whole image, at the network's own resolution, decides as it does for the detector.
-        pixels_seen = ((self._ee[finds.image] == truth[:, None, None]).sum((1, 2))) if len(finds) else best
-        return replace(finds, truth=truth, counts=(truth == 0) | (pixels_seen >= EE_PIXELS))
+        shown = (self._ee[finds.image] == truth[:, None, None]).sum((1, 2))
+        return replace(finds, truth=truth, counts=(truth == 0) | (shown >= MIN_POINTS))

@@ -98,9 +98,9 @@ class DeviceImages:
         if end > len(self._rgb):
             # Room for more than is needed now, or each scene would copy all that came before it.
             capacity = max(end, 3 * self._count // 2)
-            self._rgb, self._depth = _grown(self._rgb, capacity), _grown(self._depth, capacity)
-            self._maps, self._focal = _grown(self._maps, capacity), _grown(self._focal, capacity)
-            self._categories = _grown(self._categories, capacity)
+            self._rgb, self._depth = grown(self._rgb, capacity), grown(self._depth, capacity)
+            self._maps, self._focal = grown(self._maps, capacity), grown(self._focal, capacity)
+            self._categories = grown(self._categories, capacity)
         for start in range(0, len(more.rgb), _CHUNK):
             part = slice(start, min(start + _CHUNK, len(more.rgb)))
             place = slice(self._count + part.start, self._count + part.stop)
@@ -127,7 +127,8 @@ class DeviceImages:
         return ImageSample(self._rgb[index], depth, self._focal[index], self._maps[index], self._categories[index])
 
 
-def _grown(rows: Tensor, capacity: int) -> Tensor:
+def grown(rows: Tensor, capacity: int) -> Tensor:
+    """The rows (N, ...) with room for `capacity` of them; what is added is 0."""
     larger = rows.new_zeros((capacity, *rows.shape[1:]))
     larger[: len(rows)] = rows
     return larger

@@ -1,11 +1,13 @@
-"""Train the refiner of the detector's masks, on one GPU or (for a look) on a CPU.
+"""Train the refiner of the detector's masks, on one GPU, several, or (for a look) on a CPU.
 
     python -m toolee_robot.perception.train_refinement --data data/train --out runs/refinement --minutes 15
+    torchrun --nproc-per-node 2 -m toolee_robot.perception.train_refinement --data data/train --out runs/refinement
 
 The detector looks once at every image; what it finds is what the refiner learns to draw and to judge. So take images
-that the detector was not trained on, or its masks there are better than they will ever be again. The learning rate
-follows the clock. A run that is interrupted continues from its last checkpoint with `--resume`. Every checkpoint, and
-the last act, writes the averaged weights in half precision.
+that the detector was not trained on, or its masks there are better than they will ever be again. Scenes that appear
+while it trains are taken in, so generation may still run. The learning rate follows the clock. A run that is
+interrupted continues from its last checkpoint with `--resume`. Every checkpoint, and the last act, writes the averaged
+weights in half precision.
 """
 
 from __future__ import annotations
@@ -23,7 +25,10 @@ from torch import Tensor, nn
 
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.assets import load_weights, save_weights
+from toolee_robot.perception.ranks import Ranks
+from toolee_robot.perception.ranks import ranks as ranks_of
 from toolee_robot.perception.refinement_data import Examples, RefinementData
+from toolee_robot.perception.segmentation_data import SceneStream
 from toolee_robot.perception.segmentation_model import WEIGHTS_NAME as DETECTOR
 from toolee_robot.perception.segmentation_model import Detector, DetectorConfig, load_detector
 from toolee_robot.perception.segmentation_refiner import WEIGHTS_NAME, Refiner, RefinerConfig, load_refiner
@@ -36,8 +41,9 @@ _AT_ONCE = 256
 
 @dataclass(frozen=True)
 class RefinementTraining:
-    """A training run. data: folder of a split. minutes: wall-clock budget of the optimisation; what the detector takes
-    comes before it. detector: folder of its weights, the shipped ones if None; init: of a refiner's to start from."""
+    """A training run. data: folder of a split. minutes: wall-clock budget, from the first scene on. batch: detections a
+    rank. detector: folder of its weights, the shipped ones if None; init: of a refiner's to start from. patience [s]:
+    how long to wait for the first scene of a data set that is still being generated."""
 
     data: Path
     out: Path
@@ -51,7 +57,8 @@ class RefinementTraining:
     seed: int = 0
     max_steps: int | None = None
     checkpoint_minutes: float = 2.0
-    log_every: int = 100
+    log_every: int = 50
+    patience: float = 120.0
     resume: bool = False
     detector: Path | None = None
     init: Path | None = None
@@ -95,30 +102,32 @@ def train(config: RefinementTraining) -> Path:
     Raises AssetError for missing or broken data or weights, UserError for bad settings, TooleeError when the loss stops
     being finite (the last checkpoint is kept).
     """
-    run = _Run(config)
-    run.loop()
-    run.export()
+    with ranks_of(None if config.device == "auto" else config.device) as ranks:
+        torch.manual_seed(config.seed + 1000 * ranks.rank)
+        stream = SceneStream(config.data, (ranks.rank, ranks.world))
+        try:
+            run = _Run(config, ranks, stream)
+            run.loop()
+            if ranks.first:
+                run.export()
+        finally:
+            stream.close()
     return config.out
 
 
 class _Run:
     """The state of one run: network, average, optimiser, clock and log."""
 
-    def __init__(self, config: RefinementTraining) -> None:
-        self.config = config
-        device = ("cuda" if torch.cuda.is_available() else "cpu") if config.device == "auto" else config.device
-        self.device = torch.device(device)
-        torch.manual_seed(config.seed)
-        began = time.monotonic()
+    def __init__(self, config: RefinementTraining, ranks: Ranks, stream: SceneStream) -> None:
+        self.config, self.ranks, self.stream = config, ranks, stream
+        self.device = ranks.device
         tensors, description = load_weights(config.detector, DETECTOR)
         detector = Detector(DetectorConfig.from_json(description["model"]))
         load_detector(detector, tensors, description)
-        self.data = RefinementData(config.data, detector, self.device)
-        print(
-            f"refinement: {len(self.data)} images, {len(self.data.finds)} finds, {len(self.data.validation)} of them "
-            f"for validation, {time.monotonic() - began:.0f} s",
-            flush=True,
-        )
+        self.data = RefinementData(detector, self.device)
+        self._grow(config.patience)
+        if not self.data.ready:
+            raise UserError(f"{config.data} shows rank {ranks.rank} no end effector: generate the data set first")
         refiner = Refiner(config.model)
         if config.init is not None:
             load_refiner(refiner, load_weights(config.init, WEIGHTS_NAME)[0])
@@ -138,11 +147,22 @@ class _Run:
         self.checkpoint_path = config.out / CHECKPOINT
         if config.resume:
             self._restore()
+        self.module = ranks.shared(self.refiner)
+
+    def _grow(self, timeout: float = 0.0) -> None:
+        for images in self.stream.take(timeout):
+            self.data.extend(images)
 
     def loop(self) -> None:
         config = self.config
-        config.out.mkdir(parents=True, exist_ok=True)
-        self.refiner.train()
+        ranks = self.ranks
+        if ranks.first:
+            config.out.mkdir(parents=True, exist_ok=True)
+            size = sum(p.numel() for p in self.refiner.parameters()) / 1e6
+            print(
+                f"refinement: {size:.2f} M parameters, {len(self.data)} images a rank, {ranks.device_name}", flush=True
+            )
+        self.module.train()
         began = time.monotonic() - self.elapsed
         last_checkpoint, last_log, last_step = self.elapsed, self.elapsed, self.step
         progress = self._progress()
@@ -152,21 +172,25 @@ class _Run:
             values, norm = self._optimise()
             self.step += 1
             if self.step % config.log_every == 0 or self.step == config.max_steps:
-                self.elapsed = time.monotonic() - began
+                self.elapsed = ranks.agreed(time.monotonic() - began)
+                progress = self._progress()
                 entry = {name: float(value) for name, value in values.items()} | {"gradient_norm": float(norm)}
                 self._stop_unless_finite(entry)
-                rate = (self.step - last_step) * config.batch / max(self.elapsed - last_log, 1e-9)
+                rate = (self.step - last_step) * config.batch * ranks.world / max(self.elapsed - last_log, 1e-9)
                 last_log, last_step = self.elapsed, self.step
-                self._record({"step": self.step, "minutes": self.elapsed / 60, "examples_per_second": rate, **entry})
+                self._grow()
+                pace = {"examples_per_second": rate, "images": len(self.data) * ranks.world}
+                self._record({"step": self.step, "minutes": self.elapsed / 60, **pace, **entry})
                 if self.elapsed - last_checkpoint > 60 * config.checkpoint_minutes:
                     last_checkpoint = self.elapsed
                     self._checkpoint()
-            progress = self._progress()
+            elif config.max_steps is not None:
+                progress = self._progress()
         self._checkpoint()
 
     def _optimise(self) -> tuple[dict[str, Tensor], Tensor]:
         examples = self.data.batch(self.config.batch)
-        values = losses(*self._forward(self.refiner, examples), examples)
+        values = losses(*self._forward(self.module, examples), examples)
         total = values["mask"] + values["dice"] + values["quality"]
         self.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(total)
@@ -175,7 +199,7 @@ class _Run:
         self._update_average()
         return {"loss": total.detach(), **{k: v.detach() for k, v in values.items()}}, norm
 
-    def _forward(self, refiner: Refiner, examples: Examples) -> tuple[Tensor, Tensor]:
+    def _forward(self, refiner: nn.Module, examples: Examples) -> tuple[Tensor, Tensor]:
         squares = examples.squares.contiguous(memory_format=torch.channels_last)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.device.type == "cuda"):
             logits, quality = refiner(squares, examples.category, examples.score)
@@ -215,8 +239,8 @@ class _Run:
             "training": self.config.to_json(),
             "steps": self.step,
             "minutes": self.elapsed / 60,
-            "images": len(self.data),
-            "device": torch.cuda.get_device_name(self.device) if self.device.type == "cuda" else "CPU",
+            "images": len(self.data) * self.ranks.world,
+            "device": self.ranks.device_name,
             "torch": torch.__version__,
             "validation": validation,
             "log": self.log[:: max(1, len(self.log) // 200)],
@@ -225,9 +249,9 @@ class _Run:
         print(f"refinement: wrote {self.config.out / WEIGHTS_NAME}*.safetensors after {self.step} steps", flush=True)
 
     def _progress(self) -> float:
-        self_elapsed = self.elapsed / (60 * self.config.minutes)
+        by_clock = self.elapsed / (60 * self.config.minutes)
         by_steps = self.step / self.config.max_steps if self.config.max_steps else 0.0
-        return max(self_elapsed, by_steps)
+        return max(by_clock, by_steps)
 
     def _schedule(self, progress: float) -> float:
         warm = min(1.0, (self.step + 1) / self.config.warmup_steps)
@@ -243,10 +267,14 @@ class _Run:
 
     def _record(self, entry: dict[str, float]) -> None:
         self.log.append(entry)
+        if not self.ranks.first:
+            return
         self.scalars.add(self.step, entry)
         print(" ".join(f"{k} {v:.4g}" for k, v in entry.items()), flush=True)
 
     def _checkpoint(self) -> None:
+        if not self.ranks.first:
+            return
         state = {
             "model": self.refiner.state_dict(),
             "average": self.average,
@@ -268,7 +296,7 @@ class _Run:
         self.average = state["average"]
         self.optimizer.load_state_dict(state["optimizer"])
         self.step, self.elapsed, self.log = state["step"], state["elapsed"], state["log"]
-        torch.manual_seed(self.config.seed + 1_000_003 * self.step)
+        torch.manual_seed(self.config.seed + 1000 * self.ranks.rank + 1_000_003 * self.step)
 
 
 def _iou(a: Tensor, b: Tensor) -> Tensor:
