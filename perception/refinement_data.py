@@ -14,6 +14,7 @@ from toolee_robot.perception.dataset.records import MIN_POINTS
 from toolee_robot.perception.segmentation_crops import Images, MaskAt, Squares, look
 from toolee_robot.perception.segmentation_data import SegmentationImages, grown, recolour
 from toolee_robot.perception.segmentation_input import encode_rgbd
+from toolee_robot.perception.segmentation_look import MAGNIFICATION
 from toolee_robot.perception.segmentation_model import TOOL, Detector, working_size
 
 LEAST_SCORE = 0.02
@@ -24,6 +25,8 @@ DRAWN_SHARE = 0.75
 """Share of a batch's examples that are."""
 VALIDATION = 50
 """Every so many-th image is kept for validation."""
+_ZOOMS = (1.0, MAGNIFICATION)
+"""Every second image is seen as large as tools are at the second look: its masks are better, and as many."""
 _AT_ONCE = 64
 
 
@@ -119,7 +122,9 @@ class RefinementData:
         categories = torch.from_numpy(more.categories).to(device)
         found = [] if self.finds is None else [self.finds]
         for rows in torch.split(torch.arange(n, device=device), _AT_ONCE):
-            found.append(self._look(first + rows, categories[rows]))
+            for zoom, some in zip(_ZOOMS, (rows[::2], rows[1::2]), strict=True):
+                if len(some):
+                    found.append(self._look(first + some, categories[some], zoom))
         self.finds = Finds.cat(found)
         kept_aside, drawn = self.finds.image % VALIDATION == 0, self.finds.truth > 0
         self._drawn, self._judged = (torch.nonzero(rows & ~kept_aside)[:, 0] for rows in (drawn, ~drawn))
@@ -172,12 +177,13 @@ class RefinementData:
         column, row = pixels.clamp(min=0).unbind(1)
         return torch.where(pixels[:, 0] >= 0, self._ee[image[:, None, None], row, column], 0)
 
-    def _look(self, image: Tensor, categories: Tensor) -> Finds:
-        """The detector's finds in the images `image` (B,), of which categories (B, E) has the EEs' class indices."""
+    def _look(self, image: Tensor, categories: Tensor, zoom: float) -> Finds:
+        """The detector's finds in the images `image` (B,), seen `zoom` times as large as at its first look, of which
+        categories (B, E) has the EEs' class indices."""
         rgb = self._rgb[image].permute(0, 3, 1, 2).float()
         depth = self._depth[image].float() / 1000.0
         height, width = rgb.shape[-2:]
-        size = working_size(height, width, self._detector.config.working_pixels)
+        size = working_size(height, width, round(self._detector.config.working_pixels * zoom**2))
         focal = self._focal[image] * math.sqrt(size[0] * size[1] / (height * width))
         rgb = F.interpolate(rgb, size, mode="bilinear", align_corners=False)
         depth = F.interpolate(depth[:, None], size, mode="nearest-exact")[:, 0]

@@ -22,6 +22,7 @@ LEAST_PIXELS = 50
 """An instance of which less is seen is crowd: no pose could come of it."""
 STATISTICS = ("AP", "AP50", "AP75", "AP_S", "AP_M", "AP_L")
 """COCO's first six: the mean over IoU .50 to .95, at .50, at .75, and by area (under 32^2, to 96^2, over) [px]."""
+_TARGET = "target"
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,11 @@ class CocoTask:
     truth: dict[str, Any]
     results: list[dict[str, Any]]
     times: list[float]
+
+    def of_targets(self) -> CocoTask:
+        """The same with everything but the targets crowd: neither found nor missed."""
+        annotations = [{**v, "iscrowd": int(v["iscrowd"] or not v[_TARGET])} for v in self.truth["annotations"]]
+        return CocoTask({**self.truth, "annotations": annotations}, self.results, self.times)
 
     def joined(self, other: CocoTask) -> CocoTask:
         """Both, the other's images and annotations numbered after these."""
@@ -63,18 +69,29 @@ def evaluate(
     scenes = scene_folders(dataset_dir)
     if not scenes:
         raise AssetError(f"no BOP scene in {dataset_dir}: give the folder train or test of a data set")
-    task = coco_task(segmenter, load_scenes(scenes[:1], limit=limit))
+    task = _of_scenes(segmenter, scenes[:1], limit)
     for scene in scenes[1:]:
         left = None if limit is None else limit - len(task.times)
         if left is not None and left <= 0:
             break
-        task = task.joined(coco_task(segmenter, load_scenes([scene], limit=left)))
+        task = task.joined(_of_scenes(segmenter, [scene], left))
     return _report(task)
 
 
-def coco_task(segmenter: Segmenter, images: SegmentationImages, limit: int | None = None) -> CocoTask:
+def _of_scenes(segmenter: Segmenter, scenes: list[Path], limit: int | None) -> CocoTask:
+    images = load_scenes(scenes, limit=limit)
+    return coco_task(segmenter, images, targets=images.table.targets)
+
+
+def coco_task(
+    segmenter: Segmenter,
+    images: SegmentationImages,
+    limit: int | None = None,
+    targets: NDArray[np.bool_] | None = None,
+) -> CocoTask:
     """What the detector finds in (the first `limit` of) the images, and what is there, both as COCO has it. Instances
-    of under 50 visible pixels are crowd. Raises UserError without faster-coco-eval."""
+    of under 50 visible pixels are crowd. targets (N, E): whether an image's EE id 1..E is one whose pose is asked for
+    (all, if None); annotations say so under "target". Raises UserError without faster-coco-eval."""
     encode = _coco_library()[2].encode
 
     def encoded(mask: NDArray[np.bool_]) -> dict[str, Any]:
@@ -86,12 +103,13 @@ def coco_task(segmenter: Segmenter, images: SegmentationImages, limit: int | Non
     results: list[dict[str, Any]] = []
     times = []
     for i in range(count):
-        for label, mask in true_instances(images, i):
+        for label, mask, ee_id in _true(images, i):
             area = int(mask.sum())
             rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
             box = [int(columns[0]), int(rows[0]), int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1]
             crowd = int(area < LEAST_PIXELS)
-            entry = {"id": len(annotations) + 1, "image_id": i + 1, "category_id": label, "bbox": box}
+            asked = targets is None or ee_id == 0 or bool(targets[i, ee_id - 1])
+            entry = {"id": len(annotations) + 1, "image_id": i + 1, "category_id": label, "bbox": box, _TARGET: asked}
             annotations.append({**entry, "area": area, "iscrowd": crowd, "segmentation": encoded(mask)})
         start = time.perf_counter()
         masks, labels, scores, _ = segmenter.instances(frame_of(images, i), EVERYTHING)
@@ -118,15 +136,19 @@ def frame_of(images: SegmentationImages, index: int) -> RgbdFrame:
 
 def evaluate_masks(segmenter: Segmenter, images: SegmentationImages, limit: int | None = None) -> dict[str, Any]:
     """For each class, and as "average" over the four EE categories: AP, AP50, AP75, AP_S, AP_M, AP_L (None: no such
-    instance), images, instances, and the median time of an image [ms]. Instances of under 50 visible pixels
-    are crowd: neither found nor missed."""
+    instance), images, instances, and the median time of an image [ms]. Instances of under 50 visible pixels are crowd:
+    neither found nor missed. "average_of_targets": as the average, but what is no target (`EeTable.targets`) is crowd,
+    too, as where poses are judged; here, where no table says so, all are."""
     return _report(coco_task(segmenter, images, limit))
 
 
 def _report(task: CocoTask) -> dict[str, Any]:
     count = len(task.truth["images"])
     median_ms = 1000 * float(np.median(task.times)) if task.times else None
-    return {"images": count, "median_ms": median_ms, **statistics(task)}
+    report = {"images": count, "median_ms": median_ms, **statistics(task)}
+    asked = statistics(task.of_targets())
+    number = sum(asked[name]["instances"] for name in CLASSES[1:TOOL])
+    return {**report, "average_of_targets": {"instances": number, **asked["average"]}}
 
 
 def statistics(task: CocoTask) -> dict[str, Any]:
@@ -165,12 +187,17 @@ def _coco_library() -> tuple[Any, Any, Any]:
 
 def true_instances(images: SegmentationImages, index: int) -> list[tuple[int, NDArray[np.bool_]]]:
     """(label, mask) of every instance of one image of which at least a pixel is seen."""
+    return [(label, mask) for label, mask, _ in _true(images, index)]
+
+
+def _true(images: SegmentationImages, index: int) -> list[tuple[int, NDArray[np.bool_], int]]:
+    """(label, mask, id of the EE or 0)."""
     found = []
     for ee_id, label in enumerate(images.categories[index].tolist(), 1):
         mask = images.ee[index] == ee_id
         if label and mask.any():
-            found.append((int(label), mask))
+            found.append((int(label), mask, ee_id))
     for tool_id in np.unique(images.tool[index]):
         if tool_id:
-            found.append((TOOL, images.tool[index] == tool_id))
+            found.append((TOOL, images.tool[index] == tool_id, 0))
     return found

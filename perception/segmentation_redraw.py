@@ -43,7 +43,8 @@ class Redraw:
 
     @torch.inference_mode()
     def __call__(self, frame: RgbdFrame, instances: Instances) -> Instances:
-        """The instances, end effectors with new masks and scores, each thing once, best first."""
+        """The instances, end effectors with new masks, each thing once, best first. Their scores are geometric means of
+        the detector's and of the IoU that the refiner expects."""
         masks, labels, scores, boxes = instances
         ees = [i for i, label in enumerate(labels) if label != TOOL]
         if not ees:
@@ -62,7 +63,7 @@ class Redraw:
         for i, patch, box, good in zip(ees, probability, covered, quality.sigmoid().tolist(), strict=True):
             drawn = paste_one(patch, box, *frame.depth.shape)
             masks[i] = drawn if drawn.any() else masks[i]
-            scores[i] = good
+            scores[i] = float(np.sqrt(scores[i] * good))
         return without_duplicates(masks, labels, scores, boxes)
 
     def _outputs(

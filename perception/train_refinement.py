@@ -23,7 +23,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.assets import load_weights, save_weights
 from toolee_robot.perception.ranks import Ranks
 from toolee_robot.perception.ranks import ranks as ranks_of
@@ -122,7 +122,10 @@ class _Run:
         self.config, self.ranks, self.stream = config, ranks, stream
         self.device = ranks.device
         tensors, description = load_weights(config.detector, DETECTOR)
-        detector = Detector(DetectorConfig.from_json(description["model"]))
+        try:
+            detector = Detector(DetectorConfig.from_json(description["model"]))
+        except (KeyError, TypeError, ValueError) as error:
+            raise AssetError(f"the detector's description is damaged, fetch it again: {error!r}") from error
         load_detector(detector, tensors, description)
         self.data = RefinementData(detector, self.device)
         self._grow(config.patience)
@@ -217,13 +220,14 @@ class _Run:
 
     @torch.inference_mode()
     def validate(self) -> dict[str, float]:
-        """The averaged network on images kept aside: mean IoU of the masks before and after, and losses."""
+        """The averaged network on images kept aside: mean IoU of the masks before and after, and losses. Empty where
+        they show nothing."""
         refiner = Refiner(self.config.model).to(self.device).to(memory_format=torch.channels_last)
         load_refiner(refiner, self._averaged())
         refiner.eval()
         sums: dict[str, float] = {}
         chosen = self.data.validation[:_VALIDATED]
-        for part in torch.split(chosen, _AT_ONCE):
+        for part in torch.split(chosen, _AT_ONCE) if len(chosen) else ():
             examples = self.data.plain(part)
             for name, value in losses(*self._forward(refiner, examples), examples).items():
                 sums[name] = sums.get(name, 0.0) + float(value) * len(part) / len(chosen)

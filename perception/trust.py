@@ -22,6 +22,7 @@ from toolee_robot.perception.pose import weights
 from toolee_robot.perception.pose.cloud_estimator import PoseResult
 from toolee_robot.perception.pose.confidence import ConfidenceModel
 from toolee_robot.perception.segmentation_model import WEIGHTS_NAME as DETECTOR
+from toolee_robot.perception.segmentation_refiner import WEIGHTS_NAME as REFINER
 from toolee_robot.types import Category
 
 NAME = "trust"
@@ -91,10 +92,12 @@ class Trust:
 
 
 def _fingerprints(pose_folder: Path, detector_folder: Path) -> dict[str, str]:
-    """Of the records of the two trainings, which no two of them share."""
+    """Of the records of the trainings, which no two of them share. Without a refiner masks are the detector's own."""
     found = {}
-    for name, folder in ((weights.NAME, pose_folder), (DETECTOR, detector_folder)):
+    for name, folder in ((weights.NAME, pose_folder), (DETECTOR, detector_folder), (REFINER, detector_folder)):
         path = folder / f"{name}.json"
+        if name == REFINER and not path.is_file():
+            continue
         try:
             found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
         except OSError as error:

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
 from toolee_robot.errors import AssetError, TooleeError, UserError
-from toolee_robot.frames import Array, inverse, is_rigid, transform_points
+from toolee_robot.frames import Array, is_rigid
 from toolee_robot.perception.dataset import rle
 from toolee_robot.perception.dataset.clouds import MAX_POINTS, back_projected, read_clouds
 from toolee_robot.perception.dataset.instances import object_of, read_ply, tool_path
 from toolee_robot.perception.dataset.paper import CIRCLE
+from toolee_robot.perception.dataset.pose_check import ENOUGH, SURFACE, is_thin, pose_fault
 from toolee_robot.perception.dataset.records import CATEGORIES, HEIGHT, SCENES, WIDTH
 from toolee_robot.perception.dataset.scene_reader import pose_of, read_image, read_json
 from toolee_robot.perception.dataset.scene_writer import COCO_CATEGORIES, bbox
@@ -28,11 +28,6 @@ from toolee_robot.types import CameraIntrinsics
 Problem = tuple[str, str]
 """A file of the scene, and what is wrong with it."""
 Mask = NDArray[np.bool_]
-SURFACE = 0.008
-"""Farther [m] from the tool's surface no point is the tool's: noise is 3 mm at most in the median."""
-_ENOUGH = 100
-_JITTER = 2
-"""Most pixels' lateral noise reaches no further [px]."""
 _JSON = ("camera", "gt", "gt_info", "gt_coco", "instances")
 
 
@@ -190,14 +185,11 @@ class _Checker:
         """The points that the camera sees of the EE lie on its tool as the pose places it."""
         points = back_projected(visible, depth, K).astype(np.float64)
         surface = self._surface(entry["instance"])
-        if len(points) < _ENOUGH or surface is None:
+        if len(points) < ENOUGH or surface is None:
             return
         X = pose_of(entry, "t2c").astype(np.float64)
         if not is_rigid(X, 1e-4):
             return
-        # Flying pixels and those of the background may be a third of a thin tool's, so half must lie on it; but what
-        # lies on the tool lies within the EE, unless it is so thin that jitter reaches past it to the tool behind.
-        on_tool = surface.query(transform_points(inverse(X), points))[0] < SURFACE
         origin = pose_of(entry)[:3, 3].astype(np.float64)
         if scene == "paper":
             aside = points[:, :2] / points[:, 2:] - origin[:2] / origin[2]
@@ -205,13 +197,9 @@ class _Checker:
         else:
             radius = ee_radius(CATEGORIES[entry["category_id"] - 1])
             within = np.linalg.norm(points - origin, axis=1) < radius + SURFACE
-        if on_tool.mean() < 0.5:
-            yield (
-                "scene_gt.json",
-                f"{where}: the pose is off the mask: {on_tool.mean():.0%} of its points are on the tool",
-            )
-        elif (share := within[on_tool].mean()) < (0.5 if _is_thin(visible) else 0.9):
-            yield "scene_gt.json", f"{where}: the pose is off the mask: {share:.0%} of its points are in the EE's reach"
+        fault = pose_fault(points, within, X, surface, K, is_thin(visible))
+        if fault is not None:
+            yield "scene_gt.json", f"{where}: the pose is off the mask: {fault}"
 
     def _surface(self, name: str) -> cKDTree | None:
         if name not in self._surfaces:
@@ -282,8 +270,3 @@ class _Checker:
                 right = float(cKDTree(full).query(points)[0].max()) < 1e-5
             if not right:
                 yield "clouds.npz", f"the cloud of image {key[0]}, entry {key[1]} is not what its mask and depth give"
-
-
-def _is_thin(mask: Mask) -> bool:
-    """Whether nearly all of it is within the sensor's jitter of its outline."""
-    return int(np.count_nonzero(binary_erosion(mask, iterations=_JITTER))) < _ENOUGH

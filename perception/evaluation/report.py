@@ -216,7 +216,8 @@ def segmentation_page(found: dict[str, Any], rows: list[list[str]], columns: Seq
     out.table(["class", "instances", *columns], rows)
     out.paragraph(
         f"{found['images']} images; AP in percent, the mean over IoU .50 to .95, at .50, at .75, and for areas under "
-        "32², to 96² and over [px]. Instances of under 50 visible pixels are neither found nor missed."
+        "32², to 96² and over [px]. Instances of under 50 visible pixels are neither found nor missed; in the average "
+        "of targets neither are those of which more than 70 % is hidden, or that are not 0.4 to 1.1 m away."
     )
     return out.text()
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.cli.app import run
@@ -16,6 +17,7 @@ from toolee_robot.perception.dataset.example import examples_of
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH, EeTable, Example
 from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.spec import DatasetSpec
+from toolee_robot.perception.segmentation_redraw import Redraw
 from toolee_robot.types import CameraIntrinsics
 
 
@@ -57,6 +59,39 @@ def test_segmentation_resumes_and_keeps_its_configuration(
     assert "another seed" in capsys.readouterr().err
 
 
+def test_refinement_resumes_beside_the_detector_and_keeps_its_configuration(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The shipped detector's finds in a few rendered frames, the refiner trained into that detector's folder."""
+    data, out, options = tmp_path / "train", tmp_path / "out", tmp_path / "options.yaml"
+    data.mkdir()
+    write_scene(data / "000000", examples_of(DatasetSpec("hard", 8, 5, 0.0), "train", 0, 3))
+    out.mkdir()
+    for path in WEIGHTS_DIR.glob("segmentation*"):
+        shutil.copy(path, out)
+    (out / "config.json").write_text("the detector's")
+    options.write_text("batch: 2\nlog_every: 1\nlr: 0.01\n")
+    command = ["train", "refinement", "--data", str(data), "--out", str(out), "--config", str(options), "--json"]
+    command += ["--device", "cpu", "--lr", "0.0005"]
+    assert run([*command, "--detector", str(out), "--max-steps", "1"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1]) == {"out": str(out), "resumed": False}
+    config = json.loads((out / "refinement_config.json").read_text())
+    assert (config["batch"], config["lr"], config["seed"]) == (2, 0.0005, 0), "the command line wins over the file"
+    assert config["detector"] == str(out)
+    assert (out / "config.json").read_text() == "the detector's"
+    assert list((out / "tensorboard").glob("events*"))
+    assert run([*command, "--detector", str(out), "--max-steps", "2"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["resumed"]
+    described = json.loads((out / "refinement.json").read_text())
+    assert described["training"]["lr"] == 0.0005
+    assert [entry["step"] for entry in described["log"]] == [1, 2]
+    assert run([*command, "--detector", str(out), "--max-steps", "3", "--seed", "5"]) == 2
+    assert "another seed" in capsys.readouterr().err
+    assert run([*command, "--max-steps", "3"]) == 2
+    assert "another detector" in capsys.readouterr().err
+    assert Redraw.load(out, torch.device("cpu"), bfloat16=False) is not None
+
+
 @pytest.mark.parametrize(
     ("text", "says"), [("lrr: 1", "has no option lrr"), ("- 1", "no mapping"), ("{", "cannot be read")]
 )
@@ -65,10 +100,20 @@ def test_a_bad_configuration_is_named(
 ) -> None:
     (tmp_path / "bad.yaml").write_text(text)
     arguments = ["--out", str(tmp_path / "out"), "--config", str(tmp_path / "bad.yaml")]
-    assert run(["train", "segmentation", "--data", str(data), *arguments]) == 2
-    assert says in capsys.readouterr().err
+    for network in ("segmentation", "refinement"):
+        assert run(["train", network, "--data", str(data), *arguments]) == 2
+        assert says in capsys.readouterr().err
     assert run(["train", "pose", *arguments]) == 2
     assert says in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("network", ["segmentation", "refinement"])
+def test_data_that_are_not_there_are_asked_for(
+    network: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["train", network, "--data", str(tmp_path / "nothing"), "--out", str(tmp_path / "out")]) == 2
+    assert "dataset generate" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

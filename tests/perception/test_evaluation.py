@@ -316,6 +316,24 @@ def test_coco_figures_are_pycocotools_own(folder: Path) -> None:
             assert ours[name][key] == (None if value is None else pytest.approx(value, abs=1e-6)), (name, key)
 
 
+def test_what_is_no_target_is_neither_found_nor_missed(folder: Path) -> None:
+    pytest.importorskip("faster_coco_eval")
+    from toolee_robot.perception.dataset.scene_reader import load
+
+    images = load(folder / "test")
+    targets = images.table.targets
+    assert targets.any()
+    task = coco_task(Segmenter.load(), images, targets=targets)
+    whole, asked = statistics(task), statistics(task.of_targets())
+    assert whole["tool"] == asked["tool"]
+    count = sum(asked[name]["instances"] for name in ("hammer_head", "hammer_grip", "screwdriver_head", "wrench_head"))
+    assert count == np.count_nonzero(targets)
+    # Were no EE asked for, even the best detection could not count, for or against.
+    unasked = [{**a, "target": False} for a in task.truth["annotations"]]
+    nothing = statistics(replace(task, truth={**task.truth, "annotations": unasked}).of_targets())
+    assert nothing["average"]["AP"] is None
+
+
 def test_five_views_of_a_held_hammer_and_empty_frames() -> None:
     (hammer,) = views.held_hammers(1, seed=3)
     assert len(hammer.frames) == len(hammer.Xs_camera_hand) == views.VIEWS

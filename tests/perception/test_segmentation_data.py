@@ -72,11 +72,11 @@ def test_evaluation_sees_the_same_instances(folder: Path) -> None:
 def test_ranks_share_a_data_set_without_overlap_while_it_grows(folder: Path) -> None:
     streams = [SceneStream(folder, (rank, 2)) for rank in range(2)]
     try:
-        assert [len(images.rgb) for images in streams[0].take(5.0)] == [3]
+        assert [len(images.rgb) for images in streams[0].take(60.0)] == [3]
         assert streams[1].take() == []
         shutil.copytree(folder / "000000", folder / ".000001.part")
         (folder / ".000001.part").rename(folder / "000001")
-        assert [len(images.rgb) for images in streams[1].take(5.0)] == [3]
+        assert [len(images.rgb) for images in streams[1].take(60.0)] == [3]
         assert streams[0].take() == []
     finally:
         for stream in streams:

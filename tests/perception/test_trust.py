@@ -70,6 +70,11 @@ def test_what_was_fitted_is_for_these_weights_only(tmp_path: Path) -> None:
         file.write("\n")
     with pytest.raises(AssetError, match="fitted for other weights"):
         Trust.load(folder, folder)
+    fitted.save(folder, {})
+    assert Trust.load(folder, folder) == fitted
+    (folder / "refinement.json").write_text("{}")
+    with pytest.raises(AssetError, match="fitted for other weights"):
+        Trust.load(folder, folder)
     (folder / "trust.json").write_text("{}")
     with pytest.raises(AssetError, match="unreadable"):
         Trust.load(folder, folder)

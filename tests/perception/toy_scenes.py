@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from toolee_robot.perception.dataset.records import EeTable, Example
+from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.segmentation_data import ArrayImages
+from toolee_robot.perception.segmentation_evaluation import frame_of
 
 _COLOURS = ((220, 60, 50), (60, 200, 70), (60, 90, 220), (230, 200, 60))
 
@@ -38,3 +45,25 @@ def toy_scenes(count: int, seed: int = 0, height: int = 64, width: int = 96) -> 
     depth[rng.random(depth.shape) < 0.02] = 0
     intrinsics = np.tile([0.8 * width, 0.8 * width, width / 2, height / 2], (count, 1))
     return ArrayImages(rgb, depth, intrinsics, ee, tool, categories)
+
+
+def enlarged(scenes: ArrayImages, times: int) -> ArrayImages:
+    """The same pictures, every pixel `times` by `times` of them."""
+
+    def large(maps: NDArray[Any]) -> NDArray[Any]:
+        return maps.repeat(times, 1).repeat(times, 2)
+
+    rgb, depth, ee, tool = large(scenes.rgb), large(scenes.depth_mm), large(scenes.ee), large(scenes.tool)
+    return ArrayImages(rgb, depth, times * scenes.intrinsics, ee, tool, scenes.categories)
+
+
+def write_toys(folder: Path, scenes: ArrayImages) -> None:
+    """Write pictures of a data set's size as the data set's scene `folder`."""
+    examples = []
+    for i in range(len(scenes.rgb)):
+        table = EeTable.empty()
+        visible = np.count_nonzero(scenes.ee[i])
+        table.category[0], table.obj_id[0], table.visible[0] = scenes.categories[i, 0], 1, visible
+        camera, ee = frame_of(scenes, i).intrinsics, scenes.ee[i]
+        examples.append(Example(scenes.rgb[i], scenes.depth_mm[i], ee, scenes.tool[i], table, camera, 0, ee))
+    write_scene(folder, examples)

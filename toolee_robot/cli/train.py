@@ -1,4 +1,4 @@
-"""`toolee train`: the detector, the pose network, and how far the two are to be trusted."""
+"""`toolee train`: the detector, what draws its masks again, the pose network, and how far they are to be trusted."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 _CONFIG = "config.json"
 """Beside the checkpoint: the configuration it was made with."""
+_REFINEMENT_CONFIG = "refinement_config.json"
+"""The refiner's, which may be trained into its detector's folder."""
 _Out = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 _File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
 _Number = Annotated[float | None, tyro.conf.arg(metavar="X", help_behavior_hint="")]
@@ -73,6 +75,64 @@ class Segmentation:
             self.data, self.out, resume=resume, init=None if resume else self.init, **options
         )
         _remember(self.out, resume, {name: getattr(training, name) for name in sorted(names)})
+        train(training)
+        if self.json:
+            print(json_line({"out": str(self.out), "resumed": resume}), flush=True)
+        return 0
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """Train the refiner, which draws again, near, the end effectors that the detector found.
+
+    Example: toolee train refinement --data data/refine/train --detector runs/segmentation --out runs/segmentation
+
+    Take images that the detector was not trained on. The refiner is used where its weights lie beside the detector's:
+    --out may be their folder. The same command again continues from the last checkpoint there. Several GPUs: torchrun
+    --nproc-per-node 4 -m toolee_robot.perception.train_refinement, with the same options.
+    """
+
+    data: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """The training split of a data set, which may still be growing."""
+    out: _Out
+    """Checkpoint, weights with their configuration, validation and log, TensorBoard curves (extra `train`)."""
+    config: _File = None
+    """YAML or JSON of options, any subset; the command line's win."""
+    minutes: _Number = None
+    """Wall-clock, from the first scene on (default: 15)."""
+    max_steps: _Count = None
+    """End after so many steps, if that is sooner."""
+    batch: _Count = None
+    """Detections a GPU (default: 512)."""
+    lr: _Number = None
+    """Learning rate (default: 0.002)."""
+    seed: _Count = None
+    """Of weights, order and augmentation (default: 0)."""
+    checkpoint_minutes: _Number = None
+    """Between checkpoints (default: 2)."""
+    device: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    """cpu, cuda, cuda:1 (default: a GPU if there is one)."""
+    detector: _File = None
+    """Folder with the detector's weights (default: those that ship)."""
+    init: _File = None
+    """Folder of a refiner's exported weights to start from."""
+    json: Flag = False
+    """Print one line of JSON last on standard output."""
+
+    def run(self) -> int:
+        if not self.data.is_dir():
+            raise UserError(f"--data {self.data} is not a folder: make it with `toolee dataset generate`")
+        from toolee_robot.perception.train_refinement import CHECKPOINT, RefinementTraining, train
+
+        names = {f.name for f in fields(RefinementTraining)} - {"data", "out", "resume", "model", "detector", "init"}
+        options = _options(self, self.config, names)
+        resume = (self.out / CHECKPOINT).is_file()
+        training = RefinementTraining(
+            self.data, self.out, resume=resume, detector=self.detector, init=None if resume else self.init, **options
+        )
+        about = {name: getattr(training, name) for name in sorted(names)}
+        detector = None if self.detector is None else str(self.detector)
+        _remember(self.out, resume, {**about, "detector": detector}, _REFINEMENT_CONFIG)
         train(training)
         if self.json:
             print(json_line({"out": str(self.out), "resumed": resume}), flush=True)
@@ -237,6 +297,7 @@ class Clouds:
 
 _Action = (
     Annotated[Segmentation, tyro.conf.subcommand("segmentation")]
+    | Annotated[Refinement, tyro.conf.subcommand("refinement")]
     | Annotated[Clouds, tyro.conf.subcommand("clouds")]
     | Annotated[Pose, tyro.conf.subcommand("pose")]
     | Annotated[Trust, tyro.conf.subcommand("trust")]
@@ -245,7 +306,7 @@ _Action = (
 
 @dataclass(frozen=True)
 class Train:
-    """Train the detector or the pose network, or fit how far the two are to be trusted.
+    """Train the detector, its masks' refiner or the pose network, or fit how far they are to be trusted.
 
     Example: toolee train segmentation --data data/hard/train --out runs/segmentation
     """
@@ -256,7 +317,7 @@ class Train:
         return self.action.run()
 
 
-def _options(command: Segmentation | Pose, file: Path | None, names: set[str]) -> dict[str, Any]:
+def _options(command: Segmentation | Refinement | Pose, file: Path | None, names: set[str]) -> dict[str, Any]:
     """The training's options: those of the file, then those of the command line."""
     options: dict[str, Any] = {}
     if file is not None:
@@ -272,9 +333,9 @@ def _options(command: Segmentation | Pose, file: Path | None, names: set[str]) -
     return options | {name: value for name, value in given.items() if value is not None}
 
 
-def _remember(out: Path, resume: bool, config: dict[str, Any]) -> None:
+def _remember(out: Path, resume: bool, config: dict[str, Any], name: str = _CONFIG) -> None:
     """Store the configuration, or check that a run goes on with the one it began with."""
-    path = out / _CONFIG
+    path = out / name
     if resume and path.is_file():
         before = json.loads(path.read_text())
         # How long it goes on may change; what is learnt from may not.
