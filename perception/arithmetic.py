@@ -9,6 +9,7 @@ from functools import cache
 
 import torch
 from torch import nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 
 def bfloat16_pays(device: torch.device) -> bool:
@@ -21,6 +22,16 @@ def _matrix_units() -> bool:
     # Older releases of torch cannot tell.
     capabilities: dict[str, object] = getattr(torch.cpu, "get_capabilities", dict)()
     return bool(capabilities.get("amx_bf16", False))
+
+
+def fold_normalisation(network: nn.Module) -> None:
+    """Fold each batch normalisation that follows a convolution in a sequence into that, in place, for inference."""
+    for module in list(network.modules()):
+        if isinstance(module, nn.Sequential):
+            for i in range(len(module) - 1):
+                conv, norm = module[i], module[i + 1]
+                if isinstance(conv, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
+                    module[i], module[i + 1] = fuse_conv_bn_eval(conv, norm), nn.Identity()
 
 
 def in_bfloat16(network: nn.Module) -> None:

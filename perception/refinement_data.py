@@ -11,6 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from toolee_robot.perception.dataset.records import MIN_POINTS
+from toolee_robot.perception.segmentation_boxes import clip
 from toolee_robot.perception.segmentation_crops import Images, MaskAt, Squares, look
 from toolee_robot.perception.segmentation_data import SegmentationImages, grown, recolour
 from toolee_robot.perception.segmentation_input import encode_rgbd
@@ -26,7 +27,7 @@ DRAWN_SHARE = 0.75
 VALIDATION = 50
 """Every so many-th image is kept for validation."""
 _ZOOMS = (1.0, MAGNIFICATION)
-"""Every second image is seen as large as tools are at the second look: its masks are better, and as many."""
+"""Every second pair of images is seen as large as tools are at the second look: its masks are better, and as many."""
 _AT_ONCE = 64
 
 
@@ -122,7 +123,10 @@ class RefinementData:
         categories = torch.from_numpy(more.categories).to(device)
         found = [] if self.finds is None else [self.finds]
         for rows in torch.split(torch.arange(n, device=device), _AT_ONCE):
-            for zoom, some in zip(_ZOOMS, (rows[::2], rows[1::2]), strict=True):
+            # Two of each, so that those kept aside are of both kinds.
+            kind = (first + rows) // 2 % len(_ZOOMS)
+            for k, zoom in enumerate(_ZOOMS):
+                some = rows[kind == k]
                 if len(some):
                     found.append(self._look(first + some, categories[some], zoom))
         self.finds = Finds.cat(found)
@@ -201,7 +205,7 @@ class RefinementData:
         ees = labels != TOOL
         finds = Finds(
             image[of],
-            boxes * scale,
+            clip(boxes * scale, height, width),
             covered * scale,
             (masks.float() * 255).round().to(torch.uint8),
             labels - 1,

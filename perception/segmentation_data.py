@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolee_robot.errors import TooleeError
+from toolee_robot.perception.dataset.orphans import end_with_parent
 from toolee_robot.perception.dataset.scene_reader import load_scenes, scene_folders
 from toolee_robot.perception.segmentation_input import STRIDE, RgbdBatch, encode_rgbd
 
@@ -299,7 +300,7 @@ class SceneStream:
         todo: deque[Path] = deque()
         running: deque[Future[SegmentationImages]] = deque()
         # Processes: with threads, the interpreter's lock would keep training waiting.
-        with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), end_with_parent) as pool:
             while not self._closed.is_set():
                 if not todo:
                     fresh = [p for p in scene_folders(self._folder) if int(p.name) % self._part[1] == self._part[0]]

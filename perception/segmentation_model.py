@@ -20,6 +20,7 @@ from torchvision.models.resnet import BasicBlock
 from torchvision.ops import batched_nms, roi_align
 
 from toolee_robot.errors import AssetError
+from toolee_robot.perception.arithmetic import fold_normalisation
 from toolee_robot.perception.segmentation_boxes import (
     ANCHOR_RATIOS,
     anchor_boxes,
@@ -262,11 +263,7 @@ class Detector(nn.Module):
             if isinstance(module, BasicBlock):
                 module.conv1, module.bn1 = fuse_conv_bn_eval(module.conv1, module.bn1), nn.Identity()
                 module.conv2, module.bn2 = fuse_conv_bn_eval(module.conv2, module.bn2), nn.Identity()
-            elif isinstance(module, nn.Sequential):
-                for i in range(len(module) - 1):
-                    conv, norm = module[i], module[i + 1]
-                    if isinstance(conv, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
-                        module[i], module[i + 1] = fuse_conv_bn_eval(conv, norm), nn.Identity()
+        fold_normalisation(self)
         return self
 
 

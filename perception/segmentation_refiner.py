@@ -14,9 +14,9 @@ from typing import Any
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
-from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from toolee_robot.errors import AssetError
+from toolee_robot.perception.arithmetic import fold_normalisation
 from toolee_robot.perception.segmentation_crops import CHANNELS
 from toolee_robot.types import Category
 
@@ -80,12 +80,7 @@ class Refiner(nn.Module):
     def fuse(self) -> Refiner:
         """Fold batch normalisation into the convolutions, in place, for inference only."""
         self.eval()
-        for module in list(self.modules()):
-            if isinstance(module, nn.Sequential):
-                for i in range(len(module) - 1):
-                    conv, norm = module[i], module[i + 1]
-                    if isinstance(conv, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
-                        module[i], module[i + 1] = fuse_conv_bn_eval(conv, norm), nn.Identity()
+        fold_normalisation(self)
         return self
 
 

@@ -128,7 +128,9 @@ class _Run:
             raise AssetError(f"the detector's description is damaged, fetch it again: {error!r}") from error
         load_detector(detector, tensors, description)
         self.data = RefinementData(detector, self.device)
-        self._grow(config.patience)
+        waited = time.monotonic()
+        while not self.data.ready and time.monotonic() - waited < config.patience:
+            self._grow(1.0)
         if not self.data.ready:
             raise UserError(f"{config.data} shows rank {ranks.rank} no end effector: generate the data set first")
         refiner = Refiner(config.model)
@@ -273,7 +275,7 @@ class _Run:
         self.log.append(entry)
         if not self.ranks.first:
             return
-        self.scalars.add(self.step, entry)
+        self.scalars.add(self.step, entry, WEIGHTS_NAME)
         print(" ".join(f"{k} {v:.4g}" for k, v in entry.items()), flush=True)
 
     def _checkpoint(self) -> None:

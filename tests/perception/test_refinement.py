@@ -526,7 +526,7 @@ def without_tools(pictures: ArrayImages, which: slice) -> ArrayImages:
 def test_data_that_show_no_end_effector_are_the_user_s_error(detector: Path, tmp_path: Path) -> None:
     write_toys(tmp_path / "000000", without_tools(toys(2), slice(None)))
     with pytest.raises(UserError, match="no end effector"):
-        train(training(tmp_path, tmp_path / "out", detector, max_steps=1))
+        train(training(tmp_path, tmp_path / "out", detector, max_steps=1, patience=3.0))
     with pytest.raises(UserError, match="generate the data set"):
         train(training(tmp_path / "nothing", tmp_path / "out", detector, max_steps=1, patience=0.1))
 
