@@ -74,6 +74,17 @@ def load_weights(directory: Path | None, name: str) -> tuple[dict[str, torch.Ten
     return {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}, description
 
 
+def load_into(network: torch.nn.Module, tensors: dict[str, torch.Tensor], what: str) -> None:
+    """Put weights into a network, called `what` in errors. Raises AssetError if they do not fit it."""
+    try:
+        missing, unexpected = network.load_state_dict(tensors, strict=False)
+    except RuntimeError as error:
+        raise AssetError(f"the {what}'s weights do not fit its architecture, fetch them again: {error}") from error
+    missing = [name for name in missing if not name.endswith("num_batches_tracked")]
+    if missing or unexpected:
+        raise AssetError(f"the {what}'s weights are incomplete, fetch them again: {(missing + unexpected)[:5]}")
+
+
 def _half(name: str, value: torch.Tensor) -> torch.Tensor:
     value = value.detach().cpu().contiguous()
     if not value.is_floating_point():

@@ -10,19 +10,16 @@ import cv2
 import numpy as np
 import torch
 
-from toolee_robot.errors import AssetError
 from toolee_robot.perception.arithmetic import bfloat16_pays, in_bfloat16
-from toolee_robot.perception.assets import load_weights
 from toolee_robot.perception.segmentation_input import RgbdBatch, encode_rgbd
 from toolee_robot.perception.segmentation_instances import Instances, associate, without_duplicates
 from toolee_robot.perception.segmentation_look import LEAST_PROBABLE, crops, cut, merge, placed
 from toolee_robot.perception.segmentation_masks import paste_one
 from toolee_robot.perception.segmentation_model import (
-    WEIGHTS_NAME,
     Detector,
     DetectorConfig,
     RawDetections,
-    load_detector,
+    trained_detector,
     working_size,
 )
 from toolee_robot.perception.segmentation_redraw import Redraw
@@ -61,15 +58,9 @@ class Segmenter:
 
         Raises AssetError that names the missing or unreadable file.
         """
-        tensors, description = load_weights(weights_dir, WEIGHTS_NAME)
-        try:
-            detector = Detector(DetectorConfig.from_json(description["model"]))
-        except (KeyError, TypeError, ValueError) as error:
-            raise AssetError(f"the detector's description is damaged, fetch it again: {error!r}") from error
-        load_detector(detector, tensors, description)
         device = torch.device(device)
         bfloat16 = bfloat16_pays(device) if bfloat16 is None else bfloat16
-        return cls(detector, device, bfloat16, Redraw.load(weights_dir, device, bfloat16))
+        return cls(trained_detector(weights_dir), device, bfloat16, Redraw.load(weights_dir, device, bfloat16))
 
     def detect(self, frame: RgbdFrame) -> list[Detection]:
         """End effectors in an image, best score first, each with its tool's mask where seen."""

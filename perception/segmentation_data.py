@@ -299,7 +299,7 @@ class SceneStream:
         seen: set[Path] = set()
         todo: deque[Path] = deque()
         running: deque[Future[SegmentationImages]] = deque()
-        # Processes: with threads, the interpreter's lock would keep training waiting.
+        # Processes: threads would take turns with training for the interpreter's lock.
         with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), end_with_parent) as pool:
             while not self._closed.is_set():
                 if not todo:

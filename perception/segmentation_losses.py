@@ -86,7 +86,7 @@ class DetectorLoss(nn.Module):
         rois = _sample_rois(boxes, valid, instances, height, width)
         flat = torch.cat([rois.image, rois.boxes], 1)
         logits, box_deltas = detector.box_outputs(pyramid, flat)
-        losses["class"] = _mean(F.cross_entropy(logits.float(), rois.labels, reduction="none"), rois.used)
+        losses["class"] = weighted_mean(F.cross_entropy(logits.float(), rois.labels, reduction="none"), rois.used)
         chosen = box_deltas[torch.arange(len(flat), device=flat.device), rois.labels].float()
         error = F.smooth_l1_loss(
             chosen, encode(rois.targets, rois.boxes, ROI_DELTA_WEIGHTS), beta=0.5, reduction="none"
@@ -96,7 +96,7 @@ class DetectorLoss(nn.Module):
         logits, quality = detector.mask_outputs(pyramid, batch, flat[pick], rois.labels[pick])
         truth = _mask_targets(instances, flat[pick], rois.instance[pick])
         positive = rois.positive[pick]
-        losses |= {name: _mean(value, positive) for name, value in _mask_losses(logits, quality, truth).items()}
+        losses |= {name: weighted_mean(value, positive) for name, value in _mask_losses(logits, quality, truth).items()}
         return losses
 
 
@@ -138,7 +138,9 @@ def _rpn_losses(scores: Tensor, deltas: Tensor, anchors: Tensor, instances: Inst
     delta = torch.gather(deltas, 1, index[..., None].expand(-1, -1, 4))
     error = F.smooth_l1_loss(delta, target, beta=1 / 9, reduction="none").sum(-1)
     return {
-        "objectness": _mean(F.binary_cross_entropy_with_logits(score, is_positive.float(), reduction="none"), used),
+        "objectness": weighted_mean(
+            F.binary_cross_entropy_with_logits(score, is_positive.float(), reduction="none"), used
+        ),
         "proposal": (torch.where(is_positive, error, 0.0)).sum() / used.sum().clamp(min=1),
     }
 
@@ -184,15 +186,26 @@ def _sample_rois(boxes: Tensor, valid: Tensor, instances: Instances, height: int
     )
 
 
-def _mask_losses(logits: Tensor, quality: Tensor, truth: Tensor) -> dict[str, Tensor]:
-    """Of each mask (R, S, S): cross entropy; Dice, for which a small instance counts as much as a large one; and
-    cross entropy of the IoU that the head expects of it, quality (R,), with the IoU that it has."""
+def outline_losses(logits: Tensor, truth: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Of each mask (R, S, S) with its true coverage in [0, 1]: cross entropy (R,), one less its Dice coefficient, and,
+    without a gradient, its IoU."""
     bce = F.binary_cross_entropy_with_logits(logits, truth, reduction="none").mean((1, 2))
     p = logits.sigmoid()
     dice = 1 - (2 * (p * truth).sum((1, 2)) + 1) / (p.sum((1, 2)) + truth.sum((1, 2)) + 1)
     with torch.no_grad():
-        found, there = logits > 0, truth > 0.5
-        iou = (found & there).sum((1, 2)) / (found | there).sum((1, 2)).clamp(min=1)
+        iou = mask_overlap(logits > 0, truth > 0.5)
+    return bce, dice, iou
+
+
+def mask_overlap(a: Tensor, b: Tensor) -> Tensor:
+    """Intersection over union (R,) of masks (R, S, S) bool; 0 of two empty ones."""
+    return (a & b).sum((1, 2)) / (a | b).sum((1, 2)).clamp(min=1)
+
+
+def _mask_losses(logits: Tensor, quality: Tensor, truth: Tensor) -> dict[str, Tensor]:
+    """Of each mask (R, S, S): cross entropy; Dice, for which a small instance counts as much as a large one; and
+    cross entropy of the IoU that the head expects of it, quality (R,), with the IoU that it has."""
+    bce, dice, iou = outline_losses(logits, truth)
     expected = F.binary_cross_entropy_with_logits(quality, iou, reduction="none")
     return {"mask": bce, "dice": 0.5 * dice, "quality": 0.2 * expected}
 
@@ -214,6 +227,7 @@ def _mask_targets(instances: Instances, rois: Tensor, instance: Tensor, sub: int
     return F.avg_pool2d(hit[:, None], sub)[:, 0]
 
 
-def _mean(values: Tensor, weights: Tensor) -> Tensor:
+def weighted_mean(values: Tensor, weights: Tensor) -> Tensor:
+    """Mean of values (R,) by weights (R,) of any type; 0 where no row has any."""
     weights = weights.float()
     return (values * weights).sum() / weights.sum().clamp(min=1)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -21,6 +22,7 @@ from torchvision.ops import batched_nms, roi_align
 
 from toolee_robot.errors import AssetError
 from toolee_robot.perception.arithmetic import fold_normalisation
+from toolee_robot.perception.assets import load_into, load_weights
 from toolee_robot.perception.segmentation_boxes import (
     ANCHOR_RATIOS,
     anchor_boxes,
@@ -277,13 +279,19 @@ def load_detector(detector: Detector, tensors: dict[str, Tensor], description: d
     """Put weights that a training run exported into `detector`. Raises AssetError if they do not fit."""
     if list(description.get("classes", [])) != list(CLASSES):
         raise AssetError(f"the detector knows {description.get('classes')}, not {list(CLASSES)}: train it again")
+    load_into(detector, tensors, "detector")
+
+
+def trained_detector(weights_dir: Path | None) -> Detector:
+    """The shipped detector, or the one a training run left in `weights_dir`. Raises AssetError naming the file that is
+    missing, unreadable or damaged."""
+    tensors, description = load_weights(weights_dir, WEIGHTS_NAME)
     try:
-        missing, unexpected = detector.load_state_dict(tensors, strict=False)
-    except RuntimeError as error:
-        raise AssetError(f"the detector's weights do not fit its architecture, fetch them again: {error}") from error
-    missing = [name for name in missing if not name.endswith("num_batches_tracked")]
-    if missing or unexpected:
-        raise AssetError(f"the detector's weights are incomplete, fetch them again: {(missing + unexpected)[:5]}")
+        detector = Detector(DetectorConfig.from_json(description["model"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise AssetError(f"the detector's description is damaged, fetch it again: {error!r}") from error
+    load_detector(detector, tensors, description)
+    return detector
 
 
 def pyramid_roi_align(pyramid: list[Tensor], rois: Tensor, size: int) -> Tensor:

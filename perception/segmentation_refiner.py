@@ -15,8 +15,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from toolee_robot.errors import AssetError
 from toolee_robot.perception.arithmetic import fold_normalisation
+from toolee_robot.perception.assets import load_into
 from toolee_robot.perception.segmentation_crops import CHANNELS
 from toolee_robot.types import Category
 
@@ -115,10 +115,4 @@ def _conv(n_in: int, n_out: int, stride: int = 1) -> list[nn.Module]:
 
 def load_refiner(refiner: Refiner, tensors: dict[str, Tensor]) -> None:
     """Put weights that a training run exported into `refiner`. Raises AssetError if they do not fit."""
-    try:
-        missing, unexpected = refiner.load_state_dict(tensors, strict=False)
-    except RuntimeError as error:
-        raise AssetError(f"the refiner's weights do not fit its architecture, fetch them again: {error}") from error
-    missing = [name for name in missing if not name.endswith("num_batches_tracked")]
-    if missing or unexpected:
-        raise AssetError(f"the refiner's weights are incomplete, fetch them again: {(missing + unexpected)[:5]}")
+    load_into(refiner, tensors, "refiner")
