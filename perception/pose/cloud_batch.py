@@ -29,10 +29,11 @@ class CloudConfig:
     random sensors. radius [m] of the crop about the EE, None: the category's own. other_cut_share: how often the mask
     is cut at a radius that many times as large (`other_cut`), as a detector's or another's may be, and circle_share:
     how often that is a circle in the image, as the paper's; circle: if not None, every mask is one of this radius [px].
-    rest: whether the rest of the tool is seen, too; rest_error_share, rest_chunk_share: how often its mask is
-    imperfect, a piece of it missing; rest_gap_share: how often it begins up to rest_gap [m] beyond the cut;
-    wrong_rest_share: how often it is another tool's. guessed: whether the mask's pixels without a depth are there, too,
-    at a guessed one. points, of which the first `ordered` are farthest-point samples: what the network takes."""
+    border_share: how often the image ends near the EE. rest: whether the rest of the tool is seen, too;
+    rest_error_share, rest_chunk_share: how often its mask is imperfect, a piece of it missing; rest_gap_share: how
+    often it begins up to rest_gap [m] beyond the cut; wrong_rest_share: how often it is another tool's. guessed:
+    whether the mask's pixels without a depth are there, too, at a guessed one. points, of which the first `ordered` are
+    farthest-point samples: what the network takes."""
 
     distance: tuple[float, float] = (0.35, 1.1)
     near_share: float = 0.25
@@ -54,6 +55,7 @@ class CloudConfig:
     other_cut: tuple[float, float] = (0.5, 1.65)
     circle_share: float = 0.35
     circle: float | None = None
+    border_share: float = 0.08
     rest: bool = True
     rest_error_share: float = 0.7
     rest_chunk_share: float = 0.3
@@ -82,6 +84,7 @@ class CloudConfig:
             negative_share=0.0,
             sensor_level=0.0,
             circle=30.0,
+            border_share=0.0,
             rest_error_share=0.0,
             rest_chunk_share=0.0,
             rest_gap_share=0.0,

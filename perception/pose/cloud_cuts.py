@@ -11,6 +11,9 @@ from toolee_robot.perception.pose.bank import NOWHERE
 from toolee_robot.perception.pose.cloud_batch import CloudConfig
 from toolee_robot.perception.pose.draws import Draws
 
+_BORDER = (-0.4, 0.8)
+"""How far beyond a focus an image ends, in radii."""
+
 
 @dataclass(frozen=True)
 class Cut:
@@ -68,6 +71,31 @@ class Cut:
             return x[..., :2] / x[..., 2:].clamp_min(0.05)
 
         return self.focus[:, None, 2] * (projected(points) - projected(centre)[:, None]).norm(dim=-1)
+
+
+@dataclass(frozen=True)
+class Border:
+    """Where an image ends: at rays (x, y, 1) whose product with normal (B, 2), along u or v, is limit (B,), infinite
+    where the image is wide enough."""
+
+    normal: Tensor
+    limit: Tensor
+
+    @classmethod
+    def drawn(cls, focus: Tensor, radius: Tensor, share: float, draws: Draws) -> Border:
+        """In a `share` of the clouds near the focus (B, 3) [m, camera frame] of a sphere of radius (B,) [m], and never
+        such that the image would not hold its own middle."""
+        B = len(focus)
+        ray = focus[:, :2] / focus[:, 2:].clamp_min(0.05)
+        across = torch.nn.functional.one_hot(draws.integers(0, 2, B), 2).to(ray.dtype)
+        normal = across * torch.where(ray < 0, -1.0, 1.0)
+        centre = (normal * ray).sum(1)
+        limit = (centre + draws.uniform(B, *_BORDER) * radius / focus[:, 2].clamp_min(0.05)).clamp_min(0.05)
+        return cls(normal, torch.where(draws.uniform(B) < share, limit, torch.inf))
+
+    def shows(self, rays: Tensor) -> Tensor:
+        """Whether the image holds rays (B, H, W, 3), z = 1: (B, H, W)."""
+        return (rays[..., :2] * self.normal[:, None, None]).sum(-1) < self.limit[:, None, None]
 
 
 def _distance(points: Tensor, centre: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from toolee_robot.perception.pose import splat
 from toolee_robot.perception.pose.bank import NOWHERE, Float32, ToolBank, random_grasps
 from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, CanonicalCloud, canonicalize, with_rest
 from toolee_robot.perception.pose.cloud_batch import CATEGORY_SHARE, CloudBatch, CloudConfig
-from toolee_robot.perception.pose.cloud_cuts import Cut
+from toolee_robot.perception.pose.cloud_cuts import Border, Cut
 from toolee_robot.perception.pose.cloud_masks import cleaned, imperfect, pick
 from toolee_robot.perception.pose.cloud_scene import (
     Placement,
@@ -39,12 +39,14 @@ _MOST_GUESSED = 512
 @dataclass(frozen=True)
 class Target:
     """What a mask is said to show. focus (B, 3) [m, camera frame] and radius (B,) [m] of its sphere; cut: what it
-    really shows; claimed (B,): the category; positive (B,): rightly so; admissible (B,): whether, if not, it is a
-    negative that makes sense; on_hand (B,): the mask lies on the hand instead of on the tool."""
+    really shows; border: where the image ends; claimed (B,): the category; positive (B,): rightly so; admissible (B,):
+    whether, if not, it is a negative that makes sense; on_hand (B,): the mask lies on the hand instead of on the tool.
+    """
 
     focus: Tensor
     radius: Tensor
     cut: Cut
+    border: Border
     claimed: Tensor
     positive: Tensor
     admissible: Tensor
@@ -113,11 +115,12 @@ class CloudGenerator(CloudSource):
 
         unoccluded = _is_target(alone.images()[1]).sum((1, 2)).clamp_min(1)
         truth, labels, cosine = buffer.images()
-        seen = _is_target(labels)
+        inside = target.border.shows(rays)
+        seen = _is_target(labels) & inside
         occlusion = 1 - seen.sum((1, 2)) / unoccluded
         depth = splat.measure(truth, cosine, self._shininess[placed.item], f, draws.generator, c.sensor_level)
         depth = torch.where(cleaned(depth, c.cleaned_share, draws), depth, 0.0)
-        mask = imperfect(seen, c.mask_error_share, c.chunk_share, draws)
+        mask = imperfect(seen, c.mask_error_share, c.chunk_share, draws) & inside
 
         usable = mask & (depth > 0)
         points, valid, count = pick(usable, depth, rays)
@@ -171,6 +174,7 @@ class CloudGenerator(CloudSource):
         depth = splat.measure(truth, cosine, self._shininess[placed.item], f, draws.generator, c.sensor_level)
         depth = torch.where(cleaned(depth, c.cleaned_share, draws), depth, 0.0)
         mask = imperfect(labels == splat.TOOL, c.rest_error_share, c.rest_chunk_share, draws) & ~_is_target(labels)
+        mask &= target.border.shows(rays)
         points, valid, _ = pick(mask & (depth > 0), depth, rays)
         # Here the rest begins a pixel of this window beside the cut, in an image at the very next point: what it says
         # of the cut is not to be relied on.
@@ -250,6 +254,7 @@ class CloudGenerator(CloudSource):
             focus=focus,
             radius=radius,
             cut=Cut.drawn(focus, radius, other, self._radius[self._other_category[item]], c, placed.f_native, draws),
+            border=Border.drawn(focus, radius, c.border_share, draws),
             claimed=claimed,
             positive=on_ee & ~swapped,
             admissible=swapped | (on_hand & far_enough) | (on_rest & on_handle),

@@ -13,7 +13,7 @@ from toolee_robot.perception.dataset import paper
 from toolee_robot.perception.dataset.example import _Reach
 from toolee_robot.perception.pose.bank import NOWHERE
 from toolee_robot.perception.pose.cloud_batch import CloudConfig
-from toolee_robot.perception.pose.cloud_cuts import Cut
+from toolee_robot.perception.pose.cloud_cuts import Border, Cut
 from toolee_robot.perception.pose.draws import Draws
 from toolee_robot.types import CameraIntrinsics
 
@@ -79,3 +79,20 @@ def test_shares_of_cuts() -> None:
     assert float(cut.radius.min()) == pytest.approx(0.025, abs=0.001)
     assert float(cut.radius.max()) == pytest.approx(0.08, abs=0.001)
     torch.testing.assert_close(cut.other_radius, 2 * cut.radius)
+
+
+def test_borders_cross_or_pass_the_end_effector_and_keep_the_middle() -> None:
+    B, radius = 4000, 0.05
+    g = torch.Generator().manual_seed(0)
+    focus = torch.cat([1.2 * torch.rand((B, 2), generator=g) - 0.6, torch.ones((B, 1))], 1) * 0.8
+    border = Border.drawn(focus, torch.full((B,), radius), 0.25, Draws(torch.device("cpu"), 0))
+    rays = (focus / focus[:, 2:])[:, None, None]
+    ends = border.limit.isfinite()
+    assert float(ends.float().mean()) == pytest.approx(0.25, abs=0.03)
+    assert bool(border.shows(torch.tensor([0.0, 0.0, 1.0]).expand(B, 1, 1, 3)).all())
+    # As seen from the EE the image ends on its own side, and always within a radius of it unless that hides the middle.
+    assert bool(border.shows(rays)[~ends].all())
+    beyond = rays + torch.cat([border.normal * radius / 0.8, torch.zeros((B, 1))], 1)[:, None, None]
+    across = (border.normal * rays[:, 0, 0, :2]).sum(1)
+    assert not bool(border.shows(beyond)[ends & (across > 0.05)].any())
+    assert 0.2 < float(1 - border.shows(rays)[ends & (across > 0.1)].float().mean()) < 0.5

@@ -37,6 +37,7 @@ CLEAN = CloudConfig(
     negative_share=0.0,
     sensor_level=0.0,
     other_cut_share=0.0,
+    border_share=0.0,
 )
 
 
@@ -93,6 +94,17 @@ def test_masks_may_be_cut_at_another_radius(bank: ToolBank, hands: Float32) -> N
     reach = ((batch.points - batch.p[:, None]).norm(dim=-1).max(1).values) / nominal
     assert float(reach.min()) < 0.75
     assert float(reach.max()) > 1.2
+
+
+def test_the_image_may_end_near_the_end_effector(bank: ToolBank, hands: Float32) -> None:
+    """What lies beyond is not seen, and counts as hidden."""
+    whole, ended = (
+        CloudGenerator(bank, hands, "cpu", 1, replace(CLEAN, border_share=share)).collect(48, 64)
+        for share in (0.0, 1.0)
+    )
+    assert float(whole.occlusion.max()) < 0.02
+    assert float((ended.occlusion > 0.1).float().mean()) > 0.3
+    assert float(ended.visible.mean(dtype=torch.float32)) < 0.9 * float(whole.visible.mean(dtype=torch.float32))
 
 
 def test_clouds_of_the_papers_protocol_show_upright_tools_through_a_circle(bank: ToolBank, hands: Float32) -> None:
