@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -13,7 +12,8 @@ from torch import Tensor
 from toolee_robot.perception.dataset.records import MIN_POINTS
 from toolee_robot.perception.segmentation_boxes import clip
 from toolee_robot.perception.segmentation_crops import Images, MaskAt, Squares, look
-from toolee_robot.perception.segmentation_data import SegmentationImages, grown, recolour
+from toolee_robot.perception.segmentation_data import recolour
+from toolee_robot.perception.segmentation_images import DeviceStore, SegmentationImages
 from toolee_robot.perception.segmentation_input import encode_rgbd
 from toolee_robot.perception.segmentation_look import MAGNIFICATION
 from toolee_robot.perception.segmentation_model import TOOL, Detector, working_size
@@ -94,32 +94,14 @@ class RefinementData:
     def __init__(self, detector: Detector, device: torch.device) -> None:
         """detector: as it was trained; it must not have been trained on the images that come."""
         self._detector = detector.fuse().to(device).to(memory_format=torch.channels_last)
-        self._count = 0
-        self._rgb = torch.empty((0, 0, 0, 3), dtype=torch.uint8, device=device)
-        self._depth = torch.empty((0, 0, 0), dtype=torch.int16, device=device)
-        self._ee = torch.empty((0, 0, 0), dtype=torch.uint8, device=device)
-        self._focal = torch.empty(0, device=device)
+        self._store = DeviceStore(device, tools=False)
         self.finds: Finds | None = None
         self.validation = self._drawn = self._judged = torch.empty(0, dtype=torch.long, device=device)
 
     def extend(self, more: SegmentationImages) -> None:
         """Take in more images, all of one size, and look at them."""
-        device, first, n = self._rgb.device, self._count, len(more.rgb)
-        size = more.rgb.shape[1:3]
-        if first + n > len(self._rgb):
-            # Room for more than is needed now, or each scene would copy all that came before it.
-            capacity = max(first + n, 3 * first // 2)
-            kept = (t if first else t.new_empty((0, *size, *t.shape[3:])) for t in (self._rgb, self._depth, self._ee))
-            self._rgb, self._depth, self._ee = (grown(t, capacity) for t in kept)
-            self._focal = grown(self._focal, capacity)
-        part = slice(first, first + n)
-        self._rgb[part] = torch.from_numpy(more.rgb).to(device)
-        millimetres = np.minimum(more.depth_mm, np.iinfo(np.int16).max).astype(np.int16)
-        self._depth[part] = torch.from_numpy(millimetres).to(device)
-        self._ee[part] = torch.from_numpy(more.ee).to(device)
-        focal = np.sqrt(more.intrinsics[:, 0] * more.intrinsics[:, 1]).astype(np.float32)
-        self._focal[part] = torch.from_numpy(focal).to(device)
-        self._count += n
+        device, first, n = self._store.device, len(self._store), len(more.rgb)
+        self._store.extend(more)
         categories = torch.from_numpy(more.categories).to(device)
         found = [] if self.finds is None else [self.finds]
         for rows in torch.split(torch.arange(n, device=device), _AT_ONCE):
@@ -141,7 +123,7 @@ class RefinementData:
 
     def __len__(self) -> int:
         """How many images."""
-        return self._count
+        return len(self._store)
 
     def batch(self, count: int) -> Examples:
         """Examples for training, drawn and varied at random."""
@@ -171,24 +153,24 @@ class RefinementData:
 
     def _examples(self, finds: Finds, squares: Squares, score: Tensor) -> Examples:
         images, index = torch.unique(finds.image, return_inverse=True)
-        depth = self._depth[images].float() / 1000.0
-        seen, pixels = look(Images(self._rgb[images], depth, self._focal[images]), index, squares, finds.mask_at())
+        shown = Images(self._store.rgb[images], self._store.depth(images), self._store.focal[images])
+        seen, pixels = look(shown, index, squares, finds.mask_at())
         truth = self._ids(finds.image, pixels) == torch.where(finds.truth > 0, finds.truth, 255)[:, None, None]
         return Examples(seen, finds.category, score, truth, finds.truth > 0, finds.counts)
 
     def _ids(self, image: Tensor, pixels: Tensor) -> Tensor:
         """Ids of the EEs (N, CELLS, CELLS) at pixels (N, 2, CELLS, CELLS), 0 beyond the image."""
         column, row = pixels.clamp(min=0).unbind(1)
-        return torch.where(pixels[:, 0] >= 0, self._ee[image[:, None, None], row, column], 0)
+        return torch.where(pixels[:, 0] >= 0, self._store.maps[image[:, None, None], 0, row, column], 0)
 
     def _look(self, image: Tensor, categories: Tensor, zoom: float) -> Finds:
         """The detector's finds in the images `image` (B,), seen `zoom` times as large as at its first look, of which
         categories (B, E) has the EEs' class indices."""
-        rgb = self._rgb[image].permute(0, 3, 1, 2).float()
-        depth = self._depth[image].float() / 1000.0
+        rgb = self._store.rgb[image].permute(0, 3, 1, 2).float()
+        depth = self._store.depth(image)
         height, width = rgb.shape[-2:]
         size = working_size(height, width, round(self._detector.config.working_pixels * zoom**2))
-        focal = self._focal[image] * math.sqrt(size[0] * size[1] / (height * width))
+        focal = self._store.focal[image] * math.sqrt(size[0] * size[1] / (height * width))
         rgb = F.interpolate(rgb, size, mode="bilinear", align_corners=False)
         depth = F.interpolate(depth[:, None], size, mode="nearest-exact")[:, 0]
         batch = encode_rgbd(rgb, depth, focal)
@@ -220,7 +202,7 @@ class RefinementData:
         if not len(finds):
             return finds
         zero = torch.zeros(len(finds), dtype=torch.long, device=finds.image.device)
-        blank = torch.zeros((1, *self._ee.shape[1:]), device=zero.device)
+        blank = torch.zeros((1, *self._store.maps.shape[2:]), device=zero.device)
         images = Images(blank[..., None].expand(-1, -1, -1, 3), blank, zero[:1] + 1.0)
         seen, pixels = look(images, zero, Squares.about(finds.boxes), finds.mask_at())
         mask, ids = seen[:, -1] > 0, self._ids(finds.image, pixels)
@@ -230,5 +212,5 @@ class RefinementData:
             ious.append((there & mask).sum((1, 2)) / (there | mask).sum((1, 2)).clamp(min=1))
         best, which = torch.stack(ious, 1).max(1)
         truth = torch.where(best >= DRAWN, which + 1, 0).to(torch.uint8)
-        shown = (self._ee[finds.image] == truth[:, None, None]).sum((1, 2))
+        shown = (self._store.maps[finds.image, 0] == truth[:, None, None]).sum((1, 2))
         return replace(finds, truth=truth, counts=(truth == 0) | (shown >= MIN_POINTS))

@@ -1,73 +1,16 @@
-"""Training images on the device: a data set held as bytes, and augmentation in whole batches."""
+"""The detector's training images: sampled on the device, augmented in whole batches."""
 
 from __future__ import annotations
 
 import math
-import multiprocessing
-import os
-import queue
-import threading
-from collections import deque
-from concurrent.futures import Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Protocol
 
-import numpy as np
 import torch
 import torch.nn.functional as F
-from numpy.typing import NDArray
 from torch import Tensor
 
-from toolee_robot.errors import TooleeError
-from toolee_robot.perception.dataset.orphans import end_with_parent
-from toolee_robot.perception.dataset.scene_reader import load_scenes, scene_folders
+from toolee_robot.perception.segmentation_images import DeviceStore, SegmentationImages, grown
 from toolee_robot.perception.segmentation_input import STRIDE, RgbdBatch, encode_rgbd
-
-_CHUNK = 512
-"""Images sent to the device at a time."""
-_DECODERS = 8
-"""Processes that decode images, at most."""
-
-
-class SegmentationImages(Protocol):
-    """What the trainer needs of a data set, arrays of N images of one size.
-
-    rgb (N, H, W, 3) uint8. depth_mm (N, H, W) uint16: [mm], 0 where unknown. intrinsics (N, 4): fx, fy, cx, cy [px].
-    ee (N, H, W) uint8: id of the end effector seen at the pixel, 0 for none. tool (N, H, W) uint8: id of the tool,
-    likewise. categories (N, E) uint8: class index (1..4, the order of `Category`) of EE id 1..E, 0 where there is none.
-    """
-
-    @property
-    def rgb(self) -> NDArray[np.uint8]: ...
-
-    @property
-    def depth_mm(self) -> NDArray[np.uint16]: ...
-
-    @property
-    def intrinsics(self) -> NDArray[np.float64]: ...
-
-    @property
-    def ee(self) -> NDArray[np.uint8]: ...
-
-    @property
-    def tool(self) -> NDArray[np.uint8]: ...
-
-    @property
-    def categories(self) -> NDArray[np.uint8]: ...
-
-
-@dataclass(frozen=True)
-class ArrayImages:
-    """`SegmentationImages` in memory."""
-
-    rgb: NDArray[np.uint8]
-    depth_mm: NDArray[np.uint16]
-    intrinsics: NDArray[np.float64]
-    ee: NDArray[np.uint8]
-    tool: NDArray[np.uint8]
-    categories: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -86,60 +29,33 @@ class DeviceImages:
     """A data set, or one rank's part of it, as bytes on the device, sampled in shuffled epochs. It may grow."""
 
     def __init__(self, images: SegmentationImages, device: torch.device) -> None:
-        self._count = 0
-        height, width = images.rgb.shape[1:3]
-        self._rgb = torch.empty((0, height, width, 3), dtype=torch.uint8, device=device)
-        self._depth = torch.empty((0, height, width), dtype=torch.int16, device=device)
-        self._focal = torch.empty(0, device=device)
-        self._maps = torch.empty((0, 2, height, width), dtype=torch.uint8, device=device)
-        self._categories = torch.empty((0, images.categories.shape[1]), dtype=torch.uint8, device=device)
+        self._store = DeviceStore(device, tools=True)
+        self._categories = torch.empty((0, 0), dtype=torch.uint8, device=device)
         self.tools = 1
         self._order = torch.empty(0, dtype=torch.long, device=device)
         self.extend(images)
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._store)
 
     def extend(self, more: SegmentationImages) -> None:
         """Take in more images; they are drawn from the next epoch on."""
-        device, end = self._rgb.device, self._count + len(more.rgb)
-        if end > len(self._rgb):
-            # Room for more than is needed now, or each scene would copy all that came before it.
-            capacity = max(end, 3 * self._count // 2)
-            self._rgb, self._depth = grown(self._rgb, capacity), grown(self._depth, capacity)
-            self._maps, self._focal = grown(self._maps, capacity), grown(self._focal, capacity)
-            self._categories = grown(self._categories, capacity)
-        for start in range(0, len(more.rgb), _CHUNK):
-            part = slice(start, min(start + _CHUNK, len(more.rgb)))
-            place = slice(self._count + part.start, self._count + part.stop)
-            self._rgb[place] = torch.from_numpy(more.rgb[part]).to(device)
-            millimetres = np.minimum(more.depth_mm[part], np.iinfo(np.int16).max).astype(np.int16)
-            self._depth[place] = torch.from_numpy(millimetres).to(device)
-            self._maps[place, 0] = torch.from_numpy(more.ee[part]).to(device)
-            self._maps[place, 1] = torch.from_numpy(more.tool[part]).to(device)
-        focal = np.sqrt(more.intrinsics[:, 0] * more.intrinsics[:, 1])
-        self._focal[self._count : end] = torch.from_numpy(focal.astype(np.float32)).to(device)
-        missing = more.categories.shape[1] - self._categories.shape[1]
-        self._categories = F.pad(self._categories, (0, max(missing, 0)))
-        self._categories[self._count : end] = F.pad(torch.from_numpy(more.categories).to(device), (0, max(-missing, 0)))
+        first = len(self._store)
+        self._store.extend(more)
+        most = max(self._categories.shape[1], more.categories.shape[1])
+        self._categories = grown(self._categories, (len(self._store), most))
+        self._categories[first:, : more.categories.shape[1]] = torch.from_numpy(more.categories)
         self.tools = max(self.tools, int(more.tool.max(initial=0)))
-        self._count = end
 
     def sample(self, count: int) -> ImageSample:
         """The next `count` images."""
+        store = self._store
         while len(self._order) < count:
-            fresh = torch.randperm(self._count, device=self._rgb.device)
+            fresh = torch.randperm(len(store), device=store.device)
             self._order = torch.cat([self._order, fresh])
         index, self._order = self._order[:count], self._order[count:]
-        depth = self._depth[index].float() / 1000.0
-        return ImageSample(self._rgb[index], depth, self._focal[index], self._maps[index], self._categories[index])
-
-
-def grown(rows: Tensor, capacity: int) -> Tensor:
-    """The rows (N, ...) with room for `capacity` of them; what is added is 0."""
-    larger = rows.new_zeros((capacity, *rows.shape[1:]))
-    larger[: len(rows)] = rows
-    return larger
+        depth = store.depth(index)
+        return ImageSample(store.rgb[index], depth, store.focal[index], store.maps[index], self._categories[index])
 
 
 @torch.no_grad()
@@ -261,64 +177,3 @@ def _hide(
         known, share = torch.rand((2, n, 1, 1), device=device)
         depth = torch.where(inside[:, 0], depth * (0.5 + 0.5 * share) * (known < 0.5), depth)
     return images, depth, maps
-
-
-class SceneStream:
-    """The scenes of part (i, n) of a split's folder, in order, each decoded by a process of its own once it is there.
-
-    Training can begin while `toolee dataset generate` still writes.
-    """
-
-    def __init__(self, folder: Path, part: tuple[int, int] = (0, 1)) -> None:
-        self._folder, self._part = folder, part
-        self._decoded: queue.SimpleQueue[SegmentationImages | TooleeError] = queue.SimpleQueue()
-        self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._watch, daemon=True)
-        self._thread.start()
-
-    def take(self, timeout: float = 0.0) -> list[SegmentationImages]:
-        """What has been decoded since the last call, waiting up to `timeout` [s] for the first. Raises AssetError
-        naming a broken file, TooleeError when a process was killed."""
-        images: list[SegmentationImages] = []
-        while True:
-            try:
-                item = self._decoded.get(timeout=timeout) if timeout > 0 and not images else self._decoded.get_nowait()
-            except queue.Empty:
-                return images
-            if isinstance(item, TooleeError):
-                raise item
-            images.append(item)
-
-    def close(self) -> None:
-        """Stop watching."""
-        self._closed.set()
-        self._thread.join()
-
-    def _watch(self) -> None:
-        workers = max(1, min(_DECODERS, (os.cpu_count() or 1) // (2 * self._part[1])))
-        seen: set[Path] = set()
-        todo: deque[Path] = deque()
-        running: deque[Future[SegmentationImages]] = deque()
-        # Processes: threads would take turns with training for the interpreter's lock.
-        with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), end_with_parent) as pool:
-            while not self._closed.is_set():
-                if not todo:
-                    fresh = [p for p in scene_folders(self._folder) if int(p.name) % self._part[1] == self._part[0]]
-                    todo.extend(p for p in fresh if p not in seen)
-                    seen.update(todo)
-                while todo and len(running) < 2 * workers:
-                    running.append(pool.submit(load_scenes, [todo.popleft()], threads=1))
-                if not running:
-                    self._closed.wait(0.5)
-                elif wait([running[0]], 0.5).done:
-                    self._decoded.put(_outcome(running.popleft()))
-            pool.shutdown(cancel_futures=True)
-
-
-def _outcome(decoded: Future[SegmentationImages]) -> SegmentationImages | TooleeError:
-    try:
-        return decoded.result()
-    except TooleeError as error:
-        return error
-    except BrokenProcessPool:
-        return TooleeError("a process that decodes images was killed, perhaps for want of memory: use --resume")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.dataset.scene_reader import load_scenes, scene_folders
 from toolee_robot.perception.segmentation import EVERYTHING, Segmenter
-from toolee_robot.perception.segmentation_data import SegmentationImages
+from toolee_robot.perception.segmentation_images import SegmentationImages
 from toolee_robot.perception.segmentation_model import CLASSES, TOOL
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 

@@ -27,7 +27,7 @@ from toolee_robot.perception.assets import load_weights
 from toolee_robot.perception.ranks import Ranks
 from toolee_robot.perception.ranks import ranks as ranks_of
 from toolee_robot.perception.refinement_data import Examples, RefinementData
-from toolee_robot.perception.segmentation_data import SceneStream
+from toolee_robot.perception.scene_stream import SceneStream
 from toolee_robot.perception.segmentation_losses import mask_overlap, outline_losses, weighted_mean
 from toolee_robot.perception.segmentation_model import trained_detector
 from toolee_robot.perception.segmentation_refiner import WEIGHTS_NAME, Refiner, RefinerConfig, load_refiner

@@ -24,7 +24,9 @@ from toolee_robot.errors import UserError
 from toolee_robot.perception.assets import load_weights
 from toolee_robot.perception.ranks import Ranks
 from toolee_robot.perception.ranks import ranks as ranks_of
-from toolee_robot.perception.segmentation_data import DeviceImages, SceneStream, SegmentationImages, augment
+from toolee_robot.perception.scene_stream import SceneStream
+from toolee_robot.perception.segmentation_data import DeviceImages, augment
+from toolee_robot.perception.segmentation_images import SegmentationImages
 from toolee_robot.perception.segmentation_losses import DetectorLoss, instances_from_maps
 from toolee_robot.perception.segmentation_model import (
     CLASSES,

@@ -24,7 +24,7 @@ from toolee_robot.perception.pose.representation import DIM
 from toolee_robot.types import Category
 
 CATEGORIES = tuple(Category)
-SAMPLER = Euler(5)
+SAMPLER = Euler(3)
 REGRESSED = ("mean", "log_sigma", "valid")
 """What `PoseNet.regress` gives."""
 DIRECTION_DIM = 5

@@ -22,8 +22,8 @@ from toolee_robot.perception.dataset.records import HEIGHT, WIDTH
 from toolee_robot.perception.refinement_data import DRAWN, Examples, Finds, RefinementData
 from toolee_robot.perception.segmentation import EVERYTHING, Segmenter
 from toolee_robot.perception.segmentation_crops import CELLS, CHANNELS
-from toolee_robot.perception.segmentation_data import ArrayImages
 from toolee_robot.perception.segmentation_evaluation import frame_of
+from toolee_robot.perception.segmentation_images import ArrayImages
 from toolee_robot.perception.segmentation_instances import Box, Instances, mask_iou
 from toolee_robot.perception.segmentation_masks import MASK_SIZE, paste_one
 from toolee_robot.perception.segmentation_model import TOOL, Detector, DetectorConfig, load_detector

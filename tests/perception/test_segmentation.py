@@ -16,8 +16,9 @@ from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.segmentation import Segmenter
 from toolee_robot.perception.segmentation_boxes import decode, encode, greedy_suppression, pairwise_iou
-from toolee_robot.perception.segmentation_data import ArrayImages, DeviceImages, augment
+from toolee_robot.perception.segmentation_data import DeviceImages, augment
 from toolee_robot.perception.segmentation_evaluation import evaluate_masks
+from toolee_robot.perception.segmentation_images import ArrayImages
 from toolee_robot.perception.segmentation_input import CHANNELS, encode_rgbd
 from toolee_robot.perception.segmentation_instances import associate, without_duplicates
 from toolee_robot.perception.segmentation_losses import instances_from_maps

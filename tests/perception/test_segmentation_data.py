@@ -15,7 +15,8 @@ from toolee_robot.errors import AssetError
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH, EeTable, Example
 from toolee_robot.perception.dataset.scene_reader import load
 from toolee_robot.perception.dataset.scene_writer import write_scene
-from toolee_robot.perception.segmentation_data import DeviceImages, SceneStream, augment
+from toolee_robot.perception.scene_stream import SceneStream
+from toolee_robot.perception.segmentation_data import DeviceImages, augment
 from toolee_robot.perception.segmentation_evaluation import true_instances
 from toolee_robot.perception.segmentation_input import STRIDE
 from toolee_robot.perception.segmentation_losses import instances_from_maps

@@ -11,7 +11,7 @@ from torch import Tensor
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.pose.bank import Float32, ToolBank
 from toolee_robot.perception.pose.cloud_batch import CloudBatch, CloudConfig
-from toolee_robot.perception.pose.cloud_cuts import Cut
+from toolee_robot.perception.pose.cloud_cuts import Border, Cut
 from toolee_robot.perception.pose.cloud_scene import Placement, rigid_inverse
 from toolee_robot.perception.pose.clouds import CloudGenerator, Target
 from toolee_robot.perception.pose.paper.estimator import OBJECT_RADIUS
@@ -39,7 +39,8 @@ class ObjectCloudGenerator(CloudGenerator):
         no = torch.zeros_like(placed.has_hand)
         focus = torch.einsum("bij,bj->bi", placed.R, self._middle[placed.item]) + placed.p
         radius = torch.full_like(placed.distance, OBJECT_RADIUS)
-        return Target(focus, radius, Cut.sphere(focus, radius), self._category[placed.item], ~no, no, no)
+        border = Border.drawn(focus, radius, self.config.border_share, self._draws)
+        return Target(focus, radius, Cut.sphere(focus, radius), border, self._category[placed.item], ~no, no, no)
 
     def _truth(self, placed: Placement) -> tuple[Tensor, Tensor]:
         p_ee_tool = placed.X_ee_tool[:, :3, 3]

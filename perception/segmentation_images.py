@@ -1,0 +1,107 @@
+"""Images with the ids of what they show: in memory, and as bytes on a device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+_CHUNK = 512
+"""Images sent to the device at a time."""
+
+
+class SegmentationImages(Protocol):
+    """What the trainer needs of a data set, arrays of N images of one size.
+
+    rgb (N, H, W, 3) uint8. depth_mm (N, H, W) uint16: [mm], 0 where unknown. intrinsics (N, 4): fx, fy, cx, cy [px].
+    ee (N, H, W) uint8: id of the end effector seen at the pixel, 0 for none. tool (N, H, W) uint8: id of the tool,
+    likewise. categories (N, E) uint8: class index (1..4, the order of `Category`) of EE id 1..E, 0 where there is none.
+    """
+
+    @property
+    def rgb(self) -> NDArray[np.uint8]: ...
+
+    @property
+    def depth_mm(self) -> NDArray[np.uint16]: ...
+
+    @property
+    def intrinsics(self) -> NDArray[np.float64]: ...
+
+    @property
+    def ee(self) -> NDArray[np.uint8]: ...
+
+    @property
+    def tool(self) -> NDArray[np.uint8]: ...
+
+    @property
+    def categories(self) -> NDArray[np.uint8]: ...
+
+
+@dataclass(frozen=True)
+class ArrayImages:
+    """`SegmentationImages` in memory."""
+
+    rgb: NDArray[np.uint8]
+    depth_mm: NDArray[np.uint16]
+    intrinsics: NDArray[np.float64]
+    ee: NDArray[np.uint8]
+    tool: NDArray[np.uint8]
+    categories: NDArray[np.uint8]
+
+
+class DeviceStore:
+    """A data set, or one rank's part of it, as bytes on the device. It may grow.
+
+    rgb (M, H, W, 3) uint8; focal (M,) [px]; maps (M, 1 or 2, H, W) uint8: ids of EE and, if `tools`, of tool. Of the M
+    rows the first `len` are images, the others room for more.
+    """
+
+    def __init__(self, device: torch.device, tools: bool) -> None:
+        self.device = device
+        self._count = 0
+        self.rgb = torch.empty((0, 0, 0, 3), dtype=torch.uint8, device=device)
+        self._millimetres = torch.empty((0, 0, 0), dtype=torch.int16, device=device)
+        self.maps = torch.empty((0, 2 if tools else 1, 0, 0), dtype=torch.uint8, device=device)
+        self.focal = torch.empty(0, device=device)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def depth(self, which: Tensor) -> Tensor:
+        """Of the images `which` (B,): (B, H, W) float32 [m], 0 where unknown."""
+        return self._millimetres[which].float() / 1000.0
+
+    def extend(self, more: SegmentationImages) -> None:
+        """Take in more images, all of one size."""
+        first, end = self._count, self._count + len(more.rgb)
+        if end > len(self.rgb):
+            # Room for more than is needed now, or each scene would copy all that came before it.
+            capacity = max(end, 3 * first // 2)
+            size = more.rgb.shape[1:3]
+            self.rgb = grown(self.rgb, (capacity, *size, 3))
+            self._millimetres = grown(self._millimetres, (capacity, *size))
+            self.maps = grown(self.maps, (capacity, self.maps.shape[1], *size))
+            self.focal = grown(self.focal, (capacity,))
+        for start in range(0, len(more.rgb), _CHUNK):
+            part = slice(start, min(start + _CHUNK, len(more.rgb)))
+            place = slice(first + part.start, first + part.stop)
+            self.rgb[place] = torch.from_numpy(more.rgb[part]).to(self.device)
+            millimetres = np.minimum(more.depth_mm[part], np.iinfo(np.int16).max).astype(np.int16)
+            self._millimetres[place] = torch.from_numpy(millimetres).to(self.device)
+            for k, ids in enumerate((more.ee, more.tool)[: self.maps.shape[1]]):
+                self.maps[place, k] = torch.from_numpy(ids[part]).to(self.device)
+        focal = np.sqrt(more.intrinsics[:, 0] * more.intrinsics[:, 1])
+        self.focal[first:end] = torch.from_numpy(focal.astype(np.float32)).to(self.device)
+        self._count = end
+
+
+def grown(old: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """A larger tensor of that shape with the old one in its first corner; what is added is 0."""
+    new = old.new_zeros(shape)
+    if old.numel():
+        new[tuple(slice(n) for n in old.shape)] = old
+    return new
