@@ -14,6 +14,7 @@ from typing import Any, Generic, Self, TypeVar
 import torch
 
 from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.perception.dataset.orphans import end_with_parent
 
 State = TypeVar("State")
 Item = TypeVar("Item")
@@ -72,6 +73,7 @@ _state: list[Any] = []
 
 
 def _begin(begin: Callable[[], Any]) -> None:
+    end_with_parent()
     torch.set_num_threads(1)
     _state.append(begin())
 

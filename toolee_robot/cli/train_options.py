@@ -1,0 +1,70 @@
+"""Options of the trainings: from a file and the command line, kept beside the checkpoint."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+import yaml
+
+from toolee_robot.cli.output import write_whole
+from toolee_robot.errors import UserError
+
+CONFIG = "config.json"
+"""Beside the checkpoint: the configuration it was made with."""
+OutDir = Annotated[Path, tyro.conf.arg(metavar="DIR")]
+File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
+Number = Annotated[float | None, tyro.conf.arg(metavar="X", help_behavior_hint="")]
+Count = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
+
+_MAY_CHANGE = {
+    "minutes",
+    "max_steps",
+    "session_minutes",
+    "device",
+    "checkpoint_minutes",
+    "checkpoint_seconds",
+    "patience",
+}
+
+
+def options_of(command: Any, file: Path | None, names: set[str]) -> dict[str, Any]:
+    """A training's options called `names`: those of the file, then those of the command, a dataclass."""
+    options: dict[str, Any] = {}
+    if file is not None:
+        try:
+            read = yaml.safe_load(file.read_text())  # JSON is YAML
+        except (OSError, yaml.YAMLError) as error:
+            raise UserError(f"--config {file}: cannot be read ({error})") from error
+        if not isinstance(read, dict) or (unknown := sorted(set(map(str, read)) - names)):
+            what = f"has no option {', '.join(unknown)}" if isinstance(read, dict) else "is no mapping of options"
+            raise UserError(f"--config {file}: {what}; there are {', '.join(sorted(names))}")
+        options |= read
+    given = {f.name: getattr(command, f.name) for f in fields(command) if f.name in names}
+    return options | {name: value for name, value in given.items() if value is not None}
+
+
+def remember(out: Path, resume: bool, config: dict[str, Any], name: str = CONFIG) -> None:
+    """Store the configuration, or check that a run goes on with the one it began with."""
+    path = out / name
+    if resume and path.is_file():
+        before = json.loads(path.read_text())
+        # How long it goes on may change; what is learnt from may not.
+        changed = {k for k in before.keys() | config.keys() if before.get(k) != config.get(k)} - _MAY_CHANGE
+        if changed:
+            raise UserError(
+                f"{out} was begun with another {', '.join(sorted(changed))} ({path}): use those values or another --out"
+            )
+    make_folder(out)
+    write_whole(path, (json.dumps(config, indent=1, default=str) + "\n").encode())
+
+
+def make_folder(folder: Path) -> None:
+    """Make it where it is missing. Raises UserError where that cannot be."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the folder {folder}: {error.strerror or error}") from error
