@@ -105,16 +105,15 @@ class RefinementData:
         categories = torch.from_numpy(more.categories).to(device)
         found = [] if self.finds is None else [self.finds]
         for rows in torch.split(torch.arange(n, device=device), _AT_ONCE):
-            # Two of each, so that those kept aside are of both kinds.
-            kind = (first + rows) // 2 % len(_ZOOMS)
-            for k, zoom in enumerate(_ZOOMS):
-                some = rows[kind == k]
+            zooms = zoom_of(first + rows)
+            for zoom in _ZOOMS:
+                some = rows[zooms == zoom]
                 if len(some):
                     found.append(self._look(first + some, categories[some], zoom))
         self.finds = Finds.cat(found)
-        kept_aside, drawn = self.finds.image % VALIDATION == 0, self.finds.truth > 0
-        self._drawn, self._judged = (torch.nonzero(rows & ~kept_aside)[:, 0] for rows in (drawn, ~drawn))
-        self.validation = torch.nonzero(kept_aside & drawn & self.finds.counts)[:, 0]
+        aside, drawn = kept_aside(self.finds.image), self.finds.truth > 0
+        self._drawn, self._judged = (torch.nonzero(rows & ~aside)[:, 0] for rows in (drawn, ~drawn))
+        self.validation = torch.nonzero(aside & drawn & self.finds.counts)[:, 0]
 
     @property
     def ready(self) -> bool:
@@ -214,3 +213,14 @@ class RefinementData:
         truth = torch.where(best >= DRAWN, which + 1, 0).to(torch.uint8)
         shown = (self._store.maps[finds.image, 0] == truth[:, None, None]).sum((1, 2))
         return replace(finds, truth=truth, counts=(truth == 0) | (shown >= MIN_POINTS))
+
+
+def zoom_of(image: Tensor) -> Tensor:
+    """How much larger than at its first look the detector sees images (N,): two of each in turn, so that those kept
+    aside are of both sizes."""
+    return image.new_tensor(_ZOOMS, dtype=torch.float64)[image // 2 % len(_ZOOMS)]
+
+
+def kept_aside(image: Tensor) -> Tensor:
+    """Which of images (N,) are not trained on."""
+    return image % VALIDATION == 0

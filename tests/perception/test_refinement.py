@@ -19,12 +19,21 @@ from tests.perception.toy_scenes import enlarged, toy_scenes, write_toys
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.assets import load_weights, save_weights
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH
-from toolee_robot.perception.refinement_data import DRAWN, Examples, Finds, RefinementData
+from toolee_robot.perception.refinement_data import (
+    DRAWN,
+    VALIDATION,
+    Examples,
+    Finds,
+    RefinementData,
+    kept_aside,
+    zoom_of,
+)
 from toolee_robot.perception.segmentation import EVERYTHING, Segmenter
 from toolee_robot.perception.segmentation_crops import CELLS, CHANNELS
 from toolee_robot.perception.segmentation_evaluation import frame_of
 from toolee_robot.perception.segmentation_images import ArrayImages
 from toolee_robot.perception.segmentation_instances import Box, Instances, mask_iou
+from toolee_robot.perception.segmentation_look import MAGNIFICATION
 from toolee_robot.perception.segmentation_masks import MASK_SIZE, paste_one
 from toolee_robot.perception.segmentation_model import TOOL, Detector, DetectorConfig, load_detector
 from toolee_robot.perception.segmentation_redraw import Redraw
@@ -213,6 +222,15 @@ def test_finds_are_matched_with_the_end_effectors_of_their_kind(finds: Refinemen
             assert int(found.truth[i]) == int(iou > DRAWN)
             matched += int(found.truth[i])
     assert matched >= 4
+
+
+def test_both_sizes_are_as_frequent_among_the_pictures_kept_aside(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("toolee_robot.perception.refinement_data.VALIDATION", VALIDATION)
+    pictures = torch.arange(4000)
+    for some in (pictures, pictures[kept_aside(pictures)]):
+        sizes, count = zoom_of(some).unique(return_counts=True)
+        assert sizes.tolist() == [1.0, MAGNIFICATION]
+        assert count.tolist() == [len(some) // 2] * 2
 
 
 def test_examples_show_their_end_effector(finds: RefinementData) -> None:
