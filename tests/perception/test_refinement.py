@@ -228,7 +228,7 @@ def test_both_sizes_are_as_frequent_among_the_pictures_kept_aside(monkeypatch: p
     monkeypatch.setattr("toolee_robot.perception.refinement_data.VALIDATION", VALIDATION)
     pictures = torch.arange(4000)
     for some in (pictures, pictures[kept_aside(pictures)]):
-        sizes, count = zoom_of(some).unique(return_counts=True)
+        sizes, count = torch.unique(zoom_of(some), return_counts=True)
         assert sizes.tolist() == [1.0, MAGNIFICATION]
         assert count.tolist() == [len(some) // 2] * 2
 
