@@ -179,7 +179,7 @@ class EvaluateSegmentation:
             from toolee_robot.perception.evaluation.report import segmentation_page
 
             _write(console, self.out, record, {}, segmentation_page(found, rows, STATISTICS, _subtitle()))
-        console.print(text_table("Segmentation, COCO mask AP [%]", ("class", "instances", *STATISTICS), rows))
+        console.print(text_table("Segmentation, COCO mask AP [%]", ("class", "n", *STATISTICS), rows))
         if self.json:
             print(json_line(record))
         return 0

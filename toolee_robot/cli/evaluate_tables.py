@@ -66,7 +66,7 @@ def segmentation_rows(found: dict[str, Any]) -> list[list[str]]:
 
     return [
         [name.replace("_", " "), str(row.get("instances", ""))]
-        + ["–" if row[k] is None else f"{100 * row[k]:.2f}" for k in STATISTICS]
+        + ["–" if row[k] is None else f"{100 * row[k]:.1f}" for k in STATISTICS]
         for name, row in found.items()
         if isinstance(row, dict)
     ]
