@@ -66,11 +66,7 @@ class Cut:
 
     def _across(self, points: Tensor, centre: Tensor) -> Tensor:
         """(B, N) distance [m] in the image from a centre (B, 3), at the focus's depth."""
-
-        def projected(x: Tensor) -> Tensor:
-            return x[..., :2] / x[..., 2:].clamp_min(0.05)
-
-        return self.focus[:, None, 2] * (projected(points) - projected(centre)[:, None]).norm(dim=-1)
+        return self.focus[:, None, 2] * (_projected(points) - _projected(centre)[:, None]).norm(dim=-1)
 
 
 @dataclass(frozen=True)
@@ -86,7 +82,7 @@ class Border:
         """In a `share` of the clouds near the focus (B, 3) [m, camera frame] of a sphere of radius (B,) [m], and never
         such that the image would not hold its own middle."""
         B = len(focus)
-        ray = focus[:, :2] / focus[:, 2:].clamp_min(0.05)
+        ray = _projected(focus)
         across = torch.nn.functional.one_hot(draws.integers(0, 2, B), 2).to(ray.dtype)
         normal = across * torch.where(ray < 0, -1.0, 1.0)
         centre = (normal * ray).sum(1)
@@ -96,6 +92,11 @@ class Border:
     def shows(self, rays: Tensor) -> Tensor:
         """Whether the image holds rays (B, H, W, 3), z = 1: (B, H, W)."""
         return (rays[..., :2] * self.normal[:, None, None]).sum(-1) < self.limit[:, None, None]
+
+
+def _projected(points: Tensor) -> Tensor:
+    """(..., 2) of points (..., 3), camera frame: where their rays are at z = 1."""
+    return points[..., :2] / points[..., 2:].clamp_min(0.05)
 
 
 def _distance(points: Tensor, centre: Tensor) -> Tensor:
