@@ -13,6 +13,8 @@ from toolee_robot.cli.servo_trace import TraceFigures, compare
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome, MotionReport
 from toolee_robot.hardware.servo_benchmark import drift, wave
+from toolee_robot.sim_backend.ur_controller.model import MODELS
+from toolee_robot.sim_backend.ur_controller.motion import ServoJ
 
 RATE, N = 500.0, 3000
 PERIOD = 1.0 / RATE
@@ -64,6 +66,35 @@ def test_a_tick_that_was_late_itself_explains_what_follows_from_it_however_late_
     figures = _figures(*_sent(), taken=taken, stamps=ticks)
     assert (figures.held, figures.skipped, figures.unreported) == (1, 1, 0)
     assert figures.late_ticks == 2
+
+
+@pytest.mark.parametrize(("late", "early", "close"), [(0.47, 0.0, 1), (0.45, 0.1, 1), (0.3, 0.2, 1), (0.3, 0.0, 0)])
+def test_a_command_and_its_tick_that_just_miss_each_other_are_told_from_joints_that_stray(
+    late: float, early: float, close: int
+) -> None:
+    """Each by less than what either is called late for; the joints are the stand-in's, which go on meanwhile."""
+    sent, commands = _sent()
+    ticks = sent + LAG
+    sent[1000] += late * PERIOD
+    ticks[1000] -= early * PERIOD
+    there = np.searchsorted(sent + 0.06 * PERIOD, ticks) - 1
+    figures = _figures(sent, commands, there, ticks, _servoed(commands, there) - commands[there])
+    assert (figures.unreported, figures.late_ticks, figures.close_ticks) == (0, 0, close)
+    assert figures.lag_error < 1e-12
+    assert figures.followed > 0.98
+
+
+def _servoed(commands: Array, there: Any) -> Array:
+    """(N, 6) [rad]: where the stand-in's joints are after each tick that goes by that command."""
+    q, qd, rows = commands[there[0]], (commands[1] - commands[0]) / PERIOD, []
+    motion = ServoJ(MODELS["UR10e"], q, PERIOD)
+    for k in there:
+        before, motion = motion, ServoJ(MODELS["UR10e"], commands[k], PERIOD)
+        motion.follow(before)
+        way = motion.step(q, qd, PERIOD, PERIOD)
+        q, qd = q + way, way / PERIOD
+        rows.append(q)
+    return np.array(rows)
 
 
 @pytest.mark.parametrize(("off", "unreported"), [(1e-4, 0), (0.0, 1)])

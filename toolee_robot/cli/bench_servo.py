@@ -119,7 +119,8 @@ def _table(servo: ServoFigures, trace: TraceFigures, machine: Standstills, met: 
         f"max {servo.period_error_max * 1e3:.3f} ms",
         "the machine itself": f"stood still {machine.count} times over 5 ms, {machine.longest * 1e3:.1f} ms at most",
         "late cycles, by the driver": f"{servo.overruns}",
-        "at the robot": f"{trace.ticks} ticks ({trace.late_ticks} late themselves); {trace.held} without a command, "
+        "at the robot": f"{trace.ticks} ticks ({trace.late_ticks} late themselves, {trace.close_ticks} close to their "
+        f"command); {trace.held} without one, "
         f"{trace.skipped} commands overtaken; {trace.unreported} not explained",
         "drift": f"{servo.drift * 1e3:+.3f} ms",
         "lag": f"{trace.lag * 1e3:.2f} ms from sending to the joint",

@@ -19,18 +19,21 @@ _ROW = np.dtype([("stamp", np.float64), ("q", np.float64, 6)])
 _LATEST = 6  # cycles within which a command must have reached the robot
 _SETTLING = 5 * _LATEST  # cycles that the joints need to catch up, after what was late
 _EXACT = 1e-6  # [rad]
+_TRANSIT = 0.125  # of a cycle: a command that is sent by less than this before a tick may not be there yet
 
 
 @dataclass(frozen=True)
 class TraceFigures:
     """ticks: of the robot during the motion. lag: the median time from sending to the joints being there [s].
     lag_error: the most that the joints were off the command of that lag, in the share `followed` of the ticks: all but
-    those about an irregular or late one or a command that was sent late, and those in which the robot goes by an older
-    command than usual [rad]. held:
+    those about an irregular, late or close one or a command that was sent late, and those in which the robot goes by an
+    older command than usual [rad]. held:
     ticks without a new command; skipped: commands that a later one overtook. unreported: of the held, and of the
     skipped that do not just end the lateness which a held one began, those that coincide neither with a cycle that the
     driver sent late (by half a cycle) nor with a tick of the stand-in that was late (by a quarter, which is what a
-    command sent in the middle of a cycle leaves), nor show joints that still catch up after one. late_ticks: those.
+    command sent in the middle of a cycle leaves) or close, nor show joints that still catch up after one. late_ticks:
+    those. close_ticks: those whose command was sent too shortly before to be there for sure, or after: neither the
+    driver nor the stand-in was late enough alone, together they were.
     """
 
     ticks: int
@@ -41,6 +44,7 @@ class TraceFigures:
     skipped: int
     unreported: int
     late_ticks: int
+    close_ticks: int
 
 
 class TraceMemory:
@@ -100,7 +104,9 @@ def compare(report: MotionReport, stamps: Array, q: Array, rate: float) -> Trace
     irregular = np.flatnonzero(steps != 1) + 1
     late_sent = sent[1:][np.abs(np.diff(sent) - period) >= period / 2]
     late_ticks = stamps[1:][np.abs(np.diff(stamps) - period) >= period / 4]
-    excuses = np.sort(np.concatenate([late_sent, late_ticks]))
+    since = (stamps - sent[newest]) / period
+    close_ticks = stamps[(since < _TRANSIT) | (since >= 1.0 + _TRANSIT)]
+    excuses = np.sort(np.concatenate([late_sent, late_ticks, close_ticks]))
     behind = newest - k
     behind -= int(np.median(behind))
     # Joints that catch up are between two commands, and the nearest one says little of which they were given.
@@ -122,6 +128,7 @@ def compare(report: MotionReport, stamps: Array, q: Array, rate: float) -> Trace
         skipped=int(np.sum(np.maximum(steps - 1, 0))),
         unreported=int(unreported),
         late_ticks=len(late_ticks),
+        close_ticks=len(close_ticks),
     )
 
 
