@@ -6,10 +6,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
+from typing import Final
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+_PACKS: Final = hasattr(torch.ops.mkldnn, "_linear_pointwise")
+"""Whether this release of torch has the operator that its own compiler calls for products with packed weights."""
 
 
 def bfloat16_pays(device: torch.device) -> bool:
@@ -35,10 +39,38 @@ def fold_normalisation(network: nn.Module) -> None:
 
 
 def in_bfloat16(network: nn.Module) -> None:
-    """Keep the weights of its products in bfloat16, in place: under `torch.autocast` each call would convert them."""
-    for module in network.modules():
-        if isinstance(module, nn.Linear | nn.Conv2d | nn.ConvTranspose2d):
+    """Have its products computed in bfloat16, in place, for inference on a processor: under `torch.autocast` alone each
+    call would convert their weights."""
+    for module in list(network.modules()):
+        if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
             module.to(torch.bfloat16)
+        for name, child in list(module.named_children()):
+            if isinstance(child, nn.Linear):
+                setattr(module, name, Bfloat16Linear(child))
+
+
+class Bfloat16Linear(nn.Module):
+    """A linear layer in bfloat16, whatever the type of its input.
+
+    Its weights lie as oneDNN's product takes them. `nn.Linear` has them put so in each call, for a few hundred rows a
+    quarter of its time; the results are the same.
+    """
+
+    def __init__(self, layer: nn.Linear) -> None:
+        super().__init__()
+        weight, bias = (None if x is None else x.detach().to(torch.bfloat16) for x in (layer.weight, layer.bias))
+        assert weight is not None
+        self._packed = _PACKS
+        self._weight = torch.ops.mkldnn._reorder_linear_weight(weight, None) if self._packed else weight
+        self._bias = bias
+
+    def forward(self, x: Tensor) -> Tensor:
+        """x (..., in) of any floating type -> (..., out) in bfloat16."""
+        x = x.to(torch.bfloat16)
+        if not self._packed:
+            return nn.functional.linear(x, self._weight, self._bias)
+        result: Tensor = torch.ops.mkldnn._linear_pointwise(x, self._weight, self._bias, "none", [], "")
+        return result
 
 
 @contextmanager

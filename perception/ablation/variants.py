@@ -36,8 +36,9 @@ class PointNetPose(PoseNet):
         self.points = PointNet2()
         self.join = nn.Sequential(nn.Linear(self.points.size + 4 * d, 2 * d), nn.SiLU(), nn.Linear(2 * d, 2 * d))
 
-    def encode(self, seen: Seen) -> Tensor:
+    def encode(self, seen: Seen, mirror: bool = False) -> Tensor:
         """See `PoseNet`; the points come with all of their farthest-point order."""
+        seen = seen.with_mirror() if mirror else seen
         tokens = [self.category(seen.category), self.direction(seen.direction), self.context(seen.context)]
         rest = self.rest_tokens(seen).mean(1)
         feature: Tensor = self.join(torch.cat([self.points(seen.points), *tokens, rest], dim=-1))

@@ -122,9 +122,7 @@ class PoseEstimator(CloudEstimator):
         *fields, noise = inputs
         B, K = noise.shape[:2]
         half = (K + 1) // 2
-        with torch.autocast(self._device.type, torch.bfloat16, enabled=self._bfloat16):
-            feature = self._net.encode(Seen(*fields).with_mirror())
-        feature = feature.float()
+        feature = self._net.encode(Seen(*fields), mirror=True)
         condition = self._net.flow.condition(feature)
         drawn = self.sampler(
             self.process,

@@ -107,15 +107,16 @@ class PoseNet(nn.Module):
         """How its poses become noise, and the way back."""
         return PROCESSES[self.config.process]
 
-    def encode(self, seen: Seen) -> Tensor:
-        """Feature (B, 2 width) of what is seen."""
+    def encode(self, seen: Seen, mirror: bool = False) -> Tensor:
+        """Feature (B, 2 width) of what is seen; with `mirror` (2 B, 2 width): then of its mirror image in x."""
+        both = seen.with_mirror() if mirror else seen
         tokens = torch.cat(
             [
-                self.category(seen.category)[:, None],
-                self.direction(seen.direction)[:, None],
-                self.context(seen.context)[:, None],
-                self.ee(seen.points, seen.guessed),
-                self.rest_tokens(seen),
+                self.category(both.category)[:, None],
+                self.direction(both.direction)[:, None],
+                self.context(both.context)[:, None],
+                self.ee(seen.points, seen.guessed, mirror),
+                self.rest_tokens(seen, mirror),
             ],
             dim=1,
         )
@@ -125,13 +126,15 @@ class PoseNet(nn.Module):
         return torch.cat([tokens[:, 0], tokens[:, 3:].mean(1)], dim=-1)
 
     def encoder_in_bfloat16(self) -> None:
-        """See `in_bfloat16`. The heads, small as they are, stay as they are."""
+        """See `in_bfloat16`. The heads, small as they are, stay as they are, and so do normalisations and sums of
+        tokens."""
         for part in (self.ee, self.rest, self.direction, self.context, self.blocks):
             in_bfloat16(part)
 
-    def rest_tokens(self, seen: Seen) -> Tensor:
-        """(B, 32, width) of the rest of the tool."""
-        return torch.where(seen.rest_known[:, None, None], self.rest(seen.rest), self.no_rest)
+    def rest_tokens(self, seen: Seen, mirror: bool = False) -> Tensor:
+        """(B, 32, width) of the rest of the tool; with `mirror` (2 B, 32, width) as in `encode`."""
+        known = seen.rest_known.repeat(2) if mirror else seen.rest_known
+        return torch.where(known[:, None, None], self.rest(seen.rest, mirror=mirror), self.no_rest)
 
     def regress(self, feature: Tensor) -> dict[str, Tensor]:
         """mean (B, 12), log_sigma (B, 3) of position [units of T], axis [rad], spin [rad], validity logit (B,)."""
@@ -157,28 +160,45 @@ class Patches(nn.Module):
         self.outer = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.place = nn.Sequential(nn.Linear(3, width // 2), nn.SiLU(), nn.Linear(width // 2, width))
 
-    def forward(self, points: Tensor, marks: Tensor | None = None) -> Tensor:
-        """points (B, N, 3) [m], marks (B, N) -> tokens (B, count, width)."""
+    def forward(self, points: Tensor, marks: Tensor | None = None, mirror: bool = False) -> Tensor:
+        """points (B, N, 3) [m], marks (B, N) -> tokens (B, count, width); with `mirror` (2 B, count, width): then those
+        of the points' mirror image in x, whose neighbours are the same."""
         centres = points[:, : self._count]
-        with torch.no_grad():
-            # By coordinate: a sum over an axis of three takes 2.5 times as long.
-            x, y, z = ((centres[:, :, None, k] - points[:, None, :, k]).square() for k in range(3))
-            squared = x + y + z
-            near, index = squared.topk(self._neighbours, dim=-1, largest=False, sorted=False)
-            rows = index.flatten(1)[..., None].expand(-1, -1, 3)
-            patches = points.gather(1, rows).view(*index.shape, 3) - centres[:, :, None]
-            # A neighbour outside of the ball is replaced by the centre itself.
-            inside = near < self._ball**2
-            patches = torch.where(inside[..., None], patches, 0.0) / self._ball
-            if marks is not None:
-                own = marks[:, : self._count, None]
-                mark = torch.where(inside, marks.gather(1, index.flatten(1)).view(index.shape), own)
-                patches = torch.cat([patches, mark[..., None]], -1)
+        patches = self._patches(centres, points, marks)
+        if mirror:
+            centres, patches = (torch.cat([x, _in_x(x)]) for x in (centres, patches))
         h = self.inner(patches)
         # In training max(dim): under torch.compile in bfloat16 the gradient of amax, which is faster, was not finite.
         pooled = h.max(2)[0] if self.training else h.amax(2)
-        tokens: Tensor = self.outer(torch.cat([pooled, h.mean(2)], dim=-1)) + self.place(centres / self._scale)
+        tokens: Tensor = self.outer(torch.cat([pooled, _mean(h)], dim=-1)) + self.place(centres / self._scale)
         return tokens
+
+    @torch.no_grad()
+    def _patches(self, centres: Tensor, points: Tensor, marks: Tensor | None) -> Tensor:
+        """(B, count, neighbours, 3 or 4): about their centres, in radii of the ball; the mark last."""
+        # By coordinate: a sum over an axis of three takes 2.5 times as long.
+        x, y, z = ((centres[:, :, None, k] - points[:, None, :, k]).square() for k in range(3))
+        squared = x + y + z
+        near, index = squared.topk(self._neighbours, dim=-1, largest=False, sorted=False)
+        rows = index.flatten(1)[..., None].expand(-1, -1, 3)
+        patches = points.gather(1, rows).view(*index.shape, 3) - centres[:, :, None]
+        # A neighbour outside of the ball is replaced by the centre itself.
+        inside = near < self._ball**2
+        patches = torch.where(inside[..., None], patches, 0.0) / self._ball
+        if marks is None:
+            return patches
+        own = marks[:, : self._count, None]
+        mark = torch.where(inside, marks.gather(1, index.flatten(1)).view(index.shape), own)
+        return torch.cat([patches, mark[..., None]], -1)
+
+
+def _mean(h: Tensor) -> Tensor:
+    """Of h (B, count, neighbours, width) over the neighbours. In bfloat16 a processor takes 2.5 times as long for a sum
+    as for a product."""
+    if h.device.type != "cpu" or h.dtype is not torch.bfloat16:
+        return h.mean(2)
+    share = h.new_full((1, h.shape[2]), 1.0 / h.shape[2])
+    return (share @ h)[:, :, 0]
 
 
 class Block(nn.Module):

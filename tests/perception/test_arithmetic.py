@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from toolee_robot.perception import arithmetic
 from toolee_robot.perception.arithmetic import bfloat16_pays, one_thread
 from toolee_robot.perception.dataset.example import examples_of
 from toolee_robot.perception.dataset.scene_reader import load_scenes
@@ -70,6 +72,21 @@ def test_poses_are_the_same_to_a_fraction_of_their_error(folder: Path) -> None:
             assert both[1].confidence == pytest.approx(both[0].confidence, abs=0.02)
             seen += 1
     assert seen >= 2
+
+
+@swift
+@pytest.mark.parametrize("packs", [True, False])
+@pytest.mark.parametrize("bias", [True, False])
+def test_packed_weights_give_what_the_layer_gives(packs: bool, bias: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not packs:
+        monkeypatch.setattr(arithmetic, "_PACKS", False)  # as in a release of torch without the operator
+    network = torch.nn.Sequential(torch.nn.Linear(40, 24, bias=bias), torch.nn.SiLU(), torch.nn.Linear(24, 7))
+    x = torch.randn(2, 33, 40)
+    wanted = copy.deepcopy(network).to(torch.bfloat16)(x.to(torch.bfloat16))
+    with torch.no_grad():
+        arithmetic.in_bfloat16(network)
+        assert not any(isinstance(m, torch.nn.Linear) for m in network.modules())
+        torch.testing.assert_close(network(x), wanted)
 
 
 def test_the_network_that_an_estimator_is_given_stays_as_it_is() -> None:

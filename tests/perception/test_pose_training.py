@@ -328,7 +328,7 @@ def test_the_mirrored_view_is_the_view_of_the_mirror_image(trained: Path, clouds
     other = replace(few, points=few.points * x, rest=few.rest * x, direction=direction)
     seen, image = (Seen.of(b.cloud, b.category, b.direction, context(b)) for b in (few, other))
     with torch.inference_mode():
-        both = net.encode(seen.with_mirror())
+        both = net.encode(seen, mirror=True)
         torch.testing.assert_close(both, torch.cat([net.encode(seen), net.encode(image)]), atol=1e-5, rtol=1e-4)
 
 
