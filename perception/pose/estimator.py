@@ -72,7 +72,7 @@ class PoseEstimator(CloudEstimator):
         context = context_input(cloud, torch.as_tensor(visible))
         # The generator lives on the CPU: the same seed gives the same draws on any device.
         noise = torch.randn(len(categories), candidates, DIM, generator=generator).to(device)
-        # Measured, one cloud: 21 ms with one thread, 20 with two; beside a program that keeps a core busy 21 and 72.
+        # Measured, one cloud: 20 ms with one thread, 16 with two; beside a program that keeps a core busy 18 and 36.
         with one_thread() if self._bfloat16 and len(categories) == 1 else nullcontext():
             u, *direct = (x.float().cpu() for x in run(*Seen.of(cloud, index, direction, context), noise))
         regression = dict(zip(REGRESSED, direct, strict=True))
