@@ -10,7 +10,7 @@ import tyro
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.cli.train_options import CONFIG, Count, File, Number, OutDir, options_of, remember
+from toolee_robot.cli.train_options import CONFIG, Count, File, Folder, Number, OutDir, options_of, remember
 from toolee_robot.errors import UserError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ _REFINEMENT_CONFIG = "refinement_config.json"
 
 @dataclass(frozen=True)
 class _ImageCommand:
-    """What both have."""
+    """What both have; the three without a word say theirs themselves, and stand in this order in their help."""
 
     data: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """The training split of a data set, which may still be growing."""
@@ -32,6 +32,9 @@ class _ImageCommand:
     """Checkpoint, weights with their configuration, log, TensorBoard curves (extra `train`)."""
     config: File = None
     """YAML or JSON of options, any subset; the command line's win."""
+    minutes: Number = None
+    batch: Count = None
+    lr: Number = None
     max_steps: Count = None
     """End after so many steps, if that is sooner."""
     seed: Count = None
@@ -40,8 +43,8 @@ class _ImageCommand:
     """Between checkpoints (default: 2)."""
     device: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """cpu, cuda, cuda:1 (default: a GPU if there is one)."""
-    init: File = None
-    """Folder of exported weights to start from."""
+    init: Folder = None
+    """Start from the weights exported there."""
     json: Flag = False
     """Print one line of JSON last on standard output."""
 
@@ -108,8 +111,8 @@ class Refinement(_ImageCommand):
     """Detections a GPU (default: 512)."""
     lr: Number = None
     """Learning rate (default: 0.002)."""
-    detector: File = None
-    """Folder with the detector's weights (default: those that ship)."""
+    detector: Folder = None
+    """The detector's weights (default: those that ship)."""
 
     def run(self) -> int:
         from toolee_robot.perception.train_refinement import CHECKPOINT, RefinementTraining, train

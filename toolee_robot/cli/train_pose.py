@@ -11,7 +11,7 @@ from rich.console import Console
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.cli.train_options import Count, File, Number, OutDir, make_folder, options_of, remember
+from toolee_robot.cli.train_options import Count, File, Folder, Number, OutDir, make_folder, options_of, remember
 from toolee_robot.errors import UserError
 
 if TYPE_CHECKING:
@@ -31,8 +31,8 @@ class Clouds:
     """A data set, or one split of it."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """Where the clouds go, for `toolee train pose --rendered FILE`."""
-    weights: File = None
-    """Folder with the detector's weights (default: those that ship)."""
+    weights: Folder = None
+    """The detector's weights (default: those that ship)."""
     limit: Count = None
     """Images of each split (default: all)."""
     workers: Annotated[int, tyro.conf.arg(metavar="W")] = 1
