@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -58,11 +59,10 @@ class Bfloat16Linear(nn.Module):
 
     def __init__(self, layer: nn.Linear) -> None:
         super().__init__()
-        weight, bias = (None if x is None else x.detach().to(torch.bfloat16) for x in (layer.weight, layer.bias))
-        assert weight is not None
+        layer = copy.deepcopy(layer).requires_grad_(False).to(torch.bfloat16)
         self._packed = _PACKS
-        self._weight = torch.ops.mkldnn._reorder_linear_weight(weight, None) if self._packed else weight
-        self._bias = bias
+        self._weight = torch.ops.mkldnn._reorder_linear_weight(layer.weight, None) if self._packed else layer.weight
+        self._bias = layer.bias
 
     def forward(self, x: Tensor) -> Tensor:
         """x (..., in) of any floating type -> (..., out) in bfloat16."""

@@ -16,8 +16,8 @@ from mcap.reader import make_reader
 
 from toolee_robot.cli.app import run
 
-# A nail that stands out little, and few looks: at this pace a second of the job takes two and a half of the clock on
-# the wall, and a tick of the UR10 has 20 ms, as one of the UR10e at its default pace.
+# A nail that stands out little, and few looks: at its default pace a second of the job takes four of the clock on the
+# wall.
 _STATION = "work: {nail_protrusion: 0.004}\ntask: {views: 1, views_again: 1}\n"
 
 
@@ -33,8 +33,6 @@ def _start(folder: Path, host: str, *args: str) -> subprocess.Popen[str]:
         "pybullet",
         "--config",
         "short.yaml",
-        "--pace",
-        "0.4",
     ]
     return subprocess.Popen(
         [sys.executable, "-c", code, "hammer", *options, "--perfect-perception", "--seed", "101", "--json", *args],

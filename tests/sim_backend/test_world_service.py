@@ -109,7 +109,7 @@ def test_a_handover_through_the_pipe_is_the_direct_one(loop: Loop) -> None:
     assert list(hand.joint_names) == list(direct.station.hand.joint_names)
     np.testing.assert_allclose(now.joints.q, state.joints.q, atol=0.08)
     judge = RemoteJudge(loop.channel)
-    X = judge.X_hand_ee(time.monotonic())
+    X = judge.X_hand_ee(now.joints.stamp)  # the clock on the wall may be ahead of a world that is late
     assert np.linalg.norm(X[:3, 3] - X_direct[:3, 3]) < 0.004
     assert judge.verdict().hits == 0
     assert judge.blows == ()

@@ -19,7 +19,9 @@ _ROW = np.dtype([("stamp", np.float64), ("q", np.float64, 6)])
 _LATEST = 6  # cycles within which a command must have reached the robot
 _SETTLING = 5 * _LATEST  # cycles that the joints need to catch up, after what was late
 _EXACT = 1e-6  # [rad]
-_TRANSIT = 0.125  # of a cycle: a command that is sent by less than this before a tick may not be there yet
+_TRANSIT = 5e-4
+"""[s] From sending a command to the joints being there, at most: its way and the tick's own work, which took 0.2 to 0.5
+ms on two cores. What is sent later may or may not be in time."""
 
 
 @dataclass(frozen=True)
@@ -27,13 +29,12 @@ class TraceFigures:
     """ticks: of the robot during the motion. lag: the median time from sending to the joints being there [s].
     lag_error: the most that the joints were off the command of that lag, in the share `followed` of the ticks: all but
     those about an irregular, late or close one or a command that was sent late, and those in which the robot goes by an
-    older command than usual [rad]. held:
-    ticks without a new command; skipped: commands that a later one overtook. unreported: of the held, and of the
-    skipped that do not just end the lateness which a held one began, those that coincide neither with a cycle that the
-    driver sent late (by half a cycle) nor with a tick of the stand-in that was late (by a quarter, which is what a
-    command sent in the middle of a cycle leaves) or close, nor show joints that still catch up after one. late_ticks:
-    those. close_ticks: those whose command was sent too shortly before to be there for sure, or after: neither the
-    driver nor the stand-in was late enough alone, together they were.
+    older command than usual [rad]. held: ticks without a new command; skipped: commands that a later one overtook.
+    unreported: of the held, and of the skipped that do not just end the lateness which a held one began, those that
+    coincide neither with a cycle that the driver sent late (by half a cycle) nor with a tick of the stand-in that was
+    late (by a quarter, which is what a command sent in the middle of a cycle leaves) or close, nor show joints that
+    still catch up after one. late_ticks: those. close_ticks: those whose command was sent too shortly before to be
+    there for sure, or after: alone neither the driver nor the stand-in was late enough, together they were.
     """
 
     ticks: int
@@ -104,8 +105,8 @@ def compare(report: MotionReport, stamps: Array, q: Array, rate: float) -> Trace
     irregular = np.flatnonzero(steps != 1) + 1
     late_sent = sent[1:][np.abs(np.diff(sent) - period) >= period / 2]
     late_ticks = stamps[1:][np.abs(np.diff(stamps) - period) >= period / 4]
-    since = (stamps - sent[newest]) / period
-    close_ticks = stamps[(since < _TRANSIT) | (since >= 1.0 + _TRANSIT)]
+    since = stamps - sent[newest]
+    close_ticks = stamps[(since < _TRANSIT) | (since >= period)]
     excuses = np.sort(np.concatenate([late_sent, late_ticks, close_ticks]))
     behind = newest - k
     behind -= int(np.median(behind))
