@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import os
-from collections.abc import Callable, Generator
+import socket
+from collections.abc import Callable, Generator, Iterator
 from typing import Any
 
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.dataset.spec import SceneJob
 
+_PATIENCE = 5.0
+"""[s] A cluster's head that takes no connection for so long is not there; Ray itself would wait for minutes."""
+_LOOPBACK = "127.0.0.1"
+_NO_CLUSTER = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+"""What makes Ray take the loopback address for its own (and listen there alone) is its import with this at 0, on any
+system; an address given to `ray.init` does not."""
+
 
 def on_ray(make: Callable[[SceneJob], SceneJob], jobs: list[SceneJob], workers: int) -> Generator[SceneJob]:
-    """Run make(job) for every job on the cluster that RAY_ADDRESS names, or on one started here; yields them as they
-    are done. At most `workers` run at a time, each on one core."""
-    try:
-        import ray
-    except ImportError as error:
-        raise UserError("--cluster ray needs Ray: python -m pip install 'toolee_robot[cluster]'") from error
-    from toolee_robot.perception.dataset.generate import ONE_THREAD
+    """Run make(job) for every job on a cluster (see `joined`); yields them as they are done. At most `workers` run at
+    a time, each on one core; one whose process dies is tried twice again.
 
-    started = not ray.is_initialized()
-    if started:
-        # Without a cluster to join: one on this machine, that nobody else can reach.
-        where: dict[str, Any] = (
-            {} if "RAY_ADDRESS" in os.environ else {"address": "local", "_node_ip_address": "127.0.0.1"}
-        )
-        environment = {"env_vars": ONE_THREAD}
-        ray.init(include_dashboard=False, log_to_driver=False, runtime_env=environment, **where)
-    try:
-        remote: Any = ray.remote(num_cpus=1, max_retries=2)(make_one)
+    Raises what `make` raises of our own errors, TooleeError for others, and what `joined` does.
+    """
+    with joined() as ray:
+        remote = ray.remote(num_cpus=1, max_retries=2)(make_one)
         waiting = list(reversed(jobs))
         running: list[Any] = []
         while waiting or running:
@@ -38,12 +37,69 @@ def on_ray(make: Callable[[SceneJob], SceneJob], jobs: list[SceneJob], workers: 
             try:
                 yield ray.get(finished[0])
             except ray.exceptions.RayError as error:
-                raise TooleeError(f"a Ray task failed: {error}; run the same command again, it resumes") from error
-    finally:
-        if started:
-            ray.shutdown()
+                cause = getattr(error, "cause", error)
+                if isinstance(cause, TooleeError):
+                    raise cause from error
+                raise TooleeError(
+                    f"a Ray task failed: {type(cause).__name__}: {cause}; run the same command again, it resumes"
+                ) from error
 
 
 def make_one(make: Callable[[SceneJob], SceneJob], job: SceneJob) -> SceneJob:
     """What a Ray task does."""
     return make(job)
+
+
+@contextlib.contextmanager
+def joined() -> Iterator[Any]:
+    """Ray, connected to the cluster that RAY_ADDRESS names, or to one started here, that listens on the loopback
+    address alone and ends with this context. Where it is connected already, it stays so.
+
+    Raises UserError where Ray or that cluster is missing.
+    """
+    address = os.environ.get("RAY_ADDRESS")
+    if address is None:
+        os.environ.setdefault(_NO_CLUSTER, "0")
+    try:
+        import ray
+    except ImportError as error:
+        raise UserError("--cluster ray needs Ray: python -m pip install 'toolee_robot[cluster]'") from error
+    if ray.is_initialized():
+        yield ray
+        return
+    _connect(ray, address)
+    try:
+        yield ray
+    finally:
+        ray.shutdown()
+
+
+def _connect(ray: Any, address: str | None) -> None:
+    from toolee_robot.perception.dataset.generate import ONE_THREAD
+
+    where: dict[str, Any] = {}
+    if address is None:
+        where = {"address": "local", "include_dashboard": False}
+    else:
+        _knock(address)
+    try:
+        ray.init(log_to_driver=False, logging_level=logging.ERROR, runtime_env={"env_vars": ONE_THREAD}, **where)
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        raise UserError(f"cannot join Ray (RAY_ADDRESS={address}): {error}") from error
+    if address is None and ray.util.get_node_ip_address() != _LOOPBACK:
+        ray.shutdown()
+        raise UserError(f"Ray would listen to the whole network: set {_NO_CLUSTER}=0 before it is imported")
+
+
+def _knock(address: str) -> None:
+    """Raises UserError where nothing listens at host:port or ray://host:port; other addresses are Ray's to judge."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if not (colon and port.isdecimal()):
+        return
+    try:
+        socket.create_connection((host, int(port)), _PATIENCE).close()
+    except (OSError, OverflowError) as error:
+        raise UserError(
+            f"no Ray cluster answers at RAY_ADDRESS={address} ({error}): start one there (ray start --head), or unset "
+            "RAY_ADDRESS to use this machine alone"
+        ) from error
