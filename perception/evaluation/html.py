@@ -16,6 +16,7 @@ body { margin: 0; color: var(--ink); background: #fff;
 header { background: var(--ink); color: #fff; padding: 34px 0 28px; }
 header h1 { margin: 0 0 6px; font-size: 27px; font-weight: 650; letter-spacing: -.01em; }
 header p { margin: 0; color: #c3ced7; max-width: none; }
+header span { white-space: nowrap; }
 header, main { padding-left: max(24px, calc(50vw - 540px)); padding-right: max(24px, calc(50vw - 540px)); }
 main { padding-top: 18px; padding-bottom: 60px; }
 h2 { margin: 42px 0 10px; padding-bottom: 6px; border-bottom: 2px solid var(--accent); font-size: 20px; }
@@ -116,9 +117,14 @@ class Page:
             f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
             f'<meta name="viewport" content="width=device-width, initial-scale=1">'
             f"<title>{escape(self._title)}</title><style>{_STYLE}</style></head>\n"
-            f"<body><header><h1>{escape(self._title)}</h1><p>{escape(self._subtitle)}</p></header>\n"
+            f"<body><header><h1>{escape(self._title)}</h1><p>{_whole_words(self._subtitle)}</p></header>\n"
             f"<main><nav>{links}</nav>\n{body}\n</main></body></html>\n"
         )
+
+
+def _whole_words(text: str) -> str:
+    """A browser would break a command's options after their dashes."""
+    return " ".join(f"<span>{escape(word)}</span>" if "-" in word else escape(word) for word in text.split(" "))
 
 
 def _heading(text: str) -> str:

@@ -59,7 +59,7 @@ def sampler_table(
     chosen = [c for c in examples.cases["truth"] if c.instance is not None and c.cloud.usable]
     chosen.sort(key=lambda c: not examples.instances[c.instance or 0].held_out)
     chosen = chosen[:limit]
-    samplers: dict[str, Sampler] = {REFERENCE: Rk45()} | {f"{n} steps": Euler(n) for n in STEPS}
+    samplers: dict[str, Sampler] = {REFERENCE: Rk45()} | {f"{n} step{'s' * (n > 1)}": Euler(n) for n in STEPS}
     usual = estimator.sampler
     rows = []
     try:

@@ -139,7 +139,7 @@ class EvaluateSamplers:
             from toolee_robot.perception.evaluation.figures import sampler_figure
             from toolee_robot.perception.evaluation.report import sampler_page
 
-            images = {"samplers.png": sampler_figure(rows, "Samplers, one cloud at a time")}
+            images = {"samplers.png": sampler_figure(rows, "Samplers, one cloud at a time: RK45, and numbers of steps")}
             _write(console, self.out, record, images, sampler_page(rows, images, _subtitle()))
         console.print(printed_samplers(rows))
         if self.json:
