@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ipaddress
 import logging
 import os
 import socket
@@ -14,7 +15,6 @@ from toolee_robot.perception.dataset.spec import SceneJob
 
 _PATIENCE = 5.0
 """[s] A cluster's head that takes no connection for so long is not there; Ray itself would wait for minutes."""
-_LOOPBACK = "127.0.0.1"
 _NO_CLUSTER = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 """What makes Ray take the loopback address for its own (and listen there alone) is its import with this at 0, on any
 system; an address given to `ray.init` does not."""
@@ -86,7 +86,7 @@ def _connect(ray: Any, address: str | None) -> None:
         ray.init(log_to_driver=False, logging_level=logging.ERROR, runtime_env={"env_vars": ONE_THREAD}, **where)
     except (ConnectionError, RuntimeError, ValueError) as error:
         raise UserError(f"cannot join Ray (RAY_ADDRESS={address}): {error}") from error
-    if address is None and ray.util.get_node_ip_address() != _LOOPBACK:
+    if address is None and not ipaddress.ip_address(ray.util.get_node_ip_address()).is_loopback:
         ray.shutdown()
         raise UserError(f"Ray would listen to the whole network: set {_NO_CLUSTER}=0 before it is imported")
 
