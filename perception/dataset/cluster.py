@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ipaddress
 import logging
 import os
 import socket
@@ -11,6 +10,8 @@ from collections.abc import Callable, Generator, Iterator
 from typing import Any
 
 from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.host_clock import is_loopback
+from toolee_robot.perception.dataset.generate import ONE_THREAD
 from toolee_robot.perception.dataset.spec import SceneJob
 
 _PATIENCE = 5.0
@@ -75,8 +76,6 @@ def joined() -> Iterator[Any]:
 
 
 def _connect(ray: Any, address: str | None) -> None:
-    from toolee_robot.perception.dataset.generate import ONE_THREAD
-
     where: dict[str, Any] = {}
     if address is None:
         where = {"address": "local", "include_dashboard": False}
@@ -85,8 +84,9 @@ def _connect(ray: Any, address: str | None) -> None:
     try:
         ray.init(log_to_driver=False, logging_level=logging.ERROR, runtime_env={"env_vars": ONE_THREAD}, **where)
     except (ConnectionError, RuntimeError, ValueError) as error:
-        raise UserError(f"cannot join Ray (RAY_ADDRESS={address}): {error}") from error
-    if address is None and not ipaddress.ip_address(ray.util.get_node_ip_address()).is_loopback:
+        what = "start a Ray cluster here" if address is None else f"join the Ray cluster at RAY_ADDRESS={address}"
+        raise UserError(f"cannot {what}: {error}") from error
+    if address is None and not is_loopback(ray.util.get_node_ip_address()):
         ray.shutdown()
         raise UserError(f"Ray would listen to the whole network: set {_NO_CLUSTER}=0 before it is imported")
 

@@ -117,14 +117,14 @@ class Page:
             f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
             f'<meta name="viewport" content="width=device-width, initial-scale=1">'
             f"<title>{escape(self._title)}</title><style>{_STYLE}</style></head>\n"
-            f"<body><header><h1>{escape(self._title)}</h1><p>{_whole_words(self._subtitle)}</p></header>\n"
+            f"<body><header><h1>{escape(self._title)}</h1><p>{_whole_options(self._subtitle)}</p></header>\n"
             f"<main><nav>{links}</nav>\n{body}\n</main></body></html>\n"
         )
 
 
-def _whole_words(text: str) -> str:
+def _whole_options(text: str) -> str:
     """A browser would break a command's options after their dashes."""
-    return " ".join(f"<span>{escape(word)}</span>" if "-" in word else escape(word) for word in text.split(" "))
+    return re.sub(r"(?<= )--\S+", r"<span>\g<0></span>", escape(text))
 
 
 def _heading(text: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import filecmp
 import os
 import re
 import signal
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.perception.folders import assert_same
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.dataset.cluster import joined, on_ray
 from toolee_robot.perception.dataset.generate import generate
@@ -55,11 +55,7 @@ def test_ray_gives_the_bytes_of_one_process_and_listens_to_nobody_else(tmp_path:
     assert generate(SPEC, tmp_path / "here")
     assert generate(SPEC, tmp_path / "there", 2, progress, cluster="ray")
     assert not opened
-    names = sorted(p.relative_to(tmp_path / "here") for p in (tmp_path / "here").rglob("*"))
-    assert names == sorted(p.relative_to(tmp_path / "there") for p in (tmp_path / "there").rglob("*"))
-    for name in names:
-        here, there = tmp_path / "here" / name, tmp_path / "there" / name
-        assert here.is_dir() or filecmp.cmp(here, there, shallow=False), name
+    assert_same(tmp_path / "here", tmp_path / "there")
     assert seen == [0, 1, 2, 3, 4]
     assert validate(tmp_path / "there") == []
 

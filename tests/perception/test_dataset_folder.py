@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import filecmp
 import json
 import os
 import shutil
@@ -18,6 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.perception.folders import assert_same
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.cloud import check_depth_unit
 from toolee_robot.perception.dataset import rle
@@ -60,16 +60,6 @@ def copy(whole: Path, tmp_path: Path) -> Path:
     root = tmp_path / "copy"
     shutil.copytree(whole, root)
     return root
-
-
-def files(root: Path) -> list[str]:
-    return sorted(p.relative_to(root).as_posix() for p in root.rglob("*"))
-
-
-def assert_same(a: Path, b: Path) -> None:
-    assert set(files(a)) == set(files(b))
-    for name in files(a):
-        assert (a / name).is_dir() or filecmp.cmp(a / name, b / name, shallow=False), name
 
 
 def test_three_workers_give_the_bytes_of_one_and_so_does_a_run_killed_in_the_middle(
