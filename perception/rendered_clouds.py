@@ -1,23 +1,29 @@
-"""Clouds for the training of the pose network from a data set's images, under true masks and under a detector's.
+"""Clouds for the training of a pose network from a data set's images, under true masks and under a detector's.
 
     clouds = rendered_clouds(Path("data/hard/train"), workers=2)  # or: toolee train clouds data/hard/train --out FILE
 
-Take images that the detector was not trained on: on those it was its masks are better than they will ever be again.
+Take images that the detector was not trained on: on those it was its masks are better than they will ever be again. The
+paper trains its estimator under true masks alone, of end effectors or, for one column of its Table I, of whole tools.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from toolee_robot.errors import UserError
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, inverse
+from toolee_robot.perception.cloud import EeCloud
 from toolee_robot.perception.evaluation.crew import Crew
 from toolee_robot.perception.evaluation.examples import Case, Instance, Part, parts, read_part
 from toolee_robot.perception.evaluation.shapes import telling_points
+from toolee_robot.perception.pipeline import EeDetector
+from toolee_robot.perception.pose.canonical import MIN_POINTS
+from toolee_robot.perception.pose.paper import Column
 from toolee_robot.perception.pose.rendered import MOST_GUESSED, MOST_POINTS, MOST_REST, RenderedClouds
 from toolee_robot.perception.segmentation import Segmenter
 from toolee_robot.types import Category
@@ -34,13 +40,17 @@ def rendered_clouds(
     workers: int = 1,
     limit: int | None = None,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
+    column: Column | None = None,
 ) -> RenderedClouds:
     """Of a data set, or one split of it, at most `limit` images of a split. weights: folder of the detector's (the
-    shipped one's if None). Raises AssetError when data or weights are missing, UserError where nothing is seen."""
+    shipped one's if None). column: for that column of the paper's Table I, without a detector. Raises AssetError when
+    data or weights are missing, UserError where nothing is seen."""
     todo = parts(data, limit)
     found = []
-    with Crew(partial(Segmenter.load, weights, device), workers) as crew:
-        for done, part in enumerate(crew.map(of_part, todo)):
+    begin = partial(Segmenter.load, weights, device) if column is None else _no_detector
+    read = of_part if column is None or not column.of_tool else tools_of_part
+    with Crew(begin, workers) as crew:
+        for done, part in enumerate(crew.map(read, todo)):
             found.append(part)
             progress(done + 1, len(todo))
     clouds = RenderedClouds.cat(found)
@@ -49,17 +59,42 @@ def rendered_clouds(
     return clouds
 
 
-def of_part(detector: Segmenter, part: Part) -> RenderedClouds:
-    """The clouds of a part of a data set, under both kinds of masks."""
+def of_part(detector: EeDetector | None, part: Part) -> RenderedClouds:
+    """The clouds of a part of a data set, under both kinds of masks, or without a detector under true ones."""
     examples = read_part(part, detector)
-    rng = np.random.default_rng([*part.scene.name.encode()])
+    rng = _rng(part)
     rows = []
-    for case in (*examples.cases["truth"], *examples.cases["predicted"]):
+    for case in (*examples.cases["truth"], *examples.cases.get("predicted", ())):
         instance = None if case.instance is None else examples.instances[case.instance]
         asked = case.overlap < NOTHING_THERE if instance is None else instance.target
         if asked and case.cloud.usable:
             rows.append(_cloud(case, instance, rng))
     return RenderedClouds.cat(rows)
+
+
+def tools_of_part(_detector: EeDetector | None, part: Part) -> RenderedClouds:
+    """The whole tools of a part, under true masks, once for each category of their ends."""
+    examples = read_part(part, None)
+    rng = _rng(part)
+    nothing = np.empty((0, 3))
+    rows = []
+    for number, case in examples.of("truth").items():
+        instance = examples.instances[number]
+        # Of like ends the first alone: a tool's pose cannot tell which of them is meant.
+        if instance.first_end and len(case.tool_points) >= MIN_POINTS:
+            row = _cloud(replace(case, cloud=EeCloud(case.tool_points, nothing, nothing)), instance, rng)
+            ee = instance.catalogue.tool(instance.tool).ees[instance.ee]
+            X_camera_tool = (instance.X_camera_ee @ inverse(ee.X_tool_ee)).astype(np.float32)
+            rows.append(replace(row, X_camera_target=X_camera_tool[None], of_tool=np.array([True])))
+    return RenderedClouds.cat(rows)
+
+
+def _no_detector() -> None:
+    """The state of a crew that needs none."""
+
+
+def _rng(part: Part) -> np.random.Generator:
+    return np.random.default_rng([*part.scene.name.encode()])
 
 
 def _cloud(case: Case, instance: Instance | None, rng: np.random.Generator) -> RenderedClouds:
@@ -75,7 +110,8 @@ def _cloud(case: Case, instance: Instance | None, rng: np.random.Generator) -> R
         guessed,
         rest,
         counts=np.array([[len(points), len(guessed), len(rest)]]),
-        X_camera_ee=np.array([np.eye(4) if instance is None else instance.X_camera_ee], np.float32),
+        X_camera_target=np.array([np.eye(4) if instance is None else instance.X_camera_ee], np.float32),
+        of_tool=np.array([False]),
         p_camera_hand=np.array([np.full(3, np.nan) if hand is None else hand[:3, 3]], np.float32),
         category=np.array([list(Category).index(case.category)]),
         positive=np.array([instance is not None]),

@@ -23,6 +23,7 @@ from toolee_robot.perception.pose.flow import Sampler
 from toolee_robot.perception.pose.losses import augment, pose_loss, without_rest
 from toolee_robot.perception.pose.network import SAMPLER, NetworkConfig, PoseNet
 from toolee_robot.perception.pose.processes import PROCESSES
+from toolee_robot.perception.pose.rendered import RenderedClouds, RenderedSource
 from toolee_robot.perception.pose.weights import Calibration
 
 Net = TypeVar("Net", bound=nn.Module)
@@ -38,6 +39,10 @@ class Method(Protocol, Generic[Net]):
 
     def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
         """Endless training (or held-out) clouds of a bank."""
+        ...
+
+    def kept(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
+        """Endless draws of clouds of rendered images. Raises UserError where they are not what it learns from."""
         ...
 
     def network(self, bank: ToolBank) -> Net:
@@ -91,6 +96,10 @@ class Ours:
     def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
         """See `Method`."""
         return CloudGenerator(bank, hands, device, seed, self.clouds_config)
+
+    def kept(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
+        """See `Method`."""
+        return RenderedSource(clouds.of_kind(of_tool=False), device, seed, self.clouds_config)
 
     def network(self, bank: ToolBank) -> PoseNet:  # noqa: ARG002 - others need it
         """See `Method`."""

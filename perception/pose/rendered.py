@@ -1,7 +1,8 @@
 """Clouds of rendered images, kept: what a depth camera and a detector's masks really leave of an end effector.
 
 The clouds of `clouds.py` are new each time, but of tools that stand alone before a plane, under masks that are wrong at
-random. These are of whole scenes, under true masks and under those of a detector that never saw the images.
+random. These are of whole scenes, under true masks and under those of a detector that never saw the images. Or they are
+of whole tools, for the column of the paper's Table I that estimates the tool's pose.
 `toolee_robot.perception.rendered_clouds` makes them.
 """
 
@@ -16,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from toolee_robot.errors import AssetError
+from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.pose.canonical import (
     MIN_KEPT,
     MIN_POINTS,
@@ -41,17 +42,19 @@ class RenderedClouds:
     """N clouds and their truth, camera frame.
 
     points (P, 3), guessed (G, 3), rest (Q, 3) float32 [m]: as `EeCloud` has them, one cloud's after the other's; counts
-    (N, 3) int64: how many of each are a cloud's. X_camera_ee (N, 4, 4) float32; p_camera_hand (N, 3) float32 [m]: NaN
-    where no hand is known. category (N,) int64; positive (N,) bool: whether the mask shows an EE of that category.
-    visible (N,) int64: points there were before they were thinned; tells_spin (N,) int64: how many of these tell the
-    spin; occlusion (N,) float32 in [0, 1].
+    (N, 3) int64: how many of each are a cloud's. X_camera_target (N, 4, 4) float32: the pose of the EE, or of the tool
+    where of_tool (N,) bool says that the cloud is the whole tool's. p_camera_hand (N, 3) float32 [m]: NaN where no hand
+    is known. category (N,) int64; positive (N,) bool: whether the mask shows an EE of that category. visible (N,)
+    int64: points there were before they were thinned; tells_spin (N,) int64: how many of these tell the spin; occlusion
+    (N,) float32 in [0, 1].
     """
 
     points: NDArray[np.float32]
     guessed: NDArray[np.float32]
     rest: NDArray[np.float32]
     counts: NDArray[np.int64]
-    X_camera_ee: NDArray[np.float32]
+    X_camera_target: NDArray[np.float32]
+    of_tool: NDArray[np.bool_]
     p_camera_hand: NDArray[np.float32]
     category: NDArray[np.int64]
     positive: NDArray[np.bool_]
@@ -67,6 +70,16 @@ class RenderedClouds:
         """All of them in one."""
         many = [_none(), *several]
         return cls(*(np.concatenate([getattr(each, f.name) for each in many]) for f in fields(cls)))
+
+    def of_kind(self, of_tool: bool) -> RenderedClouds:
+        """These. Raises UserError where some are not of whole tools, or are, as of_tool asks."""
+        if (self.of_tool != of_tool).any():
+            wanted, given = ("whole tools", "end effectors") if of_tool else ("end effectors", "whole tools")
+            raise UserError(
+                f"--rendered: this training takes clouds of {wanted}, some of these are of {given}: make them with "
+                "`toolee train clouds` and the --estimator and --column of the training"
+            )
+        return self
 
     def save(self, path: Path) -> None:
         """Write them into one file."""
@@ -93,7 +106,8 @@ def _none() -> RenderedClouds:
         guessed=points,
         rest=points,
         counts=np.empty((0, 3), np.int64),
-        X_camera_ee=np.empty((0, 4, 4), np.float32),
+        X_camera_target=np.empty((0, 4, 4), np.float32),
+        of_tool=np.empty(0, np.bool_),
         p_camera_hand=points,
         category=numbers,
         positive=np.empty(0, np.bool_),
@@ -107,7 +121,8 @@ class RenderedSource(CloudSource):
     """Endless draws from kept clouds; each time the network's points are drawn anew."""
 
     def __init__(self, clouds: RenderedClouds, device: torch.device | str, seed: int, config: CloudConfig) -> None:
-        """config: its negative_share, points and ordered hold here, too."""
+        """config: its negative_share, radius, rest, guessed, points and ordered hold here, too. Raises AssetError where
+        there is nothing to draw."""
         self._device, self._config = torch.device(device), config
         self._draws = Draws(self._device, seed)
 
@@ -117,10 +132,10 @@ class RenderedSource(CloudSource):
         self._flat = put(clouds.points), put(clouds.guessed), put(clouds.rest)
         self._counts = put(clouds.counts)
         self._starts = self._counts.cumsum(0) - self._counts
-        self._X, self._p_hand = put(clouds.X_camera_ee), put(clouds.p_camera_hand)
+        self._X, self._p_hand = put(clouds.X_camera_target), put(clouds.p_camera_hand)
         self._category, self._positive = put(clouds.category), put(clouds.positive)
         self._visible, self._tells, self._occlusion = put(clouds.visible), put(clouds.tells_spin), put(clouds.occlusion)
-        self._radius = put(np.array([ee_radius(c) for c in Category], np.float32))
+        self._radius = put(np.array([config.radius or ee_radius(c) for c in Category], np.float32))
         self._weights = put(_weights(clouds, config.negative_share))
 
     def reseed(self, seed: int) -> None:

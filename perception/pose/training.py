@@ -20,7 +20,7 @@ from toolee_robot.perception.pose.bank import Float32, ToolBank, load_hands, too
 from toolee_robot.perception.pose.cloud_batch import CloudBatch
 from toolee_robot.perception.pose.cloud_source import CloudSource, Mixture
 from toolee_robot.perception.pose.method import Method, Net, Ours
-from toolee_robot.perception.pose.rendered import RenderedClouds, RenderedSource
+from toolee_robot.perception.pose.rendered import RenderedClouds
 from toolee_robot.perception.pose.reservoir import Reservoir
 from toolee_robot.perception.pose.train_config import TrainConfig
 from toolee_robot.perception.pose.weights import Calibration
@@ -58,12 +58,11 @@ class Trainer(Generic[Net]):
             betas=(0.9, 0.99),
             fused=self.device.type == "cuda",
         )
-        made = method.clouds(banks[0], hands, self.device, self._seed(1))
-        self._generator: CloudSource = made
+        self._generator: CloudSource = method.clouds(banks[0], hands, self.device, self._seed(1))
         self._rendered = 0 if rendered is None else len(rendered)
         if rendered is not None:
-            kept = RenderedSource(rendered, self.device, self._seed(3), made.config)
-            self._generator = Mixture(made, kept, config.rendered_share)
+            kept = method.kept(rendered, self.device, self._seed(3))
+            self._generator = Mixture(self._generator, kept, config.rendered_share)
         self._test_bank = banks[1]
         self._held_out = method.clouds(banks[1], hands, self.device, 10_000 + config.seed)
         self._g = torch.Generator(self.device).manual_seed(self._seed(2))
@@ -277,8 +276,6 @@ def train(
     `RenderedClouds` to mix in.
     """
     method = method or Ours()
-    if rendered and not isinstance(method, Ours):
-        raise UserError("--rendered: the paper's estimator is trained on clouds of its own protocol alone")
     if config.init_share and init is None and not calibrate_only:
         raise UserError("--init-share: say whose share that is, with --init FOLDER")
     kept = RenderedClouds.cat([RenderedClouds.load(path) for path in rendered]) if rendered else None

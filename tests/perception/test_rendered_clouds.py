@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 
 from toolee_robot.cli.app import run
 from toolee_robot.errors import AssetError, UserError
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, transform_points
 from toolee_robot.perception.dataset.example import examples_of
 from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.spec import DatasetSpec
-from toolee_robot.perception.evaluation.examples import parts
+from toolee_robot.perception.evaluation.examples import parts, read_part
 from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.pose.bank import hand_bank, tool_bank
 from toolee_robot.perception.pose.canonical import REST_LEAST, CanonicalCloud
@@ -26,11 +27,12 @@ from toolee_robot.perception.pose.cloud_estimator import PoseResult
 from toolee_robot.perception.pose.cloud_source import CloudSource, Mixture
 from toolee_robot.perception.pose.method import Ours
 from toolee_robot.perception.pose.network import NetworkConfig
+from toolee_robot.perception.pose.paper import PaperEstimator
 from toolee_robot.perception.pose.rendered import RenderedClouds, RenderedSource
 from toolee_robot.perception.pose.train_config import TrainConfig
 from toolee_robot.perception.pose.training import Trainer
 from toolee_robot.perception.ranks import Ranks
-from toolee_robot.perception.rendered_clouds import of_part
+from toolee_robot.perception.rendered_clouds import of_part, tools_of_part
 from toolee_robot.perception.segmentation import Segmenter
 from toolee_robot.tools import ee_radius
 from toolee_robot.types import Category, Detection, RgbdFrame
@@ -56,11 +58,11 @@ def test_both_kinds_of_masks_give_clouds_about_their_ends(clouds: RenderedClouds
     found = 0
     for i in np.flatnonzero(clouds.positive):
         points = clouds.points[starts[i, 0] : starts[i, 0] + clouds.counts[i, 0]]
-        local = (points - clouds.X_camera_ee[i, :3, 3]) @ clouds.X_camera_ee[i, :3, :3]
+        local = (points - clouds.X_camera_target[i, :3, 3]) @ clouds.X_camera_target[i, :3, :3]
         radius = ee_radius(list(Category)[clouds.category[i]])
         assert np.median(np.linalg.norm(local, axis=1)) < radius + 0.01
         found += 1
-    poses = clouds.X_camera_ee[clouds.positive]
+    poses = clouds.X_camera_target[clouds.positive]
     # The true mask's and the detector's clouds of one EE have one pose.
     assert found > len(np.unique(poses, axis=0)) > 0
 
@@ -87,7 +89,7 @@ def test_only_what_shows_none_of_its_category_is_a_negative(folder: Path) -> Non
     others = [c for c in Category if c is not one.category]
 
     def negatives(*detections: Detection) -> int:
-        clouds = of_part(Finds(list(detections)), part)  # type: ignore[arg-type]
+        clouds = of_part(Finds(list(detections)), part)
         return int((~clouds.positive).sum())
 
     assert negatives(one) == 0
@@ -109,7 +111,7 @@ def test_a_batch_s_truth_is_the_kept_one_in_the_canonical_frame(clouds: Rendered
     R = batch.R_canonical.mT @ batch.R
     p = torch.einsum("bji,bj->bi", batch.R_canonical, batch.p) + batch.centre
     for i in torch.nonzero(batch.positive)[:, 0]:
-        X = torch.as_tensor(clouds.X_camera_ee)
+        X = torch.as_tensor(clouds.X_camera_target)
         apart = (X[:, :3, :3] - R[i]).abs().amax((1, 2)) + (X[:, :3, 3] - p[i]).abs().amax(1)
         assert apart.min() < 1e-5
         # In the EE's own frame the points are about its origin.
@@ -213,7 +215,7 @@ def test_the_command_keeps_them_for_a_training(
     assert said["negative"] == (~kept.positive).sum()
 
 
-def test_a_training_learns_from_them_and_the_paper_s_does_not(clouds: RenderedClouds, tmp_path: Path) -> None:
+def test_a_training_learns_from_them(clouds: RenderedClouds, tmp_path: Path) -> None:
     bank, held_out = (tool_bank(held_out=held, seeds_per_kind=1, workers=1) for held in (False, True))
     config = TrainConfig(max_steps=3, batch=8, chunk=16, first_fill=16, capacity=64, validation=40, compile=False)
     method = Ours(NetworkConfig(width=32, layers=1, heads=2, neighbours=8, flow_width=64, flow_blocks=1))
@@ -229,8 +231,66 @@ def test_a_training_learns_from_them_and_the_paper_s_does_not(clouds: RenderedCl
 
     shown = [weights(share) for share in (0.0, 1.0)]
     assert (shown[0] - shown[1]).abs().max() > 1e-5
-    arguments = ["train", "pose", "--out", str(tmp_path / "paper"), "--rendered", str(tmp_path / "clouds.npz")]
-    assert run([*arguments, "--estimator", "paper"]) == 2
+
+
+def test_whole_tools_come_with_the_pose_of_their_tool(folder: Path) -> None:
+    (part, *_) = parts(folder)
+    whole = tools_of_part(None, part)
+    examples = read_part(part, None)
+    shown = [i for i in examples.instances if i.target and i.first_end]
+    assert len(whole) == len(shown) > 0
+    ends = np.cumsum(whole.counts[:, 0])
+    for i, instance in enumerate(shown):
+        X = whole.X_camera_target[i].astype(np.float64)
+        points = whole.points[ends[i] - whole.counts[i, 0] : ends[i]]
+        surface = part.catalogue.tool(instance.tool).mesh.sample(20_000, seed=0)
+        apart = cKDTree(transform_points(X, surface)).query(points)[0]
+        assert np.median(apart) < 0.006, "the points are the tool's, up to the sensor's noise"
+
+
+@pytest.fixture(scope="module")
+def paper_files(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Of a column each what the command keeps for it."""
+    out = tmp_path_factory.mktemp("paper")
+    files = {column: out / f"{column}.npz" for column in ("ee", "object-prior")}
+    for column, file in files.items():
+        assert (
+            run(["train", "clouds", str(folder), "--out", str(file), "--estimator", "paper", "--column", column]) == 0
+        )
+    return files
+
+
+def test_for_the_paper_s_estimator_true_masks_alone_are_kept(
+    paper_files: dict[str, Path], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = RenderedClouds.load(paper_files["ee"])
+    assert kept.positive.all()
+    assert len(np.unique(kept.X_camera_target, axis=0)) == len(kept), "each end effector once"
+    arguments = ["train", "clouds", str(folder), "--out", "x.npz", "--estimator", "paper", "--weights", str(folder)]
+    assert run(arguments) == 2
+    assert "no detector's" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("column", ["ee", "object-prior"])
+def test_the_paper_s_estimator_learns_from_rendered_images(
+    paper_files: dict[str, Path], tmp_path: Path, column: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its own way: of its column's clouds, and of no others."""
+    options = {"max_steps": 1, "batch": 4, "chunk": 16, "first_fill": 16, "capacity": 64, "rendered_share": 1.0}
+    options |= {"train_seeds": 1, "test_seeds": 1, "validation": 4, "compile": False}
+    (tmp_path / "few.yaml").write_text(json.dumps(options))
+
+    def train(name: str, rendered: Path) -> int:
+        arguments = ["train", "pose", "--out", str(tmp_path / name), "--estimator", "paper", "--column", column]
+        return run([*arguments, "--rendered", str(rendered), "--config", str(tmp_path / "few.yaml"), "--json"])
+
+    assert train("right", paper_files[column]) == 0
+    said = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert said["report"]["train"]["rendered_clouds"] == len(RenderedClouds.load(paper_files[column]))
+    assert PaperEstimator.load(tmp_path / "right").column.name == column
+    (other,) = paper_files.keys() - {column}
+    assert train("wrong", paper_files[other]) == 2
+    assert "--column of the training" in capsys.readouterr().err
 
 
 def test_a_folder_that_cannot_be_is_refused_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,11 @@ from toolee_robot.cli.train_options import Count, File, Folder, Number, OutDir, 
 from toolee_robot.errors import UserError
 
 if TYPE_CHECKING:
+    from toolee_robot.perception.pose.paper import Column
     from toolee_robot.perception.pose.train_config import TrainConfig
+
+Estimator = Literal["ours", "paper"]
+ColumnName = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 
 
 @dataclass(frozen=True)
@@ -24,13 +28,18 @@ class Clouds:
 
     Example: toolee train clouds data/hard/train --out runs/clouds.npz --workers 2
 
-    Take images that the detector was not trained on.
+    Take images that the detector was not trained on. The paper's estimator learns from true masks alone: say
+    --estimator paper, and the --column of its training.
     """
 
     data: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
     """A data set, or one split of it."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """Where the clouds go, for `toolee train pose --rendered FILE`."""
+    estimator: Estimator = "ours"
+    """Whose training they are for; paper: ToolEENet's own."""
+    column: ColumnName = None
+    """Of the paper's Table I, for --estimator paper (default: symmetry-aware)."""
     weights: Folder = None
     """The detector's weights (default: those that ship)."""
     limit: Count = None
@@ -46,9 +55,12 @@ class Clouds:
         console = Console(stderr=self.json, highlight=False)
         from toolee_robot.perception.rendered_clouds import rendered_clouds
 
+        column = _column(self.estimator, self.column)
+        if column is not None and self.weights is not None:
+            raise UserError("--weights: for --estimator paper the true masks are taken, no detector's")
         # Before the work: it may take hours.
         make_folder(self.out.parent)
-        with console.status("loading the detector") as status:
+        with console.status("starting") as status:
             clouds = rendered_clouds(
                 self.data,
                 self.weights,
@@ -56,10 +68,12 @@ class Clouds:
                 self.workers,
                 self.limit,
                 lambda done, of: status.update(f"{done} of {of} scene folders"),
+                column,
             )
         clouds.save(self.out)
         shown = int(clouds.positive.sum())
-        console.print(f"{shown} clouds of end effectors and {len(clouds) - shown} of what is none in {self.out}")
+        kind = "whole tools" if clouds.of_tool.any() else "end effectors"
+        console.print(f"{shown} clouds of {kind} and {len(clouds) - shown} of what is none in {self.out}")
         if self.json:
             print(json_line({"out": str(self.out), "positive": shown, "negative": len(clouds) - shown}), flush=True)
         return 0
@@ -79,9 +93,9 @@ class Pose:
     """Checkpoint, weights with configuration and calibration, log, TensorBoard curves (extra `train`)."""
     config: File = None
     """YAML or JSON of options, any subset of those of toolee_robot.perception.train_pose; the command line's win."""
-    estimator: Literal["ours", "paper"] = "ours"
+    estimator: Estimator = "ours"
     """paper: ToolEENet's own."""
-    column: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    column: ColumnName = None
     """Of the paper's Table I, for --estimator paper (default: symmetry-aware)."""
     protocol: Literal["hard", "paper"] = "hard"
     """Which data set's views the clouds are like."""
@@ -101,28 +115,37 @@ class Pose:
     """Hand samples, for machines without the hand's model."""
     rendered: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = ()
     """Clouds of rendered images to mix in, made by `toolee train clouds`."""
+    rendered_share: Number = None
+    """Of the clouds, where rendered ones are given (default: 0.5)."""
     json: Flag = False
     """Print one line of JSON last on standard output."""
 
     def run(self) -> int:
         from toolee_robot.perception.pose.cloud_batch import PROTOCOLS
         from toolee_robot.perception.pose.method import Ours
-        from toolee_robot.perception.pose.paper import COLUMNS, PaperMethod
+        from toolee_robot.perception.pose.paper import PaperMethod
         from toolee_robot.perception.pose.train_config import TrainConfig
         from toolee_robot.perception.pose.training import train
 
-        if self.column is not None and (self.estimator != "paper" or self.column not in COLUMNS):
-            raise UserError(f"--column {self.column}: with --estimator paper one of {', '.join(COLUMNS)}")
+        column = _column(self.estimator, self.column)
         options = options_of(self, self.config, {f.name for f in fields(TrainConfig) if f.default is not MISSING})
         config: TrainConfig = TrainConfig(**options)
         resume = (self.out / "checkpoint.pt").is_file()
-        column = (self.column or "symmetry-aware") if self.estimator == "paper" else None
         about = {f.name: getattr(config, f.name) for f in fields(TrainConfig)}
-        about |= {"estimator": self.estimator, "column": column, "protocol": self.protocol}
+        about |= {"estimator": self.estimator, "column": column.name if column else None, "protocol": self.protocol}
         remember(self.out, resume, {**about, "rendered": [str(path) for path in self.rendered]})
         clouds = PROTOCOLS[self.protocol]()
-        method: Any = Ours(clouds_config=clouds) if column is None else PaperMethod(COLUMNS[column], clouds)
+        method: Any = Ours(clouds_config=clouds) if column is None else PaperMethod(column, clouds)
         report = train(self.out, config, method, self.hands, rendered=self.rendered)
         if self.json:
             print(json_line({"out": str(self.out), "resumed": resume, "report": report}), flush=True)
         return 0
+
+
+def _column(estimator: Estimator, name: str | None) -> Column | None:
+    """What to train of the paper's Table I; None: our own. Raises UserError where it has no such column."""
+    from toolee_robot.perception.pose.paper import COLUMNS
+
+    if name is not None and (estimator != "paper" or name not in COLUMNS):
+        raise UserError(f"--column {name}: with --estimator paper one of {', '.join(COLUMNS)}")
+    return COLUMNS[name or "symmetry-aware"] if estimator == "paper" else None

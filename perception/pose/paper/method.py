@@ -17,6 +17,7 @@ from toolee_robot.perception.pose.paper import object_clouds
 from toolee_robot.perception.pose.paper.estimator import (
     COLUMNS,
     NAME,
+    OBJECT_RADIUS,
     POINTS,
     PROCESS,
     Column,
@@ -28,6 +29,7 @@ from toolee_robot.perception.pose.paper.estimator import (
 from toolee_robot.perception.pose.paper.network import PaperNet
 from toolee_robot.perception.pose.paper.pointnet2 import ORDERED
 from toolee_robot.perception.pose.paper.representation import class_ambiguity, encode
+from toolee_robot.perception.pose.rendered import RenderedClouds, RenderedSource
 from toolee_robot.perception.pose.weights import Calibration
 
 
@@ -42,9 +44,17 @@ class PaperMethod:
 
     def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
         """Clouds of the EE, or of the whole tool, as large as the paper's."""
-        config = replace(self.clouds_config, points=POINTS, ordered=ORDERED, rest=False, guessed=False)
         make = object_clouds.ObjectCloudGenerator if self.column.of_tool else CloudGenerator
-        return make(bank, hands, device, seed, config)
+        return make(bank, hands, device, seed, self._seen)
+
+    def kept(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
+        """See `Method`: no negatives."""
+        config = replace(self._seen, negative_share=0.0, radius=OBJECT_RADIUS if self.column.of_tool else None)
+        return RenderedSource(clouds.of_kind(self.column.of_tool), device, seed, config)
+
+    @property
+    def _seen(self) -> CloudConfig:
+        return replace(self.clouds_config, points=POINTS, ordered=ORDERED, rest=False, guessed=False)
 
     def network(self, bank: ToolBank) -> PaperNet:
         """A fresh network with the priors of the training tools."""
