@@ -37,12 +37,17 @@ class Method(Protocol, Generic[Net]):
         """Of its weight files."""
         ...
 
+    @property
+    def of_tool(self) -> bool:
+        """Whether it learns from clouds of whole tools instead of end effectors."""
+        ...
+
     def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
         """Endless training (or held-out) clouds of a bank."""
         ...
 
     def kept(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
-        """Endless draws of clouds of rendered images. Raises UserError where they are not what it learns from."""
+        """Endless draws of clouds of rendered images, of the kind that it learns from."""
         ...
 
     def network(self, bank: ToolBank) -> Net:
@@ -92,6 +97,7 @@ class Ours:
     augmentation: bool = True
     sampler: Sampler = SAMPLER
     name: str = weights.NAME
+    of_tool: bool = False
 
     def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
         """See `Method`."""
@@ -99,7 +105,7 @@ class Ours:
 
     def kept(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
         """See `Method`."""
-        return RenderedSource(clouds.of_kind(of_tool=False), device, seed, self.clouds_config)
+        return RenderedSource(clouds, device, seed, self.clouds_config)
 
     def network(self, bank: ToolBank) -> PoseNet:  # noqa: ARG002 - others need it
         """See `Method`."""

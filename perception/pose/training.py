@@ -278,7 +278,9 @@ def train(
     method = method or Ours()
     if config.init_share and init is None and not calibrate_only:
         raise UserError("--init-share: say whose share that is, with --init FOLDER")
-    kept = RenderedClouds.cat([RenderedClouds.load(path) for path in rendered]) if rendered else None
+    kept = None
+    if rendered:  # before the work
+        kept = RenderedClouds.cat([RenderedClouds.load(path) for path in rendered]).of_kind(method.of_tool)
     begun = time.monotonic()
     banks = tool_bank(False, config.train_seeds), tool_bank(True, config.test_seeds)
     hands = load_hands(hands_file)

@@ -42,15 +42,20 @@ class PaperMethod:
     draws: int = 20
     name: str = NAME
 
+    @property
+    def of_tool(self) -> bool:
+        """See `Method`."""
+        return self.column.of_tool
+
     def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
         """Clouds of the EE, or of the whole tool, as large as the paper's."""
-        make = object_clouds.ObjectCloudGenerator if self.column.of_tool else CloudGenerator
+        make = object_clouds.ObjectCloudGenerator if self.of_tool else CloudGenerator
         return make(bank, hands, device, seed, self._seen)
 
     def kept(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
         """See `Method`: no negatives."""
-        config = replace(self._seen, negative_share=0.0, radius=OBJECT_RADIUS if self.column.of_tool else None)
-        return RenderedSource(clouds.of_kind(self.column.of_tool), device, seed, config)
+        config = replace(self._seen, negative_share=0.0, radius=OBJECT_RADIUS if self.of_tool else None)
+        return RenderedSource(clouds, device, seed, config)
 
     @property
     def _seen(self) -> CloudConfig:
@@ -88,7 +93,7 @@ class PaperMethod:
 
     def judged(self, batch: CloudBatch, bank: ToolBank) -> CloudBatch:
         """See `Method`."""
-        return object_clouds.with_ee_truth(batch, bank) if self.column.of_tool else batch
+        return object_clouds.with_ee_truth(batch, bank) if self.of_tool else batch
 
     def report(
         self,
