@@ -68,7 +68,10 @@ def of_part(detector: EeDetector | None, part: Part) -> RenderedClouds:
         instance = None if case.instance is None else examples.instances[case.instance]
         asked = case.overlap < NOTHING_THERE if instance is None else instance.target
         if asked and case.cloud.usable:
-            rows.append(_cloud(case, instance, rng))
+            tells = 0
+            if instance is not None and instance.category is Category.HAMMER_HEAD:
+                tells = telling_points(instance, case)
+            rows.append(_cloud(case, instance, rng, tells))
     return RenderedClouds.cat(rows)
 
 
@@ -97,14 +100,11 @@ def _rng(part: Part) -> np.random.Generator:
     return np.random.default_rng([*part.scene.name.encode()])
 
 
-def _cloud(case: Case, instance: Instance | None, rng: np.random.Generator) -> RenderedClouds:
+def _cloud(case: Case, instance: Instance | None, rng: np.random.Generator, tells_spin: int = 0) -> RenderedClouds:
     cloud = case.cloud
     kinds = (cloud.points, MOST_POINTS), (cloud.guessed, MOST_GUESSED), (cloud.rest, MOST_REST)
     points, guessed, rest = (_thinned(x, most, rng).astype(np.float32) for x, most in kinds)
     hand = None if instance is None else instance.X_camera_hand
-    tells = 0
-    if instance is not None and instance.category is Category.HAMMER_HEAD:
-        tells = telling_points(instance, case)
     return RenderedClouds(
         points,
         guessed,
@@ -116,7 +116,7 @@ def _cloud(case: Case, instance: Instance | None, rng: np.random.Generator) -> R
         category=np.array([list(Category).index(case.category)]),
         positive=np.array([instance is not None]),
         visible=np.array([len(cloud.points)]),
-        tells_spin=np.array([tells]),
+        tells_spin=np.array([tells_spin]),
         occlusion=np.array([0.0 if instance is None else instance.occlusion], np.float32),
     )
 

@@ -23,7 +23,7 @@ from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.pose.bank import save_hands
 from toolee_robot.perception.pose.cloud_batch import PROTOCOLS
 from toolee_robot.perception.pose.method import Ours
-from toolee_robot.perception.pose.paper import COLUMNS, PaperMethod
+from toolee_robot.perception.pose.paper import COLUMNS, PaperMethod, column_of
 from toolee_robot.perception.pose.train_config import TrainConfig
 from toolee_robot.perception.pose.training import train
 
@@ -57,13 +57,10 @@ def main(arguments: list[str] | None = None) -> int:
             return 0
         if options.out is None:
             raise UserError("say where the weights go: --out DIR")
-        if options.column is not None and options.estimator != "paper":
-            raise UserError("--column belongs to the paper's estimator: add --estimator paper")
+        column = column_of(options.estimator, options.column)
         config = TrainConfig(**{f.name: getattr(options, f.name) for f in fields(TrainConfig)})
         clouds = PROTOCOLS[options.protocol]()
-        method: Ours | PaperMethod = Ours(clouds_config=clouds)
-        if options.estimator == "paper":
-            method = PaperMethod(COLUMNS[options.column or "symmetry-aware"], clouds)
+        method: Ours | PaperMethod = Ours(clouds_config=clouds) if column is None else PaperMethod(column, clouds)
         train(options.out, config, method, options.hands, options.calibrate_only, options.init, options.rendered)
     except TooleeError as error:
         print(f"error: {error}", file=sys.stderr)

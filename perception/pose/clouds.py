@@ -34,6 +34,8 @@ from toolee_robot.tools.model import ee_radius
 from toolee_robot.types import Category
 
 _MOST_GUESSED = 512
+WHOLE_TOOL = 1
+"""[px] Reach of splats in a window that holds a whole tool: wider ones would swell what is thin at this scale."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,10 @@ class Target:
 
 
 class CloudGenerator(CloudSource):
-    """Endless clouds of one bank on one device, from one seed."""
+    """Endless clouds of one bank on one device, from one seed. reach: of splats without normals, in windows that hold
+    what the mask is said to show [px]."""
+
+    reach = 2
 
     def __init__(
         self,
@@ -108,7 +113,7 @@ class CloudGenerator(CloudSource):
             (f * focus[:, 0] / depth_focus).round() - GRID // 2,
             (f * focus[:, 1] / depth_focus).round() - GRID // 2,
         )
-        alone, buffer = self._draw(placed, target, window)
+        alone, buffer = self._draw(placed, target, window, self.reach)
         rays = window.rays()
         draw_occluders(buffer, focus, radius, rays, c.occluder_share, draws)
         draw_backgrounds(buffer, focus, rays, draws)
@@ -166,8 +171,7 @@ class CloudGenerator(CloudSource):
             (f * middle[:, 0] / depth_middle).round() - GRID // 2,
             (f * middle[:, 1] / depth_middle).round() - GRID // 2,
         )
-        # Splats of one pixel: wider ones would swell what is thin at this scale.
-        buffer = self._draw(placed, target, window, reach=1)[1]
+        buffer = self._draw(placed, target, window, WHOLE_TOOL)[1]
         rays = window.rays()
         draw_backgrounds(buffer, middle, rays, draws)
         truth, labels, cosine = buffer.images()
@@ -265,7 +269,7 @@ class CloudGenerator(CloudSource):
         """The pose wanted: R (B, 3, 3), p (B, 3), camera frame."""
         return placed.R, placed.p
 
-    def _draw(self, placed: Placement, target: Target, window: Window, reach: int = 2) -> tuple[ZBuffer, ZBuffer]:
+    def _draw(self, placed: Placement, target: Target, window: Window, reach: int) -> tuple[ZBuffer, ZBuffer]:
         """The tool alone, and with its hand. reach: of splats without normals [px]."""
 
         def label(points: Tensor, usual: int, wanted: Tensor, tells: Tensor | None = None) -> Tensor:

@@ -97,7 +97,11 @@ class Ours:
     augmentation: bool = True
     sampler: Sampler = SAMPLER
     name: str = weights.NAME
-    of_tool: bool = False
+
+    @property
+    def of_tool(self) -> bool:
+        """See `Method`."""
+        return False
 
     def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
         """See `Method`."""

@@ -71,15 +71,14 @@ class RenderedClouds:
         many = [_none(), *several]
         return cls(*(np.concatenate([getattr(each, f.name) for each in many]) for f in fields(cls)))
 
-    def of_kind(self, of_tool: bool) -> RenderedClouds:
-        """These. Raises UserError where some are not of whole tools, or are, as of_tool asks."""
+    def check_kind(self, of_tool: bool) -> None:
+        """Raises UserError where some are of end effectors, for a training of_tool, or of whole tools, for another."""
         if (self.of_tool != of_tool).any():
             wanted, given = ("whole tools", "end effectors") if of_tool else ("end effectors", "whole tools")
             raise UserError(
                 f"--rendered: this training takes clouds of {wanted}, some of these are of {given}: make them with "
                 "`toolee train clouds` and the --estimator and --column of the training"
             )
-        return self
 
     def save(self, path: Path) -> None:
         """Write them into one file."""

@@ -279,8 +279,9 @@ def train(
     if config.init_share and init is None and not calibrate_only:
         raise UserError("--init-share: say whose share that is, with --init FOLDER")
     kept = None
-    if rendered:  # before the work
-        kept = RenderedClouds.cat([RenderedClouds.load(path) for path in rendered]).of_kind(method.of_tool)
+    if rendered:
+        kept = RenderedClouds.cat([RenderedClouds.load(path) for path in rendered])
+        kept.check_kind(method.of_tool)  # before the work
     begun = time.monotonic()
     banks = tool_bank(False, config.train_seeds), tool_bank(True, config.test_seeds)
     hands = load_hands(hands_file)

@@ -15,7 +15,6 @@ from toolee_robot.cli.train_options import Count, File, Folder, Number, OutDir, 
 from toolee_robot.errors import UserError
 
 if TYPE_CHECKING:
-    from toolee_robot.perception.pose.paper import Column
     from toolee_robot.perception.pose.train_config import TrainConfig
 
 Estimator = Literal["ours", "paper"]
@@ -53,9 +52,10 @@ class Clouds:
 
     def run(self) -> int:
         console = Console(stderr=self.json, highlight=False)
+        from toolee_robot.perception.pose.paper import column_of
         from toolee_robot.perception.rendered_clouds import rendered_clouds
 
-        column = _column(self.estimator, self.column)
+        column = column_of(self.estimator, self.column)
         if column is not None and self.weights is not None:
             raise UserError("--weights: for --estimator paper the true masks are taken, no detector's")
         # Before the work: it may take hours.
@@ -73,7 +73,8 @@ class Clouds:
         clouds.save(self.out)
         shown = int(clouds.positive.sum())
         kind = "whole tools" if clouds.of_tool.any() else "end effectors"
-        console.print(f"{shown} clouds of {kind} and {len(clouds) - shown} of what is none in {self.out}")
+        negatives = f" and {len(clouds) - shown} of what is none" if column is None else ""
+        console.print(f"{shown} clouds of {kind}{negatives} in {self.out}")
         if self.json:
             print(json_line({"out": str(self.out), "positive": shown, "negative": len(clouds) - shown}), flush=True)
         return 0
@@ -123,11 +124,11 @@ class Pose:
     def run(self) -> int:
         from toolee_robot.perception.pose.cloud_batch import PROTOCOLS
         from toolee_robot.perception.pose.method import Ours
-        from toolee_robot.perception.pose.paper import PaperMethod
+        from toolee_robot.perception.pose.paper import PaperMethod, column_of
         from toolee_robot.perception.pose.train_config import TrainConfig
         from toolee_robot.perception.pose.training import train
 
-        column = _column(self.estimator, self.column)
+        column = column_of(self.estimator, self.column)
         options = options_of(self, self.config, {f.name for f in fields(TrainConfig) if f.default is not MISSING})
         config: TrainConfig = TrainConfig(**options)
         resume = (self.out / "checkpoint.pt").is_file()
@@ -140,12 +141,3 @@ class Pose:
         if self.json:
             print(json_line({"out": str(self.out), "resumed": resume, "report": report}), flush=True)
         return 0
-
-
-def _column(estimator: Estimator, name: str | None) -> Column | None:
-    """What to train of the paper's Table I; None: our own. Raises UserError where it has no such column."""
-    from toolee_robot.perception.pose.paper import COLUMNS
-
-    if name is not None and (estimator != "paper" or name not in COLUMNS):
-        raise UserError(f"--column {name}: with --estimator paper one of {', '.join(COLUMNS)}")
-    return COLUMNS[name or "symmetry-aware"] if estimator == "paper" else None

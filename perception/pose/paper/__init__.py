@@ -6,7 +6,7 @@ each cloud's own (theirs is shared by the whole batch), and a metric never asks 
 (`toolee_robot.perception.evaluation` has that rule as an extra column).
 """
 
-from toolee_robot.perception.pose.paper.estimator import COLUMNS, Column, PaperEstimator
+from toolee_robot.perception.pose.paper.estimator import COLUMNS, Column, PaperEstimator, column_of
 from toolee_robot.perception.pose.paper.method import PaperMethod
 
-__all__ = ["COLUMNS", "Column", "PaperEstimator", "PaperMethod"]
+__all__ = ["COLUMNS", "Column", "PaperEstimator", "PaperMethod", "column_of"]

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.errors import AssetError
+from toolee_robot.errors import AssetError, UserError
 from toolee_robot.frames import Array
 from toolee_robot.perception import assets
 from toolee_robot.perception.pose.canonical import CanonicalCloud
@@ -57,6 +57,14 @@ COLUMNS = {
         Column("symmetry-aware", predicts_ambiguity=True),
     )
 }
+
+
+def column_of(estimator: str, name: str | None) -> Column | None:
+    """What a command asks for by --estimator and --column; None: not the paper's. Raises UserError where there is no
+    such column."""
+    if name is not None and (estimator != "paper" or name not in COLUMNS):
+        raise UserError(f"--column {name}: with --estimator paper one of {', '.join(COLUMNS)}")
+    return COLUMNS[name or "symmetry-aware"] if estimator == "paper" else None
 
 
 class PaperEstimator(CloudEstimator):

@@ -13,10 +13,9 @@ from toolee_robot.perception.pose.bank import Float32, ToolBank
 from toolee_robot.perception.pose.cloud_batch import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.cloud_cuts import Border, Cut
 from toolee_robot.perception.pose.cloud_scene import Placement, rigid_inverse
-from toolee_robot.perception.pose.clouds import CloudGenerator, Target
+from toolee_robot.perception.pose.clouds import WHOLE_TOOL, CloudGenerator, Target
 from toolee_robot.perception.pose.paper.estimator import OBJECT_RADIUS
 from toolee_robot.perception.pose.paper.pooling import mean_pose
-from toolee_robot.perception.pose.splat import Window, ZBuffer
 from toolee_robot.types import Category
 
 
@@ -26,6 +25,8 @@ class ObjectCloudGenerator(CloudGenerator):
     Of a tool with two like ends only the first, the working end, is asked for: a tool's pose cannot tell which is
     meant.
     """
+
+    reach = WHOLE_TOOL
 
     def __init__(
         self, bank: ToolBank, hands: Float32, device: torch.device | str, seed: int, config: CloudConfig
@@ -42,10 +43,6 @@ class ObjectCloudGenerator(CloudGenerator):
         radius = torch.full_like(placed.distance, OBJECT_RADIUS)
         border = Border.drawn(focus, radius, self.config.border_share, self._draws)
         return Target(focus, radius, Cut.sphere(focus, radius), border, self._category[placed.item], ~no, no, no)
-
-    def _draw(self, placed: Placement, target: Target, window: Window, reach: int = 1) -> tuple[ZBuffer, ZBuffer]:
-        """Splats of one pixel: in a window that holds a whole tool wider ones would swell what is thin."""
-        return super()._draw(placed, target, window, reach)
 
     def _truth(self, placed: Placement) -> tuple[Tensor, Tensor]:
         p_ee_tool = placed.X_ee_tool[:, :3, 3]
