@@ -10,9 +10,10 @@ class TrainConfig:
     """minutes: wall-clock of the optimisation; max_steps: if not 0, the budget is in steps instead. The learning rate
     follows a cosine over it. session_minutes: how much of it this process does (0: all that is left); the next one
     resumes. reuse: how often a cloud is shown. train_seeds, test_seeds: tools of each kind, training and held out.
-    rendered_share: of the clouds, where rendered ones are given. init_share: of the weights that it starts from in
-    those that it ends with, where it starts from some (Wortsman et al., "Robust fine-tuning of zero-shot models", CVPR
-    2022)."""
+    settle: the share of the budget after which batch normalisation keeps its statistics (`settled_norms`; networks
+    without it do not mind). rendered_share: of the clouds, where rendered ones are given. init_share: of the weights
+    that it starts from in those that it ends with, where it starts from some (Wortsman et al., "Robust fine-tuning of
+    zero-shot models", CVPR 2022)."""
 
     minutes: float = 9.0
     max_steps: int = 0
@@ -30,6 +31,7 @@ class TrainConfig:
     train_seeds: int = 480
     test_seeds: int = 30
     validation: int = 4096
+    settle: float = 0.25
     rendered_share: float = 0.5
     init_share: float = 0.0
     checkpoint_seconds: float = 120.0

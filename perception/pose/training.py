@@ -22,6 +22,7 @@ from toolee_robot.perception.pose.cloud_source import CloudSource, Mixture
 from toolee_robot.perception.pose.method import Method, Net, Ours
 from toolee_robot.perception.pose.rendered import RenderedClouds
 from toolee_robot.perception.pose.reservoir import Reservoir
+from toolee_robot.perception.pose.settled_norms import settle_norms
 from toolee_robot.perception.pose.train_config import TrainConfig
 from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.perception.ranks import Ranks, ranks
@@ -99,6 +100,8 @@ class Trainer(Generic[Net]):
         while self._progress() < 1 and self.elapsed < end:
             while reservoir.made - base < (self.steps - start_steps) * c.batch / c.reuse:
                 reservoir.add(self._generator.generate(c.chunk))
+            if self._progress() >= c.settle:
+                settle_norms(self.net)
             batch = self.method.prepare(reservoir.draw(c.batch, self._g), self._g)
             rate = self._learning_rate()
             for group in self.optimizer.param_groups:
@@ -205,11 +208,14 @@ class Trainer(Generic[Net]):
         compiled: nn.Module = torch.compile(self.net)  # type: ignore[assignment]
         batch = self._generator.collect(self.config.batch, self.config.chunk)
         try:
-            self.method.loss(compiled, batch, self._g)[0].backward()  # type: ignore[no-untyped-call]
+            for settled in (True, False):  # each is compiled for itself
+                settle_norms(self.net, settled)
+                self.method.loss(compiled, batch, self._g)[0].backward()  # type: ignore[no-untyped-call]
         except Exception as error:  # noqa: BLE001 - the compiler's errors have no common root; eager always works
             self.log(event="not compiled", error=f"{type(error).__name__}: {error}"[:300])
             torch._dynamo.reset()
             compiled = self.net
+            settle_norms(self.net, False)
         self.net.zero_grad(set_to_none=True)
         return compiled
 

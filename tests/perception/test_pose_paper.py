@@ -203,3 +203,27 @@ def test_every_column_trains_and_its_weights_load(
     assert loaded.hypotheses.Xs_camera_ee.shape == (20, 4, 4)
     if column != "symmetry-aware":
         np.testing.assert_array_equal(loaded.ambiguous, [1, 0, 0])
+
+
+def test_the_norms_keep_their_statistics_for_the_last_part_of_a_training(
+    tmp_path: Path, bank: ToolBank, hands: Float32, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Resumed, too."""
+    monkeypatch.setattr(PointNet2.__init__, "__defaults__", (SMALL,))
+    config = TrainConfig(max_steps=4, batch=8, chunk=16, first_fill=16, capacity=32, validation=4, reuse=100)
+    method = replace(PaperMethod(COLUMNS["ee"]), draws=2)
+
+    def statistics(max_steps: int, settle: float) -> dict[str, Tensor]:
+        trainer = Trainer(
+            tmp_path, replace(config, max_steps=max_steps, settle=settle), (bank, bank), hands, method, CPU
+        )
+        trainer.run()
+        assert trainer.steps == max_steps
+        return {name: x.clone() for name, x in trainer.net.named_buffers() if "norms" in name}
+
+    half = statistics(4, settle=0.5)
+    assert {int(x) for name, x in half.items() if name.endswith("num_batches_tracked")} == {2}
+    gone_on = statistics(6, settle=0.5)
+    assert all(torch.equal(gone_on[name], x) for name, x in half.items())
+    unsettled = statistics(8, settle=1.0)
+    assert {int(x) for name, x in unsettled.items() if name.endswith("num_batches_tracked")} == {4}
