@@ -10,9 +10,9 @@ from __future__ import annotations
 from torch import nn
 
 
-def settle_norms(net: nn.Module, settled: bool = True) -> None:
-    """From now on the layers of batch normalisation take, and keep, their running statistics (or, settled=False, their
-    batch's again). Their weights go on learning."""
+def settle_norms(net: nn.Module, settled: bool) -> None:
+    """Layers of batch normalisation take their running statistics, and keep them, where settled, and otherwise their
+    batch's. Their weights learn either way."""
     for module in net.modules():
         if isinstance(module, nn.BatchNorm1d):
             module.train(not settled)

@@ -100,8 +100,7 @@ class Trainer(Generic[Net]):
         while self._progress() < 1 and self.elapsed < end:
             while reservoir.made - base < (self.steps - start_steps) * c.batch / c.reuse:
                 reservoir.add(self._generator.generate(c.chunk))
-            if self._progress() >= c.settle:
-                settle_norms(self.net)
+            settle_norms(self.net, self._progress() >= c.settle)
             batch = self.method.prepare(reservoir.draw(c.batch, self._g), self._g)
             rate = self._learning_rate()
             for group in self.optimizer.param_groups:
@@ -215,7 +214,6 @@ class Trainer(Generic[Net]):
             self.log(event="not compiled", error=f"{type(error).__name__}: {error}"[:300])
             torch._dynamo.reset()
             compiled = self.net
-            settle_norms(self.net, False)
         self.net.zero_grad(set_to_none=True)
         return compiled
 
