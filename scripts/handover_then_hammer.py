@@ -13,6 +13,12 @@ from toolee_robot.types import Category
 
 
 def main(seed: int = 0, gui: bool = False) -> None:
+    """Run the job.
+
+    Args:
+        seed: Another hammer, grasp and room.
+        gui: Show pybullet's window.
+    """
     config, perception = StationConfig(), ToolPerception.load()
     with SimStation.build(config, seed, SimOptions(gui=gui)) as sim:
         tool = sim.tool
@@ -24,4 +30,4 @@ def main(seed: int = 0, gui: bool = False) -> None:
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    tyro.cli(main, description=__doc__)

@@ -34,6 +34,16 @@ def job(options: list[str]) -> dict[str, float | None]:
 
 def main(options: tyro.conf.Positional[tuple[str, ...]] = (), first_seed: int = 100, trials: int = 20, jobs: int = 1,
          baseline: bool = True, out: Path = Path("trials.json")) -> None:  # fmt: skip
+    """Run the trials.
+
+    Args:
+        options: Of `toolee hammer`, after a `--`.
+        first_seed: Each seed is another hammer, grasp and room.
+        trials: Jobs of each mode.
+        jobs: Side by side.
+        baseline: Also without the in-hand correction.
+        out: Every job's record, as JSON.
+    """
     names = ("blows", "pose_error_mm", "pose_error_deg", "strike_offset_mm", "strike_tilt_deg")
     table = Table("mode", "success", "95 % (Wilson)", *(f"median {name}" for name in names))
     records: dict[str, list[dict[str, float | None]]] = {}
@@ -53,4 +63,4 @@ def main(options: tyro.conf.Positional[tuple[str, ...]] = (), first_seed: int = 
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    tyro.cli(main, description=__doc__)
