@@ -172,7 +172,11 @@ class _Parent:
 
 def _child() -> None:
     """Serve as the parent's pipe says, until it is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's: it ends its clients first, then us
+    for number in (
+        signal.SIGINT,
+        signal.SIGTERM,
+    ):  # sent to all of a job, they are the parent's: it ends its clients first
+        signal.signal(number, signal.SIG_IGN)
     pipe = sys.stdin.buffer
     options, plant, setup, verbose = pickle.loads(pipe.read(int.from_bytes(pipe.read(4), "big")))
 

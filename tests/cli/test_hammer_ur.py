@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -40,6 +41,7 @@ def _start(folder: Path, host: str, *args: str) -> subprocess.Popen[str]:
         stderr=subprocess.PIPE,
         text=True,
         cwd=folder,
+        start_new_session=True,  # a group of its own, for signals
     )
 
 
@@ -86,14 +88,16 @@ def test_the_nail_is_driven_through_the_real_driver(tmp_path: Path) -> None:
     assert topics["/arm/measured"] > 500
 
 
-def test_an_interrupt_stops_the_arm_and_ends_client_and_server_in_order(tmp_path: Path) -> None:
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_stops_the_arm_and_ends_client_and_server_in_order(tmp_path: Path, sign: signal.Signals) -> None:
+    """Ctrl-C in a terminal, or the end of a service, reaches every process of the job."""
     process = _start(tmp_path, "127.0.0.35")
     assert process.stderr is not None
     for text in process.stderr:
         if text.startswith("Handover"):
             break
     time.sleep(1.0)
-    process.send_signal(signal.SIGINT)
+    os.killpg(process.pid, sign)
     out, err = process.communicate(timeout=60)
     record = _record(out)
     assert process.returncode == 130, err
