@@ -172,11 +172,9 @@ class _Parent:
 
 def _child() -> None:
     """Serve as the parent's pipe says, until it is closed."""
-    for number in (
-        signal.SIGINT,
-        signal.SIGTERM,
-    ):  # sent to all of a job, they are the parent's: it ends its clients first
-        signal.signal(number, signal.SIG_IGN)
+    # What is sent to every process of a job is the parent's: it ends its clients first, then us.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     pipe = sys.stdin.buffer
     options, plant, setup, verbose = pickle.loads(pipe.read(int.from_bytes(pipe.read(4), "big")))
 
