@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import queue
 import threading
 from collections import deque
-from concurrent.futures import Future, ProcessPoolExecutor, wait
+from concurrent.futures import Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 from toolee_robot.errors import TooleeError
-from toolee_robot.perception.dataset.orphans import end_with_parent
 from toolee_robot.perception.dataset.scene_reader import load_scenes, scene_folders
 from toolee_robot.perception.segmentation_images import SegmentationImages
+from toolee_robot.worker_pool import WorkerPool
 
 _DECODERS = 8
 """Processes that decode images, at most."""
@@ -57,7 +56,7 @@ class SceneStream:
         todo: deque[Path] = deque()
         running: deque[Future[SegmentationImages]] = deque()
         # Processes: threads would take turns with training for the interpreter's lock.
-        with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), end_with_parent) as pool:
+        with WorkerPool(workers) as pool:
             while not self._closed.is_set():
                 if not todo:
                     fresh = [p for p in scene_folders(self._folder) if int(p.name) % self._part[1] == self._part[0]]
@@ -69,7 +68,6 @@ class SceneStream:
                     self._closed.wait(0.5)
                 elif wait([running[0]], 0.5).done:
                     self._decoded.put(_outcome(running.popleft()))
-            pool.shutdown(cancel_futures=True)
 
 
 def _outcome(decoded: Future[SegmentationImages]) -> SegmentationImages | TooleeError:

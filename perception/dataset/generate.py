@@ -9,11 +9,9 @@ import contextlib
 import multiprocessing
 import os
 import shutil
-import threading
-import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
@@ -33,6 +31,7 @@ from toolee_robot.perception.dataset.scene_writer import json_by_line, write_sce
 from toolee_robot.perception.dataset.shelf import Shelf
 from toolee_robot.perception.dataset.spec import DESCRIPTION, SPLITS, DatasetSpec, SceneJob
 from toolee_robot.render.device import checked
+from toolee_robot.worker_pool import WorkerPool
 
 T = TypeVar("T")
 Progress = Callable[[int, int], None]
@@ -143,15 +142,13 @@ def make_scene_folder(spec: DatasetSpec, out: Path, job: SceneJob) -> SceneJob:
 def on_processes(make: Callable[[SceneJob], T], jobs: list[SceneJob], workers: int) -> Generator[T]:
     """make(job) for every job on so many processes, as they are done.
 
-    Fresh processes, even a single one: a fork would inherit embree's threads in an undefined state, and a process
-    of its own computes with one thread whatever this one was started with."""
+    Processes of their own, even a single one: it computes with one thread whatever this one was started with."""
     if not jobs:
         return
-    context = multiprocessing.get_context("spawn")
-    cores = context.Queue()
+    cores = multiprocessing.get_context("spawn").Queue()
     for k in range(workers):
         cores.put(k)
-    with _environment(ONE_THREAD), ProcessPoolExecutor(min(workers, len(jobs)), context, _prepare, (cores,)) as pool:
+    with _environment(ONE_THREAD), WorkerPool(min(workers, len(jobs)), _prepare, (cores,)) as pool:
         futures = {pool.submit(make, job) for job in jobs}
         try:
             for future in as_completed(futures):
@@ -161,9 +158,6 @@ def on_processes(make: Callable[[SceneJob], T], jobs: list[SceneJob], workers: i
             raise TooleeError(
                 "a worker process died (out of memory?): run the same command again, with fewer --workers; it resumes"
             ) from error
-        finally:
-            for future in futures:
-                future.cancel()
 
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -186,17 +180,9 @@ def _environment(variables: dict[str, str]) -> Iterator[None]:
 
 
 def _prepare(cores: multiprocessing.Queue[int]) -> None:
-    """Pin this worker to a core, and let it end with its parent: a killed parent cannot stop it any more."""
+    """Pin this worker to a core."""
     number = cores.get()
     if hasattr(os, "sched_setaffinity"):
         own = sorted(os.sched_getaffinity(0))
         with contextlib.suppress(OSError):  # some containers forbid it: then the workers are only slower
             os.sched_setaffinity(0, {own[number % len(own)]})
-    parent = os.getppid()
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.5)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 from types import TracebackType
@@ -14,7 +13,7 @@ from typing import Any, Generic, Self, TypeVar
 import torch
 
 from toolee_robot.errors import TooleeError, UserError
-from toolee_robot.perception.dataset.orphans import end_with_parent
+from toolee_robot.worker_pool import WorkerPool
 
 State = TypeVar("State")
 Item = TypeVar("Item")
@@ -31,18 +30,16 @@ class Crew(Generic[State]):
             raise UserError(f"--workers {workers}: give 1 or more")
         self._begin, self._workers = begin, workers
         self._own: list[State] = []
-        self._pool: ProcessPoolExecutor | None = None
+        self._pool: WorkerPool | None = None
         if workers > 1:
-            # Fresh processes: a fork would inherit the threads of torch and embree in an undefined state.
-            context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(workers, context, _begin, (begin,))
+            self._pool = WorkerPool(workers, _begin, (begin,))
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
+            self._pool.__exit__(kind, error, at)
 
     def map(self, function: Callable[[State, Item], Result], items: Iterable[Item]) -> Generator[Result]:
         """function(state, item) of every item, in the items' order. Of endless items no more are begun than the workers
@@ -73,7 +70,6 @@ _state: list[Any] = []
 
 
 def _begin(begin: Callable[[], Any]) -> None:
-    end_with_parent()
     torch.set_num_threads(1)
     _state.append(begin())
 

@@ -6,9 +6,7 @@ without that package can train.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +19,7 @@ from toolee_robot.frames import Array, inverse
 from toolee_robot.tools.catalog import make_tool, test_seeds, train_seeds
 from toolee_robot.tools.model import ToolKind, ee_radius
 from toolee_robot.types import Category
+from toolee_robot.worker_pool import WorkerPool
 
 EE_SAMPLES = 8192
 REST_SAMPLES = 4096
@@ -118,8 +117,8 @@ def tool_bank(held_out: bool, seeds_per_kind: int, workers: int | None = None) -
     ]
     workers = workers or min(os.cpu_count() or 1, 16)
     if workers > 1 and len(jobs) > 64:
-        with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as executor:
-            results = list(executor.map(_rows, jobs, chunksize=8))
+        with WorkerPool(workers) as pool:
+            results = list(pool.map(_rows, jobs, chunksize=8))
     else:
         results = [_rows(job) for job in jobs]
     columns = list(zip(*[row for rows in results for row in rows], strict=True))

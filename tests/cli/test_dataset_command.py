@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -67,6 +73,38 @@ def test_what_is_made_is_not_made_again_and_what_is_missing_tells_its_cost(
     assert cost["per_second"] > 0
     assert cost["cpu_ms"] > 1
     assert cost["worker_mb"] > 50
+
+
+def test_an_impatient_ctrl_c_ends_it_at_once(tmp_path: Path) -> None:
+    """In a terminal it reaches the workers, too; waiting for them, the second one brought the pool to a standstill."""
+    code = "from toolee_robot.cli import main\nif __name__ == '__main__': main()"
+    (tmp_path / "run.py").write_text(code)
+    options = ["--config", "paper", "--size", "2000", "--out", "data", "--workers", "2"]
+    process = subprocess.Popen(
+        [sys.executable, "run.py", "dataset", "generate", *options],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        assert process.stdout is not None
+        assert "rendering: 0/2000" in process.stdout.readline()
+        scenes = tmp_path / "data" / "train"
+        deadline = time.monotonic() + 60.0
+        while not any(scenes.iterdir()) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        for _ in range(2):
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGINT)
+            time.sleep(0.5)
+        output, _ = process.communicate(timeout=20)
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+    assert process.returncode in (130, -signal.SIGINT), output  # the second one strikes as it ends
+    assert "Traceback" not in output
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,11 @@ import time
 from pathlib import Path
 
 PARENT = """
-import multiprocessing, os, time
-from concurrent.futures import ProcessPoolExecutor
-from toolee_robot.perception.dataset.orphans import end_with_parent
+import os, time
+from toolee_robot.worker_pool import WorkerPool
 
 if __name__ == "__main__":
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), end_with_parent) as pool:
+    with WorkerPool(1) as pool:
         print(pool.submit(os.getpid).result(), flush=True)
         time.sleep(600)
 """
