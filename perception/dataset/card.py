@@ -172,6 +172,9 @@ _ABOUT = {
     "paper": "The paper's protocol: an upright tool held in one grasp by one right hand, a camera never rolled, "
     "0.42 to 0.98 m, no noise; the end effector (EE) is what its tool shows within a circle of pixels (60 of 1920) "
     "about the EE's origin.",
+    "paper-claws": "To train on: the paper's protocol, of claw hammers turned so that the head mostly stands before "
+    "the claw. The end effector (EE) is what its tool shows within a circle of pixels (60 of 1920) about the EE's "
+    "origin.",
     "hard": "Any orientation of tool and camera, 0.4 to 1.1 m, left, right, robot and human hands in many grasps, "
     "other tools and things, up to 70 % of the end effector (EE) hidden, a noisy depth camera (flying pixels, dropout) "
     "and a colour camera with its faults. The EE is what its tool shows within a sphere about the EE's origin.",

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,11 +53,11 @@ def make_example(series: Series, index: int, device: str = "cpu") -> Example:
     taken = take_shot(series, index, device)
     sample, shot, rng = taken.sample, taken.shot, taken.rng
     ee, tool, full, table = taken.labels
-    if series.config == "paper":
-        rgb, depth = shot.develop(exposure=1.0, auto_exposure=1.0).rgb.numpy(), shot.depth
-    else:
+    if series.config == "hard":
         exposure, automatic = float(rng.uniform(0.75, 1.35)), float(rng.uniform(0.3, 1.0))
         depth, rgb = expose(shot, sample.intrinsics, exposure, automatic, rng)
+    else:
+        rgb, depth = shot.develop(exposure=1.0, auto_exposure=1.0).rgb.numpy(), shot.depth
     depth_mm = np.minimum(depth * np.float32(1000.0) + np.float32(0.5), np.float32(65535.0)).astype(np.uint16)
     return Example(rgb, depth_mm, ee, tool, table, sample.intrinsics, sample.kind, full)
 
@@ -95,7 +95,7 @@ def take_shot(series: Series, index: int, device: str = "cpu") -> Taken:
     pool = _pool(series.seed, index // series.block, series.split, series.catalogue)
     for attempt in range(_ATTEMPTS):
         rng = np.random.default_rng([seed, split, 1, index, config, attempt])
-        sample = paper_scene(rng, pool) if series.config == "paper" else _hard_scene(rng, pool)
+        sample = _SCENES[series.config](rng, pool)
         shot = Shot(sample.scene, sample.intrinsics, sample.X_world_camera, device)
         labels = label(sample, shot)
         if not sample.tools or labels[3].targets.any():
@@ -122,6 +122,13 @@ def _hard_scene(rng: np.random.Generator, pool: Pool) -> SceneSample:
             if sample is not None:
                 return sample
     return hard_scene(rng, pool)
+
+
+_SCENES: dict[str, Callable[[np.random.Generator, Pool], SceneSample]] = {
+    "paper": paper_scene,
+    "hard": _hard_scene,
+    "paper-claws": partial(paper_scene, claws=True),
+}
 
 
 def label(sample: SceneSample, shot: Shot) -> Labels:

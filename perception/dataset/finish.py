@@ -90,7 +90,7 @@ class Summary:
 
     def _write(self) -> None:
         write_models_info(self._out, self._models)
-        paper = self._spec.config == "paper"
+        paper = self._spec.config != "hard"
         f, width, height = (FOCAL, FULL_WIDTH, FULL_HEIGHT) if paper else (365.5, WIDTH, HEIGHT)
         cx, cy = (width / 2 - 0.5, height / 2 - 0.5) if paper else (254.9, 205.4)
         nominal = {"cx": cx, "cy": cy, "depth_scale": 1.0, "fx": f, "fy": f, "height": height, "width": width}

@@ -18,7 +18,7 @@ from toolee_robot.render import Material, Scene
 from toolee_robot.render.lab import environment, lamps
 from toolee_robot.render.palette import linear
 from toolee_robot.robots import nominal_X_hand_tool, wrap_fingers
-from toolee_robot.types import CameraIntrinsics
+from toolee_robot.types import CameraIntrinsics, Category
 
 FULL_WIDTH, FULL_HEIGHT, FOCAL = 960, 540, 480.0
 CIRCLE = 30.0
@@ -26,21 +26,26 @@ CIRCLE = 30.0
 DEPTHS = (0.42, 0.98)
 _MARGIN = 60.0
 _SHIFT = 0.05
+_TURNS = 6
 _HAND, _ROOM = 101, 100
 _SKIN = Material(linear((0.78, 0.60, 0.50)), roughness=0.55)
 
 
-def paper_scene(rng: np.random.Generator, pool: Pool) -> SceneSample:
+def paper_scene(rng: np.random.Generator, pool: Pool, claws: bool = False) -> SceneSample:
     """One tool of the pool, its handle vertical, in a right hand that holds it in the nominal grasp up to 5 cm along
-    the handle; an EE 0.42 to 0.98 m deep; the camera level within -45 to 30 degrees, its roll 0."""
-    tool = pool.tool(rng)
+    the handle; an EE 0.42 to 0.98 m deep; the camera level within -45 to 30 degrees, its roll 0.
+
+    claws: one that has a claw, of `_TURNS` about its handle the one that shows most of the face: the head stands before
+    the claw, the protocol's hardest view and a rare one."""
+    tool = pool.tool_with(Category.HAMMER_GRIP, rng) if claws else pool.tool(rng)
     pitch = np.deg2rad(rng.uniform(-45.0, 30.0))
     X_world_camera = look(np.zeros(3), np.array([np.cos(pitch), 0.0, np.sin(pitch)]), 0.0)
     full = CameraIntrinsics(FOCAL, FOCAL, FULL_WIDTH / 2 - 0.5, FULL_HEIGHT / 2 - 0.5, FULL_WIDTH, FULL_HEIGHT)
     ee = tool.ees[int(rng.integers(len(tool.ees)))]
     pixel = rng.uniform([_MARGIN, _MARGIN], [FULL_WIDTH - _MARGIN, FULL_HEIGHT - _MARGIN])
     p = X_world_camera[:3, :3] @ ray(full, pixel) * rng.uniform(*DEPTHS)
-    R = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi)).as_matrix()
+    turns = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi, _TURNS if claws else 1)[:, None]).as_matrix()
+    R = min(turns, key=lambda turn: float(turn @ tool.ees[0].X_tool_ee[:3, 2] @ p))
     X_world_tool = transform(R, p - R @ ee.X_tool_ee[:3, 3])
 
     radius = float(np.mean(tool.handle.radii_at(0.0)))

@@ -49,10 +49,10 @@ class Pool:
         """Any tool of the pool."""
         return self._any(self.tools, rng)
 
-    def hammer(self, rng: np.random.Generator) -> ToolShape:
-        """Any hammer of the pool, or any tool where there is none."""
-        hammers = [n for n in self.tools if Category.HAMMER_HEAD in self.catalogue.categories(n)]
-        return self._any(hammers or self.tools, rng)
+    def tool_with(self, ee: Category, rng: np.random.Generator) -> ToolShape:
+        """Any tool of the pool that has such an EE, or any tool where none has."""
+        such = [n for n in self.tools if ee in self.catalogue.categories(n)]
+        return self._any(such or self.tools, rng)
 
     def _any(self, numbers: Sequence[int], rng: np.random.Generator) -> ToolShape:
         return self.catalogue.tool(numbers[int(rng.integers(len(numbers)))])

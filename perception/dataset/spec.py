@@ -12,7 +12,7 @@ from toolee_robot.errors import UserError
 from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, OwnTools
 from toolee_robot.perception.dataset.own import OwnToolRecord
 
-CONFIGS = ("paper", "hard")
+CONFIGS = ("paper", "hard", "paper-claws")
 SPLITS = ("train", "test")
 DEVICES = ("cpu", "cuda")
 LICENCE = "MIT"
@@ -35,7 +35,7 @@ class SceneJob:
 
 @dataclass(frozen=True)
 class DatasetSpec:
-    """config: "paper" or "hard". size: examples in all; test_share of them show held-out instances, textures and
+    """config: one of `CONFIGS`. size: examples in all; test_share of them show held-out instances, textures and
     backgrounds. scene_size: examples in a BOP scene, which share a dozen tools. tools: a user's own, instead of the
     generated ones; all of them are held out. device: what renders, "cpu" or "cuda": they round differently. Equal specs
     give equal bytes."""

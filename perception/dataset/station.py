@@ -31,7 +31,7 @@ from toolee_robot.render.palette import any_color, finish, skin_tone
 from toolee_robot.robots import FLANGE_FRAME
 from toolee_robot.robots.description import robot_tree
 from toolee_robot.tools import ToolShape
-from toolee_robot.types import CameraIntrinsics
+from toolee_robot.types import CameraIntrinsics, Category
 
 _CAMERA = np.array([0.95, -0.62, 0.85])
 _TARGET = np.array([0.60, -0.15, 0.72])
@@ -74,7 +74,7 @@ def station_scene(rng: np.random.Generator, pool: Pool) -> SceneSample | None:
     cx, cy = rng.normal([254.9, 205.4], 4.0)
     intrinsics = CameraIntrinsics(float(f), float(f), float(cx), float(cy), WIDTH, HEIGHT)
     X_base_camera = look(_CAMERA + rng.normal(0.0, 0.06, 3), _TARGET + rng.normal(0.0, 0.05, 3), rng.normal(0.0, 0.05))
-    tool = pool.hammer(rng) if rng.random() < 0.75 else pool.tool(rng)
+    tool = pool.tool_with(Category.HAMMER_HEAD, rng) if rng.random() < 0.75 else pool.tool(rng)
     grasp = pool.grasp(tool, rng)
     q_arm = _posture(rng, tool, grasp, X_base_camera)
     X_base_hand = X_base_hand_of(q_arm, grasp.q_hand)

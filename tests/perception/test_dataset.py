@@ -20,7 +20,7 @@ from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.surfaces import Surfaces, draw
 from toolee_robot.render.renderer import pixel_rays
 from toolee_robot.tools import ee_radius, split
-from toolee_robot.types import CameraIntrinsics
+from toolee_robot.types import CameraIntrinsics, Category
 
 
 def back_project(depth: Array, intrinsics: CameraIntrinsics) -> Array:
@@ -138,6 +138,19 @@ def test_the_papers_protocol() -> None:
         assert not placed.mirrored
     for X in grips:
         np.testing.assert_allclose(X[:3, :3], grips[0][:3, :3], atol=1e-9)
+
+
+def test_claw_hammers_face_the_camera_where_they_are_asked_to() -> None:
+    turned = []
+    for index in range(6):
+        sample = take_shot(Series(6, "train", "paper-claws"), index).sample
+        (placed,) = sample.tools
+        np.testing.assert_allclose(placed.X_world_tool[:3, 2], [0, 0, 1], atol=1e-12)
+        head, claw = placed.tool.ees
+        assert (head.category, claw.category) == (Category.HAMMER_HEAD, Category.HAMMER_GRIP)
+        X = np.linalg.inv(sample.X_world_camera) @ placed.X_world_tool @ head.X_tool_ee
+        turned.append(np.rad2deg(np.arccos(-X[:3, 2] @ X[:3, 3] / np.linalg.norm(X[:3, 3]))))
+    assert np.median(turned) < 40.0, "the camera is before the face; by chance it would be 90 off in the median"
 
 
 def test_stored_and_loaded(tmp_path: Path, examples: list[Example]) -> None:

@@ -37,8 +37,9 @@ class Generate:
     where it stopped when it is started again. Train with DIR/train; DIR/test shows held-out tools.
     """
 
-    config: Literal["paper", "hard"]
-    """paper: upright tool, no roll, one grasp, no noise. hard: any orientation, hands, occlusion, noise."""
+    config: Literal["paper", "hard", "paper-claws"]
+    """paper: upright tool, no roll, one grasp, no noise. hard: any orientation, hands, occlusion, noise. paper-claws:
+    to train on; as paper, of claw hammers that mostly face the camera, the claw behind the head."""
     size: Annotated[int, tyro.conf.arg(metavar="N")]
     """Examples in all."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
