@@ -45,7 +45,7 @@ def paper_scene(rng: np.random.Generator, pool: Pool, claws: bool = False) -> Sc
     pixel = rng.uniform([_MARGIN, _MARGIN], [FULL_WIDTH - _MARGIN, FULL_HEIGHT - _MARGIN])
     p = X_world_camera[:3, :3] @ ray(full, pixel) * rng.uniform(*DEPTHS)
     turns = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi, _TURNS if claws else 1)[:, None]).as_matrix()
-    R = min(turns, key=lambda turn: float(turn @ tool.ees[0].X_tool_ee[:3, 2] @ p))
+    R = turns[np.argmin(turns @ tool.ees[0].X_tool_ee[:3, 2] @ p)]
     X_world_tool = transform(R, p - R @ ee.X_tool_ee[:3, 3])
 
     radius = float(np.mean(tool.handle.radii_at(0.0)))

@@ -61,6 +61,8 @@ class DatasetSpec:
             raise UserError(f"--test-share {self.test_share}: give a share from 0 to 1")
         if self.tools and self.test_share != 1.0:
             raise UserError(f"--test-share {self.test_share}: one's own tools are all held out, leave it out or give 1")
+        if self.tools and self.config == "paper-claws":
+            raise UserError(f"--config {self.config} is to train on, one's own tools are all held out: choose paper")
 
     @property
     def counts(self) -> dict[str, int]:
