@@ -16,7 +16,7 @@ from rich.table import Table
 from scipy.stats import binomtest
 
 AGAIN = 5  # times at most
-OUR_OWN = {"--seed", "--correction", "--no-correction", "--json"}  # of `toolee hammer`, set by the trials
+OUR_OWN = {"--seed", "--no-correction", "--json"}  # of `toolee hammer`, set by the trials
 
 
 def trial(options: list[str]) -> dict[str, float | None]:
@@ -45,7 +45,7 @@ def main(options: tyro.conf.Positional[tuple[str, ...]] = (), first_seed: int = 
         baseline: Also without the in-hand correction.
         out: Every job's record, as JSON.
     """
-    if given := sorted({option.split("=")[0] for option in options} & OUR_OWN):
+    if given := sorted({option.split("=")[0].replace("_", "-") for option in options} & OUR_OWN):
         print(f"error: {', '.join(given)}: the trials say this themselves (--first-seed, --baseline)", file=sys.stderr)
         raise SystemExit(2)
     names = ("blows", "pose_error_mm", "pose_error_deg", "strike_offset_mm", "strike_tilt_deg")
