@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from multiprocessing import Pipe
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,9 @@ from toolee_robot.sim_backend.ur_controller.world_plant import WorldPlant
 from toolee_robot.sim_backend.ur_controller.world_service import WorldService
 
 CONFIG, SEED, TICK = StationConfig(), 101, 0.008
-PERIOD = 0.005  # [s] at most between ticks: faster than real, and time for the other thread
+PERIOD = 0.005  # [s] between ticks: faster than real, and time for the other thread
+PACE = 0.2  # of the world's time on the wall's, at least: a tick with a hand full of contacts takes 11 ms, on two busy
+# cores several times as long
 # The palm faces the person, fingers down.
 X_BASE_HAND = frame_from_axes(z=np.array([0.0, -0.3, -1.0]), x=np.array([1.0, 0.0, 0.0]), p=[0.55, -0.35, 0.75])
 OPTIONS = SimOptions(q_start=joints_for_hand(X_BASE_HAND))
@@ -44,6 +47,10 @@ class Loop(threading.Thread):
         self.start()
         self.ready.wait(30.0)
         self.channel = Channel(ours)
+
+    def call(self, name: str, *arguments: Any, lasting: float = 0.0) -> Any:
+        """As `RemoteWorld.call`: lasting is the world's time, which here goes on as fast as it is computed."""
+        return self.channel.call(name, *arguments, lasting=lasting / PACE)
 
     def run(self) -> None:
         service = WorldService(self._theirs, CONFIG, SEED, OPTIONS, HostClock())
@@ -88,7 +95,7 @@ def test_a_handover_through_the_pipe_is_the_direct_one(loop: Loop) -> None:
         state = direct.station.hand.state()
         X_direct = direct.judge.X_hand_ee(direct.station.clock.now())
     # No arm: it goes through the controller's ports, which this loop has none of.
-    station = remote_station(loop.channel, CONFIG, SEED, tool, None, HostClock())  # type: ignore[arg-type]
+    station = remote_station(loop, CONFIG, SEED, tool, None, HostClock())  # type: ignore[arg-type]
     hand, person, camera = station.hand, station.person, station.camera
     assert isinstance(hand, Hand)
     assert isinstance(person, Person)
@@ -108,7 +115,7 @@ def test_a_handover_through_the_pipe_is_the_direct_one(loop: Loop) -> None:
     assert (now.holding, now.assisted) == (state.holding, state.assisted)
     assert list(hand.joint_names) == list(direct.station.hand.joint_names)
     np.testing.assert_allclose(now.joints.q, state.joints.q, atol=0.08)
-    judge = RemoteJudge(loop.channel)
+    judge = RemoteJudge(loop)
     X = judge.X_hand_ee(now.joints.stamp)  # the clock on the wall may be ahead of a world that is late
     assert np.linalg.norm(X[:3, 3] - X_direct[:3, 3]) < 0.004
     assert judge.verdict().hits == 0
@@ -118,7 +125,7 @@ def test_a_handover_through_the_pipe_is_the_direct_one(loop: Loop) -> None:
 
 
 def test_the_hand_closes_while_the_arm_moves_and_is_read(loop: Loop) -> None:
-    hand = RemoteHand(loop.channel, ())
+    hand = RemoteHand(loop, ())
     q_start = loop.plant.q.copy()
     closing = threading.Thread(target=hand.close)
     closing.start()
@@ -141,7 +148,7 @@ def test_the_hand_closes_while_the_arm_moves_and_is_read(loop: Loop) -> None:
 
 
 def test_a_stopped_hand_ends_its_command_and_time_alone_ends_a_wait(loop: Loop) -> None:
-    hand, person = RemoteHand(loop.channel, ()), RemotePerson(loop.channel)
+    hand, person = RemoteHand(loop, ()), RemotePerson(loop)
     failed: list[Exception] = []
 
     def close() -> None:
@@ -163,7 +170,7 @@ def test_a_stopped_hand_ends_its_command_and_time_alone_ends_a_wait(loop: Loop) 
 
 def test_nothing_but_the_tick_loop_steps_the_world(loop: Loop) -> None:
     """While no tick is done, a hand's command does not end, its state can be read, and no time passes."""
-    hand = RemoteHand(loop.channel, ())
+    hand = RemoteHand(loop, ())
     hand.state()
     loop.hold.set()
     time.sleep(0.05)
