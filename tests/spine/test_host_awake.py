@@ -23,6 +23,12 @@ def alive(pid: int) -> bool:
         return False
 
 
+def cpu_time(pid: int) -> float:
+    """[s] that it has run."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def test_every_core_has_one_of_the_lowest_priority_until_the_end() -> None:
     with CoresAwake() as awake:
         deadline = time.monotonic() + 20.0
@@ -34,6 +40,24 @@ def test_every_core_has_one_of_the_lowest_priority_until_the_end() -> None:
         pids = awake.pids
     assert pids
     assert not any(alive(pid) for pid in pids)
+
+
+def test_they_leave_the_cores_to_whatever_else_runs() -> None:
+    """Beside other sessions' work, too: each is given a share of its own."""
+    busy = "import os\nos.sched_setaffinity(0, {%d})\nwhile True:\n    pass"
+    with CoresAwake() as awake:
+        cores = sorted(os.sched_getaffinity(0))
+        work = [subprocess.Popen([sys.executable, "-c", busy % core], start_new_session=True) for core in cores]
+        try:
+            time.sleep(1.0)  # all have started
+            began, before = time.monotonic(), [cpu_time(pid) for pid in awake.pids]
+            time.sleep(2.0)
+            taken = [cpu_time(pid) - then for pid, then in zip(awake.pids, before, strict=True)]
+            assert max(taken) < 0.1 * (time.monotonic() - began)
+        finally:
+            for process in work:
+                process.kill()
+                process.wait()
 
 
 def test_they_end_with_a_user_that_is_killed() -> None:
