@@ -29,7 +29,7 @@ from toolee_robot.sim_backend.ur_controller.world_service import WorldService
 
 CONFIG, SEED, TICK = StationConfig(), 101, 0.008
 PERIOD = 0.005  # [s] between ticks: faster than real, and time for the other thread
-PACE = 0.2  # of the world's time on the wall's, at least: a tick with a hand full of contacts takes 11 ms, on two busy
+SLOW = HostClock(pace=0.2)  # the world's time, at least: a tick with a hand full of contacts takes 11 ms, on two busy
 # cores several times as long
 # The palm faces the person, fingers down.
 X_BASE_HAND = frame_from_axes(z=np.array([0.0, -0.3, -1.0]), x=np.array([1.0, 0.0, 0.0]), p=[0.55, -0.35, 0.75])
@@ -50,7 +50,7 @@ class Loop(threading.Thread):
 
     def call(self, name: str, *arguments: Any, lasting: float = 0.0) -> Any:
         """As `RemoteWorld.call`: lasting is the world's time, which here goes on as fast as it is computed."""
-        return self.channel.call(name, *arguments, lasting=lasting / PACE)
+        return self.channel.call(name, *arguments, lasting=SLOW.wall(lasting))
 
     def run(self) -> None:
         service = WorldService(self._theirs, CONFIG, SEED, OPTIONS, HostClock())

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from toolee_robot.hardware.servo_benchmark import cpu_time
 from toolee_robot.host_awake import CoresAwake, is_virtual
 
 pytestmark = pytest.mark.skipif(not is_virtual(), reason="a machine of one's own needs none of it")
@@ -21,12 +22,6 @@ def alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
-
-
-def cpu_time(pid: int) -> float:
-    """[s] that it has run."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def test_every_core_has_one_of_the_lowest_priority_until_the_end() -> None:

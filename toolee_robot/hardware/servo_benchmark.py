@@ -76,11 +76,11 @@ def servo_benchmark(arm: UrArm, seconds: float) -> tuple[ServoFigures, MotionRep
         memory.append(_private_memory(pid))
 
     watcher = threading.Thread(target=look, daemon=True)
-    cpu = _cpu_time(pid)
+    cpu = cpu_time(pid)
     watcher.start()
     try:
         report = arm.execute(wave(arm.state().q_commanded, seconds), None, _PATIENT)
-        cpu = _cpu_time(pid) - cpu
+        cpu = cpu_time(pid) - cpu
     finally:
         ended.set()
         watcher.join()
@@ -128,7 +128,7 @@ def _private_memory(pid: int) -> int:
     return 0
 
 
-def _cpu_time(pid: int) -> float:
-    """[s]"""
+def cpu_time(pid: int) -> float:
+    """[s] that a process has run."""
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
