@@ -13,6 +13,11 @@ Beyond the bounds of friction (along, across, about) the handle slips: its rest 
 Beyond the bound of tilting it is the fingers that give way, with the torque of their motors, and they close again:
 the torque stays at its bound, comes back weaker by the tendons' friction, and a share of the excursion is left as
 slip. Past `RELEASE_SLIP` or `RELEASE_ANGLE` of slip, or `RELEASE_TILT` of tilt, the handle has left the hand.
+
+The engine integrates an applied force explicitly, so a spring and damper that are too stiff for what they hold feed
+energy into it: a hammer turns about its handle with an inertia of 1.3e-4 to 9e-4 kg m^2, and 0.5 Nm s/rad over a step
+of 1 ms diverge below 2.5e-4. The connection therefore gets the stiffness and damping at which explicit steps are stable
+for the tool in the hand (`GripGains.stable`).
 """
 
 from __future__ import annotations
@@ -23,12 +28,13 @@ import numpy as np
 
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.bodies import cross
-from toolee_robot.sim_backend.quiet import pb
+from toolee_robot.sim_backend.quiet import pb, quiet
 
-STIFFNESS = 3e4  # [N/m]
-DAMPING = 60.0  # [N s/m]
-ANGULAR_STIFFNESS = 500.0  # [Nm/rad]
-ANGULAR_DAMPING = 0.5  # [Nm s/rad]
+STIFFNESS = 3e4  # [N/m], at most
+DAMPING = 60.0  # [N s/m], at most
+ANGULAR_STIFFNESS = 500.0  # [Nm/rad], at most
+ANGULAR_DAMPING = 0.5  # [Nm s/rad], at most
+STABILITY_NUMBER = 1.0  # at most, of each motion; explicit steps are stable below 4 / 3 (GripGains.stable)
 HAND_WIDTH = 0.075  # [m] across the four fingers
 TENDON_LOSS = 0.4  # of the tilting torque, while the fingers close again
 TILT_SLIP = 0.015  # of a tilt beyond the bound that stays
@@ -53,11 +59,64 @@ class GripLimits:
         return cls(friction * n, n, friction * n * handle_radius, (1 + friction) * n * HAND_WIDTH / 4)
 
 
+@dataclass(frozen=True)
+class GripGains:
+    """Stiffness and damping of the connection, isotropic in each of its three motions.
+
+    Attributes:
+        stiffness: Of a shift of the grip point [N/m].
+        damping: Of a shift [N s/m].
+        about_stiffness: Of a turn about the handle [Nm/rad].
+        about_damping: Of a turn about the handle [Nm s/rad].
+        tilt_stiffness: Of a tilt of the handle [Nm/rad].
+        tilt_damping: Of a tilt [Nm s/rad].
+    """
+
+    stiffness: float
+    damping: float
+    about_stiffness: float
+    about_damping: float
+    tilt_stiffness: float
+    tilt_damping: float
+
+    @classmethod
+    def stable(cls, mobility: Array, handle: Array, time_step: float) -> GripGains:
+        """The stiffest connection, up to the constants above, that explicit steps of this length keep passive.
+
+        Semi-implicit Euler steps h of M a = -K x - D v are stable where M - h D / 2 - h^2 K / 4 is positive definite,
+        that is, where every eigenvalue of (h^2 K + 2 h D) M^-1 is below 4. K and D are block diagonal over shift, turn
+        and tilt, and M^-1 <= 3 blockdiag(M^-1), as for any positive semidefinite matrix of three blocks. So
+        (h^2 k + 2 h d) w < 4 / 3 in each block is enough, with w the largest eigenvalue of its inverse inertia.
+
+        Args:
+            mobility: (6, 6) inverse inertia [1/kg, 1/(kg m), 1/(kg m^2)] of tool against palm at the grip point: the
+                relative acceleration (linear, angular) that a unit wrench (force, torque) between the two causes.
+            handle: (3,) unit vector along the handle, in the same axes.
+            time_step: The longest step [s] that is made.
+        """
+        linear, angular = mobility[:3, :3], mobility[3:, 3:]
+        across = np.eye(3) - np.outer(handle, handle)
+        w_shift = float(np.linalg.eigvalsh(linear)[-1])
+        w_about = float(handle @ angular @ handle)
+        w_tilt = float(np.linalg.eigvalsh(across @ angular @ across)[-1])
+
+        def limited(stiffness: float, damping: float, w: float) -> tuple[float, float]:
+            scale = min(1.0, STABILITY_NUMBER / ((time_step**2 * stiffness + 2.0 * time_step * damping) * w))
+            return scale * stiffness, scale * damping
+
+        return cls(
+            *limited(STIFFNESS, DAMPING, w_shift),
+            *limited(ANGULAR_STIFFNESS, ANGULAR_DAMPING, w_about),
+            *limited(ANGULAR_STIFFNESS, ANGULAR_DAMPING, w_tilt),
+        )
+
+
 class AssistedGrip:
     """The connection of `tool` (a free body) to link `palm` of `robot`; starts at their present relative pose.
 
     limits: what it transmits. X_inertial_tool: the tool's frame in the body's inertial frame; its z is the handle.
-    p_hand_grip: the point (3,) [m] of the palm's frame where the hand holds.
+    p_hand_grip: the point (3,) [m] of the palm's frame where the hand holds. time_step: the longest step [s] that the
+    world makes.
     """
 
     def __init__(
@@ -69,6 +128,7 @@ class AssistedGrip:
         X_inertial_tool: Array,
         p_hand_grip: Array,
         limits: GripLimits,
+        time_step: float,
     ) -> None:
         self.limits = limits
         self.holding = True
@@ -79,6 +139,10 @@ class AssistedGrip:
         self._p_rest = np.array(p_hand_grip, dtype=float)  # where the anchor rests, palm frame
         self._R_rest = R_palm.T @ R_tool @ self._R_inertial_tool  # the tool's axes at rest, palm frame
         self._p_start, self._R_start = self._p_rest.copy(), self._R_rest.copy()
+        mobility = _palm_mobility(client, robot, palm, self._p_rest) + _tool_mobility(
+            client, tool, R_palm.T @ R_tool, R_palm.T @ R_tool @ self._anchor
+        )
+        self.gains = GripGains.stable(mobility, self._R_rest[:, 2], time_step)
         self._tilt = 0.0
         self.force, self.torque = np.zeros(3), np.zeros(3)
 
@@ -115,10 +179,11 @@ class AssistedGrip:
         limits = self.limits
 
         u = R_palm.T @ (point - np.array(state[4])) - self._p_rest
-        elastic = _bounded(STIFFNESS * u, handle, limits.along, limits.across)
-        slip = u - elastic / STIFFNESS
+        gains = self.gains
+        elastic = _bounded(gains.stiffness * u, handle, limits.along, limits.across)
+        slip = u - elastic / gains.stiffness
         self._p_rest += slip
-        force = _bounded(-elastic - DAMPING * v, handle, limits.along, limits.across)
+        force = _bounded(-elastic - gains.damping * v, handle, limits.along, limits.across)
 
         phi = _rotation_vector(R @ self._R_rest.T)
         torque, turn = self._twist(phi, R_palm.T @ (w_tool - np.array(state[7])), handle, dt)
@@ -134,19 +199,20 @@ class AssistedGrip:
     def _twist(self, phi: Array, w: Array, handle: Array, dt: float) -> tuple[Array, Array]:
         """Torque on the tool and how its rest pose turns, both (3,) in the palm's axes, for a deflection phi [rad] that
         changes at w [rad/s]."""
-        limits = self.limits
+        limits, gains = self.limits, self.gains
         about = float(phi @ handle)
-        spring = float(np.clip(ANGULAR_STIFFNESS * about, -limits.about, limits.about))
-        turn = (about - spring / ANGULAR_STIFFNESS) * handle
+        spring = float(np.clip(gains.about_stiffness * about, -limits.about, limits.about))
+        turn = (about - spring / gains.about_stiffness) * handle
         tilt = phi - about * handle
         angle = float(np.sqrt(tilt @ tilt))
         self._tilt = angle
-        bend = ANGULAR_STIFFNESS * tilt
-        if angle * ANGULAR_STIFFNESS > limits.tilting:
+        bend = gains.tilt_stiffness * tilt
+        if angle * gains.tilt_stiffness > limits.tilting:
             growth = float(w @ tilt) / angle
             bend = tilt * (limits.tilting / angle * (1.0 if growth > 0.0 else 1.0 - TENDON_LOSS))
             turn = turn + tilt * (TILT_SLIP * max(growth, 0.0) * dt / angle)
-        damping = ANGULAR_DAMPING * w
+        w_about = float(w @ handle) * handle
+        damping = gains.about_damping * w_about + gains.tilt_damping * (w - w_about)
         torque = _bounded(-spring * handle - bend - damping, handle, limits.about, limits.tilting)
         return torque, turn
 
@@ -160,6 +226,43 @@ class AssistedGrip:
         """Let go for good."""
         self.holding = False
         self.force, self.torque = np.zeros(3), np.zeros(3)
+
+
+def _tool_mobility(client: int, tool: int, R: Array, arm: Array) -> Array:
+    """Inverse inertia (6, 6) of a free body at a point, in the axes of a frame.
+
+    Args:
+        client: pybullet's.
+        tool: The body.
+        R: (3, 3) the body's inertial axes in the frame.
+        arm: (3,) [m] from the body's centre of mass to the point, in the frame's axes.
+    """
+    mass, _, moments = pb.getDynamicsInfo(tool, -1, physicsClientId=client)[:3]
+    angular = R @ np.diag(1.0 / np.array(moments)) @ R.T
+    x, y, z = arm
+    cross_arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    coupling = -cross_arm @ angular
+    return np.block([[np.eye(3) / mass + coupling @ cross_arm, coupling], [coupling.T, angular]])
+
+
+def _palm_mobility(client: int, robot: int, palm: int, p_hand_grip: Array) -> Array:
+    """Inverse inertia (6, 6) of the palm at the grip point in the palm's axes, no joint's motor holding: as much as the
+    palm can give way when the motors are at their bounds."""
+    links = range(pb.getNumJoints(robot, physicsClientId=client))
+    joints = [i for i in links if pb.getJointInfo(robot, i, physicsClientId=client)[2] != pb.JOINT_FIXED]
+    if not joints:
+        return np.zeros((6, 6))
+    q = [state[0] for state in pb.getJointStates(robot, joints, physicsClientId=client)]
+    zeros = [0.0] * len(q)
+    state = pb.getLinkState(robot, palm, physicsClientId=client)
+    R_palm = _matrix(state[5])
+    # pybullet takes the point in the link's inertial frame.
+    point = _matrix(state[3]).T @ (p_hand_grip - np.array(state[2]))
+    with quiet(1):  # it warns of axes of the URDF that are of unit length in single precision only
+        linear, angular = pb.calculateJacobian(robot, palm, point.tolist(), q, zeros, zeros, physicsClientId=client)
+        M = np.array(pb.calculateMassMatrix(robot, q, physicsClientId=client))
+    J = np.vstack([R_palm.T @ np.array(linear), R_palm.T @ np.array(angular)])
+    return np.asarray(J @ np.linalg.solve(M, J.T))
 
 
 def _matrix(quaternion: tuple[float, ...]) -> Array:

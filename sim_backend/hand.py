@@ -13,7 +13,7 @@ from toolee_robot.hal import HandState
 from toolee_robot.robots import FINGERS, finger_of
 from toolee_robot.sim_backend.grip import AssistedGrip, GripLimits
 from toolee_robot.sim_backend.quiet import pb
-from toolee_robot.sim_backend.world import SimWorld
+from toolee_robot.sim_backend.world import NORMAL, SimWorld
 from toolee_robot.types import JointState
 
 TICK = 0.01  # [s]
@@ -219,4 +219,5 @@ class SimHand:
             inverse(world.tool.X_tool_inertial),
             p_hand_grip,
             GripLimits.from_contact(fingers, self._friction, radius),
+            NORMAL.time_step,
         )
