@@ -92,6 +92,11 @@ def angle_between(a: Array, b: Array) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), np.dot(a, b)))
 
 
+def cross(a: Array, b: Array) -> Array:
+    """a x b of two vectors (3,), in a tenth of the time that np.cross takes for one pair."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
 def frame_from_axes(*, z: Array, x: Array, p: Any = None) -> Array:
     """Pose whose z is along `z` and whose x is the part of `x` orthogonal to it (both (3,), any length)."""
     e_z = np.asarray(z, dtype=np.float64) / np.linalg.norm(z)

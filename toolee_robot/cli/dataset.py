@@ -18,8 +18,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line, write_whole
+from toolee_robot.cli.output import json_line
 from toolee_robot.errors import UserError
+from toolee_robot.files import write_whole
 
 if TYPE_CHECKING:
     from toolee_robot.perception.dataset.own import OwnMesh

@@ -20,8 +20,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from toolee_robot.cli.evaluate_tables import pose_tables, printed_samplers, segmentation_rows, text_table
 from toolee_robot.cli.machine import describe_machine
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line, write_whole
+from toolee_robot.cli.output import json_line
 from toolee_robot.errors import UserError
+from toolee_robot.files import write_whole
 
 if TYPE_CHECKING:
     from toolee_robot.perception.evaluation.run import Evaluation, Plan
