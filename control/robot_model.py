@@ -68,12 +68,6 @@ class RobotModel:
         """The tool's end effector in `base`, 4x4."""
         return self.fk(q_arm, q_hand)[1] @ X_hand_ee
 
-    def hand_jacobian(self, q_arm: Array, q_hand: Array) -> Array:
-        """(6, 6): the palm's velocity [m/s] over its angular velocity [rad/s], base axes, for the arm's joints."""
-        q = self.configuration(q_arm, q_hand)
-        J = pin.computeFrameJacobian(self.model, self._data, q, self._hand, pin.LOCAL_WORLD_ALIGNED)
-        return J[:, self._order[:6]]
-
     def payload(self, q_hand: Array, X_hand_tool: Array, mass: float, p_tool_com: Array) -> Payload:
         """What the flange carries: the hand, and a tool of `mass` [kg] with its centre of mass p_tool_com (3,) [m]."""
         if not is_rigid(X_hand_tool):

@@ -6,7 +6,6 @@ Everything a person can get wrong here is a `UserError` that names the file and 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -176,12 +175,6 @@ def bop_images(directory: Path) -> list[BopImage]:
             f"{path} lacks image {unnamed[0]}, which {rgbs[unnamed[0]]} shows: add its cam_K and depth_scale"
         )
     return sorted(images, key=lambda image: image.im_id)
-
-
-def bop_frames(directory: Path) -> Iterator[tuple[int, RgbdFrame]]:
-    """(im_id, frame) of every image of a BOP scene folder, read one at a time; the folder is checked first."""
-    images = bop_images(directory)
-    return ((image.im_id, image.read()) for image in images)
 
 
 def _bop_image(path: Path, key: str, entry: Any, rgbs: dict[int, Path], depths: dict[int, Path]) -> BopImage:

@@ -38,10 +38,6 @@ class StageTimes:
     cloud_ms: float
     pose_ms: float
 
-    @property
-    def total_ms(self) -> float:
-        return self.segmentation_ms + self.cloud_ms + self.pose_ms
-
 
 class ToolPerception:
     """Detector, cloud and pose estimator in one. Calls keep no state: the same frame gives the same estimates."""

@@ -61,7 +61,7 @@ class CocoTask:
 def evaluate(
     dataset_dir: Path, weights: Path | None = None, limit: int | None = None, device: str = "cpu"
 ) -> dict[str, Any]:
-    """Mask AP of the detector in `weights` (the shipped one if None) on a split of a data set: see `evaluate_masks`.
+    """Mask AP of the detector in `weights` (the shipped one if None) on a split of a data set: see `report`.
 
     One scene of images is in memory at a time. Raises AssetError.
     """
@@ -75,7 +75,7 @@ def evaluate(
         if left is not None and left <= 0:
             break
         task = task.joined(_of_scenes(segmenter, [scene], left))
-    return _report(task)
+    return report(task)
 
 
 def _of_scenes(segmenter: Segmenter, scenes: list[Path], limit: int | None) -> CocoTask:
@@ -103,7 +103,7 @@ def coco_task(
     results: list[dict[str, Any]] = []
     times = []
     for i in range(count):
-        for label, mask, ee_id in _true(images, i):
+        for label, mask, ee_id in true_instances(images, i):
             area = int(mask.sum())
             rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
             box = [int(columns[0]), int(rows[0]), int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1]
@@ -134,21 +134,17 @@ def frame_of(images: SegmentationImages, index: int) -> RgbdFrame:
     return RgbdFrame(images.rgb[index], depth, CameraIntrinsics(fx, fy, cx, cy, width, height))
 
 
-def evaluate_masks(segmenter: Segmenter, images: SegmentationImages, limit: int | None = None) -> dict[str, Any]:
+def report(task: CocoTask) -> dict[str, Any]:
     """For each class, and as "average" over the four EE categories: AP, AP50, AP75, AP_S, AP_M, AP_L (None: no such
     instance), images, instances, and the median time of an image [ms]. Instances of under 50 visible pixels are crowd:
     neither found nor missed. "average_of_targets": as the average, but what is no target (`EeTable.targets`) is crowd,
-    too, as where poses are judged; here, where no table says so, all are."""
-    return _report(coco_task(segmenter, images, limit))
-
-
-def _report(task: CocoTask) -> dict[str, Any]:
+    too, as where poses are judged."""
     count = len(task.truth["images"])
     median_ms = 1000 * float(np.median(task.times)) if task.times else None
-    report = {"images": count, "median_ms": median_ms, **statistics(task)}
     asked = statistics(task.of_targets())
     number = sum(asked[name]["instances"] for name in CLASSES[1:TOOL])
-    return {**report, "average_of_targets": {"instances": number, **asked["average"]}}
+    found = {"images": count, "median_ms": median_ms, **statistics(task)}
+    return {**found, "average_of_targets": {"instances": number, **asked["average"]}}
 
 
 def statistics(task: CocoTask) -> dict[str, Any]:
@@ -185,13 +181,8 @@ def _coco_library() -> tuple[Any, Any, Any]:
     return COCO, COCOeval_faster, mask
 
 
-def true_instances(images: SegmentationImages, index: int) -> list[tuple[int, NDArray[np.bool_]]]:
-    """(label, mask) of every instance of one image of which at least a pixel is seen."""
-    return [(label, mask) for label, mask, _ in _true(images, index)]
-
-
-def _true(images: SegmentationImages, index: int) -> list[tuple[int, NDArray[np.bool_], int]]:
-    """(label, mask, id of the EE or 0)."""
+def true_instances(images: SegmentationImages, index: int) -> list[tuple[int, NDArray[np.bool_], int]]:
+    """(label, mask, id of the EE or 0) of every instance of one image of which at least a pixel is seen."""
     found = []
     for ee_id, label in enumerate(images.categories[index].tolist(), 1):
         mask = images.ee[index] == ee_id

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -39,18 +38,6 @@ class SegmentationImages(Protocol):
 
     @property
     def categories(self) -> NDArray[np.uint8]: ...
-
-
-@dataclass(frozen=True)
-class ArrayImages:
-    """`SegmentationImages` in memory."""
-
-    rgb: NDArray[np.uint8]
-    depth_mm: NDArray[np.uint16]
-    intrinsics: NDArray[np.float64]
-    ee: NDArray[np.uint8]
-    tool: NDArray[np.uint8]
-    categories: NDArray[np.uint8]
 
 
 class DeviceStore:

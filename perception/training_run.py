@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.files import written_whole
 from toolee_robot.perception.assets import save_weights
 from toolee_robot.perception.ranks import Ranks
 from toolee_robot.perception.training_log import Scalars
@@ -206,9 +207,8 @@ class TrainingRun(ABC):
             "elapsed": self.elapsed,
             "log": self.log,
         }
-        partial = self.checkpoint_path.with_suffix(".partial")
-        torch.save(state, partial)
-        partial.replace(self.checkpoint_path)
+        with written_whole(self.checkpoint_path) as scratch:
+            torch.save(state, scratch)
         self.export()
 
     def _restore(self) -> None:

@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 
 from toolee_robot.arm_checks import check_payload, check_trajectory
+from toolee_robot.arm_data import ARM_DATA, CB3_RATE
 from toolee_robot.braking import brake_on_path
 from toolee_robot.errors import (
     DeviceError,
@@ -26,8 +27,7 @@ from toolee_robot.sim_backend.flange_sensor import FlangeSensor
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import JointState, Payload, Trajectory
 
-RATE = 125.0  # [Hz] of a CB3 controller
-CAPACITY = 10.0  # [kg]
+RATE = CB3_RATE
 STANDSTILL = 2e-3  # [rad/s]
 SETTLE_TIME = 1.0  # [s] at most, after the last command
 LATE = 0.6  # cycles by which a late command is late
@@ -127,7 +127,7 @@ class SimArm:
 
     def set_payload(self, payload: Payload) -> None:
         """What the flange carries, hand included: for the compensation of the sensed wrench."""
-        check_payload(payload, CAPACITY)
+        check_payload(payload, ARM_DATA[self._limits.model].payload)
         self._sensor.payload = payload
 
     def execute(

@@ -29,11 +29,6 @@ def body_pose(client: int, body: int) -> Array:
     return X
 
 
-def cross(a: Array, b: Array) -> Array:
-    """a x b for two (3,) vectors; np.cross takes ten times as long for one pair."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
 def set_body_pose(client: int, body: int, X_world_body: Array) -> None:
     """Teleport a body, at rest."""
     q = Rotation.from_matrix(X_world_body[:3, :3]).as_quat()

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, cross
 from toolee_robot.robots.description import X_FLANGE_FOREARM
-from toolee_robot.sim_backend.bodies import cross
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import Payload
 

@@ -26,8 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from toolee_robot.frames import Array
-from toolee_robot.sim_backend.bodies import cross
+from toolee_robot.frames import Array, cross
 from toolee_robot.sim_backend.quiet import pb, quiet
 
 STIFFNESS = 3e4  # [N/m], at most

@@ -32,6 +32,7 @@ class SimPerson:
 
     visible_arm: elbow and hand (3,) in `base` while the person holds the tool, else None. confirms, attends: whether
     they confirm a swing, and hold the enabling switch; stays: whether they stay in reach when asked to step back.
+    intended_X_hand_tool: where they mean to put the tool in the hand, before the hand closes: ground truth.
     """
 
     def __init__(self, world: SimWorld, offset: InHandOffset, comes: bool) -> None:
@@ -49,7 +50,7 @@ class SimPerson:
         self._constraint: int | None = None
         tool = world.tool.tool
         X_nominal = nominal_X_hand_tool(float(np.mean(tool.handle.radii_at(0.0))))
-        self._X_hand_tool = handed_over(X_nominal, offset)
+        self.intended_X_hand_tool = handed_over(X_nominal, offset)
         self._grasp(world.X_base_tool())
 
     def request_handover(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002  (knows what to do)
@@ -117,7 +118,7 @@ class SimPerson:
     def _clear_of_hand(self) -> Array:
         """X_hand_tool moved out of the palm, along its normal, until nothing of the hand overlaps the tool."""
         world = self._world
-        X = self._X_hand_tool.copy()
+        X = self.intended_X_hand_tool.copy()
         kept = world.X_base_tool()
         for _ in range(100):
             world.tool.place(world.X_base_hand() @ X)
@@ -155,8 +156,3 @@ class SimPerson:
         if self._constraint is not None:
             pb.removeConstraint(self._constraint, physicsClientId=self._world.client)
             self._constraint = None
-
-    @property
-    def intended_X_hand_tool(self) -> Array:
-        """Where the person means to put the tool in the hand, before the hand closes: ground truth."""
-        return self._X_hand_tool.copy()

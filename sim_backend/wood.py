@@ -118,12 +118,3 @@ def driving_work(spec: NailSpec, start: float, end: float) -> float:
     tip = tip_force(spec) * (start - end)
     shank = shank_friction(spec) * ((spec.length - end) ** 2 - (spec.length - start) ** 2) / 2
     return float(tip + shank + head(end) - head(start))
-
-
-def driven_by(spec: NailSpec, start: float, energy: float) -> float:
-    """How far [m] `energy` [J] drives the nail that stands at protrusion `start` [m]; at most down to flush (0)."""
-    protrusions = np.linspace(start, 0.0, 2000)
-    forces = np.array([resistance(spec, p) for p in protrusions])
-    steps = start / (len(protrusions) - 1)
-    work = np.concatenate([[0.0], np.cumsum((forces[1:] + forces[:-1]) / 2 * steps)])
-    return float(np.interp(energy, work, start - protrusions))

@@ -14,9 +14,9 @@ import numpy as np
 
 from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, UserError
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, cross
 from toolee_robot.robots import hand_posture, load_robot
-from toolee_robot.sim_backend.bodies import Furniture, ToolBody, cross
+from toolee_robot.sim_backend.bodies import Furniture, ToolBody
 from toolee_robot.sim_backend.grip import AssistedGrip
 from toolee_robot.sim_backend.impact import IMPACT, StepSettings
 from toolee_robot.sim_backend.nail import Nail

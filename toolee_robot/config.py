@@ -16,12 +16,11 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import yaml
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field
 
-from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array, frame_from_axes, transform
 from toolee_robot.types import ArmModel, CameraIntrinsics, DhCalibration
+from toolee_robot.yaml_files import read_record
 
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -296,12 +295,4 @@ class StationConfig:
 
 def load_station(path: Path) -> StationConfig:
     """Read a station from YAML. Raises ConfigError naming every wrong field."""
-    try:
-        data = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(f"cannot read the station file {path}: {error}") from error
-    try:
-        return TypeAdapter(StationConfig).validate_python(data or {})
-    except ValidationError as error:
-        lines = [f"  {'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()]
-        raise ConfigError(f"{path} is not a valid station:\n" + "\n".join(lines)) from error
+    return read_record(path, StationConfig, "station")

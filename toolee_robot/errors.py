@@ -24,10 +24,6 @@ class ConfigError(UserError):
     """A configuration file or value is invalid."""
 
 
-class FrameMismatchError(TooleeError):
-    """Two poses were composed whose inner frames differ."""
-
-
 class AssetError(TooleeError):
     """A robot model, mesh or weight file is missing or unreadable."""
 

@@ -182,13 +182,6 @@ class InHandEstimate:
         """Root of the largest position variance [m]."""
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:3, :3])[-1]))
 
-    @property
-    def sigma_normal(self) -> float:
-        """Standard deviation [rad] of the direction of the EE's z axis, the larger of its two."""
-        z = self.X_hand_ee[:3, 2]
-        P = np.eye(3) - np.outer(z, z)
-        return float(np.sqrt(np.linalg.eigvalsh(P @ self.covariance[3:, 3:] @ P)[-1]))
-
 
 @dataclass(frozen=True)
 class JointState:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from pathlib import Path
 
 from toolee_robot.errors import AssetError
+from toolee_robot.files import write_whole
 
 SUMS = "SHA256SUMS"
 
@@ -20,9 +20,7 @@ def sha256(path: Path) -> str:
 def write_sums(folder: Path, sums: dict[str, str]) -> None:
     """The SHA256SUMS of a folder (as `sha256sum -c` reads it), written whole."""
     text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
-    scratch = folder / f".{SUMS}.{os.getpid()}.part"
-    scratch.write_text(text)
-    scratch.replace(folder / SUMS)
+    write_whole(folder / SUMS, text.encode())
 
 
 def read_sums(folder: Path) -> dict[str, str]:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.errors import AssetError
-from toolee_robot.frames import Array
 from toolee_robot.perception.dataset.masks import pixels_of
 from toolee_robot.perception.dataset.records import Example, FloatArray
 from toolee_robot.types import CameraIntrinsics
@@ -72,11 +71,6 @@ class Clouds:
     def __getitem__(self, m: int) -> FloatArray:
         """(n, 3) cloud m, n up to 1024."""
         return self.points[int(self.ends[m - 1]) if m else 0 : int(self.ends[m])]
-
-    def resampled(self, m: int, n: int, rng: np.random.Generator) -> Array:
-        """(n, 3) points of cloud m, drawn with repetition where it has fewer, as the paper does. Needs one point."""
-        points = self[m]
-        return np.asarray(points[rng.choice(len(points), n, replace=len(points) < n)], np.float64)
 
 
 def read_clouds(scene: Path) -> Clouds:

@@ -18,13 +18,14 @@ from pathlib import Path
 from typing import TypeVar
 
 from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.files import write_whole
 from toolee_robot.perception.dataset.bodies import forget_tools
 from toolee_robot.perception.dataset.catalogue import GENERATED
 from toolee_robot.perception.dataset.checksums import SUMS
 from toolee_robot.perception.dataset.example import examples_of
 from toolee_robot.perception.dataset.finish import Summary, finish, is_finished
 from toolee_robot.perception.dataset.instances import tool_path
-from toolee_robot.perception.dataset.models import write_models, write_whole
+from toolee_robot.perception.dataset.models import write_models
 from toolee_robot.perception.dataset.own import OwnMesh
 from toolee_robot.perception.dataset.scene_reader import read_json
 from toolee_robot.perception.dataset.scene_writer import json_by_line, write_scene
@@ -107,12 +108,12 @@ def begin(spec: DatasetSpec, out: Path, own: Sequence[OwnMesh] = ()) -> None:
     elif any(p.name not in SPLITS for p in out.iterdir()) or any(any((out / s).iterdir()) for s in SPLITS):
         raise UserError(f"{out} is not empty and no data set: choose another folder")
     else:
-        scratch = out / f".{DESCRIPTION}.part"
-        scratch.write_bytes(json_by_line(wanted))
-        scratch.replace(path)
+        write_whole(path, json_by_line(wanted))
     _clear(out)
     for tool in own:
-        write_whole(tool_path(out, tool.record.name), tool.ply)
+        path = tool_path(out, tool.record.name)
+        path.parent.mkdir(exist_ok=True)
+        write_whole(path, tool.ply)
     for split in SPLITS:
         for scene in (out / split).glob("[0-9]*"):
             if not (scene / SUMS).exists():

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from toolee_robot.files import write_whole
 from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.dataset.instances import (
     MODELS,
@@ -33,10 +33,10 @@ def write_models(root: Path, catalogue: Catalogue, obj_ids: Iterable[int]) -> No
             path = model_path(root, object_id(number, k))
             if not path.exists():
                 mesh = ee_mesh(tool, k)
-                write_whole(path, ply_bytes(np.asarray(mesh.vertices), np.asarray(mesh.faces)))
+                _write(path, ply_bytes(np.asarray(mesh.vertices), np.asarray(mesh.faces)))
         path = tool_path(root, tool.name)
         if not path.exists():
-            write_whole(path, ply_bytes(1e3 * np.asarray(tool.mesh.vertices), np.asarray(tool.mesh.faces)))
+            _write(path, ply_bytes(1e3 * np.asarray(tool.mesh.vertices), np.asarray(tool.mesh.faces)))
 
 
 def model_entry(root: Path, catalogue: Catalogue, obj_id: int, category: Category) -> dict[str, Any]:
@@ -48,12 +48,9 @@ def model_entry(root: Path, catalogue: Catalogue, obj_id: int, category: Categor
 
 def write_models_info(out: Path, entries: dict[int, dict[str, Any]]) -> None:
     """models_info.json of these objects (obj_id -> entry), in `out`."""
-    write_whole(out / MODELS / "models_info.json", json_by_line({str(k): entries[k] for k in sorted(entries)}))
+    _write(out / MODELS / "models_info.json", json_by_line({str(k): entries[k] for k in sorted(entries)}))
 
 
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file of the data set, whole or not at all, whoever else writes the same."""
+def _write(path: Path, data: bytes) -> None:
     path.parent.mkdir(exist_ok=True)
-    scratch = path.with_name(f".{path.name}.{os.getpid()}.part")
-    scratch.write_bytes(data)
-    scratch.replace(path)
+    write_whole(path, data)

@@ -10,9 +10,8 @@ from typing import Annotated
 
 import numpy as np
 import trimesh
-import yaml
 from numpy.typing import NDArray
-from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field
 
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array, angle_between, frame_from_axes, inverse, transform_points
@@ -20,6 +19,7 @@ from toolee_robot.perception.dataset.instances import ply_bytes
 from toolee_robot.perception.dataset.own import MATERIALS, OwnMesh, OwnToolRecord, cut_at_parts
 from toolee_robot.symmetry import SymmetryKind
 from toolee_robot.types import Category
+from toolee_robot.yaml_files import read_record
 
 DESCRIPTION = "tool.yaml"
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -102,23 +102,11 @@ def _read_tool(folder: Path) -> OwnMesh:
     path = folder / DESCRIPTION
     if not re.fullmatch(r"[\w.-]{1,64}", folder.name, re.ASCII):
         raise ConfigError(f"{folder}: the folder is the tool's name; use letters, digits, dots, - and _ only")
-    config = _read_config(path)
+    config = read_record(path, ToolConfig, "tool (see docs/dataset.md)")
     try:
         return _resolved(folder.name, config, *_read_mesh(folder / config.mesh))
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from error
-
-
-def _read_config(path: Path) -> ToolConfig:
-    try:
-        data = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(f"cannot read the tool's description {path}: {error}") from error
-    try:
-        return TypeAdapter(ToolConfig).validate_python(data or {})
-    except ValidationError as error:
-        lines = [f"  {'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()]
-        raise ConfigError(f"{path} does not describe a tool (docs/dataset.md does):\n" + "\n".join(lines)) from error
 
 
 def _read_mesh(path: Path) -> tuple[Array, NDArray[np.int64]]:

@@ -66,7 +66,6 @@ class _Checker:
         self._surfaces: dict[str, cKDTree | None] = {}
         self._clouds: dict[tuple[int, int], tuple[int, Array]] | None = None
         self._points: dict[tuple[int, int], Array] = {}
-        self._masks_missing = False
 
     def image(self, im_id: int) -> Iterator[Problem]:
         """Everything about one image."""

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from toolee_robot.files import write_whole
 from toolee_robot.perception.dataset.bodies import tool_meshes
 from toolee_robot.perception.dataset.catalogue import Catalogue, StoredTool
-from toolee_robot.perception.dataset.models import write_whole
 from toolee_robot.render import Mesh
 from toolee_robot.tools import EndEffector, Handle, Material, Part, ToolShape
 from toolee_robot.types import Category
@@ -53,6 +53,7 @@ class Shelf(Catalogue):
         if number not in self._made:
             path = self._folder / f"{number:06d}.npz"
             if not path.exists():
+                self._folder.mkdir(exist_ok=True)
                 write_whole(path, _packed(self._source.tool(number)))
             self._made[number] = _unpacked(path, number)
         return self._made[number]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -34,12 +33,6 @@ class HeldHammer:
     frames: list[RgbdFrame]
     Xs_camera_hand: list[Array]
     Xs_hand_ee: list[Array]
-
-
-def held_hammers(count: int, seed: int) -> Iterator[HeldHammer]:
-    """The first `count` of the hammers that `held_hammer` makes."""
-    made = (hammer for index in itertools.count() if (hammer := held_hammer(seed, index)) is not None)
-    return itertools.islice(made, count)
 
 
 def held_hammer(seed: int, index: int, split: str = "test") -> HeldHammer | None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from toolee_robot.errors import AssetError, UserError
+from toolee_robot.files import written_whole
 from toolee_robot.perception.pose.canonical import (
     MIN_KEPT,
     MIN_POINTS,
@@ -83,10 +84,8 @@ class RenderedClouds:
     def save(self, path: Path) -> None:
         """Write them into one file."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(f".{path.name}.part")
-        with part.open("wb") as file:
+        with written_whole(path) as scratch, scratch.open("wb") as file:
             np.savez(file, **{f.name: getattr(self, f.name) for f in fields(self)})
-        part.replace(path)
 
     @classmethod
     def load(cls, path: Path) -> RenderedClouds:

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from toolee_robot.errors import AssetError, TooleeError, UserError
+from toolee_robot.files import written_whole
 from toolee_robot.perception.pose import validation
 from toolee_robot.perception.pose.bank import Float32, ToolBank, load_hands, tool_bank
 from toolee_robot.perception.pose.cloud_batch import CloudBatch
@@ -231,9 +232,8 @@ class Trainer(Generic[Net]):
             "steps": self.steps,
             "elapsed": self.elapsed,
         }
-        part = self.out / "checkpoint.part"
-        torch.save(state, part)
-        part.replace(self.out / "checkpoint.pt")
+        with written_whole(self.out / "checkpoint.pt") as scratch:
+            torch.save(state, scratch)
         self.method.save(
             self.out,
             self.export(),

@@ -1,13 +1,15 @@
-"""Facts of the two controllers that are stood in for.
+"""The two controllers that are stood in for, from `toolee_robot.arm_data`.
 
-DH parameters: Universal Robots, "DH parameters for calculations of kinematics and dynamics". Joint speeds and torques:
-the UR10's and UR10e's technical data. Accelerations are not published; those here are the stand-in's own.
+Accelerations are not published; those here are the stand-in's own.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import pi, radians
+from math import pi
+
+from toolee_robot.arm_data import ARM_DATA
+from toolee_robot.types import ArmModel
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class ControllerModel:
     velocity: tuple[float, ...]
     torque: tuple[float, ...]
     payload: float
-    alpha: tuple[float, ...] = (pi / 2, 0.0, 0.0, pi / 2, -pi / 2, 0.0)
+    alpha: tuple[float, ...]
     position: tuple[float, ...] = (2 * pi,) * 6
     acceleration: float = 40.0
     stop_deceleration: float = 5.0
@@ -44,27 +46,13 @@ class ControllerModel:
         return 1.0 / self.rate
 
 
-_VELOCITY = (radians(120),) * 2 + (radians(180),) * 4
-_TORQUE = (330.0, 330.0, 150.0, 56.0, 56.0, 56.0)
+def _model(model: ArmModel, version: tuple[int, int, int, int]) -> ControllerModel:
+    data = ARM_DATA[model]
+    return ControllerModel(
+        model.value, version, data.rate, data.a, data.d, data.velocity, data.torque, data.payload, data.alpha
+    )
 
-UR10 = ControllerModel(
-    name="UR10",
-    version=(3, 15, 8, 106339),
-    rate=125.0,
-    a=(0.0, -0.612, -0.5723, 0.0, 0.0, 0.0),
-    d=(0.1273, 0.0, 0.0, 0.163941, 0.1157, 0.0922),
-    velocity=_VELOCITY,
-    torque=_TORQUE,
-    payload=10.0,
-)
-UR10E = ControllerModel(
-    name="UR10e",
-    version=(5, 11, 0, 108249),
-    rate=500.0,
-    a=(0.0, -0.6127, -0.57155, 0.0, 0.0, 0.0),
-    d=(0.1807, 0.0, 0.0, 0.17415, 0.11985, 0.11655),
-    velocity=_VELOCITY,
-    torque=_TORQUE,
-    payload=12.5,
-)
+
+UR10 = _model(ArmModel.UR10, (3, 15, 8, 106339))
+UR10E = _model(ArmModel.UR10E, (5, 11, 0, 108249))
 MODELS = {model.name: model for model in (UR10, UR10E)}

@@ -28,10 +28,7 @@ class Session(Protocol):
 
 
 class Port:
-    """A Service for one TCP port. session: makes the protocol's side of a new connection.
-
-    `listening` may be switched: while off, connections are refused.
-    """
+    """A Service for one TCP port. session: makes the protocol's side of a new connection."""
 
     def __init__(
         self,
@@ -46,10 +43,6 @@ class Port:
         self.clients: list[tuple[Connection, Session]] = []
         self._make_session, self._log = session, log
         self._listener: socket.socket | None = None
-
-    @property
-    def listening(self) -> bool:
-        return self._listener is not None
 
     def listen(self) -> None:
         """Raises UserError when the port is taken or the address is not this machine's."""

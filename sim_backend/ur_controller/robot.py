@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, cross
 from toolee_robot.sim_backend.ur_controller import poses
 from toolee_robot.sim_backend.ur_controller.kinematics import Chain, chain
 from toolee_robot.sim_backend.ur_controller.machine import EventKind, Machine
@@ -179,7 +179,7 @@ class Reading:
         """(6,) [N, Nm]: what the environment puts on the TCP, at the TCP, base axes."""
         wrench = self._robot.plant.wrench
         arm = self._tip - self._chain.origins[-1]
-        return np.concatenate([wrench[:3], wrench[3:] - _cross(arm, wrench[:3])])
+        return np.concatenate([wrench[:3], wrench[3:] - cross(arm, wrench[:3])])
 
     @cached_property
     def raw_wrench(self) -> Array:
@@ -187,7 +187,7 @@ class Reading:
         machine, wrench = self._robot.machine, self._robot.plant.wrench
         R = self._chain.X_base_flange[:3, :3]
         weight = R.T @ (-machine.payload * np.asarray(machine.gravity))
-        torque = R.T @ wrench[3:] + _cross(machine.payload_cog, weight)
+        torque = R.T @ wrench[3:] + cross(machine.payload_cog, weight)
         return np.concatenate([R.T @ wrench[:3] + weight, torque])
 
     @cached_property
@@ -216,8 +216,3 @@ class Reading:
     @cached_property
     def _tip(self) -> Array:
         return (self._chain.X_base_flange @ self._X_flange_tcp[:, 3])[:3]
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """a x b of two (3,) vectors: np.cross would be a tenth of the tick."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -40,10 +40,10 @@ class RtdeFaults:
 
 
 class RtdeSession:
-    """One client. published, skipped: data packets sent, and left out because the client does not read."""
+    """One client. skipped: data packets left out because the client does not read."""
 
     def __init__(self, sink: Sink, robot: Robot, outputs: Outputs, inputs: Inputs, faults: RtdeFaults) -> None:
-        self.published, self.skipped = 0, 0
+        self.skipped = 0
         self._sink, self._robot, self._outputs, self._inputs, self._faults = sink, robot, outputs, inputs, faults
         self._buffer = bytearray()
         self._version, self._started = 1, False
@@ -101,7 +101,6 @@ class RtdeSession:
         prefix = b"\x01" if self._version >= 2 else b""
         data = recipe.layout.pack(*self._outputs.values(recipe.names))
         self._sink.send(wire.packet(wire.DATA, prefix + data))
-        self.published += 1
 
     def skip(self, packets: int) -> None:
         """Leave out the next so many data packets."""

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolee_robot.cli.output import json_line, pose_text, sigma_text, write_whole
+from toolee_robot.cli.output import json_line, pose_text, sigma_text
 from toolee_robot.cli.run_folder import run_folder
 from toolee_robot.errors import UserError
+from toolee_robot.files import write_whole
 from toolee_robot.frames import transform
 
 

@@ -93,7 +93,7 @@ def test_refinement_resumes_beside_the_detector_and_keeps_its_configuration(
 
 
 @pytest.mark.parametrize(
-    ("text", "says"), [("lrr: 1", "has no option lrr"), ("- 1", "no mapping"), ("{", "cannot be read")]
+    ("text", "says"), [("lrr: 1", "has no option lrr"), ("- 1", "no mapping"), ("{", "cannot read the options")]
 )
 def test_a_bad_configuration_is_named(
     text: str, says: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -27,7 +27,7 @@ from toolee_robot.control.collision_shapes import box_body
 from toolee_robot.control.correction import candidates, flange_targets
 from toolee_robot.errors import CollisionError, UnreachableError, UserError
 from toolee_robot.frames import Array, angle_between, transform
-from toolee_robot.robots import nominal_X_hand_tool
+from toolee_robot.robots import HAND_FRAME, nominal_X_hand_tool
 
 
 def offset(along: float, about_deg: float, tilt_deg: float) -> Array:
@@ -172,6 +172,14 @@ def test_offsets_of_the_whole_range_are_planned(
     assert np.min(speeds) >= 1.2
 
 
+def hand_jacobian(robot: RobotModel, q_arm: Array, q_hand: Array) -> Array:
+    """(6, 6): the palm's velocity [m/s] over its angular velocity [rad/s], base axes, for the arm's joints."""
+    model = robot.model
+    q, palm = robot.configuration(q_arm, q_hand), model.getFrameId(HAND_FRAME)
+    J = pin.computeFrameJacobian(model, model.createData(), q, palm, pin.LOCAL_WORLD_ALIGNED)
+    return np.asarray(J[:, [model.joints[model.getJointId(name)].idx_v for name in robot.description.arm_joints]])
+
+
 def test_attainable_speed_saturates_one_joint(
     robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_hand_ee: Array
 ) -> None:
@@ -181,7 +189,7 @@ def test_attainable_speed_saturates_one_joint(
     assert len(np.unique(found.theta)) > 20
     assert len(np.unique(found.branch)) >= 4
     for i in range(0, len(found.q), 15):
-        J = robot.hand_jacobian(found.q[i], q_hand)
+        J = hand_jacobian(robot, found.q[i], q_hand)
         qd = np.linalg.solve(J, np.append(X_base_nail[:3, 2], np.zeros(3))) * found.attainable_speed[i]
         assert np.max(np.abs(qd) / config.arm.velocity) == pytest.approx(1.0, rel=1e-6)
 

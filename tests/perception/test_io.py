@@ -12,7 +12,6 @@ import pytest
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
 from toolee_robot.perception.io import (
-    bop_frames,
     bop_images,
     parse_intrinsics,
     read_depth,
@@ -168,9 +167,9 @@ def make_scene(root: Path, rgb: np.ndarray, depth_mm: np.ndarray, ids: tuple[int
 def test_a_bop_scene_is_read_in_order_with_its_depth_scale(
     tmp_path: Path, rgb: np.ndarray, depth_mm: np.ndarray
 ) -> None:
-    frames = list(bop_frames(make_scene(tmp_path, rgb, depth_mm)))
-    assert [im_id for im_id, _ in frames] == [0, 3, 12]
-    frame = frames[0][1]
+    images = bop_images(make_scene(tmp_path, rgb, depth_mm))
+    assert [image.im_id for image in images] == [0, 3, 12]
+    frame = images[0].read()
     np.testing.assert_allclose(frame.depth, depth_mm / 1000, rtol=1e-6)
     assert (frame.intrinsics.fy, frame.intrinsics.cx) == (366.0, 16.0)
     np.testing.assert_array_equal(frame.rgb, rgb)
@@ -184,7 +183,7 @@ def test_bop_mistakes_are_named_before_anything_is_read(tmp_path: Path, rgb: np.
     scene = make_scene(tmp_path, rgb, depth_mm)
     (scene / "depth" / "000003.png").unlink()
     with pytest.raises(UserError, match=r"image 3, but .*depth"):
-        bop_frames(scene)
+        bop_images(scene)
     write_png(scene / "rgb" / "000099.png", rgb)
     write_png(scene / "depth" / "000003.png", depth_mm)
     with pytest.raises(UserError, match="000099"):

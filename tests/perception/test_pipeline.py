@@ -58,7 +58,7 @@ def test_every_detection_gets_a_pose_near_its_cloud(perception: ToolPerception) 
     for e in estimates:
         np.testing.assert_allclose(e.X_camera_ee[2, 3], 0.8, atol=0.15)
         assert e.hypotheses is not None
-    assert times.total_ms >= times.segmentation_ms + times.pose_ms > 0
+    assert min(times.segmentation_ms, times.cloud_ms, times.pose_ms) > 0
 
 
 def test_a_pose_under_a_doubtful_detection_is_not_usable() -> None:

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from tests.perception.toy_scenes import enlarged, toy_scenes, write_toys
+from tests.perception.toy_scenes import ArrayImages, enlarged, toy_scenes, write_toys
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.assets import load_weights, save_weights
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH
@@ -31,7 +31,6 @@ from toolee_robot.perception.refinement_data import (
 from toolee_robot.perception.segmentation import EVERYTHING, Segmenter
 from toolee_robot.perception.segmentation_crops import CELLS, CHANNELS
 from toolee_robot.perception.segmentation_evaluation import frame_of
-from toolee_robot.perception.segmentation_images import ArrayImages
 from toolee_robot.perception.segmentation_instances import Box, Instances, mask_iou
 from toolee_robot.perception.segmentation_look import MAGNIFICATION
 from toolee_robot.perception.segmentation_masks import MASK_SIZE, paste_one

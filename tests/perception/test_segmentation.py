@@ -12,13 +12,12 @@ import pytest
 import torch
 from torchvision.ops import nms
 
-from tests.perception.toy_scenes import toy_scenes
+from tests.perception.toy_scenes import ArrayImages, toy_scenes
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.segmentation import Segmenter
 from toolee_robot.perception.segmentation_boxes import decode, encode, greedy_suppression, pairwise_iou
 from toolee_robot.perception.segmentation_data import DeviceImages, augment
-from toolee_robot.perception.segmentation_evaluation import evaluate_masks
-from toolee_robot.perception.segmentation_images import ArrayImages
+from toolee_robot.perception.segmentation_evaluation import coco_task, report
 from toolee_robot.perception.segmentation_input import CHANNELS, encode_rgbd
 from toolee_robot.perception.segmentation_instances import associate, without_duplicates
 from toolee_robot.perception.segmentation_losses import instances_from_maps
@@ -176,8 +175,8 @@ def test_training_lowers_the_loss_and_logs_it(trained: Path) -> None:
 
 def test_overfit_detector_finds_the_tools_of_its_pictures(trained: Path) -> None:
     scenes = toy_scenes(8)
-    report = evaluate_masks(Segmenter.load(trained), scenes)
-    assert report["average"]["AP50"] > 0.8, report
+    found = report(coco_task(Segmenter.load(trained), scenes))
+    assert found["average"]["AP50"] > 0.8, found
     detections = Segmenter.load(trained).detect(frame_of(scenes))
     best = detections[0]
     assert best.category == list(Category)[int(scenes.categories[0, 0]) - 1]

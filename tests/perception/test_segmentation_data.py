@@ -65,7 +65,7 @@ def test_a_data_set_becomes_targets(folder: Path) -> None:
 
 def test_evaluation_sees_the_same_instances(folder: Path) -> None:
     images = load(folder)
-    labels = [label for label, _ in true_instances(images, 1)]
+    labels = [label for label, *_ in true_instances(images, 1)]
     assert labels == [int(images.categories[1, 0]), TOOL]
     assert true_instances(images, 1)[0][1].sum() == (images.ee[1] == 1).sum()
 

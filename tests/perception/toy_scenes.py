@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,20 @@ from numpy.typing import NDArray
 from toolee_robot.perception.dataset.records import EeTable, Example
 from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.segmentation_evaluation import frame_of
-from toolee_robot.perception.segmentation_images import ArrayImages
 
 _COLOURS = ((220, 60, 50), (60, 200, 70), (60, 90, 220), (230, 200, 60))
+
+
+@dataclass(frozen=True)
+class ArrayImages:
+    """`SegmentationImages` in memory."""
+
+    rgb: NDArray[np.uint8]
+    depth_mm: NDArray[np.uint16]
+    intrinsics: NDArray[np.float64]
+    ee: NDArray[np.uint8]
+    tool: NDArray[np.uint8]
+    categories: NDArray[np.uint8]
 
 
 def toy_scenes(count: int, seed: int = 0, height: int = 64, width: int = 96) -> ArrayImages:

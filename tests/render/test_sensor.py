@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from toolee_robot.render.photo import Photo, photograph
-from toolee_robot.render.sensor import NOISELESS, DepthNoise, measure_depth
+from toolee_robot.render.sensor import DepthNoise, measure_depth
 from toolee_robot.types import CameraIntrinsics
 
 K = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)
 SHAPE = (K.height, K.width)
+NOISELESS = DepthNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.02, 0.0, np.pi / 2, 0.0, 0.0, 0.0, 0.0, 1e3, 0.0)
 
 
 def flat(z: float) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:

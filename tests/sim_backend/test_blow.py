@@ -8,12 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from tests.sim_backend.energy_balance import driven_by
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover, plan_straight, plan_strike
 from toolee_robot.frames import inverse, rotation_angle
 from toolee_robot.hal import ContactGuard, MotionOutcome
 from toolee_robot.sim_backend import SimStation
-from toolee_robot.sim_backend.wood import driven_by
 
 CONFIG = StationConfig()
 SPEED = 1.1  # [m/s]

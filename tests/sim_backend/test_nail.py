@@ -10,13 +10,14 @@ import pybullet as pb
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.sim_backend.energy_balance import driven_by
 from toolee_robot.config import WorkConfig
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array, inverse, is_rigid, transform
 from toolee_robot.sim_backend.bodies import ToolBody
 from toolee_robot.sim_backend.impact import IMPACT, StepSettings
 from toolee_robot.sim_backend.nail import LUMPED_MASS, Nail, NailOutcome
-from toolee_robot.sim_backend.wood import NailSpec, driven_by, driving_work, resistance, tip_force
+from toolee_robot.sim_backend.wood import NailSpec, driving_work, resistance, tip_force
 from toolee_robot.tools import ToolKind, make_tool
 from toolee_robot.tools import test_seeds as held_out_seeds
 from toolee_robot.types import Category

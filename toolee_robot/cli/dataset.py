@@ -5,21 +5,21 @@ from __future__ import annotations
 import os
 import resource
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line, write_whole
+from toolee_robot.cli.output import json_line
+from toolee_robot.cli.progress import progress_bars
 from toolee_robot.errors import UserError
+from toolee_robot.files import write_whole
 
 if TYPE_CHECKING:
     from toolee_robot.perception.dataset.own import OwnMesh
@@ -77,11 +77,11 @@ class Generate:
         console = Console(stderr=self.json, highlight=False)
         began = time.monotonic()
         counts: list[int] = []
-        with _progress(console, "rendering", "examples") as report:
+        with progress_bars(console) as report:
 
             def count(done: int, total: int) -> None:
                 counts.append(done)
-                report(done, total)
+                report("rendering", done, total)
 
             made = generate(spec, self.out, workers, count, self.cluster, own)
         seconds = time.monotonic() - began
@@ -198,8 +198,8 @@ class Validate:
         if self.workers < 1:
             raise UserError(f"--workers {self.workers}: give 1 or more")
         console = Console(stderr=self.json, highlight=False)
-        with _progress(console, "checking", "examples") as report:
-            faults = validate(self.folder, self.workers, report)
+        with progress_bars(console) as report:
+            faults = validate(self.folder, self.workers, partial(report, "checking"))
         for fault in faults:
             console.print(f"[red]{escape(fault.file)}[/red]: {escape(fault.problem)}", soft_wrap=True)
         verdict = f"[bold red]{len(faults)} faults[/bold red]" if faults else "[green]sound[/green]"
@@ -231,40 +231,6 @@ class Dataset:
 
 def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@contextmanager
-def _progress(console: Console, doing: str, what: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar with an estimate of the time left; on a stream that is no terminal a line now and then."""
-    bar = Progress(
-        TextColumn(doing),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn(what),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        # Scenes come in bursts: the mean over a long time tells more than that over 30 s.
-        TimeRemainingColumn(),
-        console=console,
-        speed_estimate_period=600.0,
-        disable=not console.is_terminal,
-    )
-    task = bar.add_task(doing, total=None)
-    began, first, told = time.monotonic(), -1, -1e9
-
-    def report(done: int, total: int) -> None:
-        nonlocal first, told
-        first = done if first < 0 else first
-        bar.update(task, completed=done, total=total)
-        now = time.monotonic()
-        if not console.is_terminal and (now - told > 10.0 or done == total):
-            told = now
-            rate = (done - first) / max(now - began, 1e-9)
-            left = f", {rate:.1f}/s, {(total - done) / rate:.0f} s left" if rate > 0 else ""
-            console.print(f"{doing}: {done}/{total} {what}{left}")
-
-    with bar:
-        yield report
 
 
 def _summary(card: dict[str, Any]) -> dict[str, Any]:

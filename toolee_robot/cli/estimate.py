@@ -14,8 +14,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line, pose_text, sigma_text, write_whole
+from toolee_robot.cli.output import json_line, pose_text, sigma_text
 from toolee_robot.errors import UserError
+from toolee_robot.files import write_whole
 from toolee_robot.types import ToolEstimate
 
 _File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import shlex
 import sys
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,17 +12,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from toolee_robot.cli.evaluate_tables import pose_tables, printed_samplers, segmentation_rows, text_table
 from toolee_robot.cli.machine import describe_machine
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line, write_whole
+from toolee_robot.cli.output import json_line
+from toolee_robot.cli.progress import progress_bars
 from toolee_robot.errors import UserError
+from toolee_robot.files import write_whole
 
 if TYPE_CHECKING:
     from toolee_robot.perception.evaluation.run import Evaluation, Plan
-    from toolee_robot.perception.evaluation.run import Progress as Report
 
 _Dir = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
 _Out = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
@@ -131,7 +128,7 @@ class EvaluateSamplers:
             raise UserError(f"--clouds {self.clouds}: give 1 or more")
         console = Console(stderr=self.json, highlight=False)
         estimator = load_estimator(self.weights, self.device)
-        with _progress(console) as report:
+        with progress_bars(console) as report:
             examples = collect(self.data, limit=self.clouds)
             rows = sampler_table(estimator, examples, self.clouds, lambda k, n: report("samplers", k, n))
         record = {"machine": asdict(describe_machine()), "samplers": rows}
@@ -202,7 +199,7 @@ class Evaluate:
 def _evaluated(console: Console, plan: Plan) -> Evaluation:
     from toolee_robot.perception.evaluation.run import evaluate_pose
 
-    with _progress(console) as report:
+    with progress_bars(console) as report:
         evaluation = evaluate_pose(plan, report)
     evaluation.report["machine"] = asdict(describe_machine())
     return evaluation
@@ -220,26 +217,6 @@ def _labelled(weights: tuple[str, ...]) -> dict[str, Path | None]:
             raise UserError(f"--weights: two trainings are called {name}; give each a label, LABEL=DIR")
         labelled[name] = path
     return labelled
-
-
-@contextmanager
-def _progress(console: Console) -> Iterator[Report]:
-    """Bars; on a stream that is no terminal a line now and then."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
-        tasks: dict[str, Any] = {}
-        told = -1e9
-
-        def report(what: str, done: int, total: int) -> None:
-            nonlocal told
-            if not console.is_terminal and (time.monotonic() - told > 30.0 or done == total):
-                told = time.monotonic()
-                console.print(f"{what}: {done} of {total}")
-            if what not in tasks:
-                tasks[what] = bars.add_task(what, total=total)
-            bars.update(tasks[what], completed=done)
-
-        yield report
 
 
 def _write(console: Console, out: Path, report: dict[str, Any], images: dict[str, bytes], html: str) -> None:

@@ -16,9 +16,10 @@ from rich.panel import Panel
 import toolee_robot
 from toolee_robot.cli.backend import StandIn, open_backend
 from toolee_robot.cli.console import ConsoleObserver
-from toolee_robot.cli.output import json_line, write_whole
+from toolee_robot.cli.output import json_line
 from toolee_robot.cli.recording import Album, RecordingObserver
 from toolee_robot.config import StationConfig
+from toolee_robot.files import write_whole
 from toolee_robot.host_steadiness import EXCUSE, Steadiness
 from toolee_robot.perception import ToolPerception
 from toolee_robot.recorder import RunRecorder

@@ -6,7 +6,7 @@ import os
 import platform
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -28,9 +28,6 @@ class Machine:
     torch_threads: int
     arithmetic: str
     versions: dict[str, str]
-
-    def as_dict(self) -> dict[str, object]:
-        return asdict(self)
 
 
 def describe_machine() -> Machine:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,7 @@ from rich.console import Console
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
+from toolee_robot.cli.progress import progress_bars
 from toolee_robot.cli.train_images import Refinement, Segmentation
 from toolee_robot.cli.train_options import File
 from toolee_robot.cli.train_pose import Clouds, Pose
@@ -42,14 +44,14 @@ class Trust:
         console = Console(stderr=self.json, highlight=False)
         from toolee_robot.perception.fit_trust import fit_trust
 
-        with console.status("loading the networks") as status:
+        with progress_bars(console) as report_progress:
             report = fit_trust(
                 self.data,
                 self.weights,
                 self.frames,
                 self.seed,
                 self.workers,
-                lambda done, of: status.update(f"{done} of {of}: scene folders, then frames without a tool"),
+                partial(report_progress, "scene folders, then frames without a tool"),
             )
         console.print(
             f"fitted on {report['poses']} poses in {report['images']} images and {report['frames_without_a_tool']} "

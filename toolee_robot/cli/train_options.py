@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-import yaml
 
-from toolee_robot.cli.output import write_whole
 from toolee_robot.errors import UserError
+from toolee_robot.files import write_whole
+from toolee_robot.yaml_files import read_yaml
 
 CONFIG = "config.json"
 """Beside the checkpoint: the configuration it was made with."""
@@ -36,10 +36,7 @@ def options_of(command: Any, file: Path | None, names: set[str]) -> dict[str, An
     """A training's options called `names`: those of the file, then those of the command, a dataclass."""
     options: dict[str, Any] = {}
     if file is not None:
-        try:
-            read = yaml.safe_load(file.read_text())  # JSON is YAML
-        except (OSError, yaml.YAMLError) as error:
-            raise UserError(f"--config {file}: cannot be read ({error})") from error
+        read = read_yaml(file, "options")
         if not isinstance(read, dict) or (unknown := sorted(set(map(str, read)) - names)):
             what = f"has no option {', '.join(unknown)}" if isinstance(read, dict) else "is no mapping of options"
             raise UserError(f"--config {file}: {what}; there are {', '.join(sorted(names))}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import MISSING, dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -11,6 +12,7 @@ from rich.console import Console
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
+from toolee_robot.cli.progress import progress_bars
 from toolee_robot.cli.train_options import Count, File, Folder, Number, OutDir, make_folder, options_of, remember
 from toolee_robot.errors import UserError
 
@@ -60,14 +62,14 @@ class Clouds:
             raise UserError("--weights: for --estimator paper the true masks are taken, no detector's")
         # Before the work: it may take hours.
         make_folder(self.out.parent)
-        with console.status("starting") as status:
+        with progress_bars(console) as report:
             clouds = rendered_clouds(
                 self.data,
                 self.weights,
                 self.device,
                 self.workers,
                 self.limit,
-                lambda done, of: status.update(f"{done} of {of} scene folders"),
+                partial(report, "scene folders"),
                 column,
             )
         clouds.save(self.out)

@@ -7,6 +7,7 @@ from datetime import date
 
 import numpy as np
 
+from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.findings import Finding, fail, ok, warn
@@ -16,7 +17,6 @@ REDUCED_SPEED = 0.25
 USUAL_SPEED = 1.5
 """[m/s] Above it, a UR's own safety settings usually stop the arm."""
 HEAVIEST_HAMMER = 1.05  # [kg]
-PAYLOAD = {"UR10": 10.0, "UR10e": 12.5}  # [kg], data sheets
 
 
 def check_limits(config: StationConfig) -> Iterator[Finding]:
@@ -31,8 +31,9 @@ def check_limits(config: StationConfig) -> Iterator[Finding]:
         if not low <= q <= high:
             wrong.append(f"scene.home puts {joint} at {q:.2f} rad, outside {low:.2f} to {high:.2f}")
     load = model.hand_payload(model.hand_closed).mass + HEAVIEST_HAMMER
-    if load > PAYLOAD[arm.model]:
-        wrong.append(f"hand and hammer weigh {load:.1f} kg, the {arm.model} carries {PAYLOAD[arm.model]:.1f}")
+    payload = ARM_DATA[arm.model].payload
+    if load > payload:
+        wrong.append(f"hand and hammer weigh {load:.1f} kg, the {arm.model} carries {payload:.1f}")
     inside = np.all(np.less(config.scene.workspace_lower, config.scene.handover_position)) and np.all(
         np.less(config.scene.handover_position, config.scene.workspace_upper)
     )
@@ -40,7 +41,7 @@ def check_limits(config: StationConfig) -> Iterator[Finding]:
         wrong.append("scene.handover_position is outside the workspace")
     yield from (fail("limits", says, "change it in the station file") for says in wrong)
     if not wrong:
-        yield ok("limits", f"within the {arm.model}'s; {load:.1f} kg of {PAYLOAD[arm.model]:.1f} kg payload")
+        yield ok("limits", f"within the {arm.model}'s; {load:.1f} kg of {payload:.1f} kg payload")
     if supervisor.handover_speed > REDUCED_SPEED:
         says = f"handovers at up to {supervisor.handover_speed} m/s"
         do = f"ISO 10218-1 allows {REDUCED_SPEED} m/s near a person: lower supervisor.handover_speed"

@@ -24,7 +24,6 @@ from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
 BEAT = 0.02  # [s] between two heartbeats
-READY_TIME = 60.0  # [s] for the task to start and plan
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from typing import Final, Self
 import numpy as np
 
 from toolee_robot.arm_checks import check_payload, check_trajectory
+from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import (
     DeviceError,
@@ -41,10 +42,8 @@ from toolee_robot.hardware.ur_config import UrArmConfig, servo_lag
 from toolee_robot.hardware.ur_probe import nominal_rate, probe
 from toolee_robot.hardware.ur_status import advice, arm_status
 from toolee_robot.pauses import no_collection
-from toolee_robot.types import ArmModel, JointState, Payload, Trajectory
+from toolee_robot.types import JointState, Payload, Trajectory
 
-CAPACITY: Final = {ArmModel.UR10: 10.0, ArmModel.UR10E: 12.5}  # [kg]
-VELOCITY: Final = np.deg2rad([120.0, 120.0, 180.0, 180.0, 180.0, 180.0])  # [rad/s]
 POSITION: Final = np.array([2.0, 2.0, 1.0, 2.0, 2.0, 2.0]) * np.pi  # [rad], either way; the elbow as modelled
 PROBES: Final = 3
 TIMING: Final = {"RTDE rate", "RTDE jitter", "clock"}
@@ -57,7 +56,7 @@ class UrArm:
 
     def __init__(self, config: UrArmConfig, limits: ArmLimits) -> None:
         self._config, self._limits, self._clock = config, limits, config.clock
-        self._velocity = np.minimum(np.array(limits.velocity), VELOCITY)
+        self._velocity = np.minimum(limits.velocity, ARM_DATA[limits.model].velocity)
         self._rate, self._lag = 0.0, 0.0
         self._servo: ServoClient | None = None
         self._fault: MotionFaultError | None = None
@@ -159,7 +158,7 @@ class UrArm:
     def set_payload(self, payload: Payload) -> None:
         """Tell the controller what the flange carries. Raises LimitError for what this arm may not carry, DeviceError
         when the controller does not report it back."""
-        check_payload(payload, CAPACITY[self._limits.model])
+        check_payload(payload, ARM_DATA[self._limits.model].payload)
         with self._exclusive():
             self._ask(_payload_order(payload))
             self._payload = payload

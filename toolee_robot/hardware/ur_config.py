@@ -66,11 +66,6 @@ class UrArmConfig:
         return HostClock(self.pace)
 
 
-def servo_rate(major: int) -> float:
-    """Rate of RTDE and of servoj [Hz] of a controller of this major version: CB3 has 3, the e-Series 5 and more."""
-    return 500.0 if major > 3 else 125.0
-
-
 def servo_lag(config: UrArmConfig, rate: float) -> float:
     """[s] The configured lag, or the usual one: servoj's lookahead and three cycles."""
     return config.lookahead + 3.0 / rate if config.lag is None else config.lag

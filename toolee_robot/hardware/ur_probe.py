@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from toolee_robot.arm_data import CB3_RATE, E_SERIES_RATE
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.hardware.dashboard_reader import DASHBOARD_PORT, Question, ask_all
@@ -25,7 +26,6 @@ from toolee_robot.host_clock import HostClock
 from toolee_robot.types import Payload
 
 SCRIPT_PORTS = (PRIMARY_PORT, 30002, 30003)
-CB3_RATE, E_SERIES_RATE = 125.0, 500.0  # [Hz]
 
 _QUESTIONS: tuple[Question, ...] = (
     "PolyscopeVersion",

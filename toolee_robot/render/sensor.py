@@ -68,9 +68,6 @@ class DepthNoise:
         )
 
 
-NOISELESS = DepthNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.02, 0.0, np.pi / 2, 0.0, 0.0, 0.0, 0.0, 1e3, 0.0)
-
-
 def measure_depth(
     depth: FloatArray | DeviceArray,
     cos_incidence: FloatArray | DeviceArray,

@@ -1,8 +1,8 @@
 """Denavit-Hartenberg parameters of the UR arms, and how a URDF's joint origins follow from them.
 
 X_base_flange(q) = prod_i Rz(q_i + theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i), where `base` is the controller's base, which is
-our `base_link` turned by half a turn about z, and `flange` is `tool0`. Source: Universal Robots' "DH parameters for
-calculations of kinematics and dynamics"; a factory calibration adds a delta to every one of them.
+our `base_link` turned by half a turn about z, and `flange` is `tool0`. A factory calibration adds a delta to every one
+of them.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.frames import Array, inverse
 from toolee_robot.types import ArmModel, DhCalibration
 
@@ -31,7 +32,8 @@ class DhParameters:
     @classmethod
     def of(cls, model: ArmModel, calibration: DhCalibration | None = None) -> DhParameters:
         """Those of a model, nominal or with an arm's own calibration."""
-        nominal = _NOMINAL[model]
+        data = ARM_DATA[model]
+        nominal = cls(np.array(data.d), np.array(data.a), np.array(data.alpha), np.zeros(6))
         if calibration is None:
             return nominal
         c = calibration
@@ -68,22 +70,6 @@ class DhParameters:
         for i in range(6):
             frames.append(frames[-1] @ self.joint(i))
         return frames
-
-
-def _nominal(d1: float, a2: float, a3: float, d4: float, d5: float, d6: float) -> DhParameters:
-    quarter = np.pi / 2
-    return DhParameters(
-        np.array([d1, 0.0, 0.0, d4, d5, d6]),
-        np.array([0.0, a2, a3, 0.0, 0.0, 0.0]),
-        np.array([quarter, 0.0, 0.0, quarter, -quarter, 0.0]),
-        np.zeros(6),
-    )
-
-
-_NOMINAL = {
-    ArmModel.UR10: _nominal(0.1273, -0.612, -0.5723, 0.163941, 0.1157, 0.0922),
-    ArmModel.UR10E: _nominal(0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655),
-}
 
 
 def joint_origins(origins: list[Array], model: ArmModel, calibration: DhCalibration | None) -> list[Array]:

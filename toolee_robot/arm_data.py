@@ -1,0 +1,53 @@
+"""The arms' data sheets: the one table that planner, driver, doctor, simulation and controller stand-in read.
+
+Sources: Universal Robots, "DH parameters for calculations of kinematics and dynamics"; the UR10's and the UR10e's
+technical data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi, radians
+
+from toolee_robot.types import ArmModel, Six
+
+CB3_RATE, E_SERIES_RATE = 125.0, 500.0  # [Hz] of the controllers' real-time data and of servoj
+
+
+@dataclass(frozen=True)
+class ArmData:
+    """Nominal data of one model.
+
+    Attributes:
+        d: Denavit-Hartenberg offsets along z [m], standard (distal) convention.
+        a: Denavit-Hartenberg lengths along x [m].
+        alpha: Denavit-Hartenberg twists about x [rad].
+        velocity: Largest joint speeds [rad/s].
+        torque: Largest joint torques [Nm].
+        payload: Largest mass at the flange [kg].
+        rate: Of the controller's real-time data and of servoj [Hz].
+    """
+
+    d: Six
+    a: Six
+    payload: float
+    rate: float
+    alpha: Six = (pi / 2, 0.0, 0.0, pi / 2, -pi / 2, 0.0)
+    velocity: Six = (radians(120), radians(120), radians(180), radians(180), radians(180), radians(180))
+    torque: Six = (330.0, 330.0, 150.0, 56.0, 56.0, 56.0)
+
+
+ARM_DATA = {
+    ArmModel.UR10: ArmData(
+        d=(0.1273, 0.0, 0.0, 0.163941, 0.1157, 0.0922),
+        a=(0.0, -0.612, -0.5723, 0.0, 0.0, 0.0),
+        payload=10.0,
+        rate=CB3_RATE,
+    ),
+    ArmModel.UR10E: ArmData(
+        d=(0.1807, 0.0, 0.0, 0.17415, 0.11985, 0.11655),
+        a=(0.0, -0.6127, -0.57155, 0.0, 0.0, 0.0),
+        payload=12.5,
+        rate=E_SERIES_RATE,
+    ),
+}

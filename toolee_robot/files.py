@@ -1,0 +1,46 @@
+"""Files written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from toolee_robot.errors import UserError
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """A file that appears whole or not at all, whoever else writes the same.
+
+    Args:
+        path: Where it will be; its folder exists.
+
+    Yields:
+        A scratch file beside it, to write to. It becomes `path` when the context is left, and is removed when an
+        exception leaves it.
+
+    Raises:
+        UserError: The place cannot be written.
+    """
+    scratch = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        try:
+            yield scratch
+            scratch.replace(path)
+        except BaseException:
+            scratch.unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror or error}; choose another place") from error
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file as `written_whole` does.
+
+    Raises:
+        UserError: The place cannot be written.
+    """
+    with written_whole(path) as scratch:
+        scratch.write_bytes(data)

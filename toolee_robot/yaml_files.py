@@ -1,0 +1,48 @@
+"""YAML files read into records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import TypeAdapter, ValidationError
+
+from toolee_robot.errors import ConfigError
+
+T = TypeVar("T")
+
+
+def read_yaml(path: Path, what: str) -> Any:
+    """The content of a YAML file; JSON is YAML.
+
+    Args:
+        path: The file.
+        what: What it is, for the error.
+
+    Raises:
+        ConfigError: It cannot be read.
+    """
+    try:
+        return yaml.safe_load(path.read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError(f"cannot read the {what} {path}: {error}") from error
+
+
+def read_record(path: Path, kind: type[T], what: str) -> T:
+    """A configuration record from a YAML file; what the file leaves out keeps its default.
+
+    Args:
+        path: The file.
+        kind: The record, a dataclass.
+        what: What the file describes, for the errors.
+
+    Raises:
+        ConfigError: It cannot be read, or a field is wrong; the message names every one.
+    """
+    data = read_yaml(path, f"{what}'s file")
+    try:
+        return TypeAdapter(kind).validate_python(data or {})
+    except ValidationError as error:
+        lines = [f"  {'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()]
+        raise ConfigError(f"{path} is not a valid {what}:\n" + "\n".join(lines)) from error
