@@ -40,11 +40,11 @@ class Scores:
 
     Attributes:
         targets: End effectors to be found.
-        found: How many of them have a detection of their category with a mask IoU of at least 0.5.
+        found: Share of them with a detection of their category at a mask IoU of at least 0.5.
         AP50: Average precision of the masks at that IoU, all categories in one ranking.
         false_alarms: Detections with a score over `SURE` that match no end effector.
-        poses: How many targets have a pose within each of `metrics.THRESHOLDS`.
-        usable_right: How many targets have a pose that is marked usable and lies within 10 deg 2 cm.
+        poses: Share of the targets with a pose within each of `metrics.THRESHOLDS`.
+        usable_right: Share of the targets with a pose that is marked usable and lies within 10 deg 2 cm.
         usable_wrong: Poses marked usable that lie within 10 deg 2 cm of no end effector of their category.
         usable_without_tool: Poses marked usable in frames without a tool.
         head_median_mm: Median position error of the hammer heads that were found [mm].
@@ -52,11 +52,11 @@ class Scores:
     """
 
     targets: int
-    found: int
+    found: float
     AP50: float
     false_alarms: int
-    poses: dict[str, int]
-    usable_right: int
+    poses: dict[str, float]
+    usable_right: float
     usable_wrong: int
     usable_without_tool: int
     head_median_mm: float
@@ -108,15 +108,15 @@ def scores(tmp_path_factory: pytest.TempPathFactory) -> Scores:
     with_tool = {i.image for i in examples.instances}
     result = Scores(
         targets=len(targets),
-        found=len(matched),
+        found=len(matched) / len(targets),
         AP50=metrics.average_precision(
             np.array([c.score for c, _ in counted]),
             np.array([c.instance is not None for c, _ in counted]),
             len(targets),
         ),
         false_alarms=sum(c.instance is None and c.score > SURE for c, _ in cases),
-        poses={name: round(share * len(targets)) for name, share in metrics.shares(*errors.T).items()},
-        usable_right=round((usable["found_10deg2cm"] or 0.0) * len(targets)),
+        poses=metrics.shares(*errors.T),
+        usable_right=usable["found_10deg2cm"] or 0.0,
         usable_wrong=round((usable["wrong_per_image"] or 0.0) * examples.images),
         usable_without_tool=sum(e.usable and c.image not in with_tool for c, e in cases),
         head_median_mm=1e3 * float(median_m),
@@ -128,17 +128,17 @@ def scores(tmp_path_factory: pytest.TempPathFactory) -> Scores:
 
 def test_end_effectors_are_detected(scores: Scores) -> None:
     """Measured: 68 of 70, AP50 0.964, 5 false alarms."""
-    assert scores.targets == 70, "these are other frames than those measured"
-    assert scores.found >= 66
+    assert 68 <= scores.targets <= 72, "a rounding may add or remove one: these are other frames than those measured"
+    assert scores.found >= 66 / 70
     assert scores.AP50 >= 0.93
     assert scores.false_alarms <= 7
 
 
 def test_poses_are_accurate(scores: Scores) -> None:
     """Measured: of 70 targets 67 within 5 deg 2 cm, 64 within 5 deg 5 mm, 40 within 2 deg 2 mm."""
-    assert scores.poses["5deg2cm"] >= 64
-    assert scores.poses["5deg5mm"] >= 61
-    assert scores.poses["2deg2mm"] >= 36
+    assert scores.poses["5deg2cm"] >= 64 / 70
+    assert scores.poses["5deg5mm"] >= 61 / 70
+    assert scores.poses["2deg2mm"] >= 36 / 70
 
 
 def test_hammer_heads_are_accurate(scores: Scores) -> None:
@@ -149,7 +149,7 @@ def test_hammer_heads_are_accurate(scores: Scores) -> None:
 
 def test_usable_poses_are_right(scores: Scores) -> None:
     """Measured: 69 poses marked usable, 65 of them within 10 deg 2 cm, 4 not; none without a tool."""
-    assert scores.usable_right >= 62
+    assert scores.usable_right >= 62 / 70
     assert scores.usable_wrong <= 6
     assert scores.usable_without_tool == 0
 
