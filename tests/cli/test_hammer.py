@@ -74,7 +74,7 @@ class _Job:
 
 def _whole_job(folder: Path, *args: str) -> _Job:
     process = _start(folder, "--seed", "101", "--json", "--out", "out", *args)
-    out, err = process.communicate(timeout=240)
+    out, err = process.communicate(timeout=600)
     return _Job(process.returncode, _line(out), err, folder)
 
 
@@ -96,12 +96,12 @@ def test_the_whole_job_ends_with_the_nail_flush(corrected: _Job) -> None:
 
 
 def test_the_corrected_job_is_as_accurate_as_measured(corrected: _Job) -> None:
-    """Bounds of twice what `toolee hammer --seed 101` gave: POSE."""
+    """Bounds of twice what `toolee hammer --seed 101` gave: 0.81 mm, 0.22 deg, 0.54 mm, 0.41 deg."""
     record = corrected.record
-    assert 0.0 < record["pose_error_mm"] <= 1.0
-    assert 0.0 < record["pose_error_deg"] <= 0.8
-    assert record["strike_offset_mm"] <= 1.2
-    assert record["strike_tilt_deg"] <= 1.6
+    assert 0.0 < record["pose_error_mm"] <= 1.62
+    assert 0.0 < record["pose_error_deg"] <= 0.44
+    assert record["strike_offset_mm"] <= 1.07
+    assert record["strike_tilt_deg"] <= 0.82
 
 
 def test_the_whole_job_leaves_a_whole_folder(corrected: _Job) -> None:
