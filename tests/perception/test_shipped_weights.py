@@ -41,6 +41,7 @@ class Scores:
     Attributes:
         targets: End effectors to be found.
         found: Share of them with a detection of their category at a mask IoU of at least 0.5.
+        mask_iou: Mean IoU of their masks with the true ones.
         AP50: Average precision of the masks at that IoU, all categories in one ranking.
         false_alarms: Detections with a score over `SURE` that match no end effector.
         poses: Share of the targets with a pose within each of `metrics.THRESHOLDS`.
@@ -53,6 +54,7 @@ class Scores:
 
     targets: int
     found: float
+    mask_iou: float
     AP50: float
     false_alarms: int
     poses: dict[str, float]
@@ -109,6 +111,7 @@ def scores(tmp_path_factory: pytest.TempPathFactory) -> Scores:
     result = Scores(
         targets=len(targets),
         found=len(matched) / len(targets),
+        mask_iou=float(np.mean([c.overlap for c, _ in counted if c.instance is not None])),
         AP50=metrics.average_precision(
             np.array([c.score for c, _ in counted]),
             np.array([c.instance is not None for c, _ in counted]),
@@ -127,10 +130,11 @@ def scores(tmp_path_factory: pytest.TempPathFactory) -> Scores:
 
 
 def test_end_effectors_are_detected(scores: Scores) -> None:
-    """Measured: 68 of 70, AP50 0.964, 5 false alarms."""
+    """Measured: 68 of 70, mean mask IoU 0.904, AP50 0.964, 5 false alarms."""
     assert 68 <= scores.targets <= 72, "a rounding may add or remove one: these are other frames than those measured"
     assert scores.found >= 66 / 70
-    assert scores.AP50 >= 0.93
+    assert scores.mask_iou >= 0.897
+    assert scores.AP50 >= 0.94
     assert scores.false_alarms <= 7
 
 
