@@ -1,13 +1,64 @@
-"""toolee_robot: a robot-control stack for real hammering, after the paper ToolEENet."""
+"""toolee_robot: a robot-control stack for real hammering, after the paper ToolEENet.
 
-import os
+What a program builds on is here; every name is loaded on its first use, so that a program that only estimates poses
+loads no physics engine and no robot driver:
 
-# Waiting threads spin for some tens of microseconds, then sleep, unless the user says otherwise. Measured on 2 cores of
-# a virtual machine, medians for a pose: 26 ms with these, 52 with a tenth of the spins, 21 where they spin for good;
-# beside a program that keeps one core busy 77, 40 and 225 ms. Chosen for cores that have nothing else to do.
-# OpenMP reads this once, when torch is first imported: this package must come before it.
-if "OMP_WAIT_POLICY" not in os.environ:
-    os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
-    os.environ.setdefault("GOMP_SPINCOUNT", "10000")
+    from toolee_robot import CameraIntrinsics, RgbdFrame, ToolPerception
+
+    perception = ToolPerception.load()
+    for estimate in perception.estimate(frame):
+        if estimate.usable:
+            print(estimate.category, estimate.X_camera_ee)
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from toolee_robot.config import StationConfig, load_station
+    from toolee_robot.errors import TooleeError
+    from toolee_robot.perception.pipeline import ToolPerception
+    from toolee_robot.recorder import RunRecorder
+    from toolee_robot.tasks.grasp import nominal_grasp
+    from toolee_robot.tasks.hammering import HammeringTask
+    from toolee_robot.types import CameraIntrinsics, Category, RgbdFrame
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "CameraIntrinsics",
+    "Category",
+    "HammeringTask",
+    "RgbdFrame",
+    "RunRecorder",
+    "StationConfig",
+    "ToolPerception",
+    "TooleeError",
+    "load_station",
+    "nominal_grasp",
+]
+
+_MODULES = {
+    "CameraIntrinsics": "toolee_robot.types",
+    "Category": "toolee_robot.types",
+    "HammeringTask": "toolee_robot.tasks.hammering",
+    "RgbdFrame": "toolee_robot.types",
+    "RunRecorder": "toolee_robot.recorder",
+    "StationConfig": "toolee_robot.config",
+    "ToolPerception": "toolee_robot.perception.pipeline",
+    "TooleeError": "toolee_robot.errors",
+    "load_station": "toolee_robot.config",
+    "nominal_grasp": "toolee_robot.tasks.grasp",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,11 +1,16 @@
-"""The project's errors: one root, each message says what happened and what to do about it.
+"""The project's errors: one root; each message says what happened and what to do about it.
 
 `UserError` is the caller's fault (a bad option, an unreadable file): the command line exits with 2.
 Every other `TooleeError` is a job that failed: the command line exits with 1.
+
+Every error has a `code` for programs and tests. It is the class's own (`unreachable` of an `UnreachableError`), or more
+specific where one class has several causes: `raise LimitError(message, code="limit.speed")`. Codes are stable;
+messages are for people and may change.
 """
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -13,7 +18,29 @@ if TYPE_CHECKING:
 
 
 class TooleeError(Exception):
-    """Root of every error this project raises on purpose."""
+    """Root of every error this project raises on purpose.
+
+    Attributes:
+        code: Stable identifier of the cause: lower-case words joined by `_`, from the general to the specific joined by
+            `.`; the class's name without "Error" unless the place that raises it says more.
+    """
+
+    code: str = "toolee"
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if "code" not in cls.__dict__:
+            cls.code = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__.removesuffix("Error")).lower()
+
+    def __init__(self, message: str = "", *, code: str | None = None) -> None:
+        """
+        Args:
+            message: What happened, and what to do about it.
+            code: The cause, where it is more specific than the class.
+        """
+        super().__init__(message)
+        if code is not None:
+            self.code = code
 
 
 class UserError(TooleeError):
@@ -79,8 +106,14 @@ class LatchedError(DeviceError):
 class MotionFaultError(DeviceError):
     """A fault ended a motion; the arm stands still and is latched. report: what was done until then, or None."""
 
-    def __init__(self, message: str, report: MotionReport | None = None) -> None:
-        super().__init__(message)
+    def __init__(self, message: str = "", report: MotionReport | None = None, *, code: str | None = None) -> None:
+        """
+        Args:
+            message: What happened, and what to do about it.
+            report: What was done until then; None where nothing was moved.
+            code: The cause, where it is more specific than the class.
+        """
+        super().__init__(message, code=code)
         self.report = report
 
 
