@@ -11,27 +11,6 @@ import pytest
 from toolee_robot.host_awake import CoresAwake
 from toolee_robot.host_steadiness import EXCUSE, Steadiness
 
-REALTIME = (
-    "cli/test_bench_servo.py",
-    "cli/test_doctor.py",
-    "cli/test_hammer_ur.py",
-    "cli/test_ur_controller.py",
-    "contract/",
-    "faults/test_measuring.py",
-    "faults/test_start_rows.py",
-    "hardware/test_pace.py",
-    "hardware/test_standstill.py",
-    "hardware/test_ur_",
-    "sim_backend/test_world_service.py",
-    "sim_backend/ur_controller/test_compiling.py",
-    "sim_backend/ur_controller/test_faults.py",
-    "sim_backend/ur_controller/test_survival.py",
-    "sim_backend/ur_controller/test_urscript_wheel.py",
-    "sim_backend/ur_controller/test_wheel_",
-    "tasks/test_swing_faults.py::test_somebody_steps_in",
-    "tasks/test_swing_faults.py::test_the_hand_is_watched_all_the_way",
-)
-"""Beginnings of the names of tests that are bound to the clock on the wall: a machine to themselves, one at a time."""
 pytest_plugins = ("tests.plugins.tiers",)
 FINE = ("tests/cli/test_bench_servo.py",)
 """Whose own bounds are a millisecond: a standstill that the others bear breaks them."""
@@ -80,11 +59,9 @@ class _Machine:
 _MACHINE = _Machine()
 
 
-@pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if item.nodeid.removeprefix("tests/").startswith(REALTIME):
-            item.add_marker("realtime")
+        if item.get_closest_marker("realtime"):
             item.add_marker(pytest.mark.flaky(reruns=2, condition=_MACHINE.stood_still))
 
 

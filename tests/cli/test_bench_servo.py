@@ -8,6 +8,8 @@ import pytest
 
 from toolee_robot.cli.app import run
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.mark.parametrize("model", ["UR10", "UR10e"])
 def test_half_a_minute_meets_every_target(model: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,6 +19,8 @@ from toolee_robot.sim_backend.arm import SimArm
 from toolee_robot.tasks.hammering import HammeringTask
 from toolee_robot.tasks.motions import Motions
 
+pytestmark = pytest.mark.sim
+
 _QUICK = (
     ("hand does not open in time", Phase.REST),
     ("hand does not close in time", Phase.REST),

@@ -33,6 +33,8 @@ from toolee_robot.hardware.ur_probe import probe
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
+pytestmark = pytest.mark.realtime
+
 ROBOT, HOST = "127.0.0.61", "127.0.0.62"
 PATIENCE = 0.32
 """[s] by which data and commands may be late on a busy machine."""

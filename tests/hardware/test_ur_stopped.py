@@ -20,6 +20,8 @@ from toolee_robot.hardware.ur_arm import UrArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
+pytestmark = pytest.mark.realtime
+
 HOST = "127.0.0.76"
 STOPS, STOP, APART = 5, 0.06, 0.25  # more than the stand-in catches up; [s], [s]
 

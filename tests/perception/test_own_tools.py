@@ -26,6 +26,8 @@ from toolee_robot.perception.dataset.spec import catalogue_of
 from toolee_robot.perception.evaluation.shapes import ee_shape
 from toolee_robot.types import Category
 
+pytestmark = pytest.mark.sim
+
 HANDLE, FACE, LENGTH = 14.0, 18.0, 250.0
 
 

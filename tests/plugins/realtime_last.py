@@ -29,6 +29,7 @@ class RealtimeLast(LoadFileScheduling):
     def __init__(self, config: pytest.Config, log: Producer | None, tiers: Path) -> None:
         super().__init__(config, log)
         self._tiers = tiers
+        self._bound: frozenset[str] = frozenset()
         self._realtime: OrderedDict[str, dict[str, bool]] = OrderedDict()
         self._waiting: WorkerController | None = None
 
@@ -62,6 +63,7 @@ class RealtimeLast(LoadFileScheduling):
 
     def _fill_queues(self) -> None:
         tiers: dict[str, list[str]] = json.loads(self._tiers.read_text())
+        self._bound = frozenset(tiers["realtime"])
         slow = self._files(tiers["sim"])
         files = self._files(nodeid for tier, nodeids in tiers.items() if tier != "realtime" for nodeid in nodeids)
         # The longest first, so that all workers end at about the same time.
@@ -70,6 +72,11 @@ class RealtimeLast(LoadFileScheduling):
         if len(self.nodes) == 1:
             self.workqueue.update(self._realtime)
             self._realtime = OrderedDict()
+
+    def _split_scope(self, nodeid: str) -> str:
+        """The file; its tests that are bound to the clock are a group of their own."""
+        file = super()._split_scope(nodeid)
+        return f"{file} (realtime)" if nodeid in self._bound else file
 
     def _files(self, nodeids: Iterable[str]) -> OrderedDict[str, dict[str, bool]]:
         """Their tests by file, none of them done."""

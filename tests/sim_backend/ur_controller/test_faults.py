@@ -24,6 +24,8 @@ from toolee_robot.sim_backend.ur_controller.fault_client import FaultClient
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess, resting_joints
 from toolee_robot.sim_backend.ur_controller.rtde_types import packet
 
+pytestmark = pytest.mark.sim
+
 HOST = "127.0.0.15"
 PERIOD = 0.008
 FOREVER = "def job():\n  while True:\n    sync()\n  end\nend\n"
