@@ -73,7 +73,7 @@ def test_a_knock_is_no_contact_for_a_guard_that_averages_and_a_push_is(
         there = HOME if np.abs(held(arm) - HOME).max() > 0.05 else HOME + WAY
         timer = threading.Timer(0.3 / PACE, push, [seconds])
         timer.start()
-        report = arm.execute(line([held(arm), there], 1.2), guard)
+        report = arm.execute(line([held(arm), there], 0.9), guard)
         timer.join()
         assert np.linalg.norm(report.wrenches[:, :3], axis=1).max() > guard.force
         assert report.outcome is outcome

@@ -13,8 +13,10 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import hypothesis
 import pytest
+from hypothesis import settings
+
+from tests.examples import NIGHTLY, QUICK
 
 if TYPE_CHECKING:
     from xdist.remote import Producer
@@ -35,9 +37,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    hypothesis.settings.register_profile("quick", deadline=None)
-    hypothesis.settings.register_profile("nightly", deadline=None, max_examples=2000)
-    hypothesis.settings.load_profile("nightly" if config.getoption("--nightly") else "quick")
+    settings.register_profile("quick", deadline=None, max_examples=QUICK)
+    settings.register_profile("nightly", deadline=None, max_examples=NIGHTLY)
+    settings.load_profile("nightly" if config.getoption("--nightly") else "quick")
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from tests.sim_backend.ur_controller.wheel import Wheel, WheelDiedError, WheelHungError
 from tests.sim_backend.ur_controller.wheel_contract import wait_for
 from tests.sim_backend.ur_controller.wheel_motions import speed_with_kicks
@@ -328,7 +329,7 @@ def test_a_dropped_link_in_mid_motion_stops_the_arm_by_its_watchdog(controller: 
         assert wheel.control("isProgramRunning")
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     port=st.sampled_from([29999, 30001, 30002, 30003, 30004, 30020]),
     chunks=st.lists(
