@@ -1,4 +1,5 @@
-"""Options of the whole suite, and what becomes of tests that are bound to the clock on the wall."""
+"""Options of the whole suite, and what becomes of tests that are bound to the clock on the wall. Tiers and processes:
+`plugins/tiers.py`."""
 
 from __future__ import annotations
 
@@ -10,27 +11,7 @@ import pytest
 from toolee_robot.host_awake import CoresAwake
 from toolee_robot.host_steadiness import EXCUSE, Steadiness
 
-REALTIME = (
-    "cli/test_bench_servo.py",
-    "cli/test_doctor.py",
-    "cli/test_hammer_ur.py",
-    "cli/test_ur_controller.py",
-    "contract/",
-    "faults/test_measuring.py",
-    "faults/test_start_rows.py",
-    "hardware/test_pace.py",
-    "hardware/test_standstill.py",
-    "hardware/test_ur_",
-    "sim_backend/test_world_service.py",
-    "sim_backend/ur_controller/test_compiling.py",
-    "sim_backend/ur_controller/test_faults.py",
-    "sim_backend/ur_controller/test_survival.py",
-    "sim_backend/ur_controller/test_urscript_wheel.py",
-    "sim_backend/ur_controller/test_wheel_",
-    "tasks/test_swing_faults.py::test_somebody_steps_in",
-    "tasks/test_swing_faults.py::test_the_hand_is_watched_all_the_way",
-)
-"""Beginnings of the names of tests that are bound to the clock on the wall: a machine to themselves, one at a time."""
+pytest_plugins = ("tests.plugins.tiers",)
 FINE = ("tests/cli/test_bench_servo.py",)
 """Whose own bounds are a millisecond: a standstill that the others bear breaks them."""
 CYCLE = 0.002
@@ -78,11 +59,9 @@ class _Machine:
 _MACHINE = _Machine()
 
 
-@pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if item.nodeid.removeprefix("tests/").startswith(REALTIME):
-            item.add_marker("realtime")
+        if item.get_closest_marker("realtime"):
             item.add_marker(pytest.mark.flaky(reruns=2, condition=_MACHINE.stood_still))
 
 
@@ -96,13 +75,21 @@ def pytest_unconfigure() -> None:
     _MACHINE.end()
 
 
+@pytest.hookimpl(tryfirst=True)  # before a worker sends it
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    if report.outcome == "rerun" and report.nodeid in _MACHINE.standstills:  # type: ignore[comparison-overlap]
+        report.user_properties.append(("standstill", _MACHINE.standstills[report.nodeid]))
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """What was run again, and why: none of it goes unseen."""
-    for report in terminalreporter.stats.get("rerun", []):
-        terminalreporter.section(f"RUN AGAIN: {report.nodeid}")
+    again = terminalreporter.stats.get("rerun", [])
+    for report in again:
+        terminalreporter.section(report.nodeid)
         terminalreporter.line(report.longreprtext)
-        standstill = _MACHINE.standstills.get(report.nodeid, 0.0)
-        terminalreporter.line(f"failed while the machine stood still for {1e3 * standstill:.0f} ms")
+    for report in again:
+        standstill = dict(report.user_properties).get("standstill", 0.0)
+        terminalreporter.line(f"RUN AGAIN: {report.nodeid}, the machine stood still for {1e3 * standstill:.0f} ms")
 
 
 def pytest_report_header(config: pytest.Config) -> str | None:

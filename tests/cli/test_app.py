@@ -13,6 +13,8 @@ import pytest
 
 from toolee_robot.cli.app import run
 
+pytestmark = pytest.mark.sim
+
 _INTRINSICS = "365.5,365.5,254.9,205.4"
 
 

@@ -18,6 +18,8 @@ from PIL import Image
 
 from toolee_robot.cli.app import run
 
+pytestmark = pytest.mark.sim
+
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:

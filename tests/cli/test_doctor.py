@@ -47,6 +47,7 @@ def _doctor(capsys: pytest.CaptureFixture[str], *args: str) -> tuple[int, dict[s
     return code, json.loads(captured.out.splitlines()[-1]), captured.err
 
 
+@pytest.mark.sim
 def test_the_simulated_station_is_ready(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     code, record, said = _doctor(capsys, "--out", str(tmp_path / "runs"))
     assert code == 0, said
@@ -56,6 +57,7 @@ def test_the_simulated_station_is_ready(capsys: pytest.CaptureFixture[str], tmp_
     assert not (tmp_path / "runs").exists(), "a look leaves nothing behind"
 
 
+@pytest.mark.realtime
 def test_a_robot_that_is_set_up_is_ready_for_slow_motions(
     robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -71,6 +73,7 @@ def test_a_robot_that_is_set_up_is_ready_for_slow_motions(
     assert (after["q"], after["uploads"]) == (before["q"], before["uploads"])
 
 
+@pytest.mark.sim
 def test_a_robot_that_is_not_ready_is_exit_1_with_what_to_do(
     robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -87,6 +90,7 @@ def test_a_robot_that_is_not_ready_is_exit_1_with_what_to_do(
     assert "Not ready:" in said
 
 
+@pytest.mark.realtime
 def test_a_rehearsal_sees_every_device_behind_the_stand_in(capsys: pytest.CaptureFixture[str]) -> None:
     code, record, said = _doctor(capsys, "--arm", "ur-rtde", "--robot-host", "127.0.0.49", "--world", "pybullet")
     assert code == 0, said
@@ -96,6 +100,7 @@ def test_a_rehearsal_sees_every_device_behind_the_stand_in(capsys: pytest.Captur
     assert levels["calibration"] == "ok", "of these devices, all of which were asked"
 
 
+@pytest.mark.sim
 def test_no_robot_there_is_exit_1_and_the_rest_is_still_looked_at(capsys: pytest.CaptureFixture[str]) -> None:
     code, record, said = _doctor(capsys, "--arm", "ur-rtde", "--robot-host", "127.0.0.49")
     assert code == 1

@@ -18,6 +18,8 @@ from toolee_robot.perception.dataset.example import Series, make_example, take_s
 from toolee_robot.perception.dataset.records import CATEGORIES, Example
 from toolee_robot.types import Category
 
+pytestmark = pytest.mark.sim
+
 _HEAD = CATEGORIES.index(Category.HAMMER_HEAD) + 1
 _STATION = 1
 """The kind of scene that shows a tool in the robot's hand."""

@@ -15,6 +15,8 @@ import cv2
 import pytest
 from mcap.reader import make_reader
 
+pytestmark = pytest.mark.sim
+
 _FIGURES = {
     "success",
     "outcome",

@@ -56,6 +56,8 @@ def _nobody_serves(host: str) -> bool:
         return probe.connect_ex((host, 30004)) != 0
 
 
+@pytest.mark.realtime
+@pytest.mark.nightly
 def test_the_nail_is_driven_through_the_real_driver(tmp_path: Path) -> None:
     """The acceptance: handover, looks, touches and blows over the unmodified ur_rtde, to a flush nail."""
     process = _start(tmp_path, "127.0.0.34")
@@ -88,6 +90,7 @@ def test_the_nail_is_driven_through_the_real_driver(tmp_path: Path) -> None:
     assert topics["/arm/measured"] > 500
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_stops_the_arm_and_ends_client_and_server_in_order(tmp_path: Path, sign: signal.Signals) -> None:
     """Ctrl-C in a terminal, or the end of a service, reaches every process of the job."""

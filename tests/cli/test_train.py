@@ -20,6 +20,8 @@ from toolee_robot.perception.dataset.spec import DatasetSpec
 from toolee_robot.perception.segmentation_redraw import Redraw
 from toolee_robot.types import CameraIntrinsics
 
+pytestmark = pytest.mark.sim
+
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -8,6 +8,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.sim
+
 COMMAND = [sys.executable, "-c", "from toolee_robot.cli import main; main()", "ur-controller"]
 
 

@@ -9,10 +9,23 @@ import pytest
 from tests.contract.rigs import Rig, hardware_rig, sim_rig, stand_in_rig
 from toolee_robot.types import ArmModel
 
+_SIMULATED = (
+    pytest.param("pybullet", marks=pytest.mark.sim),
+    pytest.param("UR10", marks=pytest.mark.realtime),
+    pytest.param("UR10e", marks=pytest.mark.realtime),
+)
+_HARDWARE = pytest.param("hardware", marks=pytest.mark.realtime)
 
-@pytest.fixture(scope="module", params=["pybullet", "UR10", "UR10e", "hardware"])
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "shared_rig" in metafunc.fixturenames:
+        rigs = (*_SIMULATED, _HARDWARE) if metafunc.config.getoption("--hardware") else _SIMULATED
+        metafunc.parametrize("shared_rig", rigs, indirect=True, scope="module")
+
+
+@pytest.fixture(scope="module")
 def shared_rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
-    host = request.config.getoption("--hardware")
+    options = request.config.option
     if request.param == "pybullet":
         with sim_rig() as rig:
             yield rig
@@ -22,10 +35,8 @@ def shared_rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
     elif request.param == "UR10e":
         with stand_in_rig(ArmModel.UR10E, "127.0.0.22") as rig:
             yield rig
-    elif host is None:
-        pytest.skip("no robot: give --hardware HOST")
     else:
-        with hardware_rig(ArmModel(request.config.getoption("--hardware-model")), host) as rig:
+        with hardware_rig(ArmModel(options.hardware_model), options.hardware) as rig:
             yield rig
 
 

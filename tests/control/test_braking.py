@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
+from tests.examples import examples
 from toolee_robot.braking import PathBrake, brake_on_path
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike, timing
@@ -81,7 +82,7 @@ def test_a_blow_is_stopped_anywhere_on_its_way(plans: list[StrikePlan], period: 
     jerk=st.floats(100.0, 2000.0),
 )
 @example(change=[0.0, 0.0, 0.0, 0.0, 0.0, 1.1875], share=0.171875, period=1 / 500, acceleration=12.0, jerk=100.0)
-@settings(max_examples=60, deadline=None, report_multiple_bugs=False)
+@settings(examples(20), report_multiple_bugs=False)
 def test_any_move_is_stopped_within_any_limits_that_it_keeps_itself(
     change: list[float], share: float, period: float, acceleration: float, jerk: float
 ) -> None:
@@ -96,7 +97,7 @@ def test_any_move_is_stopped_within_any_limits_that_it_keeps_itself(
     first=st.integers(1, 12),
     limits=st.tuples(st.floats(2.0, 20.0), st.floats(50.0, 2000.0)),
 )
-@settings(max_examples=40, deadline=None)
+@examples(40)
 def test_a_second_stop_takes_over_where_the_first_one_is(
     plans: list[StrikePlan], start: float, first: int, limits: tuple[float, float]
 ) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from tests.examples import examples
 from toolee_robot.control import RobotModel
 from toolee_robot.control.line import Line
 from toolee_robot.errors import UnreachableError, UserError
@@ -21,7 +22,7 @@ def turns_apart(a: Array, b: Array) -> Array:
 
 
 @given(q=angles)
-@settings(max_examples=30, deadline=None)
+@examples(30)
 def test_batch_agrees_with_pinocchio_and_with_the_description(robot: RobotModel, q_hand: Array, q: Array) -> None:
     X_base_flange, X_base_hand = robot.fk(q, q_hand)
     assert np.allclose(robot.arm.fk(q), X_base_flange, atol=1e-12)
@@ -32,7 +33,7 @@ def test_batch_agrees_with_pinocchio_and_with_the_description(robot: RobotModel,
 
 
 @given(q=angles)
-@settings(max_examples=30, deadline=None)
+@examples(30)
 def test_jacobian_is_the_derivative_of_fk(robot: RobotModel, q: Array) -> None:
     h = 1e-6
     X, J = robot.arm.fk_jacobian(q)
@@ -43,7 +44,7 @@ def test_jacobian_is_the_derivative_of_fk(robot: RobotModel, q: Array) -> None:
 
 
 @given(q=angles)
-@settings(max_examples=100, deadline=None)
+@examples(100)
 def test_every_branch_reaches_the_pose_and_one_is_the_original(robot: RobotModel, q: Array) -> None:
     X, J = robot.arm.fk_jacobian(q)
     assume(np.linalg.svd(J, compute_uv=False)[-1] > 1e-2)

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests.examples import examples
 from toolee_robot.config import StationConfig, WorkConfig
 from toolee_robot.control import (
     CollisionWorld,
@@ -47,7 +48,7 @@ def faces(robot: RobotModel, q: Array, q_hand: Array, X_hand_ee: Array) -> Array
 
 
 @given(along=st.floats(-0.03, 0.03), about=st.floats(-25, 25), tilt=st.floats(-12, 12), theta=st.floats(-3.1, 3.1))
-@settings(max_examples=50, deadline=None)
+@examples(50)
 def test_any_spin_puts_the_face_onto_the_nail(
     robot: RobotModel, q_hand: Array, X_tool_ee: Array, along: float, about: float, tilt: float, theta: float
 ) -> None:

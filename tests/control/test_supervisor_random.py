@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, event, example, given, settings
 from hypothesis import strategies as st
 
 from tests.control.paper_arm import STOP_ACCELERATION, STOP_JERK, Bystander, PaperArm
+from tests.examples import examples
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, Mode, RobotModel, Supervisor, paced
 from toolee_robot.control.timing import joint_move
@@ -91,7 +92,7 @@ def free(robot: RobotModel, config: StationConfig, q_hand: Array, X_hand_ee: Arr
 )
 @example(**BESIDE, changes=[("q", 0.0, 0, True, 0.015625)])
 @example(**BESIDE, changes=[("q", 0.0, 0, True, 0.009)])
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(examples(100), suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_nothing_that_is_driven_breaks_a_limit(
     robot: RobotModel,
     config: StationConfig,

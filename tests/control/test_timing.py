@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from toolee_robot.config import SceneConfig, StationConfig
 from toolee_robot.control import RobotModel, check_trajectory
 from toolee_robot.control.timing import brake_profile, concatenate, joint_move, ramp_length, run_up_profile
@@ -16,7 +17,7 @@ from toolee_robot.types import Trajectory
 
 
 @given(speed=st.floats(0.3, 1.5), acceleration=st.floats(3, 12), jerk=st.floats(60, 400))
-@settings(max_examples=40, deadline=None)
+@examples(40)
 def test_run_up_arrives_at_speed_without_backing_up(speed: float, acceleration: float, jerk: float) -> None:
     length = 1.05 * float(ramp_length(speed, acceleration, jerk))
     profile = run_up_profile(length, speed, acceleration, jerk)

@@ -19,6 +19,8 @@ from toolee_robot.sim_backend.camera import SimCamera
 from toolee_robot.sim_backend.hand import SimHand
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
+pytestmark = pytest.mark.sim
+
 _CONFIG = StationConfig()
 
 

@@ -19,19 +19,16 @@ from toolee_robot.sim_backend.arm import SimArm
 from toolee_robot.tasks.hammering import HammeringTask
 from toolee_robot.tasks.motions import Motions
 
-_QUICK = (
+pytestmark = pytest.mark.sim
+
+_QUICK = {
     ("hand does not open in time", Phase.REST),
-    ("hand does not close in time", Phase.REST),
-    ("hand falls silent", Phase.SWING),
     ("tool dropped", Phase.SWING),
-    ("camera repeats a frame", Phase.REST),
-    ("low confidence", Phase.REST),
-    ("nobody steps back", Phase.REST),
-    ("enabling switch not held", Phase.REST),
     ("a person comes into reach", Phase.SWING),
-    ("network link cut", Phase.REST),
     ("network link cut", Phase.SWING),
-)
+}
+"""What is measured in every run: nightly all of them. (That the job ends as it should after each of these faults is
+also asked in `tests/tasks`.)"""
 
 
 @pytest.fixture(scope="module")
@@ -54,12 +51,21 @@ def test_every_fault_of_the_job_is_there_and_named_once() -> None:
         assert {f.phase for f in JOB_FAULTS if f.number == number} == {Phase.REST, Phase.SWING}
 
 
-@pytest.mark.parametrize(("name", "phase"), _QUICK)
-def test_a_fault_is_handled(bench: Bench, name: str, phase: Phase) -> None:
-    fault = _fault(name, phase)
+@pytest.mark.parametrize(
+    "fault",
+    [
+        pytest.param(
+            fault,
+            id=f"{fault.fault}-{fault.phase}",
+            marks=() if (fault.fault, fault.phase) in _QUICK else pytest.mark.nightly,
+        )
+        for fault in JOB_FAULTS
+    ],
+)
+def test_a_fault_is_handled(bench: Bench, fault: JobFault) -> None:
     row = job_row(fault, bench)
     assert row.handled, row.why
-    assert (row.number, row.fault, row.phase) == (fault.number, name, phase)
+    assert (row.number, row.fault, row.phase) == (fault.number, fault.fault, fault.phase)
     assert row.latched is (fault.job_latches or fault.arm_latches)
     if fault.braking is not None and fault.braking.cycles is not None:
         assert row.reaction is not None

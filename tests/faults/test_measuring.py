@@ -15,6 +15,8 @@ from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rig import MissedMomentError
 from toolee_robot.host_steadiness import EXCUSE, Steadiness
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture(scope="module")
 def machine() -> Iterator[Steadiness]:

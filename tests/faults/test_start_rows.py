@@ -10,6 +10,8 @@ from toolee_robot.faults.start_rows import HAND, START_FAULTS, StartFault, start
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture(scope="module")
 def controller() -> Iterator[ControllerProcess]:

@@ -6,10 +6,11 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests.examples import examples
 from tests.hardware.wire import peer_sends, soon
 from toolee_robot.errors import DeviceError, NoAnswerError, ProtocolError
 from toolee_robot.frames import Array
@@ -35,7 +36,6 @@ _CHECKSUM = [0xDEADBEEF + i for i in range(6)]
 _GOOD = _message(16, _message(0, bytes(38)) + _info(_CHECKSUM, DhParameters.of(ArmModel.UR10)))
 
 
-@settings(deadline=None)
 @given(
     theta=_six,
     a=_six,
@@ -65,14 +65,12 @@ def test_the_parameters_come_through(
         np.testing.assert_array_equal(getattr(found.dh, name), getattr(dh, name))
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=400))
 def test_any_bytes_are_a_typed_error(garbage: bytes) -> None:
     with pytest.raises(DeviceError), peer_sends(garbage) as sock:
         kinematics_from(sock, soon())
 
 
-@settings(deadline=None)
 @given(at=st.integers(0, len(_GOOD) - 1), byte=st.integers(0, 255))
 def test_a_damaged_message_is_kinematics_or_a_typed_error(at: int, byte: int) -> None:
     damaged = bytearray(_GOOD)
@@ -97,7 +95,7 @@ def test_parameters_that_are_no_numbers_are_refused() -> None:
         kinematics_from(sock, soon())
 
 
-@settings(deadline=None, max_examples=20)
+@examples(20)
 @given(model=_models, scale=st.floats(1e-4, 3e-3), seed=st.integers(0, 1000))
 def test_the_calibration_of_an_arm_is_the_arm(model: ArmModel, scale: float, seed: int) -> None:
     nominal, rng = DhParameters.of(model), np.random.default_rng(seed)

@@ -8,9 +8,10 @@ import time
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from tests.hardware.wire import FORMATS, data, packet, peer_sends, setup_reply, soon
 from toolee_robot.errors import DeviceError, NoAnswerError, ProtocolError
 from toolee_robot.hardware.dashboard_reader import DashboardReader, ask_all
@@ -30,7 +31,6 @@ _BY_TYPE: dict[str, st.SearchStrategy[object]] = {
 _typed = st.sampled_from(sorted(FORMATS)).flatmap(lambda t: st.tuples(st.just(t), _BY_TYPE[t]))
 
 
-@settings(deadline=None)
 @given(
     packets=st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=300)), max_size=8),
     cuts=st.lists(st.integers(0, 2000), max_size=20),
@@ -43,7 +43,6 @@ def test_a_stream_cut_anywhere_gives_the_same_packets(packets: list[tuple[int, b
     assert found == packets
 
 
-@settings(deadline=None)
 @given(fields=st.lists(_typed, min_size=1, max_size=8), text=st.binary(max_size=50), recipe=st.integers(0, 255))
 def test_what_the_controller_says_comes_through(fields: list[tuple[str, object]], text: bytes, recipe: int) -> None:
     types, values = [t for t, _ in fields], [v for _, v in fields]
@@ -71,7 +70,6 @@ def test_unknown_variables_are_named() -> None:
         assert RtdeReader(sock).subscribe(["timestamp", "payload", "tcp"], 125.0, soon()) == ["payload", "tcp"]
 
 
-@settings(deadline=None)
 @given(count=st.integers(0, 5), after=st.integers(0, 5), cut=st.integers(1, 8))
 def test_all_that_has_come_is_read_at_once_and_nobody_waits_for_more(count: int, after: int, cut: int) -> None:
     types = ["DOUBLE"]
@@ -113,14 +111,14 @@ _GOOD = (
 )
 
 
-@settings(deadline=None, max_examples=150)
+@examples(150)
 @given(st.binary(max_size=400))
 def test_any_bytes_are_a_typed_error(garbage: bytes) -> None:
     with pytest.raises(DeviceError):
         _talk((garbage,))
 
 
-@settings(deadline=None, max_examples=200)
+@examples(200)
 @given(
     at=st.integers(0, len(_GOOD) - 1),
     byte=st.integers(0, 255),
@@ -187,7 +185,6 @@ def test_values_that_are_no_numbers_pass_as_such() -> None:
 _HELLO = b"Connected: Universal Robots Dashboard Server\n"
 
 
-@settings(deadline=None)
 @given(st.text(st.characters(codec="utf-8", exclude_categories=["C", "Z"]), min_size=1, max_size=80))
 def test_the_dashboards_answer_comes_through(answer: str) -> None:
     with peer_sends(_HELLO, answer.encode() + b"\n") as sock:
@@ -203,7 +200,7 @@ def test_a_question_that_is_not_known_is_none() -> None:
         assert reader.ask("robotmode", soon()) == "Robotmode: RUNNING"
 
 
-@settings(deadline=None, max_examples=100)
+@examples(100)
 @given(st.binary(max_size=300), st.booleans())
 def test_any_bytes_to_the_dashboard_are_an_answer_or_a_typed_error(garbage: bytes, greeted: bool) -> None:
     with peer_sends((_HELLO if greeted else b"") + garbage) as sock:

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from toolee_robot.errors import DeviceError, LimitError
 from toolee_robot.frames import Array
 from toolee_robot.hardware.servo_clock import AFTER_PACKET, FOLLOW, SEEK, Schedule
@@ -183,7 +184,7 @@ class _Clock(HostClock):
     crystal=st.floats(-5e-5, 5e-5),
     late=st.lists(st.tuples(st.integers(300, 3900), st.floats(0.0, 0.9)), max_size=400),
 )
-@settings(deadline=None, max_examples=30)
+@examples(30)
 def test_slots_keep_their_place_after_the_controllers_packets(
     phase: float, crystal: float, late: list[tuple[int, float]]
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 import numpy as np
+import pytest
 
 from tests.sim_backend.kinematics import line
 from tests.stand_in import HOME, held
@@ -15,6 +16,8 @@ from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.model import ControllerModel
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+
+pytestmark = pytest.mark.realtime
 
 HOST, PACE = "127.0.0.29", 0.5
 FREQUENCY, DAMPING = 2.0 * np.pi * 4.0, 0.15  # [rad/s], of critical

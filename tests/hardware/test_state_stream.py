@@ -10,9 +10,10 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from tests.hardware.wire import data, packet, setup_reply
 from toolee_robot.errors import DeviceError, NotReadyError
 from toolee_robot.hardware.rtde_reader import RTDE_PORT
@@ -67,7 +68,7 @@ def greeting(types: list[str], first: bytes) -> bytes:
     return HELLO + setup_reply(types) + first
 
 
-@settings(deadline=None, max_examples=20)
+@examples(20)
 @given(st.lists(st.floats(-500.0, 500.0), min_size=1, max_size=6))
 def test_of_readings_that_come_at_once_none_is_left_out(forces: list[float]) -> None:
     with controller(greeting(TYPES, reading(1.0))) as accepted:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from toolee_robot.findings import Level, worst
 from toolee_robot.frames import Array
 from toolee_robot.hardware.primary_reader import UrKinematics
@@ -73,7 +74,7 @@ _report = st.builds(
 )
 
 
-@settings(deadline=None, max_examples=100)
+@examples(100)
 @given(report=_report, model=_models, payload=st.none() | st.just(Payload(5.0)), serial=_text)
 def test_any_report_is_answered_in_findings(
     report: UrReport, model: ArmModel, payload: Payload | None, serial: str | None

@@ -21,6 +21,8 @@ from toolee_robot.hardware.ur_config import UrArmConfig
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel, Payload
 
+pytestmark = pytest.mark.realtime
+
 HOST, NOBODY, SILENT = "127.0.0.25", "127.0.0.26", "127.0.0.27"
 PORTS = (29999, 30001, 30002, 30003, 30004)
 

@@ -32,6 +32,8 @@ from toolee_robot.hardware.ur_arm import UrArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
+pytestmark = pytest.mark.realtime
+
 HOST = "127.0.0.23"
 LIMITS = ArmLimits(model=ArmModel.UR10)
 CONFIG = patient(HOST)

@@ -1,7 +1,7 @@
 """Whatever the network or the robot says, the driver answers with a typed error in time, the arm stands, is latched,
 and works again when the network does. A proxy before the controller stand-in does the lying (`evil_proxy.py`).
 
-TOOLEE_FUZZ=200 tries so many corruptions instead of a few.
+With --nightly it draws many corruptions anew instead of a few that stay the same.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.examples import examples, is_nightly
 from tests.hardware.evil_proxy import EvilProxy, Rule
 from tests.hardware.swings import MOVING, swing, wait_for_mid_swing
 from tests.hardware.wire import packet
@@ -33,6 +34,8 @@ from toolee_robot.hardware.ur_probe import probe
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
+pytestmark = pytest.mark.realtime
+
 ROBOT, HOST = "127.0.0.61", "127.0.0.62"
 PATIENCE = 0.32
 """[s] by which data and commands may be late on a busy machine."""
@@ -41,7 +44,6 @@ IN_TIME = 3.0
 """[s] From the first wrong byte to the error."""
 BUSY = 4.0
 """[s] Besides, for a machine that is busy with other things: starting a process takes seconds on it."""
-EXAMPLES = int(os.environ.get("TOOLEE_FUZZ", "0"))
 
 NAN, INF = float("nan"), float("inf")
 TEXT = packet(b"M", b"\x05hello\x04RTDE\x02")
@@ -192,18 +194,22 @@ _dashboard = st.builds(
 )
 
 
-def _few(examples: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def _few(count: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
     return settings(
-        max_examples=EXAMPLES or examples,
-        derandomize=not EXAMPLES,
-        deadline=None,
+        examples(count),
+        derandomize=not is_nightly(),
         database=None,
         suppress_health_check=list(HealthCheck),
     )
 
 
-@both
-@_few(5)
+@pytest.mark.parametrize(
+    "model",
+    [ArmModel.UR10, pytest.param(ArmModel.UR10E, marks=pytest.mark.nightly)],
+    indirect=True,
+    scope="module",
+)
+@_few(4)
 @given(rule=st.one_of(_streams, _orders), skip=st.integers(0, 3), moment=st.floats(0.0, 0.3))
 def test_any_corruption_in_mid_motion(
     arm: UrArm, proxy: EvilProxy, controller: ControllerProcess, rule: Rule, skip: int, moment: float
@@ -212,7 +218,7 @@ def test_any_corruption_in_mid_motion(
     _swing_while_struck(arm, proxy, controller, replace(rule, skip=skip), moment)
 
 
-@_few(4)
+@_few(3)
 @given(rule=st.one_of(_handshakes, _dashboard), skip=st.integers(0, 40))
 def test_any_corruption_while_connecting(
     arm: UrArm, proxy: EvilProxy, controller: ControllerProcess, rule: Rule, skip: int
@@ -228,7 +234,7 @@ def test_any_corruption_while_connecting(
     assert controller.state()["tick"] > 0
 
 
-@_few(8)
+@_few(6)
 @given(
     rule=st.one_of(_handshakes, _dashboard, st.sampled_from([*NO_MEASUREMENT.values(), *OTHERS])),
     skip=st.integers(0, 12),

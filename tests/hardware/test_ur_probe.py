@@ -19,6 +19,8 @@ from toolee_robot.hardware.ur_probe import UrReport, probe
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel, Payload
 
+pytestmark = pytest.mark.sim
+
 _HOSTS = {ArmModel.UR10: "127.0.0.42", ArmModel.UR10E: "127.0.0.43"}
 _PAYLOAD = Payload(5.0, np.array([0.0, 0.0, 0.15]))
 _LISTEN = 0.15  # [s]

@@ -20,8 +20,10 @@ from toolee_robot.hardware.ur_arm import UrArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
+pytestmark = pytest.mark.realtime
+
 HOST = "127.0.0.76"
-STOPS, STOP, APART = 5, 0.06, 0.25  # more than the stand-in catches up; [s], [s]
+STOPS, STOP, APART = 3, 0.06, 0.25  # more than the stand-in catches up; [s], [s]
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +57,7 @@ def test_commands_are_followed_with_the_usual_lag_after_a_standstill(
     before = controller.state()["tick"]
     timer = threading.Timer(0.5, stop)
     timer.start()
-    report = arm.execute(wave(held(arm), 4.0), None, PATIENT)
+    report = arm.execute(wave(held(arm), 3.0), None, PATIENT)
     timer.join()
     assert report.outcome is MotionOutcome.COMPLETED
     trace = controller.trace(before)

@@ -18,6 +18,8 @@ from toolee_robot.config import ArmLimits
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
+pytestmark = pytest.mark.realtime
+
 HOST = "127.0.0.24"
 LIMITS = ArmLimits()
 HEARTBEAT = patient(HOST).heartbeat_timeout

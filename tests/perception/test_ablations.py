@@ -26,6 +26,8 @@ from toolee_robot.perception.pose.train_config import TrainConfig
 from toolee_robot.perception.pose.variance_exploding import VarianceExploding
 from toolee_robot.types import Category
 
+pytestmark = pytest.mark.sim
+
 MEAN, SPREAD = torch.tensor([0.3, -0.8]), torch.tensor([0.3, 0.9])
 
 

@@ -22,6 +22,8 @@ from toolee_robot.render.renderer import pixel_rays
 from toolee_robot.tools import ee_radius, split
 from toolee_robot.types import CameraIntrinsics, Category
 
+pytestmark = pytest.mark.sim
+
 
 def back_project(depth: Array, intrinsics: CameraIntrinsics) -> Array:
     """(H, W, 3) points [m], camera frame."""

@@ -20,6 +20,8 @@ from toolee_robot.perception.dataset.generate import generate
 from toolee_robot.perception.dataset.spec import DatasetSpec, SceneJob
 from toolee_robot.perception.dataset.validate import validate
 
+pytestmark = [pytest.mark.sim, pytest.mark.nightly]
+
 SPEC = DatasetSpec("hard", size=4, seed=12, test_share=0.5, scene_size=1)
 _LISTENS = "0A"
 _LOOPBACK = re.compile("(0{16}FFFF0000)?[0-9A-F]{6}7F:|0{24}01000000:")  # 127.x.y.z, in IPv6 too, and ::1

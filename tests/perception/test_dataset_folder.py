@@ -35,6 +35,8 @@ from toolee_robot.perception.dataset.spec import DatasetSpec
 from toolee_robot.perception.dataset.validate import validate
 from toolee_robot.perception.io import bop_images
 
+pytestmark = pytest.mark.sim
+
 SPEC = DatasetSpec("hard", size=6, seed=11, test_share=0.3, scene_size=2)
 KILLED = """
 import sys

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests.examples import examples
 from toolee_robot.frames import transform
 from toolee_robot.perception.evaluation import metrics
 from toolee_robot.types import Category
@@ -24,7 +25,7 @@ def random_pose(seed: int, distance: float = 0.6) -> np.ndarray:
 
 
 @given(seeds, categories, st.integers(0, 63))
-@settings(max_examples=40, deadline=None)
+@examples(40)
 def test_a_member_of_the_group_is_no_error(seed: int, category: Category, number: int) -> None:
     X = random_pose(seed)
     elements = category.symmetry.elements()
@@ -37,7 +38,7 @@ def test_a_member_of_the_group_is_no_error(seed: int, category: Category, number
 
 
 @given(seeds, categories, st.floats(0.001, 0.2))
-@settings(max_examples=30, deadline=None)
+@examples(30)
 def test_a_shift_is_its_own_surface_distance_and_a_known_overlap(seed: int, category: Category, shift: float) -> None:
     X = random_pose(seed)
     along = X @ transform(p=(0.0, 0.0, shift))
@@ -50,7 +51,7 @@ def test_a_shift_is_its_own_surface_distance_and_a_known_overlap(seed: int, cate
 
 
 @given(seeds, categories, st.integers(0, 63), st.floats(0.0, 1.0))
-@settings(max_examples=50, deadline=None)
+@examples(50)
 def test_an_axis_s_error_is_that_of_the_nearest_of_like_poses(
     seed: int, category: Category, member: int, tilt: float
 ) -> None:
@@ -111,7 +112,7 @@ def test_calibration_error_by_hand() -> None:
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=10, max_size=60))
-@settings(max_examples=40, deadline=None)
+@examples(40)
 def test_risk_and_refusal(rows: list[tuple[float, bool]]) -> None:
     confidence, success = np.array([r[0] for r in rows]), np.array([r[1] for r in rows])
     coverage, risk = metrics.risk_coverage(confidence, success)

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests.examples import examples
 from toolee_robot.cli.app import run
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import is_rigid, transform, transform_points
@@ -25,6 +26,8 @@ from toolee_robot.perception.dataset.scene_reader import read_json
 from toolee_robot.perception.dataset.spec import catalogue_of
 from toolee_robot.perception.evaluation.shapes import ee_shape
 from toolee_robot.types import Category
+
+pytestmark = pytest.mark.sim
 
 HANDLE, FACE, LENGTH = 14.0, 18.0, 250.0
 
@@ -159,7 +162,7 @@ def test_a_claw_is_told_from_handle_and_head(tmp_path: Path) -> None:
     assert "claw" not in labels[points[:, 0] > 0.01]
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(st.tuples(*[st.floats(-3, 3)] * 3), st.sampled_from([0.001, 0.01, 0.0254, 1.0]))
 def test_any_frame_and_unit_give_the_same_tool(
     tmp_path_factory: pytest.TempPathFactory, turn: tuple[float, float, float], unit: float

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 
+from tests.examples import examples
 from toolee_robot.perception.dataset import png
 
 
@@ -29,7 +30,7 @@ def images(draw: st.DrawFn) -> NDArray[Any]:
     return np.broadcast_to(np.linspace(0, high, shape[1]), shape).astype(kind)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(images())
 def test_another_program_reads_the_same_pixels(pixels: NDArray[Any]) -> None:
     read = np.asarray(Image.open(BytesIO(png.encode(pixels))))

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from toolee_robot.frames import transform
 from toolee_robot.perception.dataset import paper
 from toolee_robot.perception.dataset.example import _Reach
@@ -21,7 +22,7 @@ CAMERA = CameraIntrinsics(365.0, 365.0, 31.5, 31.5, 64, 64)
 
 
 @given(st.integers(0, 2**31), st.booleans(), st.floats(0.05, 0.14))
-@settings(max_examples=40, deadline=None)
+@examples(40)
 def test_a_cut_holds_the_pixels_that_the_data_sets_mask_shows(seed: int, circle: bool, apart: float) -> None:
     rng = np.random.default_rng(seed)
     depth = rng.uniform(0.5, 0.62, (64, 64)).astype(np.float32)
@@ -45,7 +46,7 @@ def test_a_cut_holds_the_pixels_that_the_data_sets_mask_shows(seed: int, circle:
 
 
 @given(st.integers(0, 2**31))
-@settings(max_examples=20, deadline=None)
+@examples(20)
 def test_a_tool_with_one_end_loses_nothing_to_another(seed: int) -> None:
     focus = torch.tensor([[0.1, 0.0, 0.6]])
     points = focus[:, None] + 0.03 * torch.randn(1, 50, 3, generator=torch.Generator().manual_seed(seed)).clamp(-1, 1)

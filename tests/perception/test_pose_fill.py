@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from toolee_robot.perception.pose.fill import RINGS, fill
 
 SIZE = 24
@@ -18,7 +19,7 @@ def block(rows: slice, columns: slice) -> torch.Tensor:
     return mask
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.05, 0.95))
 def test_a_guess_lies_between_the_depths_that_are_known_and_only_where_it_is_wanted(seed: int, share: float) -> None:
     rng = np.random.default_rng(seed)

@@ -29,6 +29,8 @@ from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.perception.ranks import Ranks
 from toolee_robot.types import Category
 
+pytestmark = pytest.mark.sim
+
 CPU = Ranks(0, 1, torch.device("cpu"))
 
 MEAN, SPREAD = torch.tensor([0.5, -0.3, 0.1]), torch.tensor([0.2, 0.6, 1.0])

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests.examples import examples
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception.pose.pooling import (
     FREE_SPIN_VARIANCE,
@@ -45,7 +46,7 @@ def random_element(rng: np.random.Generator, group: SymmetryGroup) -> Array:
 
 
 @given(seeds)
-@settings(max_examples=30, deadline=None)
+@examples(30)
 def test_the_closed_forms_of_rotations_are_scipys(seed: int) -> None:
     rng = np.random.default_rng(seed)
     axes = rng.normal(size=(8, 3))
@@ -64,7 +65,7 @@ def test_the_closed_forms_of_rotations_are_scipys(seed: int) -> None:
 
 @pytest.mark.parametrize("group", GROUPS, ids=lambda g: g.kind.value)
 @given(seed=seeds)
-@settings(max_examples=15, deadline=None)
+@examples(15)
 def test_pooling_does_not_care_which_member_of_an_orbit_a_candidate_is(group: SymmetryGroup, seed: int) -> None:
     rng = np.random.default_rng(seed)
     Xs = candidates(rng, random_pose(rng))
@@ -79,7 +80,7 @@ def test_pooling_does_not_care_which_member_of_an_orbit_a_candidate_is(group: Sy
 
 @pytest.mark.parametrize("group", GROUPS, ids=lambda g: g.kind.value)
 @given(seed=seeds)
-@settings(max_examples=15, deadline=None)
+@examples(15)
 def test_batched_group_functions_agree_with_the_group(group: SymmetryGroup, seed: int) -> None:
     rng = np.random.default_rng(seed)
     R = Rotation.random(4, rng=rng).as_matrix()
@@ -151,7 +152,7 @@ def test_calibration_scales_the_covariance() -> None:
 
 
 @given(seeds)
-@settings(max_examples=40, deadline=None)
+@examples(40)
 def test_the_fix_replaces_the_twist_only(seed: int) -> None:
     rng = np.random.default_rng(seed)
     group = Category.HAMMER_HEAD.symmetry

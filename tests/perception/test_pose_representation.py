@@ -7,10 +7,11 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests.examples import examples
 from toolee_robot.perception.pose import canonical
 from toolee_robot.perception.pose.canonical import (
     PATCHES,
@@ -31,7 +32,7 @@ seeds = st.integers(0, 2**31)
 
 
 @given(seeds)
-@settings(max_examples=30, deadline=None)
+@examples(30)
 def test_round_trip(seed: int) -> None:
     rng = np.random.default_rng(seed)
     R = torch.as_tensor(Rotation.random(5, rng=rng).as_matrix())
@@ -44,7 +45,7 @@ def test_round_trip(seed: int) -> None:
 
 
 @given(seeds, st.sampled_from(list(Category)))
-@settings(max_examples=40, deadline=None)
+@examples(40)
 def test_the_mirrored_pose_is_what_the_mirrored_view_shows(seed: int, category: Category) -> None:
     """The plane that an EE mirrors in: y = 0, and z = 0 of wrenches. Where its points are mirrored in the camera's x,
     they must lie on the EE in the mirrored pose, up to its own symmetry."""
@@ -67,7 +68,7 @@ def test_the_mirrored_pose_is_what_the_mirrored_view_shows(seed: int, category: 
 
 
 @given(seeds)
-@settings(max_examples=30, deadline=None)
+@examples(30)
 def test_any_vector_decodes_to_a_rotation_that_keeps_the_action_axis(seed: int) -> None:
     rng = np.random.default_rng(seed)
     u = torch.as_tensor(rng.normal(size=(4, DIM)))
@@ -89,7 +90,7 @@ def test_ray_rotation_turns_the_ray_onto_z() -> None:
 
 
 @given(seeds, st.integers(1, 40), st.integers(1, 12))
-@settings(max_examples=30, deadline=None)
+@examples(30)
 def test_farthest_points_come_first_and_none_is_lost(seed: int, different: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     # Repeated points, as of a cloud with too few; marks travel along.

@@ -26,6 +26,8 @@ from toolee_robot.perception.ranks import Ranks
 from toolee_robot.tools import ee_radius
 from toolee_robot.types import Category
 
+pytestmark = pytest.mark.sim
+
 CPU = Ranks(0, 1, torch.device("cpu"))
 
 TINY = NetworkConfig(width=32, layers=1, heads=2, neighbours=8, flow_width=64, flow_blocks=1)

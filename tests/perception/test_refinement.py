@@ -42,6 +42,8 @@ from toolee_robot.perception.train_segmentation import SegmentationTraining
 from toolee_robot.perception.train_segmentation import train as train_detector
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
+pytestmark = pytest.mark.sim
+
 CPU = torch.device("cpu")
 TIMES = 8
 """A toy's pixel is so many of the data set's wide: the detector sees the former."""

@@ -37,6 +37,8 @@ from toolee_robot.perception.segmentation import Segmenter
 from toolee_robot.tools import ee_radius
 from toolee_robot.types import Category, Detection, RgbdFrame
 
+pytestmark = pytest.mark.sim
+
 FRAMES = 4
 
 

@@ -31,6 +31,8 @@ from toolee_robot.perception.segmentation_model import (
 from toolee_robot.perception.train_segmentation import SegmentationTraining, train
 from toolee_robot.types import CameraIntrinsics, Category, RgbdFrame
 
+pytestmark = pytest.mark.sim
+
 TINY = DetectorConfig(
     widths=(16, 24, 32, 48),
     fpn_channels=32,

@@ -6,7 +6,7 @@ import math
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -70,7 +70,6 @@ def boxes(draw: st.DrawFn) -> tuple[float, float, float, float]:
     return x, y, x + draw(st.floats(0.1, 400)), y + draw(st.floats(0.1, 400))
 
 
-@settings(deadline=None)
 @given(st.lists(boxes(), min_size=1, max_size=4))
 def test_the_cells_of_an_upright_square_fill_its_box_about_what_was_found(
     found: list[tuple[float, float, float, float]],
@@ -95,7 +94,6 @@ def test_the_cells_of_an_upright_square_fill_its_box_about_what_was_found(
     torch.testing.assert_close(about.in_the_mirror().boxes(), covered)
 
 
-@settings(deadline=None)
 @given(squares(), st.sampled_from([0.0, 0.5, 1.0, 1.5]))
 def test_a_mirrored_square_shows_the_same_left_for_right(upright: Squares, half_turns: float) -> None:
     turned = Squares(upright.centre, upright.side, torch.tensor([math.pi * half_turns]), upright.mirrored)
@@ -108,7 +106,6 @@ def test_a_mirrored_square_shows_the_same_left_for_right(upright: Squares, half_
     torch.testing.assert_close(there[:, 3:], expected[:, 3:], atol=1e-4, rtol=0)
 
 
-@settings(deadline=None)
 @given(squares(), st.integers(1, 3))
 def test_a_turned_square_sees_what_an_upright_one_sees_of_the_image_turned_back(upright: Squares, turns: int) -> None:
     """A square's axes turn clockwise, from the image's x to its y: against them, the image."""
@@ -124,7 +121,6 @@ def test_a_turned_square_sees_what_an_upright_one_sees_of_the_image_turned_back(
     torch.testing.assert_close(seen[:, 3:], expected[:, 3:], atol=1e-4, rtol=0)
 
 
-@settings(deadline=None)
 @given(
     st.floats(0.3, 1.2),
     st.floats(200.0, 900.0),

@@ -29,6 +29,8 @@ from toolee_robot.perception.evaluation.estimates import Ranked
 from toolee_robot.perception.evaluation.examples import collect
 from toolee_robot.types import Category, Detection, RgbdFrame, ToolEstimate
 
+pytestmark = pytest.mark.sim
+
 FRAMES = DatasetSpec("hard", 60, seed=7411, test_share=1.0, scene_size=20)
 SURE = 0.5
 """Score above which a detection that shows no end effector counts as a false alarm."""

@@ -10,9 +10,10 @@ import numpy as np
 import pinocchio as pin
 import pybullet as p
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, inverse, transform_points
 from toolee_robot.robots import (
@@ -121,7 +122,7 @@ def test_meshes_are_metric_and_light() -> None:
 
 
 @given(radius=st.floats(0.010, 0.018))
-@settings(max_examples=10, deadline=None)
+@examples(10)
 def test_fingers_wrap_without_sinking_into_the_handle(radius: float) -> None:
     X = nominal_X_hand_tool(radius)
     q = wrap_fingers(X, radius, press=0.0005)

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests.examples import examples
 from toolee_robot.arm_checks import START_TOLERANCE
 from toolee_robot.config import ArmLimits, SceneConfig, StationConfig, load_station
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
@@ -75,7 +76,7 @@ def _measured(model: ArmModel, seed: int) -> tuple[DhCalibration, list[Array]]:
 
 @pytest.mark.parametrize("model", MODELS)
 @given(q=ANGLES)
-@settings(max_examples=30, deadline=None)
+@examples(30)
 def test_the_flange_is_where_the_table_has_it(model: ArmModel, q: Array) -> None:
     expected = HALF_TURN @ _chain(model, q)
     np.testing.assert_allclose(load_robot(model).link_poses(q, np.zeros(24))[FLANGE_FRAME], expected, atol=1e-9)
@@ -84,7 +85,7 @@ def test_the_flange_is_where_the_table_has_it(model: ArmModel, q: Array) -> None
 
 @pytest.mark.parametrize("model", MODELS)
 @given(q=ANGLES, seed=st.integers(0, 3))
-@settings(max_examples=30, deadline=None)
+@examples(30)
 def test_a_calibrated_arm_turns_about_its_measured_axes(model: ArmModel, q: Array, seed: int) -> None:
     calibration, axes = _measured(model, seed)
     robot = load_robot(model, calibration)

@@ -15,6 +15,8 @@ from toolee_robot.frames import inverse, rotation_angle
 from toolee_robot.hal import ContactGuard, MotionOutcome
 from toolee_robot.sim_backend import SimStation
 
+pytestmark = pytest.mark.sim
+
 CONFIG = StationConfig()
 SPEED = 1.1  # [m/s]
 

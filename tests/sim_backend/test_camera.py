@@ -15,6 +15,8 @@ from toolee_robot.render.mesh import box
 from toolee_robot.sim_backend.camera import SimCamera
 from toolee_robot.sim_backend.visuals import VisualBody
 
+pytestmark = pytest.mark.sim
+
 CONFIG = CameraConfig()
 CENTER = np.array(CONFIG.target)
 

@@ -28,6 +28,8 @@ from toolee_robot.sim_backend.quiet import pb
 from toolee_robot.sim_backend.station import draw_hammer
 from toolee_robot.sim_backend.world import NORMAL
 
+pytestmark = pytest.mark.sim
+
 FIRM = GripLimits(along=1e4, across=1e4, about=1e3, tilting=1e3)  # never reached
 LOOSE = GripLimits(along=4.0, across=5.0, about=0.05, tilting=0.2)
 Body = tuple[float, Array, float]  # mass [kg], principal moments (3,) [kg m^2], centre of mass from the grip [m]

@@ -19,6 +19,8 @@ from toolee_robot.sim_backend.nail import Nail
 from toolee_robot.sim_backend.wood import NailSpec, driving_work
 from toolee_robot.types import Category, InHandEstimate
 
+pytestmark = pytest.mark.sim
+
 DOWN = np.diag([1.0, -1.0, -1.0])
 SPEC = NailSpec()
 HALF = 0.03  # [m] half the head's length

@@ -22,6 +22,8 @@ from toolee_robot.tools import ToolKind, make_tool
 from toolee_robot.tools import test_seeds as held_out_seeds
 from toolee_robot.types import Category
 
+pytestmark = pytest.mark.sim
+
 SPEC = NailSpec.from_config(WorkConfig())
 UPRIGHT = np.diag([1.0, -1.0, -1.0])
 FACE_RADIUS, HEAD_LENGTH = 0.014, 0.06

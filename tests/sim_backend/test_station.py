@@ -22,6 +22,8 @@ from toolee_robot.sim_backend.person import handed_over
 from toolee_robot.tools import ToolKind, make_tool, split
 from toolee_robot.types import Payload, Trajectory
 
+pytestmark = pytest.mark.sim
+
 CONFIG = StationConfig()
 # The palm faces the person, fingers down.
 X_BASE_HAND = frame_from_axes(z=np.array([0.0, -0.3, -1.0]), x=np.array([1.0, 0.0, 0.0]), p=[0.55, -0.35, 0.75])

@@ -27,6 +27,8 @@ from toolee_robot.sim_backend.ur_controller.service import Service
 from toolee_robot.sim_backend.ur_controller.world_plant import WorldPlant
 from toolee_robot.sim_backend.ur_controller.world_service import WorldService
 
+pytestmark = pytest.mark.sim
+
 CONFIG, SEED, TICK = StationConfig(), 101, 0.008
 PERIOD = 0.005  # [s] between ticks: faster than real, and time for the other thread
 SLOW = HostClock(pace=0.2)  # the world's time, at least: a tick with a hand full of contacts takes 11 ms, on two busy

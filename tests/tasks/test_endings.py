@@ -25,6 +25,8 @@ from toolee_robot.tasks.observer import TaskObserver
 from toolee_robot.tasks.outcome import Outcome, Stage
 from toolee_robot.types import RgbdFrame, ToolEstimate
 
+pytestmark = pytest.mark.sim
+
 
 @pytest.fixture(scope="module")
 def empty() -> Iterator[SimStation]:

@@ -16,6 +16,8 @@ from toolee_robot.faults.job_bench import CONFIG, Bench, Log, at_rest, grip_kept
 from toolee_robot.frames import Array
 from toolee_robot.tasks.outcome import HammerResult, Outcome, Stage
 
+pytestmark = pytest.mark.sim
+
 
 def stands(bench: Bench, result: HammerResult, outcome: Outcome, says: str) -> None:
     assert result.outcome is outcome

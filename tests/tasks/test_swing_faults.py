@@ -102,6 +102,7 @@ def swing(over_nail: tuple[Bench, StrikePlan]) -> Swing:
     return Swing(bench, robot, plan, motions, log)
 
 
+@pytest.mark.sim
 def test_the_blow_itself_meets_the_nail(swing: Swing) -> None:
     report, verdict = swing.motions.swing("strike", swing.plan)
     assert report.contact is not None
@@ -125,6 +126,7 @@ FAULTS: dict[str, tuple[Callable[[Swing], None], type[MotionFaultError], float]]
 }
 
 
+@pytest.mark.sim
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_in_mid_swing(swing: Swing, name: str) -> None:
     cause, error, cycles = FAULTS[name]
@@ -150,6 +152,7 @@ def test_a_fault_in_mid_swing(swing: Swing, name: str) -> None:
     assert bench.sim.world.nail.protrusion == pytest.approx(CONFIG.work.nail_protrusion, abs=1e-4)
 
 
+@pytest.mark.sim
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_at_rest_and_the_way_out(swing: Swing, name: str) -> None:
     """Nothing moves; after a person has made it ready and confirmed the reset it does, slowly at first."""
@@ -177,6 +180,7 @@ def test_a_fault_at_rest_and_the_way_out(swing: Swing, name: str) -> None:
     assert grip_kept(bench.sim)
 
 
+@pytest.mark.realtime
 def test_somebody_steps_in(swing: Swing) -> None:
     """A thread of its own asks for it every 10 ms: how many cycles later it is heard depends on the machine, hence a
     blow that never gets to the nail is all that is asked here."""
@@ -192,6 +196,7 @@ def test_somebody_steps_in(swing: Swing) -> None:
         swing.run()
 
 
+@pytest.mark.sim
 def test_real_time_that_was_lost_is_not_caught_up(swing: Swing) -> None:
     """Else the simulation would run away from the threads that watch it, after every plan that took long to check."""
     world = swing.bench.sim.world
@@ -210,6 +215,7 @@ HAND_TROUBLE: dict[str, tuple[Callable[[Bench], None], type[DeviceError], str]] 
 }
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("name", HAND_TROUBLE)
 @pytest.mark.parametrize("motion", ["strike", "transfer"])
 def test_the_hand_is_watched_all_the_way(swing: Swing, motion: str, name: str) -> None:

@@ -13,6 +13,8 @@ from toolee_robot.sim_backend.quiet import pb
 from toolee_robot.tasks.outcome import HammerResult, Outcome
 from toolee_robot.types import Trajectory
 
+pytestmark = pytest.mark.sim
+
 
 def knock_at_the_wood(bench: Bench, monkeypatch: pytest.MonkeyPatch, force: float, seconds: float) -> None:
     """The first time that the arm feels for the wood, the hand is pushed up [N] for so long, far from the wood."""

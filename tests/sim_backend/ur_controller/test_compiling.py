@@ -5,11 +5,14 @@ from __future__ import annotations
 import time
 
 import numpy as np
+import pytest
 
 from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.model import UR10
 from toolee_robot.sim_backend.ur_controller.program import WAITING, RuntimeState
 from toolee_robot.sim_backend.ur_controller.robot import Robot
+
+pytestmark = pytest.mark.sim
 
 SHORT = "def first():\n  while True:\n    sync()\n  end\nend\n"
 

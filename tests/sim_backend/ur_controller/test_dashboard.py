@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from tests.sim_backend.ur_controller.wire import Recorder, robot
 from toolee_robot.sim_backend.ur_controller.dashboard import MAX_LINE, DashboardSession
 from toolee_robot.sim_backend.ur_controller.robot import Robot
@@ -136,7 +137,7 @@ def test_a_line_without_end_ends_the_connection() -> None:
     assert not client.sink.open
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(
     st.lists(st.one_of(st.binary(max_size=100), st.sampled_from([b"play\n", b"power on\n", b"stop\n", b"popup \n"])))
 )

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from tests.sim_backend.ur_controller.wheel import Wheel, WheelDiedError, WheelHungError
 from tests.sim_backend.ur_controller.wheel_contract import wait_for
 from tests.sim_backend.ur_controller.wheel_motions import speed_with_kicks
@@ -23,6 +24,8 @@ from toolee_robot.sim_backend.ur_controller.controller import Controller, Contro
 from toolee_robot.sim_backend.ur_controller.fault_client import FaultClient
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess, resting_joints
 from toolee_robot.sim_backend.ur_controller.rtde_types import packet
+
+pytestmark = pytest.mark.sim
 
 HOST = "127.0.0.15"
 PERIOD = 0.008
@@ -326,7 +329,7 @@ def test_a_dropped_link_in_mid_motion_stops_the_arm_by_its_watchdog(controller: 
         assert wheel.control("isProgramRunning")
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     port=st.sampled_from([29999, 30001, 30002, 30003, 30004, 30020]),
     chunks=st.lists(

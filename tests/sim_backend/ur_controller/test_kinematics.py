@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from tests.strategies import transforms
 from toolee_robot.frames import Array
 from toolee_robot.robots import load_robot
@@ -21,7 +22,7 @@ joints = st.tuples(*[angle] * 6).map(np.array)
 
 
 @given(models, joints)
-@settings(max_examples=200, deadline=None)
+@examples(200)
 def test_every_posture_found_is_at_the_pose(model: ControllerModel, q: Array) -> None:
     X = forward(model, q)
     found = inverse_all(model, X, q)
@@ -32,7 +33,7 @@ def test_every_posture_found_is_at_the_pose(model: ControllerModel, q: Array) ->
 
 
 @given(models, joints)
-@settings(max_examples=200, deadline=None)
+@examples(200)
 def test_the_posture_itself_is_found_from_nearby(model: ControllerModel, q: Array) -> None:
     if abs(np.sin(q[4])) < 0.05 or abs(np.sin(q[2])) < 0.05 or _over_the_base(model, q):
         return  # at a singularity the nearest posture need not be the same one
@@ -47,7 +48,7 @@ def _over_the_base(model: ControllerModel, q: Array) -> bool:
 
 
 @given(models, transforms(), joints)
-@settings(max_examples=100, deadline=None)
+@examples(100)
 def test_what_is_reached_is_reached_and_what_is_not_is_none(model: ControllerModel, X: Array, near: Array) -> None:
     X = X.copy()
     X[:3, 3] *= 2.0
@@ -61,7 +62,7 @@ def test_what_is_reached_is_reached_and_what_is_not_is_none(model: ControllerMod
 
 
 @given(models, joints)
-@settings(max_examples=50, deadline=None)
+@examples(50)
 def test_the_jacobian_is_the_derivative(model: ControllerModel, q: Array) -> None:
     h = 1e-6
     J = chain(model, q).jacobian(forward(model, q)[:3, 3])
@@ -84,7 +85,7 @@ def test_the_models_agree_with_the_urdf_turned_by_half_a_turn(name: str) -> None
 
 
 @given(transforms(), transforms(), st.floats(0.0, 1.0))
-@settings(max_examples=100, deadline=None)
+@examples(100)
 def test_poses_and_displacements_invert_each_other(X: Array, Y: Array, alpha: float) -> None:
     np.testing.assert_allclose(poses.matrix(poses.vector(X)), X, atol=1e-9)
     np.testing.assert_allclose(poses.inverse(X) @ X, np.eye(4), atol=1e-9)

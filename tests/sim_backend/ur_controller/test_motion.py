@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from tests.sim_backend.ur_controller.script_robot import READY, ScriptRobot
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller import poses
@@ -30,7 +31,7 @@ def tcp_path(robot: ScriptRobot) -> Array:
 
 
 @given(offsets, st.floats(0.3, 3.0), st.floats(0.5, 20.0), st.sampled_from([UR10, UR10E]))
-@settings(max_examples=25, deadline=None)
+@examples(25)
 def test_movej_arrives_together_within_its_limits(offset: Array, v: float, a: float, model: ControllerModel) -> None:
     robot = ScriptRobot(model)
     goal = np.array(READY) + offset
@@ -200,7 +201,7 @@ MOTIONS = [
 
 
 @given(st.sampled_from(MOTIONS), st.floats(0.0, 1.0), st.sampled_from([UR10, UR10E]), st.booleans())
-@settings(max_examples=40, deadline=None)
+@examples(40)
 def test_every_motion_can_be_stopped_at_any_time(motion: str, when: float, model: ControllerModel, hard: bool) -> None:
     """The program's stop and the safety system's: in the direction of the moment, at the deceleration stated."""
     robot = ScriptRobot(model)

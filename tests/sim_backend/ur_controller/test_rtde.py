@@ -6,9 +6,10 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from tests.sim_backend.ur_controller.wire import RtdeServer
 from toolee_robot.sim_backend.ur_controller.rtde_inputs import INPUTS
 from toolee_robot.sim_backend.ur_controller.rtde_types import FORMATS, packet
@@ -220,7 +221,7 @@ def test_a_lost_framing_ends_the_connection() -> None:
     assert not client.sink.open
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(st.data())
 def test_packets_survive_any_cut(data: st.DataObject) -> None:
     stream = b"".join(
@@ -243,7 +244,7 @@ def test_packets_survive_any_cut(data: st.DataObject) -> None:
     assert pieces.server.robot.registers.int_in[3] == -7
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(st.lists(st.one_of(st.binary(max_size=200), st.builds(packet, st.integers(0, 255), st.binary(max_size=60)))))
 def test_any_bytes_leave_the_server_alive(chunks: list[bytes]) -> None:
     server = RtdeServer()
@@ -257,7 +258,7 @@ def test_any_bytes_leave_the_server_alive(chunks: list[bytes]) -> None:
     assert fresh.outputs("timestamp") == b"\x01DOUBLE"
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(
     st.lists(st.sampled_from(sorted(INPUTS)), min_size=1, max_size=8, unique=True),
     st.binary(min_size=200, max_size=200),

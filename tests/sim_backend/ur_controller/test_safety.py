@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from tests.sim_backend.ur_controller.wire import Recorder, robot
 from toolee_robot.sim_backend.ur_controller.primary import StateSession
 from toolee_robot.sim_backend.ur_controller.process import Q_START
@@ -164,7 +165,7 @@ def test_a_program_that_fails_ends() -> None:
     assert served.program.last_error
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(st.data())
 def test_programs_are_cut_out_of_any_stream(data: st.DataObject) -> None:
     program = "def job():\n  if True:\n    sync()\n  end\nend\n"
@@ -182,7 +183,7 @@ def test_programs_are_cut_out_of_any_stream(data: st.DataObject) -> None:
     ]
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(
     st.lists(
         st.one_of(st.binary(max_size=80), st.sampled_from([b"def a():\n", b"end\n", b" movej(q)\n", b"sec b():\n"]))

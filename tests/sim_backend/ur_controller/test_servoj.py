@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from tests.sim_backend.ur_controller.script_robot import READY, ScriptRobot
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.model import UR10, UR10E, ControllerModel
@@ -100,7 +101,7 @@ def assert_within_limits(robot: ScriptRobot) -> None:
 
 
 @given(shares, st.floats(0.2, 2.0), st.floats(0.05, 0.4), either)
-@settings(max_examples=25, deadline=None)
+@examples(25)
 def test_a_stream_that_ends_in_mid_motion_is_passed_in_its_own_direction(
     share: Array, top: float, ramp: float, model: ControllerModel
 ) -> None:
@@ -124,7 +125,7 @@ def test_a_stream_that_ends_in_mid_motion_is_passed_in_its_own_direction(
 
 
 @given(shares, st.lists(st.booleans(), min_size=30, max_size=30), either)
-@settings(max_examples=25, deadline=None)
+@examples(25)
 def test_a_late_packet_costs_a_few_ticks(share: Array, late: list[bool], model: ControllerModel) -> None:
     """Each packet may come together with the next one; after the last late one the stream is followed exactly again."""
     robot = streaming(model)
@@ -141,7 +142,7 @@ def test_a_late_packet_costs_a_few_ticks(share: Array, late: list[bool], model: 
 
 
 @given(st.lists(st.tuples(shares, st.integers(1, 60)), min_size=1, max_size=6), either)
-@settings(max_examples=25, deadline=None)
+@examples(25)
 def test_any_goals_are_reached_within_the_limits(goals: list[tuple[Array, int]], model: ControllerModel) -> None:
     """Jumps of the goal in every direction, while the arm still moves for the one before."""
     robot = streaming(model)

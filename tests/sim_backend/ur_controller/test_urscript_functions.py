@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from tests.sim_backend.ur_controller.script_robot import READY, ScriptRobot
 from tests.strategies import transforms
 from toolee_robot.frames import Array, inverse
@@ -30,7 +31,7 @@ def pose(X: Array) -> str:
 
 
 @given(transforms(), transforms(), st.floats(0.0, 1.0))
-@settings(max_examples=40, deadline=None)
+@examples(40)
 def test_pose_functions(X: Array, Y: Array, alpha: float) -> None:
     robot = ScriptRobot()
 
@@ -49,7 +50,7 @@ def test_pose_functions(X: Array, Y: Array, alpha: float) -> None:
 
 
 @given(transforms())
-@settings(max_examples=20, deadline=None)
+@examples(20)
 def test_a_wrench_does_the_same_work_wherever_it_is_seen_from(X: Array) -> None:
     w, twist = np.array([1.0, -2.0, 3.0, 0.4, -0.5, 0.6]), np.array([0.3, 0.1, -0.2, 0.5, 0.2, -0.7])
     seen = written(ScriptRobot(), f"wrench_trans({pose(X)}, {w.tolist()})")

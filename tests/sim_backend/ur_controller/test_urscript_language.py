@@ -9,9 +9,10 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from tests.sim_backend.ur_controller.script_robot import ScriptRobot
 from toolee_robot.sim_backend.ur_controller.urscript import ScriptError
 from toolee_robot.sim_backend.ur_controller.urscript import syntax as s
@@ -62,7 +63,7 @@ def python_value(node: ast.expr) -> float:
 
 
 @given(arithmetic)
-@settings(max_examples=150, deadline=None)
+@examples(150)
 @example("2 + 3 * 4 - 10 / 4")
 @example("7 % 3 * 2")
 def test_arithmetic_is_pythons(text: str) -> None:
@@ -93,7 +94,7 @@ logic = st.recursive(
 
 
 @given(logic)
-@settings(max_examples=100, deadline=None)
+@examples(100)
 def test_logic_is_pythons(text: str) -> None:
     robot = ScriptRobot()
     robot.run(f"write_output_boolean_register(0, {text})")
@@ -203,7 +204,7 @@ def bare(node: Any) -> Any:
 
 
 @given(st.lists(statements, min_size=1, max_size=4))
-@settings(max_examples=80, deadline=None)
+@examples(80)
 def test_what_is_printed_parses_to_the_same(body: list[Any]) -> None:
     program = parse(f"def job():\n{block(body)}\nend\n")
     assert bare(program.main.body) == bare(tuple(body))
@@ -219,7 +220,7 @@ words = st.one_of(
 
 
 @given(st.one_of(st.lists(words, max_size=40).map(" ".join), st.binary(max_size=60).map(lambda b: b.decode("latin1"))))
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @example("(" * 5000)
 @example("a = " + "-" * 5000 + "1")
 @example("a = " + "not " * 5000 + "True")

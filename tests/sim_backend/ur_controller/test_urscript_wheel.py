@@ -14,6 +14,8 @@ from toolee_robot.sim_backend.ur_controller.kinematics import forward
 from toolee_robot.sim_backend.ur_controller.machine import EventKind
 from toolee_robot.sim_backend.ur_controller.model import UR10, UR10E, ControllerModel
 
+pytestmark = pytest.mark.sim
+
 HOSTS = {UR10: "127.0.0.91", UR10E: "127.0.0.92"}
 MOVEJ, MOVEL, SPEEDJ, SERVOJ, SPEED_STOP, SERVO_STOP, PAYLOAD, TCP, IK, PROTECTIVE, STOPJ, WATCHDOG, END = (
     *(1, 3, 9, 11, 15, 16, 17, 29, 30, 31, 34, 35, 255),

@@ -8,6 +8,8 @@ import pytest
 
 from tests.sim_backend.ur_controller.wheel_contract import Bench, WheelContract, open_bench
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture(scope="module")
 def rig() -> Iterator[Bench]:
