@@ -80,7 +80,7 @@ def test_clouds_lie_on_the_ends_that_they_are_said_to_show(examples: Examples) -
 def test_a_folder_without_data_is_refused(tmp_path: Path) -> None:
     with pytest.raises(AssetError, match="dataset generate"):
         collect(tmp_path)
-    with pytest.raises(AssetError, match="train_pose"):
+    with pytest.raises(AssetError, match="toolee train pose"):
         load_estimator(tmp_path)
 
 
