@@ -1,7 +1,7 @@
 """The noise of a time-of-flight depth camera of the Kinect v2 kind: what both of its implementations read.
 
-`render.sensor` applies it to rendered images, a Warp kernel a pixel; `perception.pose.splat` to thousands of small windows
-at a time in torch, where a pose network is trained without a renderer.
+`render.sensor` applies it to rendered images, a Warp kernel a pixel; `perception.pose.splat` to thousands of small
+windows at a time in torch, where a pose network is trained without a renderer.
 
 Axial noise: sigma_z = 1.5 - 0.5 z + 0.3 z^2 + 0.1 z^1.5 theta^2 / (pi/2 - theta)^2 [mm], z in metres, theta the angle
 between ray and surface normal (Fankhauser et al., "Kinect v2 for mobile robot navigation", ICAR 2015). Lateral noise
