@@ -77,7 +77,7 @@ ROWS: dict[str, Row] = {
 }
 
 
-def run_row(name: str, out: Path, config: TrainConfig, banks: Any, hands: Any, device: str | None) -> None:
+def run_row(name: str, out: Path, config: TrainConfig, banks: Any, hands: Any, device: str) -> None:
     """Train a row (or resume it), judge it, write its row.json. Raises TooleeError when the loss is not finite."""
     row = ROWS[name]
     with ranks(device) as place:
@@ -160,14 +160,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--rows", default=",".join(ROWS), help=f"some of {', '.join(ROWS)}")
     parser.add_argument("--minutes", type=float, default=10.0, help="training time of each row")
-    parser.add_argument("--max-steps", type=int, default=0, help="training steps of each row, instead of minutes")
+    parser.add_argument("--max-steps", type=int, help="training steps of each row, instead of minutes")
     parser.add_argument("--batch", type=int, default=TrainConfig.batch)
     parser.add_argument("--train-seeds", type=int, default=TrainConfig.train_seeds)
     parser.add_argument("--test-seeds", type=int, default=TrainConfig.test_seeds)
     parser.add_argument("--validation", type=int, default=TrainConfig.validation, help="held-out clouds")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--hands", type=Path, help="hand samples written by train_pose --prepare-hands")
-    parser.add_argument("--device", help="cpu, cuda or cuda:N")
+    parser.add_argument("--hands", type=Path, help="hand samples written by `toolee train hands`")
+    parser.add_argument("--device", default="auto", help="cpu, cuda or cuda:N")
     parser.add_argument("--table-only", action="store_true")
     options = parser.parse_args(arguments)
     try:
@@ -179,7 +179,7 @@ def main(arguments: list[str] | None = None) -> int:
         if not options.table_only:
             small = max(32, min(TrainConfig.chunk, 4 * options.batch))
             config = TrainConfig(
-                minutes=options.minutes,
+                minutes=None if options.max_steps else options.minutes,
                 max_steps=options.max_steps,
                 batch=options.batch,
                 chunk=small,

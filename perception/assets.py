@@ -56,7 +56,7 @@ def load_weights(directory: Path | None, name: str) -> tuple[dict[str, torch.Ten
     except OSError as error:
         raise AssetError(
             f"weight description {path} is missing: reinstall the package, or train with "
-            f"`python -m toolee_robot.perception.train_{name}` and pass its output folder"
+            f"`toolee train {name}` and pass its output folder"
         ) from error
     except ValueError as error:
         raise AssetError(f"weight description {path} is not valid JSON: fetch the file again ({error})") from error

@@ -2,14 +2,13 @@
 
     report = fit_trust(Path("data/hard-trust/train"), workers=2)  # or: toolee train trust --data data/hard-trust/train
 
-Take data that neither network was trained on, and that nothing is reported on. A detection counts as right where its
-pose is within 10 deg and 2 cm of an end effector of its category. The threshold is the lowest above which PRECISION of
-the poses are right and at which QUIET of the frames without a tool give none.
+Take data that neither network was trained on, and that nothing is reported on. Which poses are right `right_poses`
+says, as in the report of `toolee evaluate pose`. The threshold is the lowest above which PRECISION of the poses are
+right and at which QUIET of the frames without a tool give none.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,15 +19,15 @@ import numpy as np
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.perception import assets
-from toolee_robot.perception.evaluation import metrics, views
+from toolee_robot.perception.evaluation import views
 from toolee_robot.perception.evaluation.crew import Crew
-from toolee_robot.perception.evaluation.estimates import estimate_case
-from toolee_robot.perception.evaluation.examples import Examples, Instance, Part, parts, read_part
+from toolee_robot.perception.evaluation.estimates import Ranked, estimate_case
+from toolee_robot.perception.evaluation.examples import Examples, Part, parts, read_part
+from toolee_robot.perception.evaluation.pose import right_poses
 from toolee_robot.perception.pipeline import ToolPerception
 from toolee_robot.perception.pose import PoseEstimator, confidence
 from toolee_robot.perception.segmentation import Segmenter
 from toolee_robot.perception.trust import FEATURES, Trust, features
-from toolee_robot.types import Category
 
 PRECISION = 0.95
 QUIET = 0.993
@@ -75,28 +74,18 @@ def look(seed: int, networks: Networks, part: Part | int) -> Looked:
 
 
 def _look_at_tools(networks: Networks, examples: Examples) -> Looked:
-    there: dict[tuple[int, Category], list[Instance]] = defaultdict(list)
-    for instance in examples.instances:
-        there[instance.image, instance.category].append(instance)
-    rows = []
+    found = []
     for number, case in enumerate(examples.cases["predicted"]):
+        instance = None if case.instance is None else examples.instances[case.instance]
         result, _ = estimate_case(networks.pose, case, number)
-        if result is None:
-            continue
-        X, group = result.X_camera_ee, case.category.symmetry
-        right = any(
-            bool(
-                metrics.within(
-                    np.asarray(group.rotation_error(X[:3, :3], i.X_camera_ee[:3, :3])),
-                    np.asarray(np.linalg.norm(X[:3, 3] - i.X_camera_ee[:3, 3])),
-                    *metrics.THRESHOLDS["10deg2cm"],
-                )
-            )
-            for i in there[case.image, case.category]
-        )
-        x = features(result.confidence, case.score, case.tool_score, case.category)
-        rows.append((x, float(right), result.usable))
-    return _looked(rows, examples.images)
+        if result is not None and (instance is None or instance.target):
+            # What is being fitted is not known yet: the odds multiplied rank the poses.
+            score, _, _ = Trust().judge(case.score, case.tool_score, result)
+            ranked = Ranked(case.image, case.category, score, result.X_camera_ee, result.usable)
+            found.append((ranked, features(result.confidence, case.score, case.tool_score, case.category)))
+    right, counted = right_poses(examples.instances, [ranked for ranked, _ in found])
+    judged = zip(found, right.tolist(), counted.tolist(), strict=True)
+    return _looked([(x, float(ok), ranked.usable) for (ranked, x), ok, counts in judged if counts], examples.images)
 
 
 def _looked(rows: list[tuple[Array, float, bool]], images: int) -> Looked:

@@ -48,11 +48,11 @@ class Ranks:
 
 
 @contextmanager
-def ranks(device: str | None = None) -> Iterator[Ranks]:
-    """This process's place among those that torchrun started (alone without torchrun). device: None for a GPU, each
+def ranks(device: str = "auto") -> Iterator[Ranks]:
+    """This process's place among those that torchrun started (alone without torchrun). device: "auto" for a GPU, each
     process its own, where there are any."""
     world = int(os.environ.get("WORLD_SIZE", "1"))
-    if device is None:
+    if device == "auto":
         device = f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if torch.cuda.is_available() else "cpu"
     chosen = torch.device(device)
     if chosen.type == "cuda":

@@ -1,22 +1,19 @@
 """Train the refiner of the detector's masks, on one GPU, several, or (for a look) on a CPU.
 
-    python -m toolee_robot.perception.train_refinement --data data/train --out runs/refinement --minutes 15
-    torchrun --nproc-per-node 2 -m toolee_robot.perception.train_refinement --data data/train --out runs/refinement
+    toolee train refinement --data data/train --out runs/refinement --minutes 15
 
 The detector looks once at every image; what it finds is what the refiner learns to draw and to judge. So take images
 that the detector was not trained on, or its masks there are better than they will ever be again. Scenes that appear
-while it trains are taken in, so generation may still run. The learning rate follows the clock. A run that is
-interrupted continues from its last checkpoint with `--resume`. Every checkpoint, and the last act, writes the averaged
-weights in half precision.
+while it trains are taken in, so generation may still run. The learning rate follows the clock. Every checkpoint writes
+the averaged weights in half precision.
 """
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 import torch.nn.functional as F
@@ -31,7 +28,7 @@ from toolee_robot.perception.scene_stream import SceneStream
 from toolee_robot.perception.segmentation_losses import mask_overlap, outline_losses, weighted_mean
 from toolee_robot.perception.segmentation_model import trained_detector
 from toolee_robot.perception.segmentation_refiner import WEIGHTS_NAME, Refiner, RefinerConfig, load_refiner
-from toolee_robot.perception.training_run import ImageTraining, TrainingRun
+from toolee_robot.perception.training_run import ImageTraining, ImageTrainingRun
 
 CHECKPOINT = "refinement_checkpoint.pt"
 LOSSES = ("mask", "dice", "quality")
@@ -44,7 +41,8 @@ class RefinementTraining(ImageTraining):
     """A training of the refiner; the budget begins with the first scenes. batch: detections a rank. detector: folder of
     its weights, the shipped ones if None."""
 
-    minutes: float = 15.0
+    USUAL_MINUTES: ClassVar[float] = 15.0
+
     batch: int = 512
     lr: float = 2e-3
     warmup_steps: int = 300
@@ -87,22 +85,19 @@ def train(config: RefinementTraining) -> Path:
     Raises AssetError for missing or broken data or weights, UserError for bad settings, TooleeError when the loss stops
     being finite (the last checkpoint is kept).
     """
-    with ranks_of(None if config.device == "auto" else config.device) as ranks:
+    with ranks_of(config.device) as ranks:
         torch.manual_seed(config.seed + 1000 * ranks.rank)
         stream = SceneStream(config.data, (ranks.rank, ranks.world))
         try:
-            run = _Run(config, ranks, stream)
-            run.loop()
-            if ranks.first:
-                run.export()
+            _Run(config, ranks, stream).loop()
         finally:
             stream.close()
     return config.out
 
 
-class _Run(TrainingRun):
-    name, checkpoint, log_name, unit = WEIGHTS_NAME, CHECKPOINT, "refinement_training_log.json", "examples"
-    tag = WEIGHTS_NAME
+class _Run(ImageTrainingRun):
+    name = tag = WEIGHTS_NAME
+    checkpoint, log_name = CHECKPOINT, "refinement_log.jsonl"
 
     def __init__(self, config: RefinementTraining, ranks: Ranks, stream: SceneStream) -> None:
         self.config, self.stream = config, stream
@@ -118,12 +113,12 @@ class _Run(TrainingRun):
         refiner = refiner.to(ranks.device).to(memory_format=torch.channels_last)
         if config.compile and ranks.device.type == "cuda":
             refiner.compile(dynamic=False)
-        super().__init__(config, ranks, refiner, refiner)
+        super().__init__(config, config.out, ranks, refiner, refiner)
 
     def images(self) -> int:
         return len(self.data)
 
-    def grow(self) -> None:
+    def extend(self) -> None:
         self._extend(0.0)
 
     def _extend(self, timeout: float) -> None:
@@ -158,29 +153,5 @@ class _Run(TrainingRun):
 
     def described(self) -> dict[str, Any]:
         validation = self.validate()
-        print("refinement: kept aside: " + " ".join(f"{k} {v:.4g}" for k, v in validation.items()), flush=True)
+        self.record({"event": "validation", **validation})
         return {"kind": "mask_refiner", "model": self.config.model.to_json(), "validation": validation}
-
-
-def _parse() -> RefinementTraining:
-    """The command line, with argparse: a GPU machine needs torch and safetensors for this file and no more."""
-    default = RefinementTraining
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True, help="folder of a split of a data set")
-    parser.add_argument("--out", type=Path, required=True, help="folder for checkpoints, log and weights")
-    parser.add_argument("--minutes", type=float, default=default.minutes)
-    parser.add_argument("--batch", type=int, default=default.batch, help="detections a step")
-    parser.add_argument("--lr", type=float, default=default.lr)
-    parser.add_argument("--max-steps", type=int)
-    parser.add_argument("--checkpoint-minutes", type=float, default=default.checkpoint_minutes)
-    parser.add_argument("--log-every", type=int, default=default.log_every)
-    parser.add_argument("--seed", type=int, default=default.seed)
-    parser.add_argument("--device", default=default.device)
-    parser.add_argument("--resume", action="store_true", help="continue from the checkpoint in --out")
-    parser.add_argument("--detector", type=Path, help="folder of the detector's weights (default: the shipped ones)")
-    parser.add_argument("--init", type=Path, help="folder of exported weights to start from")
-    return RefinementTraining(**vars(parser.parse_args()))
-
-
-if __name__ == "__main__":
-    train(_parse())

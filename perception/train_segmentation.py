@@ -1,18 +1,14 @@
 """Train the detector from scratch within a budget of minutes, on one GPU, several, or (small) on a CPU.
 
-    python -m toolee_robot.perception.train_segmentation --data data/train --out runs/segmentation --minutes 12
-    torchrun --nproc-per-node 4 -m toolee_robot.perception.train_segmentation --data data/train --out runs/seg
+    toolee train segmentation --data data/train --out runs/segmentation --minutes 12
 
 The whole data set is held on the device as bytes (each rank its share); scenes that appear while it trains are taken
 in, so generation may still run. Targets and augmentation are made on the device. The learning rate follows the clock:
-a run ends annealed whatever the machine's speed. A run that is interrupted continues from its last checkpoint with
-`--resume`; `--init DIR` starts from the weights that another run exported. Every checkpoint, and the last act, writes
-the averaged weights in half precision.
+a run ends annealed whatever the machine's speed. Every checkpoint writes the averaged weights in half precision.
 """
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -36,9 +32,7 @@ from toolee_robot.perception.segmentation_model import (
     load_detector,
     working_size,
 )
-from toolee_robot.perception.training_run import ImageTraining, TrainingRun
-
-CHECKPOINT = "checkpoint.pt"
+from toolee_robot.perception.training_run import ImageTraining, ImageTrainingRun
 
 
 @dataclass(frozen=True)
@@ -54,7 +48,7 @@ def train(config: SegmentationTraining, images: SegmentationImages | None = None
 
     images: the data, if not to be read from `config.data`. Raises TooleeError when a loss is not finite.
     """
-    with ranks_of(None if config.device == "auto" else config.device) as ranks:
+    with ranks_of(config.device) as ranks:
         torch.manual_seed(config.seed + 1000 * ranks.rank)
         torch.backends.cudnn.benchmark = True
         stream = SceneStream(config.data, (ranks.rank, ranks.world)) if images is None else None
@@ -62,18 +56,15 @@ def train(config: SegmentationTraining, images: SegmentationImages | None = None
             first = [images] if images is not None else stream.take(config.patience) if stream else []
             if not first:
                 raise UserError(f"{config.data} holds no scene for rank {ranks.rank}: generate the data set first")
-            run = _Run(config, ranks, first, stream)
-            run.loop()
-            if ranks.first:
-                run.export()
+            _Run(config, ranks, first, stream).loop()
         finally:
             if stream is not None:
                 stream.close()
     return config.out
 
 
-class _Run(TrainingRun):
-    name, checkpoint, log_name, unit = WEIGHTS_NAME, CHECKPOINT, "training_log.json", "images"
+class _Run(ImageTrainingRun):
+    name = WEIGHTS_NAME
 
     def __init__(
         self,
@@ -97,12 +88,12 @@ class _Run(TrainingRun):
             detector.backbone.compile(dynamic=False)
             loss.compile_proposal_losses()
             self.augment = torch.compile(augment, dynamic=False)
-        super().__init__(config, ranks, detector, loss)
+        super().__init__(config, config.out, ranks, detector, loss)
 
     def images(self) -> int:
         return len(self.data)
 
-    def grow(self) -> None:
+    def extend(self) -> None:
         self._extend(self.stream.take() if self.stream is not None else [])
 
     def _extend(self, images: list[SegmentationImages]) -> None:
@@ -122,28 +113,3 @@ class _Run(TrainingRun):
         with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
             losses: dict[str, Tensor] = self.module(replace(batch, pixels=pixels), instances)
         return losses, {}
-
-
-def _parse() -> SegmentationTraining:
-    """The command line, with argparse: a GPU machine needs torch and safetensors for this file and no more."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--data", type=Path, required=True, help="data set, as `toolee_robot.perception.dataset` writes it"
-    )
-    parser.add_argument("--out", type=Path, required=True, help="folder for checkpoints, log and weights")
-    parser.add_argument("--minutes", type=float, default=SegmentationTraining.minutes)
-    parser.add_argument("--batch", type=int, default=SegmentationTraining.batch, help="images a rank")
-    parser.add_argument("--lr", type=float, default=SegmentationTraining.lr)
-    parser.add_argument("--clip-norm", type=float, default=SegmentationTraining.clip_norm)
-    parser.add_argument("--ema", type=float, default=SegmentationTraining.ema)
-    parser.add_argument("--checkpoint-minutes", type=float, default=SegmentationTraining.checkpoint_minutes)
-    parser.add_argument("--max-steps", type=int)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--device", default="auto")
-    parser.add_argument("--resume", action="store_true", help="continue from the checkpoint in --out")
-    parser.add_argument("--init", type=Path, help="folder of exported weights to start from")
-    return SegmentationTraining(**vars(parser.parse_args()))
-
-
-if __name__ == "__main__":
-    train(_parse())

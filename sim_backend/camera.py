@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 
 from toolee_robot.config import CameraConfig
+from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.hal import Clock
 from toolee_robot.render.lab import laboratory
@@ -17,7 +18,7 @@ from toolee_robot.render.palette import finish
 from toolee_robot.render.photo import Photo, photograph
 from toolee_robot.render.renderer import render
 from toolee_robot.render.scene import Body, Rendering, Scene
-from toolee_robot.render.sensor import DepthNoise, measure_depth
+from toolee_robot.render.sensor import measure_depth
 from toolee_robot.sim_backend.visuals import VisualBody, VisualWorld
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 

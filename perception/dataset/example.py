@@ -9,6 +9,7 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, number_of
 from toolee_robot.perception.dataset.hard import hard_scene
@@ -21,7 +22,7 @@ from toolee_robot.perception.dataset.spec import CONFIGS, SPLITS, DatasetSpec
 from toolee_robot.perception.dataset.station import station_scene
 from toolee_robot.render.photo import Photo, photograph
 from toolee_robot.render.renderer import Shot
-from toolee_robot.render.sensor import DepthNoise, measure_depth
+from toolee_robot.render.sensor import measure_depth
 from toolee_robot.tools import ee_radius
 from toolee_robot.types import CameraIntrinsics
 

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.frames import Array, angle_between, rotation_angle
+from toolee_robot.perception.pose.confidence import RIGHT
 from toolee_robot.symmetry import SymmetryGroup
 
 THRESHOLDS: dict[str, tuple[float, float]] = {
     "5deg2cm": (5.0, 0.02),
     "5deg5cm": (5.0, 0.05),
     "10deg5cm": (10.0, 0.05),
-    "10deg2cm": (10.0, 0.02),
+    "10deg2cm": RIGHT,
     "5deg1cm": (5.0, 0.01),
     "5deg5mm": (5.0, 0.005),
     "2deg2mm": (2.0, 0.002),

@@ -11,6 +11,7 @@ from toolee_robot.perception.evaluation import metrics
 from toolee_robot.perception.evaluation.estimates import CATEGORIES, Estimates, Ranked
 from toolee_robot.perception.evaluation.examples import Instance
 from toolee_robot.perception.evaluation.shapes import ee_shape
+from toolee_robot.perception.pose.confidence import RIGHT
 from toolee_robot.types import Category
 
 GROUPS = ("held-out", "seen")
@@ -159,20 +160,35 @@ def usable_poses(instances: list[Instance], ranked: list[Ranked], images: int) -
     """What comes of acting on every usable pose, false alarms among them: share of those within 10 deg 2 cm of an end
     effector of their category, how many an image are not, and the share of the end effectors that are asked for and
     get a right one."""
-    by_image = _by_image(instances)
-    right = counted = targets = 0
-    for category in CATEGORIES:
-        usable = sorted((r for r in ranked if r.category is category and r.usable), key=lambda r: -r.score)
-        overlaps = [_overlaps(r, by_image.get((r.image, category), [])) for r in usable]
-        correct, counts = _matched(usable, overlaps, metrics.THRESHOLDS["10deg2cm"])
-        right, counted = right + int(correct.sum()), counted + int(counts.sum())
-        targets += sum(i.target and i.category is category for i in instances)
+    correct, counts = right_poses(instances, [r for r in ranked if r.usable])
+    right, counted = int(correct.sum()), int(counts.sum())
+    targets = sum(i.target for i in instances)
     return {
         "poses": counted,
         "right_10deg2cm": right / counted if counted else None,
         "wrong_per_image": (counted - right) / images if images else None,
         "found_10deg2cm": right / targets if targets else None,
     }
+
+
+def right_poses(instances: list[Instance], ranked: list[Ranked]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """The criterion by which poses under a detector's masks are reported and trust in them is fitted.
+
+    Args:
+        instances: What there is in the images.
+        ranked: Poses of any images and categories, in any order.
+
+    Returns:
+        For each pose whether it is within `confidence.RIGHT` of an end effector of its category that no pose of a
+        higher score has taken, and whether it counts at all: one of an end effector that is not asked for does not.
+    """
+    by_image = _by_image(instances)
+    order = sorted(range(len(ranked)), key=lambda k: -ranked[k].score)
+    best_first = [ranked[k] for k in order]
+    overlaps = [_overlaps(r, by_image.get((r.image, r.category), [])) for r in best_first]
+    correct, counted = _matched(best_first, overlaps, RIGHT)
+    place = np.argsort(order)
+    return correct[place], counted[place]
 
 
 _Overlap = list[tuple[float, Instance]]

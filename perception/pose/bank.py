@@ -185,7 +185,7 @@ def load_hands(path: Path | None) -> Float32:
     except (OSError, KeyError, ValueError) as error:
         raise AssetError(
             f"cannot read the hand samples {path}: {error}; write them with "
-            "`python -m toolee_robot.perception.train_pose --prepare-hands FILE` where gymnasium-robotics is installed"
+            "`toolee train hands --out FILE` where gymnasium-robotics is installed"
         ) from error
 
 

@@ -16,6 +16,9 @@ from toolee_robot.perception.pose.canonical import MIN_POINTS
 from toolee_robot.perception.pose.pooling import Pooled
 from toolee_robot.types import Category
 
+RIGHT = (10.0, 0.02)
+"""[deg], [m] A pose within these, modulo its category's symmetry, is right: what confidence and trust are fitted to,
+and what is reported of them."""
 FEATURES = (
     "log_sigma_position",
     "log_sigma_axis",

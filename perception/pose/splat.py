@@ -1,6 +1,6 @@
 """Z-buffer splatting of surface samples and a time-of-flight sensor's noise, batched in torch, for training clouds.
 
-The sensor is `toolee_robot.render.sensor`'s (Kinect v2; Fankhauser et al. 2015), on small windows around the EE.
+The sensor is that of `toolee_robot.depth_noise`, on small windows around the EE.
 """
 
 from __future__ import annotations
@@ -13,6 +13,19 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from toolee_robot.depth_noise import (
+    AXIAL_MM,
+    COMMON,
+    GRAZING_WIDTH,
+    NEAREST,
+    NOTHING,
+    OUT_OF_PHASE,
+    RANGES,
+    STEEPEST,
+    SYSTEMATIC,
+    DepthNoise,
+)
+
 GRID = 112
 """Pixels a side of the window around the EE."""
 
@@ -22,6 +35,8 @@ _EMPTY = 2**31 - 1
 _SPARE = 1 << 16
 _ANGLES = 8
 """Incidence is kept in this many steps of its cosine."""
+
+_NOMINAL = DepthNoise()
 
 TARGET, TARGET_TELLS_SPIN, TOOL, HAND, OCCLUDER, BACKGROUND = 1, 2, 3, 4, 5, 6
 
@@ -132,9 +147,10 @@ def measure(
     """
     B, device = len(depth), depth.device
 
-    def uniform(low: float, high: float, nominal: float) -> Tensor:
+    def uniform(name: str) -> Tensor:
         if level is not None:
-            return torch.full((B, 1, 1), nominal * min(level, 1.0), device=device)
+            return torch.full((B, 1, 1), getattr(_NOMINAL, name) * min(level, 1.0), device=device)
+        low, high = RANGES[name]
         return low + (high - low) * torch.rand(B, 1, 1, device=device, generator=generator)
 
     def normal(*shape: int) -> Tensor:
@@ -143,42 +159,46 @@ def measure(
     def chance() -> Tensor:
         return torch.rand(depth.shape, device=device, generator=generator)
 
-    axial = uniform(0.4, 1.8, 1.0) * (max(level, 1.0) if level is not None else 1.0)
-    share = uniform(0.0, 0.6, 0.3)
-    lateral = uniform(0.0006, 0.0025, 0.0016)
-    mixed, edge_dropout = uniform(0.2, 0.9, 0.6), uniform(0.0, 0.4, 0.15)
-    shiny, lost = uniform(0.0, 0.6, 0.25), uniform(0.0, 0.004, 0.001)
-    grazing = torch.deg2rad(uniform(76.0, 87.0, 83.0)) if level is None else torch.full((B, 1, 1), 1.45, device=device)
-    bias, scale = (0.001 * normal(B, 1, 1) if level is None else torch.zeros(B, 1, 1, device=device) for _ in "bs")
+    axial = uniform("axial") * (max(level, 1.0) if level is not None else 1.0)
+    share, lateral = uniform("correlation"), uniform("lateral")
+    mixed, edge_dropout = uniform("mixed"), uniform("edge_dropout")
+    shiny, lost = uniform("shiny_dropout"), uniform("random_dropout")
+    if level is None:
+        grazing = torch.deg2rad(uniform("grazing_deg"))
+        bias, scale = (SYSTEMATIC * normal(B, 1, 1) for _ in range(2))
+    else:
+        grazing = torch.full((B, 1, 1), _NOMINAL.grazing, device=device)
+        bias = scale = torch.zeros(B, 1, 1, device=device)
 
     # Lateral jitter frays outlines.
-    sigma = lateral * f[:, None, None] / depth.clamp_min(0.3)
+    sigma = lateral * f[:, None, None] / depth.clamp_min(NEAREST)
     k = torch.arange(GRID, device=device)
     rows = (k[None, :, None] + normal(B, GRID, GRID) * sigma).round().long().clamp(0, GRID - 1)
     columns = (k[None, None] + normal(B, GRID, GRID) * sigma).round().long().clamp(0, GRID - 1)
     other = depth.flatten(1).gather(1, (rows * GRID + columns).flatten(1)).view_as(depth)
-    seen = torch.where(((other - depth).abs() > 0.02) & (depth > 0), other, depth)
+    seen = torch.where(((other - depth).abs() > _NOMINAL.edge_step) & (depth > 0), other, depth)
 
-    filled = torch.where(seen > 0, seen, 10.0)[:, None]
+    filled = torch.where(seen > 0, seen, NOTHING)[:, None]
     high = F.max_pool2d(filled, 3, 1, 1)[:, 0]
     low = -F.max_pool2d(-filled, 3, 1, 1)[:, 0]
-    edge = (high - low > 0.02) & (seen > 0)
+    edge = (high - low > _NOMINAL.edge_step) & (seen > 0)
 
-    theta = torch.acos(cosine).clamp(max=1.48)
-    skew = 0.1 * seen * seen.sqrt() * (theta / (torch.pi / 2 - theta)) ** 2
-    sigma_z = 1e-3 * (1.5 - 0.5 * seen + 0.3 * seen * seen + skew)
-    noise = (1 - share).sqrt() * normal(B, GRID, GRID) + share.sqrt() * smooth_noise(B, 1.2, generator, device)
+    theta = torch.acos(cosine).clamp(max=STEEPEST)
+    a, b, c, d = AXIAL_MM
+    slant = theta / (torch.pi / 2 - theta)
+    sigma_z = 1e-3 * (a + b * seen + c * seen * seen + d * seen * seen.sqrt() * slant**2)
+    noise = (1 - share).sqrt() * normal(B, GRID, GRID) + share.sqrt() * smooth_noise(B, COMMON, generator, device)
     out = seen * (1 + scale) + bias + axial * sigma_z * noise
 
     weight = chance()
     weight = torch.where(weight < 0.5, 2 * weight * weight, 1 - 2 * (1 - weight) ** 2)
-    mixture = torch.where(high - low > 0.5, 0.0, low + weight * (high - low))
+    mixture = torch.where(high - low > OUT_OF_PHASE, 0.0, low + weight * (high - low))
     out = torch.where(edge & (chance() < mixed) & (weight > 0.5), mixture, out)
     drop = edge & (chance() < edge_dropout)
     drop |= chance() < lost
     drop |= chance() < shiny * shininess[:, None, None] * theta.sin()
-    drop |= chance() < torch.sigmoid((theta - grazing) / 0.052)
-    return torch.where(drop | (out < 0.25) | (seen <= 0) | (depth <= 0), 0.0, out)
+    drop |= chance() < torch.sigmoid((theta - grazing) / GRAZING_WIDTH)
+    return torch.where(drop | (out < _NOMINAL.minimum) | (seen <= 0) | (depth <= 0), 0.0, out)
 
 
 def smooth_noise(B: int, sigma: float, generator: torch.Generator, device: torch.device) -> Tensor:

@@ -1,4 +1,4 @@
-"""Training of the pose network on clouds made as they are needed; see `toolee_robot.perception.train_pose`."""
+"""Training of the pose network on clouds made as they are needed: `toolee train pose`."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from typing import Any, Generic
 import torch
 from torch import Tensor, nn
 
-from toolee_robot.errors import AssetError, TooleeError, UserError
-from toolee_robot.files import written_whole
+from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.pose import validation
 from toolee_robot.perception.pose.bank import Float32, ToolBank, load_hands, tool_bank
 from toolee_robot.perception.pose.cloud_batch import CloudBatch
@@ -27,12 +26,15 @@ from toolee_robot.perception.pose.settled_norms import settle_norms
 from toolee_robot.perception.pose.train_config import TrainConfig
 from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.perception.ranks import Ranks, ranks
-from toolee_robot.perception.training_log import Scalars
+from toolee_robot.perception.training_run import TrainingRun
 
 
-class Trainer(Generic[Net]):
-    """One network, one time budget; one device or, as one of several `Ranks`, several. `run` may be called again in a
-    new process: it resumes."""
+class Trainer(TrainingRun, Generic[Net]):
+    """One network, one budget; one device or, as one of several `Ranks`, several. `run` may be called again in a new
+    process: it resumes."""
+
+    log_seconds = 15.0
+    averages_buffers = False
 
     def __init__(
         self,
@@ -45,163 +47,126 @@ class Trainer(Generic[Net]):
         rendered: RenderedClouds | None = None,
     ) -> None:
         """banks: training and held-out tools. rendered: clouds to mix in. The first rank validates, logs and writes."""
-        self.out, self.config, self.ranks = out, config, place
-        self.device = place.device
         torch.manual_seed(config.seed)
-        self.method = method
-        self.steps, self.elapsed = 0, 0.0
-        self.net = method.network(banks[0]).to(self.device)
-        self.ema = copy.deepcopy(self.net).requires_grad_(False)
+        self.config, self.method, self.name = config, method, method.name
+        self.net = method.network(banks[0]).to(place.device)
+        super().__init__(config, out, place, self.net, self.net)
         self._init: dict[str, Tensor] = {}
-        self.optimizer = torch.optim.AdamW(
-            self.net.parameters(),
-            config.learning_rate,
-            weight_decay=config.weight_decay,
-            betas=(0.9, 0.99),
-            fused=self.device.type == "cuda",
-        )
-        self._generator: CloudSource = method.clouds(banks[0], hands, self.device, self._seed(1))
+        self._generator: CloudSource = method.clouds(banks[0], hands, place.device, self._seed(1))
         self._rendered = 0 if rendered is None else len(rendered)
         if rendered is not None:
-            kept = method.kept(rendered, self.device, self._seed(3))
+            kept = method.kept(rendered, place.device, self._seed(3))
             self._generator = Mixture(self._generator, kept, config.rendered_share)
         self._test_bank = banks[1]
-        self._held_out = method.clouds(banks[1], hands, self.device, 10_000 + config.seed)
-        self._g = torch.Generator(self.device).manual_seed(self._seed(2))
-        self._scalars = Scalars(out)
-        out.mkdir(parents=True, exist_ok=True)
-
-    def log(self, **record: Any) -> None:
-        """One JSON line on the terminal and in log.jsonl."""
-        if not self.ranks.first:
-            return
-        line = json.dumps({"step": self.steps, "minutes": round(self.elapsed / 60, 2), **record})
-        print(line, flush=True)
-        with (self.out / "log.jsonl").open("a") as file:
-            file.write(line + "\n")
-        self._scalars.add(self.steps, record)
+        self._clouds_held_out = method.clouds(banks[1], hands, place.device, 10_000 + config.seed)
+        self._held_out: CloudBatch | None = None
+        self._g = torch.Generator(place.device).manual_seed(self._seed(2))
 
     def run(self) -> dict[str, Any]:
         """Train until the time is used up, then validate, calibrate and write the weights. Returns the report (of ranks
         but the first an empty one)."""
+        self.loop()
+        return {} if self._held_out is None else self.finish(self._held_out)
+
+    def make_optimizer(self) -> torch.optim.Optimizer:
+        """AdamW, all parameters alike."""
+        c, fused = self.config, self.ranks.device.type == "cuda"
+        parameters = self.net.parameters()
+        return torch.optim.AdamW(parameters, c.lr, weight_decay=c.weight_decay, betas=(0.9, 0.99), fused=fused)
+
+    def schedule(self, progress: float) -> float:
+        """A cosine down to a thousandth."""
+        return max(0.5 * (1 + math.cos(math.pi * min(progress, 1.0))), 1e-3)
+
+    def prepare(self) -> nn.Module:
+        """The first clouds."""
         c = self.config
-        self._resume()
-        forward: nn.Module = self.net
-        if c.compile and self.device.type == "cuda":
-            forward = self._compiled()
-        forward = self.ranks.shared(forward)
-        reservoir = Reservoir(self._generator.collect(max(c.first_fill, c.batch), c.chunk), c.capacity)
-        held_out = self.judged() if self.ranks.first else None
-        size = sum(p.numel() for p in self.net.parameters())
-        self.log(event="start", device=self.ranks.device_name, parameters=size, rendered_clouds=self._rendered)
-        before, begun = self.elapsed, time.monotonic()
-        base, last_save, last_log, logged_steps = reservoir.made, begun, begun, self.steps
-        start_steps = self.steps
-        end = before + 60 * c.session_minutes if c.session_minutes > 0 else math.inf
-        while self._progress() < 1 and self.elapsed < end:
-            while reservoir.made - base < (self.steps - start_steps) * c.batch / c.reuse:
-                reservoir.add(self._generator.generate(c.chunk))
-            settle_norms(self.net, self._progress() >= c.settle)
-            batch = self.method.prepare(reservoir.draw(c.batch, self._g), self._g)
-            rate = self._learning_rate()
-            for group in self.optimizer.param_groups:
-                group["lr"] = rate
-            loss, parts = self.method.loss(forward, batch, self._g)
-            self.optimizer.zero_grad(set_to_none=True)
-            loss.backward()  # type: ignore[no-untyped-call]
-            norm = nn.utils.clip_grad_norm_(self.net.parameters(), c.clip)
-            # On a GPU each look waits for it: look now and then, and before anything is written.
-            save = time.monotonic() - last_save > c.checkpoint_seconds
-            look = self.device.type == "cpu" or self.steps % 20 == 0 or save
-            if look and not bool(torch.isfinite(loss + norm)):
-                raise TooleeError(
-                    f"the loss is not finite at step {self.steps}: {_numbers(parts)}; nothing was overwritten"
-                )
-            self.optimizer.step()
-            self.steps += 1
-            self._average()
-            now = time.monotonic()
-            # The ranks must end with the same step, and none waits for another's clock at every one.
-            if self.ranks.world == 1 or self.steps % 20 == 0:
-                self.elapsed = self.ranks.agreed(before + now - begun)
-            if now - last_log > 15:
-                per_step = (now - last_log) / max(self.steps - logged_steps, 1)
-                self.log(**_numbers(parts), lr=rate, ms_per_step=round(1e3 * per_step, 2), clouds=reservoir.made)
-                last_log, logged_steps = now, self.steps
-            if save:
-                last_save = now
-                self._checkpoint(held_out)
-        # The checkpoint first: should the validation not get the time, the training is not lost.
-        self._checkpoint(None)
-        return self.finish(held_out) if held_out is not None else {}
+        network = self._compiled() if c.compile and self.ranks.device.type == "cuda" else self.net
+        self._reservoir = Reservoir(self._generator.collect(max(c.first_fill, c.batch), c.chunk), c.capacity)
+        self._first_clouds, self._first_step = self._reservoir.made, self.step
+        self._held_out = self.judged() if self.ranks.first else None
+        return network
+
+    def losses(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """The method's, on clouds of which each is shown `reuse` times."""
+        c = self.config
+        shown = (self.step - self._first_step) * c.batch
+        while self._reservoir.made - self._first_clouds < shown / c.reuse:
+            self._reservoir.add(self._generator.generate(c.chunk))
+        settle_norms(self.net, self.progress >= c.settle)
+        batch = self.method.prepare(self._reservoir.draw(c.batch, self._g), self._g)
+        loss, parts = self.method.loss(self.module, batch, self._g)
+        return {"loss": loss}, parts
+
+    def grow(self) -> dict[str, float]:
+        """Nothing comes but what `losses` has made."""
+        return {"clouds": self._reservoir.made}
+
+    def reseed(self) -> None:
+        """Other clouds than the first process began with."""
+        self._generator.reseed(self._seed(1))
+        self._g.manual_seed(self._seed(2))
 
     def start_from(self, weights: Path) -> None:
         """Begin with the network in `weights` instead of a random one. Raises AssetError where it does not fit."""
         state = self.method.load(weights).state_dict()
         try:
             self.net.load_state_dict(state)
-            self.ema.load_state_dict(state)
-            self._init = {name: value.to(self.device) for name, value in state.items()}
         except RuntimeError as error:
             raise AssetError(f"{weights} holds a network of another architecture: {error}") from error
-        self.log(event="begun from other weights")
+        self._take_average(state)
+        self._init = dict(self.average)
+        self.record({"event": "begun from other weights"})
 
     def calibrate(self) -> dict[str, Any]:
         """Validate and calibrate the weights that lie in `out`, on any machine: what a training that ran out of time
         left undone. Returns the report."""
-        self.ema.load_state_dict(self.method.load(self.out).state_dict())
+        self._take_average(self.method.load(self.out).state_dict())
         self._init = {}  # these are in the weights already
-        described = json.loads((self.out / f"{self.method.name}.json").read_text())["report"]
-        self.steps, self.elapsed = int(described["steps"]), 60.0 * float(described["minutes"])
+        described = json.loads((self.out / f"{self.name}.json").read_text())["report"]
+        self.step, self.elapsed = int(described["steps"]), 60.0 * float(described["minutes"])
         return self.finish(self.judged(), described["train"])
 
     def finish(self, held_out: CloudBatch, trained: dict[str, Any] | None = None) -> dict[str, Any]:
         """Validate and calibrate on held-out tools, and save. trained: the training's own configuration, if another."""
-        report, calibration = self.method.report(self.export(), held_out, self._test_bank, str(self.device))
-        self.log(event="finished", **{k: v for k, v in report.items() if k != "clouds"})
-        report |= {
-            "calibrated": True,
-            "steps": self.steps,
-            "minutes": round(self.elapsed / 60, 2),
-            "train": trained or self._described(),
-        }
+        report, calibration = self.method.report(self.export(), held_out, self._test_bank, str(self.ranks.device))
+        self.record({"event": "finished", **{k: v for k, v in report.items() if k != "clouds"}})
+        report |= self._described(calibrated=True) | ({"train": trained} if trained else {})
         self.method.save(self.out, self.export(), calibration, report)
         return report
 
     def judged(self) -> CloudBatch:
         """The next held-out clouds."""
-        return self.method.judged(self._held_out.collect(self.config.validation, self.config.chunk), self._test_bank)
-
-    def _described(self) -> dict[str, Any]:
-        """What the network was trained with, kept beside its weights."""
-        return {**asdict(self.config), "rendered_clouds": self._rendered}
-
-    def _progress(self) -> float:
-        """How much of the budget is used, 1 at its end."""
-        c = self.config
-        return self.steps / c.max_steps if c.max_steps else self.elapsed / (60 * c.minutes)
+        clouds = self._clouds_held_out.collect(self.config.validation, self.config.chunk)
+        return self.method.judged(clouds, self._test_bank)
 
     def export(self) -> Net:
         """The averaged network, with its share of the weights it started from, as it will be loaded: rounded to half
         precision."""
-        net = copy.deepcopy(self.ema)
+        net = copy.deepcopy(self.net).requires_grad_(False)
+        net.load_state_dict(self.average)
         for name, value in net.state_dict().items():
             if value.is_floating_point():
                 value.lerp_(self._init.get(name, value), self.config.init_share)
                 value.copy_(value.half().float())
         return net.eval()
 
-    def _learning_rate(self) -> float:
-        c = self.config
-        cosine = 0.5 * (1 + math.cos(math.pi * min(self._progress(), 1.0)))
-        return c.learning_rate * min((self.steps + 1) / c.warm_up, 1.0) * max(cosine, 1e-3)
+    def write(self) -> None:
+        """The weights, not calibrated yet; validated while there is more to train."""
+        self.method.save(self.out, self.export(), Calibration(), self._described(calibrated=False))
+        if self._held_out is not None and self.progress < 1:
+            few = self._held_out.select(torch.arange(min(512, len(self._held_out)), device=self.ranks.device))
+            estimator = self.method.estimator(self.export(), Calibration(), str(self.ranks.device))
+            self.record({"event": "validation", **validation.metrics(validation.evaluate(estimator, few, 20))})
 
-    @torch.no_grad()
-    def _average(self) -> None:
-        decay = min(self.config.ema, (1 + self.steps) / (10 + self.steps))
-        torch._foreach_lerp_(list(self.ema.parameters()), list(self.net.parameters()), 1 - decay)
-        for kept, new in zip(self.ema.buffers(), self.net.buffers(), strict=True):
-            kept.copy_(new)
+    def _described(self, calibrated: bool) -> dict[str, Any]:
+        """What the network was trained with, kept beside its weights."""
+        train = {**asdict(self.config), "rendered_clouds": self._rendered}
+        minutes = round(self.elapsed / 60, 2)
+        return {"calibrated": calibrated, "steps": self.step, "minutes": minutes, "train": train}
+
+    def _take_average(self, state: dict[str, Tensor]) -> None:
+        self.average = {name: value.to(self.ranks.device, copy=True) for name, value in state.items()}
 
     def _compiled(self) -> nn.Module:
         """The network compiled, or as it is where the compiler does not work."""
@@ -212,7 +177,7 @@ class Trainer(Generic[Net]):
                 settle_norms(self.net, settled)
                 self.method.loss(compiled, batch, self._g)[0].backward()  # type: ignore[no-untyped-call]
         except Exception as error:  # noqa: BLE001 - the compiler's errors have no common root; eager always works
-            self.log(event="not compiled", error=f"{type(error).__name__}: {error}"[:300])
+            self.record({"event": "not compiled", "error": f"{type(error).__name__}: {error}"[:300]})
             torch._dynamo.reset()
             compiled = self.net
         self.net.zero_grad(set_to_none=True)
@@ -220,48 +185,7 @@ class Trainer(Generic[Net]):
 
     def _seed(self, which: int) -> int:
         """Every rank has clouds, and so on, of its own; after a resumption, new ones."""
-        return self.config.seed + which + 1_000_003 * self.ranks.rank + self.steps
-
-    def _checkpoint(self, held_out: CloudBatch | None) -> None:
-        if not self.ranks.first:
-            return
-        state = {
-            "net": self.net.state_dict(),
-            "ema": self.ema.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
-            "steps": self.steps,
-            "elapsed": self.elapsed,
-        }
-        with written_whole(self.out / "checkpoint.pt") as scratch:
-            torch.save(state, scratch)
-        self.method.save(
-            self.out,
-            self.export(),
-            Calibration(),
-            {
-                "calibrated": False,
-                "steps": self.steps,
-                "minutes": round(self.elapsed / 60, 2),
-                "train": self._described(),
-            },
-        )
-        if held_out is not None:
-            few = held_out.select(torch.arange(min(512, len(held_out)), device=self.device))
-            estimator = self.method.estimator(self.export(), Calibration(), str(self.device))
-            self.log(event="validation", **validation.metrics(validation.evaluate(estimator, few, 20)))
-
-    def _resume(self) -> None:
-        path = self.out / "checkpoint.pt"
-        if not path.is_file():
-            return
-        state = torch.load(path, map_location=self.device, weights_only=True)
-        self.net.load_state_dict(state["net"])
-        self.ema.load_state_dict(state["ema"])
-        self.optimizer.load_state_dict(state["optimizer"])
-        self.steps, self.elapsed = int(state["steps"]), float(state["elapsed"])
-        self._generator.reseed(self._seed(1))
-        self._g.manual_seed(self._seed(2))
-        self.log(event="resumed")
+        return self.config.seed + which + 1_000_003 * self.ranks.rank + self.step
 
 
 def train(
@@ -281,7 +205,7 @@ def train(
     """
     method = method or Ours()
     if config.init_share and init is None and not calibrate_only:
-        raise UserError("--init-share: say whose share that is, with --init FOLDER")
+        raise UserError("init_share: say whose share that is, with --init FOLDER")
     kept = None
     if rendered:
         kept = RenderedClouds.cat([RenderedClouds.load(path) for path in rendered])
@@ -290,12 +214,8 @@ def train(
     banks = tool_bank(False, config.train_seeds), tool_bank(True, config.test_seeds)
     hands = load_hands(hands_file)
     print(f"{[len(b.category) for b in banks]} EEs and {len(hands)} hands sampled in {time.monotonic() - begun:.0f} s")
-    with ranks() as place:
+    with ranks(config.device) as place:
         trainer = Trainer(out, config, banks, hands, method, place, kept)
         if init is not None:
             trainer.start_from(init)
         return trainer.calibrate() if calibrate_only else trainer.run()
-
-
-def _numbers(parts: dict[str, Tensor]) -> dict[str, float]:
-    return {k: round(float(v), 4) for k, v in parts.items()}

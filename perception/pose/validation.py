@@ -87,7 +87,7 @@ def metrics(evaluated: Evaluated, rows: Array | None = None) -> dict[str, Any]:
             "clouds": int(of.sum()),
             "5deg_2cm": float(evaluated.within(5, 0.02)[of].mean()),
             "5deg_1cm": float(evaluated.within(5, 0.01)[of].mean()),
-            "10deg_2cm": float(evaluated.within(10, 0.02)[of].mean()),
+            "10deg_2cm": float(evaluated.within(*confidence.RIGHT)[of].mean()),
             "median_mm": float(1e3 * np.median(evaluated.position[of])),
             "median_deg": float(np.rad2deg(np.median(evaluated.angle[of]))),
         }
@@ -104,14 +104,14 @@ def calibrate(evaluated: Evaluated) -> Calibration:
     for i, category in enumerate(Category):
         of = np.flatnonzero(good & (evaluated.category == i))
         scales[category] = _scale(evaluated, of, category) if len(of) >= 30 else SigmaScale()
-    return Calibration(scales, confidence.fit(evaluated.features, evaluated.within(10, 0.02)))
+    return Calibration(scales, confidence.fit(evaluated.features, evaluated.within(*confidence.RIGHT)))
 
 
 def confidence_report(evaluated: Evaluated, calibration: Calibration) -> dict[str, float]:
     """How the confidence does on these clouds: expected calibration error, coverage and precision when it is obeyed,
     and the share of negatives that it lets pass."""
     p = calibration.confidence.probability(evaluated.features)
-    success = evaluated.within(10, 0.02)
+    success = evaluated.within(*confidence.RIGHT)
     usable = p >= calibration.confidence.threshold
     bins = np.clip((p * 10).astype(int), 0, 9)
     gap = [

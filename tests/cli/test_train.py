@@ -55,8 +55,9 @@ def test_segmentation_resumes_and_keeps_its_configuration(
     capsys.readouterr()
     assert run([*command, "--max-steps", "2"]) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["resumed"]
-    log = json.loads((out / "training_log.json").read_text())
-    assert [entry["step"] for entry in log] == [1, 2]
+    log = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    assert [entry["step"] for entry in log if "event" not in entry] == [1, 2]
+    assert [entry["event"] for entry in log if "event" in entry] == ["start", "resumed"]
     assert run([*command, "--max-steps", "3", "--seed", "5"]) == 2
     assert "another seed" in capsys.readouterr().err
 

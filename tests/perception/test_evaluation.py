@@ -82,7 +82,7 @@ def test_clouds_lie_on_the_ends_that_they_are_said_to_show(examples: Examples) -
 def test_a_folder_without_data_is_refused(tmp_path: Path) -> None:
     with pytest.raises(AssetError, match="dataset generate"):
         collect(tmp_path)
-    with pytest.raises(AssetError, match="train_pose"):
+    with pytest.raises(AssetError, match="toolee train pose"):
         load_estimator(tmp_path)
 
 
@@ -113,6 +113,18 @@ def test_what_comes_of_acting_on_usable_poses(examples: Examples) -> None:
     assert found["found_10deg2cm"] == pytest.approx(1.0)
     nothing = pose.usable_poses(examples.instances, unsure, examples.images)
     assert (nothing["poses"], nothing["right_10deg2cm"], nothing["found_10deg2cm"]) == (0, None, 0.0)
+
+
+def test_an_end_effector_is_taken_once_and_what_is_not_asked_for_does_not_count(examples: Examples) -> None:
+    right = [Ranked(i.image, i.category, 0.9, i.X_camera_ee, True) for i in examples.instances if i.target]
+    again = [replace(r, score=0.5) for r in right]
+    correct, counted = pose.right_poses(examples.instances, [*again, *right])
+    assert correct.tolist() == [False] * len(again) + [True] * len(right)
+    assert counted.all()
+    unasked = [replace(i, target=False) for i in examples.instances]
+    correct, counted = pose.right_poses(unasked, right)
+    assert not correct.any()
+    assert not counted.any()
 
 
 def test_tables_and_the_report(examples: Examples) -> None:

@@ -220,7 +220,7 @@ def test_the_norms_keep_their_statistics_for_the_last_part_of_a_training(
             tmp_path, replace(config, max_steps=max_steps, settle=settle), (bank, bank), hands, method, CPU
         )
         trainer.run()
-        assert trainer.steps == max_steps
+        assert trainer.step == max_steps
         return {name: x.clone() for name, x in trainer.net.named_buffers() if "norms" in name}
 
     half = statistics(4, settle=0.5)

@@ -495,7 +495,7 @@ def test_a_refiner_s_missing_weights_are_named(trained: Path, tmp_path: Path) ->
 def test_a_run_resumes_where_it_stopped(few: Path, detector: Path, trained: Path, tmp_path: Path) -> None:
     shutil.copy(trained / CHECKPOINT, tmp_path)
     # One step more, that changes nothing: what is known is not learnt anew.
-    train(training(few, tmp_path, detector, max_steps=STEPS + 1, lr=1e-12, log_every=10, resume=True))
+    train(training(few, tmp_path, detector, max_steps=STEPS + 1, lr=1e-12, log_every=10))
     log = described(tmp_path)["log"]
     assert [entry["step"] for entry in log] == [*range(10, STEPS + 1, 10), STEPS + 1]  # type: ignore[attr-defined]
     before, after = (torch.load(folder / CHECKPOINT, weights_only=True) for folder in (trained, tmp_path))
@@ -516,19 +516,14 @@ def test_a_loss_that_is_not_finite_stops_the_run_and_keeps_what_was_learnt(
     few: Path, detector: Path, trained: Path, tmp_path: Path
 ) -> None:
     shutil.copytree(trained, tmp_path, dirs_exist_ok=True)
-    (tmp_path / "refinement_training_log.json").unlink()  # goes on with every step, whatever becomes of the run
+    (tmp_path / "refinement_log.jsonl").unlink()  # goes on with every step, whatever becomes of the run
     kept = {path.name: path.read_bytes() for path in tmp_path.glob("refinement*")}
     assert CHECKPOINT in kept
     with pytest.raises(TooleeError, match=r"not finite.*refinement_checkpoint\.pt"):
-        train(training(few, tmp_path, detector, max_steps=STEPS + 30, lr=1e12, log_every=1, resume=True))
-    (tmp_path / "refinement_training_log.json").unlink()
+        train(training(few, tmp_path, detector, max_steps=STEPS + 30, lr=1e12, log_every=1))
+    (tmp_path / "refinement_log.jsonl").unlink()
     assert {path.name: path.read_bytes() for path in tmp_path.glob("refinement*")} == kept
     assert Segmenter.load(tmp_path).instances(frame_of(toys(1), 0), EVERYTHING)[0]
-
-
-def test_resuming_nothing_is_the_user_s_error(few: Path, detector: Path, tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="nothing to resume"):
-        train(training(few, tmp_path, detector, max_steps=1, resume=True))
 
 
 @pytest.mark.parametrize("options", [{"minutes": 0.0}, {"batch": 1}, {"lr": 0.0}, {"ema": 1.0}])

@@ -9,6 +9,7 @@ import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
 
+from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, transform
 from toolee_robot.render import Body, Light, Material, Mesh, Pattern, Scene, caster, render
@@ -18,7 +19,7 @@ from toolee_robot.render.mesh import box, cylinder, plane, sphere
 from toolee_robot.render.photo import Photo, photograph
 from toolee_robot.render.renderer import Shot
 from toolee_robot.render.scene import Backdrop, Patch, Rendering
-from toolee_robot.render.sensor import DepthNoise, measure_depth
+from toolee_robot.render.sensor import measure_depth
 from toolee_robot.render.tracing import Tracer
 from toolee_robot.tools import ToolKind, make_tool
 from toolee_robot.types import CameraIntrinsics

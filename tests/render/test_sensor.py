@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.render.photo import Photo, photograph
-from toolee_robot.render.sensor import DepthNoise, measure_depth
+from toolee_robot.render.sensor import measure_depth
 from toolee_robot.types import CameraIntrinsics
 
 K = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)

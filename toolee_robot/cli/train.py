@@ -15,7 +15,7 @@ from toolee_robot.cli.output import json_line
 from toolee_robot.cli.progress import progress_bars
 from toolee_robot.cli.train_images import Refinement, Segmentation
 from toolee_robot.cli.train_options import File
-from toolee_robot.cli.train_pose import Clouds, Pose
+from toolee_robot.cli.train_pose import Clouds, Hands, Pose
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,7 @@ _Action = (
     Annotated[Segmentation, tyro.conf.subcommand("segmentation")]
     | Annotated[Refinement, tyro.conf.subcommand("refinement")]
     | Annotated[Clouds, tyro.conf.subcommand("clouds")]
+    | Annotated[Hands, tyro.conf.subcommand("hands")]
     | Annotated[Pose, tyro.conf.subcommand("pose")]
     | Annotated[Trust, tyro.conf.subcommand("trust")]
 )

@@ -8,9 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 
-from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line
-from toolee_robot.cli.train_options import CONFIG, Count, File, Folder, Number, OutDir, options_of, remember
+from toolee_robot.cli.train_options import (
+    CHECKPOINT,
+    CONFIG,
+    Count,
+    Folder,
+    Number,
+    TrainingCommand,
+    options_of,
+    remember,
+)
 from toolee_robot.errors import UserError
 
 if TYPE_CHECKING:
@@ -23,50 +30,30 @@ _REFINEMENT_CONFIG = "refinement_config.json"
 
 
 @dataclass(frozen=True)
-class _ImageCommand:
-    """What both have; the three without a word say theirs themselves, and stand in this order in their help."""
-
+class _Data:
     data: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """The training split of a data set, which may still be growing."""
-    out: OutDir
-    """Checkpoint, weights with their configuration, log, TensorBoard curves (extra `train`)."""
-    config: File = None
-    """YAML or JSON of options, any subset; the command line's win."""
-    minutes: Number = None
-    batch: Count = None
-    lr: Number = None
-    max_steps: Count = None
-    """End after so many steps, if that is sooner."""
-    seed: Count = None
-    """Of weights, order and augmentation (default: 0)."""
-    checkpoint_minutes: Number = None
-    """Between checkpoints (default: 2)."""
-    device: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
-    """cpu, cuda, cuda:1 (default: a GPU if there is one)."""
-    init: Folder = None
-    """Start from the weights exported there."""
-    json: Flag = False
-    """Print one line of JSON last on standard output."""
 
-    def _begin(self, kind: type[Training], checkpoint: str, config: str = CONFIG, **own: Path | None) -> Training:
-        """The training, its options remembered; it resumes where there is a checkpoint. own: further options, which no
-        file gives."""
+
+@dataclass(frozen=True)
+class _ImageCommand(TrainingCommand, _Data):
+    """What both have."""
+
+    def _begin(
+        self, kind: type[Training], checkpoint: str, config: str = CONFIG, **own: Path | None
+    ) -> tuple[Training, bool]:
+        """The training, its options remembered, and whether it goes on from a checkpoint. own: further options, which
+        no file gives."""
         if not self.data.is_dir():
             raise UserError(f"--data {self.data} is not a folder: make it with `toolee dataset generate`")
-        names = {f.name for f in fields(kind)} - {"data", "out", "resume", "model", "init", *own}
+        names = {f.name for f in fields(kind)} - {"data", "out", "model", "init", *own}
         options: dict[str, Any] = options_of(self, self.config, names)
-        resume = (self.out / checkpoint).is_file()
-        options |= {**own, "resume": resume, "init": None if resume else self.init}
-        training = kind(self.data, self.out, **options)
+        training = kind(self.data, self.out, init=self.init, **options, **own)
+        resumed = (self.out / checkpoint).is_file()
         about = {name: getattr(training, name) for name in sorted(names)}
         about |= {name: None if path is None else str(path) for name, path in own.items()}
-        remember(self.out, resume, about, config)
-        return training
-
-    def _end(self, training: ImageTraining) -> int:
-        if self.json:
-            print(json_line({"out": str(self.out), "resumed": training.resume}), flush=True)
-        return 0
+        remember(self.out, resumed, about, config)
+        return training, resumed
 
 
 @dataclass(frozen=True)
@@ -75,23 +62,21 @@ class Segmentation(_ImageCommand):
 
     Example: toolee train segmentation --data data/hard/train --out runs/segmentation --minutes 20
 
-    The same command again continues from the last checkpoint in DIR. Several GPUs: torchrun --nproc-per-node 4 -m
-    toolee_robot.perception.train_segmentation, with the same options.
+    The same command again continues from the last checkpoint in DIR. Several GPUs: torchrun --no-python
+    --nproc-per-node 4 toolee train segmentation, with the same options.
     """
 
     minutes: Number = None
     """Wall-clock of the optimisation (default: 12)."""
     batch: Count = None
     """Images a GPU (default: 32)."""
-    lr: Number = None
-    """Learning rate (default: 0.001)."""
 
     def run(self) -> int:
-        from toolee_robot.perception.train_segmentation import CHECKPOINT, SegmentationTraining, train
+        from toolee_robot.perception.train_segmentation import SegmentationTraining, train
 
-        training = self._begin(SegmentationTraining, CHECKPOINT)
+        training, resumed = self._begin(SegmentationTraining, CHECKPOINT)
         train(training)
-        return self._end(training)
+        return self.end(resumed)
 
 
 @dataclass(frozen=True)
@@ -102,7 +87,7 @@ class Refinement(_ImageCommand):
 
     Take images that the detector was not trained on. The refiner is used where its weights lie beside the detector's:
     --out may be their folder. The same command again continues from the last checkpoint there. Several GPUs: torchrun
-    --nproc-per-node 4 -m toolee_robot.perception.train_refinement, with the same options.
+    --no-python --nproc-per-node 4 toolee train refinement, with the same options.
     """
 
     minutes: Number = None
@@ -117,6 +102,6 @@ class Refinement(_ImageCommand):
     def run(self) -> int:
         from toolee_robot.perception.train_refinement import CHECKPOINT, RefinementTraining, train
 
-        training = self._begin(RefinementTraining, CHECKPOINT, _REFINEMENT_CONFIG, detector=self.detector)
+        training, resumed = self._begin(RefinementTraining, CHECKPOINT, _REFINEMENT_CONFIG, detector=self.detector)
         train(training)
-        return self._end(training)
+        return self.end(resumed)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -13,11 +13,18 @@ from rich.console import Console
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
 from toolee_robot.cli.progress import progress_bars
-from toolee_robot.cli.train_options import Count, File, Folder, Number, OutDir, make_folder, options_of, remember
+from toolee_robot.cli.train_options import (
+    CHECKPOINT,
+    Count,
+    File,
+    Folder,
+    Number,
+    TrainingCommand,
+    make_folder,
+    options_of,
+    remember,
+)
 from toolee_robot.errors import UserError
-
-if TYPE_CHECKING:
-    from toolee_robot.perception.pose.train_config import TrainConfig
 
 Estimator = Literal["ours", "paper"]
 ColumnName = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
@@ -83,45 +90,61 @@ class Clouds:
 
 
 @dataclass(frozen=True)
-class Pose:
+class Hands:
+    """Keep samples of the hand's surface in a file, for a training on a machine without the hand's model.
+
+    Example: toolee train hands --out hands.npz
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """Where they go, for `toolee train pose --hands FILE`."""
+
+    def run(self) -> int:
+        from toolee_robot.perception.pose.bank import save_hands
+
+        make_folder(self.out.parent)
+        save_hands(self.out)
+        return 0
+
+
+@dataclass(frozen=True)
+class Pose(TrainingCommand):
     """Train the pose network on clouds that are made as they are needed.
 
     Example: toolee train pose --out runs/pose --minutes 20
 
-    The same command again continues from the last checkpoint in DIR. Several GPUs: torchrun --nproc-per-node 4 -m
-    toolee_robot.perception.train_pose, with the same options.
+    The same command again continues from the last checkpoint in DIR. Several GPUs: torchrun --no-python
+    --nproc-per-node 4 toolee train pose, with the same options.
     """
 
-    out: OutDir
-    """Checkpoint, weights with configuration and calibration, log, TensorBoard curves (extra `train`)."""
-    config: File = None
-    """YAML or JSON of options, any subset of those of toolee_robot.perception.train_pose; the command line's win."""
+    minutes: Number = None
+    """Wall-clock of the optimisation (default: 9)."""
+    batch: Count = None
+    """Clouds a step, of each GPU (default: 512)."""
     estimator: Estimator = "ours"
     """paper: ToolEENet's own."""
     column: ColumnName = None
     """Of the paper's Table I, for --estimator paper (default: symmetry-aware)."""
     protocol: Literal["hard", "paper"] = "hard"
     """Which data set's views the clouds are like."""
-    minutes: Number = None
-    """Wall-clock of the optimisation (default: 9)."""
-    max_steps: Count = None
-    """Budget in steps instead of minutes."""
-    batch: Count = None
-    """Clouds a step (default: 512)."""
-    learning_rate: Number = None
-    """(default: 0.001)"""
-    seed: Count = None
-    """Of weights, clouds and order (default: 0)."""
-    checkpoint_seconds: Number = None
-    """Between checkpoints (default: 120)."""
     hands: File = None
-    """Hand samples, for machines without the hand's model."""
+    """Hand samples, for machines without the hand's model: `toolee train hands`."""
     rendered: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = ()
     """Clouds of rendered images to mix in, made by `toolee train clouds`."""
     rendered_share: Number = None
     """Of the clouds, where rendered ones are given (default: 0.5)."""
-    json: Flag = False
-    """Print one line of JSON last on standard output."""
+    init_share: Number = None
+    """Of the weights of --init in those that are exported (default: 0)."""
+    train_seeds: Count = None
+    """Tools of each kind to learn from (default: 480)."""
+    test_seeds: Count = None
+    """Held-out tools of each kind (default: 30)."""
+    validation: Count = None
+    """Held-out clouds (default: 4096)."""
+    settle: Number = None
+    """Share of the budget after which batch normalisation keeps its statistics (default: 0.25)."""
+    calibrate_only: Flag = False
+    """Validate and calibrate the weights that lie in --out, without training."""
 
     def run(self) -> int:
         from toolee_robot.perception.pose.cloud_batch import PROTOCOLS
@@ -131,15 +154,13 @@ class Pose:
         from toolee_robot.perception.pose.training import train
 
         column = column_of(self.estimator, self.column)
-        options = options_of(self, self.config, {f.name for f in fields(TrainConfig) if f.default is not MISSING})
-        config: TrainConfig = TrainConfig(**options)
-        resume = (self.out / "checkpoint.pt").is_file()
+        config: TrainConfig = TrainConfig(**options_of(self, self.config, {f.name for f in fields(TrainConfig)}))
+        resumed = (self.out / CHECKPOINT).is_file()
         about = {f.name: getattr(config, f.name) for f in fields(TrainConfig)}
         about |= {"estimator": self.estimator, "column": column.name if column else None, "protocol": self.protocol}
-        remember(self.out, resume, {**about, "rendered": [str(path) for path in self.rendered]})
+        if not self.calibrate_only:
+            remember(self.out, resumed, {**about, "rendered": [str(path) for path in self.rendered]})
         clouds = PROTOCOLS[self.protocol]()
         method: Any = Ours(clouds_config=clouds) if column is None else PaperMethod(column, clouds)
-        report = train(self.out, config, method, self.hands, rendered=self.rendered)
-        if self.json:
-            print(json_line({"out": str(self.out), "resumed": resume, "report": report}), flush=True)
-        return 0
+        report = train(self.out, config, method, self.hands, self.calibrate_only, self.init, self.rendered)
+        return self.end(resumed, report=report)

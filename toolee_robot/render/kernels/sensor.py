@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import warp as wp
 
+from toolee_robot import depth_noise
 from toolee_robot.render.kernels.filters import normals
 
 _HALF_PI = wp.constant(1.5707963)
-_STEEPEST = wp.constant(1.4835299)  # 85 deg: beyond, the formula was not fitted
-_GRAZING_WIDTH = wp.constant(0.05235988)  # 3 deg
-_NOTHING = wp.constant(10.0)  # a pixel without depth counts as so far away [m]
+_A0, _A1, _A2, _A3 = (wp.constant(coefficient) for coefficient in depth_noise.AXIAL_MM)
+_STEEPEST = wp.constant(depth_noise.STEEPEST)
+_GRAZING_WIDTH = wp.constant(depth_noise.GRAZING_WIDTH)
+_NEAREST = wp.constant(depth_noise.NEAREST)
+_NOTHING = wp.constant(depth_noise.NOTHING)
+_OUT_OF_PHASE = wp.constant(depth_noise.OUT_OF_PHASE)
 
 
 @wp.struct
 class Sensor:
-    """`sensor.DepthNoise` without its lateral jitter."""
+    """`DepthNoise` without its lateral jitter."""
 
     axial: wp.float32
     correlation: wp.float32
@@ -36,7 +40,7 @@ def axial_sigma(z: wp.float32, incidence: wp.float32) -> wp.float32:
     """Standard deviation [m] of a depth z [m] on a surface whose normal makes `incidence` [rad] with the ray."""
     theta = wp.min(incidence, _STEEPEST)
     slant = theta / (_HALF_PI - theta)
-    return 1e-3 * (1.5 - 0.5 * z + 0.3 * z * z + 0.1 * z * wp.sqrt(z) * slant * slant)
+    return 1e-3 * (_A0 + _A1 * z + _A2 * z * z + _A3 * z * wp.sqrt(z) * slant * slant)
 
 
 @wp.kernel(enable_backward=False)
@@ -54,7 +58,7 @@ def look_beside(
     axial one. table: see `filters.normals`."""
     i = wp.tid()
     own = depth[i]
-    jump = normals(seed, i, table) * (spread / wp.max(own, 0.3))
+    jump = normals(seed, i, table) * (spread / wp.max(own, _NEAREST))
     row = wp.clamp(i // width + wp.int32(wp.rint(jump[0])), 0, depth.shape[0] // width - 1)
     column = wp.clamp(i % width + wp.int32(wp.rint(jump[1])), 0, width - 1)
     other = depth[row * width + column]
@@ -117,8 +121,7 @@ def read(
         # Mixtures gather near the two surfaces: pull the weight towards the nearer end.
         weight = wp.where(weight < 0.5, 2.0 * weight * weight, 1.0 - 2.0 * (1.0 - weight) * (1.0 - weight))
         if chance < s.mixed and weight > 0.5:
-            # Over steps of more than half a metre the two returns fall out of phase: no reading.
-            value = wp.where(high - low > 0.5, 0.0, low + weight * (high - low))
+            value = wp.where(high - low > _OUT_OF_PHASE, 0.0, low + weight * (high - low))
         if wp.randf(state) < s.edge_dropout:
             value = 0.0
 
