@@ -21,7 +21,7 @@ HEAVIEST_HAMMER = 1.05  # [kg]
 
 def check_limits(config: StationConfig) -> Iterator[Finding]:
     """Whether the planner's limits are within the arm's, the places within the workspace, and the load carried."""
-    robot = RobotModel.load(config.arm.model, config.arm.calibration)
+    robot = RobotModel.of_station(config)
     model, arm, supervisor = robot.description, config.arm, config.supervisor
     wrong = []
     for joint, mine, most in zip(model.arm_joints, arm.velocity, model.velocity, strict=False):

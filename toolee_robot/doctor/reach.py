@@ -11,7 +11,6 @@ from toolee_robot.control import CollisionWorld, RobotModel, plan_handover, plan
 from toolee_robot.errors import PlanningError
 from toolee_robot.findings import Finding, ok, warn
 from toolee_robot.frames import Array
-from toolee_robot.robots import nominal_X_hand_tool
 from toolee_robot.tools import Tool, ToolKind, make_tool
 from toolee_robot.types import Category
 
@@ -22,11 +21,11 @@ SLOWER = 0.9
 
 def check_reach(config: StationConfig) -> Iterator[Finding]:
     """Plans from the home posture with every tool as it nominally lies in the hand; nothing is moved."""
-    robot = RobotModel.load(config.arm.model, config.arm.calibration)
+    robot = RobotModel.of_station(config)
     home, model = np.array(config.scene.home), robot.description
     yield _handover(robot, config, home, model.hand_open)
     tools = [make_tool(kind, _seed(kind)) for kind in KINDS]
-    grips = [nominal_X_hand_tool(float(np.mean(t.handle.radii_at(0.0)))) @ _face(t) for t in tools]
+    grips = [model.hand.grasp.X_hand_tool(t.handle.grip_radius) @ _face(t) for t in tools]
     yield _views(robot, config, home, model.hand_closed, grips[0])
     yield _blows(robot, config, home, model.hand_closed, grips)
 

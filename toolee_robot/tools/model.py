@@ -130,6 +130,11 @@ class Handle:
     def z_max(self) -> float:
         return float(self.z[-1])
 
+    @property
+    def grip_radius(self) -> float:
+        """Mean half-width at the grip centre [m]: the radius that a hand closes around."""
+        return float(np.mean(self.radii_at(0.0)))
+
     def radii_at(self, z: float = 0.0) -> tuple[float, float]:
         """Half-widths [m] along tool x and y at height z; the grip centre is z = 0."""
         return float(np.interp(z, self.z, self.radii_x)), float(np.interp(z, self.z, self.radii_y))
