@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.robots import SHADOW_HAND
-from toolee_robot.tools.catalog import make_tool, test_seeds, train_seeds
+from toolee_robot.tools.catalog import TOOL_SPECS, make_tool, test_seeds, train_seeds
 from toolee_robot.tools.model import ToolKind, ee_radius
 from toolee_robot.types import Category
 from toolee_robot.worker_pool import WorkerPool
@@ -72,7 +72,7 @@ _Row = tuple[Float32, Float32, NDArray[np.bool_], Float32, Float32, int, Float32
 def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
     kind, seed = job
     tool = make_tool(kind, seed)
-    rng = np.random.default_rng([seed, list(ToolKind).index(kind), 7])
+    rng = np.random.default_rng([seed, TOOL_SPECS[kind].number, 7])
     points, normals, parts = tool.sample_surface(60_000, rng)
     asymmetric = np.array([part.label in ASYMMETRIC for part in tool.parts])[parts]
     shininess = np.array([part.material.metallic * (1 - part.material.roughness) for part in tool.parts])[parts]
@@ -107,14 +107,12 @@ def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
 
 
 def tool_bank(held_out: bool, seeds_per_kind: int, workers: int | None = None) -> ToolBank:
-    """Samples of `seeds_per_kind` tools of every kind (twice as many claw hammers, the only ones with a claw).
+    """Samples of `seeds_per_kind` tools of every kind (times `ToolSpec.training_share`).
 
     held_out: of the test split instead of the training split. workers: processes; None: one per CPU, 1: none.
     """
     seeds = test_seeds if held_out else train_seeds
-    jobs = [
-        (kind, seed) for kind in ToolKind for seed in seeds(seeds_per_kind * (2 if kind == ToolKind.CLAW_HAMMER else 1))
-    ]
+    jobs = [(kind, seed) for kind, spec in TOOL_SPECS.items() for seed in seeds(seeds_per_kind * spec.training_share)]
     workers = workers or min(os.cpu_count() or 1, 16)
     if workers > 1 and len(jobs) > 64:
         with WorkerPool(workers) as pool:
