@@ -32,7 +32,7 @@ _ARM_CELL = 0.012
 """The arm's meshes are thinned to this size [m]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RobotDescription:
     """Arm and hand as one kinematic tree rooted in `base` (the UR base_link).
 
