@@ -23,7 +23,11 @@ class FlangeSensor:
         self.period = period
         self.wrench = np.zeros(6)
         self._world = world
-        self._X_flange_root = world.robot.robot.hand.X_flange_root
+        hand = world.robot.robot.hand
+        self._X_flange_root = hand.X_flange_root
+        inertial = hand.tree.links[0].inertial
+        assert inertial is not None, "every reader of hands gives the root link a mass"
+        self._R_flange_com = hand.X_flange_root[:3, :3] @ inertial.X_link_com[:3, :3]
         self._sum, self._time, self._dt = np.zeros(6), 0.0, 0.0
         self._velocity = self._payload_velocity()[0]
         world.before_step.append(self._remember)
@@ -47,10 +51,10 @@ class FlangeSensor:
         velocity, lever, R, p_flange_com = self._payload_velocity()
         mean = self._sum / self._time
         inertial = self.payload.mass * ((velocity - self._velocity) / self._time - GRAVITY)
-        R_root = R @ self._X_flange_root[:3, :3]
-        force = R_root @ mean[:3]
-        # pybullet gives the joint's torque about the carried link's centre of mass.
-        carried = np.concatenate([force, R_root @ mean[3:] + cross(p_flange_com, force)])
+        # pybullet gives the joint's force and torque at the carried link's centre of mass, along its principal axes.
+        R_com = R @ self._R_flange_com
+        force = R_com @ mean[:3]
+        carried = np.concatenate([force, R_com @ mean[3:] + cross(p_flange_com, force)])
         self.wrench = np.concatenate([inertial, cross(lever, inertial)]) - carried
         self._sum, self._time, self._velocity = np.zeros(6), 0.0, velocity
 

@@ -112,8 +112,8 @@ class RobotBody:
         return X
 
     def sensor_reaction(self) -> Array:
-        """Wrench (6,) of the joint at the hand's mount in the last step, in the frame of the hand's root link, as
-        pybullet gives it: what the arm must exert on the hand."""
+        """Wrench (6,) of the joint at the hand's mount in the last step, along the principal axes of the hand's
+        root link, at its centre of mass: what the arm must exert on the hand."""
         return np.array(pb.getJointState(self.body, self.sensor_link, physicsClientId=self._client)[2])
 
     def sensor_motion(self) -> tuple[Array, Array, Array, Array]:
