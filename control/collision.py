@@ -50,7 +50,7 @@ class Clearance:
 
 
 class CollisionWorld:
-    """Arm, hand with its joints locked at q_hand (24,), the held tool if X_hand_ee (4x4) is given, and the station.
+    """Arm, hand with its joints locked at q_hand (n,), the held tool if X_hand_ee (4x4) is given, and the station.
 
     X_hand_ee is the estimate, never the truth; `tool` encloses a nominal hammer around it. extra: further bodies.
     """

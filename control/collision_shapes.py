@@ -14,7 +14,7 @@ import trimesh
 from toolee_robot.config import StationConfig
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.frames import Array, frame_from_axes, transform, transform_points
-from toolee_robot.robots import finger_of, hand_link_poses, hand_meshes
+from toolee_robot.robots import HandModel
 
 WORLD_JOINT = 0
 TOOL_JOINT = 6
@@ -82,7 +82,7 @@ def arm_bodies(robot: RobotModel) -> tuple[Body, ...]:
     bodies = []
     for item in geometry.geometryObjects:
         link = robot.model.frames[item.parentFrame].name
-        if link.startswith("rh_"):
+        if link in description.hand.tree.by_name:
             continue
         vertices = transform_points(item.placement.homogeneous, np.asarray(item.geometry.vertices()))
         name = link.removesuffix("_link").replace("_", " ")
@@ -90,20 +90,21 @@ def arm_bodies(robot: RobotModel) -> tuple[Body, ...]:
     return tuple(bodies)
 
 
-_HAND_CACHE: dict[bytes, tuple[Body, ...]] = {}
+_HAND_CACHE: dict[tuple[HandModel, bytes], tuple[Body, ...]] = {}
 
 
 def hand_bodies(robot: RobotModel, q_hand: Array) -> list[Body]:
-    """Convex hulls of the hand's parts (forearm, palm, each finger) with its joints locked at q_hand (24,).
+    """Convex hulls of the hand's parts (forearm, palm, each finger) with its joints locked at q_hand (n,).
 
     The hulls are kept from call to call while no joint moves by 0.01 rad (1 mm); their pose on the arm is exact.
     """
-    key = np.round(q_hand, 2).tobytes()
+    hand = robot.description.hand
+    key = (hand, np.round(q_hand, 2).tobytes())
     if key not in _HAND_CACHE:
         parts: dict[str, list[Array]] = {}
-        poses = hand_link_poses(q_hand)
-        for link, mesh in hand_meshes().items():
-            part = "forearm of the hand" if link in ("rh_forearm", "rh_wrist") else finger_of(link)
+        poses = hand.link_poses(q_hand)
+        for link, mesh in hand.meshes.items():
+            part = "forearm of the hand" if link in hand.forearm else hand.part_of(link)
             parts.setdefault(part, []).append(transform_points(poses[link], mesh.vertices))
         if len(_HAND_CACHE) > 32:
             _HAND_CACHE.clear()

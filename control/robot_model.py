@@ -7,16 +7,17 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
+from toolee_robot.config import StationConfig
 from toolee_robot.control.inverse_kinematics import InverseKinematics
 from toolee_robot.control.kinematics import ArmKinematics
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.frames import Array, inverse, is_rigid
-from toolee_robot.robots import RobotDescription, load_robot
+from toolee_robot.robots import SHADOW_HAND, RobotDescription, load_robot
 from toolee_robot.types import ArmModel, DhCalibration, Payload
 
 
 class RobotModel:
-    """Arm (6 joints) and hand (24 joints, wrist included). `base` is the URDF's root, the UR's base_link.
+    """Arm (6 joints) and hand (n joints, wrist included). `base` is the URDF's root, the UR's base_link.
 
     arm: batched kinematics of the arm. ik: all its inverse-kinematics branches. description: names and meshes.
     """
@@ -38,12 +39,19 @@ class RobotModel:
         self.ik = InverseKinematics(self.arm)
 
     @staticmethod
-    def load(model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None = None) -> RobotModel:
-        """The house's arm with the Shadow Hand, built once. Raises AssetError naming a missing package."""
-        return _load(model, calibration)
+    def load(
+        model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None = None, hand: str = SHADOW_HAND.name
+    ) -> RobotModel:
+        """An arm with a hand, built once; arguments and errors as `load_robot`'s."""
+        return _load(load_robot(model, calibration, hand))
+
+    @staticmethod
+    def of_station(config: StationConfig) -> RobotModel:
+        """The station's arm and hand. Raises ConfigError for an unknown hand, AssetError for missing files."""
+        return RobotModel.load(config.arm.model, config.arm.calibration, config.hand.model)
 
     def configuration(self, q_arm: Array, q_hand: Array) -> Array:
-        """Pinocchio's q (30,) from q_arm (6,) and q_hand (24,) in the description's order."""
+        """Pinocchio's q (6 + n,) from q_arm (6,) and q_hand (n,) in the description's order."""
         n_arm, n_hand = len(self.description.arm_joints), len(self.description.hand_joints)
         if q_arm.shape != (n_arm,) or q_hand.shape != (n_hand,):
             raise UserError(
@@ -55,12 +63,12 @@ class RobotModel:
         return q
 
     def fk(self, q_arm: Array, q_hand: Array) -> tuple[Array, Array]:
-        """X_base_flange and X_base_hand (4x4 each) from q_arm (6,), q_hand (24,) [rad], wrist included."""
+        """X_base_flange and X_base_hand (4x4 each) from q_arm (6,), q_hand (n,) [rad], wrist included."""
         pin.framesForwardKinematics(self.model, self._data, self.configuration(q_arm, q_hand))
         return self._data.oMf[self._flange].homogeneous, self._data.oMf[self._hand].homogeneous
 
     def X_flange_hand(self, q_hand: Array) -> Array:
-        """The palm in the flange, 4x4; depends on the wrist joints of q_hand (24,)."""
+        """The palm in the flange, 4x4; depends on the wrist joints of q_hand (n,)."""
         X_base_flange, X_base_hand = self.fk(np.zeros(6), q_hand)
         return inverse(X_base_flange) @ X_base_hand
 
@@ -79,5 +87,5 @@ class RobotModel:
 
 
 @lru_cache(maxsize=4)
-def _load(model: ArmModel, calibration: DhCalibration | None) -> RobotModel:
-    return RobotModel(load_robot(model, calibration))
+def _load(description: RobotDescription) -> RobotModel:
+    return RobotModel(description)

@@ -50,7 +50,7 @@ def plan_strike(
 ) -> StrikePlan:
     """Plan one blow from rest at q_start (6,).
 
-    world: built with the same q_hand (24,) and X_hand_ee (4x4); X_hand_ee: the estimate (or the nominal pose for the
+    world: built with the same q_hand (n,) and X_hand_ee (4x4); X_hand_ee: the estimate (or the nominal pose for the
     uncorrected baseline). X_base_nail: 4x4, z into the wood. speed: wanted [m/s], config.strike.speed if None; it is
     lowered rather than any limit broken, and the plan says what it attained.
     Raises UnreachableError, CollisionError or LimitError; nothing moves.

@@ -21,7 +21,6 @@ from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.transfer import NEED, plan_transfer
 from toolee_robot.errors import CollisionError, PlanningError, UnreachableError, UserError
 from toolee_robot.frames import Array, frame_from_axes, inverse, transform, transform_points
-from toolee_robot.robots import nominal_X_hand_tool
 from toolee_robot.types import Trajectory
 
 DISTANCE = (0.40, 0.55)  # [m] camera to EE
@@ -60,7 +59,7 @@ def plan_handover(
         )
     # The hand must come away from there with a tool in it, too.
     X_tool_ee = frame_from_axes(z=np.array([1.0, 0, 0]), x=np.array([0, 0, -1.0]), p=[0.05, 0, 0.20])
-    X_hand_ee = nominal_X_hand_tool(0.016) @ X_tool_ee
+    X_hand_ee = robot.description.hand.grasp.X_hand_tool(0.016) @ X_tool_ee
     with_tool = CollisionWorld(robot, config, q_hand, X_hand_ee)
     sigma = smallest_singular_value(robot.arm.fk_jacobian(q)[1])
     cost = np.max(np.abs(q - home), axis=-1) + 0.5 * np.abs(turns[turn]) - 2 * np.minimum(sigma, 0.15)
@@ -87,7 +86,7 @@ def plan_views(
 ) -> ViewPlan:
     """`count` distinct views with the transfers between them, from rest at q_start (6,); deterministic in `seed`.
 
-    world: with the same q_hand (24,) and X_hand_ee (4x4, the nominal one or an earlier estimate).
+    world: with the same q_hand (n,) and X_hand_ee (4x4, the nominal one or an earlier estimate).
     Raises UnreachableError, CollisionError when there are fewer.
     """
     if count < 1:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from toolee_robot.frames import Array, cross
-from toolee_robot.robots.description import X_FLANGE_FOREARM
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import Payload
 
@@ -24,6 +23,11 @@ class FlangeSensor:
         self.period = period
         self.wrench = np.zeros(6)
         self._world = world
+        hand = world.robot.robot.hand
+        self._X_flange_root = hand.X_flange_root
+        inertial = hand.tree.links[0].inertial
+        assert inertial is not None, "every reader of hands gives the root link a mass"
+        self._R_flange_com = hand.X_flange_root[:3, :3] @ inertial.X_link_com[:3, :3]
         self._sum, self._time, self._dt = np.zeros(6), 0.0, 0.0
         self._velocity = self._payload_velocity()[0]
         world.before_step.append(self._remember)
@@ -47,17 +51,18 @@ class FlangeSensor:
         velocity, lever, R, p_flange_com = self._payload_velocity()
         mean = self._sum / self._time
         inertial = self.payload.mass * ((velocity - self._velocity) / self._time - GRAVITY)
-        force = R @ mean[:3]
-        # pybullet gives the joint's torque about the carried link's centre of mass.
-        carried = np.concatenate([force, R @ mean[3:] + cross(p_flange_com, force)])
+        # pybullet gives the joint's force and torque at the carried link's centre of mass, along its principal axes.
+        R_com = R @ self._R_flange_com
+        force = R_com @ mean[:3]
+        carried = np.concatenate([force, R_com @ mean[3:] + cross(p_flange_com, force)])
         self.wrench = np.concatenate([inertial, cross(lever, inertial)]) - carried
         self._sum, self._time, self._velocity = np.zeros(6), 0.0, velocity
 
     def _payload_velocity(self) -> tuple[Array, Array, Array, Array]:
         """Velocity (3,) of the payload's centre of mass, its lever (3,) from the flange, R_base_flange, and the
-        forearm's centre of mass (3,) from the flange; base axes."""
-        X_base_forearm, com, w, v_com = self._world.robot.sensor_motion()
-        R = X_base_forearm[:3, :3]  # the forearm is mounted without rotation
-        flange = X_base_forearm[:3, 3] - R @ X_FLANGE_FOREARM[:3, 3]
+        centre of mass (3,) of the hand's root link from the flange; base axes."""
+        X_base_root, com, w, v_com = self._world.robot.sensor_motion()
+        R = X_base_root[:3, :3] @ self._X_flange_root[:3, :3].T
+        flange = X_base_root[:3, 3] - R @ self._X_flange_root[:3, 3]
         lever = R @ self.payload.center_of_mass
         return v_com + cross(w, flange + lever - com), lever, R, com - flange

@@ -10,7 +10,7 @@ import numpy as np
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.frames import inverse
 from toolee_robot.hal import HandState
-from toolee_robot.robots import FINGERS, finger_of
+from toolee_robot.robots import PALM
 from toolee_robot.sim_backend.grip import AssistedGrip, GripLimits
 from toolee_robot.sim_backend.quiet import pb
 from toolee_robot.sim_backend.world import NORMAL, SimWorld
@@ -24,16 +24,11 @@ STILL = 0.05  # [rad/s]
 STILL_TIME = 0.05  # [s] of standing still that counts as blocked
 PHASE_TIME = 0.8  # [s] at most for one group of joints: one that still creeps then presses on while the next closes
 CONTACT_FORCE = 0.3  # [N] that counts as a touch
-MIN_LINKS = 3  # of the fingers, besides the thumb, that must touch for a hold
-MAX_FINGER_FORCE = 25.0  # [N] of one finger that the grip counts: a tendon-driven finger's, not the solver's squeeze
 AVERAGE_TIME = 0.06  # [s] over which the finger forces are averaged before the grip begins
-# The order of a human power grasp: knuckles first, then the finger joints outwards, the thumb over them last.
-CLOSING_ORDER = (("FFJ3", "MFJ3", "RFJ3", "LFJ3"), ("FFJ2", "MFJ2", "RFJ2", "LFJ2"), ("FFJ1", "MFJ1", "RFJ1", "LFJ1"),
-                 ("THJ5", "THJ4", "THJ3"), ("THJ2", "THJ1"))  # fmt: skip
 
 
 class SimHand:
-    """A `hal.Hand` that moves the simulated Shadow Hand. The wrist holds its rest pose with its limited torque.
+    """A `hal.Hand` that moves the simulated hand. The wrist holds its rest pose with its limited torque.
 
     Faults to be had: `cut_link`; hangs (motions time out), temperature, fault (see `hal.HandState`); `recover` ends
     them all.
@@ -43,6 +38,7 @@ class SimHand:
         self._world = world
         self._friction = friction
         self._robot = world.robot.robot
+        self._model = self._robot.hand
         self._target = world.robot.q_hand_target.copy()
         self._holding_forces: dict[str, float] | None = None
         self._open_device = True
@@ -108,7 +104,7 @@ class SimHand:
             self._world.grip.release()
         self._holding_forces = None
         goal = self._robot.hand_open
-        for joints in reversed(CLOSING_ORDER):
+        for joints in reversed(self._model.closing_order):
             self._move(joints, goal, timeout)
 
     def close(self, timeout: float = 5.0) -> None:
@@ -117,7 +113,7 @@ class SimHand:
         self._check_moves(timeout)
         goal = self._robot.hand_closed
         end = self._world.time + timeout
-        for joints in CLOSING_ORDER:
+        for joints in self._model.closing_order:
             self._move(joints, goal, end - self._world.time)
         self._hold()
 
@@ -141,7 +137,7 @@ class SimHand:
 
     def _move(self, joints: tuple[str, ...], goal: np.ndarray, timeout: float) -> None:
         """Move some joints to their goals, or as far as they get. Raises DeviceError on time-out; targets stay."""
-        index = np.array([self._robot.hand_joints.index(f"rh_{joint}") for joint in joints])
+        index = np.array(self._model.index(joints))
         began = self._world.time
         end = began + timeout
         still = 0.0
@@ -163,29 +159,32 @@ class SimHand:
 
     def _contact_forces(self) -> tuple[dict[str, float], set[str]]:
         """Normal force [N] between hand and tool by finger and "palm", and the links that touch."""
-        forces = dict.fromkeys((*FINGERS, "palm"), 0.0)
+        forces = self._no_forces()
         links: set[str] = set()
         world = self._world
         names = {index: name for name, index in world.robot.link_index.items()}
         for contact in pb.getContactPoints(bodyA=world.robot.body, bodyB=world.tool.body, physicsClientId=world.client):
             name = names.get(contact[3], "")
-            if name.startswith("rh_") and contact[9] > 0:
-                forces[finger_of(name)] += float(contact[9])
+            if name in self._model.tree.by_name and contact[9] > 0:
+                forces[self._model.part_of(name)] += float(contact[9])
                 if contact[9] > CONTACT_FORCE:
                     links.add(name)
         return forces, links
 
-    @staticmethod
-    def _touches_enough(forces: dict[str, float], links: set[str]) -> bool:
-        fingers = [link for link in links if finger_of(link) not in ("thumb", "palm")]
-        return forces["thumb"] > CONTACT_FORCE and len(fingers) >= MIN_LINKS
+    def _no_forces(self) -> dict[str, float]:
+        return dict.fromkeys((*(finger.name for finger in self._model.fingers), PALM), 0.0)
+
+    def _touches_enough(self, forces: dict[str, float], links: set[str]) -> bool:
+        opposing = self._model.opposing.name
+        others = [link for link in links if self._model.part_of(link) not in (opposing, PALM)]
+        return forces[opposing] > CONTACT_FORCE and len(others) >= self._model.holding_links
 
     def _hold(self) -> None:
         """Begin the assisted grip if thumb and fingers hold the tool by contact."""
         world = self._world
         if world.grip is not None and world.grip.holding:
             return
-        total: dict[str, float] = dict.fromkeys((*FINGERS, "palm"), 0.0)
+        total = self._no_forces()
         links: set[str] = set()
         n = round(AVERAGE_TIME / TICK)
         for _ in range(n):
@@ -196,19 +195,19 @@ class SimHand:
                 total[name] += force / n
         if not self._touches_enough(total, links):
             return
-        total = {name: min(force, MAX_FINGER_FORCE) for name, force in total.items()}
+        total = {name: min(force, self._model.finger_force) for name, force in total.items()}
         self._holding_forces = total
-        fingers = sum(total[name] for name in FINGERS)
+        fingers = sum(force for name, force in total.items() if name != PALM)
         X_hand_tool = inverse(world.X_base_hand()) @ world.X_base_tool()
         # The grip's centre: the point of the handle's axis abreast of the palm's middle.
-        along = (0.005 - X_hand_tool[0, 3]) / X_hand_tool[0, 2]
+        along = (self._model.grasp.p[0] - X_hand_tool[0, 3]) / X_hand_tool[0, 2]
         z = float(np.clip(along, world.tool.tool.handle.z_min + 0.02, world.tool.tool.handle.z_max - 0.02))
         p_hand_grip = X_hand_tool[:3, 3] + z * X_hand_tool[:3, 2]
         radius = float(np.mean(world.tool.tool.handle.radii_at(z)))
         world.ignore_collisions(world.robot.body, world.tool.body)
         # Loads pass through the palm from now on: the fingers only keep up what presses, at the torques they had.
         self._target = world.robot.hand_state()[0]
-        wrist = [self._robot.hand_joints.index(name) for name in ("rh_WRJ2", "rh_WRJ1")]
+        wrist = self._model.wrist_index
         self._target[wrist] = self._robot.hand_closed[wrist]
         world.robot.command_hand(self._target)
         world.grip = AssistedGrip(

@@ -6,7 +6,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, transform
-from toolee_robot.robots import nominal_X_hand_tool
 from toolee_robot.sim_backend.bodies import fixed_box, set_body_pose
 from toolee_robot.sim_backend.options import InHandOffset
 from toolee_robot.sim_backend.quiet import pb
@@ -49,7 +48,7 @@ class SimPerson:
         self.confirms, self.attends, self.stays = True, True, False
         self._constraint: int | None = None
         tool = world.tool.tool
-        X_nominal = nominal_X_hand_tool(float(np.mean(tool.handle.radii_at(0.0))))
+        X_nominal = world.robot.robot.hand.grasp.X_hand_tool(tool.handle.grip_radius)
         self.intended_X_hand_tool = handed_over(X_nominal, offset)
         self._grasp(world.X_base_tool())
 

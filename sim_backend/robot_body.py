@@ -5,16 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from toolee_robot.frames import Array
-from toolee_robot.robots import WRIST_JOINTS, RobotDescription
+from toolee_robot.robots import RobotDescription
 from toolee_robot.sim_backend.quiet import pb
 
 ARM_GAIN = 100.0  # [1/s] of the arm's position loop
 FINGER_GAIN = 20.0  # [1/s]
 WRIST_GAIN = 12.0  # [1/s]: a wrist that gave way in a blow comes back without a second blow
-# The wrist's torque while hammering [Nm] (deviation; the flexion keeps the motor's own 2.2): enough to carry a hammer,
-# less than the grip can hold against, so that after a blow the wrist gives way and not the grip.
-WRIST_TORQUE = 3.3
-SENSOR_LINK = "rh_forearm"
 
 
 class RobotBody:
@@ -38,12 +34,13 @@ class RobotBody:
         self._arm = [joint_index[name] for name in robot.arm_joints]
         self._hand = [joint_index[name] for name in robot.hand_joints]
         self.palm = self.link_index[robot.hand_frame]
-        self.sensor_link = self.link_index[SENSOR_LINK]
+        self.sensor_link = self.link_index[robot.hand.tree.links[0].name]  # the joint of the hand's mount
         self._arm_effort = robot.effort[:6].tolist()
         self.hand_effort = robot.effort[6:].copy()
-        self.hand_effort[0] = min(self.hand_effort[0], WRIST_TORQUE)
-        gains = [WRIST_GAIN if name in WRIST_JOINTS else FINGER_GAIN for name in robot.hand_joints]
-        self._hand_gain = np.array(gains)
+        self._hand_gain = np.full(len(robot.hand_joints), FINGER_GAIN)
+        for i, joint in enumerate(robot.hand.wrist):
+            self.hand_effort[i] = min(self.hand_effort[i], joint.torque)
+            self._hand_gain[i] = WRIST_GAIN
         for link in range(-1, len(infos)):
             pb.changeDynamics(
                 self.body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, restitution=0.0,
@@ -66,7 +63,7 @@ class RobotBody:
         self._since_command = 0.0
 
     def command_hand(self, q: Array) -> None:
-        """Hold q (24,) [rad] with the hand's limited torques."""
+        """Hold q (n,) [rad] with the hand's limited torques."""
         self.q_hand_target = np.array(q, dtype=float)
         self._hand_set_for = 0.0
 
@@ -99,7 +96,7 @@ class RobotBody:
         return self._state(self._arm)
 
     def hand_state(self) -> tuple[Array, Array]:
-        """Measured q, qd (24,)."""
+        """Measured q, qd (n,)."""
         return self._state(self._hand)
 
     def _state(self, joints: list[int]) -> tuple[Array, Array]:
@@ -115,12 +112,13 @@ class RobotBody:
         return X
 
     def sensor_reaction(self) -> Array:
-        """Wrench (6,) of the joint at the hand's mount in the last step, in the forearm link's frame, as pybullet
-        gives it: what the arm must exert on the hand."""
+        """Wrench (6,) of the joint at the hand's mount in the last step, along the principal axes of the hand's
+        root link, at its centre of mass: what the arm must exert on the hand."""
         return np.array(pb.getJointState(self.body, self.sensor_link, physicsClientId=self._client)[2])
 
     def sensor_motion(self) -> tuple[Array, Array, Array, Array]:
-        """The forearm in `base`: its pose (4x4), centre of mass, angular velocity, and velocity of that centre."""
+        """The hand's root link in `base`: its pose (4x4), centre of mass, angular velocity, and that centre's
+        velocity."""
         state = pb.getLinkState(self.body, self.sensor_link, computeLinkVelocity=1, physicsClientId=self._client)
         X = np.eye(4)
         X[:3, :3] = np.array(pb.getMatrixFromQuaternion(state[5])).reshape(3, 3)

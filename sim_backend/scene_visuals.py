@@ -12,7 +12,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.frames import Array, frame_from_axes, transform
 from toolee_robot.render.mesh import Mesh, box, cylinder, sphere
 from toolee_robot.render.palette import skin_tone
-from toolee_robot.robots import arm_meshes, hand_meshes
+from toolee_robot.robots import arm_meshes, hand_model
 from toolee_robot.sim_backend.person import SimPerson
 from toolee_robot.sim_backend.visuals import VisualBody
 from toolee_robot.sim_backend.wood import NailSpec
@@ -69,8 +69,9 @@ class SceneVisuals:
         self._skin = skin_tone(rng)
         self._shirt = SHIRT_COLORS[int(rng.integers(len(SHIRT_COLORS)))]
         self._links = {
-            name: (Mesh.build(mesh.vertices, mesh.faces), name.startswith("rh_"))
-            for name, mesh in {**arm_meshes(), **hand_meshes()}.items()
+            name: (Mesh.build(mesh.vertices, mesh.faces), of_hand)
+            for of_hand, meshes in ((False, arm_meshes()), (True, hand_model(config.hand.model).meshes))
+            for name, mesh in meshes.items()
         }
         self._parts = [
             (f"tool_{i}_{part.label}", Mesh.build(part.mesh.vertices, part.mesh.faces), part.material)

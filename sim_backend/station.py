@@ -21,13 +21,11 @@ from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.sim_backend.person import SimPerson
 from toolee_robot.sim_backend.scene_visuals import SceneVisuals, scene_state
 from toolee_robot.sim_backend.world import Sample, SimWorld
-from toolee_robot.tools import Tool, ToolKind, make_tool, split
+from toolee_robot.tools import NAIL_DRIVERS, SWUNG_MASS, Tool, make_tool, split
 from toolee_robot.types import Category
 
-MASS_RANGE = (0.4, 1.05)  # [kg] of the hammers handed over
 MAX_MOMENT = 1.7  # [Nm] of its weight about the grip's centre: what the wrist can swing
 MIN_REACH = 0.15  # [m] from the grip's centre to the face, along the handle: room for the hand
-KINDS = (ToolKind.CLAW_HAMMER, ToolKind.BALL_PEEN_HAMMER, ToolKind.CROSS_PEEN_HAMMER, ToolKind.CLUB_HAMMER)
 
 
 def draw_hammer(rng: np.random.Generator) -> Tool:
@@ -36,10 +34,10 @@ def draw_hammer(rng: np.random.Generator) -> Tool:
         seed = int(rng.integers(0, 5000))
         if split(seed) != "test":
             continue
-        tool = make_tool(KINDS[int(rng.integers(len(KINDS)))], seed)
+        tool = make_tool(NAIL_DRIVERS[int(rng.integers(len(NAIL_DRIVERS)))], seed)
         face = tool.ee(Category.HAMMER_HEAD).X_tool_ee
         moment = 9.81 * tool.mass * tool.center_of_mass[2]
-        if MASS_RANGE[0] <= tool.mass <= MASS_RANGE[1] and face[2, 3] >= MIN_REACH and moment <= MAX_MOMENT:
+        if SWUNG_MASS[0] <= tool.mass <= SWUNG_MASS[1] and face[2, 3] >= MIN_REACH and moment <= MAX_MOMENT:
             return tool
     raise UserError("no hammer of a usable mass found: choose another seed")
 

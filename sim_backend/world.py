@@ -15,7 +15,7 @@ import numpy as np
 from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.frames import Array, cross
-from toolee_robot.robots import hand_posture, load_robot
+from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.bodies import Furniture, ToolBody
 from toolee_robot.sim_backend.grip import AssistedGrip
 from toolee_robot.sim_backend.impact import IMPACT, StepSettings
@@ -37,7 +37,7 @@ SAMPLE_QUANTA = 64  # between two samples for the observers: 16 ms
 
 @dataclass(frozen=True)
 class Sample:
-    """What a recorder may know: joints (6,), (24,) [rad] and the arm's wrench (6,) at `stamp` [s]."""
+    """What a recorder may know: joints (6,), (n,) [rad] and the arm's wrench (6,) at `stamp` [s]."""
 
     stamp: float
     q_arm: Array
@@ -63,11 +63,9 @@ class SimWorld:
         self.after_step: list[Callable[[], None]] = []
         self.observers: list[Callable[[Sample], None]] = []
         pb.setGravity(0.0, 0.0, -9.81, physicsClientId=self.client)
-        robot = load_robot(config.arm.model, config.arm.calibration)
-        posture = hand_posture("open")
-        q_hand = np.array([posture.get(name, 0.0) for name in robot.hand_joints])
+        robot = load_robot(config.arm.model, config.arm.calibration, config.hand.model)
         q_arm = np.array(config.scene.home if options.q_start is None else options.q_start)
-        self.robot = RobotBody(self.client, robot, q_arm, q_hand)
+        self.robot = RobotBody(self.client, robot, q_arm, robot.hand_open)
         self.furniture = Furniture.build(self.client, config)
         self.nail = Nail(
             self.client, config.work.X_base_nail(), NailSpec.from_config(config.work), self.furniture.block,

@@ -272,6 +272,15 @@ class SupervisorConfig:
 
 
 @dataclass(frozen=True)
+class HandConfig:
+    """The hand on the flange."""
+
+    __pydantic_config__ = _STRICT
+    model: str = "shadow_right"
+    """Name of the hand, one of `toolee_robot.robots.HANDS`."""
+
+
+@dataclass(frozen=True)
 class StationConfig:
     """A whole station. calibration: None where nobody has calibrated it, which no job accepts."""
 
@@ -281,6 +290,7 @@ class StationConfig:
     work: WorkConfig = field(default_factory=WorkConfig)
     scene: SceneConfig = field(default_factory=SceneConfig)
     arm: ArmLimits = field(default_factory=ArmLimits)
+    hand: HandConfig = field(default_factory=HandConfig)
     strike: StrikeConfig = field(default_factory=StrikeConfig)
     task: TaskConfig = field(default_factory=TaskConfig)
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)

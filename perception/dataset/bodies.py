@@ -13,19 +13,12 @@ from toolee_robot.perception.dataset.catalogue import StoredTool
 from toolee_robot.render import Body, Material, Mesh
 from toolee_robot.render.palette import any_color, finish, skin_tone
 from toolee_robot.render.robot_look import LookPart, arm_link_parts
-from toolee_robot.robots import (
-    HAND_JOINTS,
-    arm_link_poses,
-    arm_meshes,
-    hand_link_poses,
-    hand_meshes,
-    hand_posture,
-    nominal_X_hand_tool,
-    wrap_fingers,
-)
-from toolee_robot.robots.description import HAND_FRAME, robot_tree
+from toolee_robot.robots import SHADOW_HAND, arm_link_poses, arm_meshes, wrap_fingers
+from toolee_robot.robots.description import robot_tree
 from toolee_robot.tools import ToolShape, make_tool
 
+HAND = SHADOW_HAND
+"""The hand that the images show."""
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 
@@ -83,7 +76,7 @@ def _steel_color(rng: np.random.Generator) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """How a right hand holds a handle: X_hand_tool (4x4) and q_hand (24,) [rad]. radius [m] it was made for."""
+    """How a right hand holds a handle: X_hand_tool (4x4) and q_hand (n,) [rad]. radius [m] it was made for."""
 
     X_hand_tool: Array
     q_hand: Array
@@ -102,24 +95,23 @@ def random_grasp(radius: float, rng: np.random.Generator) -> Grasp:
         spin += np.pi
     tilt = rng.normal(0.0, 0.12, 2)
     axis = np.array([1.0, tilt[0], tilt[1]])
-    X = nominal_X_hand_tool(radius)
+    X = HAND.grasp.X_hand_tool(radius)
     reference = np.array([0.0, -np.sin(spin), np.cos(spin)])
     X = frame_from_axes(z=axis * (1.0 if rng.random() < 0.9 else -1.0), x=reference, p=X[:3, 3] + p)
-    q = _closed(wrap_fingers(X, radius))
-    wrist = [HAND_JOINTS.index("rh_WRJ2"), HAND_JOINTS.index("rh_WRJ1")]
+    q = _closed(wrap_fingers(HAND, X, radius))
     if rng.random() < 0.08:
         # The open hand, the tool lying in it: as during the handover.
-        posture = hand_posture("open" if rng.random() < 0.5 else "preshape")
-        q = np.array([posture.get(joint, 0.0) for joint in HAND_JOINTS])
-    q[2:] += rng.normal(0.0, 0.04, len(q) - 2)
-    q[wrist] = rng.uniform([-0.45, -0.6], [0.12, 0.4])
+        q = HAND.posture("open" if rng.random() < 0.5 else "preshape")
+    q[len(HAND.wrist) :] += rng.normal(0.0, 0.04, len(HAND.finger_joints))
+    q[HAND.wrist_index] = rng.uniform(*np.transpose([joint.shown for joint in HAND.wrist]))
     return Grasp(X, q, radius)
 
 
 def _closed(q_hand: Array) -> Array:
     """Fingers that a slanting handle kept from closing (they began inside of it) bend as far as the others do."""
     q = q_hand.copy()
-    rows = np.array([[HAND_JOINTS.index(f"rh_{f}J{j}") for j in (3, 2, 1)] for f in ("FF", "MF", "RF", "LF")])
+    together = [joints for joints in HAND.wrapping_order if len(joints) == len(HAND.fingers) - 1]
+    rows = np.array([HAND.index(joints) for joints in together]).T
     blocked = q[rows[:, 0]] < 0.3
     if blocked.any() and not blocked.all():
         q[rows[blocked]] = np.median(q[rows[~blocked]], axis=0)
@@ -163,7 +155,7 @@ def tuple_of(grey: float) -> tuple[float, float, float]:
 
 @lru_cache(maxsize=2)
 def _hand_render_meshes(mirrored: bool) -> dict[str, Mesh]:
-    right = {name: Mesh.build(m.vertices, m.faces, crease_deg=50.0) for name, m in hand_meshes().items()}
+    right = {name: Mesh.build(m.vertices, m.faces, crease_deg=50.0) for name, m in HAND.meshes.items()}
     return {name: mesh.mirrored() for name, mesh in right.items()} if mirrored else right
 
 
@@ -171,14 +163,14 @@ def hand_bodies(grasp: Grasp, style: HandStyle, X_world_hand: Array, body_id: in
     """Hand (and forearm) at the pose of its palm; for a mirrored style, `X_world_hand` is the left palm's."""
     bodies = []
     meshes = _hand_render_meshes(style.mirrored)
-    for name, X in hand_link_poses(grasp.q_hand).items():
-        if name not in meshes or (name == "rh_forearm" and not forearm):
+    for name, X in HAND.link_poses(grasp.q_hand).items():
+        if name not in meshes or (name == HAND.forearm[0] and not forearm):
             continue
         X_hand_link = _MIRROR @ X @ _MIRROR if style.mirrored else X
         material = style.palm
-        if name.endswith("distal"):
+        if name in HAND.tips:
             material = style.tips
-        elif name in ("rh_forearm", "rh_wrist"):
+        elif name in HAND.forearm:
             material = style.sleeve
         bodies.append(Body(meshes[name], X_world_hand @ X_hand_link, material, body_id))
     return bodies
@@ -194,8 +186,8 @@ def X_hand_tool_of(grasp: Grasp, mirrored: bool) -> Array:
 
 
 def X_base_hand_of(q_arm: Array, q_hand: Array) -> Array:
-    """Pose of the palm in the arm's base at q_arm (6,), q_hand (24,) [rad]."""
-    return robot_tree().link_poses(np.concatenate([q_arm, q_hand]))[HAND_FRAME]
+    """Pose of the palm in the arm's base at q_arm (6,), q_hand (n,) [rad]."""
+    return robot_tree().link_poses(np.concatenate([q_arm, q_hand]))[HAND.frame]
 
 
 @lru_cache(maxsize=1)

@@ -16,20 +16,17 @@ from toolee_robot.perception.dataset.own import OwnTool, OwnToolRecord
 from toolee_robot.perception.dataset.records import INSTANCES
 from toolee_robot.perception.dataset.surfaces import draw
 from toolee_robot.render import Mesh
-from toolee_robot.tools import KINDS_BY_FAMILY, Family, Tool, ToolKind, ToolShape, make_tool, tool_name
+from toolee_robot.tools import TOOL_SPECS, Family, Tool, ToolKind, ToolShape, kinds_of, make_tool, tool_name
 from toolee_robot.tools.catalog import split as split_of
 from toolee_robot.types import Category
 
-_KINDS = tuple(ToolKind)
+_KINDS = tuple(TOOL_SPECS)
 _OWN = len(_KINDS) * INSTANCES
 """Numbers from here on are a user's own tools."""
 _POOL = 12
 """Tools that a scene folder's examples draw from."""
-_CATEGORIES = {
-    Family.HAMMERS: (Category.HAMMER_HEAD,),
-    Family.SCREWDRIVERS: (Category.SCREWDRIVER_HEAD,),
-    Family.WRENCHES: (Category.WRENCH_HEAD,),
-}
+_DRAWN = (*[Family.HAMMERS] * 4, *[Family.SCREWDRIVERS] * 5, *[Family.WRENCHES] * 3)
+"""The families of those tools; the station's scenes add to the hammers."""
 
 
 class Catalogue(ABC):
@@ -80,7 +77,7 @@ def number_of(tool: ToolShape) -> int:
     if isinstance(tool, OwnTool):
         return _OWN + tool.index
     assert isinstance(tool, Tool)
-    return _KINDS.index(tool.kind) * INSTANCES + tool.seed
+    return TOOL_SPECS[tool.kind].number * INSTANCES + tool.seed
 
 
 class GeneratedTools(Catalogue):
@@ -94,15 +91,12 @@ class GeneratedTools(Catalogue):
         return [n for n in range(_OWN) if split_of(n % INSTANCES) == split]
 
     def pool(self, rng: np.random.Generator, split: str) -> tuple[int, ...]:
-        """4 hammers (the station adds to them), 5 screwdrivers, 3 wrenches."""
         numbers = []
-        for family in [Family.HAMMERS] * 4 + [Family.SCREWDRIVERS] * 5 + [Family.WRENCHES] * 3:
-            kinds = KINDS_BY_FAMILY[family]
-            weights = np.ones(len(kinds))
-            if family is Family.HAMMERS:
-                weights[0] = 6.0  # the only kind with a claw, the fourth category
+        for family in _DRAWN:
+            kinds = kinds_of(family)
+            weights = np.array([TOOL_SPECS[kind].draw_weight for kind in kinds])
             kind = kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]
-            numbers.append(_KINDS.index(kind) * INSTANCES + draw(rng, split, INSTANCES))
+            numbers.append(TOOL_SPECS[kind].number * INSTANCES + draw(rng, split, INSTANCES))
         return tuple(numbers)
 
     def name(self, number: int) -> str:
@@ -112,9 +106,7 @@ class GeneratedTools(Catalogue):
         return split_of(self._which(number)[1])
 
     def categories(self, number: int) -> tuple[Category, ...]:
-        kind, _ = self._which(number)
-        grip = (Category.HAMMER_GRIP,) if kind is ToolKind.CLAW_HAMMER else ()
-        return _CATEGORIES[kind.family] + grip
+        return TOOL_SPECS[self._which(number)[0]].end_effectors
 
     def about(self, number: int) -> dict[str, Any]:
         kind, seed = self._which(number)

@@ -17,7 +17,7 @@ from toolee_robot.perception.dataset.records import HEIGHT, SCENES, WIDTH
 from toolee_robot.render import Material, Scene
 from toolee_robot.render.lab import environment, lamps
 from toolee_robot.render.palette import linear
-from toolee_robot.robots import nominal_X_hand_tool, wrap_fingers
+from toolee_robot.robots import SHADOW_HAND, wrap_fingers
 from toolee_robot.types import CameraIntrinsics, Category
 
 FULL_WIDTH, FULL_HEIGHT, FOCAL = 960, 540, 480.0
@@ -48,9 +48,9 @@ def paper_scene(rng: np.random.Generator, pool: Pool, claws: bool = False) -> Sc
     R = turns[np.argmin(turns @ tool.ees[0].X_tool_ee[:3, 2] @ p)]
     X_world_tool = transform(R, p - R @ ee.X_tool_ee[:3, 3])
 
-    radius = float(np.mean(tool.handle.radii_at(0.0)))
-    X_hand_tool = nominal_X_hand_tool(radius)
-    grasp = Grasp(X_hand_tool, wrap_fingers(X_hand_tool, radius), radius)
+    radius = tool.handle.grip_radius
+    X_hand_tool = SHADOW_HAND.grasp.X_hand_tool(radius)
+    grasp = Grasp(X_hand_tool, wrap_fingers(SHADOW_HAND, X_hand_tool, radius), radius)
     along = float(np.clip(rng.uniform(-_SHIFT, _SHIFT), tool.handle.z_min + 0.03, max(tool.handle.z_max, 0.0)))
     X_world_hand = X_world_hand_of(X_world_tool @ transform(p=(0.0, 0.0, along)), X_hand_tool)
 

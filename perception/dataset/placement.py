@@ -59,7 +59,7 @@ class Pool:
 
     def grasp(self, tool: ToolShape, rng: np.random.Generator) -> Grasp:
         """A grasp made for about the radius of the tool's handle."""
-        radius = float(np.mean(tool.handle.radii_at(0.0)))
+        radius = tool.handle.grip_radius
         nearest = int(np.argmin(np.abs(np.asarray(_GRASP_RADII) - radius)))
         return self._grasp(nearest * _GRASPS_EACH + int(rng.integers(_GRASPS_EACH)))
 

@@ -28,8 +28,7 @@ from toolee_robot.perception.dataset.surfaces import Surfaces
 from toolee_robot.render import Body, Scene
 from toolee_robot.render.mesh import box, cylinder, sphere
 from toolee_robot.render.palette import any_color, finish, skin_tone
-from toolee_robot.robots import FLANGE_FRAME
-from toolee_robot.robots.description import robot_tree
+from toolee_robot.robots.description import arm_tree
 from toolee_robot.tools import ToolShape
 from toolee_robot.types import CameraIntrinsics, Category
 
@@ -47,9 +46,7 @@ def _postures() -> tuple[Array, Array]:
     X = np.broadcast_to(np.eye(4), (_POSTURES, 4, 4))
     heights = []
     i = 0
-    for link in robot_tree().links:
-        if link.name.startswith("rh_"):
-            continue
+    for link in arm_tree().links:
         X = X @ link.X_parent_joint
         if link.axis is not None:
             turn = np.broadcast_to(np.eye(4), (_POSTURES, 4, 4)).copy()
@@ -57,8 +54,6 @@ def _postures() -> tuple[Array, Array]:
             X = X @ turn
             heights.append(X[:, 2, 3])
             i += 1
-        if link.name == FLANGE_FRAME:
-            break
     palm = X[:, :3, 3] + 0.27 * X[:, :3, 2]
     near = np.linalg.norm(palm - (0.15 * _CAMERA + 0.85 * _TARGET), axis=1) < 0.25
     clear = (np.min(heights[2:], axis=0) > 0.12) & (palm[:, 2] > 0.3)

@@ -1,7 +1,6 @@
 """Dense surface samples of tools and hands, the raw material of the training clouds. numpy only, several processes.
 
-The hands need the Shadow Hand's model files; `save_hands` writes their samples to a small file, so that a GPU machine
-without that package can train.
+`save_hands` writes the hands' samples to a small file, so that a training need not make them.
 """
 
 from __future__ import annotations
@@ -16,7 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, inverse
-from toolee_robot.tools.catalog import make_tool, test_seeds, train_seeds
+from toolee_robot.robots import SHADOW_HAND
+from toolee_robot.tools.catalog import TOOL_SPECS, make_tool, test_seeds, train_seeds
 from toolee_robot.tools.model import ToolKind, ee_radius
 from toolee_robot.types import Category
 from toolee_robot.worker_pool import WorkerPool
@@ -72,7 +72,7 @@ _Row = tuple[Float32, Float32, NDArray[np.bool_], Float32, Float32, int, Float32
 def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
     kind, seed = job
     tool = make_tool(kind, seed)
-    rng = np.random.default_rng([seed, list(ToolKind).index(kind), 7])
+    rng = np.random.default_rng([seed, TOOL_SPECS[kind].number, 7])
     points, normals, parts = tool.sample_surface(60_000, rng)
     asymmetric = np.array([part.label in ASYMMETRIC for part in tool.parts])[parts]
     shininess = np.array([part.material.metallic * (1 - part.material.roughness) for part in tool.parts])[parts]
@@ -87,7 +87,7 @@ def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
         rest = np.flatnonzero(~near)
         rest_pick = rng.choice(rest, REST_SAMPLES, replace=bool(len(rest) < REST_SAMPLES))
         tells = asymmetric[ee_pick] & (ee.category == Category.HAMMER_HEAD)
-        radius = float(np.mean(tool.handle.radii_at(0.0)))
+        radius = tool.handle.grip_radius
         rows.append(
             (
                 p[ee_pick].astype(np.float32),
@@ -107,14 +107,12 @@ def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
 
 
 def tool_bank(held_out: bool, seeds_per_kind: int, workers: int | None = None) -> ToolBank:
-    """Samples of `seeds_per_kind` tools of every kind (twice as many claw hammers, the only ones with a claw).
+    """Samples of `seeds_per_kind` tools of every kind (times `ToolSpec.training_share`).
 
     held_out: of the test split instead of the training split. workers: processes; None: one per CPU, 1: none.
     """
     seeds = test_seeds if held_out else train_seeds
-    jobs = [
-        (kind, seed) for kind in ToolKind for seed in seeds(seeds_per_kind * (2 if kind == ToolKind.CLAW_HAMMER else 1))
-    ]
+    jobs = [(kind, seed) for kind, spec in TOOL_SPECS.items() for seed in seeds(seeds_per_kind * spec.training_share)]
     workers = workers or min(os.cpu_count() or 1, 16)
     if workers > 1 and len(jobs) > 64:
         with WorkerPool(workers) as pool:
@@ -139,26 +137,23 @@ def tool_bank(held_out: bool, seeds_per_kind: int, workers: int | None = None) -
 
 def hand_bank(count: int = 64, seed: int = 0) -> Float32:
     """Surface samples (count, 6144, 3) [m] of the Shadow Hand in its `hand` frame, closed around handles of many
-    radii, single fingers astray. Needs gymnasium-robotics; raises AssetError without."""
-    from toolee_robot.robots.description import HAND_JOINTS, hand_link_poses, hand_meshes
-    from toolee_robot.robots.grasp import posture_vector
-
+    radii, single fingers astray."""
     rng = np.random.default_rng(seed)
-    meshes = hand_meshes()
+    meshes = SHADOW_HAND.meshes
     areas = np.array([mesh.area for mesh in meshes.values()])
     # Fingers and palm occlude the tool, the forearm seldom does.
-    weights = areas * np.array([0.3 if "forearm" in name or "wrist" in name else 1.0 for name in meshes])
+    weights = areas * np.array([0.3 if name in SHADOW_HAND.forearm else 1.0 for name in meshes])
     share = np.maximum(np.floor(weights / weights.sum() * HAND_SAMPLES).astype(int), 8)
     local = {
         name: _sample_mesh(mesh.vertices.view(np.ndarray), mesh.faces.view(np.ndarray), 4 * n, rng)
         for (name, mesh), n in zip(meshes.items(), share, strict=True)
     }
-    half, closed = (posture_vector(name, HAND_JOINTS) for name in ("preshape", "closed"))
+    half, closed = (SHADOW_HAND.posture(name) for name in ("preshape", "closed"))
     hands = np.empty((count, HAND_SAMPLES, 3), np.float32)
     for i in range(count):
         q = half + rng.uniform(0.3, 1.0) * (closed - half)
         q = q + rng.normal(0.0, 0.12, len(q)) * (np.abs(closed - half) > 0.01)
-        poses = hand_link_poses(q)
+        poses = SHADOW_HAND.link_poses(q)
         cloud = np.concatenate(
             [
                 local[name][rng.choice(4 * n, n, replace=False)] @ poses[name][:3, :3].T + poses[name][:3, 3]
@@ -185,18 +180,16 @@ def load_hands(path: Path | None) -> Float32:
     except (OSError, KeyError, ValueError) as error:
         raise AssetError(
             f"cannot read the hand samples {path}: {error}; write them with "
-            "`toolee train hands --out FILE` where gymnasium-robotics is installed"
+            "`toolee train hands --out FILE`"
         ) from error
 
 
 def random_grasps(handle: Float32, rng: np.random.Generator, shift: float = 0.05, nominal: bool = False) -> Float32:
     """X_tool_hand (B, 4, 4) of hands that hold handles (B, 3: z_min, z_max, radius): displaced along them by up to
     `shift` [m]; if not `nominal`, turned about the handle, too, tilted, and now and then reversed."""
-    from toolee_robot.robots.grasp import nominal_X_hand_tool
-
     B = len(handle)
     # The nominal grasp is linear in the handle's radius.
-    thin, thick = nominal_X_hand_tool(0.0), nominal_X_hand_tool(1.0)
+    thin, thick = SHADOW_HAND.grasp.X_hand_tool(0.0), SHADOW_HAND.grasp.X_hand_tool(1.0)
     X_tool_hand = inverse(thin + handle[:, 2, None, None].astype(np.float64) * (thick - thin))
     about = np.where(rng.random(B) < 0.6, rng.normal(0, np.deg2rad(20), B), rng.uniform(-np.pi, np.pi, B))
     turn = Rotation.from_rotvec(about[:, None] * [0.0, 0.0, 1.0])

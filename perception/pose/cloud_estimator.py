@@ -168,9 +168,9 @@ def with_hand(result: PoseResult, X_camera_hand: Array, spin_sigma: float = HAND
 @cache
 def _nominal_R_hand_ee(category: Category) -> Array:
     """3x3, of an EE in the hand that holds its tool as the project's hand does."""
-    from toolee_robot.robots.grasp import nominal_X_hand_tool
+    from toolee_robot.robots import SHADOW_HAND
 
-    R: Array = nominal_X_hand_tool(0.015)[:3, :3] @ nominal_R_tool_ee(category)
+    R: Array = SHADOW_HAND.grasp.X_hand_tool(0.015)[:3, :3] @ nominal_R_tool_ee(category)
     return R
 
 

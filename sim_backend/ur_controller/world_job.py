@@ -44,7 +44,8 @@ class WorldJob:
         """Serve hand, person and judge in the controller's loop; set the robot up as a lab does at the pendant: the
         bare hand is its payload. The arm's calibration is the controller's too."""
         assert self._service is not None, "the plant comes first"
-        robot, model = controller.robot, load_robot(self.config.arm.model, self.config.arm.calibration)
+        config, robot = self.config, controller.robot
+        model = load_robot(config.arm.model, config.arm.calibration, config.hand.model)
         hand = model.hand_payload(model.hand_open)
         robot.machine.payload, robot.machine.payload_cog = hand.mass, hand.center_of_mass
         robot.plant.set_payload(hand.mass, hand.center_of_mass)

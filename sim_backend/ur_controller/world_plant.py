@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from toolee_robot.frames import Array, inverse
-from toolee_robot.robots.description import X_FLANGE_FOREARM
 from toolee_robot.sim_backend.flange_sensor import FlangeSensor
 from toolee_robot.sim_backend.quiet import pb
 from toolee_robot.sim_backend.world import SimWorld
@@ -64,7 +63,7 @@ class WorldPlant:
             return
         robot = self._world.robot
         wrench = TURN * self.external_force
-        flange = (robot.link_pose(robot.sensor_link) @ inverse(X_FLANGE_FOREARM))[:3, 3]
+        flange = (robot.link_pose(robot.sensor_link) @ inverse(robot.robot.hand.X_flange_root))[:3, 3]
         body, link, client = robot.body, robot.sensor_link, self._world.client
         pb.applyExternalForce(body, link, wrench[:3].tolist(), flange.tolist(), pb.WORLD_FRAME, physicsClientId=client)
         pb.applyExternalTorque(body, link, wrench[3:].tolist(), pb.WORLD_FRAME, physicsClientId=client)

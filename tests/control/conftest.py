@@ -8,7 +8,7 @@ import pytest
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel
 from toolee_robot.frames import Array, frame_from_axes
-from toolee_robot.robots import nominal_X_hand_tool
+from toolee_robot.robots import SHADOW_HAND
 
 
 @pytest.fixture(scope="session")
@@ -39,7 +39,7 @@ def X_tool_ee() -> Array:
 
 @pytest.fixture(scope="session")
 def X_hand_ee(X_tool_ee: Array) -> Array:
-    return nominal_X_hand_tool(0.016) @ X_tool_ee
+    return SHADOW_HAND.grasp.X_hand_tool(0.016) @ X_tool_ee
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike, timing
 from toolee_robot.control.timing import joint_move
 from toolee_robot.frames import Array, transform
-from toolee_robot.robots import nominal_X_hand_tool
+from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.types import Trajectory
 
 ACCELERATION, JERK = 15.0, 1500.0
@@ -34,7 +34,7 @@ def plans(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, 
     rng, plans = np.random.default_rng(4), []
     for _ in range(6):
         turn = Rotation.from_euler("ZYX", rng.uniform([-25, -12, -12], [25, 12, 12]), degrees=True)
-        X_hand_ee = nominal_X_hand_tool(0.016) @ transform(turn, [0, 0, rng.uniform(-0.03, 0.03)]) @ X_tool_ee
+        X_hand_ee = SHADOW_HAND.grasp.X_hand_tool(0.016) @ transform(turn, [0, 0, rng.uniform(-0.03, 0.03)]) @ X_tool_ee
         world = CollisionWorld(robot, config, q_hand, X_hand_ee)
         nail = config.work.X_base_nail(rng.uniform(0, 0.02))
         plans.append(plan_strike(robot, config, world, home, q_hand, X_hand_ee, nail))

@@ -12,7 +12,7 @@ from toolee_robot.control.collision import FAR
 from toolee_robot.control.collision_shapes import TOOL_JOINT, Body, box_body
 from toolee_robot.errors import CollisionError
 from toolee_robot.frames import Array, inverse, transform, transform_points
-from toolee_robot.tools import KINDS_BY_FAMILY, Family, make_tool
+from toolee_robot.tools import Family, kinds_of, make_tool
 from toolee_robot.tools import test_seeds as seeds_of_test_tools
 from toolee_robot.types import Category
 
@@ -92,7 +92,7 @@ def test_the_envelope_holds_every_kind_of_hammer() -> None:
     bodies = ToolEnvelope().bodies(np.eye(4), np.eye(4))
     assert all(body.joint == TOOL_JOINT for body in bodies)
     rng = np.random.default_rng(0)
-    for kind in KINDS_BY_FAMILY[Family.HAMMERS]:
+    for kind in kinds_of(Family.HAMMERS):
         for seed in seeds_of_test_tools(60)[::20]:
             tool = make_tool(kind, seed)
             points, _, _ = tool.sample_surface(400, rng)

@@ -79,7 +79,7 @@ def test_out_of_reach_says_so(robot: RobotModel) -> None:
 
 def test_wrist_joints_move_the_hand_frame(robot: RobotModel, q_hand: Array) -> None:
     turned = q_hand.copy()
-    turned[robot.description.hand_joints.index("rh_WRJ1")] += 0.2
+    turned[robot.description.hand.wrist_index[-1]] += 0.2
     change = inverse(robot.X_flange_hand(q_hand)) @ robot.X_flange_hand(turned)
     assert np.arccos((np.trace(change[:3, :3]) - 1) / 2) == pytest.approx(0.2, abs=1e-9)
 

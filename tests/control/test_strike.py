@@ -28,7 +28,7 @@ from toolee_robot.control.collision_shapes import box_body
 from toolee_robot.control.correction import candidates, flange_targets
 from toolee_robot.errors import CollisionError, UnreachableError, UserError
 from toolee_robot.frames import Array, angle_between, transform
-from toolee_robot.robots import HAND_FRAME, nominal_X_hand_tool
+from toolee_robot.robots import SHADOW_HAND
 
 
 def offset(along: float, about_deg: float, tilt_deg: float) -> Array:
@@ -52,7 +52,7 @@ def faces(robot: RobotModel, q: Array, q_hand: Array, X_hand_ee: Array) -> Array
 def test_any_spin_puts_the_face_onto_the_nail(
     robot: RobotModel, q_hand: Array, X_tool_ee: Array, along: float, about: float, tilt: float, theta: float
 ) -> None:
-    X_hand_ee = nominal_X_hand_tool(0.016) @ offset(along, about, tilt) @ X_tool_ee
+    X_hand_ee = SHADOW_HAND.grasp.X_hand_tool(0.016) @ offset(along, about, tilt) @ X_tool_ee
     X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
     X_base_nail = WorkConfig().X_base_nail()
     X_base_ee = flange_targets(X_base_nail, X_flange_ee, np.array(theta)) @ X_flange_ee
@@ -122,10 +122,10 @@ def test_the_arms_motors_can_do_it(robot: RobotModel, plan: StrikePlan, q_hand: 
     """Inverse dynamics with a 1 kg hammer stay under the joints' rated torques: what the accelerations rest on."""
     model = robot.model.copy()
     frame = model.frames[model.getFrameId(robot.description.hand_frame)]
-    p_hand_head = nominal_X_hand_tool(0.016) @ np.array([0, 0, 0.15, 1.0])
+    p_hand_head = SHADOW_HAND.grasp.X_hand_tool(0.016) @ np.array([0, 0, 0.15, 1.0])
     placement = frame.placement * pin.SE3(np.eye(3), p_hand_head[:3])
     model.appendBodyToJoint(frame.parentJoint, pin.Inertia(1.0, np.zeros(3), np.eye(3) * 3e-3), placement)
-    data, rest = model.createData(), np.zeros(24)
+    data, rest = model.createData(), np.zeros(len(SHADOW_HAND.joints))
     worst = np.zeros(6)
     for q, qd, qdd in zip(plan.strike.q, plan.strike.qd, plan.strike.qdd, strict=True):
         tau = pin.rnea(
@@ -161,7 +161,7 @@ def test_offsets_of_the_whole_range_are_planned(
     corners = [(a, b, t) for a in (-0.03, 0.03) for b in (-25.0, 25.0) for t in (-12.0, 12.0)]
     draws = [(rng.uniform(-0.03, 0.03), rng.uniform(-25, 25), rng.uniform(-12, 12)) for _ in range(17)]
     for draw in corners + draws:
-        X_hand_ee = nominal_X_hand_tool(0.016) @ offset(*draw) @ X_tool_ee
+        X_hand_ee = SHADOW_HAND.grasp.X_hand_tool(0.016) @ offset(*draw) @ X_tool_ee
         world = CollisionWorld(robot, config, q_hand, X_hand_ee)
         X_base_nail = config.work.X_base_nail(rng.uniform(0, 0.02))
         plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, X_base_nail)
@@ -176,7 +176,7 @@ def test_offsets_of_the_whole_range_are_planned(
 def hand_jacobian(robot: RobotModel, q_arm: Array, q_hand: Array) -> Array:
     """(6, 6): the palm's velocity [m/s] over its angular velocity [rad/s], base axes, for the arm's joints."""
     model = robot.model
-    q, palm = robot.configuration(q_arm, q_hand), model.getFrameId(HAND_FRAME)
+    q, palm = robot.configuration(q_arm, q_hand), model.getFrameId(SHADOW_HAND.frame)
     J = pin.computeFrameJacobian(model, model.createData(), q, palm, pin.LOCAL_WORLD_ALIGNED)
     return np.asarray(J[:, [model.joints[model.getJointId(name)].idx_v for name in robot.description.arm_joints]])
 

@@ -14,7 +14,7 @@ from toolee_robot.control.collision_shapes import box_body
 from toolee_robot.control.transfer import NEED
 from toolee_robot.errors import CollisionError, UnreachableError, UserError
 from toolee_robot.frames import Array, angle_between, inverse, transform, transform_points
-from toolee_robot.robots import nominal_X_hand_tool
+from toolee_robot.robots import SHADOW_HAND
 
 
 def test_straight_transfer_when_nothing_is_in_the_way(
@@ -119,7 +119,7 @@ def test_views_still_show_the_face_when_the_tool_sits_otherwise(
     shown = []
     for _ in range(60):
         slip = Rotation.from_euler("ZY", [rng.uniform(-25, 25), rng.uniform(-12, 12)], degrees=True)
-        X_hand_ee = nominal_X_hand_tool(0.016) @ transform(slip, [0, 0, rng.uniform(-0.03, 0.03)]) @ X_tool_ee
+        X_hand_ee = SHADOW_HAND.grasp.X_hand_tool(0.016) @ transform(slip, [0, 0, rng.uniform(-0.03, 0.03)]) @ X_tool_ee
         good = 0
         for view in views.views:
             X = X_camera_base @ robot.X_base_ee(view.q, q_hand, X_hand_ee)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
-import importlib.util
 from collections.abc import Iterator
 
 import numpy as np
@@ -14,18 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.examples import examples
-from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, inverse, transform_points
 from toolee_robot.robots import (
-    HAND_FRAME,
+    SHADOW_HAND,
     arm_meshes,
-    hand_link_poses,
-    hand_meshes,
     load_robot,
-    nominal_X_hand_tool,
     wrap_fingers,
 )
-from toolee_robot.robots.assets import shadow_hand_folder, ur10_urdf
 
 
 def _configurations(n: int) -> Array:
@@ -104,47 +97,37 @@ def test_hand_poses_are_relative_to_the_palm() -> None:
     robot = load_robot()
     q = _configurations(1)[0]
     base = robot.link_poses(q[:6], q[6:])
-    hand = hand_link_poses(q[6:])
-    np.testing.assert_allclose(hand[HAND_FRAME], np.eye(4), atol=1e-12)
-    np.testing.assert_allclose(base[HAND_FRAME] @ hand["rh_thdistal"], base["rh_thdistal"], atol=1e-9)
-    X_flange_hand = inverse(base["tool0"]) @ base[HAND_FRAME]
+    hand = SHADOW_HAND.link_poses(q[6:])
+    np.testing.assert_allclose(hand[SHADOW_HAND.frame], np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(base[SHADOW_HAND.frame] @ hand["rh_thdistal"], base["rh_thdistal"], atol=1e-9)
+    X_flange_hand = inverse(base["tool0"]) @ base[SHADOW_HAND.frame]
     np.testing.assert_allclose(robot.X_flange_hand(q[6:]), X_flange_hand, atol=1e-9)
 
 
 def test_meshes_are_metric_and_light() -> None:
-    for meshes, limit in ((hand_meshes(), 8500), (arm_meshes(), 8500)):
+    for meshes, limit in ((SHADOW_HAND.meshes, 8500), (arm_meshes(), 8500)):
         assert sum(len(mesh.faces) for mesh in meshes.values()) < limit
         for mesh in meshes.values():
             assert 0.005 < mesh.extents.max() < 1.0
-    poses = hand_link_poses(load_robot().hand_open)
-    tips = max(float(transform_points(poses[n], np.asarray(m.vertices))[:, 2].max()) for n, m in hand_meshes().items())
+    poses = SHADOW_HAND.link_poses(load_robot().hand_open)
+    tips = max(
+        float(transform_points(poses[n], np.asarray(m.vertices))[:, 2].max()) for n, m in SHADOW_HAND.meshes.items()
+    )
     assert 0.17 < tips < 0.22  # an adult's hand
 
 
 @given(radius=st.floats(0.010, 0.018))
 @examples(10)
 def test_fingers_wrap_without_sinking_into_the_handle(radius: float) -> None:
-    X = nominal_X_hand_tool(radius)
-    q = wrap_fingers(X, radius, press=0.0005)
+    X = SHADOW_HAND.grasp.X_hand_tool(radius)
+    q = wrap_fingers(SHADOW_HAND, X, radius, press=0.0005)
     robot = load_robot()
     assert np.all(q >= robot.lower[6:] - 1e-9)
     assert np.all(q <= robot.upper[6:] + 1e-9)
-    poses = hand_link_poses(q)
+    poses = SHADOW_HAND.link_poses(q)
     fingertips = [poses[f"rh_{f}distal"] @ [0.0, 0.0, 0.024, 1.0] for f in ("ff", "mf", "rf", "lf")]
     for tip in fingertips:
         in_tool = inverse(X) @ tip
         assert np.hypot(in_tool[0], in_tool[1]) > radius + 0.006  # the axis of a capsule of 7 mm radius, outside
         assert np.hypot(in_tool[0], in_tool[1]) < radius + 0.035
         assert in_tool[1] > 0  # around the far side: palmar is tool y
-
-
-def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    def no_package(name: str) -> None:
-        raise importlib.metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr("toolee_robot.robots.assets.metadata.files", no_package)
-    with pytest.raises(AssetError, match="pip install example-robot-data"):
-        ur10_urdf()
-    monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
-    with pytest.raises(AssetError, match="pip install gymnasium-robotics"):
-        shadow_hand_folder()

@@ -18,11 +18,12 @@ from toolee_robot.control.kinematics import smallest_singular_value
 from toolee_robot.control.line import Line
 from toolee_robot.errors import ConfigError, UnreachableError
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.robots import FLANGE_FRAME, load_robot
+from toolee_robot.robots import FLANGE_FRAME, SHADOW_HAND, load_robot
 from toolee_robot.robots.dh import HALF_TURN, DhParameters
 from toolee_robot.types import ArmModel, DhCalibration
 
 MODELS = list(ArmModel)
+Q_HAND = SHADOW_HAND.posture("open")
 # Universal Robots' tables, typed in a second time: d1, a2, a3, d4, d5, d6 [m].
 TABLE = {
     ArmModel.UR10: (0.1273, -0.612, -0.5723, 0.163941, 0.1157, 0.0922),
@@ -79,7 +80,7 @@ def _measured(model: ArmModel, seed: int) -> tuple[DhCalibration, list[Array]]:
 @examples(30)
 def test_the_flange_is_where_the_table_has_it(model: ArmModel, q: Array) -> None:
     expected = HALF_TURN @ _chain(model, q)
-    np.testing.assert_allclose(load_robot(model).link_poses(q, np.zeros(24))[FLANGE_FRAME], expected, atol=1e-9)
+    np.testing.assert_allclose(load_robot(model).link_poses(q, Q_HAND)[FLANGE_FRAME], expected, atol=1e-9)
     np.testing.assert_allclose(RobotModel.load(model).arm.fk(q), expected, atol=1e-9)
 
 
@@ -95,15 +96,15 @@ def test_a_calibrated_arm_turns_about_its_measured_axes(model: ArmModel, q: Arra
     X = np.eye(4)
     for axis, angle in zip(axes, q, strict=True):
         X = X @ axis @ transform(Rotation.from_euler("z", angle)) @ inverse(axis)
-    X = HALF_TURN @ X @ HALF_TURN @ robot.link_poses(np.zeros(6), np.zeros(24))[FLANGE_FRAME]
-    np.testing.assert_allclose(robot.link_poses(q, np.zeros(24))[FLANGE_FRAME], X, atol=1e-7)
+    X = HALF_TURN @ X @ HALF_TURN @ robot.link_poses(np.zeros(6), Q_HAND)[FLANGE_FRAME]
+    np.testing.assert_allclose(robot.link_poses(q, Q_HAND)[FLANGE_FRAME], X, atol=1e-7)
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_a_calibration_moves_frames_by_metres_but_no_link(model: ArmModel) -> None:
     calibration, _ = _measured(model, 0)
     assert np.abs(calibration.delta_d).max() > 1.0
-    nominal, own = (load_robot(model, c).link_poses(np.zeros(6), np.zeros(24)) for c in (None, calibration))
+    nominal, own = (load_robot(model, c).link_poses(np.zeros(6), Q_HAND) for c in (None, calibration))
     for name, X in nominal.items():
         off = inverse(X) @ own[name]
         assert np.linalg.norm(off[:3, 3]) < 0.02, name

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from toolee_robot.frames import Array, transform_points
-from toolee_robot.robots import HAND_FRAME, load_robot
+from toolee_robot.robots import load_robot
 from toolee_robot.types import Trajectory
 
 HOME = np.array([-0.6, -1.7, 1.6, -1.47, -1.57, 0.0])
@@ -20,7 +20,7 @@ def joints_for_hand(X_base_hand: Array, start: Array = HOME) -> Array:
     corners = 0.2 * np.vstack([np.zeros(3), np.eye(3)])
 
     def error(q: Array) -> Array:
-        X = robot.link_poses(q, robot.hand_open)[HAND_FRAME]
+        X = robot.link_poses(q, robot.hand_open)[robot.hand_frame]
         return (transform_points(X, corners) - transform_points(X_base_hand, corners)).ravel()
 
     rng = np.random.default_rng(0)

@@ -13,7 +13,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, LimitError, StaleDataError, UserError
 from toolee_robot.frames import Array, frame_from_axes, inverse, rotation_angle, transform
 from toolee_robot.hal import Arm, Clock, ContactGuard, Hand, MotionOutcome, Person, RgbdCamera
-from toolee_robot.robots import load_robot, nominal_X_hand_tool
+from toolee_robot.robots import SHADOW_HAND, load_robot
 from toolee_robot.sim_backend import InHandOffset, SimOptions, SimStation
 from toolee_robot.sim_backend.arm import SimArm
 from toolee_robot.sim_backend.grip import RELEASE_SLIP, GripLimits
@@ -277,7 +277,7 @@ def test_offsets_are_drawn_over_the_whole_range_and_by_seed() -> None:
 
 
 def test_an_offset_moves_the_tool_along_and_about_its_handle() -> None:
-    X_nominal = nominal_X_hand_tool(0.014)
+    X_nominal = SHADOW_HAND.grasp.X_hand_tool(0.014)
     X = inverse(X_nominal) @ handed_over(X_nominal, InHandOffset(along=0.02, spin=0.3))
     np.testing.assert_allclose(X[:3, 3], [0.0, 0.0, 0.02], atol=1e-12)
     assert rotation_angle(X[:3, :3]) == pytest.approx(0.3)

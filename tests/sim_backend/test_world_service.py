@@ -18,6 +18,7 @@ from toolee_robot.errors import DeviceError, TooleeError
 from toolee_robot.frames import Array, frame_from_axes
 from toolee_robot.hal import Hand, Person, RgbdCamera
 from toolee_robot.host_clock import HostClock
+from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.remote_channel import Channel
 from toolee_robot.sim_backend.remote_station import RemoteHand, RemoteJudge, RemotePerson, remote_station
@@ -197,7 +198,7 @@ def test_unknown_requests_and_failures_are_answers_and_an_ended_world_says_so(lo
         loop.channel.call("hand.__class__")
     with pytest.raises(DeviceError, match="TypeError"):
         loop.channel.call("judge.X_hand_ee")
-    assert loop.channel.call("hand.state", 0.1).joints.q.shape == (24,)
+    assert loop.channel.call("hand.state", 0.1).joints.q.shape == (len(SHADOW_HAND.joints),)
     loop.channel.close()
     loop.join(10.0)
     with pytest.raises(DeviceError, match="has ended"):

@@ -41,7 +41,7 @@ def empty() -> Iterator[SimStation]:
 def test_nobody_comes(empty: SimStation) -> None:
     log = Log()
     result = HammeringTask(
-        empty.station, PerfectPerception(empty.judge), CONFIG, nominal_grasp(empty.tool), observer=log
+        empty.station, PerfectPerception(empty.judge), CONFIG, nominal_grasp(empty.tool, CONFIG), observer=log
     ).run()
     assert (result.outcome, result.blows, result.protrusion) == (Outcome.NO_HANDOVER, (), None)
     assert "run the job again" in result.reason
@@ -57,7 +57,7 @@ def test_the_hand_closes_on_nothing(empty: SimStation) -> None:
         replace(empty.station, person=people),
         PerfectPerception(empty.judge),
         CONFIG,
-        nominal_grasp(empty.tool),
+        nominal_grasp(empty.tool, CONFIG),
         observer=log,
     ).run()
     assert result.outcome is Outcome.NO_GRIP

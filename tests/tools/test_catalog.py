@@ -7,8 +7,7 @@ import pytest
 
 from toolee_robot.errors import UserError
 from toolee_robot.tools import (
-    KINDS_BY_FAMILY,
-    Family,
+    TOOL_SPECS,
     ToolKind,
     make_tool,
     split,
@@ -43,16 +42,12 @@ def test_split_holds_out_a_fifth_and_never_mixes() -> None:
     assert all(split(s) == "test" for s in test_seeds(20))
 
 
-def test_families_cover_all_kinds_once_and_have_their_categories() -> None:
-    assert sorted(kind for kinds in KINDS_BY_FAMILY.values() for kind in kinds) == sorted(ToolKind)
-    main = {
-        Family.HAMMERS: Category.HAMMER_HEAD,
-        Family.SCREWDRIVERS: Category.SCREWDRIVER_HEAD,
-        Family.WRENCHES: Category.WRENCH_HEAD,
-    }
-    for kind in ToolKind:
-        assert make_tool(kind, 0).ees[0].category is main[kind.family]
-    assert make_tool(ToolKind.CLAW_HAMMER, 0).categories == (Category.HAMMER_HEAD, Category.HAMMER_GRIP)
+def test_every_kind_has_a_record_and_makes_tools_with_its_end_effectors() -> None:
+    assert set(TOOL_SPECS) == set(ToolKind)
+    assert [spec.number for spec in TOOL_SPECS.values()] == list(range(len(TOOL_SPECS)))
+    for kind, spec in TOOL_SPECS.items():
+        for seed in range(3):
+            assert make_tool(kind, seed).categories == spec.end_effectors
 
 
 def test_wrong_requests_are_named() -> None:

@@ -8,14 +8,14 @@ import trimesh
 
 from tests.tools.rays import cast, first
 from toolee_robot.frames import Array, inverse, is_rigid, transform_points
-from toolee_robot.tools import KINDS_BY_FAMILY, EndEffector, Family, Tool, ToolKind, ee_radius, make_tool
+from toolee_robot.tools import EndEffector, Family, Tool, ToolKind, ee_radius, kinds_of, make_tool
 from toolee_robot.types import Category
 
 SEEDS = range(6)
 
 
 def tools(family: Family) -> list[Tool]:
-    return [make_tool(kind, seed) for kind in KINDS_BY_FAMILY[family] for seed in SEEDS]
+    return [make_tool(kind, seed) for kind in kinds_of(family) for seed in SEEDS]
 
 
 def of(category: Category, family: Family) -> list[object]:

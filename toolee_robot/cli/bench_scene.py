@@ -41,7 +41,7 @@ class BenchScene:
     def __init__(self, sim: SimStation, config: StationConfig, grasp: Grasp, frame: RgbdFrame, X: Array) -> None:
         self._sim, self._config, self._grasp = sim, config, grasp
         self.frame, self.X_camera_hand = frame, X
-        self.robot = RobotModel.load(config.arm.model, config.arm.calibration)
+        self.robot = RobotModel.of_station(config)
         self.q_arm = sim.station.arm.state().q_commanded
         self.q_hand = sim.station.hand.state().joints.q
 
@@ -71,7 +71,7 @@ def bench_scene(seed: int) -> Iterator[BenchScene]:
     """Run a job until its first frame. Poses come from the ground truth here: only times are measured."""
     config, observer = StationConfig(), _FirstFrame()
     with SimStation.build(config, seed) as sim:
-        grasp = nominal_grasp(sim.tool)
+        grasp = nominal_grasp(sim.tool, config)
         task = HammeringTask(sim.station, PerfectPerception(sim.judge), config, grasp, observer=observer)
         with suppress(_SeenEnough):
             ended = task.run()

@@ -23,7 +23,7 @@ from toolee_robot.files import write_whole
 from toolee_robot.host_steadiness import EXCUSE, Steadiness
 from toolee_robot.perception import ToolPerception
 from toolee_robot.recorder import RunRecorder
-from toolee_robot.robots import load_robot
+from toolee_robot.robots import ARM_JOINTS
 from toolee_robot.sim_backend.judge import BlowTruth, Verdict
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.perfect import PerfectPerception
@@ -100,7 +100,7 @@ class HammerJob:
             keeper = RecordingObserver(
                 recorder,
                 station.clock,
-                load_robot().arm_joints,
+                ARM_JOINTS,
                 station.hand.joint_names,
                 self.config.camera.X_base_camera,
             )
@@ -108,7 +108,7 @@ class HammerJob:
                 station,
                 perception or PerfectPerception(sim.judge),
                 self.config,
-                nominal_grasp(sim.tool),
+                nominal_grasp(sim.tool, self.config),
                 correction=self.correction,
                 observer=Observers(screen, keeper, album),
             )

@@ -40,7 +40,7 @@ class UrStation:
             stack.enter_context(CoresAwake())
             world = stack.enter_context(self._world)
             # The last to come is the first to go: a client outlives no controller.
-            hand = load_robot(config.arm.model, config.arm.calibration)
+            hand = load_robot(config.arm.model, config.arm.calibration, config.hand.model)
             payload = hand.hand_payload(hand.hand_open)
             driver = UrArmConfig(self._host, payload=payload, tcp=(0.0,) * 6, pace=self._clock.pace)
             arm = stack.enter_context(UrArm(driver, config.arm))

@@ -11,17 +11,17 @@ from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.findings import Finding, fail, ok, warn
+from toolee_robot.tools import SWUNG_MASS
 
 REDUCED_SPEED = 0.25
 """[m/s] ISO 10218-1's reduced speed, the most with a person in reach."""
 USUAL_SPEED = 1.5
 """[m/s] Above it, a UR's own safety settings usually stop the arm."""
-HEAVIEST_HAMMER = 1.05  # [kg]
 
 
 def check_limits(config: StationConfig) -> Iterator[Finding]:
     """Whether the planner's limits are within the arm's, the places within the workspace, and the load carried."""
-    robot = RobotModel.load(config.arm.model, config.arm.calibration)
+    robot = RobotModel.of_station(config)
     model, arm, supervisor = robot.description, config.arm, config.supervisor
     wrong = []
     for joint, mine, most in zip(model.arm_joints, arm.velocity, model.velocity, strict=False):
@@ -30,7 +30,7 @@ def check_limits(config: StationConfig) -> Iterator[Finding]:
     for joint, q, low, high in zip(model.arm_joints, config.scene.home, model.lower, model.upper, strict=False):
         if not low <= q <= high:
             wrong.append(f"scene.home puts {joint} at {q:.2f} rad, outside {low:.2f} to {high:.2f}")
-    load = model.hand_payload(model.hand_closed).mass + HEAVIEST_HAMMER
+    load = model.hand_payload(model.hand_closed).mass + SWUNG_MASS[1]
     payload = ARM_DATA[arm.model].payload
     if load > payload:
         wrong.append(f"hand and hammer weigh {load:.1f} kg, the {arm.model} carries {payload:.1f}")

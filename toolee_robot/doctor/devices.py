@@ -28,7 +28,7 @@ def check_arm(arm: Arm, hand: Hand, config: StationConfig) -> Finding:
     if state.status is not ArmStatus.READY:
         return fail("arm", state.status.replace("_", " "), "make it ready at the teach pendant")
     q = state.joints.q
-    robot = RobotModel.load(config.arm.model, config.arm.calibration)
+    robot = RobotModel.of_station(config)
     lower, upper = robot.description.lower[:6], robot.description.upper[:6]
     if not (q.shape == (6,) and np.all(np.isfinite(q)) and np.all((lower <= q) & (q <= upper))):
         return fail("arm", f"joints {np.round(q, 2)} rad are outside the limits", "jog it back inside")
@@ -45,7 +45,7 @@ def check_arm(arm: Arm, hand: Hand, config: StationConfig) -> Finding:
 
 def check_hand(hand: Hand, config: StationConfig) -> Finding:
     """Its joints, its own complaints and its temperature."""
-    robot = RobotModel.load(config.arm.model, config.arm.calibration)
+    robot = RobotModel.of_station(config)
     try:
         state = hand.state()
     except TooleeError as error:

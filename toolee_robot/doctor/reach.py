@@ -11,29 +11,27 @@ from toolee_robot.control import CollisionWorld, RobotModel, plan_handover, plan
 from toolee_robot.errors import PlanningError
 from toolee_robot.findings import Finding, ok, warn
 from toolee_robot.frames import Array
-from toolee_robot.robots import nominal_X_hand_tool
-from toolee_robot.tools import Tool, ToolKind, make_tool
+from toolee_robot.tools import NAIL_DRIVERS, SWUNG_MASS, Tool, ToolKind, make_tool
 from toolee_robot.types import Category
 
-KINDS = (ToolKind.CLAW_HAMMER, ToolKind.BALL_PEEN_HAMMER, ToolKind.CROSS_PEEN_HAMMER, ToolKind.CLUB_HAMMER)
 SLOWER = 0.9
 """A blow slower than this share of what is wanted is worth a line."""
 
 
 def check_reach(config: StationConfig) -> Iterator[Finding]:
     """Plans from the home posture with every tool as it nominally lies in the hand; nothing is moved."""
-    robot = RobotModel.load(config.arm.model, config.arm.calibration)
+    robot = RobotModel.of_station(config)
     home, model = np.array(config.scene.home), robot.description
     yield _handover(robot, config, home, model.hand_open)
-    tools = [make_tool(kind, _seed(kind)) for kind in KINDS]
-    grips = [nominal_X_hand_tool(float(np.mean(t.handle.radii_at(0.0)))) @ _face(t) for t in tools]
+    tools = [make_tool(kind, _seed(kind)) for kind in NAIL_DRIVERS]
+    grips = [model.hand.grasp.X_hand_tool(t.handle.grip_radius) @ _face(t) for t in tools]
     yield _views(robot, config, home, model.hand_closed, grips[0])
     yield _blows(robot, config, home, model.hand_closed, grips)
 
 
 def _seed(kind: ToolKind) -> int:
-    """The first hammer of a kind that one hand swings: 0.4 to 1.05 kg."""
-    return next(seed for seed in range(100) if 0.4 <= make_tool(kind, seed).mass <= 1.05)
+    """The first hammer of a kind that one hand swings."""
+    return next(seed for seed in range(100) if SWUNG_MASS[0] <= make_tool(kind, seed).mass <= SWUNG_MASS[1])
 
 
 def _face(tool: Tool) -> Array:

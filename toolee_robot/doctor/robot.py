@@ -29,7 +29,7 @@ class RobotCheck:
 
 def expected_robot(config: StationConfig) -> UrExpected:
     """What a station file says of its robot: the bare hand as payload, the TCP at the flange."""
-    model = RobotModel.load(config.arm.model, config.arm.calibration).description
+    model = RobotModel.of_station(config).description
     return UrExpected(
         model=config.arm.model,
         calibration=config.arm.calibration,

@@ -20,6 +20,7 @@ from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_ha
 from toolee_robot.faults.people import People
 from toolee_robot.frames import Array, inverse
 from toolee_robot.hal import Hand, HandState, MotionReport, Station
+from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.arm import SimArm
 from toolee_robot.sim_backend.camera import SimCamera
@@ -116,7 +117,7 @@ class Log(TaskObserver):
 
     def motion(self, name: str, report: MotionReport, hand_joints: Array) -> None:
         assert len(report.stamps) > 0
-        assert hand_joints.shape == (24,)
+        assert hand_joints.shape == (len(SHADOW_HAND.joints),)
         self.motions.append(name)
         self.reports.append(report)
         self.after.pop(name, _nothing)()
@@ -132,7 +133,7 @@ class Bench:
     """The station with the hammer in the hand, at the handover; `reset` puts everything back."""
 
     def __init__(self) -> None:
-        robot = RobotModel.load()
+        robot = RobotModel.of_station(CONFIG)
         q_open = robot.description.hand_open
         way = plan_handover(robot, CONFIG, CollisionWorld(robot, CONFIG, q_open), HOME, q_open)
         self.sim = SimStation.build(CONFIG, SEED, SimOptions(q_start=way.q[-1]))
@@ -142,7 +143,7 @@ class Bench:
         assert station.person.release("", 10.0)
         assert station.hand.state().holding
         X_hand_tool = inverse(world.X_base_hand()) @ world.X_base_tool()
-        self.true_grasp: Grasp = replace(nominal_grasp(self.sim.tool), X_hand_tool=X_hand_tool)
+        self.true_grasp: Grasp = replace(nominal_grasp(self.sim.tool, CONFIG), X_hand_tool=X_hand_tool)
         self._spec = world.nail.spec
         self._callbacks = list(world.before_step), list(world.after_step)
         self.keep()
@@ -189,7 +190,7 @@ class Bench:
     ) -> HammeringTask:
         """A job that looks and is told the truth, unless by another perceiver."""
         perceiver = perceiver or PerfectPerception(self.sim.judge)
-        return HammeringTask(self.station, perceiver, config, nominal_grasp(self.sim.tool), observer=log)
+        return HammeringTask(self.station, perceiver, config, nominal_grasp(self.sim.tool, config), observer=log)
 
     def soon(self, act: Callable[[], None], delay: float = 0.25) -> Callable[[], None]:
         """A function after whose call `act` happens once, `delay` [s] later, in the midst of whatever moves then."""

@@ -13,7 +13,6 @@ from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.strike import plan_strike
 from toolee_robot.frames import Array
-from toolee_robot.robots import nominal_X_hand_tool
 from toolee_robot.sim_backend.station import draw_hammer
 from toolee_robot.types import ArmModel, Category
 
@@ -36,7 +35,7 @@ def plan_swing(model: ArmModel) -> Swing:
     config = StationConfig(arm=ArmLimits(model=model))
     robot = RobotModel.load(model)
     tool = draw_hammer(np.random.default_rng([0, 10]))
-    X_hand_tool = nominal_X_hand_tool(float(np.mean(tool.handle.radii_at(0.0))))
+    X_hand_tool = robot.description.hand.grasp.X_hand_tool(tool.handle.grip_radius)
     X_hand_ee = X_hand_tool @ tool.ee(Category.HAMMER_HEAD).X_tool_ee
     q_hand = robot.description.hand_closed
     world = CollisionWorld(robot, config, q_hand, X_hand_ee)

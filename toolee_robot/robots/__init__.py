@@ -1,44 +1,37 @@
-"""The robot: a UR10 with a Shadow Hand (right), built from model packages of the package registry.
+"""The robot: a UR10 or UR10e with a hand, built from the model files in `models`.
 
-    from toolee_robot.robots import load_robot, nominal_X_hand_tool
+    from toolee_robot.robots import SHADOW_HAND, load_robot
     robot = load_robot()                  # robot.urdf_path works in Pinocchio and in pybullet
     X_flange_hand = robot.X_flange_hand(q_hand)
-    hand_link_poses(robot.hand_closed)    # plain numpy, link -> X_hand_link
+    SHADOW_HAND.grasp.X_hand_tool(0.016)  # where a handle of that radius [m] nominally lies
+    SHADOW_HAND.link_poses(q_hand)        # plain numpy, link -> X_hand_link
 
-Nothing here imports a physics engine or Pinocchio.
+A hand is a record: `HandModel`, in `toolee_robot.robots.hands`. Nothing here imports a physics engine or Pinocchio.
 """
 
 from toolee_robot.robots.description import (
     ARM_JOINTS,
     FLANGE_FRAME,
-    HAND_FRAME,
-    HAND_JOINTS,
-    WRIST_JOINTS,
     RobotDescription,
     arm_link_poses,
     arm_meshes,
-    hand_link_poses,
-    hand_meshes,
     load_robot,
 )
-from toolee_robot.robots.grasp import FINGERS, finger_of, hand_posture, nominal_X_hand_tool
+from toolee_robot.robots.hands import HANDS, PALM, SHADOW_HAND, HandModel, NominalGrasp, hand_model
 from toolee_robot.robots.wrap import wrap_fingers
 
 __all__ = [
     "ARM_JOINTS",
-    "FINGERS",
     "FLANGE_FRAME",
-    "HAND_FRAME",
-    "HAND_JOINTS",
-    "WRIST_JOINTS",
+    "HANDS",
+    "PALM",
+    "SHADOW_HAND",
+    "HandModel",
+    "NominalGrasp",
     "RobotDescription",
     "arm_link_poses",
     "arm_meshes",
-    "finger_of",
-    "hand_link_poses",
-    "hand_meshes",
-    "hand_posture",
+    "hand_model",
     "load_robot",
-    "nominal_X_hand_tool",
     "wrap_fingers",
 ]

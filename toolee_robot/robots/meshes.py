@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from toolee_robot.errors import AssetError
-from toolee_robot.robots.tree import Link
+from toolee_robot.robots.tree import Link, Shape
 
 
 def cluster_vertices(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
@@ -27,11 +27,7 @@ def link_mesh(link: Link, cell: float | None) -> trimesh.Trimesh | None:
     """The link's visual in the link's frame [m], thinned to `cell` [m] (None: as it is); None without a visual."""
     parts = []
     for shape in link.visuals:
-        try:
-            mesh: trimesh.Trimesh = trimesh.load_mesh(shape.mesh)
-        except (OSError, ValueError) as error:
-            raise AssetError(f"cannot read the mesh {shape.mesh}: {error}; reinstall the model packages") from error
-        mesh.vertices *= shape.scale
+        mesh = _shape_mesh(shape)
         mesh.merge_vertices()
         mesh.apply_transform(shape.X_link_shape)
         parts.append(mesh if cell is None else cluster_vertices(mesh, cell))
@@ -41,3 +37,20 @@ def link_mesh(link: Link, cell: float | None) -> trimesh.Trimesh | None:
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)])
     return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def _shape_mesh(shape: Shape) -> trimesh.Trimesh:
+    """In the shape's own frame [m]."""
+    match shape.kind:
+        case "box":
+            return trimesh.creation.box(shape.size)
+        case "cylinder":
+            return trimesh.creation.cylinder(shape.size[0], shape.size[1])
+        case "sphere":
+            return trimesh.creation.icosphere(radius=shape.size[0])
+    try:
+        mesh: trimesh.Trimesh = trimesh.load_mesh(shape.mesh)
+    except (OSError, ValueError) as error:
+        raise AssetError(f"cannot read the mesh {shape.mesh}: {error}; put the model's files back") from error
+    mesh.vertices *= shape.scale
+    return mesh

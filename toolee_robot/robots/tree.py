@@ -108,6 +108,17 @@ class Tree:
         """Names of the movable joints, in tree order."""
         return tuple(link.joint for link in self.links if link.axis is not None)
 
+    def carried_by(self, joint: str) -> str:
+        """Name of the link that a joint carries."""
+        return next(link.name for link in self.links if link.joint == joint)
+
+    def ancestors(self, link: str) -> list[str]:
+        """Names of the links from this one up to the root, itself first."""
+        found = [link]
+        while (parent := self.by_name[found[-1]].parent) in self.by_name:
+            found.append(parent or "")
+        return found
+
     def limits(self) -> tuple[Array, Array]:
         """Lower and upper position limits [rad] of the movable joints, (n,) each."""
         movable = [link for link in self.links if link.axis is not None]

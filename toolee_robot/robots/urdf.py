@@ -1,4 +1,4 @@
-"""Read the UR10's URDF into a `Tree`, and write a `Tree` as URDF."""
+"""Read a URDF into a `Tree`, and write a `Tree` as URDF."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ UR10_FRAMES = (
 
 # Stands for the plate between the flange and the hand; pybullet would give a link without inertia 1 kg and 1 kg m^2.
 _MOUNTING_PLATE = Inertial(0.1, transform(p=[0.0, 0.0, 0.005]), (5e-5, 5e-5, 1e-4))
+_NEARLY_MASSLESS = Inertial(1e-3, np.eye(4), (1e-7, 1e-7, 1e-7))
+"""Of a link for which a URDF states no mass."""
 
 
 def _numbers(text: str) -> Array:
@@ -45,50 +47,129 @@ def _origin(parent: Element) -> Array:
 def _require(parent: Element, tag: str) -> Element:
     element = parent.find(tag)
     if element is None:
-        raise AssetError(f"the UR10's URDF lacks <{tag}> in {parent.get('name')}")
+        raise AssetError(f"the URDF lacks <{tag}> in {parent.get('name')}")
     return element
 
 
-def read_ur10(path: Path) -> Tree:
-    """The UR10's links from `base_link` to `tool0`; the collision meshes serve as visuals too."""
+def _parse(path: Path) -> tuple[dict[str, Element], dict[str, Element]]:
+    """Links by name, and joints by the name of the link that they carry."""
     try:
         root = ElementTree.parse(path).getroot()
     except (OSError, ElementTree.ParseError) as error:
-        raise AssetError(f"cannot read {path}: {error}; pip install --force-reinstall example-robot-data") from error
-    joints = {_require(j, "child").get("link"): j for j in root.findall("joint")}
-    elements = {link.get("name"): link for link in root.findall("link")}
+        raise AssetError(f"cannot read {path}: {error}; put the model's files back") from error
+    links = {link.get("name", ""): link for link in root.findall("link")}
+    return links, {_require(joint, "child").get("link", ""): joint for joint in root.findall("joint")}
+
+
+def _inertial(element: Element) -> Inertial | None:
+    """Of a link; None without a mass."""
+    body = element.find("inertial")
+    mass = 0.0 if body is None else float(_require(body, "mass").get("value", "0"))
+    if body is None or mass <= 0:
+        return None
+    entries = _require(body, "inertia")
+    xx, xy, xz, yy, yz, zz = (float(entries.get(k, "0")) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+    if xy == xz == yz == 0.0:
+        return Inertial(mass, _origin(body), (xx, yy, zz))
+    moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+    return Inertial(mass, _origin(body) @ transform(axes), (float(moments[0]), float(moments[1]), float(moments[2])))
+
+
+def _with_joint(link: Link, joint: Element) -> Link:
+    link = replace(
+        link,
+        parent=_require(joint, "parent").get("link"),
+        X_parent_joint=_origin(joint),
+        joint=joint.get("name", ""),
+    )
+    if joint.get("type") not in ("revolute", "fixed"):
+        raise AssetError(f"joint {link.joint} is {joint.get('type')}: only revolute and fixed joints are known")
+    if joint.get("type") == "fixed":
+        return link
+    limit, axis = _require(joint, "limit"), _numbers(_require(joint, "axis").get("xyz", ""))
+    return replace(
+        link,
+        axis=axis / np.linalg.norm(axis),
+        lower=float(limit.get("lower", "0")),
+        upper=float(limit.get("upper", "0")),
+        effort=float(limit.get("effort", "0")),
+        velocity=float(limit.get("velocity", "0")),
+    )
+
+
+def read_ur10(path: Path) -> Tree:
+    """The UR10's links from `base_link` to `tool0`; the collision meshes, in `meshes` beside the file, serve as visuals
+    too. Raises AssetError."""
+    elements, joints = _parse(path)
     links = []
     for i, name in enumerate(UR10_FRAMES):
-        element = elements[name]
         shapes = []
-        for collision in element.findall("collision"):
+        for collision in elements[name].findall("collision"):
             mesh = _require(_require(collision, "geometry"), "mesh")
-            file = path.parents[4] / mesh.get("filename", "").removeprefix("package://")
-            shapes.append(Shape("mesh", (), _origin(collision), file))
-        inertial = _MOUNTING_PLATE if name == "tool0" else None
-        body = _require(element, "inertial")
-        mass = float(_require(body, "mass").get("value", "0"))
-        if mass > 0:
-            moments = _require(body, "inertia")
-            diagonal = tuple(float(moments.get(k, "0")) for k in ("ixx", "iyy", "izz"))
-            inertial = Inertial(mass, _origin(body), (diagonal[0], diagonal[1], diagonal[2]))
+            shapes.append(
+                Shape("mesh", (), _origin(collision), path.parent / "meshes" / Path(mesh.get("filename", "")).name)
+            )
+        inertial = _inertial(elements[name]) or (_MOUNTING_PLATE if name == "tool0" else None)
         link = Link(name, None, np.eye(4), "", inertial=inertial, visuals=tuple(shapes), collisions=tuple(shapes))
-        if i > 0:
-            joint = joints[name]
-            parent = _require(joint, "parent").get("link")
-            link = replace(link, parent=parent, X_parent_joint=_origin(joint), joint=joint.get("name", ""))
-            limit = joint.find("limit")
-            if limit is not None:
-                link = replace(
-                    link,
-                    axis=_numbers(_require(joint, "axis").get("xyz", "")),
-                    lower=float(limit.get("lower", "0")),
-                    upper=float(limit.get("upper", "0")),
-                    effort=float(limit.get("effort", "0")),
-                    velocity=float(limit.get("velocity", "0")),
-                )
-        links.append(link)
+        links.append(_with_joint(link, joints[name]) if i else link)
     return Tree(tuple(links))
+
+
+def read_urdf(path: Path, parent: str, X_parent_root: Array) -> Tree:
+    """A hand's links from its URDF.
+
+    Meshes are looked for at the path that the file names, with `package://` taken off, from the file's folder and from
+    each folder above it. A link without visuals is shown as its collision shapes, and the other way round. Mimic
+    joints count as joints of their own.
+
+    Args:
+        path: The URDF file. Its joints must be revolute or fixed, its mesh files STL.
+        parent: Name of the link that carries the root link.
+        X_parent_root: Pose of the root link in it, 4x4.
+
+    Raises:
+        AssetError: A file is missing or cannot be read.
+    """
+    elements, joints = _parse(path)
+    children: dict[str, list[str]] = {}
+    for child, joint in joints.items():
+        children.setdefault(_require(joint, "parent").get("link", ""), []).append(child)
+    links: list[Link] = []
+
+    def add(name: str) -> None:
+        visuals, collisions = (
+            tuple(_shape(path, e) for e in elements[name].findall(tag)) for tag in ("visual", "collision")
+        )
+        link = Link(
+            name, parent, X_parent_root, f"{name}_mount", inertial=_inertial(elements[name]) or _NEARLY_MASSLESS,
+            visuals=visuals or collisions, collisions=collisions or visuals,
+        )  # fmt: skip
+        links.append(_with_joint(link, joints[name]) if name in joints else link)
+        for child in children.get(name, ()):
+            add(child)
+
+    roots = [name for name in elements if name not in joints]
+    if len(roots) != 1:
+        raise AssetError(f"{path} must have one root link, it has {roots}")
+    add(roots[0])
+    return Tree(tuple(links))
+
+
+def _shape(path: Path, element: Element) -> Shape:
+    """A <visual> or <collision>."""
+    X, geometry = _origin(element), _require(element, "geometry")
+    for kind, keys in (("box", ("size",)), ("cylinder", ("radius", "length")), ("sphere", ("radius",))):
+        found = geometry.find(kind)
+        if found is not None:
+            return Shape(kind, tuple(float(v) for key in keys for v in _numbers(found.get(key, ""))), X)
+    mesh = _require(geometry, "mesh")
+    name = mesh.get("filename", "").removeprefix("package://").removeprefix("file://")
+    scale = float(_numbers(mesh.get("scale", "1 1 1"))[0])
+    for folder in path.absolute().parents:
+        if (folder / name).is_file():
+            return Shape("mesh", (), X, folder / name, scale)
+    raise AssetError(f"{path} names the mesh {name}, which is neither in its folder nor above it")
 
 
 def _add_origin(parent: Element, X: Array) -> None:

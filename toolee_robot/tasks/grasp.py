@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from toolee_robot.robots import nominal_X_hand_tool
+from toolee_robot.config import StationConfig
+from toolee_robot.robots import hand_model
 from toolee_robot.tasks.hammering import Grasp
 from toolee_robot.tools import Tool
 from toolee_robot.types import Category
 
 
-def nominal_grasp(tool: Tool) -> Grasp:
-    """How the tool lies in the hand nominally, from its data sheet: its true pose in the hand is not known."""
-    radius = float(np.mean(tool.handle.radii_at(0.0)))
-    X_tool_ee = tool.ee(Category.HAMMER_HEAD).X_tool_ee
-    return Grasp(nominal_X_hand_tool(radius), X_tool_ee, tool.mass, tool.center_of_mass)
+def nominal_grasp(tool: Tool, config: StationConfig) -> Grasp:
+    """How the tool nominally lies in the station's hand, from its data sheet: its true pose in the hand is not known.
+
+    Args:
+        tool: A hammer.
+        config: The station, of which the hand matters.
+    """
+    X_hand_tool = hand_model(config.hand.model).grasp.X_hand_tool(tool.handle.grip_radius)
+    return Grasp(X_hand_tool, tool.ee(Category.HAMMER_HEAD).X_tool_ee, tool.mass, tool.center_of_mass)

@@ -78,7 +78,7 @@ class HammeringTask:
         self._grasp = grasp
         self._correction = correction
         self._observer = observer or TaskObserver()
-        self._robot = RobotModel.load(config.arm.model, config.arm.calibration)
+        self._robot = RobotModel.of_station(config)
         self._motions = Motions(station, config, self._robot, self._observer, grasp.X_hand_ee)
         self._stages = Stages(self._observer)
         self._drive = Drive(

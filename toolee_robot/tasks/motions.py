@@ -62,7 +62,7 @@ class Motions:
 
     @property
     def q_hand(self) -> Array:
-        """The hand's joints (24,) as measured now, wrist included."""
+        """The hand's joints (n,) as measured now, wrist included."""
         return self._station.hand.state().joints.q
 
     @property

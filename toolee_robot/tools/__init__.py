@@ -14,10 +14,19 @@ EE frames coincide with the frame of the object worked on, at contact, up to the
   flat, at half the thickness; z the nut's axis; x towards the handle's far end. In a ring or socket: the nut's centre.
 """
 
-from toolee_robot.tools.catalog import make_tool, split, test_seeds, train_seeds
+from toolee_robot.tools.catalog import (
+    NAIL_DRIVERS,
+    SWUNG_MASS,
+    TOOL_SPECS,
+    ToolSpec,
+    kinds_of,
+    make_tool,
+    split,
+    test_seeds,
+    train_seeds,
+)
 from toolee_robot.tools.materials import Material
 from toolee_robot.tools.model import (
-    KINDS_BY_FAMILY,
     EndEffector,
     Family,
     Handle,
@@ -31,7 +40,9 @@ from toolee_robot.tools.model import (
 )
 
 __all__ = [
-    "KINDS_BY_FAMILY",
+    "NAIL_DRIVERS",
+    "SWUNG_MASS",
+    "TOOL_SPECS",
     "EndEffector",
     "Family",
     "Handle",
@@ -41,7 +52,9 @@ __all__ = [
     "Tool",
     "ToolKind",
     "ToolShape",
+    "ToolSpec",
     "ee_radius",
+    "kinds_of",
     "make_tool",
     "split",
     "test_seeds",

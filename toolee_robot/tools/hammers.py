@@ -6,6 +6,7 @@ the handle; the origin where the handle's centre line crosses the head's.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,19 +38,31 @@ class Head:
     eye: tuple[float, float]
 
 
-def make_hammer(kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
+@dataclass(frozen=True)
+class HammerShape:
+    """What tells one kind of hammer from another."""
+
+    head: Callable[[np.random.Generator], Head]
+    """Draws its head."""
+    length: tuple[float, float] = (0.23, 0.36)
+    """Range of its length from butt to the head's axis [m]."""
+    wooden: float = 0.0
+    """Share that has a wooden handle whatever the others have."""
+
+
+def make_hammer(shape: HammerShape, kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
     """A hammer of 0.3 to 1.5 kg; draws again (deterministically) when the mass falls outside."""
     for _ in range(20):
-        tool = _draw(kind, seed, rng)
+        tool = _draw(shape, kind, seed, rng)
         if tool.mass_within(0.3, 1.5):
             return tool
     raise AssertionError(f"no plausible mass for {kind} {seed}: {tool.mass:.2f} kg")
 
 
-def _draw(kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
-    head = _HEADS[kind](rng)
-    styles = ["wood"] if kind is ToolKind.MALLET and rng.uniform() < 0.6 else ["wood", "fiberglass", "steel"]
-    total = rng.uniform(0.23, 0.36) if kind is not ToolKind.CLUB_HAMMER else rng.uniform(0.20, 0.30)
+def _draw(shape: HammerShape, kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
+    head = shape.head(rng)
+    styles = ["wood"] if shape.wooden > 0 and rng.uniform() < shape.wooden else ["wood", "fiberglass", "steel"]
+    total = rng.uniform(*shape.length)
     butt = rng.uniform(0.070, 0.095)
     z_head = total - butt
     proud = rng.uniform(-0.001, 0.004)
@@ -298,10 +311,8 @@ def _mallet(rng: np.random.Generator) -> Head:
     return _double_faced(pieces, half, half, height, eye)
 
 
-_HEADS = {
-    ToolKind.CLAW_HAMMER: _claw_hammer,
-    ToolKind.BALL_PEEN_HAMMER: _ball_peen_hammer,
-    ToolKind.CROSS_PEEN_HAMMER: _cross_peen_hammer,
-    ToolKind.CLUB_HAMMER: _club_hammer,
-    ToolKind.MALLET: _mallet,
-}
+CLAW_HAMMER = HammerShape(_claw_hammer)
+BALL_PEEN_HAMMER = HammerShape(_ball_peen_hammer)
+CROSS_PEEN_HAMMER = HammerShape(_cross_peen_hammer)
+CLUB_HAMMER = HammerShape(_club_hammer, length=(0.20, 0.30))
+MALLET = HammerShape(_mallet, wooden=0.6)

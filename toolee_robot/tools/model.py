@@ -25,13 +25,15 @@ from toolee_robot.types import Category
 
 
 class Family(StrEnum):
+    """Kinds of tools that one generator makes."""
+
     HAMMERS = "hammers"
     SCREWDRIVERS = "screwdrivers"
     WRENCHES = "wrenches"
 
 
 class ToolKind(StrEnum):
-    """What `make_tool` can make."""
+    """What `make_tool` can make: a record each in `catalog.TOOL_SPECS`."""
 
     CLAW_HAMMER = "claw_hammer"
     BALL_PEEN_HAMMER = "ball_peen_hammer"
@@ -47,16 +49,6 @@ class ToolKind(StrEnum):
     BOX_WRENCH = "box_wrench"
     SOCKET_WRENCH = "socket_wrench"
 
-    @property
-    def family(self) -> Family:
-        return next(family for family, kinds in KINDS_BY_FAMILY.items() if self in kinds)
-
-
-KINDS_BY_FAMILY: dict[Family, tuple[ToolKind, ...]] = {
-    Family.HAMMERS: tuple(ToolKind)[:5],
-    Family.SCREWDRIVERS: tuple(ToolKind)[5:8],
-    Family.WRENCHES: tuple(ToolKind)[8:],
-}
 
 _EE_RADIUS = {
     Category.HAMMER_HEAD: 0.050,
@@ -129,6 +121,11 @@ class Handle:
     @property
     def z_max(self) -> float:
         return float(self.z[-1])
+
+    @property
+    def grip_radius(self) -> float:
+        """Mean half-width at the grip centre [m]: the radius that a hand closes around."""
+        return float(np.mean(self.radii_at(0.0)))
 
     def radii_at(self, z: float = 0.0) -> tuple[float, float]:
         """Half-widths [m] along tool x and y at height z; the grip centre is z = 0."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
@@ -33,8 +35,13 @@ from toolee_robot.tools.solids import (
 )
 from toolee_robot.types import Category
 
+TipShape = Callable[[np.random.Generator, float, float, Material], tuple[Piece, float]]
+"""Draws a tip: random numbers, the shaft's radius [m], where the tip ends along the tool's z [m], its material; returns
+it and its length [m]."""
 
-def make_screwdriver(kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
+
+def make_screwdriver(tip_shape: TipShape, kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
+    """A screwdriver with such a tip, its shaft 3 to 10 mm thick."""
     radius = rng.uniform(0.0015, 0.005)
     length = float(np.clip(rng.uniform(15, 50) * radius * 2, 0.060, 0.250))
     handle_length = rng.uniform(0.080, 0.125)
@@ -42,7 +49,7 @@ def make_screwdriver(kind: ToolKind, seed: int, rng: np.random.Generator) -> Too
     z_tip = handle.z_max + length
     shaft_material = varied(STEEL_BRIGHT if rng.uniform() < 0.75 else STEEL_DARK, rng)
     tip_material = varied(STEEL_DARK, rng) if rng.uniform() < 0.4 else shaft_material
-    tip, tip_length = _TIPS[kind](rng, radius, z_tip, tip_material)
+    tip, tip_length = tip_shape(rng, radius, z_tip, tip_material)
     section = [superellipse(2.0, 24), regular_polygon(6, 24), superellipse(6.0, 24)][
         rng.choice(3, p=[0.75, 0.13, 0.12])
     ]
@@ -105,7 +112,7 @@ def _bolster(rng: np.random.Generator, handle: Handle, radius: float, material: 
     return [loft_piece("bolster", rings, material)]
 
 
-def _slotted_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
+def slotted_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
     """The shaft flattens into a blade: flared wider than the shaft, or ground down from it (cabinet tip)."""
     width = radius * (rng.uniform(1.05, 1.5) if rng.uniform() < 0.6 else rng.uniform(0.85, 1.0))
     thickness = rng.uniform(0.10, 0.22) * radius + 0.0001
@@ -118,7 +125,7 @@ def _slotted_tip(rng: np.random.Generator, radius: float, z_tip: float, material
     return loft_piece("tip", rings, material, 0.3), length
 
 
-def _phillips_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
+def phillips_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
     """A blunted cone with four flutes at right angles that run out on the shaft behind it."""
     blunt = rng.uniform(0.2, 0.32) * radius
     cone = (radius - blunt) / np.tan(np.deg2rad(rng.uniform(24.0, 28.0)))
@@ -142,7 +149,7 @@ def _phillips_tip(rng: np.random.Generator, radius: float, z_tip: float, materia
     return Piece("tip", solid, material, (Convex(rings, 0.04),)), length
 
 
-def _nut_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
+def nut_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
     """A cup with a hexagonal hole: the EE's origin is the hole's centre in the mouth's plane."""
     hole = hexagon(rng.uniform(0.007, 0.015))
     outer = max(hole[0, 0] * rng.uniform(1.12, 1.3), radius + 0.0005)
@@ -154,10 +161,3 @@ def _nut_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Ma
     solid = loft(rings) - extrude(hole, z_tip - depth, z_tip + 0.001)
     circle = superellipse(2.0, 24)
     return Piece("tip", solid, material, (Convex(prism_points(outer * circle, z_tip - length, z_tip)),)), length
-
-
-_TIPS = {
-    ToolKind.SLOTTED_SCREWDRIVER: _slotted_tip,
-    ToolKind.PHILLIPS_SCREWDRIVER: _phillips_tip,
-    ToolKind.NUT_DRIVER: _nut_tip,
-}

@@ -1,4 +1,4 @@
-"""Read the Shadow Hand (right) from gymnasium-robotics' MJCF into a `Tree`.
+"""Read the Shadow Hand (right) from its MJCF (`models/shadow_hand`) into a `Tree`.
 
 Names become the maker's: the MJCF counts a finger's joints from 0, Shadow from 1 (`robot0:FFJ3` is `rh_FFJ4`).
 Capsules become a cylinder and a sphere at the far end, because URDF has no capsule that all parsers read.
@@ -95,18 +95,25 @@ def _efforts(root: ElementTree.Element) -> dict[str, float]:
     return efforts
 
 
-def read_shadow_hand(assets: Path, parent: str, X_parent_forearm: Array) -> Tree:
-    """The hand's links, its forearm fixed to link `parent`. `assets`: the package's `envs/assets` folder."""
+def read_shadow_hand(path: Path, parent: str, X_parent_forearm: Array) -> Tree:
+    """The hand's links, its forearm fixed to link `parent`.
+
+    Args:
+        path: robot.xml; shared.xml, shared_asset.xml and the folder meshes lie beside it.
+        parent: Name of the link that carries the forearm.
+        X_parent_forearm: Pose of the forearm in it, 4x4.
+
+    Raises:
+        AssetError: A file is missing or cannot be read.
+    """
     try:
-        robot = ElementTree.parse(assets / "hand" / "robot.xml").getroot()
-        shared = ElementTree.parse(assets / "hand" / "shared.xml").getroot()
-        meshes = ElementTree.parse(assets / "hand" / "shared_asset.xml").getroot()
+        robot, shared, meshes = (
+            ElementTree.parse(path.with_name(name)).getroot() for name in (path.name, "shared.xml", "shared_asset.xml")
+        )
     except (OSError, ElementTree.ParseError) as error:
-        raise AssetError(
-            f"cannot read the Shadow Hand: {error}; pip install --force-reinstall gymnasium-robotics"
-        ) from error
+        raise AssetError(f"cannot read the Shadow Hand: {error}; install toolee_robot again") from error
     files = {
-        m.get("name", ""): (assets / "stls" / "hand" / m.get("file", ""), float(_vector(m, "scale", "1 1 1")[0]))
+        m.get("name", ""): (path.parent / "meshes" / m.get("file", ""), float(_vector(m, "scale", "1 1 1")[0]))
         for m in meshes.iter("mesh")
     }
     efforts = _efforts(shared)
@@ -141,6 +148,6 @@ def read_shadow_hand(assets: Path, parent: str, X_parent_forearm: Array) -> Tree
 
     forearm = robot.find(".//body[@name='robot0:forearm']")
     if forearm is None:
-        raise AssetError("the Shadow Hand's MJCF has no forearm: pip install 'gymnasium-robotics>=1.4'")
+        raise AssetError(f"{path} has no forearm: install toolee_robot again")
     add(forearm, parent, X_parent_forearm)
     return Tree(tuple(links))
