@@ -179,8 +179,7 @@ def load_hands(path: Path | None) -> Float32:
             return np.asarray(data["hands"], np.float32)
     except (OSError, KeyError, ValueError) as error:
         raise AssetError(
-            f"cannot read the hand samples {path}: {error}; write them with "
-            "`toolee train hands --out FILE`"
+            f"cannot read the hand samples {path}: {error}; write them with `toolee train hands --out FILE`"
         ) from error
 
 
