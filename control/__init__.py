@@ -17,13 +17,13 @@ from toolee_robot.control.collision_shapes import ToolEnvelope
 from toolee_robot.control.contact import ContactVerdict, ExpectedContact, Meeting
 from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.modes import Mode, paced
+from toolee_robot.control.planning.strike import plan_over_nail, plan_straight, plan_strike
+from toolee_robot.control.planning.transfer import plan_transfer
+from toolee_robot.control.planning.views import plan_handover, plan_views
 from toolee_robot.control.records import StrikePlan, View, ViewPlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.slip import merge, protrusion, slip
-from toolee_robot.control.strike import plan_over_nail, plan_straight, plan_strike
 from toolee_robot.control.supervisor import Supervisor
-from toolee_robot.control.transfer import plan_transfer
-from toolee_robot.control.views import plan_handover, plan_views
 
 __all__ = [
     "Clearance",

@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.arm_checks import START_TOLERANCE
 from toolee_robot.control.kinematics import ArmKinematics, solve
 from toolee_robot.errors import UnreachableError
 from toolee_robot.frames import Array, inverse
+from toolee_robot.motion.trajectory_checks import START_TOLERANCE
 
 BRANCHES = 8
 NEWTON_STEPS = 20

@@ -15,7 +15,6 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-from toolee_robot.arm_checks import check_start
 from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import BRAKE_EXEMPT, RUN_UP_EXEMPT, CollisionWorld
 from toolee_robot.control.contact import ContactVerdict, ExpectedContact, judge_contact
@@ -32,6 +31,7 @@ from toolee_robot.control.supervisor_checks import (
 from toolee_robot.control.watcher import Watcher
 from toolee_robot.errors import DeviceError, LatchedError, LimitError, MotionFaultError, PersonNearError
 from toolee_robot.hal import Arm, ArmState, ContactGuard, MotionReport, MotionWatch, Person
+from toolee_robot.motion.trajectory_checks import check_start
 from toolee_robot.types import Payload, Trajectory
 
 UNSURE = "the station cannot tell whether a person is near"

@@ -3,8 +3,8 @@
     from toolee_robot.perception import ToolPerception
     estimates = ToolPerception.load().estimate(frame, X_camera_hand=None)
 
-The ways in: `pipeline` (the whole), `segmentation` (colour -> masks), `cloud` (masks and depth -> points), `pose`
-(points -> pose, fusion), `io` (files -> frames), `dataset` and `train_*` (data, training).
+The ways in: `pipeline` (the whole), `detection` (colour and depth -> masks), `cloud` (masks and depth -> points),
+`pose` (points -> pose, fusion), `io` (files -> frames), `dataset` and `synthesis` (data), `evaluation`.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ if __name__ != "toolee_robot.perception":
     raise ImportError("import toolee_robot.perception: the short name would make a second copy of every module")
 
 if TYPE_CHECKING:
+    from toolee_robot.perception.detection.segmenter import Segmenter
     from toolee_robot.perception.pipeline import StageTimes, ToolPerception
-    from toolee_robot.perception.segmentation import Segmenter
 
 __all__ = ["Segmenter", "StageTimes", "ToolPerception"]
 
-_HOME = {"Segmenter": "segmentation", "StageTimes": "pipeline", "ToolPerception": "pipeline"}
+_HOME = {"Segmenter": "detection.segmenter", "StageTimes": "pipeline", "ToolPerception": "pipeline"}
 
 
 def __getattr__(name: str) -> Any:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.perception.pose.canonical import MIN_POINTS, REST_LEAST, REST_REACH
-from toolee_robot.perception.pose.fill import fill, surface_step
+from toolee_robot.perception.pose.depth_completion import fill, surface_step
 from toolee_robot.tools.model import ee_radius
 from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
 

@@ -18,16 +18,16 @@ import numpy as np
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.perception import assets
+from toolee_robot.perception import weight_files
+from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.evaluation import views
-from toolee_robot.perception.evaluation.crew import Crew
 from toolee_robot.perception.evaluation.estimates import Ranked, estimate_case
 from toolee_robot.perception.evaluation.examples import Examples, Part, parts, read_part
 from toolee_robot.perception.evaluation.pose import right_poses
 from toolee_robot.perception.pipeline import ToolPerception
 from toolee_robot.perception.pose import PoseEstimator, confidence
-from toolee_robot.perception.segmentation import Segmenter
 from toolee_robot.perception.trust import FEATURES, Trust, features
+from toolee_robot.runtime.process_map import Crew
 
 PRECISION = 0.95
 QUIET = 0.993
@@ -143,5 +143,5 @@ def fit_trust(
     count = len(todo) - frames
     trust, report = fit(found[:count], found[count:])
     about = {"data": "/".join(data.resolve().parts[-2:]), "seed": seed}
-    trust.save(folder or assets.WEIGHTS_DIR, {**report, **about})
+    trust.save(folder or weight_files.WEIGHTS_DIR, {**report, **about})
     return report

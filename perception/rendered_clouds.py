@@ -18,14 +18,14 @@ import numpy as np
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.cloud import EeCloud
-from toolee_robot.perception.evaluation.crew import Crew
+from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.evaluation.examples import Case, Instance, Part, parts, read_part
 from toolee_robot.perception.evaluation.shapes import telling_points
 from toolee_robot.perception.pipeline import EeDetector
 from toolee_robot.perception.pose.canonical import MIN_POINTS
-from toolee_robot.perception.pose.paper import Column
-from toolee_robot.perception.pose.rendered import MOST_GUESSED, MOST_POINTS, MOST_REST, RenderedClouds
-from toolee_robot.perception.segmentation import Segmenter
+from toolee_robot.perception.pose.synthetic_clouds.rendered import MOST_GUESSED, MOST_POINTS, MOST_REST, RenderedClouds
+from toolee_robot.perception.research.tooleenet import Column
+from toolee_robot.runtime.process_map import Crew
 from toolee_robot.types import Category
 
 NOTHING_THERE = 0.1

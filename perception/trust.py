@@ -17,12 +17,12 @@ import numpy as np
 
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array
-from toolee_robot.perception import assets
+from toolee_robot.perception import weight_files
+from toolee_robot.perception.detection.detector import WEIGHTS_NAME as DETECTOR
+from toolee_robot.perception.detection.refiner.network import WEIGHTS_NAME as REFINER
 from toolee_robot.perception.pose import weights
 from toolee_robot.perception.pose.cloud_estimator import PoseResult
 from toolee_robot.perception.pose.confidence import ConfidenceModel
-from toolee_robot.perception.segmentation_model import WEIGHTS_NAME as DETECTOR
-from toolee_robot.perception.segmentation_refiner import WEIGHTS_NAME as REFINER
 from toolee_robot.types import Category
 
 NAME = "trust"
@@ -75,9 +75,9 @@ class Trust:
         """What was fitted for the weights in these folders (the shipped ones if None); the odds multiplied where
         nothing was. Raises AssetError for a file that is damaged, or that was fitted for weights which have been
         replaced."""
-        folder = pose_folder or assets.WEIGHTS_DIR
+        folder = pose_folder or weight_files.WEIGHTS_DIR
         path = folder / f"{NAME}.json"
-        if (detector_folder or assets.WEIGHTS_DIR) != folder or not path.is_file():
+        if (detector_folder or weight_files.WEIGHTS_DIR) != folder or not path.is_file():
             return cls()
         try:
             card = json.loads(path.read_text())

@@ -6,8 +6,8 @@ import tyro
 from toolee_robot.config import StationConfig
 from toolee_robot.perception import ToolPerception
 from toolee_robot.sim_backend import SimOptions, SimStation
-from toolee_robot.tasks.grasp import nominal_grasp
-from toolee_robot.tasks.hammering import HammeringTask
+from toolee_robot.tasks.hammering.grasp import nominal_grasp
+from toolee_robot.tasks.hammering.task import HammeringTask
 
 
 def main(seed: int = 0, gui: bool = False) -> None:

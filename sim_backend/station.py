@@ -12,14 +12,14 @@ from toolee_robot.config import SIMULATED, StationConfig
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
 from toolee_robot.hal import Station
-from toolee_robot.sim_backend.arm import SimArm
-from toolee_robot.sim_backend.camera import SimCamera
-from toolee_robot.sim_backend.clock import SimClock
-from toolee_robot.sim_backend.hand import SimHand
-from toolee_robot.sim_backend.judge import Judge
+from toolee_robot.sim_backend.devices.arm import SimArm
+from toolee_robot.sim_backend.devices.camera import SimCamera
+from toolee_robot.sim_backend.devices.clock import SimClock
+from toolee_robot.sim_backend.devices.hand import SimHand
+from toolee_robot.sim_backend.devices.operator import SimPerson
+from toolee_robot.sim_backend.ground_truth.verdict import Judge
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
-from toolee_robot.sim_backend.person import SimPerson
-from toolee_robot.sim_backend.scene_visuals import SceneVisuals, scene_state
+from toolee_robot.sim_backend.visuals.scene import SceneVisuals, scene_state
 from toolee_robot.sim_backend.world import Sample, SimWorld
 from toolee_robot.tools import NAIL_DRIVERS, SWUNG_MASS, Tool, make_tool, split
 from toolee_robot.types import Category

@@ -16,14 +16,14 @@ from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.frames import Array, cross
 from toolee_robot.robots import load_robot
-from toolee_robot.sim_backend.bodies import Furniture, ToolBody
-from toolee_robot.sim_backend.grip import AssistedGrip
-from toolee_robot.sim_backend.impact import IMPACT, StepSettings
-from toolee_robot.sim_backend.nail import Nail
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.sim_backend.quiet import pb
-from toolee_robot.sim_backend.robot_body import RobotBody
-from toolee_robot.sim_backend.wood import NailSpec
+from toolee_robot.sim_backend.physics.bodies import Furniture, ToolBody
+from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.grip import AssistedGrip
+from toolee_robot.sim_backend.physics.impact_steps import IMPACT, StepSettings
+from toolee_robot.sim_backend.physics.nail import Nail
+from toolee_robot.sim_backend.physics.robot_body import RobotBody
+from toolee_robot.sim_backend.physics.wood import NailSpec
 from toolee_robot.tools import Tool
 from toolee_robot.types import Category
 

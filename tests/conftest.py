@@ -8,8 +8,8 @@ import signal
 
 import pytest
 
-from toolee_robot.host_awake import CoresAwake
-from toolee_robot.host_steadiness import EXCUSE, Steadiness
+from toolee_robot.runtime.cpu_keepalive import CoresAwake
+from toolee_robot.runtime.latency_monitor import EXCUSE, Steadiness
 
 pytest_plugins = ("tests.plugins.tiers",)
 FINE = ("tests/cli/test_bench_servo.py",)

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from toolee_robot.config import StationConfig, load_station
     from toolee_robot.errors import TooleeError
     from toolee_robot.perception.pipeline import ToolPerception
-    from toolee_robot.recorder import RunRecorder
-    from toolee_robot.tasks.grasp import nominal_grasp
-    from toolee_robot.tasks.hammering import HammeringTask
+    from toolee_robot.recording.recorder import RunRecorder
+    from toolee_robot.tasks.hammering.grasp import nominal_grasp
+    from toolee_robot.tasks.hammering.task import HammeringTask
     from toolee_robot.types import CameraIntrinsics, Category, RgbdFrame
 
 __version__ = "0.1.0"
@@ -43,14 +43,14 @@ __all__ = [
 _MODULES = {
     "CameraIntrinsics": "toolee_robot.types",
     "Category": "toolee_robot.types",
-    "HammeringTask": "toolee_robot.tasks.hammering",
+    "HammeringTask": "toolee_robot.tasks.hammering.task",
     "RgbdFrame": "toolee_robot.types",
-    "RunRecorder": "toolee_robot.recorder",
+    "RunRecorder": "toolee_robot.recording.recorder",
     "StationConfig": "toolee_robot.config",
     "ToolPerception": "toolee_robot.perception.pipeline",
     "TooleeError": "toolee_robot.errors",
     "load_station": "toolee_robot.config",
-    "nominal_grasp": "toolee_robot.tasks.grasp",
+    "nominal_grasp": "toolee_robot.tasks.hammering.grasp",
 }
 
 

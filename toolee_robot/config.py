@@ -19,8 +19,8 @@ import numpy as np
 from pydantic import ConfigDict, Field
 
 from toolee_robot.frames import Array, frame_from_axes, transform
+from toolee_robot.runtime.yaml_files import read_record
 from toolee_robot.types import ArmModel, CameraIntrinsics, DhCalibration
-from toolee_robot.yaml_files import read_record
 
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 

@@ -4,7 +4,6 @@
     from toolee_robot.perception.dataset.scene_reader import load
     images = load(Path("data/hard/train"))
 
-`spec` (what is asked for), `example` (one example from its seed: scenes `hard`, `station`, `paper`), `scene_writer` and
-`scene_reader` (BOP scenes), `generate` and `finish` (the folder), `validate`, `pictures`, `plots` and `shapes` (looking
-at it).
+The format: `spec` (what is asked for), `scene_writer` and `scene_reader` (BOP scenes), `index_files` (the folder),
+`validation`, `figures` (looking at it). Data sets are made by `toolee_robot.perception.synthesis`.
 """

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.errors import AssetError
-from toolee_robot.perception.dataset.masks import pixels_of
+from toolee_robot.perception.dataset.encoding.masks import pixels_of
 from toolee_robot.perception.dataset.records import Example, FloatArray
 from toolee_robot.types import CameraIntrinsics
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.files import write_whole
 from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.dataset.instances import (
     MODELS,
@@ -22,6 +21,7 @@ from toolee_robot.perception.dataset.instances import (
     tool_path,
 )
 from toolee_robot.perception.dataset.scene_writer import json_by_line
+from toolee_robot.runtime.files import write_whole
 from toolee_robot.types import Category
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from toolee_robot.errors import AssetError
-from toolee_robot.perception.dataset.checksums import SUMS
+from toolee_robot.perception.dataset.encoding.checksums import SUMS
 from toolee_robot.perception.dataset.records import HEIGHT, POSES, SCENES, WIDTH, EeTable, FloatArray
 from toolee_robot.types import CameraIntrinsics
 

@@ -28,10 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from toolee_robot.perception.dataset import png, rle
 from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue
-from toolee_robot.perception.dataset.checksums import write_sums
 from toolee_robot.perception.dataset.clouds import CloudWriter
+from toolee_robot.perception.dataset.encoding import png, rle
+from toolee_robot.perception.dataset.encoding.checksums import write_sums
 from toolee_robot.perception.dataset.instances import object_of
 from toolee_robot.perception.dataset.records import (
     CATEGORIES,

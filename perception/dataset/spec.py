@@ -10,7 +10,7 @@ from typing import Any
 from toolee_robot import __version__
 from toolee_robot.errors import UserError
 from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, OwnTools
-from toolee_robot.perception.dataset.own import OwnToolRecord
+from toolee_robot.perception.dataset.custom_tools import OwnToolRecord
 
 CONFIGS = ("paper", "hard", "paper-claws")
 SPLITS = ("train", "test")

@@ -17,9 +17,9 @@ from toolee_robot.perception.evaluation.examples import Case, Examples, Instance
 from toolee_robot.perception.evaluation.shapes import ee_shape, spin_is_told
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult, with_hand
 from toolee_robot.perception.pose.estimator import PoseEstimator
-from toolee_robot.perception.pose.paper import PaperEstimator
-from toolee_robot.perception.pose.paper.estimator import NAME as PAPER
-from toolee_robot.perception.pose.paper.representation import class_ambiguity
+from toolee_robot.perception.research.tooleenet import PaperEstimator
+from toolee_robot.perception.research.tooleenet.estimator import NAME as PAPER
+from toolee_robot.perception.research.tooleenet.representation import class_ambiguity
 from toolee_robot.perception.trust import Trust
 from toolee_robot.symmetry import SymmetryKind
 from toolee_robot.types import Category

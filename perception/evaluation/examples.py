@@ -17,8 +17,8 @@ from toolee_robot.perception.dataset.instances import object_of
 from toolee_robot.perception.dataset.records import CATEGORIES, MIN_POINTS, SCENES, EeTable
 from toolee_robot.perception.dataset.scene_reader import load_scenes, read_json, scene_folders
 from toolee_robot.perception.dataset.spec import catalogue_of
+from toolee_robot.perception.detection.instances import mask_iou
 from toolee_robot.perception.pipeline import EeDetector
-from toolee_robot.perception.segmentation_instances import mask_iou
 from toolee_robot.types import CameraIntrinsics, Category, Detection, RgbdFrame
 
 SPLITS = ("test", "train")

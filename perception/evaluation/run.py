@@ -14,7 +14,6 @@ import torch
 
 from toolee_robot.perception import Segmenter
 from toolee_robot.perception.evaluation import pose, views
-from toolee_robot.perception.evaluation.crew import Crew
 from toolee_robot.perception.evaluation.estimates import (
     Answer,
     Estimates,
@@ -29,8 +28,9 @@ from toolee_robot.perception.evaluation.examples import Examples, Instance, Part
 from toolee_robot.perception.evaluation.samplers import sampler_table
 from toolee_robot.perception.pipeline import EeDetector, ToolPerception
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
-from toolee_robot.perception.pose.paper import PaperEstimator
+from toolee_robot.perception.research.tooleenet import PaperEstimator
 from toolee_robot.perception.trust import Trust
+from toolee_robot.runtime.process_map import Crew
 from toolee_robot.types import RgbdFrame
 
 T = TypeVar("T")

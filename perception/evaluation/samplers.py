@@ -16,8 +16,8 @@ from toolee_robot.perception.evaluation import metrics
 from toolee_robot.perception.evaluation.estimates import CATEGORIES, estimate_case
 from toolee_robot.perception.evaluation.examples import Examples
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
-from toolee_robot.perception.pose.flow import Euler, Field, Process, Sampler
-from toolee_robot.perception.pose.paper.rk45 import Rk45
+from toolee_robot.perception.pose.processes.flow import Euler, Field, Process, Sampler
+from toolee_robot.perception.research.tooleenet.rk45 import Rk45
 
 STEPS = (1, 2, 3, 5, 10, 20)
 REFERENCE = "RK45"

@@ -13,8 +13,8 @@ from toolee_robot.frames import Array, inverse, transform_points
 from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.dataset.instances import ee_mesh
 from toolee_robot.perception.evaluation.examples import Case, Instance
-from toolee_robot.perception.pose.bank import ASYMMETRIC
-from toolee_robot.perception.pose.losses import SPIN_PIXELS
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import ASYMMETRIC
+from toolee_robot.perception.pose.training.losses import SPIN_PIXELS
 from toolee_robot.types import Category
 
 _VERTICES = 400

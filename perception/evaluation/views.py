@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.perception.dataset.example import Series, expose, label, take_shot
-from toolee_robot.perception.dataset.hard import ARM, HAND, hard_scene
-from toolee_robot.perception.dataset.placement import PlacedTool, Pool, SceneSample
 from toolee_robot.perception.dataset.records import EeTable
 from toolee_robot.perception.evaluation import metrics
 from toolee_robot.perception.pipeline import ToolPerception
+from toolee_robot.perception.synthesis.example import Series, expose, label, take_shot
+from toolee_robot.perception.synthesis.hard import ARM, HAND, hard_scene
+from toolee_robot.perception.synthesis.placement import PlacedTool, Pool, SceneSample
 from toolee_robot.render.renderer import Shot
 from toolee_robot.types import Category, RgbdFrame
 

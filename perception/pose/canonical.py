@@ -1,9 +1,9 @@
 """The canonical view of a cloud: outliers trimmed, centred, turned so that the ray to its centre is z, 512 points;
 beside it, in the same frame, a coarse cloud of what else is seen of the tool. Points whose depth is only guessed
-(`fill.py`) are among the 512, marked.
+(`depth_completion.py`) are among the 512, marked.
 
 Centring keeps the working distance out of the network, turning makes the result independent of where in the image the
-EE stands. Here for batches, as training has them on the GPU; `canonical_one.py` does the same to the one cloud of an
+EE stands. Here for batches, as training has them on the GPU; `canonical_single.py` does the same to the one cloud of an
 estimate.
 """
 

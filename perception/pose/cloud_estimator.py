@@ -15,9 +15,9 @@ import torch
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, PATCHES, POINTS, CanonicalCloud
-from toolee_robot.perception.pose.canonical_one import canonicalize_one, with_rest_one
-from toolee_robot.perception.pose.flow import Process, Sampler
+from toolee_robot.perception.pose.canonical_single import canonicalize_one, with_rest_one
 from toolee_robot.perception.pose.network import DIRECTION_DIM
+from toolee_robot.perception.pose.processes.flow import Process, Sampler
 from toolee_robot.perception.pose.spin import fix_spin, nominal_R_tool_ee, with_spin_variance
 from toolee_robot.symmetry import SymmetryKind
 from toolee_robot.tools.model import ee_radius
@@ -88,8 +88,8 @@ class CloudEstimator(ABC):
         """The pose of the EE whose visible points (N, 3) [m] are given in the camera's frame (OpenCV axes).
 
         rest: (M, 3) [m], the visible points of the rest of the tool, camera frame. guessed: (G, 3) [m], likewise, those
-        of the EE's mask whose depth is guessed from their neighbours' (`fill.py`). X_camera_hand: 4x4, the hand that
-        holds the tool; tells where the rest is if that is not seen, and the spin about a symmetric EE's axis.
+        of the EE's mask whose depth is guessed from their neighbours' (`depth_completion.py`). X_camera_hand: 4x4, the
+        hand that holds the tool; tells where the rest is if that is not seen, and the spin about a symmetric EE's axis.
         The same input and seed give the same result. Raises PerceptionError with fewer than 25 finite points.
         """
         points = _finite(points)

@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from toolee_robot.perception.arithmetic import in_bfloat16
 from toolee_robot.perception.pose.canonical import PATCHES, REST_PATCHES, CanonicalCloud
-from toolee_robot.perception.pose.flow import Euler, Process
-from toolee_robot.perception.pose.processes import PROCESSES
+from toolee_robot.perception.pose.processes.flow import Euler, Process
+from toolee_robot.perception.pose.processes.registry import PROCESSES
 from toolee_robot.perception.pose.representation import DIM
+from toolee_robot.perception.precision import in_bfloat16
 from toolee_robot.types import Category
 
 CATEGORIES = tuple(Category)

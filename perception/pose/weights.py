@@ -1,4 +1,4 @@
-"""The weights (float16) beside their calibration in `pose.json`; see `toolee_robot.perception.assets`."""
+"""The weights (float16) beside their calibration in `pose.json`; see `toolee_robot.perception.weight_files`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from toolee_robot.errors import AssetError
-from toolee_robot.perception import assets
+from toolee_robot.perception import weight_files
 from toolee_robot.perception.pose.confidence import FEATURES, ConfidenceModel
 from toolee_robot.perception.pose.network import NetworkConfig, PoseNet
 from toolee_robot.perception.pose.pooling import SigmaScale
@@ -36,17 +36,17 @@ def save(folder: Path, net: PoseNet, calibration: Calibration, report: dict[str,
         "confidence": calibration.confidence.to_dict(),
         "report": report,
     }
-    assets.save_weights(folder, name, net.state_dict(), card)
+    weight_files.save_weights(folder, name, net.state_dict(), card)
 
 
 def load(folder: Path | None = None, name: str = NAME) -> tuple[PoseNet, Calibration]:
     """The network (float32, eval mode, CPU) and its calibration. Raises AssetError if missing or unreadable."""
-    tensors, card = assets.load_weights(folder, name)
+    tensors, card = weight_files.load_weights(folder, name)
     try:
         net = PoseNet(NetworkConfig(**card["network"]))
         net.load_state_dict(tensors)
         scales = {Category(c): SigmaScale(**s) for c, s in card["sigma_scale"].items()}
         calibration = Calibration(scales, ConfidenceModel.from_dict(card["confidence"]))
     except (ValueError, KeyError, TypeError, RuntimeError) as error:
-        raise AssetError(f"the pose weights in {folder or assets.WEIGHTS_DIR} are unreadable: {error}") from error
+        raise AssetError(f"the pose weights in {folder or weight_files.WEIGHTS_DIR} are unreadable: {error}") from error
     return net.requires_grad_(False).eval(), calibration

@@ -15,22 +15,22 @@ from dataclasses import dataclass, field
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.host_clock import HostClock, check_pace, is_loopback
-from toolee_robot.sim_backend.ur_controller.dashboard import DashboardSession
-from toolee_robot.sim_backend.ur_controller.fault_session import FaultSession
-from toolee_robot.sim_backend.ur_controller.faults import Faults
-from toolee_robot.sim_backend.ur_controller.model import MODELS, ControllerModel
-from toolee_robot.sim_backend.ur_controller.plant import Plant
-from toolee_robot.sim_backend.ur_controller.port import Port
-from toolee_robot.sim_backend.ur_controller.primary import StateSession
-from toolee_robot.sim_backend.ur_controller.robot import Robot
-from toolee_robot.sim_backend.ur_controller.rtde import RtdeFaults, RtdeSession
-from toolee_robot.sim_backend.ur_controller.rtde_inputs import Inputs
-from toolee_robot.sim_backend.ur_controller.rtde_variables import Outputs
-from toolee_robot.sim_backend.ur_controller.safety import SafetyLimits
-from toolee_robot.sim_backend.ur_controller.schedule import Schedule
-from toolee_robot.sim_backend.ur_controller.script_ports import ScriptSession
-from toolee_robot.sim_backend.ur_controller.service import Service
+from toolee_robot.runtime.clock import HostClock, check_pace, is_loopback
+from toolee_robot.sim_backend.ur_controller.faults.fault_port import Faults
+from toolee_robot.sim_backend.ur_controller.faults.session import FaultSession
+from toolee_robot.sim_backend.ur_controller.robot.model import MODELS, ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
+from toolee_robot.sim_backend.ur_controller.robot.safety import SafetyLimits
+from toolee_robot.sim_backend.ur_controller.robot_system import Robot
+from toolee_robot.sim_backend.ur_controller.server.dashboard import DashboardSession
+from toolee_robot.sim_backend.ur_controller.server.port import Port
+from toolee_robot.sim_backend.ur_controller.server.primary import StateSession
+from toolee_robot.sim_backend.ur_controller.server.rtde import RtdeFaults, RtdeSession
+from toolee_robot.sim_backend.ur_controller.server.rtde_inputs import Inputs
+from toolee_robot.sim_backend.ur_controller.server.rtde_variables import Outputs
+from toolee_robot.sim_backend.ur_controller.server.schedule import Schedule
+from toolee_robot.sim_backend.ur_controller.server.script_ports import ScriptSession
+from toolee_robot.sim_backend.ur_controller.server.service import Service
 
 DASHBOARD_PORT, PRIMARY_PORT, SECONDARY_PORT, REALTIME_PORT, RTDE_PORT = 29999, 30001, 30002, 30003, 30004
 FAULT_PORT = 30020

@@ -23,10 +23,10 @@ import numpy as np
 
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
-from toolee_robot.sim_backend.ur_controller.fault_client import FaultClient, Trace
-from toolee_robot.sim_backend.ur_controller.joint_plant import JointPlant
-from toolee_robot.sim_backend.ur_controller.model import ControllerModel
-from toolee_robot.sim_backend.ur_controller.plant import Plant
+from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient, Trace
+from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
+from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
 
 Q_START = (0.0, -pi / 2, pi / 2, -pi / 2, -pi / 2, 0.0)  # [rad] the flange looks down
 STOP_TIME = 5.0  # [s] for the child to end by itself

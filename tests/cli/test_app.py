@@ -146,10 +146,10 @@ def test_an_empty_scene_is_an_empty_list_and_exit_1(files: Path) -> None:
 def test_missing_weights_are_a_failed_job_that_names_the_file(
     files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from toolee_robot.perception import assets
+    from toolee_robot.perception import weight_files
 
     monkeypatch.chdir(files)
-    monkeypatch.setattr(assets, "WEIGHTS_DIR", files / "scene")
+    monkeypatch.setattr(weight_files, "WEIGHTS_DIR", files / "scene")
     assert run([*_frame_args(), "--json"]) == 1
     captured = capsys.readouterr()
     assert "scene/segmentation" in captured.err.replace("\n", "")

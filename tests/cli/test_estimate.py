@@ -14,8 +14,8 @@ import pytest
 from toolee_robot.cli.app import run
 from toolee_robot.frames import is_rigid
 from toolee_robot.perception import ToolPerception
-from toolee_robot.perception.dataset.example import Series, make_example, take_shot
 from toolee_robot.perception.dataset.records import CATEGORIES, Example
+from toolee_robot.perception.synthesis.example import Series, make_example, take_shot
 from toolee_robot.types import Category
 
 pytestmark = pytest.mark.sim

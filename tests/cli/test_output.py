@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from toolee_robot.cli.output import json_line, pose_text, sigma_text
-from toolee_robot.cli.run_folder import run_folder
+from toolee_robot.cli.hammering.run_folder import run_folder
+from toolee_robot.cli.output import json_line
 from toolee_robot.errors import UserError
-from toolee_robot.files import write_whole
 from toolee_robot.frames import transform
+from toolee_robot.recording.pose_text import pose_text, sigma_text
+from toolee_robot.runtime.files import write_whole
 
 
 def test_json_is_one_strict_line_even_of_numpy_and_of_what_is_not_finite() -> None:

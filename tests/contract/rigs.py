@@ -17,10 +17,10 @@ from toolee_robot.config import ArmLimits, StationConfig
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import Arm, ContactGuard, MotionReport
-from toolee_robot.hardware.ur_arm import UrArm
-from toolee_robot.hardware.ur_config import UrArmConfig
+from toolee_robot.hardware.ur.config import UrArmConfig
+from toolee_robot.hardware.ur.driver import UrArm
 from toolee_robot.sim_backend import SimOptions, SimStation
-from toolee_robot.sim_backend.arm import SimArm
+from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel, Trajectory
 

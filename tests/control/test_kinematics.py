@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from tests.examples import examples
 from toolee_robot.control import RobotModel
-from toolee_robot.control.line import Line
+from toolee_robot.control.planning.line import Line
 from toolee_robot.errors import UnreachableError, UserError
 from toolee_robot.frames import Array, inverse, transform
 

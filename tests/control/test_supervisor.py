@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from tests.control.paper_arm import Bystander, PaperArm
-from toolee_robot.arm_checks import START_TOLERANCE
 from toolee_robot.config import StationConfig, SupervisorConfig
 from toolee_robot.control import CollisionWorld, Meeting, Mode, RobotModel, StrikePlan, Supervisor, paced, plan_strike
 from toolee_robot.control.collision_shapes import box_body
 from toolee_robot.control.modes import carried_speed
-from toolee_robot.control.timing import joint_move
+from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.errors import (
     CollisionError,
     DeviceError,
@@ -32,6 +31,7 @@ from toolee_robot.errors import (
 )
 from toolee_robot.frames import Array
 from toolee_robot.hal import Arm, ArmStatus, ContactGuard, MotionOutcome
+from toolee_robot.motion.trajectory_checks import START_TOLERANCE
 from toolee_robot.types import Trajectory
 
 GUARD = ContactGuard(15.0)

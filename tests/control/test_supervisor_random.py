@@ -13,7 +13,7 @@ from tests.control.paper_arm import STOP_ACCELERATION, STOP_JERK, Bystander, Pap
 from tests.examples import examples
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, Mode, RobotModel, Supervisor, paced
-from toolee_robot.control.timing import joint_move
+from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.errors import DeviceError, EmergencyStopError, PlanningError, ProtectiveStopError, TrackingError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmStatus

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, ViewPlan, plan_handover, plan_transfer, plan_views
 from toolee_robot.control.collision_shapes import box_body
-from toolee_robot.control.transfer import NEED
+from toolee_robot.control.planning.transfer import NEED
 from toolee_robot.errors import CollisionError, UnreachableError, UserError
 from toolee_robot.frames import Array, angle_between, inverse, transform, transform_points
 from toolee_robot.robots import SHADOW_HAND

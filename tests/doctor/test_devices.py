@@ -14,9 +14,9 @@ from toolee_robot.config import StationConfig
 from toolee_robot.findings import Finding, Level
 from toolee_robot.hal import Clock, HandState, RgbdCamera
 from toolee_robot.sim_backend import SimStation
-from toolee_robot.sim_backend.arm import SimArm
-from toolee_robot.sim_backend.camera import SimCamera
-from toolee_robot.sim_backend.hand import SimHand
+from toolee_robot.sim_backend.devices.arm import SimArm
+from toolee_robot.sim_backend.devices.camera import SimCamera
+from toolee_robot.sim_backend.devices.hand import SimHand
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 pytestmark = pytest.mark.sim

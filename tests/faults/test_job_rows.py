@@ -9,15 +9,15 @@ import pytest
 
 from toolee_robot.control.watcher import Watcher
 from toolee_robot.errors import MotionFaultError
-from toolee_robot.faults.job_bench import Bench
-from toolee_robot.faults.job_faults import JOB_FAULTS
-from toolee_robot.faults.job_record import JobFault
-from toolee_robot.faults.job_rows import job_row
 from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.start_rows import CALIBRATIONS, calibration_row
-from toolee_robot.sim_backend.arm import SimArm
-from toolee_robot.tasks.hammering import HammeringTask
-from toolee_robot.tasks.motions import Motions
+from toolee_robot.faults.rigs.job_rig import Bench
+from toolee_robot.faults.rows.job import job_row
+from toolee_robot.faults.rows.job_fault import JobFault
+from toolee_robot.faults.rows.job_faults import JOB_FAULTS
+from toolee_robot.faults.rows.start import CALIBRATIONS, calibration_row
+from toolee_robot.sim_backend.devices.arm import SimArm
+from toolee_robot.tasks.common.motions import Motions
+from toolee_robot.tasks.hammering.task import HammeringTask
 
 pytestmark = pytest.mark.sim
 

@@ -12,8 +12,8 @@ import pytest
 from toolee_robot.errors import LinkLostError
 from toolee_robot.faults.measuring import ATTEMPTS, Measurement
 from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.rig import MissedMomentError
-from toolee_robot.host_steadiness import EXCUSE, Steadiness
+from toolee_robot.faults.rigs.driver_rig import MissedMomentError
+from toolee_robot.runtime.latency_monitor import EXCUSE, Steadiness
 
 pytestmark = pytest.mark.realtime
 

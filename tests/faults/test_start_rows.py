@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from toolee_robot.faults.start_rows import HAND, START_FAULTS, StartFault, start_row
+from toolee_robot.faults.rows.start import HAND, START_FAULTS, StartFault, start_row
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 

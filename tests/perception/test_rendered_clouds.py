@@ -15,25 +15,25 @@ from scipy.spatial import cKDTree
 from toolee_robot.cli.app import run
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.frames import Array, transform_points
-from toolee_robot.perception.dataset.example import examples_of
 from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.spec import DatasetSpec
+from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.evaluation.examples import parts, read_part
 from toolee_robot.perception.pose import PoseEstimator
-from toolee_robot.perception.pose.bank import hand_bank, tool_bank
 from toolee_robot.perception.pose.canonical import REST_LEAST, CanonicalCloud
-from toolee_robot.perception.pose.cloud_batch import CATEGORY_SHARE, CloudBatch, CloudConfig
 from toolee_robot.perception.pose.cloud_estimator import PoseResult
-from toolee_robot.perception.pose.cloud_source import CloudSource, Mixture
-from toolee_robot.perception.pose.method import Ours
 from toolee_robot.perception.pose.network import NetworkConfig
-from toolee_robot.perception.pose.paper import PaperEstimator
-from toolee_robot.perception.pose.rendered import RenderedClouds, RenderedSource
-from toolee_robot.perception.pose.train_config import TrainConfig
-from toolee_robot.perception.pose.training import Trainer
-from toolee_robot.perception.ranks import Ranks
+from toolee_robot.perception.pose.synthetic_clouds.batch import CATEGORY_SHARE, CloudBatch, CloudConfig
+from toolee_robot.perception.pose.synthetic_clouds.rendered import RenderedClouds, RenderedSource
+from toolee_robot.perception.pose.synthetic_clouds.source import CloudSource, Mixture
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import hand_bank, tool_bank
+from toolee_robot.perception.pose.training.config import TrainConfig
+from toolee_robot.perception.pose.training.recipe import Ours
+from toolee_robot.perception.pose.training.trainer import Trainer
 from toolee_robot.perception.rendered_clouds import of_part, tools_of_part
-from toolee_robot.perception.segmentation import Segmenter
+from toolee_robot.perception.research.tooleenet import PaperEstimator
+from toolee_robot.perception.synthesis.example import examples_of
+from toolee_robot.perception.training.distributed import Ranks
 from toolee_robot.tools import ee_radius
 from toolee_robot.types import Category, Detection, RgbdFrame
 

@@ -20,13 +20,13 @@ import numpy as np
 import pytest
 
 from toolee_robot.perception import ToolPerception
-from toolee_robot.perception.assets import WEIGHTS_DIR
-from toolee_robot.perception.dataset.example import examples_of
 from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.spec import DatasetSpec
 from toolee_robot.perception.evaluation import metrics, pose
 from toolee_robot.perception.evaluation.estimates import Ranked
 from toolee_robot.perception.evaluation.examples import collect
+from toolee_robot.perception.synthesis.example import examples_of
+from toolee_robot.perception.weight_files import WEIGHTS_DIR
 from toolee_robot.types import Category, Detection, RgbdFrame, ToolEstimate
 
 pytestmark = pytest.mark.sim

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from toolee_robot.errors import AssetError, UserError
-from toolee_robot.perception import assets
+from toolee_robot.perception import weight_files
 from toolee_robot.perception.fit_trust import Looked, fit
 from toolee_robot.perception.pose.cloud_estimator import PoseResult
 from toolee_robot.perception.trust import Trust, features
@@ -55,7 +55,7 @@ def test_a_pose_that_is_not_usable_stays_so_with_its_own_reason() -> None:
 
 def _weights(folder: Path) -> Path:
     for name in ("pose.json", "segmentation.json"):
-        shutil.copy(assets.WEIGHTS_DIR / name, folder)
+        shutil.copy(weight_files.WEIGHTS_DIR / name, folder)
     return folder
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from toolee_robot.perception.dataset.records import EeTable, Example
 from toolee_robot.perception.dataset.scene_writer import write_scene
-from toolee_robot.perception.segmentation_evaluation import frame_of
+from toolee_robot.perception.evaluation.segmentation import frame_of
 
 _COLOURS = ((220, 60, 50), (60, 200, 70), (60, 90, 220), (230, 200, 60))
 

@@ -11,12 +11,12 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, inverse, transform, transform_points
-from toolee_robot.render.bvh import BvhTracer
 from toolee_robot.render.device import DeviceArray, checked, put
-from toolee_robot.render.embree import EmbreeTracer
-from toolee_robot.render.filters import gaussian, white
 from toolee_robot.render.mesh import FloatArray, Mesh
-from toolee_robot.render.tracing import Tracer, in_camera
+from toolee_robot.render.rays.bvh import BvhTracer
+from toolee_robot.render.rays.embree import EmbreeTracer
+from toolee_robot.render.rays.tracing import Tracer, in_camera
+from toolee_robot.render.sensors.filters import gaussian, white
 
 Meshes = list[tuple[Mesh, Array]]
 

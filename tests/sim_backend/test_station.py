@@ -15,10 +15,10 @@ from toolee_robot.frames import Array, frame_from_axes, inverse, rotation_angle,
 from toolee_robot.hal import Arm, Clock, ContactGuard, Hand, MotionOutcome, Person, RgbdCamera
 from toolee_robot.robots import SHADOW_HAND, load_robot
 from toolee_robot.sim_backend import InHandOffset, SimOptions, SimStation
-from toolee_robot.sim_backend.arm import SimArm
-from toolee_robot.sim_backend.grip import RELEASE_SLIP, GripLimits
-from toolee_robot.sim_backend.hand import SimHand
-from toolee_robot.sim_backend.person import handed_over
+from toolee_robot.sim_backend.devices.arm import SimArm
+from toolee_robot.sim_backend.devices.hand import SimHand
+from toolee_robot.sim_backend.devices.operator import handed_over
+from toolee_robot.sim_backend.physics.grip import RELEASE_SLIP, GripLimits
 from toolee_robot.tools import ToolKind, make_tool, split
 from toolee_robot.types import Payload, Trajectory
 

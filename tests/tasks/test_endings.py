@@ -11,18 +11,18 @@ import pytest
 
 from toolee_robot.control import Meeting, RobotModel
 from toolee_robot.errors import PerceptionError, UserError
-from toolee_robot.faults.job_bench import CONFIG, Bench, Log, at_rest, grip_kept, is_home
-from toolee_robot.faults.people import People
-from toolee_robot.faults.told import Told, moved, unsure
+from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, Log, at_rest, grip_kept, is_home
+from toolee_robot.faults.rigs.people import People
+from toolee_robot.faults.rigs.scripted_perception import Told, moved, unsure
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend import SimOptions, SimStation
-from toolee_robot.sim_backend.nail import HINGE_X, SLIDE
-from toolee_robot.sim_backend.perfect import PerfectPerception
-from toolee_robot.tasks.grasp import nominal_grasp
-from toolee_robot.tasks.hammering import HammeringTask
-from toolee_robot.tasks.look import Look
-from toolee_robot.tasks.observer import TaskObserver
-from toolee_robot.tasks.outcome import Outcome, Stage
+from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.sim_backend.physics.nail import HINGE_X, SLIDE
+from toolee_robot.tasks.common.look import Look
+from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.outcome import Outcome, Stage
+from toolee_robot.tasks.hammering.grasp import nominal_grasp
+from toolee_robot.tasks.hammering.task import HammeringTask
 from toolee_robot.types import RgbdFrame, ToolEstimate
 
 pytestmark = pytest.mark.sim

@@ -12,9 +12,9 @@ import pytest
 
 from toolee_robot.config import CalibrationConfig, StationConfig
 from toolee_robot.control import Meeting
-from toolee_robot.faults.job_bench import CONFIG, Bench, Log, at_rest, grip_kept
+from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, Log, at_rest, grip_kept
 from toolee_robot.frames import Array
-from toolee_robot.tasks.outcome import HammerResult, Outcome, Stage
+from toolee_robot.tasks.common.outcome import HammerResult, Outcome, Stage
 
 pytestmark = pytest.mark.sim
 

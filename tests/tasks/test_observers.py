@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import inspect
 
-from toolee_robot.tasks.observer import Observers, TaskObserver
-from toolee_robot.tasks.outcome import HammerResult, Outcome, Stage
+from toolee_robot.tasks.common.observer import Observers, TaskObserver
+from toolee_robot.tasks.common.outcome import HammerResult, Outcome, Stage
 
 
 def _calls() -> list[str]:

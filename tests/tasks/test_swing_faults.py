@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from toolee_robot.control import CollisionWorld, Mode, RobotModel, StrikePlan, plan_strike
-from toolee_robot.control.strike import plan_straight
+from toolee_robot.control.planning.strike import plan_straight
 from toolee_robot.errors import (
     DeviceError,
     EmergencyStopError,
@@ -25,15 +25,15 @@ from toolee_robot.errors import (
     StaleDataError,
     TrackingError,
 )
-from toolee_robot.faults.job_bench import CONFIG, Bench, Log, at_rest, grip_kept
+from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, Log, at_rest, grip_kept
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
-from toolee_robot.sim_backend.arm import RATE
-from toolee_robot.tasks.motions import Motions
+from toolee_robot.sim_backend.devices.arm import RATE
+from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.types import Trajectory
 
 BRAKING = 0.168
-"""[s] The longest stop of such a swing (tests/control/test_braking.py)."""
+"""[s] The longest stop of such a swing (tests/control/test_path_stop.py)."""
 SETTLING = 0.05
 """[s] until the simulated motors have come to rest after the last command."""
 

@@ -17,15 +17,15 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from toolee_robot.cli.bench import Bench
-from toolee_robot.cli.bench_servo import BenchServo
+from toolee_robot.cli.bench.command import Bench
+from toolee_robot.cli.bench.servo import BenchServo
 from toolee_robot.cli.dataset import Dataset
 from toolee_robot.cli.doctor import Doctor
 from toolee_robot.cli.estimate import Estimate
 from toolee_robot.cli.evaluate import Evaluate
 from toolee_robot.cli.faults import Faults
-from toolee_robot.cli.hammer import Hammer
-from toolee_robot.cli.train import Train
+from toolee_robot.cli.hammering.command import Hammer
+from toolee_robot.cli.train.command import Train
 from toolee_robot.cli.ur_controller import UrController
 from toolee_robot.errors import TooleeError, UserError
 

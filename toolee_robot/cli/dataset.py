@@ -19,10 +19,10 @@ from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
 from toolee_robot.cli.progress import progress_bars
 from toolee_robot.errors import UserError
-from toolee_robot.files import write_whole
+from toolee_robot.runtime.files import write_whole
 
 if TYPE_CHECKING:
-    from toolee_robot.perception.dataset.own import OwnMesh
+    from toolee_robot.perception.dataset.custom_tools import OwnMesh
 
 _Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
 
@@ -62,12 +62,12 @@ class Generate:
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
-        from toolee_robot.perception.dataset.generate import generate
         from toolee_robot.perception.dataset.spec import DatasetSpec
+        from toolee_robot.perception.synthesis.generate import generate
 
         own: tuple[OwnMesh, ...] = ()
         if self.tools is not None:
-            from toolee_robot.perception.dataset.own_reader import read_own_tools
+            from toolee_robot.perception.synthesis.custom_tool_reader import read_own_tools
 
             own = read_own_tools(self.tools)
         share = self.test_share if self.test_share is not None else 1.0 if own else DatasetSpec.test_share
@@ -145,23 +145,24 @@ class Inspect:
     def run(self) -> int:
         if self.count < 1 or self.pairs < 1:
             raise UserError("--count and --pairs must be 1 or more")
-        from toolee_robot.perception.dataset import finish, pictures, plots, shapes
+        from toolee_robot.perception.dataset import index_files
+        from toolee_robot.perception.dataset.figures import pictures, plots, shape_distances
         from toolee_robot.perception.dataset.scene_reader import read_json, scene_folders
         from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec
 
         spec = DatasetSpec.read(self.folder)
-        if not finish.is_finished(self.folder):
+        if not index_files.is_finished(self.folder):
             raise UserError(f"{self.folder} is not finished: run its `toolee dataset generate` again")
         out = self.folder.with_name(f"{self.folder.resolve().name}-inspection") if self.out is None else self.out
         out.mkdir(parents=True, exist_ok=True)
         console = Console(stderr=self.json, highlight=False)
-        card = read_json(self.folder / finish.CARD)
+        card = read_json(self.folder / index_files.CARD)
         with console.status("drawing"):
             for split in SPLITS:
                 if scene_folders(self.folder / split):
                     pictures.montage(self.folder / split, self.count).save(out / f"montage_{split}.png")
             plots.distributions(card).savefig(out / "distributions.png", dpi=110)
-            found = shapes.shape_distances(self.folder, self.pairs)
+            found = shape_distances.shape_distances(self.folder, self.pairs)
             if found.values:
                 plots.shape_figure(found).savefig(out / "shapes.png", dpi=110)
         record = {"spec": spec.to_json(), "splits": _summary(card), "shape_distances": found.to_json()}
@@ -193,7 +194,7 @@ class Validate:
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
-        from toolee_robot.perception.dataset.validate import validate
+        from toolee_robot.perception.dataset.validation.validate import validate
 
         if self.workers < 1:
             raise UserError(f"--workers {self.workers}: give 1 or more")

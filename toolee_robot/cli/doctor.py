@@ -55,7 +55,7 @@ class Doctor:
         config = StationConfig() if self.config is None else load_station(self.config)
         console = Console(stderr=self.json, highlight=False)
         with console.status("loading"):
-            from toolee_robot.cli.examination import Examination
+            from toolee_robot.cli.doctor_sections import Examination
 
         examination = Examination(config, self.robot_host, self.world is not None, self.out, console.status)
         found: list[tuple[str, Finding]] = []

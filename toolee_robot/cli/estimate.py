@@ -14,9 +14,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line, pose_text, sigma_text
+from toolee_robot.cli.output import json_line
 from toolee_robot.errors import UserError
-from toolee_robot.files import write_whole
+from toolee_robot.recording.pose_text import pose_text, sigma_text
+from toolee_robot.runtime.files import write_whole
 from toolee_robot.types import ToolEstimate
 
 _File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
@@ -76,7 +77,7 @@ class Estimate:
         estimates = perception.estimate(frame, X_camera_hand)
         elapsed_ms = (time.perf_counter() - start) * 1e3
         if self.picture is not None:
-            from toolee_robot.cli.picture import draw
+            from toolee_robot.recording.picture import draw
 
             write_whole(self.picture, draw(frame, estimates, title=self.rgb.name))
             console.print(f"picture: {escape(str(self.picture))}", soft_wrap=True)

@@ -14,12 +14,12 @@ from rich.console import Console
 from rich.markup import escape
 
 from toolee_robot.cli.evaluate_tables import pose_tables, printed_samplers, segmentation_rows, text_table
-from toolee_robot.cli.machine import describe_machine
+from toolee_robot.cli.host_info import describe_machine
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
 from toolee_robot.cli.progress import progress_bars
 from toolee_robot.errors import UserError
-from toolee_robot.files import write_whole
+from toolee_robot.runtime.files import write_whole
 
 if TYPE_CHECKING:
     from toolee_robot.perception.evaluation.run import Evaluation, Plan
@@ -165,7 +165,7 @@ class EvaluateSegmentation:
     """Print one line of JSON; everything for people goes to standard error."""
 
     def run(self) -> int:
-        from toolee_robot.perception.segmentation_evaluation import STATISTICS, evaluate
+        from toolee_robot.perception.evaluation.segmentation import STATISTICS, evaluate
 
         console = Console(stderr=self.json, highlight=False)
         with console.status("the detector looks at every image"):

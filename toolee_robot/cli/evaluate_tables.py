@@ -62,7 +62,7 @@ def printed_samplers(samplers: list[dict[str, Any]]) -> Table:
 
 def segmentation_rows(found: dict[str, Any]) -> list[list[str]]:
     """Class, instances and COCO's statistics in percent."""
-    from toolee_robot.perception.segmentation_evaluation import STATISTICS
+    from toolee_robot.perception.evaluation.segmentation import STATISTICS
 
     return [
         [name.replace("_", " "), str(row.get("instances", ""))]

@@ -43,7 +43,7 @@ class Faults:
         if not console.is_terminal:  # a file takes whole rows
             console.width = max(console.width, _ROW)
         from toolee_robot.faults.matrix import ELSEWHERE, MatrixOptions, Part, run_matrix
-        from toolee_robot.host_steadiness import EXCUSE
+        from toolee_robot.runtime.latency_monitor import EXCUSE
 
         models = tuple(ArmModel) if self.robot == "both" else (ArmModel(self.robot),)
         rows: list[FaultRow] = []

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from toolee_robot.findings import Finding, fail, ok, warn
-from toolee_robot.hardware.servo_clock import PRIORITY
+from toolee_robot.hardware.ur.servo.clock import PRIORITY
 
 CPUS = 4
 """The servo process, the task with its planner, the perception, and the rest of the system."""

@@ -10,9 +10,9 @@ from toolee_robot.arm_data import CB3_RATE
 from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.findings import Finding
-from toolee_robot.hardware.ur_checks import UrExpected, check
-from toolee_robot.hardware.ur_kinematics import calibration_of
-from toolee_robot.hardware.ur_probe import nominal_rate, probe
+from toolee_robot.hardware.ur.checks import UrExpected, check
+from toolee_robot.hardware.ur.kinematics import calibration_of
+from toolee_robot.hardware.ur.probe import nominal_rate, probe
 from toolee_robot.types import DhCalibration
 
 

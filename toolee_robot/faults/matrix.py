@@ -6,17 +6,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
-from toolee_robot.faults.arm_rows import arm_rows
-from toolee_robot.faults.command_rows import command_rows
-from toolee_robot.faults.job_bench import Bench
-from toolee_robot.faults.job_rows import job_rows
 from toolee_robot.faults.measuring import Measurement
-from toolee_robot.faults.process_rows import process_rows
 from toolee_robot.faults.record import FaultRow
-from toolee_robot.faults.rig import rig
-from toolee_robot.faults.start_rows import calibration_rows, start_rows
-from toolee_robot.host_awake import CoresAwake
-from toolee_robot.host_steadiness import Steadiness
+from toolee_robot.faults.rigs.driver_rig import rig
+from toolee_robot.faults.rigs.job_rig import Bench
+from toolee_robot.faults.rows.arm import arm_rows
+from toolee_robot.faults.rows.commands import command_rows
+from toolee_robot.faults.rows.job import job_rows
+from toolee_robot.faults.rows.process import process_rows
+from toolee_robot.faults.rows.start import calibration_rows, start_rows
+from toolee_robot.runtime.cpu_keepalive import CoresAwake
+from toolee_robot.runtime.latency_monitor import Steadiness
 from toolee_robot.types import ArmModel
 
 ELSEWHERE = {

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 from toolee_robot.errors import TooleeError
 from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.rig import MissedMomentError
-from toolee_robot.host_steadiness import EXCUSE, Steadiness
+from toolee_robot.faults.rigs.driver_rig import MissedMomentError
+from toolee_robot.runtime.latency_monitor import EXCUSE, Steadiness
 
 ATTEMPTS = 3
 

@@ -18,9 +18,9 @@ from toolee_robot.render.device import DeviceArray, empty, launch, put, rows_of
 from toolee_robot.render.kernels import light as kernels
 from toolee_robot.render.kernels.texture import Surface
 from toolee_robot.render.noise import noise_table
+from toolee_robot.render.rays.tracing import Found, tracer_of
 from toolee_robot.render.scene import Light, Scene
 from toolee_robot.render.surroundings import sky_maps
-from toolee_robot.render.tracing import Found, tracer_of
 
 _SHADOW_BLUR = 2
 """Soft shadows are smoothed over this many pixels to each side."""

@@ -6,9 +6,9 @@ from collections.abc import Generator
 from math import ceil, isfinite
 from typing import Any
 
-from toolee_robot.sim_backend.ur_controller.machine import Event, EventKind, Machine
+from toolee_robot.sim_backend.ur_controller.robot.machine import Event, EventKind, Machine
+from toolee_robot.sim_backend.ur_controller.robot.watchdog import Action
 from toolee_robot.sim_backend.ur_controller.urscript.values import fitting, numbers, text
-from toolee_robot.sim_backend.ur_controller.watchdog import Action
 
 CONFIGURABLE, TOOL = 8, 16
 """Where these digital channels begin in the machine's lists."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.sim_backend.ur_controller import poses
+from toolee_robot.sim_backend.ur_controller.robot import poses
 from toolee_robot.sim_backend.ur_controller.urscript.values import Pose, fitting, numbers, text
 
 LIBRARY: dict[str, Callable[..., Any]] = {}

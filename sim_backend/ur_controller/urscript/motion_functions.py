@@ -9,12 +9,20 @@ from typing import Any
 import numpy as np
 
 from toolee_robot.frames import Array
-from toolee_robot.sim_backend.ur_controller import poses
-from toolee_robot.sim_backend.ur_controller.cartesian import Path, PathMove, ServoC, SpeedL, StopL, arc, line
-from toolee_robot.sim_backend.ur_controller.compliance import FREEDRIVE_GAIN, Compliance
-from toolee_robot.sim_backend.ur_controller.kinematics import forward, inverse
-from toolee_robot.sim_backend.ur_controller.machine import Machine
-from toolee_robot.sim_backend.ur_controller.motion import Brake, JointMove, Motion, MotionError, Move, ServoJ, SpeedJ
+from toolee_robot.sim_backend.ur_controller.robot import poses
+from toolee_robot.sim_backend.ur_controller.robot.cartesian import Path, PathMove, ServoC, SpeedL, StopL, arc, line
+from toolee_robot.sim_backend.ur_controller.robot.compliance import FREEDRIVE_GAIN, Compliance
+from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward, inverse
+from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
+from toolee_robot.sim_backend.ur_controller.robot.motion import (
+    Brake,
+    JointMove,
+    Motion,
+    MotionError,
+    Move,
+    ServoJ,
+    SpeedJ,
+)
 from toolee_robot.sim_backend.ur_controller.urscript.library import matrix, six
 from toolee_robot.sim_backend.ur_controller.urscript.values import Pose, numbers
 

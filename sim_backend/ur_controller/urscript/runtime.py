@@ -7,13 +7,13 @@ from types import TracebackType
 from typing import Any
 
 from toolee_robot.errors import TooleeError
-from toolee_robot.sim_backend.ur_controller.machine import Event, EventKind, Machine
+from toolee_robot.sim_backend.ur_controller.robot.machine import Event, EventKind, Machine
+from toolee_robot.sim_backend.ur_controller.robot.watchdog import Action
 from toolee_robot.sim_backend.ur_controller.urscript.compiler import FILE, HELPERS, MAIN
 from toolee_robot.sim_backend.ur_controller.urscript.compiling import compiled
 from toolee_robot.sim_backend.ur_controller.urscript.errors import ScriptError
 from toolee_robot.sim_backend.ur_controller.urscript.library import LIBRARY
 from toolee_robot.sim_backend.ur_controller.urscript.robot_functions import RobotFunctions, function_names
-from toolee_robot.sim_backend.ur_controller.watchdog import Action
 
 BUDGET = 20_000
 """So many loop passes and calls may a thread make in one tick; more is an endless loop without `sync()`."""

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from toolee_robot.frames import Array
-from toolee_robot.sim_backend.ur_controller import poses
-from toolee_robot.sim_backend.ur_controller.kinematics import forward, inverse
-from toolee_robot.sim_backend.ur_controller.machine import Machine
-from toolee_robot.sim_backend.ur_controller.motion import MotionError
+from toolee_robot.sim_backend.ur_controller.robot import poses
+from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward, inverse
+from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
+from toolee_robot.sim_backend.ur_controller.robot.motion import MotionError
 from toolee_robot.sim_backend.ur_controller.urscript.library import as_pose, matrix, six
 from toolee_robot.sim_backend.ur_controller.urscript.values import Pose, numbers
 

@@ -1,0 +1,152 @@
+"""Joint moves between configurations, free of collisions, jerk-limited, stopping at every via point."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control.collision import CollisionWorld
+from toolee_robot.control.limits import check_trajectory
+from toolee_robot.control.planning.timing import concatenate, joint_move
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.errors import CollisionError, UserError
+from toolee_robot.frames import Array
+from toolee_robot.types import Trajectory
+
+STEP = 0.03
+"""[rad] between the configurations that are checked along a move."""
+NEED = 0.012
+"""[m] of clearance on a transfer: more than a blow's, the samples are coarse."""
+
+
+def plan_transfer(
+    robot: RobotModel, config: StationConfig, world: CollisionWorld, q_start: Array, q_goal: Array, seed: int = 0
+) -> Trajectory:
+    """A checked move from rest at q_start (6,) to rest at q_goal (6,): straight in joint space, else by way of the home
+    posture or of one between, else by a search (RRT-connect, deterministic in `seed`).
+
+    Raises CollisionError naming the pair in the way, LimitError.
+    """
+    for name, q in (("start", q_start), ("goal", q_goal)):
+        if q.shape != (6,) or not np.all(np.isfinite(q)):
+            raise UserError(f"the {name} of a transfer must be six finite joint positions, got {q}")
+    world.check(q_goal, NEED, "the goal of the transfer")
+    # A start that is nearer than the clearance (a blow's end, say) may be left but not approached further.
+    need = min(NEED, world.closest(q_start, NEED).distance)
+    if need <= 0:
+        world.check(q_start, 1e-6, "the start of the transfer")
+    path = _path(robot, config, world, q_start, q_goal, max(need - 1e-6, 0.0), seed)
+    limits = config.arm
+    velocity = limits.transfer_velocity_scale * np.asarray(limits.velocity)
+    acceleration = np.full(6, limits.transfer_acceleration)
+    jerk = np.minimum(limits.jerk, 10 * acceleration)
+    moves = [joint_move(a, b, velocity, acceleration, jerk) for a, b in itertools.pairwise(path)]
+    trajectory = concatenate(*moves)
+    check_trajectory(trajectory, robot.arm, limits, config.scene)
+    return trajectory
+
+
+def _path(
+    robot: RobotModel,
+    config: StationConfig,
+    world: CollisionWorld,
+    start: Array,
+    goal: Array,
+    need: float,
+    seed: int,
+) -> list[Array]:
+    if _free(world, start, goal, need):
+        return [start, goal]
+    home = np.asarray(config.scene.home)
+    middle = (start + goal) / 2
+    vias = [home, np.concatenate([middle[:1], home[1:]]), np.concatenate([start[:1], home[1:]])]
+    vias.append(np.concatenate([goal[:1], home[1:4], goal[4:]]))
+    for via in vias:
+        if _free(world, start, via, need) and _free(world, via, goal, need):
+            return [start, via, goal]
+    path = _rrt_connect(world, robot, start, goal, need, np.random.default_rng(seed))
+    if path is None:
+        line = _between(start, goal)
+        closest = world.closest(line, max(need, 1e-6))
+        raise CollisionError(
+            f"no way found for the transfer: on the straight one {closest} collide; clear the way or move the target"
+        )
+    return path
+
+
+def _between(a: Array, b: Array, step: float = STEP) -> Array:
+    """Configurations (N, 6) from a to b, both included."""
+    count = max(2, int(np.ceil(np.max(np.abs(b - a)) / step)) + 1)
+    return a + np.linspace(0.0, 1.0, count)[:, None] * (b - a)
+
+
+def _free(world: CollisionWorld, a: Array, b: Array, need: float) -> bool:
+    line = _between(a, b)
+    # A few first: most colliding moves show it early.
+    return world.free(line[:: max(1, len(line) // 8)], need) and world.free(line, need)
+
+
+def _rrt_connect(
+    world: CollisionWorld,
+    robot: RobotModel,
+    start: Array,
+    goal: Array,
+    need: float,
+    rng: np.random.Generator,
+    iterations: int = 400,
+    reach: float = 0.5,
+) -> list[Array] | None:
+    """Two trees that grow towards random configurations and each other (Kuffner and LaValle, 2000), then shortcuts."""
+    trees: list[tuple[list[Array], list[int]]] = [([start], [-1]), ([goal], [-1])]
+    low = np.minimum(start, goal) - 1.0
+    high = np.maximum(start, goal) + 1.0
+    low, high = np.maximum(low, robot.arm.lower), np.minimum(high, robot.arm.upper)
+
+    def extend(tree: tuple[list[Array], list[int]], target: Array) -> bool:
+        """One step from the nearest node; True when the target itself was reached."""
+        nodes, parents = tree
+        nearest = int(np.argmin(np.sum((np.stack(nodes) - target) ** 2, axis=1)))
+        change = target - nodes[nearest]
+        length = float(np.max(np.abs(change)))
+        new = target if length <= reach else nodes[nearest] + change * (reach / length)
+        if not world.free(_between(nodes[nearest], new), need):
+            return False
+        nodes.append(new)
+        parents.append(nearest)
+        return length <= reach
+
+    def branch(tree: tuple[list[Array], list[int]]) -> list[Array]:
+        nodes, parents = tree
+        found, i = [], len(nodes) - 1
+        while i >= 0:
+            found.append(nodes[i])
+            i = parents[i]
+        return found
+
+    for _ in range(iterations):
+        count = len(trees[0][0])
+        extend(trees[0], rng.uniform(low, high))
+        if len(trees[0][0]) > count:
+            target = trees[0][0][-1]
+            grown = -1
+            while grown != len(trees[1][0]):
+                grown = len(trees[1][0])
+                if extend(trees[1], target):
+                    path = branch(trees[0])[::-1] + branch(trees[1])[1:]
+                    if not np.array_equal(path[0], start):
+                        path.reverse()
+                    return _shortcut(world, path, need)
+        trees.reverse()
+    return None
+
+
+def _shortcut(world: CollisionWorld, path: list[Array], need: float) -> list[Array]:
+    """Drop every via point that is not needed."""
+    out, i = [path[0]], 0
+    while i < len(path) - 1:
+        j = next(j for j in range(len(path) - 1, i, -1) if j == i + 1 or _free(world, path[i], path[j], need))
+        out.append(path[j])
+        i = j
+    return out

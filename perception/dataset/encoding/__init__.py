@@ -1,0 +1,1 @@
+"""How a data set's files are encoded: PNG, run lengths of masks, checksums."""

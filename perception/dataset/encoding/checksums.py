@@ -1,0 +1,35 @@
+"""SHA256SUMS: the checksums of a folder's files, which are written last: a folder that has them is whole."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from toolee_robot.errors import AssetError
+from toolee_robot.runtime.files import write_whole
+
+SUMS = "SHA256SUMS"
+
+
+def sha256(path: Path) -> str:
+    """Of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def write_sums(folder: Path, sums: dict[str, str]) -> None:
+    """The SHA256SUMS of a folder (as `sha256sum -c` reads it), written whole."""
+    text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
+    write_whole(folder / SUMS, text.encode())
+
+
+def read_sums(folder: Path) -> dict[str, str]:
+    """File -> SHA-256 of a folder's SHA256SUMS. Raises AssetError."""
+    try:
+        lines = (folder / SUMS).read_text().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise AssetError(f"cannot read {folder / SUMS}: {error}") from error
+    sums = {line[66:]: line[:64] for line in lines if len(line) > 66 and line[64:66] == "  "}
+    if len(sums) != len(lines) or not sums:
+        raise AssetError(f"{folder / SUMS} is not a list of checksums")
+    return sums

@@ -1,0 +1,1 @@
+"""Checks that a data set is whole and agrees with itself."""

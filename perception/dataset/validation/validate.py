@@ -1,0 +1,112 @@
+"""Is a data set what it says? Finds files that are missing, broken, changed or that contradict one another."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from toolee_robot.errors import AssetError, TooleeError
+from toolee_robot.perception.dataset.encoding.checksums import SUMS, read_sums, sha256
+from toolee_robot.perception.dataset.index_files import COCO, derive, is_finished, listed
+from toolee_robot.perception.dataset.instances import MODELS
+from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec, SceneJob
+from toolee_robot.perception.dataset.validation.scene_check import check_scene
+from toolee_robot.perception.synthesis.generate import on_processes
+
+
+@dataclass(frozen=True, order=True)
+class Fault:
+    """file: relative to the data set's folder. problem: what is wrong with it, for a person."""
+
+    file: str
+    problem: str
+
+
+def validate(root: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None) -> list[Fault]:
+    """All faults of the data set in a folder, sorted by file; none if it is sound. Reads every file.
+
+    progress(examples checked, all). Raises UserError where there is no data set at all.
+    """
+    spec = DatasetSpec.read(root)
+    faults = set(_root_faults(spec, root))
+    done = 0
+    jobs = [job for job in spec.jobs() if job.folder(root).is_dir()]
+    check = partial(scene_faults, spec, root)
+    results = (check(job) for job in jobs) if workers == 1 else on_processes(check, jobs, workers)
+    for job, found in results:
+        faults.update(found)
+        done += job.last - job.first
+        if progress is not None:
+            progress(done, spec.size)
+    if not any(fault.file.split("/")[0] in SPLITS for fault in faults):
+        faults.update(_derived_faults(spec, root))
+    return sorted(faults)
+
+
+def scene_faults(spec: DatasetSpec, root: Path, job: SceneJob) -> tuple[SceneJob, list[Fault]]:
+    """The faults of one scene."""
+    name = f"{job.split}/{job.scene:06d}"
+    checked = [Fault(f"{name}/{file}", problem) for file, problem in check_sums(job.folder(root), None)]
+    faults = [*checked]
+    broken = {fault.file for fault in checked}
+    # What the checksums tell already is not told twice in other words.
+    for file, problem in check_scene(spec, root, job):
+        if f"{name}/{file}" not in broken:
+            faults.append(Fault(f"{name}/{file}", problem))
+    return job, faults
+
+
+def check_sums(folder: Path, expected: set[str] | None) -> Iterator[tuple[str, str]]:
+    """(file, problem) of a folder against its SHA256SUMS. expected: the files that ought to be listed (None: all that
+    are there)."""
+    try:
+        sums = read_sums(folder)
+    except AssetError:
+        yield SUMS, "missing" if not (folder / SUMS).exists() else "not a list of checksums"
+        return
+    if expected is None:
+        there = (p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
+        expected = {name for name in there if name != SUMS}
+    for name in sorted(expected - set(sums)):
+        yield name, f"not listed in {SUMS}: nobody knows it"
+    for name, digest in sums.items():
+        path = folder / name
+        if not path.is_file():
+            yield name, "missing"
+        elif path.stat().st_size == 0:
+            yield name, "empty"
+        elif sha256(path) != digest:
+            yield name, f"changed or corrupted: its SHA-256 is not the one in {SUMS}"
+
+
+def _root_faults(spec: DatasetSpec, root: Path) -> Iterator[Fault]:
+    if not is_finished(root):
+        yield Fault(SUMS, "missing: the generation has not finished, run the same command again")
+    else:
+        for file, problem in check_sums(root, set(listed(root))):
+            yield Fault(file, problem)
+    wanted = {f"{job.split}/{job.scene:06d}" for job in spec.jobs()}
+    there = {f"{split}/{p.name}" for split in SPLITS for p in (root / split).glob("*")}
+    for scene in sorted(wanted - there):
+        yield Fault(scene, "missing: the whole scene is not there")
+    for scene in sorted(there - wanted):
+        yield Fault(scene, "does not belong to this data set")
+
+
+def _derived_faults(spec: DatasetSpec, root: Path) -> Iterator[Fault]:
+    """What follows from the scenes is made again and compared."""
+    with tempfile.TemporaryDirectory() as name:
+        out = Path(name)
+        (out / MODELS).mkdir()
+        try:
+            derive(spec, root, out)
+        except (TooleeError, KeyError, ValueError, TypeError) as error:
+            yield Fault(COCO, f"cannot be derived from the scenes: {error}")
+            return
+        for path in sorted(p for p in out.rglob("*") if p.is_file()):
+            file = path.relative_to(out).as_posix()
+            if (root / file).is_file() and sha256(root / file) != sha256(path):
+                yield Fault(file, "contradicts the scenes: it is not what follows from them")

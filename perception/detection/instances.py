@@ -1,0 +1,60 @@
+"""What the detector found in one image: masks with classes and scores, each thing once, end effectors with their
+tools."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolee_robot.perception.detection.detector import CLASSES, TOOL
+from toolee_robot.types import Category, Detection
+
+LEAST_TOOL_OVERLAP = 0.5
+"""Share of an EE's mask that a tool's mask must cover for the EE to belong to that tool."""
+
+MOST_COVERED = 0.6
+"""Share of an instance's mask that a better one of the same class may cover."""
+
+Box = tuple[float, float, float, float]
+Instances = tuple[list[NDArray[np.bool_]], list[int], list[float], list[Box]]
+"""Masks (H, W), labels, scores and boxes [px] of one image, in the image's own size."""
+
+
+def without_duplicates(
+    masks: list[NDArray[np.bool_]], labels: list[int], scores: list[float], boxes: list[Box]
+) -> Instances:
+    """The instances, best score first, without those of which a better one of the same class covers most: the boxes of
+    a slanting, thin thing found twice hardly overlap."""
+    kept: list[int] = []
+    for i in sorted(range(len(masks)), key=lambda i: -scores[i]):
+        same = [k for k in kept if labels[k] == labels[i]]
+        if all(np.count_nonzero(masks[k] & masks[i]) <= MOST_COVERED * np.count_nonzero(masks[i]) for k in same):
+            kept.append(i)
+    return [masks[i] for i in kept], [labels[i] for i in kept], [scores[i] for i in kept], [boxes[i] for i in kept]
+
+
+def associate(
+    masks: list[NDArray[np.bool_]],
+    labels: list[int],
+    scores: list[float],
+    boxes: list[Box],
+) -> list[Detection]:
+    """EE detections, best first, each with the mask of the tool that covers most of it."""
+    tools = [(m, score) for m, label, score in zip(masks, labels, scores, strict=True) if label == TOOL]
+    found = []
+    for mask, label, score, box in zip(masks, labels, scores, boxes, strict=True):
+        if label == TOOL:
+            continue
+        overlaps = [float((mask & tool).sum()) / float(mask.sum()) for tool, _ in tools]
+        best = int(np.argmax(overlaps)) if overlaps else -1
+        tool_mask, tool_score = None, 0.0
+        if overlaps and overlaps[best] >= LEAST_TOOL_OVERLAP:
+            tool_mask, tool_score = tools[best][0] | mask, tools[best][1]
+        found.append(Detection(Category(CLASSES[label]), score, mask, box, tool_mask, tool_score))
+    return sorted(found, key=lambda d: -d.score)
+
+
+def mask_iou(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
+    """Intersection over union of two masks (H, W); 0 of two empty ones."""
+    union = int(np.count_nonzero(a | b))
+    return int(np.count_nonzero(a & b)) / union if union else 0.0

@@ -1,0 +1,233 @@
+"""Targets, matching, sampling and losses of the detector, batched over padded instances.
+
+Instances come as id maps: in `Instances.maps[:, 0]` a pixel holds the id of the end effector seen there, in
+`maps[:, 1]` that of the tool (0: none). Ids start at 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from toolee_robot.perception.detection.boxes import encode, pairwise_iou
+from toolee_robot.perception.detection.detector import ROI_DELTA_WEIGHTS, TOOL, Detector
+from toolee_robot.perception.detection.inputs import RgbdBatch
+from toolee_robot.perception.detection.mask_head import MASK_SIZE, mask_boxes
+
+EE_PIXELS, TOOL_PIXELS = 45, 90
+"""Fewer visible pixels [of the network's input] and an instance is neither a target nor background."""
+ROIS_PER_IMAGE, POSITIVE_ROIS = 64, 20
+RPN_SAMPLES, RPN_POSITIVES = 256, 96
+
+
+@dataclass(frozen=True)
+class Instances:
+    """A batch's targets, padded to G instances. boxes (B, G, 4), labels (B, G) in 1..5 (0: padding),
+    ignored (B, G): too little is seen, counts for nothing. maps (B, 2, H, W) uint8; plane, ids (B, G): the
+    instance's pixels are `maps[b, plane] == ids`."""
+
+    boxes: Tensor
+    labels: Tensor
+    ignored: Tensor
+    maps: Tensor
+    plane: Tensor
+    ids: Tensor
+
+
+def instances_from_maps(maps: Tensor, categories: Tensor, tools: int) -> Instances:
+    """Instances of id maps (B, 2, H, W); categories (B, E) int: class index of EE id 1..E (0: no such EE)."""
+    n, _, height, width = maps.shape
+    ees = categories.shape[1]
+    device = maps.device
+    id_list = [*range(1, ees + 1), *range(1, tools + 1)]
+    plane_list = [0] * ees + [1] * tools
+    counts, boxes = [], []
+    for i, p in zip(id_list, plane_list, strict=True):
+        seen = maps[:, p] == i
+        columns, rows = seen.any(1), seen.any(2)
+        counts.append(seen.sum((1, 2)))
+        x0, y0 = columns.byte().argmax(1), rows.byte().argmax(1)
+        x1, y1 = width - columns.flip(1).byte().argmax(1), height - rows.flip(1).byte().argmax(1)
+        boxes.append(torch.stack([x0, y0, x1, y1], 1).float())
+    count = torch.stack(counts, 1)
+    labels = torch.cat([categories.long(), torch.full((n, tools), TOOL, device=device)], 1)
+    labels = torch.where(count > 0, labels, 0)
+    ids, plane = torch.tensor(id_list, device=device), torch.tensor(plane_list, device=device)
+    least = torch.where(plane == 0, EE_PIXELS, TOOL_PIXELS)
+    box = torch.stack(boxes, 1) * (labels > 0)[..., None]
+    ids, plane = ids.expand(n, -1), plane.expand(n, -1)
+    return Instances(box, labels, (labels > 0) & (count < least), maps, plane, ids)
+
+
+class DetectorLoss(nn.Module):
+    """The detector with its losses: `forward` is one training step's graph, so that DDP can wrap it."""
+
+    def __init__(self, detector: Detector) -> None:
+        super().__init__()
+        self.detector = detector
+        self._rpn_losses = _rpn_losses
+
+    def compile_proposal_losses(self) -> None:
+        """Fuse them for the GPU: they go over all anchors of all images."""
+        self._rpn_losses = torch.compile(_rpn_losses, dynamic=False)
+
+    def forward(self, batch: RgbdBatch, instances: Instances) -> dict[str, Tensor]:
+        """Losses by name."""
+        detector = self.detector
+        height, width = batch.pixels.shape[-2:]
+        pyramid = detector.backbone(batch.pixels)
+        scores, deltas = detector.rpn(pyramid)
+        anchors = torch.cat(detector.anchors(height, width, batch.pixels.device))
+        losses = self._rpn_losses(torch.cat(scores, 1).float(), torch.cat(deltas, 1).float(), anchors, instances)
+        boxes, valid = detector.proposals(scores, deltas, height, width, 200, 200)
+        rois = _sample_rois(boxes, valid, instances, height, width)
+        flat = torch.cat([rois.image, rois.boxes], 1)
+        logits, box_deltas = detector.box_outputs(pyramid, flat)
+        losses["class"] = weighted_mean(F.cross_entropy(logits.float(), rois.labels, reduction="none"), rois.used)
+        chosen = box_deltas[torch.arange(len(flat), device=flat.device), rois.labels].float()
+        error = F.smooth_l1_loss(
+            chosen, encode(rois.targets, rois.boxes, ROI_DELTA_WEIGHTS), beta=0.5, reduction="none"
+        ).sum(1)
+        losses["box"] = (error * rois.positive).sum() / rois.used.sum().clamp(min=1)
+        pick = rois.mask_index
+        logits, quality = detector.mask_outputs(pyramid, batch, flat[pick], rois.labels[pick])
+        truth = _mask_targets(instances, flat[pick], rois.instance[pick])
+        positive = rois.positive[pick]
+        losses |= {name: weighted_mean(value, positive) for name, value in _mask_losses(logits, quality, truth).items()}
+        return losses
+
+
+@dataclass(frozen=True)
+class _Rois:
+    """R = B * ROIS_PER_IMAGE sampled regions. mask_index: the ones where positives stand, B * POSITIVE_ROIS."""
+
+    image: Tensor
+    boxes: Tensor
+    labels: Tensor
+    targets: Tensor
+    instance: Tensor
+    used: Tensor
+    positive: Tensor
+    mask_index: Tensor
+
+
+def _rpn_losses(scores: Tensor, deltas: Tensor, anchors: Tensor, instances: Instances) -> dict[str, Tensor]:
+    with torch.no_grad():
+        present, ignored = instances.labels > 0, instances.ignored
+        iou = pairwise_iou(anchors[None], instances.boxes) * present[:, None]
+        best, match = iou.max(2)
+        # Every instance keeps its best anchors, however badly they fit.
+        top = iou.max(1, keepdim=True)[0]
+        forced = ((iou >= top - 1e-4) & (top > 0.1)).any(2)
+        skip = torch.gather(ignored, 1, match) & (best > 0.3)
+        positive = ((best >= 0.6) | forced) & ~skip
+        negative = (best < 0.3) & ~positive & ~skip
+        noise = torch.rand_like(best)
+        p = torch.where(positive, noise, -1.0).topk(RPN_POSITIVES, dim=1)
+        n = torch.where(negative, noise, -1.0).topk(RPN_SAMPLES - RPN_POSITIVES, dim=1)
+        index = torch.cat([p.indices, n.indices], 1)
+        used = torch.cat([p.values, n.values], 1) >= 0
+        is_positive = used.clone()
+        is_positive[:, RPN_POSITIVES:] = False
+        truth = torch.gather(instances.boxes, 1, torch.gather(match, 1, index)[..., None].expand(-1, -1, 4))
+        target = encode(truth, anchors[index])
+    score = torch.gather(scores, 1, index)
+    delta = torch.gather(deltas, 1, index[..., None].expand(-1, -1, 4))
+    error = F.smooth_l1_loss(delta, target, beta=1 / 9, reduction="none").sum(-1)
+    return {
+        "objectness": weighted_mean(
+            F.binary_cross_entropy_with_logits(score, is_positive.float(), reduction="none"), used
+        ),
+        "proposal": (torch.where(is_positive, error, 0.0)).sum() / used.sum().clamp(min=1),
+    }
+
+
+@torch.no_grad()
+def _sample_rois(boxes: Tensor, valid: Tensor, instances: Instances, height: int, width: int) -> _Rois:
+    """Proposals, the truth and jittered copies of it, sampled to a fixed number of regions an image."""
+    n, device = len(boxes), boxes.device
+    truth = instances.boxes
+    present = (instances.labels > 0) & ~instances.ignored
+    size = (truth[..., 2:] - truth[..., :2]).repeat(1, 1, 2)
+    # The head must learn from well placed regions while the proposals are still poor.
+    jittered = [truth + size * torch.randn_like(truth) * s for s in (0.0, 0.06, 0.1, 0.15)]
+    boxes = torch.cat([boxes, *jittered], 1)
+    boxes = torch.minimum(boxes.clamp(min=0.0), boxes.new_tensor([width, height, width, height]))
+    valid = torch.cat([valid, *([present] * len(jittered))], 1)
+    valid &= ((boxes[..., 2:] - boxes[..., :2]) >= 2.0).all(-1)
+    iou = pairwise_iou(boxes, truth) * (instances.labels > 0)[:, None]
+    best, match = iou.max(2)
+    skip = torch.gather(instances.ignored, 1, match) & (best > 0.3)
+    positive = valid & (best >= 0.5) & ~skip
+    negative = valid & (best < 0.5) & ~skip
+    noise = torch.rand_like(best)
+    p = torch.where(positive, noise, -1.0).topk(POSITIVE_ROIS, dim=1)
+    q = torch.where(negative, noise, -1.0).topk(ROIS_PER_IMAGE - POSITIVE_ROIS, dim=1)
+    index = torch.cat([p.indices, q.indices], 1)
+    used = torch.cat([p.values, q.values], 1) >= 0
+    is_positive = used.clone()
+    is_positive[:, POSITIVE_ROIS:] = False
+    instance = torch.gather(match, 1, index)
+    labels = torch.where(is_positive, torch.gather(instances.labels, 1, instance), 0)
+    image = torch.arange(n, device=device, dtype=torch.float32)[:, None].expand(-1, ROIS_PER_IMAGE)
+    start = torch.arange(n, device=device)[:, None] * ROIS_PER_IMAGE
+    return _Rois(
+        image=image.reshape(-1, 1),
+        boxes=torch.gather(boxes, 1, index[..., None].expand(-1, -1, 4)).reshape(-1, 4),
+        labels=labels.reshape(-1),
+        targets=torch.gather(truth, 1, instance[..., None].expand(-1, -1, 4)).reshape(-1, 4),
+        instance=instance.reshape(-1),
+        used=used.reshape(-1).float(),
+        positive=is_positive.reshape(-1).float(),
+        mask_index=(start + torch.arange(POSITIVE_ROIS, device=device)).reshape(-1),
+    )
+
+
+def outline_losses(logits: Tensor, truth: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Of each mask (R, S, S) with its true coverage in [0, 1]: cross entropy (R,), one less its Dice coefficient, and,
+    without a gradient, its IoU."""
+    bce = F.binary_cross_entropy_with_logits(logits, truth, reduction="none").mean((1, 2))
+    p = logits.sigmoid()
+    dice = 1 - (2 * (p * truth).sum((1, 2)) + 1) / (p.sum((1, 2)) + truth.sum((1, 2)) + 1)
+    with torch.no_grad():
+        iou = mask_overlap(logits > 0, truth > 0.5)
+    return bce, dice, iou
+
+
+def mask_overlap(a: Tensor, b: Tensor) -> Tensor:
+    """Intersection over union (R,) of masks (R, S, S) bool; 0 of two empty ones."""
+    return (a & b).sum((1, 2)) / (a | b).sum((1, 2)).clamp(min=1)
+
+
+def _mask_losses(logits: Tensor, quality: Tensor, truth: Tensor) -> dict[str, Tensor]:
+    """Of each mask (R, S, S): cross entropy; Dice, for which a small instance counts as much as a large one; and
+    cross entropy of the IoU that the head expects of it, quality (R,), with the IoU that it has."""
+    bce, dice, iou = outline_losses(logits, truth)
+    expected = F.binary_cross_entropy_with_logits(quality, iou, reduction="none")
+    return {"mask": bce, "dice": 0.5 * dice, "quality": 0.2 * expected}
+
+
+@torch.no_grad()
+def _mask_targets(instances: Instances, rois: Tensor, instance: Tensor, sub: int = 2) -> Tensor:
+    """Share of each of MASK_SIZE x MASK_SIZE cells of the `mask_boxes` of rois (R, 5) that `instance` (R,) covers,
+    read straight from the maps."""
+    image, boxes = rois[:, 0].long(), mask_boxes(rois[:, 1:])
+    plane, ids = instances.plane[image, instance], instances.ids[image, instance]
+    height, width = instances.maps.shape[-2:]
+    steps = (torch.arange(MASK_SIZE * sub, device=rois.device) + 0.5) / (MASK_SIZE * sub)
+    x = (boxes[:, 0, None] + steps * (boxes[:, 2] - boxes[:, 0])[:, None]).floor().long()
+    y = (boxes[:, 1, None] + steps * (boxes[:, 3] - boxes[:, 1])[:, None]).floor().long()
+    inside = ((x >= 0) & (x < width))[:, None, :] & ((y >= 0) & (y < height))[:, :, None]
+    x, y = x.clamp(0, width - 1), y.clamp(0, height - 1)
+    values = instances.maps[image[:, None, None], plane[:, None, None], y[:, :, None], x[:, None, :]]
+    hit = ((values == ids[:, None, None]) & inside).float()
+    return F.avg_pool2d(hit[:, None], sub)[:, 0]
+
+
+def weighted_mean(values: Tensor, weights: Tensor) -> Tensor:
+    """Mean of values (R,) by weights (R,) of any type; 0 where no row has any."""
+    weights = weights.float()
+    return (values * weights).sum() / weights.sum().clamp(min=1)

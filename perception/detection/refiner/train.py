@@ -1,0 +1,157 @@
+"""Train the refiner of the detector's masks, on one GPU, several, or (for a look) on a CPU.
+
+    toolee train refinement --data data/train --out runs/refinement --minutes 15
+
+The detector looks once at every image; what it finds is what the refiner learns to draw and to judge. So take images
+that the detector was not trained on, or its masks there are better than they will ever be again. Scenes that appear
+while it trains are taken in, so generation may still run. The learning rate follows the clock. Every checkpoint writes
+the averaged weights in half precision.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from toolee_robot.errors import UserError
+from toolee_robot.perception.detection.detector import trained_detector
+from toolee_robot.perception.detection.losses import mask_overlap, outline_losses, weighted_mean
+from toolee_robot.perception.detection.refiner.network import WEIGHTS_NAME, Refiner, RefinerConfig, load_refiner
+from toolee_robot.perception.detection.refiner.training_data import Examples, RefinementData
+from toolee_robot.perception.training.distributed import Ranks
+from toolee_robot.perception.training.distributed import ranks as ranks_of
+from toolee_robot.perception.training.image_training import ImageTraining, ImageTrainingRun
+from toolee_robot.perception.training.scene_stream import SceneStream
+from toolee_robot.perception.weight_files import load_weights
+
+CHECKPOINT = "refinement_checkpoint.pt"
+LOSSES = ("mask", "dice", "quality")
+_VALIDATED = 2048
+_AT_ONCE = 256
+
+
+@dataclass(frozen=True)
+class RefinementTraining(ImageTraining):
+    """A training of the refiner; the budget begins with the first scenes. batch: detections a rank. detector: folder of
+    its weights, the shipped ones if None."""
+
+    USUAL_MINUTES: ClassVar[float] = 15.0
+
+    batch: int = 512
+    lr: float = 2e-3
+    warmup_steps: int = 300
+    clip_norm: float = 5.0
+    log_every: int = 50
+    detector: Path | None = None
+    model: RefinerConfig = field(default_factory=RefinerConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.batch < 2:
+            raise UserError("batch must be positive and, for batch normalisation, 2 or more")
+
+    def to_json(self) -> dict[str, Any]:
+        return {**super().to_json(), "detector": self.detector is not None}
+
+
+def losses(logits: Tensor, quality: Tensor, examples: Examples) -> dict[str, Tensor]:
+    """Of logits (N, CELLS, CELLS), quality (N,): cross entropy and Dice of the masks that are to be learnt, and cross
+    entropy of the IoU that the network expects of every mask with its own, 0 for a false alarm; `iou`: the
+    mean of what the former have, `iou_before`: of the detector's."""
+    drawn = examples.drawn.float()
+    bce, dice, iou = outline_losses(logits, examples.truth.float())
+    iou = iou * drawn
+    with torch.no_grad():
+        before = mask_overlap(examples.squares[:, -1] > 0, examples.truth)
+    expected = F.binary_cross_entropy_with_logits(quality, iou, reduction="none")
+    return {
+        "mask": weighted_mean(bce, drawn),
+        "dice": weighted_mean(0.5 * dice, drawn),
+        "quality": weighted_mean(0.3 * expected, examples.counts),
+        "iou": weighted_mean(iou, drawn),
+        "iou_before": weighted_mean(before, drawn),
+    }
+
+
+def train(config: RefinementTraining) -> Path:
+    """Run the training and return the folder with the exported weights, their configuration and log.
+
+    Raises AssetError for missing or broken data or weights, UserError for bad settings, TooleeError when the loss stops
+    being finite (the last checkpoint is kept).
+    """
+    with ranks_of(config.device) as ranks:
+        torch.manual_seed(config.seed + 1000 * ranks.rank)
+        stream = SceneStream(config.data, (ranks.rank, ranks.world))
+        try:
+            _Run(config, ranks, stream).loop()
+        finally:
+            stream.close()
+    return config.out
+
+
+class _Run(ImageTrainingRun):
+    name = tag = WEIGHTS_NAME
+    checkpoint, log_name = CHECKPOINT, "refinement_log.jsonl"
+
+    def __init__(self, config: RefinementTraining, ranks: Ranks, stream: SceneStream) -> None:
+        self.config, self.stream = config, stream
+        self.data = RefinementData(trained_detector(config.detector), ranks.device)
+        waited = time.monotonic()
+        while not self.data.ready and time.monotonic() - waited < config.patience:
+            self._extend(1.0)
+        if not self.data.ready:
+            raise UserError(f"{config.data} shows rank {ranks.rank} no end effector: generate the data set first")
+        refiner = Refiner(config.model)
+        if config.init is not None:
+            load_refiner(refiner, load_weights(config.init, WEIGHTS_NAME)[0])
+        refiner = refiner.to(ranks.device).to(memory_format=torch.channels_last)
+        if config.compile and ranks.device.type == "cuda":
+            refiner.compile(dynamic=False)
+        super().__init__(config, config.out, ranks, refiner, refiner)
+
+    def images(self) -> int:
+        return len(self.data)
+
+    def extend(self) -> None:
+        self._extend(0.0)
+
+    def _extend(self, timeout: float) -> None:
+        for images in self.stream.take(timeout):
+            self.data.extend(images)
+
+    def losses(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        examples = self.data.batch(self.config.batch)
+        values = losses(*self._forward(self.module, examples), examples)
+        return {k: v for k, v in values.items() if k in LOSSES}, {k: v for k, v in values.items() if k not in LOSSES}
+
+    def _forward(self, refiner: nn.Module, examples: Examples) -> tuple[Tensor, Tensor]:
+        squares, device = examples.squares.contiguous(memory_format=torch.channels_last), self.ranks.device.type
+        with torch.autocast(device, torch.bfloat16, enabled=device == "cuda"):
+            logits, quality = refiner(squares, examples.category, examples.score)
+        return logits.float(), quality.float()
+
+    @torch.inference_mode()
+    def validate(self) -> dict[str, float]:
+        """The averaged network on images kept aside: mean IoU of the masks before and after, and losses. Empty where
+        they show nothing."""
+        refiner = Refiner(self.config.model).to(self.ranks.device).to(memory_format=torch.channels_last)
+        load_refiner(refiner, self.averaged())
+        refiner.eval()
+        sums: dict[str, float] = {}
+        chosen = self.data.validation[:_VALIDATED]
+        for part in torch.split(chosen, _AT_ONCE) if len(chosen) else ():
+            examples = self.data.plain(part)
+            for name, value in losses(*self._forward(refiner, examples), examples).items():
+                sums[name] = sums.get(name, 0.0) + float(value) * len(part) / len(chosen)
+        return sums
+
+    def described(self) -> dict[str, Any]:
+        validation = self.validate()
+        self.record({"event": "validation", **validation})
+        return {"kind": "mask_refiner", "model": self.config.model.to_json(), "validation": validation}

@@ -1,0 +1,136 @@
+"""The tool's end effectors found in an RGB-D image: instance masks by a Mask R-CNN."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+
+from toolee_robot.perception.detection.detector import (
+    Detector,
+    DetectorConfig,
+    RawDetections,
+    trained_detector,
+    working_size,
+)
+from toolee_robot.perception.detection.inputs import RgbdBatch, encode_rgbd
+from toolee_robot.perception.detection.instances import Instances, associate, without_duplicates
+from toolee_robot.perception.detection.mask_head import paste_one
+from toolee_robot.perception.detection.refiner.mask_refinement import Redraw
+from toolee_robot.perception.detection.zoom_pass import LEAST_PROBABLE, crops, cut, merge, placed
+from toolee_robot.perception.precision import bfloat16_pays, in_bfloat16
+from toolee_robot.types import Detection, RgbdFrame
+
+EVERYTHING = 0.02
+"""Score threshold for evaluation: AP ranks the weak detections too."""
+
+
+class Segmenter:
+    """A trained detector, ready for images of any size. Thread-safe once loaded: inference keeps no state."""
+
+    def __init__(
+        self,
+        detector: Detector,
+        device: torch.device | str = "cpu",
+        bfloat16: bool | None = None,
+        redraw: Redraw | None = None,
+    ) -> None:
+        """bfloat16: whether a processor computes in it; where it pays if None. redraw: what draws the end effectors'
+        masks once more; without it they stay as the detector draws them."""
+        self._device = torch.device(device)
+        self._bfloat16 = bfloat16_pays(self._device) if bfloat16 is None else bfloat16
+        self._redraw = redraw
+        self._detector = detector.fuse().to(self._device).to(memory_format=torch.channels_last)
+        if self._bfloat16:
+            in_bfloat16(self._detector)
+        self.config: DetectorConfig = detector.config
+
+    @classmethod
+    def load(
+        cls, weights_dir: Path | None = None, device: torch.device | str = "cpu", bfloat16: bool | None = None
+    ) -> Segmenter:
+        """The shipped detector, or the one a training run left in `weights_dir`, with the refiner beside it if there is
+        one. bfloat16: as for the constructor.
+
+        Raises AssetError that names the missing or unreadable file.
+        """
+        device = torch.device(device)
+        bfloat16 = bfloat16_pays(device) if bfloat16 is None else bfloat16
+        return cls(trained_detector(weights_dir), device, bfloat16, Redraw.load(weights_dir, device, bfloat16))
+
+    def detect(self, frame: RgbdFrame) -> list[Detection]:
+        """End effectors in an image, best score first, each with its tool's mask where seen."""
+        return associate(*self.instances(frame))
+
+    def instances(self, frame: RgbdFrame, score_threshold: float | None = None) -> Instances:
+        """Every instance, whole tools among them, of which the class is at least as probable as `score_threshold` (the
+        configured one if None). Tools without a certain EE are looked at twice: see `segmentation_look`. What is found
+        is then drawn once more, near: see `segmentation_refiner`."""
+        found = self._found(frame, score_threshold)
+        return found if self._redraw is None else self._redraw(frame, found)
+
+    def _found(self, frame: RgbdFrame, score_threshold: float | None) -> Instances:
+        height, width = frame.depth.shape
+        threshold = self.config.score_threshold if score_threshold is None else score_threshold
+        size = working_size(height, width, self.config.working_pixels)
+        first = self._look(frame, size, threshold)
+        again = crops(first, (height, width), size, self.config.working_pixels)
+        if not again:
+            return first
+        second = []
+        for crop in again:
+            seen = self._look(cut(frame, crop), crop.size, max(threshold, LEAST_PROBABLE))
+            second.append(placed(seen, crop, (height, width)))
+        return without_duplicates(*merge(first, second, again, (height, width)))
+
+    def _look(self, frame: RgbdFrame, size: tuple[int, int], threshold: float) -> Instances:
+        """What the network finds in an image that it sees at `size` (height, width)."""
+        batch, scale = self._prepare(frame, size)
+        with torch.autocast(self._device.type, torch.bfloat16, enabled=self._bfloat16):
+            raw = self._detector.detect(batch, threshold)[0]
+        return without_duplicates(*paste(raw, scale, *frame.depth.shape))
+
+    def _prepare(self, frame: RgbdFrame, size: tuple[int, int]) -> tuple[RgbdBatch, tuple[float, float]]:
+        """Network input of `size` (height, width) and the factors (x, y) from its pixels to the image's."""
+        (height, width), (h, w) = frame.depth.shape, size
+        rgb, depth = frame.rgb, np.nan_to_num(frame.depth, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
+        if (h, w) != (height, width):
+            method = cv2.INTER_AREA if h < height else cv2.INTER_LINEAR
+            rgb = cv2.resize(rgb, (w, h), interpolation=method).astype(np.uint8)
+            depth = cv2.resize(depth, (w, h), interpolation=cv2.INTER_NEAREST_EXACT).astype(np.float32)
+        K = frame.intrinsics
+        focal = math.sqrt(K.fx * K.fy * (w / width) * (h / height))
+        batch = encode_rgbd(
+            torch.from_numpy(np.ascontiguousarray(rgb)).to(self._device).permute(2, 0, 1)[None],
+            torch.from_numpy(depth).to(self._device)[None],
+            torch.tensor([focal], dtype=torch.float32, device=self._device),
+        )
+        pixels = batch.pixels.contiguous(memory_format=torch.channels_last)
+        return replace(batch, pixels=pixels), (width / w, height / h)
+
+
+def paste(raw: RawDetections, scale: tuple[float, float], height: int, width: int) -> Instances:
+    """Full-size masks (H, W), labels, scores and boxes [px of the image] from the network's output."""
+    masks, labels, scores, boxes = [], [], [], []
+    factors = np.array([*scale, *scale])
+    limits = np.array([width, height, width, height], dtype=np.float64)
+    for box, covered, score, label, patch in zip(
+        raw.boxes.cpu().numpy(),
+        raw.mask_boxes.cpu().numpy(),
+        raw.scores.tolist(),
+        raw.labels.tolist(),
+        raw.masks.cpu().numpy(),
+        strict=True,
+    ):
+        mask = paste_one(patch, covered * factors, height, width)
+        if mask.any():
+            x0, y0, x1, y1 = np.clip(box * factors, 0.0, limits)
+            masks.append(mask)
+            labels.append(int(label))
+            scores.append(float(score))
+            boxes.append((float(x0), float(y0), float(x1), float(y1)))
+    return masks, labels, scores, boxes

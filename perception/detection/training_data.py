@@ -1,0 +1,179 @@
+"""The detector's training images: sampled on the device, augmented in whole batches."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from toolee_robot.perception.detection.inputs import STRIDE, RgbdBatch, encode_rgbd
+from toolee_robot.perception.training.labelled_images import DeviceStore, SegmentationImages, grown
+
+
+@dataclass(frozen=True)
+class ImageSample:
+    """B images on the device. rgb (B, H, W, 3) uint8; depth (B, H, W) float32 [m], 0 where unknown; focal (B,) [px];
+    maps (B, 2, H, W) uint8: ids of EE and tool; categories (B, E) uint8."""
+
+    rgb: Tensor
+    depth: Tensor
+    focal: Tensor
+    maps: Tensor
+    categories: Tensor
+
+
+class DeviceImages:
+    """A data set, or one rank's part of it, as bytes on the device, sampled in shuffled epochs. It may grow."""
+
+    def __init__(self, images: SegmentationImages, device: torch.device) -> None:
+        self._store = DeviceStore(device, tools=True)
+        self._categories = torch.empty((0, 0), dtype=torch.uint8, device=device)
+        self.tools = 1
+        self._order = torch.empty(0, dtype=torch.long, device=device)
+        self.extend(images)
+
+    def __len__(self) -> int:
+        return len(self._store)
+
+    def extend(self, more: SegmentationImages) -> None:
+        """Take in more images; they are drawn from the next epoch on."""
+        first = len(self._store)
+        self._store.extend(more)
+        most = max(self._categories.shape[1], more.categories.shape[1])
+        self._categories = grown(self._categories, (len(self._store), most))
+        self._categories[first:, : more.categories.shape[1]] = torch.from_numpy(more.categories)
+        self.tools = max(self.tools, int(more.tool.max(initial=0)))
+
+    def sample(self, count: int) -> ImageSample:
+        """The next `count` images."""
+        store = self._store
+        while len(self._order) < count:
+            fresh = torch.randperm(len(store), device=store.device)
+            self._order = torch.cat([self._order, fresh])
+        index, self._order = self._order[:count], self._order[count:]
+        depth = store.depth(index)
+        return ImageSample(store.rgb[index], depth, store.focal[index], store.maps[index], self._categories[index])
+
+
+@torch.no_grad()
+def augment(sample: ImageSample, size: tuple[int, int], strength: float = 1.0) -> tuple[RgbdBatch, Tensor]:
+    """Warped and recoloured images, as the network takes them, and their maps (B, 2, H', W') uint8.
+
+    The images are resampled to `size` (height, width), then padded to multiples of STRIDE.
+
+    Geometry: mirror, scale 0.74 to 1.9 (as if by another lens: depths stay), shift, roll (any angle for a third).
+    Mirrored tools are as good for masks. Colour: gain and offset a channel, contrast, saturation, grey, channel order,
+    gamma; blur, noise, rectangles that hide. Depth: the focal length is off by 3 %. strength 0 only resamples.
+    """
+    n = len(sample.rgb)
+    device = sample.rgb.device
+    images, depth, scale, maps = _warp(sample, size, strength)
+    focal = sample.focal * (size[1] / sample.rgb.shape[2]) * scale
+    if strength > 0:
+        images = recolour(images, strength)
+        images = _blur(images, strength)
+        images, depth, maps = _hide(images, depth, maps, strength)
+        sigma = torch.rand((n, 1, 1, 1), device=device) ** 2 * 9 * strength
+        images = images + torch.randn_like(images) * sigma
+        images = images.clamp(0, 255)
+        focal = focal * (1 + 0.015 * strength * torch.randn_like(focal))
+    pad = (0, -size[1] % STRIDE, 0, -size[0] % STRIDE)
+    return encode_rgbd(images, depth, focal), F.pad(maps, pad)
+
+
+def _uniform(n: int, low: float, high: float, device: torch.device) -> Tensor:
+    return torch.rand((n, 1, 1, 1), device=device) * (high - low) + low
+
+
+def _warp(sample: ImageSample, size: tuple[int, int], strength: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Images (B, 3, H', W'), depth (B, H', W'), how much larger things got (B,), and maps (B, 2, H', W')."""
+    images = sample.rgb.permute(0, 3, 1, 2).float()
+    n, _, height, width = images.shape
+    device = images.device
+    scale = torch.exp(_uniform(n, -0.3, 0.64, device).view(n) * strength)
+    angle = torch.randn(n, device=device) * 0.08 * strength
+    angle = torch.where(
+        torch.rand(n, device=device) < 0.33 * strength, torch.rand(n, device=device) * 2 * math.pi, angle
+    )
+    mirror = torch.where(torch.rand(n, device=device) < 0.5 * strength, -1.0, 1.0)
+    shift = (torch.rand((n, 2), device=device) - 0.5) * 0.5 * strength
+    cos, sin = torch.cos(angle) / scale, torch.sin(angle) / scale
+    aspect = height / width
+    # affine_grid's coordinates are normalised by each side: the aspect keeps the rotation rigid.
+    theta = torch.stack(
+        [
+            torch.stack([cos * mirror, -sin * aspect, shift[:, 0]], 1),
+            torch.stack([sin * mirror / aspect, cos, shift[:, 1]], 1),
+        ],
+        1,
+    )
+    grid = F.affine_grid(theta, [n, 1, *size], align_corners=False)
+    warped = F.grid_sample(images, grid, mode="bilinear", padding_mode="reflection", align_corners=False)
+    # Reflected copies must not be unlabelled tools: their pixels become plain.
+    outside = (grid.abs() > 1.0).any(-1)[:, None]
+    fill = _uniform(n, 0, 255, device).expand(-1, 3, -1, -1)
+    warped = torch.where(outside, fill, warped)
+    # Depths between those of two neighbours would be of nothing.
+    exact = torch.cat([sample.maps.float(), sample.depth[:, None]], 1)
+    exact = F.grid_sample(exact, grid, mode="nearest", padding_mode="zeros", align_corners=False)
+    return warped, exact[:, 2], scale, exact[:, :2].to(torch.uint8)
+
+
+def recolour(images: Tensor, strength: float) -> Tensor:
+    """Images (B, 3, H, W) in 0..255, each with other gains, contrast, saturation, order of channels and gamma."""
+    n, device = len(images), images.device
+    grey = images.mean(1, keepdim=True)
+    saturation = 1 + _uniform(n, -0.6, 0.6, device) * strength
+    saturation = torch.where(torch.rand_like(saturation) < 0.1 * strength, 0.0, saturation)
+    images = grey + (images - grey) * saturation
+    order = torch.rand((n, 3), device=device).argsort(1)
+    shuffled = torch.gather(images, 1, order[:, :, None, None].expand_as(images))
+    images = torch.where(torch.rand((n, 1, 1, 1), device=device) < 0.2 * strength, shuffled, images)
+    gain = 1 + (torch.rand((n, 3, 1, 1), device=device) - 0.5) * 0.3 * strength
+    contrast = torch.exp(_uniform(n, -0.35, 0.35, device) * strength)
+    mean = images.mean((1, 2, 3), keepdim=True)
+    offset = _uniform(n, -40, 40, device) * strength
+    images = ((images - mean) * contrast + mean) * gain + offset
+    gamma = torch.exp(_uniform(n, -0.4, 0.4, device) * strength)
+    return 255 * (images.clamp(0, 255) / 255 + 1e-6) ** gamma
+
+
+def _blur(images: Tensor, strength: float) -> Tensor:
+    """The first quarter blurred: the batch's order is random."""
+    count = round(0.25 * strength * len(images))
+    if count == 0:
+        return images
+    device = images.device
+    sigma = 0.2 + torch.rand((count, 1), device=device) * strength
+    offsets = torch.arange(-3, 4, device=device)
+    kernel = torch.exp(-0.5 * (offsets / sigma) ** 2)
+    kernel = (kernel / kernel.sum(1, keepdim=True)).repeat_interleave(3, 0)
+    flat = images[:count].reshape(1, count * 3, *images.shape[2:])
+    flat = F.conv2d(F.pad(flat, (3, 3, 0, 0), mode="replicate"), kernel[:, None, None, :], groups=3 * count)
+    flat = F.conv2d(F.pad(flat, (0, 0, 3, 3), mode="replicate"), kernel[:, None, :, None], groups=3 * count)
+    return torch.cat([flat.view_as(images[:count]), images[count:]])
+
+
+def _hide(
+    images: Tensor, depth: Tensor, maps: Tensor, strength: float, count: int = 2
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Rectangles of one colour in front of the scene; what they hide is not seen and so no target. Every second has no
+    depth."""
+    n, _, height, width = images.shape
+    device = images.device
+    y = torch.arange(height, device=device)[None, :, None]
+    x = torch.arange(width, device=device)[None, None, :]
+    for _ in range(count):
+        centre = torch.rand((n, 2, 1, 1), device=device) * images.new_tensor([height, width])[None, :, None, None]
+        half = (0.01 + torch.rand((n, 2, 1, 1), device=device) ** 2 * 0.1) * height
+        inside = ((y - centre[:, 0]).abs() < half[:, 0]) & ((x - centre[:, 1]).abs() < half[:, 1])
+        inside = (inside & (torch.rand((n, 1, 1), device=device) < 0.4 * strength))[:, None]
+        colour = torch.rand((n, 3, 1, 1), device=device) * 255
+        images = torch.where(inside, colour, images)
+        maps = torch.where(inside, torch.zeros_like(maps), maps)
+        known, share = torch.rand((2, n, 1, 1), device=device)
+        depth = torch.where(inside[:, 0], depth * (0.5 + 0.5 * share) * (known < 0.5), depth)
+    return images, depth, maps

@@ -1,0 +1,194 @@
+"""COCO mask AP of a detector, by category, with faster-coco-eval (the `test` extra): `toolee evaluate segmentation`."""
+
+from __future__ import annotations
+
+import copy
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolee_robot.errors import AssetError, UserError
+from toolee_robot.perception.dataset.scene_reader import load_scenes, scene_folders
+from toolee_robot.perception.detection.detector import CLASSES, TOOL
+from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
+from toolee_robot.perception.training.labelled_images import SegmentationImages
+from toolee_robot.types import CameraIntrinsics, RgbdFrame
+
+LEAST_PIXELS = 50
+"""An instance of which less is seen is crowd: no pose could come of it."""
+STATISTICS = ("AP", "AP50", "AP75", "AP_S", "AP_M", "AP_L")
+"""COCO's first six: the mean over IoU .50 to .95, at .50, at .75, and by area (under 32^2, to 96^2, over) [px]."""
+_TARGET = "target"
+
+
+@dataclass(frozen=True)
+class CocoTask:
+    """truth: a COCO data set as a dictionary; results: a COCO result list; times: of each image [s]."""
+
+    truth: dict[str, Any]
+    results: list[dict[str, Any]]
+    times: list[float]
+
+    def of_targets(self) -> CocoTask:
+        """The same with everything but the targets crowd: neither found nor missed."""
+        annotations = [{**v, "iscrowd": int(v["iscrowd"] or not v[_TARGET])} for v in self.truth["annotations"]]
+        return CocoTask({**self.truth, "annotations": annotations}, self.results, self.times)
+
+    def joined(self, other: CocoTask) -> CocoTask:
+        """Both, the other's images and annotations numbered after these."""
+        images, annotations = len(self.truth["images"]), len(self.truth["annotations"])
+        moved = {
+            "images": [{**v, "id": v["id"] + images} for v in other.truth["images"]],
+            "categories": other.truth["categories"],
+            "annotations": [
+                {**v, "id": v["id"] + annotations, "image_id": v["image_id"] + images}
+                for v in other.truth["annotations"]
+            ],
+        }
+        results = [{**v, "image_id": v["image_id"] + images} for v in other.results]
+        truth = {
+            **moved,
+            "images": [*self.truth["images"], *moved["images"]],
+            "annotations": [*self.truth["annotations"], *moved["annotations"]],
+        }
+        return CocoTask(truth, [*self.results, *results], [*self.times, *other.times])
+
+
+def evaluate(
+    dataset_dir: Path, weights: Path | None = None, limit: int | None = None, device: str = "cpu"
+) -> dict[str, Any]:
+    """Mask AP of the detector in `weights` (the shipped one if None) on a split of a data set: see `report`.
+
+    One scene of images is in memory at a time. Raises AssetError.
+    """
+    segmenter = Segmenter.load(weights, device)
+    scenes = scene_folders(dataset_dir)
+    if not scenes:
+        raise AssetError(f"no BOP scene in {dataset_dir}: give the folder train or test of a data set")
+    task = _of_scenes(segmenter, scenes[:1], limit)
+    for scene in scenes[1:]:
+        left = None if limit is None else limit - len(task.times)
+        if left is not None and left <= 0:
+            break
+        task = task.joined(_of_scenes(segmenter, [scene], left))
+    return report(task)
+
+
+def _of_scenes(segmenter: Segmenter, scenes: list[Path], limit: int | None) -> CocoTask:
+    images = load_scenes(scenes, limit=limit)
+    return coco_task(segmenter, images, targets=images.table.targets)
+
+
+def coco_task(
+    segmenter: Segmenter,
+    images: SegmentationImages,
+    limit: int | None = None,
+    targets: NDArray[np.bool_] | None = None,
+) -> CocoTask:
+    """What the detector finds in (the first `limit` of) the images, and what is there, both as COCO has it. Instances
+    of under 50 visible pixels are crowd. targets (N, E): whether an image's EE id 1..E is one whose pose is asked for
+    (all, if None); annotations say so under "target". Raises UserError without faster-coco-eval."""
+    encode = _coco_library()[2].encode
+
+    def encoded(mask: NDArray[np.bool_]) -> dict[str, Any]:
+        rle: dict[str, Any] = encode(np.asfortranarray(mask.astype(np.uint8)))
+        return rle
+
+    count = len(images.rgb) if limit is None else min(limit, len(images.rgb))
+    annotations: list[dict[str, Any]] = []
+    results: list[dict[str, Any]] = []
+    times = []
+    for i in range(count):
+        for label, mask, ee_id in true_instances(images, i):
+            area = int(mask.sum())
+            rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+            box = [int(columns[0]), int(rows[0]), int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1]
+            crowd = int(area < LEAST_PIXELS)
+            asked = targets is None or ee_id == 0 or bool(targets[i, ee_id - 1])
+            entry = {"id": len(annotations) + 1, "image_id": i + 1, "category_id": label, "bbox": box, _TARGET: asked}
+            annotations.append({**entry, "area": area, "iscrowd": crowd, "segmentation": encoded(mask)})
+        start = time.perf_counter()
+        masks, labels, scores, _ = segmenter.instances(frame_of(images, i), EVERYTHING)
+        times.append(time.perf_counter() - start)
+        for mask, label, score in zip(masks, labels, scores, strict=True):
+            entry = {"image_id": i + 1, "category_id": label, "score": score}
+            results.append({**entry, "segmentation": encoded(mask)})
+    height, width = images.rgb.shape[1:3]
+    truth = {
+        "images": [{"id": i + 1, "height": height, "width": width} for i in range(count)],
+        "categories": [{"id": k, "name": name} for k, name in enumerate(CLASSES) if k > 0],
+        "annotations": annotations,
+    }
+    return CocoTask(truth, results, times)
+
+
+def frame_of(images: SegmentationImages, index: int) -> RgbdFrame:
+    """One image of a data set as a camera gives it."""
+    height, width = images.rgb.shape[1:3]
+    fx, fy, cx, cy = (float(v) for v in images.intrinsics[index])
+    depth = (images.depth_mm[index] / 1000.0).astype(np.float32)
+    return RgbdFrame(images.rgb[index], depth, CameraIntrinsics(fx, fy, cx, cy, width, height))
+
+
+def report(task: CocoTask) -> dict[str, Any]:
+    """For each class, and as "average" over the four EE categories: AP, AP50, AP75, AP_S, AP_M, AP_L (None: no such
+    instance), images, instances, and the median time of an image [ms]. Instances of under 50 visible pixels are crowd:
+    neither found nor missed. "average_of_targets": as the average, but what is no target (`EeTable.targets`) is crowd,
+    too, as where poses are judged."""
+    count = len(task.truth["images"])
+    median_ms = 1000 * float(np.median(task.times)) if task.times else None
+    asked = statistics(task.of_targets())
+    number = sum(asked[name]["instances"] for name in CLASSES[1:TOOL])
+    found = {"images": count, "median_ms": median_ms, **statistics(task)}
+    return {**found, "average_of_targets": {"instances": number, **asked["average"]}}
+
+
+def statistics(task: CocoTask) -> dict[str, Any]:
+    """COCO's statistics for each class, and as "average" over the four EE categories."""
+    COCO, COCOeval_faster, _ = _coco_library()
+    truth = COCO(copy.deepcopy(task.truth))
+    found = truth.loadRes([dict(r) for r in task.results]) if task.results else None
+    report: dict[str, Any] = {}
+    for label in range(1, len(CLASSES)):
+        n = sum(a["category_id"] == label and not a["iscrowd"] for a in task.truth["annotations"])
+        values: list[float | None] = [0.0 if n else None] * len(STATISTICS)
+        if found is not None and n:
+            run = COCOeval_faster(truth, found, "segm", print_function=lambda *_: None)
+            run.params.catIds = [label]
+            run.evaluate()
+            run.accumulate()
+            run.summarize()
+            values = [float(v) if v >= 0 else None for v in run.stats[: len(STATISTICS)]]
+        report[CLASSES[label]] = {"instances": n, **dict(zip(STATISTICS, values, strict=True))}
+    ees = [report[name] for name in CLASSES[1:TOOL] if report[name]["instances"]]
+    report["average"] = {
+        name: float(np.mean(known)) if (known := [e[name] for e in ees if e[name] is not None]) else None
+        for name in STATISTICS
+    }
+    return report
+
+
+def _coco_library() -> tuple[Any, Any, Any]:
+    try:
+        from faster_coco_eval import COCO, COCOeval_faster
+        from faster_coco_eval.core import mask
+    except ImportError as error:
+        raise UserError("evaluation needs faster-coco-eval: python -m pip install -e '.[test]'") from error
+    return COCO, COCOeval_faster, mask
+
+
+def true_instances(images: SegmentationImages, index: int) -> list[tuple[int, NDArray[np.bool_], int]]:
+    """(label, mask, id of the EE or 0) of every instance of one image of which at least a pixel is seen."""
+    found = []
+    for ee_id, label in enumerate(images.categories[index].tolist(), 1):
+        mask = images.ee[index] == ee_id
+        if label and mask.any():
+            found.append((int(label), mask, ee_id))
+    for tool_id in np.unique(images.tool[index]):
+        if tool_id:
+            found.append((TOOL, images.tool[index] == tool_id, 0))
+    return found

@@ -1,0 +1,1 @@
+"""The generative processes that a pose network may be trained for, with their samplers."""

@@ -1,0 +1,1 @@
+"""Training clouds made on the device: surface samples, sensor noise, masks, scenes."""

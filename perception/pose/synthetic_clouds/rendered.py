@@ -1,0 +1,206 @@
+"""Clouds of rendered images, kept: what a depth camera and a detector's masks really leave of an end effector.
+
+The clouds of `clouds.py` are new each time, but of tools that stand alone before a plane, under masks that are wrong at
+random. These are of whole scenes, under true masks and under those of a detector that never saw the images. Or they are
+of whole tools, for the column of the paper's Table I that estimates the tool's pose.
+`toolee_robot.perception.rendered_clouds` makes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from toolee_robot.errors import AssetError, UserError
+from toolee_robot.perception.pose.canonical import (
+    MIN_KEPT,
+    MIN_POINTS,
+    CanonicalCloud,
+    canonicalize,
+    masked_median,
+    with_rest,
+)
+from toolee_robot.perception.pose.synthetic_clouds.batch import CATEGORY_SHARE, CloudBatch, CloudConfig
+from toolee_robot.perception.pose.synthetic_clouds.scene import DIRECTION_SIGMA, direction_token
+from toolee_robot.perception.pose.synthetic_clouds.source import CloudSource
+from toolee_robot.perception.pose.synthetic_clouds.torch_rng import Draws
+from toolee_robot.runtime.files import written_whole
+from toolee_robot.tools.model import ee_radius
+from toolee_robot.types import Category
+
+MOST_POINTS, MOST_GUESSED, MOST_REST = 1024, 512, 1024
+"""More points of a cloud are not kept: the network takes 512 of them, and 256 of the rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedClouds:
+    """N clouds and their truth, camera frame.
+
+    points (P, 3), guessed (G, 3), rest (Q, 3) float32 [m]: as `EeCloud` has them, one cloud's after the other's; counts
+    (N, 3) int64: how many of each are a cloud's. X_camera_target (N, 4, 4) float32: the pose of the EE, or of the tool
+    where of_tool (N,) bool says that the cloud is the whole tool's. p_camera_hand (N, 3) float32 [m]: NaN where no hand
+    is known. category (N,) int64; positive (N,) bool: whether the mask shows an EE of that category. visible (N,)
+    int64: points there were before they were thinned; tells_spin (N,) int64: how many of these tell the spin; occlusion
+    (N,) float32 in [0, 1].
+    """
+
+    points: NDArray[np.float32]
+    guessed: NDArray[np.float32]
+    rest: NDArray[np.float32]
+    counts: NDArray[np.int64]
+    X_camera_target: NDArray[np.float32]
+    of_tool: NDArray[np.bool_]
+    p_camera_hand: NDArray[np.float32]
+    category: NDArray[np.int64]
+    positive: NDArray[np.bool_]
+    visible: NDArray[np.int64]
+    tells_spin: NDArray[np.int64]
+    occlusion: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+    @classmethod
+    def cat(cls, several: Sequence[RenderedClouds]) -> RenderedClouds:
+        """All of them in one."""
+        many = [_none(), *several]
+        return cls(*(np.concatenate([getattr(each, f.name) for each in many]) for f in fields(cls)))
+
+    def check_kind(self, of_tool: bool) -> None:
+        """Raises UserError where some are of end effectors, for a training of_tool, or of whole tools, for another."""
+        if (self.of_tool != of_tool).any():
+            wanted, given = ("whole tools", "end effectors") if of_tool else ("end effectors", "whole tools")
+            raise UserError(
+                f"--rendered: this training takes clouds of {wanted}, some of these are of {given}: make them with "
+                "`toolee train clouds` and the --estimator and --column of the training"
+            )
+
+    def save(self, path: Path) -> None:
+        """Write them into one file."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with written_whole(path) as scratch, scratch.open("wb") as file:
+            np.savez(file, **{f.name: getattr(self, f.name) for f in fields(self)})
+
+    @classmethod
+    def load(cls, path: Path) -> RenderedClouds:
+        """Raises AssetError where the file is missing or no such file."""
+        try:
+            with np.load(path) as data:
+                return cls(*(data[f.name] for f in fields(cls)))
+        except (OSError, ValueError, KeyError) as error:
+            raise AssetError(f"{path} holds no clouds: make them with `toolee train clouds` ({error})") from error
+
+
+def _none() -> RenderedClouds:
+    points, numbers = np.empty((0, 3), np.float32), np.empty(0, np.int64)
+    return RenderedClouds(
+        points,
+        guessed=points,
+        rest=points,
+        counts=np.empty((0, 3), np.int64),
+        X_camera_target=np.empty((0, 4, 4), np.float32),
+        of_tool=np.empty(0, np.bool_),
+        p_camera_hand=points,
+        category=numbers,
+        positive=np.empty(0, np.bool_),
+        visible=numbers,
+        tells_spin=numbers,
+        occlusion=np.empty(0, np.float32),
+    )
+
+
+class RenderedSource(CloudSource):
+    """Endless draws from kept clouds; each time the network's points are drawn anew."""
+
+    def __init__(self, clouds: RenderedClouds, device: torch.device | str, seed: int, config: CloudConfig) -> None:
+        """config: its negative_share, radius, rest, guessed, points and ordered hold here, too. Raises AssetError where
+        there is nothing to draw."""
+        self._device, self._config = torch.device(device), config
+        self._draws = Draws(self._device, seed)
+
+        def put(x: np.ndarray) -> Tensor:
+            return torch.as_tensor(x, device=self._device)
+
+        self._flat = put(clouds.points), put(clouds.guessed), put(clouds.rest)
+        self._counts = put(clouds.counts)
+        self._starts = self._counts.cumsum(0) - self._counts
+        self._X, self._p_hand = put(clouds.X_camera_target), put(clouds.p_camera_hand)
+        self._category, self._positive = put(clouds.category), put(clouds.positive)
+        self._visible, self._tells, self._occlusion = put(clouds.visible), put(clouds.tells_spin), put(clouds.occlusion)
+        self._radius = put(np.array([config.radius or ee_radius(c) for c in Category], np.float32))
+        self._weights = put(_weights(clouds, config.negative_share))
+
+    def reseed(self, seed: int) -> None:
+        """See `CloudSource`."""
+        self._draws.generator.manual_seed(seed)
+
+    def generate(self, n: int) -> CloudBatch:
+        """See `CloudSource`."""
+        with torch.no_grad():
+            return self._generate(n)
+
+    def _generate(self, n: int) -> CloudBatch:
+        c, draws = self._config, self._draws
+        which = torch.multinomial(self._weights, n, replacement=True, generator=draws.generator)
+        points, valid = self._take(0, which, MOST_POINTS)
+        rest, rest_valid = self._take(2, which, MOST_REST)
+        category = self._category[which]
+        guessed = self._take(1, which, MOST_GUESSED) if c.guessed else None
+        cloud = canonicalize(points, valid, self._radius[category], draws.generator, c.points, c.ordered, guessed)
+        # A fraction of what was seen, as at inference.
+        visible = cloud.count / valid.sum(1).clamp_min(1) * self._visible[which]
+        if c.rest:
+            cloud = with_rest(cloud, rest, rest_valid, draws.generator)
+        X = self._X[which]
+        result = CloudBatch.of(
+            cloud,
+            X[:, :3, :3],
+            X[:, :3, 3],
+            direction=self._direction(cloud, rest, rest_valid, self._p_hand[which]),
+            tells_spin=self._tells[which],
+            category=category,
+            item=torch.full_like(which, -1),
+            positive=self._positive[which],
+            visible=visible,
+            occlusion=self._occlusion[which],
+            distance=X[:, 2, 3],
+        )
+        return result.select((cloud.count >= MIN_KEPT) & (visible >= MIN_POINTS))
+
+    def _take(self, kind: int, which: Tensor, most: int) -> tuple[Tensor, Tensor]:
+        """points (B, most, 3) of those clouds, and which of them are real (B, most)."""
+        k = torch.arange(most, device=self._device)
+        valid = k < self._counts[which, kind, None]
+        flat = self._flat[kind]
+        if not len(flat):
+            return flat.new_zeros(*valid.shape, 3), valid
+        rows = (self._starts[which, kind, None] + k).clamp(max=len(flat) - 1)
+        return torch.where(valid[..., None], flat[rows], 0.0), valid
+
+    def _direction(self, cloud: CanonicalCloud, rest: Tensor, valid: Tensor, p_hand: Tensor) -> Tensor:
+        """Tokens (B, 5), as the estimator makes them: to the median of the rest, or else to the hand, where known."""
+        by_hand = ~cloud.rest_known
+        goal = torch.where(by_hand[:, None], p_hand, masked_median(rest, valid))
+        known = torch.isfinite(goal).all(1)[:, None]
+        sigma = goal.new_tensor(DIRECTION_SIGMA)
+        token = direction_token(torch.where(known, goal, 0.0), cloud.centre, cloud.R, by_hand, sigma, self._draws)
+        return torch.where(known, token, 0.0)
+
+
+def _weights(clouds: RenderedClouds, negative_share: float) -> NDArray[np.float32]:
+    """(N,) how often each cloud is drawn: the categories by their shares, negatives by theirs."""
+    weights = np.zeros(len(clouds), np.float32)
+    kinds = [(~clouds.positive, negative_share)]
+    for k, category in enumerate(Category):
+        kinds.append((clouds.positive & (clouds.category == k), (1 - negative_share) * CATEGORY_SHARE[category]))
+    for rows, share in kinds:
+        weights[rows] = share / max(int(rows.sum()), 1)
+    if not weights.any():
+        raise AssetError("the file of rendered clouds is empty: take more images")
+    return weights

@@ -1,0 +1,209 @@
+"""Dense surface samples of tools and hands, the raw material of the training clouds. numpy only, several processes.
+
+`save_hands` writes the hands' samples to a small file, so that a training need not make them.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.errors import AssetError
+from toolee_robot.frames import Array, inverse
+from toolee_robot.robots import SHADOW_HAND
+from toolee_robot.runtime.process_pool import WorkerPool
+from toolee_robot.tools.catalog import TOOL_SPECS, make_tool, test_seeds, train_seeds
+from toolee_robot.tools.model import ToolKind, ee_radius
+from toolee_robot.types import Category
+
+EE_SAMPLES = 8192
+REST_SAMPLES = 4096
+HAND_SAMPLES = 6144
+REGION = 1.15
+"""Samples count as the EE's up to this factor of its radius; only those are dense."""
+
+# What breaks the rotational symmetry of a hammer's face when it is seen.
+ASYMMETRIC = ("handle", "shaft", "grip", "claw")
+
+NOWHERE = 1e3
+"""[m] Where the other end of a tool is that has only one."""
+
+Float32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class ToolBank:
+    """One row per EE of one tool, all in the EE's frame [m].
+
+    ee_points, ee_normals (I, 8192, 3): the surface near the EE; asymmetric (I, 8192): whether a point tells the spin.
+    rest (I, 4096, 3): the tool's other surface. X_ee_tool (I, 4, 4). category (I,): index into `Category`. other_end
+    (I, 3), other_category (I,): origin and category of the tool's other EE; 1 km away if it has none.
+    handle (I, 3): z_min, z_max and radius of the handle, tool frame. shininess (I,) in [0, 1].
+    """
+
+    ee_points: Float32
+    ee_normals: Float32
+    asymmetric: NDArray[np.bool_]
+    rest: Float32
+    X_ee_tool: Float32
+    category: NDArray[np.int64]
+    other_end: Float32
+    other_category: NDArray[np.int64]
+    handle: Float32
+    shininess: Float32
+    names: tuple[str, ...]
+
+    @property
+    def tools(self) -> NDArray[np.int64]:
+        """(I,) the number of the tool that each EE is of."""
+        names = [name.rsplit("/", 1)[0] for name in self.names]
+        numbers = {name: i for i, name in enumerate(dict.fromkeys(names))}
+        return np.array([numbers[name] for name in names], np.int64)
+
+
+_Row = tuple[Float32, Float32, NDArray[np.bool_], Float32, Float32, int, Float32, int, Float32, float, str]
+
+
+def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
+    kind, seed = job
+    tool = make_tool(kind, seed)
+    rng = np.random.default_rng([seed, TOOL_SPECS[kind].number, 7])
+    points, normals, parts = tool.sample_surface(60_000, rng)
+    asymmetric = np.array([part.label in ASYMMETRIC for part in tool.parts])[parts]
+    shininess = np.array([part.material.metallic * (1 - part.material.roughness) for part in tool.parts])[parts]
+    rows: list[_Row] = []
+    for ee in tool.ees:
+        X_ee_tool = inverse(ee.X_tool_ee)
+        other = next((e for e in tool.ees if e is not ee), None)
+        p = points @ X_ee_tool[:3, :3].T + X_ee_tool[:3, 3]
+        n = normals @ X_ee_tool[:3, :3].T
+        near = np.linalg.norm(p, axis=1) < REGION * ee_radius(ee.category)
+        ee_pick = rng.choice(np.flatnonzero(near), EE_SAMPLES, replace=bool(near.sum() < EE_SAMPLES))
+        rest = np.flatnonzero(~near)
+        rest_pick = rng.choice(rest, REST_SAMPLES, replace=bool(len(rest) < REST_SAMPLES))
+        tells = asymmetric[ee_pick] & (ee.category == Category.HAMMER_HEAD)
+        radius = tool.handle.grip_radius
+        rows.append(
+            (
+                p[ee_pick].astype(np.float32),
+                n[ee_pick].astype(np.float32),
+                tells,
+                p[rest_pick].astype(np.float32),
+                X_ee_tool.astype(np.float32),
+                list(Category).index(ee.category),
+                (X_ee_tool @ other.X_tool_ee)[:3, 3].astype(np.float32) if other else np.full(3, NOWHERE, np.float32),
+                list(Category).index((other or ee).category),
+                np.array([tool.handle.z_min, tool.handle.z_max, radius], np.float32),
+                float(shininess[ee_pick].mean()),
+                f"{tool.name}/{ee.category}",
+            )
+        )
+    return rows
+
+
+def tool_bank(held_out: bool, seeds_per_kind: int, workers: int | None = None) -> ToolBank:
+    """Samples of `seeds_per_kind` tools of every kind (times `ToolSpec.training_share`).
+
+    held_out: of the test split instead of the training split. workers: processes; None: one per CPU, 1: none.
+    """
+    seeds = test_seeds if held_out else train_seeds
+    jobs = [(kind, seed) for kind, spec in TOOL_SPECS.items() for seed in seeds(seeds_per_kind * spec.training_share)]
+    workers = workers or min(os.cpu_count() or 1, 16)
+    if workers > 1 and len(jobs) > 64:
+        with WorkerPool(workers) as pool:
+            results = list(pool.map(_rows, jobs, chunksize=8))
+    else:
+        results = [_rows(job) for job in jobs]
+    columns = list(zip(*[row for rows in results for row in rows], strict=True))
+    return ToolBank(
+        np.stack(columns[0]),
+        np.stack(columns[1]),
+        np.stack(columns[2]),
+        np.stack(columns[3]),
+        np.stack(columns[4]),
+        np.array(columns[5], np.int64),
+        np.stack(columns[6]),
+        np.array(columns[7], np.int64),
+        np.stack(columns[8]),
+        np.array(columns[9], np.float32),
+        tuple(columns[10]),
+    )
+
+
+def hand_bank(count: int = 64, seed: int = 0) -> Float32:
+    """Surface samples (count, 6144, 3) [m] of the Shadow Hand in its `hand` frame, closed around handles of many
+    radii, single fingers astray."""
+    rng = np.random.default_rng(seed)
+    meshes = SHADOW_HAND.meshes
+    areas = np.array([mesh.area for mesh in meshes.values()])
+    # Fingers and palm occlude the tool, the forearm seldom does.
+    weights = areas * np.array([0.3 if name in SHADOW_HAND.forearm else 1.0 for name in meshes])
+    share = np.maximum(np.floor(weights / weights.sum() * HAND_SAMPLES).astype(int), 8)
+    local = {
+        name: _sample_mesh(mesh.vertices.view(np.ndarray), mesh.faces.view(np.ndarray), 4 * n, rng)
+        for (name, mesh), n in zip(meshes.items(), share, strict=True)
+    }
+    half, closed = (SHADOW_HAND.posture(name) for name in ("preshape", "closed"))
+    hands = np.empty((count, HAND_SAMPLES, 3), np.float32)
+    for i in range(count):
+        q = half + rng.uniform(0.3, 1.0) * (closed - half)
+        q = q + rng.normal(0.0, 0.12, len(q)) * (np.abs(closed - half) > 0.01)
+        poses = SHADOW_HAND.link_poses(q)
+        cloud = np.concatenate(
+            [
+                local[name][rng.choice(4 * n, n, replace=False)] @ poses[name][:3, :3].T + poses[name][:3, 3]
+                for name, n in zip(meshes, share, strict=True)
+            ]
+        )
+        hands[i] = cloud[rng.choice(len(cloud), HAND_SAMPLES, replace=len(cloud) < HAND_SAMPLES)]
+    return hands
+
+
+def save_hands(path: Path) -> None:
+    """Write `hand_bank()` for machines without the hand's model; float16, about 2 MB."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(path, hands=hand_bank().astype(np.float16))
+
+
+def load_hands(path: Path | None) -> Float32:
+    """Hands from `save_hands`'s file, or made here if path is None. Raises AssetError."""
+    if path is None:
+        return hand_bank()
+    try:
+        with np.load(path) as data:
+            return np.asarray(data["hands"], np.float32)
+    except (OSError, KeyError, ValueError) as error:
+        raise AssetError(
+            f"cannot read the hand samples {path}: {error}; write them with `toolee train hands --out FILE`"
+        ) from error
+
+
+def random_grasps(handle: Float32, rng: np.random.Generator, shift: float = 0.05, nominal: bool = False) -> Float32:
+    """X_tool_hand (B, 4, 4) of hands that hold handles (B, 3: z_min, z_max, radius): displaced along them by up to
+    `shift` [m]; if not `nominal`, turned about the handle, too, tilted, and now and then reversed."""
+    B = len(handle)
+    # The nominal grasp is linear in the handle's radius.
+    thin, thick = SHADOW_HAND.grasp.X_hand_tool(0.0), SHADOW_HAND.grasp.X_hand_tool(1.0)
+    X_tool_hand = inverse(thin + handle[:, 2, None, None].astype(np.float64) * (thick - thin))
+    about = np.where(rng.random(B) < 0.6, rng.normal(0, np.deg2rad(20), B), rng.uniform(-np.pi, np.pi, B))
+    turn = Rotation.from_rotvec(about[:, None] * [0.0, 0.0, 1.0])
+    tilt = Rotation.from_rotvec(np.column_stack([rng.normal(0, np.deg2rad(8), (B, 2)), np.zeros(B)]))
+    flip = Rotation.from_rotvec(np.where(rng.random(B) < 0.12, np.pi, 0.0)[:, None] * [1.0, 0.0, 0.0])
+    X: Array = np.tile(np.eye(4), (B, 1, 1))
+    if not nominal:
+        X[:, :3, :3] = (turn * tilt * flip).as_matrix()
+    X[:, 2, 3] = np.clip(rng.uniform(-shift, shift, B), handle[:, 0] + 0.03, np.maximum(handle[:, 1], 0.0))
+    return (X @ X_tool_hand).astype(np.float32)
+
+
+def _sample_mesh(vertices: Array, faces: NDArray[np.int64], n: int, rng: np.random.Generator) -> Array:
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    f = rng.choice(len(faces), n, p=area / area.sum())
+    r, s = np.sqrt(rng.random((n, 1))), rng.random((n, 1))
+    return np.asarray((1 - r) * a[f] + r * (1 - s) * b[f] + r * s * c[f])

@@ -1,0 +1,173 @@
+"""What a training trains: a network on some clouds, its loss, and the estimator that comes of it.
+
+The trainer knows only `Method`; `Ours` is the project's, `paper.PaperMethod` the paper's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from toolee_robot.perception.pose import weights
+from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
+from toolee_robot.perception.pose.estimator import PoseEstimator
+from toolee_robot.perception.pose.network import SAMPLER, NetworkConfig, PoseNet
+from toolee_robot.perception.pose.processes.flow import Sampler
+from toolee_robot.perception.pose.processes.registry import PROCESSES
+from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, CloudConfig
+from toolee_robot.perception.pose.synthetic_clouds.generator import CloudGenerator
+from toolee_robot.perception.pose.synthetic_clouds.rendered import RenderedClouds, RenderedSource
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import Float32, ToolBank
+from toolee_robot.perception.pose.training import validation
+from toolee_robot.perception.pose.training.losses import augment, pose_loss, without_rest
+from toolee_robot.perception.pose.weights import Calibration
+
+Net = TypeVar("Net", bound=nn.Module)
+
+
+class Method(Protocol, Generic[Net]):
+    """A network with all that is needed to train it, to judge it and to keep it."""
+
+    @property
+    def name(self) -> str:
+        """Of its weight files."""
+        ...
+
+    @property
+    def of_tool(self) -> bool:
+        """Whether it learns from clouds of whole tools instead of end effectors."""
+        ...
+
+    def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
+        """Endless training (or held-out) clouds of a bank."""
+        ...
+
+    def kept(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
+        """Endless draws of clouds of rendered images, of the kind that it learns from."""
+        ...
+
+    def network(self, bank: ToolBank) -> Net:
+        """A fresh network; `bank`: the training tools."""
+        ...
+
+    def prepare(self, batch: CloudBatch, generator: torch.Generator) -> CloudBatch:
+        """A batch as training shows it: augmented, or as it is."""
+        ...
+
+    def loss(self, net: nn.Module, batch: CloudBatch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss and its parts. `net`: the network, perhaps compiled."""
+        ...
+
+    def estimator(self, net: Net, calibration: Calibration, device: str) -> CloudEstimator:
+        """The trained network at work."""
+        ...
+
+    def judged(self, batch: CloudBatch, bank: ToolBank) -> CloudBatch:
+        """Held-out clouds with the EE's pose as their truth."""
+        ...
+
+    def report(self, net: Net, held_out: CloudBatch, bank: ToolBank, device: str) -> tuple[dict[str, Any], Calibration]:
+        """Metrics on held-out clouds, of a bank's tools, and what is calibrated there."""
+        ...
+
+    def save(self, folder: Path, net: Net, calibration: Calibration, report: dict[str, Any]) -> None:
+        """Write the weights with their description."""
+        ...
+
+    def load(self, folder: Path) -> Net:
+        """The network that `save` wrote. Raises AssetError."""
+        ...
+
+
+@dataclass(frozen=True)
+class Ours:
+    """`PoseNet`. draws: noise draws a cloud; rest_dropout: how often the rest of the tool is
+    withheld, direction_dropout: how often then the direction to it, too (1: never known, neither when it is judged);
+    augmentation: random roll and mirror image, each time anew."""
+
+    config: NetworkConfig = field(default_factory=NetworkConfig)
+    clouds_config: CloudConfig = field(default_factory=CloudConfig)
+    draws: int = 8
+    rest_dropout: float = 0.35
+    direction_dropout: float = 0.5
+    augmentation: bool = True
+    sampler: Sampler = SAMPLER
+    name: str = weights.NAME
+
+    @property
+    def of_tool(self) -> bool:
+        """See `Method`."""
+        return False
+
+    def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
+        """See `Method`."""
+        return CloudGenerator(bank, hands, device, seed, self.clouds_config)
+
+    def kept(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
+        """See `Method`."""
+        return RenderedSource(clouds, device, seed, self.clouds_config)
+
+    def network(self, bank: ToolBank) -> PoseNet:  # noqa: ARG002 - others need it
+        """See `Method`."""
+        return PoseNet(self.config)
+
+    def prepare(self, batch: CloudBatch, generator: torch.Generator) -> CloudBatch:
+        """See `Method`."""
+        batch = without_rest(batch, self.rest_dropout, self.direction_dropout, generator)
+        return augment(batch, generator) if self.augmentation else batch
+
+    def loss(self, net: nn.Module, batch: CloudBatch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
+        """See `Method`."""
+        return pose_loss(net, batch, self.draws, generator, PROCESSES[self.config.process])
+
+    def estimator(self, net: PoseNet, calibration: Calibration, device: str) -> PoseEstimator:
+        """See `Method`."""
+        return PoseEstimator(net, calibration, device, self.sampler)
+
+    def judged(self, batch: CloudBatch, bank: ToolBank) -> CloudBatch:  # noqa: ARG002 - others need it
+        """See `Method`."""
+        if self.rest_dropout == 1:
+            batch = validation.without_rest(batch)
+        return batch if self.direction_dropout < 1 else validation.without_direction(batch)
+
+    def report(
+        self, net: PoseNet, held_out: CloudBatch, bank: ToolBank, device: str
+    ) -> tuple[dict[str, Any], Calibration]:
+        """Fits the calibration on one half of the tools and reports it on the other."""
+        estimator = self.estimator(net, Calibration(), device)
+        K = estimator.candidates
+        result = validation.evaluate(estimator, held_out, K)
+        no_rest = validation.without_rest(held_out)
+        none = validation.without_direction(no_rest)
+        near = (held_out.distance < 0.75).cpu().numpy() & (held_out.occlusion < 0.2).cpu().numpy()
+        report: dict[str, Any] = {
+            f"K{K}": validation.metrics(result),
+            f"K{K}_near_unoccluded": validation.metrics(result, near),
+            f"K{K}_no_rest": validation.metrics(validation.evaluate(estimator, no_rest, K)),
+            f"K{K}_no_direction": validation.metrics(validation.evaluate(estimator, none, K)),
+        }
+        fit, test = (_half(held_out, bank, result, parity) for parity in (0, 1))
+        calibration = validation.calibrate(fit)
+        report["confidence"] = validation.confidence_report(test, calibration)
+        report["clouds"] = asdict(self.clouds_config)
+        return report, calibration
+
+    def save(self, folder: Path, net: PoseNet, calibration: Calibration, report: dict[str, Any]) -> None:
+        """See `Method`."""
+        weights.save(folder, net, calibration, report, self.name)
+
+    def load(self, folder: Path) -> PoseNet:
+        """See `Method`."""
+        return weights.load(folder, self.name)[0]
+
+
+def _half(batch: CloudBatch, bank: ToolBank, evaluated: validation.Evaluated, parity: int) -> validation.Evaluated:
+    """The clouds of every second tool; not of every second EE, which would part a hammer's claw from its head."""
+    chosen = np.flatnonzero(bank.tools[evaluated.item] % 2 == parity)
+    index = torch.as_tensor(chosen, device=batch.points.device)
+    return validation.Evaluated(batch.select(index), [evaluated.results[i] for i in chosen])

@@ -1,0 +1,1 @@
+"""The experiments behind the design: ablations, and the named reference ToolEENet."""

@@ -1,0 +1,130 @@
+"""Changes that the production code does not know: another encoder, un-centred clouds, other poolings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor, nn
+
+from toolee_robot.frames import Array, transform
+from toolee_robot.perception.pose.canonical import POINTS
+from toolee_robot.perception.pose.network import NetworkConfig, PoseNet, Seen
+from toolee_robot.perception.pose.pooling import align, pool
+from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch
+from toolee_robot.perception.pose.synthetic_clouds.generator import CloudGenerator
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import Float32, ToolBank
+from toolee_robot.perception.pose.training.recipe import Ours
+from toolee_robot.perception.research.tooleenet.pointnet2 import PointNet2
+from toolee_robot.perception.research.tooleenet.pooling import mean_pose
+from toolee_robot.symmetry import SymmetryGroup
+
+_FAR = 15.0
+"""Un-centred coordinates are so much larger than centred ones."""
+
+
+class PointNetPose(PoseNet):
+    """Our heads and tokens on the paper's PointNet++."""
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__(config)
+        for name in ("ee", "blocks", "norm"):
+            delattr(self, name)
+        d = config.width
+        self.points = PointNet2()
+        self.join = nn.Sequential(nn.Linear(self.points.size + 4 * d, 2 * d), nn.SiLU(), nn.Linear(2 * d, 2 * d))
+
+    def encode(self, seen: Seen, mirror: bool = False) -> Tensor:
+        """See `PoseNet`; the points come with all of their farthest-point order."""
+        seen = seen.with_mirror() if mirror else seen
+        tokens = [self.category(seen.category), self.direction(seen.direction), self.context(seen.context)]
+        rest = self.rest_tokens(seen).mean(1)
+        feature: Tensor = self.join(torch.cat([self.points(seen.points), *tokens, rest], dim=-1))
+        return feature
+
+
+@dataclass(frozen=True)
+class WithPointNet(Ours):
+    """`Ours` with `PointNetPose`."""
+
+    def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
+        """See `Method`."""
+        return CloudGenerator(bank, hands, device, seed, replace(self.clouds_config, ordered=POINTS, guessed=False))
+
+    def network(self, bank: ToolBank) -> PoseNet:  # noqa: ARG002 - as the protocol
+        """See `Method`."""
+        return PointNetPose(self.config)
+
+
+class UncentredGenerator(CloudGenerator):
+    """Clouds as the camera sees them: neither centred nor turned. The pose's position stays relative to the centre."""
+
+    def generate(self, n: int) -> CloudBatch:
+        """See `CloudGenerator`."""
+        batch = super().generate(n)
+        back = batch.R_canonical.mT
+        direction = torch.cat([(back @ batch.direction[:, :3, None])[..., 0], batch.direction[:, 3:]], dim=-1)
+        return replace(
+            batch,
+            points=torch.einsum("bij,bnj->bni", back, batch.points) + batch.centre[:, None],
+            rest=torch.einsum("bij,bnj->bni", back, batch.rest) + batch.centre[:, None],
+            R=back @ batch.R,
+            p=torch.einsum("bij,bj->bi", back, batch.p),
+            direction=direction,
+            R_canonical=torch.eye(3, device=back.device).expand_as(back).contiguous(),
+        )
+
+
+class _Scale(nn.Module):
+    def forward(self, x: Tensor) -> Tensor:
+        return x / _FAR
+
+
+@dataclass(frozen=True)
+class Uncentred(Ours):
+    """`Ours` on `UncentredGenerator`'s clouds."""
+
+    def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
+        """See `Method`."""
+        return UncentredGenerator(bank, hands, device, seed, self.clouds_config)
+
+    def network(self, bank: ToolBank) -> PoseNet:
+        """See `Method`."""
+        net = super().network(bank)
+        for patches in (net.ee, net.rest):
+            patches.place = nn.Sequential(_Scale(), *patches.place)
+        return net
+
+
+def group_mean(Xs: Array, group: SymmetryGroup) -> Array:
+    """The plain mean, modulo the group."""
+    return mean_pose(Xs, group)
+
+
+def robust_mean(Xs: Array, group: SymmetryGroup) -> Array:
+    """The mean of all candidates with Cauchy weights, modulo the group, without a look at modes."""
+    X = mean_pose(Xs, group)
+    for _ in range(10):
+        R = align(Xs[:, :3, :3], X[:3, :3], group)
+        w = Rotation.from_matrix(R @ X[:3, :3].T).as_rotvec()
+        dp = Xs[:, :3, 3] - X[:3, 3]
+        a, b = (w**2).sum(1), (dp**2).sum(1)
+        weight = 1 / (1 + (a / (np.median(a) + 1e-6) + b / (np.median(b) + 1e-9)) / 4)
+        weight /= weight.sum()
+        X = transform(Rotation.from_rotvec(weight @ w).as_matrix() @ X[:3, :3], X[:3, 3] + weight @ dp)
+    return X
+
+
+def clustered(Xs: Array, group: SymmetryGroup) -> Array:
+    """Production's: the robust mean of the heaviest mode."""
+    return pool(Xs, group).X
+
+
+POOLINGS = {
+    "mean (the paper's)": lambda Xs, group: mean_pose(Xs),  # noqa: ARG005 - knows no group
+    "mean modulo the group": group_mean,
+    "robust": robust_mean,
+    "cluster": clustered,
+}

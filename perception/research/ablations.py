@@ -1,0 +1,206 @@
+"""Train one network for each design decision, on the same clouds and budget, and write the table of the results.
+
+    python -m toolee_robot.perception.research.ablations --out runs/ablations --max-steps 30000
+    python -m toolee_robot.perception.research.ablations --out runs/ablations --minutes 10 --rows base,flow \\
+        --device cuda:1
+
+Several processes may share --out, each with its own --rows and --device: every row has its folder (weights, log,
+checkpoint, row.json), and each process rewrites ablations.json and ablations.md from all rows that are there. The same
+command again resumes. --table-only just writes the table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.perception.pose.cloud_estimator import CANDIDATES, CloudEstimator, PoseResult
+from toolee_robot.perception.pose.estimator import PoseEstimator
+from toolee_robot.perception.pose.network import NetworkConfig
+from toolee_robot.perception.pose.processes.flow import Euler
+from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, CloudConfig
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import load_hands, tool_bank
+from toolee_robot.perception.pose.training import validation
+from toolee_robot.perception.pose.training.config import TrainConfig
+from toolee_robot.perception.pose.training.recipe import Method, Ours
+from toolee_robot.perception.pose.training.trainer import Trainer
+from toolee_robot.perception.pose.weights import Calibration
+from toolee_robot.perception.research.ablation_variants import POOLINGS, Uncentred, WithPointNet
+from toolee_robot.perception.research.tooleenet import PaperMethod
+from toolee_robot.perception.training.distributed import ranks
+
+KS = (1, 5, 10, 20, 32, 50)
+STEPS = (1, 2, 3, 5, 10, 20)
+RADII_MM = (40, 50, 60, 70)
+_NAME = "ablation"
+"""Of the rows' weights: they are not for `toolee hammer`."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One training. what: which decision it is about; change: what is different from the base."""
+
+    what: str
+    change: str
+    method: Method[Any]
+
+
+def _ours(**changes: Any) -> Ours:
+    return Ours(name=_NAME, **changes)
+
+
+ROWS: dict[str, Row] = {
+    "base": Row("base", "patch transformer, EDM, rest of the tool, centred, augmented", _ours()),
+    "pointnet2": Row("encoder", "the paper's PointNet++", WithPointNet(name=_NAME)),
+    "flow": Row("process", "flow matching", _ours(config=NetworkConfig(process="flow"))),
+    "score": Row(
+        "process",
+        "score matching (VE), 20 steps",
+        _ours(config=NetworkConfig(process="score"), sampler=Euler(20)),
+    ),
+    "no-rest": Row("rest of the tool", "its direction alone, no points", _ours(rest_dropout=1.0)),
+    "no-direction": Row("rest of the tool", "unknown", _ours(rest_dropout=1.0, direction_dropout=1.0)),
+    "uncentred": Row("centring", "encoder sees the cloud in the camera's frame", Uncentred(name=_NAME)),
+    "no-augmentation": Row("augmentation", "without", _ours(augmentation=False)),
+    "no-guesses": Row("pixels without a depth", "left out", _ours(clouds_config=CloudConfig(guessed=False))),
+    **{
+        f"radius-{r}": Row(
+            "crop radius", f"{r} mm for every category", _ours(clouds_config=CloudConfig(radius=r / 1e3))
+        )
+        for r in RADII_MM
+    },
+    "paper": Row("all of it", "the paper's estimator", PaperMethod()),
+}
+
+
+def run_row(name: str, out: Path, config: TrainConfig, banks: Any, hands: Any, device: str) -> None:
+    """Train a row (or resume it), judge it, write its row.json. Raises TooleeError when the loss is not finite."""
+    row = ROWS[name]
+    with ranks(device) as place:
+        trainer: Trainer[Any] = Trainer(out / name, config, banks, hands, row.method, place)
+        report = trainer.run()
+        held_out = trainer.judged()
+        estimator = row.method.estimator(trainer.export(), Calibration(), str(trainer.device))
+        K = estimator.candidates
+        record: dict[str, Any] = {
+            "what": row.what,
+            "change": row.change,
+            "steps": report["steps"],
+            "minutes": report["minutes"],
+            "parameters": sum(p.numel() for p in trainer.net.parameters()),
+            "candidates": K,
+            "metrics": validation.metrics(validation.evaluate(estimator, held_out, K)),
+        }
+        if name == "base":
+            record["evaluated"] = without_training(estimator, held_out)
+        (out / name / "row.json").write_text(json.dumps(record, indent=1) + "\n")
+
+
+def without_training(estimator: CloudEstimator, held_out: CloudBatch) -> list[dict[str, Any]]:
+    """The decisions that need no training, on the base's network: K, steps, pooling."""
+    assert isinstance(estimator, PoseEstimator)
+    rows = []
+    for k in KS:
+        found = validation.evaluate(estimator, held_out, k)
+        rows.append({"what": "K", "change": str(k), "metrics": validation.metrics(found)})
+    usual = estimator.sampler
+    for steps in STEPS:
+        estimator.sampler = Euler(steps)
+        found = validation.evaluate(estimator, held_out, CANDIDATES)
+        rows.append({"what": "steps", "change": str(steps), "metrics": validation.metrics(found)})
+    estimator.sampler = usual
+    results = validation.evaluate(estimator, held_out, CANDIDATES).results
+    for name, pooling in POOLINGS.items():
+        pooled: list[PoseResult] = [
+            replace(r, X_camera_ee=pooling(r.hypotheses.Xs_camera_ee, r.category.symmetry)) for r in results
+        ]
+        found = validation.Evaluated(held_out, pooled)
+        rows.append({"what": "pooling", "change": name, "metrics": validation.metrics(found)})
+    return rows
+
+
+def write_table(out: Path) -> str:
+    """ablations.json and ablations.md from the rows that are there; returns the latter."""
+    rows: list[dict[str, Any]] = []
+    for name in ROWS:
+        path = out / name / "row.json"
+        if path.is_file():
+            record = json.loads(path.read_text())
+            evaluated = record.pop("evaluated", [])
+            rows += [{"row": name, **record}, *({"row": f"{r['what']} {r['change']}", **r} for r in evaluated)]
+    (out / "ablations.json").write_text(json.dumps(rows, indent=1) + "\n")
+    text = _markdown(rows)
+    (out / "ablations.md").write_text(text)
+    return text
+
+
+def _markdown(rows: list[dict[str, Any]]) -> str:
+    categories = list(dict.fromkeys(c for r in rows for c in r["metrics"] if c != "average"))
+    names = [c.replace("_", " ") for c in categories]
+    head = ["decision", "change", "steps", "min", "5° 2 cm", "5° 1 cm", "10° 2 cm", "mm", "°", *names]
+    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+    for r in rows:
+        average = r["metrics"]["average"]
+        shares = [f"{average[k]:.3f}" for k in ("5deg_2cm", "5deg_1cm", "10deg_2cm")] if average else ["–"] * 3
+        medians = [f"{average[k]:.2f}" for k in ("median_mm", "median_deg")] if average else ["–"] * 2
+        each = [f"{r['metrics'][c]['5deg_1cm']:.3f}" if c in r["metrics"] else "–" for c in categories]
+        budget = [str(r.get("steps", "")), str(r.get("minutes", ""))]
+        lines.append(f"| {' | '.join([r['what'], r['change'], *budget, *shares, *medians, *each])} |")
+    note = "Held-out tools, generated clouds. Columns by category: share within 5° 1 cm; medians: mean over categories."
+    return "\n".join([*lines, "", note]) + "\n"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command; returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--rows", default=",".join(ROWS), help=f"some of {', '.join(ROWS)}")
+    parser.add_argument("--minutes", type=float, default=10.0, help="training time of each row")
+    parser.add_argument("--max-steps", type=int, help="training steps of each row, instead of minutes")
+    parser.add_argument("--batch", type=int, default=TrainConfig.batch)
+    parser.add_argument("--train-seeds", type=int, default=TrainConfig.train_seeds)
+    parser.add_argument("--test-seeds", type=int, default=TrainConfig.test_seeds)
+    parser.add_argument("--validation", type=int, default=TrainConfig.validation, help="held-out clouds")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--hands", type=Path, help="hand samples written by `toolee train hands`")
+    parser.add_argument("--device", default="auto", help="cpu, cuda or cuda:N")
+    parser.add_argument("--table-only", action="store_true")
+    options = parser.parse_args(arguments)
+    try:
+        names = [name for name in options.rows.split(",") if name]
+        unknown = [name for name in names if name not in ROWS]
+        if unknown:
+            raise UserError(f"--rows {','.join(unknown)}: choose from {', '.join(ROWS)}")
+        options.out.mkdir(parents=True, exist_ok=True)
+        if not options.table_only:
+            small = max(32, min(TrainConfig.chunk, 4 * options.batch))
+            config = TrainConfig(
+                minutes=None if options.max_steps else options.minutes,
+                max_steps=options.max_steps,
+                batch=options.batch,
+                chunk=small,
+                first_fill=min(TrainConfig.first_fill, 32 * options.batch),
+                train_seeds=options.train_seeds,
+                test_seeds=options.test_seeds,
+                validation=options.validation,
+                seed=options.seed,
+            )
+            banks = tool_bank(False, config.train_seeds), tool_bank(True, config.test_seeds)
+            hands = load_hands(options.hands)
+            for name in names:
+                run_row(name, options.out, config, banks, hands, options.device)
+                write_table(options.out)
+        print(write_table(options.out))
+    except TooleeError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2 if isinstance(error, UserError) else 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,148 @@
+"""The paper's estimator at work: K = 20 samples by RK45, their plain mean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.errors import AssetError, UserError
+from toolee_robot.frames import Array
+from toolee_robot.perception import weight_files
+from toolee_robot.perception.pose.canonical import CanonicalCloud
+from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
+from toolee_robot.perception.pose.processes.flow import Sampler
+from toolee_robot.perception.pose.processes.variance_exploding import VarianceExploding
+from toolee_robot.perception.research.tooleenet.network import PaperNet
+from toolee_robot.perception.research.tooleenet.pointnet2 import ORDERED
+from toolee_robot.perception.research.tooleenet.pooling import mean_pose
+from toolee_robot.perception.research.tooleenet.representation import class_ambiguity, decode
+from toolee_robot.perception.research.tooleenet.rk45 import Rk45
+from toolee_robot.types import Category, PoseHypotheses
+
+NAME = "pose_paper"
+POINTS = 1024
+OBJECT_RADIUS = 0.22
+"""[m] of the sphere about a whole tool's middle."""
+PROCESS = VarianceExploding()
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of the paper's Table I. of_tool: the network estimates the tool's pose, and the EE's follows from the
+    category's mean X_tool_ee. predicts_ambiguity: S is part of the pose vector. knows_symmetry: the category's group is
+    given when the samples are pooled."""
+
+    name: str
+    of_tool: bool = False
+    predicts_ambiguity: bool = False
+    knows_symmetry: bool = False
+
+    @property
+    def dim(self) -> int:
+        """Length of the pose vector."""
+        return 12 if self.predicts_ambiguity else 9
+
+
+COLUMNS = {
+    column.name: column
+    for column in (
+        Column("object-prior", of_tool=True),
+        Column("ee"),
+        Column("ee-symmetry-prior", knows_symmetry=True),
+        Column("symmetry-aware", predicts_ambiguity=True),
+    )
+}
+
+
+def column_of(estimator: str, name: str | None) -> Column | None:
+    """What a command asks for by --estimator and --column; None: not the paper's. Raises UserError where there is no
+    such column."""
+    if name is not None and (estimator != "paper" or name not in COLUMNS):
+        raise UserError(f"--column {name}: with --estimator paper one of {', '.join(COLUMNS)}")
+    return COLUMNS[name or "symmetry-aware"] if estimator == "paper" else None
+
+
+class PaperEstimator(CloudEstimator):
+    """Holds the network on one device. It has no confidence: every pose is usable."""
+
+    points, ordered, candidates = POINTS, ORDERED, 20
+    guesses = False
+
+    def __init__(self, net: PaperNet, column: Column, device: str = "cpu", sampler: Sampler | None = None) -> None:
+        """sampler: the paper's RK45 if None."""
+        self._net = net.to(device).eval()
+        self._device = torch.device(device)
+        self.column, self.of_tool = column, column.of_tool
+        self.process, self.sampler = PROCESS, sampler or Rk45()
+
+    @classmethod
+    def load(cls, weights_dir: Path, device: str = "cpu") -> PaperEstimator:
+        """From a training's folder. Raises AssetError."""
+        return cls(*load(weights_dir), device)
+
+    def radius(self, category: Category) -> float:
+        """See `CloudEstimator`."""
+        return OBJECT_RADIUS if self.column.of_tool else super().radius(category)
+
+    def infer(
+        self,
+        cloud: CanonicalCloud,
+        categories: list[Category],
+        direction: torch.Tensor,  # noqa: ARG002 - the paper's network does not know it
+        visible: Array,  # noqa: ARG002
+        generator: torch.Generator,
+        candidates: int,
+    ) -> list[PoseResult]:
+        """See `CloudEstimator.infer`."""
+        seen = in_camera(cloud)
+        feature = self._net.encode(seen.to(self._device))
+        noise = torch.randn(len(categories), candidates, self._net.dim, generator=generator).to(feature)
+        u = self.sampler(self.process, lambda u, t: self._net.score(feature, u, t), noise)
+        R, p, S = (x.double().cpu().numpy() for x in decode(u))
+        points = seen.double().cpu().numpy()
+        return [self._result(c, R[b], p[b], S[b].mean(0), points[b]) for b, c in enumerate(categories)]
+
+    def _result(self, category: Category, R: Array, p: Array, ambiguous: Array, points: Array) -> PoseResult:
+        group, index = category.symmetry, list(Category).index(category)
+        Xs = np.tile(np.eye(4), (len(R), 1, 1))
+        Xs[:, :3, :3], Xs[:, :3, 3] = R, p
+        if self.column.of_tool:
+            Xs = Xs @ self._net.X_tool_ee[index].double().cpu().numpy()
+        if self.column.of_tool or self.column.knows_symmetry:
+            ambiguous = class_ambiguity()[index].double().numpy()
+        X = mean_pose(Xs, group if self.column.knows_symmetry else None)
+        dp = Xs[:, :3, 3] - X[:3, 3]
+        w = Rotation.from_matrix(Xs[:, :3, :3] @ X[:3, :3].T).as_rotvec()
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3], covariance[3:, 3:] = dp.T @ dp / len(dp), w.T @ w / len(w)
+        spread = np.sqrt(np.trace(covariance[:3, :3])), np.sqrt(np.trace(covariance[3:, 3:]))
+        spin_observable = 1 - float(np.clip(ambiguous[int(np.argmax(group.axis))], 0, 1))
+        hypotheses = PoseHypotheses(Xs, points, float(spread[0]), float(spread[1]), spin_observable)
+        return PoseResult(category, X, covariance, 1.0, True, "ok", hypotheses, (1.0,), np.zeros(0), ambiguous)
+
+
+def in_camera(cloud: CanonicalCloud) -> torch.Tensor:
+    """The cloud's points (B, N, 3) [m] in the camera's frame: the paper does not centre them."""
+    return torch.einsum("bji,bnj->bni", cloud.R, cloud.points) + cloud.centre[:, None]
+
+
+def save(folder: Path, net: PaperNet, column: Column, report: dict[str, Any]) -> None:
+    """Write the weights and their description."""
+    weight_files.save_weights(folder, NAME, net.state_dict(), {"column": column.name, "report": report})
+
+
+def load(folder: Path) -> tuple[PaperNet, Column]:
+    """What `save` wrote (float32, eval mode, CPU). Raises AssetError."""
+    tensors, card = weight_files.load_weights(folder, NAME)
+    try:
+        column = COLUMNS[card["column"]]
+        net = PaperNet(column.dim)
+        net.load_state_dict(tensors)
+    except (KeyError, TypeError, RuntimeError) as error:
+        raise AssetError(f"the weights of the paper's estimator in {folder} are unreadable: {error}") from error
+    return net.requires_grad_(False).eval(), column

@@ -1,0 +1,227 @@
+"""One example from its seed: scene, rendering, sensor noise, masks and poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolee_robot.depth_noise import DepthNoise
+from toolee_robot.frames import Array, inverse
+from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, number_of
+from toolee_robot.perception.dataset.encoding.masks import pixels_of
+from toolee_robot.perception.dataset.instances import object_id
+from toolee_robot.perception.dataset.records import CATEGORIES, HEIGHT, MAX_EES, WIDTH, EeTable, Example
+from toolee_robot.perception.dataset.spec import CONFIGS, SPLITS, DatasetSpec
+from toolee_robot.perception.synthesis.hard import hard_scene
+from toolee_robot.perception.synthesis.paper import paper_scene
+from toolee_robot.perception.synthesis.placement import Pool, SceneSample
+from toolee_robot.perception.synthesis.station import station_scene
+from toolee_robot.render.renderer import Shot
+from toolee_robot.render.sensors.color_camera import Photo, photograph
+from toolee_robot.render.sensors.depth_camera import measure_depth
+from toolee_robot.tools import ee_radius
+from toolee_robot.types import CameraIntrinsics
+
+EMPTY_SHARE, STATION_SHARE = 0.10, 0.30
+_ATTEMPTS = 50
+
+
+@lru_cache(maxsize=2)
+def _pool(seed: int, block: int, split: str, catalogue: Catalogue) -> Pool:
+    return Pool.random(np.random.default_rng([seed, SPLITS.index(split), 0, block]), split, catalogue)
+
+
+@dataclass(frozen=True)
+class Series:
+    """What examples are drawn from; they depend on nothing else but their index.
+
+    split: "train" or "test" (held-out tools). block: so many consecutive examples share a dozen tools of the catalogue.
+    """
+
+    seed: int
+    split: str = "train"
+    config: str = "hard"
+    block: int = 32
+    catalogue: Catalogue = GENERATED
+
+
+def make_example(series: Series, index: int, device: str = "cpu") -> Example:
+    """Example `index` of a series, rendered on a device (see `render`)."""
+    taken = take_shot(series, index, device)
+    sample, shot, rng = taken.sample, taken.shot, taken.rng
+    ee, tool, full, table = taken.labels
+    if series.config == "hard":
+        exposure, automatic = float(rng.uniform(0.75, 1.35)), float(rng.uniform(0.3, 1.0))
+        depth, rgb = expose(shot, sample.intrinsics, exposure, automatic, rng)
+    else:
+        rgb, depth = shot.develop(exposure=1.0, auto_exposure=1.0).rgb.numpy(), shot.depth
+    depth_mm = np.minimum(depth * np.float32(1000.0) + np.float32(0.5), np.float32(65535.0)).astype(np.uint16)
+    return Example(rgb, depth_mm, ee, tool, table, sample.intrinsics, sample.kind, full)
+
+
+def expose(
+    shot: Shot, intrinsics: CameraIntrinsics, exposure: float, automatic: float, rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Depth (H, W) [m] and RGB (H, W, 3) of a random sensor and a random camera; the rest as `render` takes it."""
+    image = shot.develop(exposure=exposure, auto_exposure=automatic)
+    surface = (image.depth, image.cos_incidence, image.shininess)
+    depth = measure_depth(*surface, intrinsics, DepthNoise.random(rng), rng, shot.device)
+    return depth, photograph(image.rgb, Photo.random(rng), rng, shot.device)
+
+
+Labels = tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8], EeTable]
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """The scene of an example, what its camera sees of it (with labels), and the generator that camera and sensor
+    continue with."""
+
+    sample: SceneSample
+    shot: Shot
+    labels: Labels
+    rng: np.random.Generator
+
+
+def take_shot(series: Series, index: int, device: str = "cpu") -> Taken:
+    """Example `index` of a series before it is developed.
+
+    A scene with tools none of whose EEs is a target (`EeTable.targets`) is drawn again.
+    """
+    seed, split, config = series.seed, SPLITS.index(series.split), CONFIGS.index(series.config)
+    pool = _pool(series.seed, index // series.block, series.split, series.catalogue)
+    for attempt in range(_ATTEMPTS):
+        rng = np.random.default_rng([seed, split, 1, index, config, attempt])
+        sample = _SCENES[series.config](rng, pool)
+        shot = Shot(sample.scene, sample.intrinsics, sample.X_world_camera, device)
+        labels = label(sample, shot)
+        if not sample.tools or labels[3].targets.any():
+            break
+    return Taken(sample, shot, labels, rng)
+
+
+def examples_of(
+    spec: DatasetSpec, split: str, first: int, last: int, catalogue: Catalogue = GENERATED
+) -> Iterator[Example]:
+    """Examples first .. last - 1 of a split, one at a time."""
+    series = Series(spec.seed, split, spec.config, spec.scene_size, catalogue)
+    for i in range(first, last):
+        yield make_example(series, i, spec.device)
+
+
+def _hard_scene(rng: np.random.Generator, pool: Pool) -> SceneSample:
+    chance = rng.random()
+    if chance < EMPTY_SHARE:
+        return hard_scene(rng, pool, with_tools=False)
+    if chance < EMPTY_SHARE + STATION_SHARE:
+        for _ in range(20):
+            sample = station_scene(rng, pool)
+            if sample is not None:
+                return sample
+    return hard_scene(rng, pool)
+
+
+_SCENES: dict[str, Callable[[np.random.Generator, Pool], SceneSample]] = {
+    "paper": paper_scene,
+    "hard": _hard_scene,
+    "paper-claws": partial(paper_scene, claws=True),
+}
+
+
+def label(sample: SceneSample, shot: Shot) -> Labels:
+    """EE ids, tool ids, unoccluded EEs as bits (H, W) as in `Example`, and the table of the EEs, from a scene's exact
+    depth and body ids."""
+    depth, body_ids = shot.depth, shot.body_ids
+    tool_ids, ee_ids, full = (np.zeros(body_ids.shape, np.uint8) for _ in range(3))
+    tool_rows, tool_columns = pixels_of((body_ids >= 1) & (body_ids <= len(sample.tools)))
+    shown = body_ids[tool_rows, tool_columns]
+    tool_ids[tool_rows, tool_columns] = shown
+    table = EeTable.empty()
+    X_camera_world = inverse(sample.X_world_camera)
+    next_id = 1
+    for placed in sample.tools:
+        X_camera_tool = X_camera_world @ placed.X_world_tool
+        ees = placed.tool.ees[: MAX_EES + 1 - next_id]
+        Xs_camera_ee = [X_camera_tool @ ee.X_tool_ee for ee in ees]
+        reach = _Reach(Xs_camera_ee, np.array([ee_radius(ee.category) for ee in ees]), sample.circle)
+        of_tool = shown == placed.body_id
+        rows, columns, own = reach.within(depth, tool_rows[of_tool], tool_columns[of_tool], sample.intrinsics)
+        ee_ids[rows, columns] = next_id + own
+        visible = np.bincount(own, minlength=len(ees))
+        alone = _alone(shot, placed.body_id, reach, sample.intrinsics, full, next_id)
+        for k, ee in enumerate(ees):
+            row = next_id - 1 + k
+            table.category[row] = CATEGORIES.index(ee.category) + 1
+            table.tool[row] = placed.body_id
+            table.obj_id[row] = object_id(number_of(placed.tool), k)
+            table.X_camera_ee[row] = Xs_camera_ee[k]
+            table.X_camera_tool[row] = X_camera_tool
+            if placed.X_world_hand is not None:
+                table.X_camera_hand[row] = X_camera_world @ placed.X_world_hand
+            table.mirrored[row] = placed.mirrored
+            table.visible[row] = visible[k]
+            table.unoccluded[row] = alone[k]
+        next_id += len(ees)
+    return ee_ids, tool_ids, full, table
+
+
+class _Reach:
+    """What belongs to the EEs of one tool: its pixels within a sphere about the EE's origin, or within a circle."""
+
+    def __init__(self, Xs_camera_ee: list[Array], radii: Array, circle: float | None) -> None:
+        self.Xs_camera_ee, self.radii, self.circle = Xs_camera_ee, radii, circle
+
+    def within(
+        self,
+        depth: NDArray[np.float32],
+        rows: NDArray[np.int64],
+        columns: NDArray[np.int64],
+        intrinsics: CameraIntrinsics,
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Of the tool's pixels those that belong to an EE: rows, columns, and to which (the relatively nearer one)."""
+        K = intrinsics
+        if self.circle is None:
+            z = depth[rows, columns].astype(np.float64)
+            x, y = (columns - K.cx) / K.fx * z, (rows - K.cy) / K.fy * z
+            origins = [X[:3, 3].tolist() for X in self.Xs_camera_ee]
+            distances = [np.sqrt((x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2) for u, v, w in origins]
+            relative = np.stack([d / r for d, r in zip(distances, self.radii, strict=True)])
+        else:
+            centres = [X[:2, 3] / X[2, 3] * [K.fx, K.fy] + [K.cx, K.cy] for X in self.Xs_camera_ee]
+            relative = np.stack([np.hypot(columns - u, rows - v) for u, v in centres]) / self.circle
+        inside = np.flatnonzero(relative.min(axis=0) <= 1.0)
+        return rows[inside], columns[inside], relative[:, inside].argmin(axis=0)
+
+    def region(self, intrinsics: CameraIntrinsics) -> tuple[int, int, int, int] | None:
+        """x0, y0, x1, y1 [px] around the EEs, cut with the image; None where nothing is left."""
+        boxes = []
+        for X, radius in zip(self.Xs_camera_ee, self.radii, strict=True):
+            x, y, z = X[:3, 3]
+            if z < radius + 0.05:
+                return 0, 0, WIDTH, HEIGHT
+            # A little more than the sphere's outline, which perspective stretches off the axis.
+            half = 1.3 * radius * intrinsics.fx / (z - radius) if self.circle is None else self.circle + 1.0
+            u, v = intrinsics.fx * x / z + intrinsics.cx, intrinsics.fy * y / z + intrinsics.cy
+            boxes.append([u - half, v - half, u + half, v + half])
+        x0, y0 = np.floor(np.clip(np.min(boxes, axis=0)[:2], 0, [WIDTH, HEIGHT])).astype(int)
+        x1, y1 = np.ceil(np.clip(np.max(boxes, axis=0)[2:], 0, [WIDTH, HEIGHT])).astype(int)
+        return (int(x0), int(y0), int(x1), int(y1)) if x1 > x0 and y1 > y0 else None
+
+
+def _alone(
+    shot: Shot, body_id: int, reach: _Reach, K: CameraIntrinsics, full: NDArray[np.uint8], first_id: int
+) -> NDArray[np.int64]:
+    """How many pixels each EE's mask would have if nothing but its tool were there; sets their bits in `full`."""
+    region = reach.region(K)
+    if region is None:
+        return np.zeros(len(reach.radii), np.int64)
+    depth = shot.depth_of(body_id, region)
+    x0, y0, _, _ = region
+    shifted = CameraIntrinsics(K.fx, K.fy, K.cx - x0, K.cy - y0, depth.shape[1], depth.shape[0])
+    rows, columns, ees = reach.within(depth, *pixels_of(depth > 0), shifted)
+    full[y0 + rows, x0 + columns] |= (1 << (first_id - 1 + ees)).astype(np.uint8)
+    return np.bincount(ees, minlength=len(reach.radii))

@@ -1,0 +1,189 @@
+"""Generate a data set on several processes, or on a Ray cluster; the same bytes for any number of them.
+
+A run that was killed goes on where it stopped when it is started again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import shutil
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.perception.dataset.catalogue import GENERATED
+from toolee_robot.perception.dataset.custom_tools import OwnMesh
+from toolee_robot.perception.dataset.encoding.checksums import SUMS
+from toolee_robot.perception.dataset.index_files import Summary, finish, is_finished
+from toolee_robot.perception.dataset.instances import tool_path
+from toolee_robot.perception.dataset.models import write_models
+from toolee_robot.perception.dataset.scene_reader import read_json
+from toolee_robot.perception.dataset.scene_writer import json_by_line, write_scene
+from toolee_robot.perception.dataset.spec import DESCRIPTION, SPLITS, DatasetSpec, SceneJob
+from toolee_robot.perception.synthesis.bodies import forget_tools
+from toolee_robot.perception.synthesis.example import examples_of
+from toolee_robot.perception.synthesis.tool_cache import Shelf
+from toolee_robot.render.device import checked
+from toolee_robot.runtime.files import write_whole
+from toolee_robot.runtime.process_pool import WorkerPool
+
+T = TypeVar("T")
+Progress = Callable[[int, int], None]
+"""Called with the examples that are there and those wanted."""
+CLUSTERS = ("local", "ray")
+
+
+def generate(
+    spec: DatasetSpec,
+    out: Path,
+    workers: int = 1,
+    progress: Progress | None = None,
+    cluster: str = "local",
+    own: Sequence[OwnMesh] = (),
+) -> bool:
+    """Write the data set into the folder `out`; False if it was there already. Scenes that exist are kept.
+
+    own: the meshes of `spec.tools`. cluster: "local" for `workers` processes here; "ray" for as many on a Ray cluster,
+    whose machines share `out`. Raises UserError when `out` holds another data set or there is no such device,
+    TooleeError when a worker dies.
+    """
+    if workers < 1:
+        raise UserError(f"--workers {workers}: give 1 or more")
+    if cluster not in CLUSTERS:
+        raise UserError(f"--cluster {cluster}: choose one of {', '.join(CLUSTERS)}")
+    if cluster == "ray" and spec.device != "cpu":
+        raise UserError(f"--device {spec.device}: Ray gives its tasks no GPU unless they ask for it, choose cpu there")
+    checked(spec.device)
+    begin(spec, out, own)
+    if is_finished(out):
+        return False
+    jobs = spec.jobs()
+    todo = [job for job in jobs if not (job.folder(out) / SUMS).exists()]
+    done = spec.size - sum(job.last - job.first for job in todo)
+    if progress is not None:
+        progress(done, spec.size)
+    run: Callable[..., Generator[SceneJob]] = on_processes
+    if cluster == "ray":
+        from toolee_robot.perception.synthesis.cluster import on_ray
+
+        run = on_ray
+    waiting = deque(jobs)
+    with Summary(spec, out, out) as summary:
+        with contextlib.closing(run(partial(make_scene_folder, spec, out.resolve()), todo, workers)) as made:
+            for job in made:
+                done += job.last - job.first
+                if progress is not None:
+                    progress(done, spec.size)
+                # By what is seen of it: a folder that machines share may show a scene some time after it was made.
+                while waiting and (waiting[0].folder(out) / SUMS).exists():
+                    summary.add(waiting.popleft())
+        for job in waiting:
+            summary.add(job)
+    _clear(out)  # a killed run's workers outlive it by a moment
+    finish(out)
+    return True
+
+
+def begin(spec: DatasetSpec, out: Path, own: Sequence[OwnMesh] = ()) -> None:
+    """Make or check the folder, put a user's meshes into it, and clear away what a killed run left half done."""
+    try:
+        for split in SPLITS:
+            (out / split).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the folder {out}: {error}") from error
+    path = out / DESCRIPTION
+    wanted = spec.to_json()
+    if path.exists():
+        there = read_json(path)
+        if there != wanted:
+            differ = ", ".join(sorted(k for k in {*there, *wanted} if there.get(k) != wanted.get(k)))
+            raise UserError(f"{out} holds another data set (other {differ}): choose an empty folder")
+    elif any(p.name not in SPLITS for p in out.iterdir()) or any(any((out / s).iterdir()) for s in SPLITS):
+        raise UserError(f"{out} is not empty and no data set: choose another folder")
+    else:
+        write_whole(path, json_by_line(wanted))
+    _clear(out)
+    for tool in own:
+        path = tool_path(out, tool.record.name)
+        path.parent.mkdir(exist_ok=True)
+        write_whole(path, tool.ply)
+    for split in SPLITS:
+        for scene in (out / split).glob("[0-9]*"):
+            if not (scene / SUMS).exists():
+                shutil.rmtree(scene)
+
+
+def _clear(out: Path) -> None:
+    """Remove what killed processes left half written."""
+    for left in [*out.glob(".*.part"), *out.glob("*/.*.part")]:
+        if left.is_dir():
+            # Moved away before it is emptied: a worker that still writes there must fail, not finish what is half gone.
+            with contextlib.suppress(FileNotFoundError):
+                shutil.rmtree(left.rename(left.with_suffix(f".{os.getpid()}.gone.part")), ignore_errors=True)
+        else:
+            left.unlink(missing_ok=True)
+
+
+def make_scene_folder(spec: DatasetSpec, out: Path, job: SceneJob) -> SceneJob:
+    """Write one scene and the models of its tools."""
+    catalogue = spec.catalogue(out) if spec.tools else Shelf(GENERATED, out)
+    examples = examples_of(spec, job.split, job.first, job.last, catalogue)
+    write_scene(job.folder(out), examples, partial(write_models, out, catalogue), catalogue)
+    forget_tools()
+    return job
+
+
+def on_processes(make: Callable[[SceneJob], T], jobs: list[SceneJob], workers: int) -> Generator[T]:
+    """make(job) for every job on so many processes, as they are done.
+
+    Processes of their own, even a single one: it computes with one thread whatever this one was started with."""
+    if not jobs:
+        return
+    cores = multiprocessing.get_context("spawn").Queue()
+    for k in range(workers):
+        cores.put(k)
+    with _environment(ONE_THREAD), WorkerPool(min(workers, len(jobs)), _prepare, (cores,)) as pool:
+        futures = {pool.submit(make, job) for job in jobs}
+        try:
+            for future in as_completed(futures):
+                futures.discard(future)
+                yield future.result()
+        except BrokenProcessPool as error:
+            raise TooleeError(
+                "a worker process died (out of memory?): run the same command again, with fewer --workers; it resumes"
+            ) from error
+
+
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Embree and BLAS would each start a thread per core, and the workers fight over them."""
+
+
+@contextlib.contextmanager
+def _environment(variables: dict[str, str]) -> Iterator[None]:
+    """These environment variables, for the processes started inside."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name)
+            else:
+                os.environ[name] = value
+
+
+def _prepare(cores: multiprocessing.Queue[int]) -> None:
+    """Pin this worker to a core."""
+    number = cores.get()
+    if hasattr(os, "sched_setaffinity"):
+        own = sorted(os.sched_getaffinity(0))
+        with contextlib.suppress(OSError):  # some containers forbid it: then the workers are only slower
+            os.sched_setaffinity(0, {own[number % len(own)]})

@@ -1,0 +1,178 @@
+"""Where things stand in a synthetic scene: poses in front of a camera, on a table, in a hand; the pool of tools."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.frames import (
+    Array,
+    frame_from_axes,
+    inverse,
+    random_rotation,
+    rotation_z,
+    transform,
+    transform_points,
+)
+from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue
+from toolee_robot.perception.dataset.records import FARTHEST, HEIGHT, NEAREST, WIDTH
+from toolee_robot.perception.synthesis.bodies import Grasp, random_grasp
+from toolee_robot.perception.synthesis.surfaces import Surfaces
+from toolee_robot.render import Scene
+from toolee_robot.tools import ToolShape
+from toolee_robot.types import CameraIntrinsics, Category
+
+_GRASP_RADII = (0.006, 0.009, 0.012, 0.0145, 0.017, 0.021)
+_GRASPS_EACH = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Pool:
+    """The tools and grasps that one scene folder's examples draw from: making them costs more than rendering them, so
+    they are made when first drawn and kept. tools: their numbers in the catalogue."""
+
+    catalogue: Catalogue
+    tools: tuple[int, ...]
+    surfaces: Surfaces
+    _grasp_seed: int
+    _grasps: dict[int, Grasp]
+
+    @staticmethod
+    def random(rng: np.random.Generator, split: str, catalogue: Catalogue = GENERATED) -> Pool:
+        """Tools and surfaces of a split, "train" or "test" (held out)."""
+        return Pool(catalogue, catalogue.pool(rng, split), Surfaces(split), int(rng.integers(2**31)), {})
+
+    def tool(self, rng: np.random.Generator) -> ToolShape:
+        """Any tool of the pool."""
+        return self._any(self.tools, rng)
+
+    def tool_with(self, ee: Category, rng: np.random.Generator) -> ToolShape:
+        """Any tool of the pool that has such an EE, or any tool where none has."""
+        such = [n for n in self.tools if ee in self.catalogue.categories(n)]
+        return self._any(such or self.tools, rng)
+
+    def _any(self, numbers: Sequence[int], rng: np.random.Generator) -> ToolShape:
+        return self.catalogue.tool(numbers[int(rng.integers(len(numbers)))])
+
+    def grasp(self, tool: ToolShape, rng: np.random.Generator) -> Grasp:
+        """A grasp made for about the radius of the tool's handle."""
+        radius = tool.handle.grip_radius
+        nearest = int(np.argmin(np.abs(np.asarray(_GRASP_RADII) - radius)))
+        return self._grasp(nearest * _GRASPS_EACH + int(rng.integers(_GRASPS_EACH)))
+
+    def any_grasp(self, rng: np.random.Generator) -> Grasp:
+        """A grasp of whatever radius."""
+        return self._grasp(int(rng.integers(len(_GRASP_RADII) * _GRASPS_EACH)))
+
+    def _grasp(self, number: int) -> Grasp:
+        if number not in self._grasps:
+            rng = np.random.default_rng([self._grasp_seed, number])
+            self._grasps[number] = random_grasp(_GRASP_RADII[number // _GRASPS_EACH], rng)
+        return self._grasps[number]
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedTool:
+    """X_world_tool; X_world_hand or None; body_id: the tool's id (1..3) in the images."""
+
+    tool: ToolShape
+    X_world_tool: Array
+    X_world_hand: Array | None
+    mirrored: bool
+    body_id: int
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSample:
+    """A scene to be rendered, and what is in it. kind: index in `records.SCENES`. circle: an EE is what its tool shows
+    within this many pixels of the EE's origin, instead of within `ee_radius`; None for the latter."""
+
+    scene: Scene
+    intrinsics: CameraIntrinsics
+    X_world_camera: Array
+    tools: tuple[PlacedTool, ...]
+    kind: int
+    circle: float | None = None
+
+
+def random_intrinsics(rng: np.random.Generator) -> CameraIntrinsics:
+    """Focal length 0.6 to 1.3 image widths (a third: a Kinect v2's), the centre a little off."""
+    f = 365.5 * np.exp(rng.normal(0.0, 0.01)) if rng.random() < 0.33 else WIDTH * rng.uniform(0.6, 1.3)
+    cx, cy = rng.normal([WIDTH / 2 - 0.5, HEIGHT / 2 - 0.5], [8.0, 8.0])
+    return CameraIntrinsics(float(f), float(f), float(cx), float(cy), WIDTH, HEIGHT)
+
+
+def look(position: Array, target: Array, roll: float) -> Array:
+    """X_world_camera (OpenCV axes) at `position`, looking at `target`, image up towards world z, rolled [rad]."""
+    z = np.asarray(target) - np.asarray(position)
+    right = np.cross(z, [0.0, 0.0, 1.0])
+    if np.linalg.norm(right) < 1e-6 * np.linalg.norm(z):
+        right = np.array([1.0, 0.0, 0.0])
+    return frame_from_axes(z=z, x=right, p=position) @ transform(rotation_z(roll))
+
+
+def ray(intrinsics: CameraIntrinsics, pixel: Array) -> Array:
+    """(3,) with z = 1, camera frame, through the pixel (x, y)."""
+    x, y = pixel
+    return np.array([(x - intrinsics.cx) / intrinsics.fx, (y - intrinsics.cy) / intrinsics.fy, 1.0])
+
+
+def random_pixel(rng: np.random.Generator, margin: float = 0.08) -> Array:
+    """(x, y) uniform in the image less a margin [share of the side]; negative margins reach outside."""
+    return rng.uniform([margin * WIDTH, margin * HEIGHT], [(1 - margin) * WIDTH, (1 - margin) * HEIGHT])
+
+
+def tool_in_view(tool: ToolShape, intrinsics: CameraIntrinsics, rng: np.random.Generator) -> Array:
+    """X_camera_tool: any orientation, with one of its EEs (or, a quarter of the time, its grip) at a pixel of the
+    image, 0.4 to 1.1 m away."""
+    R = random_rotation(rng)
+    anchor = np.zeros(3)
+    if rng.random() < 0.75:
+        anchor = tool.ees[int(rng.integers(len(tool.ees)))].X_tool_ee[:3, 3]
+    p = ray(intrinsics, random_pixel(rng)) * rng.uniform(NEAREST, FARTHEST)
+    return transform(R, p - R @ anchor)
+
+
+def lying(tool: ToolShape, point: Array, rng: np.random.Generator) -> Array:
+    """X_world_tool of a tool that lies flat on a horizontal plane at `point` (3,), on one of its four sides."""
+    quarter = Rotation.from_euler("z", int(rng.integers(4)) * np.pi / 2)
+    R = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)) * Rotation.from_euler("y", np.pi / 2) * quarter
+    X = transform(R, point)
+    X[2, 3] += point[2] - transform_points(X, np.asarray(tool.mesh.vertices))[:, 2].min() + 0.0005
+    return X
+
+
+def on_plane(
+    intrinsics: CameraIntrinsics,
+    X_world_camera: Array,
+    height: float,
+    pixel: Array,
+    nearest: float = 0.3,
+    farthest: float = 1.6,
+) -> Array | None:
+    """(3,) where the ray through the pixel meets the plane z = height, `nearest` to `farthest` [m] deep, or None."""
+    direction = X_world_camera[:3, :3] @ ray(intrinsics, pixel)
+    if direction[2] > -1e-3:
+        return None
+    depth = (height - X_world_camera[2, 3]) / direction[2]
+    if not nearest < depth < farthest:
+        return None
+    return np.asarray(X_world_camera[:3, 3] + depth * direction)
+
+
+def sees_an_ee(tool: ToolShape, X_camera_tool: Array, intrinsics: CameraIntrinsics) -> bool:
+    """Whether the origin of one of the tool's EEs is in the image and 0.4 to 1.1 m away."""
+    for ee in tool.ees:
+        x, y, z = (X_camera_tool @ ee.X_tool_ee)[:3, 3]
+        u, v = intrinsics.fx * x / z + intrinsics.cx, intrinsics.fy * y / z + intrinsics.cy
+        if NEAREST < z < FARTHEST and 0 <= u < WIDTH and 0 <= v < HEIGHT:
+            return True
+    return False
+
+
+def X_world_hand_of(X_world_tool: Array, X_hand_tool: Array) -> Array:
+    """The palm's pose from the tool's."""
+    return X_world_tool @ inverse(X_hand_tool)

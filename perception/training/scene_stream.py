@@ -1,0 +1,79 @@
+"""The scenes of a data set for a training, decoded while it runs and as they appear."""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+from collections import deque
+from concurrent.futures import Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+from toolee_robot.errors import TooleeError
+from toolee_robot.perception.dataset.scene_reader import load_scenes, scene_folders
+from toolee_robot.perception.training.labelled_images import SegmentationImages
+from toolee_robot.runtime.process_pool import WorkerPool
+
+_DECODERS = 8
+"""Processes that decode images, at most."""
+
+
+class SceneStream:
+    """The scenes of part (i, n) of a split's folder, in order, each decoded by a process of its own once it is there.
+
+    Training can begin while `toolee dataset generate` still writes.
+    """
+
+    def __init__(self, folder: Path, part: tuple[int, int] = (0, 1)) -> None:
+        self._folder, self._part = folder, part
+        self._decoded: queue.SimpleQueue[SegmentationImages | TooleeError] = queue.SimpleQueue()
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    def take(self, timeout: float = 0.0) -> list[SegmentationImages]:
+        """What has been decoded since the last call, waiting up to `timeout` [s] for the first. Raises AssetError
+        naming a broken file, TooleeError when a process was killed."""
+        images: list[SegmentationImages] = []
+        while True:
+            try:
+                item = self._decoded.get(timeout=timeout) if timeout > 0 and not images else self._decoded.get_nowait()
+            except queue.Empty:
+                return images
+            if isinstance(item, TooleeError):
+                raise item
+            images.append(item)
+
+    def close(self) -> None:
+        """Stop watching."""
+        self._closed.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        workers = max(1, min(_DECODERS, (os.cpu_count() or 1) // (2 * self._part[1])))
+        seen: set[Path] = set()
+        todo: deque[Path] = deque()
+        running: deque[Future[SegmentationImages]] = deque()
+        # Processes: threads would take turns with training for the interpreter's lock.
+        with WorkerPool(workers) as pool:
+            while not self._closed.is_set():
+                if not todo:
+                    fresh = [p for p in scene_folders(self._folder) if int(p.name) % self._part[1] == self._part[0]]
+                    todo.extend(p for p in fresh if p not in seen)
+                    seen.update(todo)
+                while todo and len(running) < 2 * workers:
+                    running.append(pool.submit(load_scenes, [todo.popleft()], threads=1))
+                if not running:
+                    self._closed.wait(0.5)
+                elif wait([running[0]], 0.5).done:
+                    self._decoded.put(_outcome(running.popleft()))
+
+
+def _outcome(decoded: Future[SegmentationImages]) -> SegmentationImages | TooleeError:
+    try:
+        return decoded.result()
+    except TooleeError as error:
+        return error
+    except BrokenProcessPool:
+        return TooleeError("a process that decodes images was killed, perhaps for want of memory: use --resume")

@@ -1,0 +1,96 @@
+"""Weights on disk: safetensors shards under 16 MiB each, in half precision, with a JSON file beside them.
+
+`NAME-00001-of-00002.safetensors`, `NAME-00002-of-00002.safetensors` and `NAME.json` (architecture, training
+configuration, log). Nothing is ever fetched from a network.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+
+from toolee_robot.errors import AssetError
+
+WEIGHTS_DIR = Path(__file__).resolve().parent / "weights"
+_TRAINED_BY = {"segmentation": "detection.train", "refinement": "detection.refiner.train"}
+SHARD_BYTES = 15 * 1024 * 1024
+"""Largest shard [byte]: small files travel, and are reviewed and stored, more easily."""
+
+
+def save_weights(directory: Path, name: str, tensors: dict[str, torch.Tensor], description: dict[str, Any]) -> None:
+    """Write `tensors` in half precision (integers as they are) as shards of `name`, and `description` as JSON.
+
+    Older shards of the same name are removed. Raises AssetError on a tensor that is not finite in half precision.
+    """
+    half = {key: _half(key, value) for key, value in tensors.items()}
+    shards: list[dict[str, torch.Tensor]] = [{}]
+    size = 0
+    for key, value in half.items():
+        n = value.numel() * value.element_size()
+        if size + n > SHARD_BYTES and shards[-1]:
+            shards.append({})
+            size = 0
+        shards[-1][key] = value
+        size += n
+    directory.mkdir(parents=True, exist_ok=True)
+    for old in directory.glob(f"{name}-*-of-*.safetensors"):
+        old.unlink()
+    for i, shard in enumerate(shards):
+        save_file(shard, directory / f"{name}-{i + 1:05d}-of-{len(shards):05d}.safetensors")
+    (directory / f"{name}.json").write_text(json.dumps(description, indent=1) + "\n")
+
+
+def load_weights(directory: Path | None, name: str) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    """Tensors (floating ones as float32) and description of `name` in `directory` (the shipped one if None).
+
+    Raises AssetError that names the file that is missing or unreadable.
+    """
+    directory = WEIGHTS_DIR if directory is None else directory
+    path = directory / f"{name}.json"
+    try:
+        description = json.loads(path.read_text())
+    except OSError as error:
+        raise AssetError(
+            f"weight description {path} is missing: reinstall the package, or train with "
+            f"`toolee train {name}` and pass its output folder"
+        ) from error
+    except ValueError as error:
+        raise AssetError(f"weight description {path} is not valid JSON: fetch the file again ({error})") from error
+    shards = sorted(directory.glob(f"{name}-*-of-*.safetensors"))
+    count = int(shards[0].stem.rsplit("-of-", 1)[1]) if shards else 1
+    tensors: dict[str, torch.Tensor] = {}
+    for i in range(count):
+        shard = directory / f"{name}-{i + 1:05d}-of-{count:05d}.safetensors"
+        if not shard.is_file():
+            raise AssetError(f"weight file {shard} is missing: reinstall the package or fetch the file again")
+        try:
+            tensors.update(load_file(shard))
+        except (SafetensorError, OSError) as error:
+            raise AssetError(f"weight file {shard} is unreadable: fetch the file again ({error})") from error
+    return {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}, description
+
+
+def load_into(network: torch.nn.Module, tensors: dict[str, torch.Tensor], what: str) -> None:
+    """Put weights into a network, called `what` in errors. Raises AssetError if they do not fit it."""
+    try:
+        missing, unexpected = network.load_state_dict(tensors, strict=False)
+    except RuntimeError as error:
+        raise AssetError(f"the {what}'s weights do not fit its architecture, fetch them again: {error}") from error
+    missing = [name for name in missing if not name.endswith("num_batches_tracked")]
+    if missing or unexpected:
+        raise AssetError(f"the {what}'s weights are incomplete, fetch them again: {(missing + unexpected)[:5]}")
+
+
+def _half(name: str, value: torch.Tensor) -> torch.Tensor:
+    value = value.detach().cpu().contiguous()
+    if not value.is_floating_point():
+        return value
+    half = value.half()
+    if not torch.isfinite(half).all():
+        raise AssetError(f"weight {name} is not finite in half precision: the training run diverged")
+    return half

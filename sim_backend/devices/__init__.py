@@ -1,0 +1,1 @@
+"""The simulated devices behind the hardware abstraction: arm, hand, camera, operator, clock."""

@@ -1,0 +1,123 @@
+"""The simulated RGB-D camera: the world's visual bodies in a laboratory, through the renderer and the sensor model."""
+
+from __future__ import annotations
+
+import zlib
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from toolee_robot.config import CameraConfig
+from toolee_robot.depth_noise import DepthNoise
+from toolee_robot.errors import DeviceError, StaleDataError
+from toolee_robot.hal import Clock
+from toolee_robot.render.lab import laboratory
+from toolee_robot.render.material import Material
+from toolee_robot.render.palette import finish
+from toolee_robot.render.renderer import render
+from toolee_robot.render.scene import Body, Rendering, Scene
+from toolee_robot.render.sensors.color_camera import Photo, photograph
+from toolee_robot.render.sensors.depth_camera import measure_depth
+from toolee_robot.sim_backend.visuals.visual_body import VisualBody, VisualWorld
+from toolee_robot.types import CameraIntrinsics, RgbdFrame
+
+_ROOM_ID = 0
+
+
+class SimCamera:
+    """A `hal.RgbdCamera` on a simulated world. One frame each `period` [s] of simulated time: a second `read` at the
+    same instant sleeps on the station's clock until the next frame is exposed.
+
+    seed: decides the room, the surfaces' patterns and the noise; the same seed and the same calls give the same
+    frames. Faults to be had: `freeze`, `repeat`, blinded (no depth anywhere); `thaw` ends them.
+    """
+
+    def __init__(
+        self,
+        world: VisualWorld,
+        clock: Clock,
+        config: CameraConfig,
+        seed: int = 0,
+        noise: DepthNoise | None = None,
+        photo: Photo | None = None,
+        period: float = 1 / 30,
+    ) -> None:
+        self._world, self._clock, self._config = world, clock, config
+        self._noise = DepthNoise() if noise is None else noise
+        self._photo = Photo() if photo is None else photo
+        self._period = period
+        self._seed = seed
+        self._room = laboratory(np.random.default_rng([seed, 1]), _ROOM_ID)
+        self._rng = np.random.default_rng([seed, 2])
+        self._materials: dict[str, Material] = {}
+        self._last: RgbdFrame | None = None
+        self._open = True
+        self._frozen, self._repeats, self.blinded = False, False, False
+
+    def __enter__(self) -> Self:
+        self._open = True
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open = False
+
+    @property
+    def intrinsics(self) -> CameraIntrinsics:
+        return self._config.intrinsics
+
+    def freeze(self) -> None:
+        """Stop exposing, as a camera with a pulled cable: from now on `read` has only old frames to offer."""
+        self._frozen = True
+
+    def repeat(self) -> None:
+        """From now on `read` gives the newest frame again and again, as a driver that has lost its camera."""
+        self._repeats = True
+
+    def thaw(self) -> None:
+        """Expose again."""
+        self._frozen, self._repeats, self.blinded = False, False, False
+
+    def read(self, max_age: float = 0.5) -> RgbdFrame:
+        """A frame exposed now. Raises StaleDataError after `freeze`, DeviceError when the camera is closed."""
+        if not self._open:
+            raise DeviceError("the camera is closed: read inside its `with` block")
+        if self._frozen:
+            self._clock.sleep(max_age)
+            newest = "none at all" if self._last is None else f"{self._clock.now() - self._last.stamp:.2f} s old"
+            raise StaleDataError(
+                f"the camera gave no new frame within {max_age:.2f} s (newest: {newest}); check its cable and driver"
+            )
+        if self._repeats and self._last is not None:
+            return self._last
+        now = self._clock.now()
+        if self._last is not None and now < self._last.stamp + self._period:
+            self._clock.sleep(self._last.stamp + self._period - now)
+            now = max(self._clock.now(), np.nextafter(self._last.stamp, np.inf))
+        rendering = self.render()
+        depth = measure_depth(
+            rendering.depth, rendering.cos_incidence, rendering.shininess, self.intrinsics, self._noise, self._rng
+        )
+        if self.blinded:
+            depth = np.zeros_like(depth)
+        frame = RgbdFrame(photograph(rendering.rgb, self._photo, self._rng), depth, self.intrinsics, float(now))
+        self._last = frame
+        return frame
+
+    def render(self) -> Rendering:
+        """The world as it is now without sensor noise, with the world's body ids: ground truth, for the judge."""
+        bodies = [*self._room.bodies, *(self._body(v) for v in self._world.visual_bodies())]
+        scene = Scene(bodies, self._room.lights, self._room.environment)
+        return render(scene, self.intrinsics, self._config.X_base_camera, auto_exposure=0.7)
+
+    def _body(self, visual: VisualBody) -> Body:
+        material = self._materials.get(visual.name)
+        if material is None:
+            rng = np.random.default_rng([self._seed, 3, zlib.crc32(visual.name.encode())])
+            material = finish(
+                visual.finish, visual.color, visual.roughness, visual.metallic, rng, axis=visual.grain_axis
+            )
+            self._materials[visual.name] = material
+        return Body(visual.mesh, visual.X_base_body, material, visual.body_id)

@@ -1,0 +1,222 @@
+"""The simulated hand: closes by finger contact, then holds with the assisted grip."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from toolee_robot.errors import DeviceError, StaleDataError
+from toolee_robot.frames import inverse
+from toolee_robot.hal import HandState
+from toolee_robot.robots import PALM
+from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.grip import AssistedGrip, GripLimits
+from toolee_robot.sim_backend.world import NORMAL, SimWorld
+from toolee_robot.types import JointState
+
+TICK = 0.01  # [s]
+ROOM_TEMPERATURE = 24.0  # [deg C]
+CLOSING_SPEED = 4.0  # [rad/s] of the targets
+LEAD = 0.25  # [rad] by which a target runs ahead of a joint that is blocked: enough for full torque
+STILL = 0.05  # [rad/s]
+STILL_TIME = 0.05  # [s] of standing still that counts as blocked
+PHASE_TIME = 0.8  # [s] at most for one group of joints: one that still creeps then presses on while the next closes
+CONTACT_FORCE = 0.3  # [N] that counts as a touch
+AVERAGE_TIME = 0.06  # [s] over which the finger forces are averaged before the grip begins
+
+
+class SimHand:
+    """A `hal.Hand` that moves the simulated hand. The wrist holds its rest pose with its limited torque.
+
+    Faults to be had: `cut_link`; hangs (motions time out), temperature, fault (see `hal.HandState`); `recover` ends
+    them all.
+    """
+
+    def __init__(self, world: SimWorld, friction: float) -> None:
+        self._world = world
+        self._friction = friction
+        self._robot = world.robot.robot
+        self._model = self._robot.hand
+        self._target = world.robot.q_hand_target.copy()
+        self._holding_forces: dict[str, float] | None = None
+        self._open_device = True
+        self.temperature, self.fault = ROOM_TEMPERATURE, ""
+        self.hangs = False
+        self._last: HandState | None = None  # the newest state that arrived, while the link is down
+
+    def __enter__(self) -> Self:
+        self._open_device = True
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+        self._open_device = False
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return self._robot.hand_joints
+
+    def state(self, max_age: float = 0.1) -> HandState:
+        """The present state. Raises StaleDataError once the link is down for longer than max_age [s]."""
+        self._check_open()
+        if self._last is None:
+            return self._read()
+        age = self._world.time - self._last.joints.stamp
+        if age > max_age:
+            raise StaleDataError(f"the hand's newest state is {age:.2f} s old: check its cable, then start again")
+        return self._last
+
+    def cut_link(self) -> None:
+        """From now on the hand's states do not arrive any more, as with a pulled cable; it keeps its grip."""
+        self._last = self._read()
+
+    def restore_link(self) -> None:
+        """They arrive again."""
+        self._last = None
+
+    def recover(self) -> None:
+        """Everything is as it should be again."""
+        self.restore_link()
+        self.hangs = False
+        self.temperature, self.fault = ROOM_TEMPERATURE, ""
+
+    def _read(self) -> HandState:
+        q, qd = self._world.robot.hand_state()
+        grip = self._world.grip
+        assisted = grip is not None and grip.holding
+        if assisted and self._holding_forces is not None:
+            forces, holding = dict(self._holding_forces), True
+        else:
+            forces, links = self._contact_forces()
+            assisted, holding = False, self._touches_enough(forces, links)
+        joints = JointState(q, qd, self._world.time)
+        return HandState(joints, forces, holding, assisted, self.temperature, self.fault)
+
+    def open(self, timeout: float = 5.0) -> None:
+        """Let go and spread the fingers."""
+        self._check_open()
+        self._check_moves(timeout)
+        if self._world.grip is not None:
+            self._world.grip.release()
+        self._holding_forces = None
+        goal = self._robot.hand_open
+        for joints in reversed(self._model.closing_order):
+            self._move(joints, goal, timeout)
+
+    def close(self, timeout: float = 5.0) -> None:
+        """Close until the fingers hold or are shut. Where thumb and fingers hold something, the grip begins."""
+        self._check_open()
+        self._check_moves(timeout)
+        goal = self._robot.hand_closed
+        end = self._world.time + timeout
+        for joints in self._model.closing_order:
+            self._move(joints, goal, end - self._world.time)
+        self._hold()
+
+    def stop(self) -> None:
+        """Freeze the fingers; a grip stays."""
+        if self._open_device and self._world.grip is None:
+            q = self._world.robot.hand_state()[0]
+            # A finger that presses keeps pressing: its target stays ahead by what gives the present force.
+            ahead = np.clip(self._target - q, -LEAD, LEAD)
+            self._target = q + ahead
+            self._world.robot.command_hand(self._target)
+
+    def _check_open(self) -> None:
+        if not self._open_device:
+            raise DeviceError("the hand is closed: use it inside its `with` block")
+
+    def _check_moves(self, timeout: float) -> None:
+        if self.hangs:
+            self._world.advance(timeout)
+            raise DeviceError(f"the hand did not move within {timeout:.1f} s; it stays as it is, its grip too")
+
+    def _move(self, joints: tuple[str, ...], goal: np.ndarray, timeout: float) -> None:
+        """Move some joints to their goals, or as far as they get. Raises DeviceError on time-out; targets stay."""
+        index = np.array(self._model.index(joints))
+        began = self._world.time
+        end = began + timeout
+        still = 0.0
+        while True:
+            q, qd = self._world.robot.hand_state()
+            arrived = np.abs(goal[index] - q[index]) < 0.03
+            if np.all(arrived | (np.abs(qd[index]) < STILL)):
+                still += TICK
+            else:
+                still = 0.0
+            if np.all(arrived) or still >= STILL_TIME or self._world.time >= began + PHASE_TIME:
+                return
+            if self._world.time >= end:
+                raise DeviceError("the hand did not finish its motion in time; it stays as it is, its grip too")
+            step = np.clip(goal[index] - self._target[index], -CLOSING_SPEED * TICK, CLOSING_SPEED * TICK)
+            self._target[index] = q[index] + np.clip(self._target[index] + step - q[index], -LEAD, LEAD)
+            self._world.robot.command_hand(self._target)
+            self._world.advance(TICK)
+
+    def _contact_forces(self) -> tuple[dict[str, float], set[str]]:
+        """Normal force [N] between hand and tool by finger and "palm", and the links that touch."""
+        forces = self._no_forces()
+        links: set[str] = set()
+        world = self._world
+        names = {index: name for name, index in world.robot.link_index.items()}
+        for contact in pb.getContactPoints(bodyA=world.robot.body, bodyB=world.tool.body, physicsClientId=world.client):
+            name = names.get(contact[3], "")
+            if name in self._model.tree.by_name and contact[9] > 0:
+                forces[self._model.part_of(name)] += float(contact[9])
+                if contact[9] > CONTACT_FORCE:
+                    links.add(name)
+        return forces, links
+
+    def _no_forces(self) -> dict[str, float]:
+        return dict.fromkeys((*(finger.name for finger in self._model.fingers), PALM), 0.0)
+
+    def _touches_enough(self, forces: dict[str, float], links: set[str]) -> bool:
+        opposing = self._model.opposing.name
+        others = [link for link in links if self._model.part_of(link) not in (opposing, PALM)]
+        return forces[opposing] > CONTACT_FORCE and len(others) >= self._model.holding_links
+
+    def _hold(self) -> None:
+        """Begin the assisted grip if thumb and fingers hold the tool by contact."""
+        world = self._world
+        if world.grip is not None and world.grip.holding:
+            return
+        total = self._no_forces()
+        links: set[str] = set()
+        n = round(AVERAGE_TIME / TICK)
+        for _ in range(n):
+            world.advance(TICK)
+            forces, touching = self._contact_forces()
+            links |= touching
+            for name, force in forces.items():
+                total[name] += force / n
+        if not self._touches_enough(total, links):
+            return
+        total = {name: min(force, self._model.finger_force) for name, force in total.items()}
+        self._holding_forces = total
+        fingers = sum(force for name, force in total.items() if name != PALM)
+        X_hand_tool = inverse(world.X_base_hand()) @ world.X_base_tool()
+        # The grip's centre: the point of the handle's axis abreast of the palm's middle.
+        along = (self._model.grasp.p[0] - X_hand_tool[0, 3]) / X_hand_tool[0, 2]
+        z = float(np.clip(along, world.tool.tool.handle.z_min + 0.02, world.tool.tool.handle.z_max - 0.02))
+        p_hand_grip = X_hand_tool[:3, 3] + z * X_hand_tool[:3, 2]
+        radius = float(np.mean(world.tool.tool.handle.radii_at(z)))
+        world.ignore_collisions(world.robot.body, world.tool.body)
+        # Loads pass through the palm from now on: the fingers only keep up what presses, at the torques they had.
+        self._target = world.robot.hand_state()[0]
+        wrist = self._model.wrist_index
+        self._target[wrist] = self._robot.hand_closed[wrist]
+        world.robot.command_hand(self._target)
+        world.grip = AssistedGrip(
+            world.client,
+            world.robot.body,
+            world.robot.palm,
+            world.tool.body,
+            inverse(world.tool.X_tool_inertial),
+            p_hand_grip,
+            GripLimits.from_contact(fingers, self._friction, radius),
+            NORMAL.time_step,
+        )

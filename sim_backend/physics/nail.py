@@ -1,0 +1,197 @@
+"""A nail in wood, in pybullet: it yields to blows against the wood's resistance, bends when hit badly, ends flush.
+
+The nail slides along its axis on a prismatic joint whose motor holds velocity 0 with a force limited to the wood's
+resistance at the present depth: the solver's own Coulomb law, stable where an explicit force diverges. Two hinges
+at the wood's surface hold with the shank's plastic moment: a lateral or eccentric blow beyond it bends the nail for
+good. The nail's 20 g is more than a real nail's (about 2 g): the solver needs the mass ratio. Call `before_step`
+before every step, and step with `impact.IMPACT` while a fast body is near (`impact_near`); nothing but blows moves it.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.frames import Array, transform
+from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.wood import NailSpec, resistance
+
+IMPACT_DISTANCE = 0.006  # [m] between a body and the nail's head at which the impact window opens
+HEAD_HEIGHT = 0.006  # [m] of the head's collision shape: pybullet's contacts with a 1 mm disc are off by up to 0.6 mm
+LUMPED_MASS = 0.020  # [kg]
+STUCK_MASS = 100.0  # [kg] between blows
+STOP_FORCE = 1e6  # [N] once the head's top is level with the wood
+BENT_ANGLE = np.deg2rad(10.0)
+HINGE_MASS, HINGE_INERTIA = 1e-3, 1e-7  # [kg], [kg m^2]: what the hinges' massless frames weigh
+HINGE_X, HINGE_Y, SLIDE = 0, 1, 2
+
+
+class NailOutcome(StrEnum):
+    """standing: to be driven. flush: the head is down. bent: leans by more than 10 deg."""
+
+    STANDING = "standing"
+    FLUSH = "flush"
+    BENT = "bent"
+
+
+class Nail:
+    """A nail in the pybullet world `client`.
+
+    X_world_nail: 4x4, the head's top before the first blow, z into the wood. wood: body the nail is driven into, which
+    then does not collide with the nail; None if there is none. flush_protrusion [m]: of the outcome.
+    X_world_surface: where the nail enters the wood, z into it.
+    """
+
+    def __init__(
+        self,
+        client: int,
+        X_world_nail: Array,
+        spec: NailSpec | None = None,
+        wood: int | None = None,
+        flush_protrusion: float = 0.001,
+    ) -> None:
+        self.spec = spec = spec or NailSpec()
+        self.flush_protrusion = flush_protrusion
+        self._client = client
+        self.X_world_surface = X_world_nail @ transform(p=[0.0, 0.0, spec.protrusion])
+        self.body = self._create()
+        if wood is not None:
+            for link in range(-1, 3):
+                pb.setCollisionFilterPair(self.body, wood, link, -1, 0, physicsClientId=client)
+        self._set_for: tuple[float, bool, float] | None = None
+        self._struck = True
+        self._kept: list[float] | None = None
+        self.before_step(0.0)
+
+    def _create(self) -> int:
+        spec, client = self.spec, self._client
+        shank = spec.protrusion - spec.head_thickness
+        grey = [0.62, 0.62, 0.66, 1.0]
+        head = pb.createCollisionShape(
+            pb.GEOM_CYLINDER,
+            radius=spec.head_diameter / 2,
+            height=HEAD_HEIGHT,
+            collisionFramePosition=[0, 0, -spec.protrusion + HEAD_HEIGHT / 2],
+            physicsClientId=client,
+        )
+        visual = pb.createVisualShapeArray(
+            shapeTypes=[pb.GEOM_CYLINDER, pb.GEOM_CYLINDER],
+            radii=[spec.head_diameter / 2, spec.diameter / 2],
+            lengths=[spec.head_thickness, shank],
+            visualFramePositions=[[0, 0, -spec.protrusion + spec.head_thickness / 2], [0, 0, -shank / 2]],
+            rgbaColors=[grey, grey],
+            physicsClientId=client,
+        )
+        X = self.X_world_surface
+        body = pb.createMultiBody(
+            baseMass=0.0,
+            basePosition=X[:3, 3],
+            baseOrientation=Rotation.from_matrix(X[:3, :3]).as_quat(),
+            linkMasses=[HINGE_MASS, HINGE_MASS, LUMPED_MASS],
+            linkCollisionShapeIndices=[-1, -1, head],
+            linkVisualShapeIndices=[-1, -1, visual],
+            linkPositions=[[0, 0, 0]] * 3,
+            linkOrientations=[[0, 0, 0, 1]] * 3,
+            linkInertialFramePositions=[[0, 0, 0], [0, 0, 0], [0, 0, -spec.protrusion]],
+            linkInertialFrameOrientations=[[0, 0, 0, 1]] * 3,
+            linkParentIndices=[0, 1, 2],
+            linkJointTypes=[pb.JOINT_REVOLUTE, pb.JOINT_REVOLUTE, pb.JOINT_PRISMATIC],
+            linkJointAxis=[[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+            physicsClientId=client,
+        )
+        for link, inertia in ((HINGE_X, HINGE_INERTIA), (HINGE_Y, HINGE_INERTIA), (SLIDE, 10 * HINGE_INERTIA)):
+            pb.changeDynamics(
+                body,
+                link,
+                localInertiaDiagonal=[inertia] * 3,
+                linearDamping=0.0,
+                angularDamping=0.0,
+                jointDamping=0.0,
+                restitution=0.0,
+                lateralFriction=0.4,
+                physicsClientId=client,
+            )
+        return int(body)
+
+    def _hold(self, joint: int, limit: float) -> None:
+        pb.setJointMotorControl2(
+            self.body, joint, pb.VELOCITY_CONTROL, targetVelocity=0.0, force=limit, physicsClientId=self._client
+        )
+
+    def before_step(self, dt: float, struck: bool = True) -> None:
+        """Set the motors' limits for the step of `dt` [s] to come: the wood's resistance at the present depth and
+        the plastic moment. The world calls it before each step, once the engine has that step's length (pybullet
+        stores a motor's limit as an impulse). The step that would end below the wood's surface is not made.
+        struck: False while no blow is under way: the nail is then stuck, and heavy. As it is, it would creep under a
+        pressing hammer: the solver's few iterations cannot weigh an arm against 20 g and a limited motor (45 N at
+        1/1000 s: 9 mm in half a second into wood that resists 120 N)."""
+        if struck != self._struck:
+            self._struck = struck
+            self._set_mass(LUMPED_MASS if struck else STUCK_MASS)
+        travel, speed = pb.getJointState(self.body, SLIDE, physicsClientId=self._client)[:2]
+        protrusion = self.spec.protrusion - travel
+        fast = not struck or protrusion - max(speed, 0.0) * dt <= 0.0
+        if (protrusion, fast, dt) == self._set_for:
+            return
+        self._set_for = (protrusion, fast, dt)
+        self._hold(SLIDE, STOP_FORCE if fast else resistance(self.spec, protrusion))
+        for hinge in (HINGE_X, HINGE_Y):
+            self._hold(hinge, self.spec.plastic_moment if struck else STOP_FORCE)
+
+    def _set_mass(self, mass: float) -> None:
+        pb.changeDynamics(
+            self.body,
+            SLIDE,
+            mass=mass,
+            localInertiaDiagonal=[10 * HINGE_INERTIA * mass / LUMPED_MASS] * 3,
+            physicsClientId=self._client,
+        )
+
+    def impact_near(self, body: int, link: int = -1) -> bool:
+        """Whether `body` is so close to the nail's head that steps must be those of `impact.IMPACT`."""
+        near = pb.getClosestPoints(
+            body, self.body, IMPACT_DISTANCE, linkIndexA=link, linkIndexB=SLIDE, physicsClientId=self._client
+        )
+        return len(near) > 0
+
+    def _joint(self, joint: int) -> float:
+        return float(pb.getJointState(self.body, joint, physicsClientId=self._client)[0])
+
+    @property
+    def protrusion(self) -> float:
+        """Length [m] of the nail over the wood, along its axis."""
+        return self.spec.protrusion - self._joint(SLIDE)
+
+    @property
+    def depth(self) -> float:
+        """Length [m] of the nail in the wood."""
+        return self.spec.length - self.protrusion
+
+    @property
+    def bend_angle(self) -> float:
+        """Angle [rad] between the nail and the direction it was started in."""
+        return float(np.arccos(np.cos(self._joint(HINGE_X)) * np.cos(self._joint(HINGE_Y))))
+
+    @property
+    def resistance(self) -> float:
+        """Force [N] that would drive the nail further now."""
+        return resistance(self.spec, self.protrusion)
+
+    def head_pose(self) -> Array:
+        """X_world_nail now, 4x4."""
+        # Asked for at every step of a blow: written out, Rx(a) Ry(b) and then up along the nail.
+        a, b, up = self._joint(HINGE_X), self._joint(HINGE_Y), -self.protrusion
+        sa, ca, sb, cb = np.sin(a), np.cos(a), np.sin(b), np.cos(b)
+        x, y, z = (cb, sa * sb, -ca * sb), (0.0, ca, sa), (sb, -sa * cb, ca * cb)
+        X = np.eye(4)
+        X[:3, 0], X[:3, 1], X[:3, 2], X[:3, 3] = x, y, z, np.multiply(z, up)
+        return self.X_world_surface @ X
+
+    @property
+    def outcome(self) -> NailOutcome:
+        """What has become of the nail."""
+        if self.bend_angle > BENT_ANGLE:
+            return NailOutcome.BENT
+        return NailOutcome.FLUSH if self.protrusion <= self.flush_protrusion else NailOutcome.STANDING

@@ -1,0 +1,126 @@
+"""The robot in pybullet: joint motors that follow commands with bounded torque, and a force sensor at the flange."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from toolee_robot.frames import Array
+from toolee_robot.robots import RobotDescription
+from toolee_robot.sim_backend.physics.bullet import pb
+
+ARM_GAIN = 100.0  # [1/s] of the arm's position loop
+FINGER_GAIN = 20.0  # [1/s]
+WRIST_GAIN = 12.0  # [1/s]: a wrist that gave way in a blow comes back without a second blow
+
+
+class RobotBody:
+    """Arm and hand as one pybullet body, fixed at the world's origin (`base`).
+
+    Commands are targets; `before_step(dt)` turns them into motor settings of the step to come. Between two commands of
+    the arm its target moves on with the commanded velocity.
+    """
+
+    def __init__(self, client: int, robot: RobotDescription, q_arm: Array, q_hand: Array) -> None:
+        self.robot = robot
+        self._client = client
+        self.body = int(
+            pb.loadURDF(
+                str(robot.urdf_path), useFixedBase=True, flags=pb.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client
+            )
+        )
+        infos = [pb.getJointInfo(self.body, i, physicsClientId=client) for i in range(self._joint_count())]
+        joint_index = {info[1].decode(): i for i, info in enumerate(infos)}
+        self.link_index = {info[12].decode(): i for i, info in enumerate(infos)}
+        self._arm = [joint_index[name] for name in robot.arm_joints]
+        self._hand = [joint_index[name] for name in robot.hand_joints]
+        self.palm = self.link_index[robot.hand_frame]
+        self.sensor_link = self.link_index[robot.hand.tree.links[0].name]  # the joint of the hand's mount
+        self._arm_effort = robot.effort[:6].tolist()
+        self.hand_effort = robot.effort[6:].copy()
+        self._hand_gain = np.full(len(robot.hand_joints), FINGER_GAIN)
+        for i, joint in enumerate(robot.hand.wrist):
+            self.hand_effort[i] = min(self.hand_effort[i], joint.torque)
+            self._hand_gain[i] = WRIST_GAIN
+        for link in range(-1, len(infos)):
+            pb.changeDynamics(
+                self.body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, restitution=0.0,
+                lateralFriction=0.8, maxJointVelocity=20.0, physicsClientId=client,
+            )  # fmt: skip
+        for index, value in zip([*self._arm, *self._hand], [*q_arm, *q_hand], strict=True):
+            pb.resetJointState(self.body, index, float(value), physicsClientId=client)
+        pb.enableJointForceTorqueSensor(self.body, self.sensor_link, True, physicsClientId=client)
+        self.q_arm_target, self.qd_arm_target = np.array(q_arm, dtype=float), np.zeros(6)
+        self.q_hand_target = np.array(q_hand, dtype=float)
+        self._since_command = 0.0
+        self._hand_set_for = 0.0
+
+    def _joint_count(self) -> int:
+        return int(pb.getNumJoints(self.body, physicsClientId=self._client))
+
+    def command_arm(self, q: Array, qd: Array) -> None:
+        """Follow q (6,) [rad], moving on with qd (6,) [rad/s] until the next command."""
+        self.q_arm_target, self.qd_arm_target = np.array(q, dtype=float), np.array(qd, dtype=float)
+        self._since_command = 0.0
+
+    def command_hand(self, q: Array) -> None:
+        """Hold q (n,) [rad] with the hand's limited torques."""
+        self.q_hand_target = np.array(q, dtype=float)
+        self._hand_set_for = 0.0
+
+    def before_step(self, dt: float) -> None:
+        """Set the motors for a step of dt [s]."""
+        self._since_command += dt
+        # The target at the end of the step: the motor's law is a velocity of gain * error + feed-forward.
+        q = self.q_arm_target + self.qd_arm_target * self._since_command
+        self._set(self._arm, q, self.qd_arm_target, self._arm_effort, np.full(6, ARM_GAIN * dt))
+        if self._hand_set_for != dt:
+            self._hand_set_for = dt
+            zeros = np.zeros(len(self._hand))
+            self._set(self._hand, self.q_hand_target, zeros, self.hand_effort.tolist(), self._hand_gain * dt)
+
+    def _set(self, joints: list[int], q: Array, qd: Array, effort: list[float], gains: Array) -> None:
+        pb.setJointMotorControlArray(
+            self.body,
+            joints,
+            pb.POSITION_CONTROL,
+            targetPositions=q.tolist(),
+            targetVelocities=qd.tolist(),
+            forces=effort,
+            positionGains=gains.tolist(),
+            velocityGains=[1.0] * len(joints),
+            physicsClientId=self._client,
+        )
+
+    def arm_state(self) -> tuple[Array, Array]:
+        """Measured q, qd (6,)."""
+        return self._state(self._arm)
+
+    def hand_state(self) -> tuple[Array, Array]:
+        """Measured q, qd (n,)."""
+        return self._state(self._hand)
+
+    def _state(self, joints: list[int]) -> tuple[Array, Array]:
+        states = pb.getJointStates(self.body, joints, physicsClientId=self._client)
+        return np.array([s[0] for s in states]), np.array([s[1] for s in states])
+
+    def link_pose(self, link: int) -> Array:
+        """X_base_link, 4x4, of the link's URDF frame."""
+        state = pb.getLinkState(self.body, link, physicsClientId=self._client)
+        X = np.eye(4)
+        X[:3, :3] = np.array(pb.getMatrixFromQuaternion(state[5])).reshape(3, 3)
+        X[:3, 3] = state[4]
+        return X
+
+    def sensor_reaction(self) -> Array:
+        """Wrench (6,) of the joint at the hand's mount in the last step, along the principal axes of the hand's
+        root link, at its centre of mass: what the arm must exert on the hand."""
+        return np.array(pb.getJointState(self.body, self.sensor_link, physicsClientId=self._client)[2])
+
+    def sensor_motion(self) -> tuple[Array, Array, Array, Array]:
+        """The hand's root link in `base`: its pose (4x4), centre of mass, angular velocity, and that centre's
+        velocity."""
+        state = pb.getLinkState(self.body, self.sensor_link, computeLinkVelocity=1, physicsClientId=self._client)
+        X = np.eye(4)
+        X[:3, :3] = np.array(pb.getMatrixFromQuaternion(state[5])).reshape(3, 3)
+        X[:3, 3] = state[4]
+        return X, np.array(state[0]), np.array(state[7]), np.array(state[6])

@@ -1,0 +1,121 @@
+"""The station's devices and ground truth on a world in another process, behind the same Protocols as the direct ones.
+
+The arm is not among them: it is driven through the controller stand-in, as a real one is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+from toolee_robot.config import SIMULATED, StationConfig
+from toolee_robot.frames import Array
+from toolee_robot.hal import Arm, Clock, HandState, Station
+from toolee_robot.robots import load_robot
+from toolee_robot.sim_backend.devices.camera import SimCamera
+from toolee_robot.sim_backend.ground_truth.verdict import BlowTruth, Verdict
+from toolee_robot.sim_backend.visuals.scene import SceneState, SceneVisuals
+from toolee_robot.tools import Tool
+from toolee_robot.types import InHandEstimate
+
+
+class Caller(Protocol):
+    """Who passes requests on to the world: a `RemoteWorld`."""
+
+    def call(self, name: str, *arguments: Any, lasting: float = 0.0) -> Any:
+        """The answer; lasting [s] is what it may take at most."""
+        ...
+
+
+class RemoteHand:
+    """A `hal.Hand`: the simulated hand in the world's process."""
+
+    def __init__(self, world: Caller, joint_names: tuple[str, ...]) -> None:
+        self._world = world
+        self._joint_names = joint_names
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return self._joint_names
+
+    def state(self, max_age: float = 0.1) -> HandState:
+        state: HandState = self._world.call("hand.state", max_age)
+        return state
+
+    def open(self, timeout: float = 5.0) -> None:
+        self._world.call("hand.open", timeout, lasting=timeout)
+
+    def close(self, timeout: float = 5.0) -> None:
+        self._world.call("hand.close", timeout, lasting=timeout)
+
+    def stop(self) -> None:
+        self._world.call("hand.stop")
+
+
+class RemotePerson:
+    """A `hal.Person`: the simulated one."""
+
+    def __init__(self, world: Caller) -> None:
+        self._world = world
+
+    def request_handover(self, prompt: str, timeout: float) -> bool:
+        return bool(self._world.call("person.request_handover", prompt, timeout, lasting=timeout))
+
+    def release(self, prompt: str, timeout: float) -> bool:
+        return bool(self._world.call("person.release", prompt, timeout, lasting=timeout))
+
+    def take_tool(self, prompt: str, timeout: float) -> bool:
+        return bool(self._world.call("person.take_tool", prompt, timeout, lasting=timeout))
+
+    def confirm_swing(self, prompt: str, timeout: float) -> bool:
+        return bool(self._world.call("person.confirm_swing", prompt, timeout, lasting=timeout))
+
+    def inside(self) -> bool:
+        return bool(self._world.call("person.inside"))
+
+    def attending(self) -> bool:
+        return bool(self._world.call("person.attending"))
+
+
+class RemoteJudge:
+    """A `Truth`: the judge in the world's process. Its stamps are on the world's clock."""
+
+    def __init__(self, world: Caller) -> None:
+        self._world = world
+
+    @property
+    def blows(self) -> tuple[BlowTruth, ...]:
+        blows: tuple[BlowTruth, ...] = self._world.call("judge.blows")
+        return blows
+
+    def X_hand_ee(self, stamp: float) -> Array:
+        X: Array = self._world.call("judge.X_hand_ee", stamp)
+        return X
+
+    def verdict(self, estimates: Sequence[tuple[float, InHandEstimate]] = ()) -> Verdict:
+        verdict: Verdict = self._world.call("judge.verdict", list(estimates))
+        return verdict
+
+
+def remote_station(world: Caller, config: StationConfig, seed: int, tool: Tool, arm: Arm, clock: Clock) -> Station:
+    """A station on `world`; the camera renders in this process, so that the controller's ticks go on meanwhile.
+
+    tool: the one that the seed hands over. clock: the world's and the arm's.
+    """
+
+    def state() -> SceneState:
+        now: SceneState = world.call("scene")
+        return now
+
+    hand = RemoteHand(world, load_robot(config.arm.model, config.arm.calibration, config.hand.model).hand_joints)
+    camera = SimCamera(SceneVisuals(config, tool, seed, state), clock, config.camera, seed)
+    return Station(arm, hand, camera, RemotePerson(world), clock, SIMULATED, SIMULATED)

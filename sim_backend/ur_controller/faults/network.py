@@ -1,0 +1,118 @@
+"""Faults of the network, whatever goes over it."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import Field
+
+from toolee_robot.errors import UserError
+from toolee_robot.sim_backend.ur_controller.faults.hooks import Count, HookGroup, Seconds, hook
+from toolee_robot.sim_backend.ur_controller.server.link import Connection, LinkFaults
+
+if TYPE_CHECKING:
+    from toolee_robot.sim_backend.ur_controller.controller import Controller
+    from toolee_robot.sim_backend.ur_controller.server.port import Port
+
+
+class NetworkFaults(HookGroup):
+    def __init__(self, controller: Controller) -> None:
+        self._controller, self._clock = controller, controller.clock
+        self._reopen: dict[str, float] = {}  # port -> time [s]
+
+    def step(self) -> None:
+        """A refused port opens again."""
+        now = self._clock.now()
+        for name in [name for name, due in self._reopen.items() if now >= due]:
+            del self._reopen[name]
+            self._controller.ports[name].listen()
+
+    def down(self) -> None:
+        """Nobody listens, and every connection is reset."""
+        for port in self._controller.ports.values():
+            port.refuse()
+            port.drop(reset=True)
+        self._reopen.clear()
+
+    def up(self) -> None:
+        for port in self._controller.ports.values():
+            port.listen()
+
+    def end(self) -> None:
+        self._controller.frozen_until = 0.0
+        self._reopen.clear()
+        for port in self._controller.ports.values():
+            port.faults.__dict__.update(LinkFaults().__dict__)
+        self.up()
+        for connection in self._connections("all"):
+            if connection.half_open:
+                connection.close(reset=True)
+
+    @hook
+    def drop(self, port: str = "all", reset: bool = False) -> None:
+        """Close the connections, with FIN or, if reset, RST."""
+        for found in self._ports(port):
+            found.drop(reset)
+
+    @hook
+    def refuse(self, port: str = "all", seconds: Seconds | None = None) -> None:
+        """Refuse new connections, for so long or until `accept`; open ones stay."""
+        for found in self._ports(port):
+            found.refuse()
+            self._reopen.pop(found.name, None)
+            if seconds is not None:
+                self._reopen[found.name] = self._clock.now() + seconds
+
+    @hook
+    def accept(self, port: str = "all") -> None:
+        """Accept new connections again."""
+        for found in self._ports(port):
+            self._reopen.pop(found.name, None)
+            found.listen()
+
+    @hook
+    def stall(self, seconds: Seconds, port: str = "all") -> None:
+        """The network is stuck: nothing goes in or out; afterwards everything arrives in one burst."""
+        for found in self._ports(port):
+            found.faults.stalled_until = time.monotonic() + self._clock.wall(seconds)
+
+    @hook
+    def freeze(self, seconds: Seconds) -> None:
+        """The controller's loop stands still: no ticks, no answers, no motion."""
+        self._controller.frozen_until = self._clock.now() + seconds
+
+    @hook
+    def delay(self, seconds: Seconds, port: str = "all") -> None:
+        """Everything sent arrives so much later; 0 ends it."""
+        for found in self._ports(port):
+            found.faults.delay = self._clock.wall(seconds)
+
+    @hook
+    def half_open(self, port: str = "all") -> None:
+        """The present connections go dead without being closed: nothing is read or sent any more."""
+        for connection in self._connections(port):
+            connection.half_open = True
+
+    @hook
+    def truncate(self, bytes: Count, port: str = "rtde") -> None:
+        """The next send on the port loses everything after its first so many bytes."""
+        for found in self._ports(port):
+            found.faults.truncate = bytes
+
+    @hook
+    def coalesce(self, sends: Annotated[int, Field(ge=1, le=1000)], port: str = "rtde") -> None:
+        """So many sends leave as one; 1 ends it."""
+        for found in self._ports(port):
+            found.faults.coalesce = sends
+
+    def _ports(self, name: str) -> list[Port]:
+        ports = self._controller.ports
+        if name == "all":
+            return list(ports.values())
+        if name not in ports:
+            raise UserError(f"no port {name!r}: choose one of all, {', '.join(ports)}")
+        return [ports[name]]
+
+    def _connections(self, name: str) -> list[Connection]:
+        return [connection for port in self._ports(name) for connection, _ in port.clients]

@@ -1,0 +1,173 @@
+"""Faults of the robot: its program, its safety system, its arm, and who it says it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from pydantic import Field
+
+from toolee_robot.sim_backend.ur_controller.faults.hooks import Count, HookGroup, Seconds, Six, Three, hook
+from toolee_robot.sim_backend.ur_controller.faults.network import NetworkFaults
+from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
+from toolee_robot.sim_backend.ur_controller.robot.safety import UNLOCK_DELAY, RobotMode
+from toolee_robot.sim_backend.ur_controller.robot_system import Identity
+
+if TYPE_CHECKING:
+    from toolee_robot.sim_backend.ur_controller.controller import Controller
+
+
+class RobotFaults(HookGroup):
+    def __init__(self, controller: Controller, network: NetworkFaults) -> None:
+        self._controller, self._network, self._clock = controller, network, controller.clock
+        self._robot = controller.robot
+        self._force_until = np.inf
+        self._boot_until: float | None = None
+        self._power_after_boot = False
+
+    def step(self) -> None:
+        """A force goes away, a reboot is done."""
+        now = self._clock.now()
+        if now >= self._force_until:
+            self._robot.plant.external_force = np.zeros(6)
+            self._force_until = np.inf
+        if self._boot_until is not None and now >= self._boot_until:
+            self._boot_until = None
+            self._robot.safety.robot_mode = RobotMode.RUNNING if self._power_after_boot else RobotMode.POWER_OFF
+            self._network.up()
+
+    def end(self) -> None:
+        options, robot = self._controller.options, self._robot
+        robot.program.stop()
+        robot.program.rejections, robot.program.start_delay = 0, 0.0
+        robot.plant.external_force = np.zeros(6)
+        self._force_until, self._boot_until = np.inf, None
+        robot.joint_offset = np.zeros(6)
+        nominal = MODELS[options.model]
+        robot.identity = Identity.of(nominal)
+        robot.calibrate(nominal)
+        robot.machine.speed_fraction = options.speed_slider
+        robot.safety.remote = options.remote
+        robot.safety.restore()
+
+    # -- the program
+
+    @hook
+    def reject_script(self, count: Count = 1) -> None:
+        """The next so many scripts are thrown away."""
+        self._robot.program.rejections = count
+
+    @hook
+    def slow_start(self, seconds: Seconds) -> None:
+        """Scripts start so long after their upload; 0 ends it."""
+        self._robot.program.start_delay = seconds
+
+    # -- safety
+
+    @hook
+    def protective_stop(self, reason: str = "fault port") -> None:
+        self._robot.safety.protective_stop(reason)
+
+    @hook
+    def unlock(self) -> None:
+        """A person releases a protective stop at the pendant; the wait of 5 s is taken as over."""
+        self._robot.safety.age(UNLOCK_DELAY)
+        self._robot.safety.unlock()
+
+    @hook
+    def emergency_stop(self, pressed: bool = True, system: bool = False) -> None:
+        """Press the button, or pull it out (the arm is off then: power on and release the brakes)."""
+        if pressed:
+            self._robot.safety.emergency_stop(system)
+        else:
+            self._robot.safety.release_emergency_stop()
+
+    @hook
+    def safeguard_stop(self, active: bool = True) -> None:
+        """Break the light curtain, or close it (a paused program stays paused)."""
+        if active:
+            self._robot.safety.safeguard_stop()
+        else:
+            self._robot.safety.release_safeguard_stop()
+
+    @hook
+    def safety_fault(self, violation: bool = False) -> None:
+        """FAULT or VIOLATION, which `restart safety` ends."""
+        self._robot.safety.fault(violation)
+
+    @hook
+    def remote(self, remote: bool) -> None:
+        """e-Series: remote or local control."""
+        self._robot.safety.remote = remote
+
+    # -- the arm
+
+    @hook
+    def force(self, wrench: Six, seconds: Seconds | None = None) -> None:
+        """An extra wrench on the flange [N, Nm], base axes, for so long or until the next one."""
+        self._robot.plant.external_force = np.array(wrench)
+        self._force_until = np.inf if seconds is None else self._clock.now() + seconds
+
+    @hook
+    def joint_offset(self, offset: Six) -> None:
+        """Added to the measured joints [rad]: a tracking error."""
+        self._robot.joint_offset = np.array(offset)
+
+    @hook
+    def payload(self, mass: Annotated[float, Field(ge=0.0, le=50.0)], cog: Three) -> None:
+        """Someone sets another payload [kg] and centre of gravity [m] at the pendant."""
+        machine = self._robot.machine
+        machine.payload, machine.payload_cog = mass, np.array(cog)
+        machine.plant.set_payload(mass, np.array(cog))
+
+    @hook
+    def tcp(self, pose: Six) -> None:
+        """Someone sets another TCP at the pendant: position [m], rotation vector [rad]."""
+        self._robot.machine.tcp = np.array(pose)
+
+    @hook
+    def speed_slider(self, fraction: Annotated[float, Field(ge=0.0, le=1.0)]) -> None:
+        self._robot.machine.speed_fraction = fraction
+
+    # -- who it says it is
+
+    @hook
+    def version(
+        self, version: Annotated[list[Annotated[int, Field(ge=0, lt=2**31)]], Field(min_length=4, max_length=4)]
+    ) -> None:
+        """The controller reports this software version; its behaviour stays."""
+        major, minor, bugfix, build = version
+        self._robot.identity.version = (major, minor, bugfix, build)
+
+    @hook
+    def model(self, name: str) -> None:
+        """The dashboard reports this model."""
+        self._robot.identity.model = name
+
+    @hook
+    def serial(self, number: str) -> None:
+        """The dashboard reports this serial number."""
+        self._robot.identity.serial = number
+
+    @hook
+    def kinematics(self, a: Six, d: Six) -> None:
+        """This arm's DH parameters differ from the nominal ones by so much [m]: in what it reports, with another
+        checksum, and in its own kinematics."""
+        nominal = MODELS[self._controller.options.model]
+        self._robot.calibrate(
+            replace(
+                nominal,
+                a=tuple(x + dx for x, dx in zip(nominal.a, a, strict=True)),
+                d=tuple(x + dx for x, dx in zip(nominal.d, d, strict=True)),
+            )
+        )
+
+    @hook
+    def reboot(self, seconds: Seconds = 1.0, powered: bool = False) -> None:
+        """The controller restarts: connections are reset, nobody listens for so long, the program and the registers
+        are lost, and the arm is off afterwards unless `powered`."""
+        self._network.down()
+        self._robot.reboot()
+        self._robot.safety.robot_mode = RobotMode.BOOTING
+        self._boot_until, self._power_after_boot = self._clock.now() + seconds, powered

@@ -1,0 +1,211 @@
+"""Motions of the TCP in the controller's base frame: lines, arcs, speeds, stopping.
+
+Their accelerations are the TCP's; of the joints only the speeds are bounded. Where a joint would have to be faster, as
+near a singularity, the motion ends with a protective stop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import acos, pi, sqrt
+
+import numpy as np
+
+from toolee_robot.frames import Array
+from toolee_robot.sim_backend.ur_controller.robot import poses
+from toolee_robot.sim_backend.ur_controller.robot.kinematics import chain, forward, inverse
+from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.motion import Brake, Motion, MotionError, Move, Trapezoid, approach
+
+DAMPING = 1e-4  # of the inverse Jacobian: exact to 1e-6 except within a hair of a singularity
+SINGULAR = 1.0 + 1e-3  # joint speeds over their limit by more than rounding end a motion
+
+
+def joint_speeds(model: ControllerModel, q: Array, X_flange_tcp: Array, twist: Array) -> Array:
+    """qd (6,) [rad/s] that gives the TCP the twist (6,) [m/s], [rad/s] in base axes."""
+    links = chain(model, q)
+    J = links.jacobian((links.X_base_flange @ X_flange_tcp)[:3, 3])
+    return np.asarray(np.linalg.solve(J.T @ J + DAMPING**2 * np.eye(6), J.T @ twist), dtype=np.float64)
+
+
+def tcp_twist(model: ControllerModel, q: Array, X_flange_tcp: Array, qd: Array) -> Array:
+    """(6,) [m/s], [rad/s] of the TCP in base axes."""
+    links = chain(model, q)
+    return links.jacobian((links.X_base_flange @ X_flange_tcp)[:3, 3]) @ qd
+
+
+def _possible(model: ControllerModel, qd: Array) -> Array:
+    over = np.abs(qd) / np.array(model.velocity)
+    if over.max() > SINGULAR:
+        joint = int(over.argmax())
+        raise MotionError(f"joint {joint} would have to turn at {abs(qd[joint]):.1f} rad/s: near a singularity?")
+    return qd
+
+
+class StopL(Brake):
+    """`stopl`: as `Brake`, the TCP slowing down at deceleration [m/s^2], or [rad/s^2] when it only turns.
+
+    No joint slows down faster than the model's acceleration.
+    """
+
+    def __init__(self, model: ControllerModel, X_flange_tcp: Array, deceleration: float) -> None:
+        super().__init__(deceleration)
+        self._model, self._X_flange_tcp = model, X_flange_tcp
+
+    def speed(self, q: Array, qd: Array) -> float:
+        twist = tcp_twist(self._model, q, self._X_flange_tcp, qd)
+        speed = max(float(np.linalg.norm(twist[:3])), float(np.linalg.norm(twist[3:])))
+        return max(speed, super().speed(q, qd) * self._deceleration / self._model.acceleration)
+
+
+class SpeedL(Motion):
+    """`speedl`: to the TCP's twist_goal (6,) [m/s], [rad/s], base axes. acceleration [m/s^2], turning [rad/s^2]."""
+
+    def __init__(
+        self, model: ControllerModel, X_flange_tcp: Array, twist_goal: Array, acceleration: float, turning: float
+    ) -> None:
+        super().__init__()
+        self._model, self._X_flange_tcp, self._goal = model, X_flange_tcp, twist_goal
+        self._acceleration, self._turning = acceleration, turning
+        self._twist: Array | None = None
+
+    def reached(self) -> bool:
+        return self._twist is not None and bool(np.all(self._twist == self._goal))
+
+    def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:
+        if self._twist is None:
+            full = qd * (dt / scaled) if scaled > 1e-3 * dt else np.zeros(6)
+            self._twist = tcp_twist(self._model, q, self._X_flange_tcp, full)
+        linear = _towards(self._twist[:3], self._goal[:3], self._acceleration * dt)
+        angular = approach(self._twist[3:], self._goal[3:], self._turning * dt)
+        self._twist = np.concatenate([linear, angular])
+        qd_next = joint_speeds(self._model, q, self._X_flange_tcp, self._twist)
+        return _possible(self._model, qd_next) * scaled
+
+
+class ServoC(Motion):
+    """`servoc`: the TCP goes straight to a pose, without a stop when the pose changes on the way.
+
+    speed [m/s] and acceleration [m/s^2], of a turn [rad/s] and [rad/s^2]. blend [m]: finished when so near.
+    """
+
+    def __init__(
+        self,
+        model: ControllerModel,
+        X_flange_tcp: Array,
+        X_base_goal: Array,
+        acceleration: float,
+        speed: float,
+        blend: float,
+    ) -> None:
+        super().__init__()
+        self._model, self._X_flange_tcp, self._goal = model, X_flange_tcp, X_base_goal
+        self._acceleration, self._speed, self._blend = acceleration, speed, blend
+
+    def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:
+        X = forward(self._model, q) @ self._X_flange_tcp
+        way = poses.difference(X, self._goal)
+        now = tcp_twist(self._model, q, self._X_flange_tcp, qd)
+        change = self._acceleration * dt
+        twist = np.empty(6)
+        for part in (slice(0, 3), slice(3, 6)):
+            distance = float(np.linalg.norm(way[part]))
+            most = min(self._speed * scaled / dt, sqrt(2 * self._acceleration * distance + change**2 / 4) - change / 2)
+            wanted = way[part] * min(1.0 / dt, most / distance) if distance > 1e-12 else np.zeros(3)
+            twist[part] = _towards(now[part], wanted, change)
+        near = float(np.linalg.norm(way[:3]))
+        at_rest = max(near, float(np.linalg.norm(way[3:]))) < 1e-6
+        self.done = near < self._blend or at_rest
+        return _possible(self._model, joint_speeds(self._model, q, self._X_flange_tcp, twist)) * dt
+
+
+def _towards(value: Array, goal: Array, most: float) -> Array:
+    """value moved towards goal, by the length `most` at most."""
+    way = goal - value
+    length = float(np.linalg.norm(way))
+    return goal if length <= most else value + way * (most / length)
+
+
+Path = tuple[Callable[[float], Array], float]
+"""X_base_tcp (4x4) at a length on the way, and the whole length: [m], or [rad] where the TCP turns more than it
+goes."""
+
+
+def line(X_from: Array, X_to: Array) -> Path:
+    """Straight, turning evenly."""
+    twist = poses.difference(X_from, X_to)
+    length = max(float(np.linalg.norm(twist[:3])), float(np.linalg.norm(twist[3:])))
+    return (lambda s: poses.moved(X_from, twist * (s / length)) if length > 0.0 else X_to), length
+
+
+def arc(X_from: Array, via: Array, X_to: Array, fixed: bool) -> Path:
+    """On the circle through via (3,) [m]; turning evenly, or with `fixed` keeping its orientation to the circle.
+
+    Three points on a line give the line. Raises MotionError when the end is the start.
+    """
+    a, b, c = X_from[:3, 3], np.asarray(via), X_to[:3, 3]
+    normal = np.cross(b - a, c - a)
+    if np.linalg.norm(normal) < 1e-9:
+        if np.linalg.norm(c - a) < 1e-9:
+            raise MotionError("movec: the way ends where it starts")
+        return line(X_from, X_to)
+    square = float(normal @ normal)
+    centre = a + np.cross(normal, b - a) * ((c - a) @ (c - a)) / (2 * square)
+    centre += np.cross(c - a, normal) * ((b - a) @ (b - a)) / (2 * square)
+    axis, first, last = normal / sqrt(square), a - centre, c - centre
+    radius = float(np.linalg.norm(first))
+    angle = acos(max(-1.0, min(1.0, float(first @ last) / radius**2)))
+    if np.cross(first, last) @ axis < 0.0:
+        angle = 2 * pi - angle
+    turn = poses.difference(X_from, X_to)[3:]
+
+    def at(s: float) -> Array:
+        share = s / (radius * angle)
+        R = poses.rotation(axis * (angle * share))
+        X = X_from.copy()
+        X[:3, 3] = centre + R @ first
+        X[:3, :3] = (R if fixed else poses.rotation(turn * share)) @ X_from[:3, :3]
+        return X
+
+    return at, radius * angle
+
+
+class PathMove(Move):
+    """`movel`, `movep`, `movec`: the TCP on a path, given as a function of where it starts (4x4).
+
+    speed and acceleration are along the path, [m/s] or, where the TCP turns more than it goes, [rad/s].
+    """
+
+    def __init__(
+        self,
+        model: ControllerModel,
+        X_flange_tcp: Array,
+        path: Callable[[Array], Path],
+        acceleration: float,
+        speed: float,
+        time: float,
+        blend: float,
+    ) -> None:
+        super().__init__(model, X_flange_tcp, model.stop_deceleration, blend)
+        self._X_tcp_flange, self._path = poses.inverse(X_flange_tcp), path
+        self._acceleration, self._speed, self._duration = acceleration, speed, time
+        self._pose: Callable[[float], Array] = lambda _s: X_flange_tcp
+
+    @property
+    def q_end(self) -> Array:
+        return self._posture(self._profile.length, self._q)
+
+    def _plan(self, q: Array) -> Trapezoid:
+        self._pose, length = self._path(forward(self._model, q) @ self._X_flange_tcp)
+        return Trapezoid(length, self._speed, self._acceleration, self._duration)
+
+    def _posture(self, way: float, near: Array) -> Array:
+        found = inverse(self._model, self._pose(way) @ self._X_tcp_flange, near)
+        if found is None:
+            raise MotionError("the way leaves the arm's reach")
+        return np.array(found)
+
+    def _at(self, way: float, near: Array, dt: float) -> Array:
+        q = self._posture(way, near)
+        _possible(self._model, (q - near) / dt)
+        return q

@@ -1,0 +1,228 @@
+"""The robot behind the script: set-point, settings, inputs and outputs. One object for the controller's life.
+
+A tick of the controller is: latch the RTDE inputs; `ScriptRuntime.step(dt)`; `Machine.step(dt)`; safety; publish.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from toolee_robot.frames import Array
+from toolee_robot.sim_backend.ur_controller.robot import poses
+from toolee_robot.sim_backend.ur_controller.robot.cartesian import tcp_twist
+from toolee_robot.sim_backend.ur_controller.robot.compliance import Compliance
+from toolee_robot.sim_backend.ur_controller.robot.kinematics import chain, forward
+from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.motion import STANDSTILL, Brake, Motion, MotionError, Move, ServoJ
+from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
+from toolee_robot.sim_backend.ur_controller.robot.registers import Registers
+from toolee_robot.sim_backend.ur_controller.robot.watchdog import Watchdogs
+
+RATE_SLEW = 4.0  # [1/s] of the rate at which motions run when the slider moves or a pause begins
+HISTORY = 2.0  # [s] of joints and forces that are kept
+
+
+class EventKind(StrEnum):
+    """What the script asks of the rest of the controller."""
+
+    TEXT = "text"
+    POPUP = "popup"
+    PROTECTIVE_STOP = "protective_stop"
+    HALT = "halt"
+    PAUSE = "pause"
+    STOP = "stop"
+
+
+@dataclass(frozen=True)
+class Event:
+    kind: EventKind
+    text: str = ""
+
+
+class Machine:
+    """events: oldest first; the controller takes them out once a tick.
+
+    q_target, qd_target, qdd_target (6,): the set-point. tcp (6,): pose of the TCP in the flange, position [m] and
+    rotation vector [rad]. payload [kg], payload_cog (3,) [m], payload_inertia (6,) [kg m^2], gravity (3,) [m/s^2]
+    (upwards). speed_fraction: the speed slider, 0..1. paused: motions slow down to a halt and wait. compliance: force
+    mode or freedrive. external_sensor: the wrench comes from RTDE's external_force_torque.
+    history: of measured q (6,), newest last; force_history: of the force on the TCP (3,) [N], base axes.
+    """
+
+    def __init__(self, model: ControllerModel, plant: Plant, registers: Registers) -> None:
+        self.model, self.plant, self.registers = model, plant, registers
+        self.events: deque[Event] = deque()
+        self.watchdogs = Watchdogs()
+        self.q_target, self.qd_target, self.qdd_target = plant.q.copy(), np.zeros(6), np.zeros(6)
+        self.payload, self.payload_cog, self.payload_inertia = 0.0, np.zeros(3), np.zeros(6)
+        self.gravity = np.array([0.0, 0.0, 9.82])
+        self.speed_fraction = 1.0
+        self.paused = False
+        self.compliance: Compliance | None = None
+        self.freedrive = False
+        self.force_gain = 1.0
+        self.external_sensor = False
+        self.digital_in, self.digital_out = [False] * 18, [False] * 18
+        self.analog_in, self.analog_out = [0.0] * 4, [0.0] * 4
+        self.temperatures = [30.0] * 6
+        ticks = round(HISTORY * model.rate)
+        self.history: deque[Array] = deque([plant.q], maxlen=ticks)
+        self.force_history: deque[Array] = deque(maxlen=ticks)
+        self.tcp = np.zeros(6)
+        self._motion: Motion | None = None
+        self._stop: Motion | None = None  # the last stop that came from outside the script
+        self._held = False  # a script function waits for the motion
+        self._running_out: list[Move] = []  # blended moves whose ends are still to come
+        self._rate = 1.0
+        self._bias = np.zeros(6)  # of the wrench, flange axes
+
+    # -- settings
+
+    @property
+    def tcp(self) -> Array:
+        return self._tcp
+
+    @tcp.setter
+    def tcp(self, pose: Array) -> None:
+        self._tcp, self.X_flange_tcp = pose, poses.matrix(pose)
+
+    def set_payload(self, mass: float, cog: poses.Vector) -> None:
+        """mass [kg], cog (3,) [m] in the flange."""
+        self.payload, self.payload_cog = float(mass), np.array(cog, dtype=np.float64)
+        self.plant.set_payload(self.payload, self.payload_cog)
+
+    def zero_wrench(self) -> None:
+        """What is felt now counts as nothing."""
+        self._bias = np.zeros(6)
+        R = forward(self.model, self.plant.q)[:3, :3]
+        felt = self.wrench()
+        self._bias = np.concatenate([R.T @ felt[:3], R.T @ felt[3:]])
+
+    # -- what is known
+
+    @property
+    def moving(self) -> bool:
+        """A motion is under way or the arm has not come to rest."""
+        return self._held or bool(self._running_out) or bool(np.abs(self.qd_target).max() > STANDSTILL)
+
+    def tcp_pose(self, target: bool = False) -> Array:
+        """X_base_tcp (4x4), measured or of the set-point."""
+        return forward(self.model, self.q_target if target else self.plant.q) @ self.X_flange_tcp
+
+    def tcp_speed(self, target: bool = False) -> Array:
+        """(6,) [m/s], [rad/s] of the TCP in base axes, measured or of the set-point."""
+        q, qd = (self.q_target, self.qd_target) if target else (self.plant.q, self.plant.qd)
+        return tcp_twist(self.model, q, self.X_flange_tcp, qd)
+
+    def wrench(self) -> Array:
+        """(6,) [N, Nm] that the environment puts on the flange, at its origin, base axes, zeroed by the script."""
+        R = forward(self.model, self.plant.q)[:3, :3]
+        felt = self.plant.wrench
+        if self.external_sensor:
+            external = np.array(self.registers.external_force_torque)
+            felt = np.concatenate([R @ external[:3], R @ external[3:]])
+        return felt - np.concatenate([R @ self._bias[:3], R @ self._bias[3:]])
+
+    def tcp_force(self) -> Array:
+        """As `wrench`, at the TCP."""
+        felt = self.wrench()
+        arm = forward(self.model, self.plant.q)[:3, :3] @ self.tcp[:3]
+        return np.concatenate([felt[:3], felt[3:] - np.cross(arm, felt[:3])])
+
+    def goal(self) -> Array:
+        """(6,) [rad] where the present move ends; without a move the set-point."""
+        return self._motion.q_end if isinstance(self._motion, Move) else self.q_target
+
+    def joint_torques(self) -> Array:
+        """(6,) [Nm] that hold the felt wrench."""
+        links = chain(self.model, self.plant.q)
+        return -links.jacobian(links.X_base_flange[:3, 3]).T @ self.wrench()
+
+    # -- motion
+
+    def take(self, motion: Motion) -> None:
+        """A script function starts a motion and waits for it. Raises MotionError while another one does."""
+        if self._held:
+            raise MotionError("another thread is already controlling the robot")
+        if isinstance(motion, Move) and self._running_out:
+            motion.start(self._running_out[-1].q_end)
+        if isinstance(motion, ServoJ) and isinstance(self._motion, ServoJ):
+            motion.follow(self._motion)
+        self._motion, self._held = motion, True
+
+    def release(self, motion: Motion) -> None:
+        """The script function is over. What it leaves unfinished comes to rest, unless another motion follows in the
+        same tick."""
+        if motion is not self._motion:
+            return
+        self._held = False
+        if isinstance(motion, Move) and motion.blending and not motion.done:
+            self._running_out.append(motion)
+            self._motion = None
+        elif not motion.done and not motion.stays:
+            self._motion = Brake(self.model.stop_deceleration)
+
+    def stop(self, deceleration: float | None = None) -> None:
+        """Every joint comes to rest with this [rad/s^2]; default: the model's stop_deceleration. Script functions that
+        wait for a motion see it as finished; force mode and freedrive end."""
+        self.compliance, self.freedrive = None, False
+        if self._motion is not None:
+            self._motion.done = True
+        self._running_out.clear()
+        self._motion = self._stop = Brake(self.model.stop_deceleration if deceleration is None else deceleration)
+        self._held = False
+
+    def end_program(self) -> None:
+        """A program is over: a moving arm decelerates, force mode, freedrive and watchdogs end."""
+        self.watchdogs.clear()
+        self.external_sensor, self.paused = False, False
+        if self._motion is None or self._motion is not self._stop:
+            self.stop()
+
+    def end_compliance(self) -> None:
+        """End force mode or freedrive; what moves without a motion of its own comes to rest."""
+        self.compliance, self.freedrive = None, False
+        if self._motion is None:
+            self._motion = Brake(self.model.stop_deceleration)
+
+    def step(self, dt: float) -> None:
+        """Advance the motion by one tick [s], command the plant and step it."""
+        wanted = 0.0 if self.paused else self.speed_fraction
+        self._rate += max(-RATE_SLEW * dt, min(RATE_SLEW * dt, wanted - self._rate))
+        try:
+            qd = self._way(dt) / dt
+            if self.compliance is not None:
+                felt = self.tcp_force()
+                qd = self.compliance.apply(self.model, self.X_flange_tcp, self.q_target, qd, felt, dt)
+        except MotionError as error:
+            self.events.append(Event(EventKind.PROTECTIVE_STOP, str(error)))
+            self.stop(self.model.safety_deceleration)
+            qd = self._way(dt) / dt
+        over = self._motion is None or self._motion.done
+        final = np.zeros(6) if over and not self._running_out and self.compliance is None else qd
+        self.q_target = self.q_target + qd * dt
+        self.qd_target, self.qdd_target = final, (final - self.qd_target) / dt
+        self.plant.command(self.q_target, self.qd_target)
+        self.plant.step(dt)
+        self.history.append(self.plant.q)
+        self.force_history.append(self.plant.wrench[:3])
+
+    def _way(self, dt: float) -> Array:
+        way = np.zeros(6)
+        scaled = dt * self._rate
+        for move in self._running_out:
+            way += move.step(self.q_target, self.qd_target, scaled, dt)
+        self._running_out = [move for move in self._running_out if not move.done]
+        if self._motion is not None:
+            way += self._motion.step(self.q_target, self.qd_target, scaled, dt)
+            if self._motion.done and not self._held:
+                self._motion = self._stop = None
+        return way
+
+    def fed(self, variable: str) -> None:
+        """An RTDE client has written this input variable (its name in RTDE): feeds the script's watchdogs."""
+        self.watchdogs.feed(variable)

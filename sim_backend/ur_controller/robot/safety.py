@@ -1,0 +1,271 @@
+"""The safety system and the power of the arm: modes, stops, limits. What it says is what RTDE and the dashboard say.
+
+Modelled after the behaviour that UR documents; it is for tests of programs, and says nothing about a real robot's
+safety functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from toolee_robot.frames import Array
+from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
+
+UNLOCK_DELAY = 5.0  # [s] for which a protective stop cannot be unlocked, as on a real robot
+SETTLE_SPEED = 1e-3  # [rad/s] below which the arm counts as standing, and its power is cut after an emergency stop
+
+
+class RobotMode(IntEnum):
+    NO_CONTROLLER = -1
+    DISCONNECTED = 0
+    CONFIRM_SAFETY = 1
+    BOOTING = 2
+    POWER_OFF = 3
+    POWER_ON = 4
+    IDLE = 5
+    BACKDRIVE = 6
+    RUNNING = 7
+
+
+class SafetyMode(IntEnum):
+    NORMAL = 1
+    REDUCED = 2
+    PROTECTIVE_STOP = 3
+    RECOVERY = 4
+    SAFEGUARD_STOP = 5
+    SYSTEM_EMERGENCY_STOP = 6
+    ROBOT_EMERGENCY_STOP = 7
+    VIOLATION = 8
+    FAULT = 9
+
+
+# bit of `safety_status_bits` of each mode; any emergency stop also sets 7, every stop sets 10
+_STATUS_BIT = {mode: mode - 1 if mode < SafetyMode.VIOLATION else int(mode) for mode in SafetyMode}
+_EMERGENCY = (SafetyMode.ROBOT_EMERGENCY_STOP, SafetyMode.SYSTEM_EMERGENCY_STOP)
+_RUNS = (SafetyMode.NORMAL, SafetyMode.REDUCED)
+
+
+@dataclass(frozen=True)
+class SafetyLimits:
+    """What stops the arm protectively.
+
+    force [N]: of what the environment puts on the flange, smoothed over force_time [s] (the controller estimates it
+    from joint currents: it does not see a blow of a few milliseconds at full height). following_error [rad]: of a
+    joint from its set-point. joint_speed: fraction of the model's limit. tcp_speed [m/s].
+    """
+
+    force: float = 150.0
+    force_time: float = 0.02
+    following_error: float = 0.2
+    joint_speed: float = 1.1
+    tcp_speed: float = 5.0
+
+
+class Safety:
+    """Robot mode, safety mode and what leads from one to the other.
+
+    stop_program: ends the running program. pause_program: pauses it. power_time [s]: that powering on takes, and
+    releasing the brakes again.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        limits: SafetyLimits,
+        log: Callable[[str], None],
+        stop_program: Callable[[], None],
+        pause_program: Callable[[], object],
+        power_time: float = 0.5,
+    ) -> None:
+        self.limits = limits
+        self.robot_mode = RobotMode.RUNNING
+        self.mode = SafetyMode.NORMAL
+        self.reason = ""
+        self.remote = True
+        self._machine, self._log, self._power_time = machine, log, power_time
+        self._stop_program, self._pause_program = stop_program, pause_program
+        self._since_stop = 0.0
+        self._force = np.zeros(3)
+        self._goal: RobotMode | None = None
+        self._wait = 0.0
+
+    @property
+    def powered(self) -> bool:
+        return self.robot_mode >= RobotMode.POWER_ON
+
+    @property
+    def emergency(self) -> bool:
+        return self.mode in _EMERGENCY
+
+    @property
+    def status_bits(self) -> int:
+        bits = 1 << _STATUS_BIT[self.mode]
+        if self.emergency:
+            bits |= 1 << 7
+        if self.mode not in _RUNS:
+            bits |= 1 << 10
+        return bits
+
+    def forbidden(self) -> str:
+        """Why the arm must not move now; empty if it may."""
+        if self.mode not in _RUNS:
+            return f"safety mode is {self.mode.name}"
+        if self.robot_mode is not RobotMode.RUNNING:
+            return f"robot mode is {self.robot_mode.name}"
+        return ""
+
+    # -- stops
+
+    def protective_stop(self, reason: str) -> None:
+        """Stop and hold; the program ends. Released by a person through the dashboard, after UNLOCK_DELAY."""
+        if self.mode in _RUNS:
+            self._stop(SafetyMode.PROTECTIVE_STOP, reason)
+
+    def emergency_stop(self, system: bool = False) -> None:
+        """The button is pressed: stop, then power off. The program ends."""
+        if not self.emergency:
+            mode = SafetyMode.SYSTEM_EMERGENCY_STOP if system else SafetyMode.ROBOT_EMERGENCY_STOP
+            self._stop(mode, "emergency stop pressed")
+
+    def release_emergency_stop(self) -> None:
+        """The button is pulled out again: the arm stays off until someone powers it on."""
+        if self.emergency:
+            self._enter(SafetyMode.NORMAL, "")
+            self._power(RobotMode.POWER_OFF)
+
+    def safeguard_stop(self) -> None:
+        """The light curtain is broken: the program pauses, the arm stops on its path."""
+        if self.mode in _RUNS:
+            self._pause_program()
+            self._enter(SafetyMode.SAFEGUARD_STOP, "safeguard input")
+
+    def release_safeguard_stop(self) -> None:
+        """The safeguard is closed and reset: the program stays paused until someone plays it."""
+        if self.mode is SafetyMode.SAFEGUARD_STOP:
+            self._enter(SafetyMode.NORMAL, "")
+
+    def fault(self, violation: bool = False) -> None:
+        """The safety system has stopped the arm and needs a restart (`restart safety`)."""
+        self._stop(SafetyMode.VIOLATION if violation else SafetyMode.FAULT, "safety system")
+        self._power(RobotMode.POWER_OFF)
+
+    def unlock(self) -> str:
+        """Release a protective stop; returns the dashboard's refusal, empty if done."""
+        if self.mode is not SafetyMode.PROTECTIVE_STOP:
+            return ""
+        if self._since_stop < UNLOCK_DELAY:
+            return (
+                "Cannot unlock protective stop until 5s after occurrence. "
+                "Always inspect cause of protective stop before unlocking"
+            )
+        self._force = np.zeros(3)
+        self._enter(SafetyMode.NORMAL, "")
+        return ""
+
+    def age(self, seconds: float) -> None:
+        """Let the last stop be so much longer ago."""
+        self._since_stop += seconds
+
+    def restore(self) -> None:
+        """As started: normal and running."""
+        self._force = np.zeros(3)
+        if self.mode is not SafetyMode.NORMAL:
+            self._enter(SafetyMode.NORMAL, "")
+        self._power(RobotMode.RUNNING)
+
+    def restart(self) -> None:
+        """`restart safety`: out of a fault or violation; the arm is off afterwards."""
+        if self.mode in (SafetyMode.FAULT, SafetyMode.VIOLATION):
+            self._enter(SafetyMode.NORMAL, "")
+        self._power(RobotMode.POWER_OFF)
+
+    # -- power
+
+    def power_on(self) -> bool:
+        """Towards IDLE; False while the safety system forbids it."""
+        return self._begin(RobotMode.IDLE)
+
+    def brake_release(self) -> bool:
+        """Towards RUNNING, powering on first if need be; False while the safety system forbids it."""
+        return self._begin(RobotMode.RUNNING)
+
+    def power_off(self) -> None:
+        self._stop_program()
+        self._power(RobotMode.POWER_OFF)
+
+    # -- the tick
+
+    def step(self, dt: float, q: Array, tcp_speed: float) -> None:
+        """A tick of dt [s] is done. q (6,): measured joints [rad]. tcp_speed [m/s]."""
+        self._since_stop += dt
+        self._step_power(dt)
+        if self.emergency and self.powered and not np.any(np.abs(self._machine.plant.qd) > SETTLE_SPEED):
+            self._power(RobotMode.POWER_OFF)
+        self._force += min(1.0, dt / self.limits.force_time) * (self._machine.plant.wrench[:3] - self._force)
+        if self.mode in _RUNS and self.robot_mode is RobotMode.RUNNING and (reason := self._breach(q, tcp_speed)):
+            self.protective_stop(reason)
+
+    def _breach(self, q: Array, tcp_speed: float) -> str:
+        limits, machine = self.limits, self._machine
+        force = float(np.sqrt(self._force @ self._force))
+        if force > limits.force:
+            return f"force of {force:.0f} N is over {limits.force:.0f} N"
+        error = np.abs(machine.q_target - q)
+        if error.max() > limits.following_error:
+            joint = int(error.argmax())
+            return f"joint {joint} is {error[joint]:.2f} rad from its set-point"
+        if np.any(np.abs(q) > machine.model.position):
+            return f"joint {int(np.argmax(np.abs(q) - machine.model.position))} is at its limit"
+        over = np.abs(machine.plant.qd) - limits.joint_speed * np.asarray(machine.model.velocity)
+        if over.max() > 0.0:
+            return f"joint {int(over.argmax())} is too fast"
+        if tcp_speed > limits.tcp_speed:
+            return f"TCP speed of {tcp_speed:.2f} m/s is over {limits.tcp_speed:.2f} m/s"
+        return ""
+
+    def _stop(self, mode: SafetyMode, reason: str) -> None:
+        self._stop_program()
+        self._machine.stop(self._machine.model.safety_deceleration)
+        self._since_stop = 0.0
+        self._enter(mode, reason)
+
+    def _enter(self, mode: SafetyMode, reason: str) -> None:
+        self.mode, self.reason = mode, reason
+        self._log(f"safety mode: {mode.name}" + (f" ({reason})" if reason else ""))
+
+    def _begin(self, goal: RobotMode) -> bool:
+        if self.mode not in (*_RUNS, SafetyMode.PROTECTIVE_STOP):
+            return False
+        if self.robot_mode < goal:
+            self._goal, self._wait = goal, self._power_time
+            if not self.powered:
+                self._mode_is(RobotMode.POWER_ON)
+        return True
+
+    def _step_power(self, dt: float) -> None:
+        if self._goal is None:
+            return
+        self._wait -= dt
+        if self._wait > 0.0:
+            return
+        if self.robot_mode < RobotMode.IDLE:
+            self._mode_is(RobotMode.IDLE)
+        elif self._goal is RobotMode.RUNNING:
+            self._mode_is(RobotMode.RUNNING)
+        if self.robot_mode >= self._goal:
+            self._goal = None
+        else:
+            self._wait = self._power_time
+
+    def _power(self, mode: RobotMode) -> None:
+        self._goal = None
+        self._mode_is(mode)
+
+    def _mode_is(self, mode: RobotMode) -> None:
+        if mode is not self.robot_mode:
+            self.robot_mode = mode
+            self._log(f"robot mode: {mode.name}")

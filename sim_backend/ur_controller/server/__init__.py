@@ -1,0 +1,1 @@
+"""The ports of the controller stand-in: RTDE, dashboard, primary and secondary interfaces."""

@@ -1,0 +1,207 @@
+"""The dashboard server, port 29999: one client's session. A line in, a line out (UR, "Dashboard server").
+
+Answers are the real ones' wording, since clients compare their beginnings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from toolee_robot.sim_backend.ur_controller.robot.safety import RobotMode
+from toolee_robot.sim_backend.ur_controller.robot_system import Robot
+from toolee_robot.sim_backend.ur_controller.server.link import Sink
+from toolee_robot.sim_backend.ur_controller.urscript.program import RuntimeState
+
+GREETING = "Connected: Universal Robots Dashboard Server"
+MAX_LINE = 4096  # [bytes]; a client that sends more without an end of line is dropped
+_ROLES = ("locked", "programmer", "operator", "none", "restricted")
+
+
+class DashboardSession:
+    """One client."""
+
+    def __init__(self, sink: Sink, robot: Robot) -> None:
+        self._sink, self._robot = sink, robot
+        self._buffer = bytearray()
+        self._ended = False
+        self._role = "programmer"
+        self._say(GREETING)
+
+    def feed(self, data: bytes) -> None:
+        self._buffer += data
+        while not self._ended and (end := self._buffer.find(b"\n")) >= 0:
+            line = self._buffer[:end].decode("utf-8", "replace").strip()
+            del self._buffer[: end + 1]
+            if line:
+                self._say(self._answer(line))
+                if self._ended:
+                    self._sink.close()
+        if len(self._buffer) > MAX_LINE:
+            self._ended = True
+            self._sink.close()
+
+    def tick(self) -> None: ...
+
+    def close(self) -> None: ...
+
+    def _say(self, line: str) -> None:
+        self._sink.send(line.encode() + b"\n")
+
+    def _answer(self, line: str) -> str:
+        words = line.lower().split()
+        for count in range(min(4, len(words)), 0, -1):
+            command = " ".join(words[:count])
+            if (handler := _COMMANDS.get(command)) is not None:
+                argument = " ".join(line.split()[count:])
+                if self._locked(command):
+                    return f"Failed to execute: {line}"
+                return handler(self, argument)
+        return f'could not understand: "{line}"'
+
+    def _locked(self, command: str) -> bool:
+        """Only an e-Series controller in remote control takes orders; in local control it answers questions."""
+        return self._robot.model.e_series and not self._robot.safety.remote and command in _ORDERS
+
+    # -- program
+
+    def _load(self, argument: str) -> str:
+        return f"File not found: {argument}"
+
+    def _play(self, _: str) -> str:
+        return "Starting program" if self._robot.program.resume() else "Failed to execute: play"
+
+    def _stop(self, _: str) -> str:
+        self._robot.program.stop()
+        return "Stopped"
+
+    def _pause(self, _: str) -> str:
+        return "Pausing program" if self._robot.program.pause() else "Failed to execute: pause"
+
+    def _running(self, _: str) -> str:
+        return f"Program running: {str(self._robot.program.state is RuntimeState.PLAYING).lower()}"
+
+    def _program_state(self, _: str) -> str:
+        program = self._robot.program
+        return f"{program.state.name} {program.name}".strip()
+
+    def _loaded(self, _: str) -> str:
+        return "No program loaded"
+
+    def _saved(self, _: str) -> str:
+        return "true"
+
+    # -- screen
+
+    def _popup(self, argument: str) -> str:
+        self._robot.popup = argument
+        return "showing popup"
+
+    def _close_popup(self, _: str) -> str:
+        self._robot.popup = ""
+        return "closing popup"
+
+    def _close_safety_popup(self, _: str) -> str:
+        return "closing safety popup"
+
+    def _log(self, argument: str) -> str:
+        self._robot.say(argument)
+        return "Added log message"
+
+    def _set_role(self, argument: str) -> str:
+        if argument not in _ROLES:
+            return f"Failed setting user role: {argument}"
+        self._role = argument
+        return f"Setting user role: {argument}"
+
+    def _get_role(self, _: str) -> str:
+        return self._role.upper()
+
+    # -- power and safety
+
+    def _power_on(self, _: str) -> str:
+        return "Powering on" if self._robot.safety.power_on() else "Failed to execute: power on"
+
+    def _power_off(self, _: str) -> str:
+        self._robot.safety.power_off()
+        return "Powering off"
+
+    def _brake_release(self, _: str) -> str:
+        return "Brake releasing" if self._robot.safety.brake_release() else "Failed to execute: brake release"
+
+    def _unlock(self, _: str) -> str:
+        return self._robot.safety.unlock() or "Protective stop releasing"
+
+    def _restart(self, _: str) -> str:
+        self._robot.safety.restart()
+        return "Restarting safety"
+
+    def _robot_mode(self, _: str) -> str:
+        return f"Robotmode: {RobotMode(self._robot.safety.robot_mode).name}"
+
+    def _safety_mode(self, _: str) -> str:
+        return f"Safetymode: {self._robot.safety.mode.name}"
+
+    def _safety_status(self, _: str) -> str:
+        return f"Safetystatus: {self._robot.safety.mode.name}"
+
+    # -- identity
+
+    def _version(self, _: str) -> str:
+        version = ".".join(str(number) for number in self._robot.identity.version)
+        return f"URSoftware {version}" if self._robot.model.e_series else version
+
+    def _model(self, _: str) -> str:
+        return self._robot.identity.model
+
+    def _serial(self, _: str) -> str:
+        return self._robot.identity.serial
+
+    def _remote(self, _: str) -> str:
+        return str(self._robot.safety.remote).lower()
+
+    def _quit(self, _: str) -> str:
+        self._ended = True
+        return "Disconnected"
+
+    def _shutdown(self, _: str) -> str:
+        self._robot.safety.power_off()
+        self._ended = True
+        return "Shutting down"
+
+
+_COMMANDS: dict[str, Callable[[DashboardSession, str], str]] = {
+    "load": DashboardSession._load,
+    "load installation": DashboardSession._load,
+    "play": DashboardSession._play,
+    "stop": DashboardSession._stop,
+    "pause": DashboardSession._pause,
+    "running": DashboardSession._running,
+    "programstate": DashboardSession._program_state,
+    "get loaded program": DashboardSession._loaded,
+    "isprogramsaved": DashboardSession._saved,
+    "popup": DashboardSession._popup,
+    "close popup": DashboardSession._close_popup,
+    "close safety popup": DashboardSession._close_safety_popup,
+    "addtolog": DashboardSession._log,
+    "setuserrole": DashboardSession._set_role,
+    "getuserrole": DashboardSession._get_role,
+    "power on": DashboardSession._power_on,
+    "power off": DashboardSession._power_off,
+    "brake release": DashboardSession._brake_release,
+    "unlock protective stop": DashboardSession._unlock,
+    "restart safety": DashboardSession._restart,
+    "robotmode": DashboardSession._robot_mode,
+    "safetymode": DashboardSession._safety_mode,
+    "safetystatus": DashboardSession._safety_status,
+    "polyscopeversion": DashboardSession._version,
+    "version": DashboardSession._version,
+    "get robot model": DashboardSession._model,
+    "get serial number": DashboardSession._serial,
+    "is in remote control": DashboardSession._remote,
+    "quit": DashboardSession._quit,
+    "shutdown": DashboardSession._shutdown,
+}
+_ORDERS = {
+    "load", "load installation", "play", "stop", "pause", "power on", "power off", "brake release",
+    "unlock protective stop", "restart safety", "shutdown",
+}  # fmt: skip

@@ -1,0 +1,116 @@
+"""Messages of the primary and secondary interfaces, ports 30001 and 30002: version, robot state, text.
+
+Layout: Universal Robots, "Client interface" (3.15 and 5.11). Of the robot state, the packages that clients look for:
+robot mode, joints, tool pose, and at the start the kinematics of the factory calibration.
+"""
+
+from __future__ import annotations
+
+import struct
+
+from toolee_robot.sim_backend.ur_controller.robot.safety import SafetyMode
+from toolee_robot.sim_backend.ur_controller.robot_system import Robot
+from toolee_robot.sim_backend.ur_controller.server.link import Sink
+from toolee_robot.sim_backend.ur_controller.server.script_ports import ScriptSession
+from toolee_robot.sim_backend.ur_controller.urscript.program import RuntimeState
+
+STATE_RATE = 10.0  # [Hz]
+SKIP_BACKLOG = 65536  # [bytes] unread by the client over which messages are left out
+_ROBOT_STATE, _ROBOT_MESSAGE = 16, 20
+_VERSION_MESSAGE, _TEXT_MESSAGE = 3, 0
+_MODE, _JOINTS, _CARTESIAN, _KINEMATICS = 0, 1, 4, 5
+_JOINT_RUNNING, _JOINT_OFF = 253, 239
+
+
+class StateSession(ScriptSession):
+    """A client of port 30001 or 30002: uploads programs, and is told the robot's state."""
+
+    def __init__(self, sink: Sink, robot: Robot) -> None:
+        super().__init__(sink, robot)
+        self._calibration: tuple[int, ...] = ()
+        self._seen = robot.said
+        self._every = max(1, round(robot.model.rate / STATE_RATE))
+        self._sink.send(version_message(robot))
+
+    def tick(self) -> None:
+        robot = self._robot
+        if robot.ticks % self._every or self._sink.backlog > SKIP_BACKLOG:
+            return
+        changed = self._calibration != robot.identity.checksum
+        self._calibration = robot.identity.checksum
+        self._sink.send(robot_state(robot, kinematics=changed))
+        for _, text in list(robot.messages)[max(0, len(robot.messages) - (robot.said - self._seen)) :]:
+            self._sink.send(text_message(robot, text))
+        self._seen = robot.said
+
+
+def version_message(robot: Robot) -> bytes:
+    """Robot message: project name and version of the controller software; the first thing a client gets."""
+    project = b"URControl"
+    major, minor, bugfix, build = robot.identity.version
+    body = bytes([len(project)]) + project + struct.pack(">BBii", major & 255, minor & 255, bugfix, build)
+    return _robot_message(robot, _VERSION_MESSAGE, body + b"01-01-2022, 00:00:00")
+
+
+def text_message(robot: Robot, text: str) -> bytes:
+    """Robot message: what a program has printed."""
+    return _robot_message(robot, _TEXT_MESSAGE, text.encode("ascii", "replace"))
+
+
+def robot_state(robot: Robot, kinematics: bool) -> bytes:
+    """Robot state with the packages of this module; kinematics: with the factory calibration."""
+    packages = _mode(robot) + _joints(robot) + _cartesian(robot)
+    if kinematics:
+        packages += _kinematics(robot)
+    return struct.pack(">iB", 5 + len(packages), _ROBOT_STATE) + packages
+
+
+def _robot_message(robot: Robot, kind: int, body: bytes) -> bytes:
+    head = struct.pack(">QbB", int(robot.timestamp * 1e6), -2, kind)
+    return struct.pack(">iB", 5 + len(head) + len(body), _ROBOT_MESSAGE) + head + body
+
+
+def _package(kind: int, body: bytes) -> bytes:
+    return struct.pack(">iB", 5 + len(body), kind) + body
+
+
+def _mode(robot: Robot) -> bytes:
+    safety, state = robot.safety, robot.program.state
+    flags = (
+        True,  # a real robot is connected
+        True,
+        safety.powered,
+        safety.emergency,
+        safety.mode is SafetyMode.PROTECTIVE_STOP,
+        state is RuntimeState.PLAYING,
+        state is RuntimeState.PAUSED,
+    )
+    speed = robot.machine.speed_fraction
+    return _package(
+        _MODE,
+        struct.pack(
+            ">Q7?BBdddB", int(robot.timestamp * 1e6), *flags, max(0, int(safety.robot_mode)), 0, speed, speed, 1.0, 0
+        ),
+    )
+
+
+def _joints(robot: Robot) -> bytes:
+    reading, machine = robot.reading, robot.machine
+    mode = _JOINT_RUNNING if robot.safety.powered else _JOINT_OFF
+    body = b"".join(
+        struct.pack(
+            ">dddffffB", reading.q[j], machine.q_target[j], reading.qd[j], 0.0, 48.0, machine.temperatures[j], 0.0, mode
+        )
+        for j in range(6)
+    )
+    return _package(_JOINTS, body)
+
+
+def _cartesian(robot: Robot) -> bytes:
+    return _package(_CARTESIAN, struct.pack(">12d", *robot.reading.tcp_pose, *robot.machine.tcp))
+
+
+def _kinematics(robot: Robot) -> bytes:
+    identity = robot.identity
+    numbers = (*identity.theta, *identity.a, *identity.d, *identity.alpha)
+    return _package(_KINEMATICS, struct.pack(">6I24dI", *identity.checksum, *numbers, 1))

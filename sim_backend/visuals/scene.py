@@ -1,0 +1,150 @@
+"""What the simulated camera sees of the world: robot, tool, work and person as meshes at their present poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.frames import Array, frame_from_axes, transform
+from toolee_robot.render.mesh import Mesh, box, cylinder, sphere
+from toolee_robot.render.palette import skin_tone
+from toolee_robot.robots import arm_meshes, hand_model
+from toolee_robot.sim_backend.devices.operator import SimPerson
+from toolee_robot.sim_backend.physics.wood import NailSpec
+from toolee_robot.sim_backend.visuals.visual_body import VisualBody
+from toolee_robot.sim_backend.world import SimWorld
+from toolee_robot.tools import Tool
+
+Color = tuple[float, float, float]
+SHIRT_COLORS: tuple[Color, ...] = ((0.2, 0.3, 0.5), (0.5, 0.2, 0.2), (0.25, 0.4, 0.3), (0.35, 0.35, 0.38))
+
+
+STAND_COLOR: Color = (0.30, 0.32, 0.36)
+PINE_COLOR: Color = (0.80, 0.66, 0.46)
+
+
+class BodyId(IntEnum):
+    """Ids of the visual bodies."""
+
+    ARM = 1
+    HAND = 2
+    TOOL = 3
+    WORK = 4
+    NAIL = 5
+    PERSON = 6
+
+
+@dataclass(frozen=True)
+class SceneState:
+    """Where everything visible is: poses 4x4 in `base`, one instant.
+
+    links: of the robot, by name. X_base_nail: of the nail's head. person_center: (3,). person_arm: from shoulder to
+    hand, (3,) each, while the person holds the tool.
+    """
+
+    links: Mapping[str, Array]
+    X_base_tool: Array
+    X_base_nail: Array
+    person_center: Array
+    person_arm: tuple[Array, Array] | None
+
+
+def scene_state(world: SimWorld, person: SimPerson) -> SceneState:
+    """As it is now."""
+    links = {name: world.robot.link_pose(index) for name, index in world.robot.link_index.items()}
+    return SceneState(links, world.X_base_tool(), world.nail.head_pose(), person.center.copy(), person.visible_arm)
+
+
+class SceneVisuals:
+    """A `VisualWorld`: what stands in the scene, of which `state` tells where; meshes are built once."""
+
+    def __init__(self, config: StationConfig, tool: Tool, seed: int, state: Callable[[], SceneState]) -> None:
+        self._state = state
+        self._person_height = config.scene.person_size[2]
+        rng = np.random.default_rng([seed, 12])
+        self._skin = skin_tone(rng)
+        self._shirt = SHIRT_COLORS[int(rng.integers(len(SHIRT_COLORS)))]
+        self._links = {
+            name: (Mesh.build(mesh.vertices, mesh.faces), of_hand)
+            for of_hand, meshes in ((False, arm_meshes()), (True, hand_model(config.hand.model).meshes))
+            for name, mesh in meshes.items()
+        }
+        self._parts = [
+            (f"tool_{i}_{part.label}", Mesh.build(part.mesh.vertices, part.mesh.faces), part.material)
+            for i, part in enumerate(tool.parts)
+        ]
+        work = config.work
+        nail = self._nail_spec = NailSpec.from_config(work)
+        x, y = work.nail_xy
+        height = work.stand_height
+        self._static = [
+            _static("stand", box((*work.stand_size, height)), (x, y, height / 2), "steel_painted", STAND_COLOR),
+            _static("block", box(work.block_size), (x, y, height + work.block_size[2] / 2), "wood_block", PINE_COLOR),
+        ]
+        self._nail_head = cylinder(nail.head_diameter / 2, nail.head_thickness)
+        self._nail_shank = cylinder(nail.diameter / 2, nail.length)
+        self._head = sphere(0.11)
+        self._torso = box(config.scene.person_size)
+        self._fist = sphere(0.045)
+
+    def visual_bodies(self) -> Sequence[VisualBody]:
+        """Everything visible but the room."""
+        state = self._state()
+        bodies = list(self._static)
+        for name, (mesh, hand) in self._links.items():
+            X = state.links.get(name, np.eye(4))  # the base itself does not move
+            color: Color = (0.30, 0.30, 0.32) if hand else (0.70, 0.72, 0.75)
+            finish = "plastic" if hand else "aluminium"
+            bodies.append(
+                VisualBody(name, mesh, X, finish, color, 0.5, 0.0 if hand else 0.4,
+                           body_id=BodyId.HAND if hand else BodyId.ARM)
+            )  # fmt: skip
+        for name, mesh, material in self._parts:
+            bodies.append(
+                VisualBody(name, mesh, state.X_base_tool, material.name, material.color, material.roughness,
+                           material.metallic, body_id=BodyId.TOOL)
+            )  # fmt: skip
+        return [*bodies, *self._nail(state.X_base_nail), *self._visible_person(state)]
+
+    def _nail(self, X: Array) -> list[VisualBody]:
+        spec = self._nail_spec
+        head = X @ transform(p=[0.0, 0.0, spec.head_thickness / 2])
+        shank = X @ transform(p=[0.0, 0.0, spec.head_thickness + spec.length / 2])
+        grey: Color = (0.62, 0.62, 0.66)
+        return [
+            VisualBody("nail_head", self._nail_head, head, "steel_bright", grey, 0.35, 1.0, body_id=BodyId.NAIL),
+            VisualBody("nail_shank", self._nail_shank, shank, "steel_bright", grey, 0.35, 1.0, body_id=BodyId.NAIL),
+        ]
+
+    def _visible_person(self, state: SceneState) -> list[VisualBody]:
+        center = state.person_center
+        top = center[2] + self._person_height / 2
+        X_head = transform(p=[center[0], center[1], top + 0.10])
+        shirt, skin, person_id = self._shirt, self._skin, BodyId.PERSON
+        parts = [
+            VisualBody("person_torso", self._torso, transform(p=center), "cloth", shirt, 0.9, body_id=person_id),
+            VisualBody("person_head", self._head, X_head, "skin", skin, 0.6, body_id=person_id),
+        ]
+        if state.person_arm is not None:
+            shoulder, hand = state.person_arm
+            length = float(np.linalg.norm(hand - shoulder))
+            arm = cylinder(0.05, length, top_radius=0.04)
+            X_fist = transform(p=hand)
+            parts.append(VisualBody("person_arm", arm, _along(shoulder, hand), "skin", skin, 0.6, body_id=person_id))
+            parts.append(VisualBody("person_fist", self._fist, X_fist, "skin", skin, 0.6, body_id=person_id))
+        return parts
+
+
+def _static(name: str, mesh: Mesh, center: tuple[float, float, float], finish: str, color: Color) -> VisualBody:
+    return VisualBody(name, mesh, transform(p=center), finish, color, 0.6, body_id=BodyId.WORK)
+
+
+def _along(a: Array, b: Array) -> Array:
+    """Pose of a cylinder (centred, along z) from a to b."""
+    z = b - a
+    x = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 * np.linalg.norm(z) else np.array([0.0, 1.0, 0.0])
+    return frame_from_axes(z=z, x=x, p=(a + b) / 2)

@@ -1,0 +1,229 @@
+"""The arm halts, whatever happens to the task, to the servo process, to the network or to the robot: asserted on the
+joints of the controller stand-in, not on what the driver says of itself."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import pytest
+
+from tests.hardware.ur.swings import SLACK, Stop, braked, shortest_stop, stop_after, swing, wait_for_mid_swing
+from tests.stand_in import HOME, PATIENT, held, patient, stand_in
+from toolee_robot.config import ArmLimits
+from toolee_robot.errors import (
+    DeviceError,
+    EmergencyStopError,
+    LatchedError,
+    LinkLostError,
+    MotionFaultError,
+    NotReadyError,
+    OverrunError,
+    ProtectiveStopError,
+    ServoCrashError,
+    StaleDataError,
+)
+from toolee_robot.hal import ArmStatus, MotionOutcome, MotionWatch
+from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.types import ArmModel
+
+pytestmark = pytest.mark.realtime
+
+HOST = "127.0.0.23"
+LIMITS = ArmLimits(model=ArmModel.UR10)
+CONFIG = patient(HOST)
+WATCHDOG = 1.0 / CONFIG.watchdog
+
+
+@pytest.fixture(scope="module")
+def controller() -> Iterator[ControllerProcess]:
+    with stand_in(ArmModel.UR10, HOST) as process:
+        yield process
+
+
+@pytest.fixture(scope="module")
+def shared_arm(controller: ControllerProcess) -> Iterator[UrArm]:
+    with UrArm(patient(controller.host), LIMITS) as arm:
+        yield arm
+
+
+@pytest.fixture
+def arm(shared_arm: UrArm, controller: ControllerProcess) -> Iterator[UrArm]:
+    """Ready, wherever on the way it stands."""
+    deadline = time.monotonic() + 20.0
+    while True:
+        try:
+            shared_arm.reset()
+            break
+        except DeviceError:
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+    yield shared_arm
+    controller.fault("reset")  # ends the program too, which the arm has to see
+    time.sleep(0.2)
+
+
+def happens(
+    arm: UrArm, controller: ControllerProcess, event: Callable[[], object], watch: MotionWatch = PATIENT
+) -> tuple[Stop, Exception | None]:
+    """A swing in the middle of which `event` happens, and how the joints stopped."""
+    trajectory = swing(held(arm))
+    before = controller.state()["tick"]
+    at: list[float] = []
+
+    def act() -> None:
+        wait_for_mid_swing(arm, trajectory)
+        at.append(time.monotonic())
+        event()
+
+    timer = threading.Thread(target=act)
+    timer.start()
+    error: Exception | None = None
+    try:
+        report = arm.execute(trajectory, None, watch)
+        assert report.outcome is not MotionOutcome.COMPLETED
+    except DeviceError as fault:
+        error = fault
+    timer.join()
+    time.sleep(0.5)
+    stop = stop_after(controller.trace(before), trajectory, at[0])
+    assert stop.speed > 0.5, "it was to happen in mid-swing"
+    return stop, error
+
+
+def expect_latch(arm: UrArm) -> None:
+    with pytest.raises(LatchedError):
+        arm.execute(swing(held(arm)))
+
+
+def test_stop_from_another_thread(arm: UrArm, controller: ControllerProcess) -> None:
+    stop, error = happens(arm, controller, arm.stop)
+    assert error is None
+    braked(stop, LIMITS)
+
+
+def test_protective_stop(arm: UrArm, controller: ControllerProcess) -> None:
+    stop, error = happens(arm, controller, lambda: controller.fault("protective_stop"))
+    assert isinstance(error, ProtectiveStopError)
+    assert stop.time < 0.3 + SLACK
+    expect_latch(arm)
+    with pytest.raises(NotReadyError, match="protective"):
+        arm.reset()
+
+
+def test_emergency_stop(arm: UrArm, controller: ControllerProcess) -> None:
+    stop, error = happens(arm, controller, lambda: controller.fault("emergency_stop"))
+    assert isinstance(error, EmergencyStopError)
+    assert stop.time < 0.3 + SLACK
+    expect_latch(arm)
+    with pytest.raises(NotReadyError, match="emergency"):
+        arm.reset()
+
+
+def test_safeguard_stop(arm: UrArm, controller: ControllerProcess) -> None:
+    stop, error = happens(arm, controller, lambda: controller.fault("safeguard_stop"))
+    assert isinstance(error, EmergencyStopError)
+    assert stop.time < 0.3 + SLACK
+    expect_latch(arm)
+
+
+@pytest.mark.parametrize("reset", [False, True], ids=["FIN", "RST"])
+def test_dropped_link(arm: UrArm, controller: ControllerProcess, reset: bool) -> None:
+    """The robot's program goes on and holds the arm where it was sent last, until the robot's watchdog ends it: the
+    wheel, which would end it at once and start another, does not get through."""
+    uploads = controller.state()["uploads"]
+    stop, error = happens(arm, controller, lambda: controller.fault("drop", port="rtde", reset=reset))
+    assert isinstance(error, LinkLostError | ServoCrashError)
+    assert stop.time < WATCHDOG + 0.5 + SLACK
+    assert stop.overshoot < 0.1  # ended at once it would be 0.2
+    assert stop.off_path < 1e-6
+    assert controller.state()["uploads"] == uploads
+    expect_latch(arm)
+    arm.reset()
+    assert arm.state(1.0).status is ArmStatus.READY
+
+
+def test_half_open_link(arm: UrArm, controller: ControllerProcess) -> None:
+    stop, error = happens(arm, controller, lambda: controller.fault("half_open", port="rtde"), MotionWatch(0.5, 10, 40))
+    assert isinstance(error, LinkLostError)
+    assert stop.time < WATCHDOG + 0.5 + SLACK
+    with pytest.raises(StaleDataError):
+        arm.state(0.1)
+
+
+def test_a_controller_that_pauses_at_rest_is_stale_meanwhile_and_no_more(
+    arm: UrArm, controller: ControllerProcess
+) -> None:
+    pid = arm.servo_pid
+    time.sleep(0.1)
+    controller.fault("freeze", seconds=0.8)
+    time.sleep(0.5)
+    with pytest.raises(StaleDataError):
+        arm.state(0.1)
+    time.sleep(1.0)
+    assert arm.state(0.5).status is ArmStatus.READY
+    arm.reset()
+    assert arm.servo_pid == pid
+    assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
+
+
+def test_a_network_that_is_stuck_for_a_second_stops_the_motion(arm: UrArm, controller: ControllerProcess) -> None:
+    _, error = happens(arm, controller, lambda: controller.fault("stall", seconds=1.0, port="rtde"))
+    # Its data were missing, or its watchdog had ended the program.
+    assert isinstance(error, MotionFaultError)
+    expect_latch(arm)
+    arm.reset()
+    assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
+
+
+def test_a_stall_of_three_seconds_is_a_lost_link(arm: UrArm, controller: ControllerProcess) -> None:
+    controller.fault("stall", seconds=3.0, port="rtde")
+    time.sleep(2.2)
+    with pytest.raises(LatchedError, match="link"):
+        arm.execute(swing(HOME))
+    time.sleep(1.0)
+
+
+def test_reboot(arm: UrArm, controller: ControllerProcess) -> None:
+    began = time.monotonic()
+    _, error = happens(arm, controller, lambda: controller.fault("reboot", seconds=1.5, powered=True))
+    assert isinstance(error, MotionFaultError)
+    assert time.monotonic() - began < 5.0
+    expect_latch(arm)
+
+
+def test_killed_servo_process(arm: UrArm, controller: ControllerProcess) -> None:
+    stop, error = happens(arm, controller, partial(os.kill, arm.servo_pid, signal.SIGKILL))
+    assert isinstance(error, ServoCrashError)
+    assert "SIGKILL" in str(error)
+    assert error.report is not None
+    assert len(error.report.stamps) > 10
+    assert stop.time < WATCHDOG + 0.4 + SLACK
+    expect_latch(arm)
+
+
+def test_hanging_servo_process(arm: UrArm, controller: ControllerProcess) -> None:
+    stop, error = happens(arm, controller, partial(os.kill, arm.servo_pid, signal.SIGSTOP))
+    assert isinstance(error, ServoCrashError)
+    assert "hung" in str(error)
+    assert stop.time < WATCHDOG + 0.4 + SLACK
+
+
+def test_late_commands(arm: UrArm, controller: ControllerProcess) -> None:
+    pid = arm.servo_pid
+
+    def hold_up() -> None:
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(0.06)
+        os.kill(pid, signal.SIGCONT)
+
+    stop, error = happens(arm, controller, hold_up, MotionWatch(0.5, 40.0, 3))
+    assert isinstance(error, OverrunError)
+    assert error.report is not None
+    assert error.report.overruns >= 3
+    assert stop.time < shortest_stop(LIMITS, stop.speed) + 0.1 + SLACK

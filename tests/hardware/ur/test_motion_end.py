@@ -1,0 +1,60 @@
+"""When a motion is over: not before the arm has come to rest, even where it swings past rest again and again."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from tests.sim_backend.kinematics import line
+from tests.stand_in import HOME, held
+from toolee_robot.config import ArmLimits
+from toolee_robot.frames import Array
+from toolee_robot.hardware.ur.config import UrArmConfig
+from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
+from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
+
+pytestmark = pytest.mark.realtime
+
+HOST, PACE = "127.0.0.29", 0.5
+FREQUENCY, DAMPING = 2.0 * np.pi * 4.0, 0.15  # [rad/s], of critical
+
+
+class Elastic(JointPlant):
+    """Joints that swing about their set-points, as those of an arm do that leans against something."""
+
+    def __init__(self, model: ControllerModel) -> None:
+        super().__init__(model, HOME)
+        self._x, self._v, self._before = np.zeros(6), np.zeros(6), np.zeros(6)
+
+    @property
+    def q(self) -> Array:
+        return super().q + self._x
+
+    @property
+    def qd(self) -> Array:
+        return super().qd + self._v
+
+    def step(self, dt: float) -> None:
+        super().step(dt)
+        speed = super().qd
+        self._v -= speed - self._before
+        self._before = speed
+        self._v -= dt * (FREQUENCY**2 * self._x + 2.0 * DAMPING * FREQUENCY * self._v)
+        self._x = self._x + dt * self._v
+
+
+def test_an_arm_that_swings_is_not_taken_for_one_that_stands() -> None:
+    with (
+        ControllerProcess(model="UR10", host=HOST, plant=Elastic, realtime=True, pace=PACE) as controller,
+        UrArm(UrArmConfig(HOST, pace=PACE), ArmLimits()) as arm,
+    ):
+        way = np.array([0.15, 0.0, 0.0, 0.0, 0.0, 0.0])
+        for target in (HOME + way, HOME):
+            arm.execute(line([held(arm), target], 0.5))
+            tick = controller.state()["tick"]
+            time.sleep(0.4 / PACE)
+            assert np.abs(controller.trace(tick).qd).max() < 0.01

@@ -1,0 +1,284 @@
+"""The detector: its pieces against plain definitions, and the whole on toy pictures: trained, exported, reloaded."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torchvision.ops import nms
+
+from tests.perception.toy_scenes import ArrayImages, toy_scenes
+from toolee_robot.errors import AssetError, TooleeError
+from toolee_robot.perception.detection.boxes import decode, encode, greedy_suppression, pairwise_iou
+from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector, DetectorConfig
+from toolee_robot.perception.detection.inputs import CHANNELS, encode_rgbd
+from toolee_robot.perception.detection.instances import associate, without_duplicates
+from toolee_robot.perception.detection.losses import instances_from_maps
+from toolee_robot.perception.detection.mask_head import _near
+from toolee_robot.perception.detection.segmenter import Segmenter
+from toolee_robot.perception.detection.train import SegmentationTraining, train
+from toolee_robot.perception.detection.training_data import DeviceImages, augment
+from toolee_robot.perception.evaluation.segmentation import coco_task, report
+from toolee_robot.types import CameraIntrinsics, Category, RgbdFrame
+
+pytestmark = pytest.mark.sim
+
+TINY = DetectorConfig(
+    widths=(16, 24, 32, 48),
+    fpn_channels=32,
+    box_features=64,
+    mask_layers=2,
+    mask_width=16,
+    working_pixels=64 * 96,
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> Iterator[None]:
+    """Tiny networks: threads cost more than they save, and much more on a busy machine."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def frame_of(scenes: ArrayImages, i: int = 0) -> RgbdFrame:
+    fx, fy, cx, cy = (float(v) for v in scenes.intrinsics[i])
+    height, width = scenes.rgb.shape[1:3]
+    depth = (scenes.depth_mm[i] / 1000).astype(np.float32)
+    return RgbdFrame(scenes.rgb[i], depth, CameraIntrinsics(fx, fy, cx, cy, width, height))
+
+
+def random_boxes(n: int, seed: int = 0) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    corner = torch.rand((n, 2), generator=generator) * 80
+    return torch.cat([corner, corner + 5 + torch.rand((n, 2), generator=generator) * 40], 1)
+
+
+def test_boxes_decode_to_what_was_encoded() -> None:
+    boxes, anchors = random_boxes(50, 1), random_boxes(50, 2)
+    torch.testing.assert_close(decode(encode(boxes, anchors), anchors), boxes, atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_batched_suppression_equals_greedy_suppression(seed: int) -> None:
+    boxes = random_boxes(200, seed)
+    expected = nms(boxes, torch.arange(200, 0, -1).float(), 0.5)
+    keep = greedy_suppression(boxes[None], 0.5, iterations=60)[0]
+    assert torch.nonzero(keep)[:, 0].tolist() == sorted(expected.tolist())
+
+
+def test_instances_have_the_boxes_and_labels_of_their_pixels() -> None:
+    maps = torch.zeros((1, 2, 64, 96), dtype=torch.uint8)
+    maps[0, 0, 10:20, 30:50] = 1
+    maps[0, 0, 40:42, 5:8] = 2
+    maps[0, 1, 10:60, 30:50] = 1
+    instances = instances_from_maps(maps, torch.tensor([[3, 1, 2]]), tools=1)
+    assert instances.labels.tolist() == [[3, 1, 0, TOOL]]
+    assert instances.boxes[0, 0].tolist() == [30, 10, 50, 20]
+    assert instances.boxes[0, 3].tolist() == [30, 10, 50, 60]
+    assert instances.ignored.tolist() == [[False, True, False, False]], "six pixels are too few to learn from"
+
+
+def test_augmentation_moves_image_and_maps_together() -> None:
+    scenes = toy_scenes(8, seed=3)
+    torch.manual_seed(0)
+    # The image is the map itself, so after any warp they must still agree where neither was painted over.
+    as_image = np.repeat((scenes.tool > 0)[..., None] * np.uint8(255), 3, axis=3)
+    depth_mm = np.where(scenes.tool > 0, 600, 900).astype(np.uint16)
+    from toolee_robot.perception.detection import training_data
+
+    data = DeviceImages(replace(scenes, rgb=as_image, depth_mm=depth_mm), torch.device("cpu"))
+    images, depth, scale, warped = training_data._warp(data.sample(8), (80, 120), 1.0)
+    tool = warped[:, 1] > 0
+    assert tool.sum() > 500
+    assert (images[:, 0][tool] > 100).float().mean() > 0.97
+    assert (depth[tool] == 0.6).all(), "depth is never a mean of two things"
+    assert (depth[~tool] != 0.6).all()
+    assert ((scale > 0.74) & (scale < 1.9)).all()
+
+
+def test_augmented_batches_are_finite_and_padded() -> None:
+    scenes = toy_scenes(4)
+    torch.manual_seed(1)
+    batch, maps = augment(DeviceImages(scenes, torch.device("cpu")).sample(4), (60, 90))
+    assert batch.pixels.shape == (4, CHANNELS, 64, 96)
+    assert batch.depth.shape == (4, 64, 96)
+    assert maps.shape == (4, 2, 64, 96)
+    assert torch.isfinite(batch.pixels).all()
+
+
+def test_the_network_sees_sizes_in_metres_and_what_stands_out() -> None:
+    """A pixel twice as far seen with twice the focal length is as large; the near half stands out; holes say so."""
+    depth = torch.full((1, 128, 128), 0.8)
+    depth[:, :, :64] = 0.7
+    depth[:, 20:30, 20:30] = 0.0
+    rgb = torch.full((1, 3, 128, 128), 110.0)
+    seen, twice = (encode_rgbd(rgb, k * depth, torch.tensor([k * 400.0])).pixels for k in (1.0, 2.0))
+    torch.testing.assert_close(seen[:, 3], twice[:, 3])
+    assert float(seen[0, 3, 0, 127] - seen[0, 3, 0, 0]) == pytest.approx(2 * np.log(0.8 / 0.7), abs=1e-5)
+    assert seen[0, 4, 64, 60] < -0.5 < 0.5 < seen[0, 4, 64, 68]
+    assert not seen[0, 3:, 20:30, 20:30].any()
+    assert seen[0, 5].sum() == 128 * 128 - 100
+
+
+def test_the_mask_head_sees_places_in_metres() -> None:
+    """A wall 0.6 m away with a hole in its depth, and a region that reaches beyond the image."""
+    depth = torch.full((1, 64, 96), 0.6)
+    depth[:, 30:34, 40:44] = 0.0
+    batch = encode_rgbd(torch.zeros((1, 3, 64, 96)), depth, torch.tensor([300.0]))
+    near = _near(batch, torch.tensor([[0.0, -20.0, 4.0, 36.0, 60.0]]))[0]
+    x, y, z, known = near[3:]
+    # 56 pixels of 2 mm, in units of 5 cm, about the region's centre (8, 32).
+    torch.testing.assert_close(x[0], (torch.arange(56) + 0.5 - 28) * 2 / 50)
+    torch.testing.assert_close(y[:, 0], (torch.arange(56) + 0.5 - 28) * 2 / 50)
+    assert not z.any()
+    assert not known[:, :20].any()
+    assert known[:, 20:].all()
+
+
+def test_of_two_masks_of_one_thing_the_better_stays() -> None:
+    whole, part, other = (np.zeros((20, 40), dtype=bool) for _ in range(3))
+    whole[5:10, 5:30], part[5:10, 15:32], other[5:10, 5:30] = True, True, True
+    box = (0.0, 0.0, 1.0, 1.0)
+    kept = without_duplicates([part, whole, other], [1, 1, 2], [0.6, 0.9, 0.5], [box] * 3)
+    assert kept[2] == [0.9, 0.5], "another class may share pixels"
+    assert kept[1] == [1, 2]
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tiny detector, overfit on eight toy pictures."""
+    out = tmp_path_factory.mktemp("run")
+    torch.manual_seed(0)
+    config = SegmentationTraining(
+        Path("toy"), out, max_steps=120, batch=4, lr=3e-3, warmup_steps=10, ema=0.9, augmentation=0, model=TINY
+    )
+    return train(config, toy_scenes(8))
+
+
+def log_of(folder: Path) -> list[dict[str, float]]:
+    """The losses that a training logged, without its events."""
+    entries = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    return [entry for entry in entries if "event" not in entry]
+
+
+def test_training_lowers_the_loss_and_logs_it(trained: Path) -> None:
+    log = log_of(trained)
+    assert log[-1]["loss"] < 0.75 * log[0]["loss"]
+    description = json.loads((trained / "segmentation.json").read_text())
+    assert description["classes"] == list(CLASSES)
+    assert description["steps"] == 120
+
+
+def test_overfit_detector_finds_the_tools_of_its_pictures(trained: Path) -> None:
+    scenes = toy_scenes(8)
+    found = report(coco_task(Segmenter.load(trained), scenes))
+    assert found["average"]["AP50"] > 0.8, found
+    detections = Segmenter.load(trained).detect(frame_of(scenes))
+    best = detections[0]
+    assert best.category == list(Category)[int(scenes.categories[0, 0]) - 1]
+    truth = scenes.ee[0] > 0
+    assert (best.mask & truth).sum() / (best.mask | truth).sum() > 0.6
+    assert best.tool_mask is not None
+    assert best.tool_mask.sum() > best.mask.sum()
+
+
+def test_exported_weights_give_the_average_s_output(trained: Path) -> None:
+    """What is shipped (half precision, fused) answers as the averaged network of the checkpoint does."""
+    state = torch.load(trained / "checkpoint.pt", weights_only=True)
+    reference = Detector(TINY)
+    reference.load_state_dict(state["average"], strict=False)
+    frame = frame_of(toy_scenes(1, seed=9))
+    # In float32: in bfloat16 weights that differ by so little may be rounded apart.
+    expected = Segmenter(reference, bfloat16=False).detect(frame)
+    found = Segmenter.load(trained, bfloat16=False).detect(frame)
+    assert [d.category for d in expected] == [d.category for d in found]
+    for a, b in zip(expected, found, strict=True):
+        assert a.score == pytest.approx(b.score, abs=0.02)
+        np.testing.assert_allclose(a.box, b.box, atol=0.5)
+
+
+def test_detections_follow_the_image_s_size(trained: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A picture with more pixels than the network's is scaled down, and masks and boxes come back at its size."""
+    # A second look enlarges the two pictures each in its own way, and this network has learnt one size only.
+    monkeypatch.setattr("toolee_robot.perception.detection.segmenter.crops", lambda *_: [])
+    frame = frame_of(toy_scenes(1))
+    segmenter = Segmenter.load(trained)
+    K = frame.intrinsics
+    K = CameraIntrinsics(2 * K.fx, 2 * K.fy, 2 * K.cx + 0.5, 2 * K.cy + 0.5, 2 * K.width, 2 * K.height)
+    # Every pixel four times: scaled down, the same picture, whatever the network has learnt.
+    large = RgbdFrame(frame.rgb.repeat(2, 0).repeat(2, 1), frame.depth.repeat(2, 0).repeat(2, 1), K)
+    found, found_large = segmenter.detect(frame), segmenter.detect(large)
+    assert [d.category for d in found_large] == [d.category for d in found] != []
+    for a, b in zip(found, found_large, strict=True):
+        np.testing.assert_allclose(b.box, 2 * np.array(a.box), atol=1e-2)
+        assert b.mask.shape == large.depth.shape
+        halved = b.mask.reshape(a.mask.shape[0], 2, a.mask.shape[1], 2).mean((1, 3)) > 0.5
+        assert (halved & a.mask).sum() > 0.9 * (halved | a.mask).sum()
+
+
+def test_a_run_resumes_where_it_stopped(tmp_path: Path) -> None:
+    scenes = toy_scenes(4)
+    common = {"batch": 2, "warmup_steps": 2, "log_every": 1, "model": TINY, "augmentation": 0.0}
+    train(SegmentationTraining(Path("toy"), tmp_path, max_steps=3, **common), scenes)  # type: ignore[arg-type]
+    train(SegmentationTraining(Path("toy"), tmp_path, max_steps=5, **common), scenes)  # type: ignore[arg-type]
+    log = log_of(tmp_path)
+    assert [entry["step"] for entry in log] == [1, 2, 3, 4, 5]
+
+
+def test_a_run_starts_from_exported_weights(tmp_path: Path, trained: Path) -> None:
+    config = SegmentationTraining(
+        Path("toy"), tmp_path, max_steps=2, batch=4, lr=1e-6, log_every=1, model=TINY, augmentation=0, init=trained
+    )
+    train(config, toy_scenes(8))
+    first = log_of(trained)[0]["loss"]
+    continued = log_of(tmp_path)[0]["loss"]
+    assert continued < 0.75 * first
+
+
+def test_a_loss_that_is_not_finite_stops_the_run(tmp_path: Path) -> None:
+    config = SegmentationTraining(
+        Path("toy"), tmp_path, max_steps=30, batch=2, lr=1e12, warmup_steps=1, log_every=1, model=TINY, augmentation=0.0
+    )
+    with pytest.raises(TooleeError, match="not finite"):
+        train(config, toy_scenes(4))
+    assert not (tmp_path / "segmentation.json").exists()
+
+
+def test_missing_weights_are_named(tmp_path: Path, trained: Path) -> None:
+    with pytest.raises(AssetError, match=r"segmentation\.json"):
+        Segmenter.load(tmp_path)
+    (tmp_path / "segmentation.json").write_text((trained / "segmentation.json").read_text())
+    with pytest.raises(AssetError, match=r"segmentation-00001-of-00001\.safetensors"):
+        Segmenter.load(tmp_path)
+    (tmp_path / "segmentation-00001-of-00001.safetensors").write_bytes(b"not a tensor file")
+    with pytest.raises(AssetError, match="unreadable"):
+        Segmenter.load(tmp_path)
+
+
+def test_an_end_effector_belongs_to_the_tool_that_covers_it() -> None:
+    left, right, ee = (np.zeros((20, 40), dtype=bool) for _ in range(3))
+    left[:, :15], right[:, 20:], ee[5:10, 18:28] = True, True, True
+    box = (0.0, 0.0, 1.0, 1.0)
+    found = associate([left, right, ee], [TOOL, TOOL, 1], [0.9, 0.9, 0.8], [box] * 3)
+    assert len(found) == 1
+    assert found[0].tool_mask is not None
+    assert found[0].tool_mask[0, 30]
+    assert not found[0].tool_mask[0, 0]
+
+
+def test_the_shipped_architecture_fits_its_budget() -> None:
+    """All weights together must stay under 40 MB, of which the detector may take 28, stored as half precision."""
+    assert 2 * sum(p.numel() for p in Detector().parameters()) < 28e6
+
+
+def test_iou_of_known_boxes() -> None:
+    a = torch.tensor([[0.0, 0.0, 10.0, 10.0]])
+    b = torch.tensor([[5.0, 0.0, 15.0, 10.0], [20.0, 20.0, 30.0, 30.0]])
+    torch.testing.assert_close(pairwise_iou(a, b), torch.tensor([[1 / 3, 0.0]]))

@@ -1,0 +1,107 @@
+"""The mirrored pass: what is found is judged and drawn in the image and in its mirror image, and only what is found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from tests.perception.detection.test_detector import TINY
+from toolee_robot.perception.detection.boxes import mirror_boxes
+from toolee_robot.perception.detection.detector import Detector, RawDetections
+from toolee_robot.perception.detection.inputs import encode_rgbd, mirror
+
+HEIGHT, WIDTH = 64, 96
+BOXES = torch.tensor([[10.0, 4.0, 34.0, 20.0], [50.0, 24.0, 59.5, 31.0], [0.0, 40.0, 96.0, 64.0]])
+NOTHING = torch.zeros((3, 4))
+
+
+class Untrained(Detector):
+    """Random weights. Takes the boxes (B, N, 4) it is given for proposals, empty ones for none, moves none of them and
+    reports every class; notes how many images each pass had."""
+
+    def __init__(self, boxes: Tensor) -> None:
+        torch.manual_seed(0)
+        super().__init__(replace(TINY, score_threshold=0.0, max_detections=100))
+        nn.init.zeros_(self.box_delta.weight)
+        # As they begin, all classes are as probable wherever one looks.
+        nn.init.normal_(self.box_score.weight)
+        self.boxes = boxes
+        self.passes: list[int] = []
+        self.backbone.register_forward_hook(lambda _, inputs, __: self.passes.append(len(inputs[0])))
+        self.eval()
+
+    def proposals(self, *_: object) -> tuple[Tensor, Tensor]:
+        return self.boxes, self.boxes[..., 2] > self.boxes[..., 0]
+
+
+def images(count: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Colour (B, 3, H, W), depth (B, H, W) with holes [m], and focal length (B,) [px]: noise at two scales."""
+    generator = torch.Generator().manual_seed(1)
+    coarse = torch.rand((count, 4, HEIGHT // 8, WIDTH // 8), generator=generator)
+    noise = coarse.repeat_interleave(8, 2).repeat_interleave(8, 3)
+    noise = (noise + torch.rand((count, 4, HEIGHT, WIDTH), generator=generator)) / 2
+    depth = 0.5 + 0.4 * noise[:, 3]
+    return 255 * noise[:, :3], depth * (noise[:, 3] > 0.2), torch.tensor([80.0, 100.0, 120.0][:count])
+
+
+def in_order(found: RawDetections) -> RawDetections:
+    """By class, then from top to bottom: scores that nearly agree have no order."""
+    order = (found.labels * 1000 + found.boxes[:, 1]).argsort()
+    return RawDetections(*(v[order] for v in (found.boxes, found.scores, found.labels, found.masks, found.mask_boxes)))
+
+
+def assert_same(found: RawDetections, expected: RawDetections) -> None:
+    for name in ("boxes", "scores", "labels", "masks", "mask_boxes"):
+        torch.testing.assert_close(getattr(found, name), getattr(expected, name), atol=1e-4, rtol=0, msg=name)
+
+
+def test_a_mirrored_batch_is_the_mirrored_images_encoded() -> None:
+    rgb, depth, focal = images(3)
+    chosen = torch.tensor([2, 0])
+    mirrored = mirror(encode_rgbd(rgb, depth, focal), chosen)
+    expected = encode_rgbd(rgb[chosen].flip(3), depth[chosen].flip(2), focal[chosen])
+    torch.testing.assert_close(mirrored.pixels, expected.pixels, atol=1e-4, rtol=0)
+    assert (mirrored.depth == expected.depth).all()
+    assert (mirrored.focal == expected.focal).all()
+
+
+def test_the_mirrored_image_s_detections_are_the_mirrored_detections() -> None:
+    """Of any network, though an untrained one draws something else in the mirror: the mean knows no left and right."""
+    rgb, depth, focal = images(1)
+    batch, mirrored = encode_rgbd(rgb, depth, focal), encode_rgbd(rgb.flip(3), depth.flip(2), focal)
+    found = in_order(Untrained(BOXES[None]).detect(batch)[0])
+    there = in_order(Untrained(mirror_boxes(BOXES, WIDTH)[None]).detect(mirrored)[0])
+    assert len(found.boxes) == 15
+    assert found.masks.std() > 0.05, "masks of one value would be of no use here"
+    assert found.scores.std() > 0.05
+    expected = RawDetections(
+        mirror_boxes(there.boxes, WIDTH),
+        there.scores,
+        there.labels,
+        there.masks.flip(2),
+        mirror_boxes(there.mask_boxes, WIDTH),
+    )
+    assert_same(found, expected)
+
+
+def test_a_batch_s_images_are_detected_as_if_alone() -> None:
+    rgb, depth, focal = images(3)
+    boxes = torch.stack([BOXES, NOTHING, BOXES / 2])
+    detector = Untrained(boxes)
+    together = detector.detect(encode_rgbd(rgb, depth, focal))
+    assert [len(found.boxes) for found in together] == [15, 0, 15]
+    assert detector.passes == [3, 2], "the one without anything found has no mirrored pass"
+    for i, found in enumerate(together):
+        part = slice(i, i + 1)
+        alone = Untrained(boxes[part]).detect(encode_rgbd(rgb[part], depth[part], focal[part]))[0]
+        assert_same(in_order(found), in_order(alone))
+
+
+@pytest.mark.parametrize(("boxes", "passes"), [(BOXES, [1, 1]), (NOTHING, [1])])
+def test_only_where_something_is_found_a_mirrored_pass_is_paid(boxes: Tensor, passes: list[int]) -> None:
+    detector = Untrained(boxes[None])
+    detector.detect(encode_rgbd(*images(1)))
+    assert detector.passes == passes

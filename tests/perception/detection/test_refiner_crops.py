@@ -1,0 +1,240 @@
+"""Squares about detections: where their cells lie in the image, and what is seen there in colour and metres."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+
+from toolee_robot.perception.detection.refiner.crops import CELLS, CHANNELS, Images, MaskAt, Squares, look
+
+HEIGHT, WIDTH = 60, 80
+X, Y, Z, KNOWN, MASK = range(3, CHANNELS)
+UNIT = 0.05
+"""[m] Of the channels X, Y, Z, which end at 3."""
+
+
+def images(count: int = 1, seed: int = 0) -> Images:
+    """Noise of two scales in colour, and in depth, with holes."""
+    generator = torch.Generator().manual_seed(seed)
+    rgb = torch.randint(0, 256, (count, HEIGHT, WIDTH, 3), generator=generator, dtype=torch.uint8)
+    coarse = torch.rand((count, HEIGHT // 4, WIDTH // 4), generator=generator)
+    depth = 0.5 + 0.05 * coarse.repeat_interleave(4, 1).repeat_interleave(4, 2)
+    depth = depth + 0.01 * torch.rand((count, HEIGHT, WIDTH), generator=generator)
+    holes = torch.rand((count, HEIGHT, WIDTH), generator=generator) < 0.1
+    return Images(rgb, torch.where(holes, 0.0, depth), 90.0 + 10.0 * torch.arange(count))
+
+
+def plane(depth: Tensor, focal: float) -> Images:
+    """Black, depth (H, W) [m]."""
+    return Images(torch.zeros((1, *depth.shape, 3), dtype=torch.uint8), depth[None], torch.tensor([focal]))
+
+
+def of_image(mask: Tensor) -> MaskAt:
+    """Each square's mask is this one (H, W)."""
+    return lambda column, row: mask[row, column]
+
+
+def everywhere(column: Tensor, _row: Tensor) -> Tensor:
+    return torch.ones_like(column, dtype=torch.bool)
+
+
+def square(u: float, v: float, side: float, turn: float = 0.0, mirrored: float = 1.0) -> Squares:
+    return Squares(torch.tensor([[u, v]]), *(torch.tensor([value]) for value in (side, turn, mirrored)))
+
+
+def disc() -> Tensor:
+    y, x = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
+    return (x - 37) ** 2 + 2 * (y - 31) ** 2 < 220
+
+
+FIRST = torch.zeros(1, dtype=torch.long)
+"""Index of one square's image."""
+MIDDLE = square(40.0, 30.0, 48.0)
+
+
+@st.composite
+def squares(draw: st.DrawFn) -> Squares:
+    """One, upright, that may reach beyond the image. None of its cells' centres lies where two pixels meet."""
+    u, v = (draw(st.integers(-80, 8 * size + 80)) / 8 + 1 / 16 for size in (WIDTH, HEIGHT))
+    return square(u, v, CELLS / 4 * draw(st.integers(1, 6)))
+
+
+@st.composite
+def boxes(draw: st.DrawFn) -> tuple[float, float, float, float]:
+    x, y = draw(st.floats(-50, 600)), draw(st.floats(-50, 600))
+    return x, y, x + draw(st.floats(0.1, 400)), y + draw(st.floats(0.1, 400))
+
+
+@given(st.lists(boxes(), min_size=1, max_size=4))
+def test_the_cells_of_an_upright_square_fill_its_box_about_what_was_found(
+    found: list[tuple[float, float, float, float]],
+) -> None:
+    about = Squares.about(torch.tensor(found))
+    u, v = about.places()
+    covered = about.boxes()
+    side = covered[:, 2] - covered[:, 0]
+    steps = (torch.arange(CELLS) + 0.5) / CELLS
+    expected_u = covered[:, 0, None] + steps * side[:, None]
+    expected_v = covered[:, 1, None] + steps * side[:, None]
+    torch.testing.assert_close(u, expected_u[:, None, :].expand_as(u), atol=1e-3, rtol=0)
+    torch.testing.assert_close(v, expected_v[:, :, None].expand_as(v), atol=1e-3, rtol=0)
+    torch.testing.assert_close(covered[:, 3] - covered[:, 1], side, atol=1e-3, rtol=1e-5)
+    for (x0, y0, x1, y1), within in zip(found, covered.tolist(), strict=True):
+        room = 0.3 * max(x1 - x0, y1 - y0)
+        assert within[0] <= x0 - room
+        assert within[1] <= y0 - room
+        assert within[2] >= x1 + room
+        assert within[3] >= y1 + room
+    assert (side > 23.9).all(), "the least thing still has surroundings"
+    torch.testing.assert_close(about.in_the_mirror().boxes(), covered)
+
+
+@given(squares(), st.sampled_from([0.0, 0.5, 1.0, 1.5]))
+def test_a_mirrored_square_shows_the_same_left_for_right(upright: Squares, half_turns: float) -> None:
+    turned = Squares(upright.centre, upright.side, torch.tensor([math.pi * half_turns]), upright.mirrored)
+    seen, pixels = look(images(), FIRST, turned, of_image(disc()))
+    there, mirrored_pixels = look(images(), FIRST, turned.in_the_mirror(), of_image(disc()))
+    assert (mirrored_pixels == pixels.flip(3)).all()
+    expected = seen.flip(3)
+    expected[:, X] *= -1
+    torch.testing.assert_close(there[:, :3], expected[:, :3], atol=0.05, rtol=0)
+    torch.testing.assert_close(there[:, 3:], expected[:, 3:], atol=1e-4, rtol=0)
+
+
+@given(squares(), st.integers(1, 3))
+def test_a_turned_square_sees_what_an_upright_one_sees_of_the_image_turned_back(upright: Squares, turns: int) -> None:
+    """A square's axes turn clockwise, from the image's x to its y: against them, the image."""
+    scene, mask, (u, v) = images(), disc(), upright.centre[0].tolist()
+    width, height = WIDTH, HEIGHT
+    for _ in range(turns):
+        u, v, width, height = v, width - u, height, width
+    back = Images(scene.rgb.rot90(turns, (1, 2)), scene.depth.rot90(turns, (1, 2)), scene.focal)
+    turned = Squares(upright.centre, upright.side, torch.tensor([turns * math.pi / 2]), upright.mirrored)
+    seen, _ = look(scene, FIRST, turned, of_image(mask))
+    expected, _ = look(back, FIRST, square(u, v, float(upright.side)), of_image(mask.rot90(turns)))
+    torch.testing.assert_close(seen[:, :3], expected[:, :3], atol=0.05, rtol=0)
+    torch.testing.assert_close(seen[:, 3:], expected[:, 3:], atol=1e-4, rtol=0)
+
+
+@given(
+    st.floats(0.3, 1.2),
+    st.floats(200.0, 900.0),
+    st.floats(10.0, 70.0),
+    st.floats(10.0, 50.0),
+    st.floats(24.0, 50.0),
+    st.floats(0.0, 2 * math.pi),
+    st.sampled_from([-1.0, 1.0]),
+)
+def test_of_a_wall_the_places_are_metres_from_the_square_s_centre(
+    z: float, focal: float, u: float, v: float, side: float, turn: float, mirrored: float
+) -> None:
+    """Along the square's own axes, however it lies, beyond the image as within."""
+    scene = plane(torch.full((HEIGHT, WIDTH), z), focal)
+    seen, _ = look(scene, FIRST, square(u, v, side, turn, mirrored), everywhere)
+    metres = ((torch.arange(CELLS) + 0.5) / CELLS - 0.5) * side * z / focal
+    expected = (metres / UNIT).clamp(-3, 3)
+    torch.testing.assert_close(seen[0, X], expected[None, :].expand(CELLS, CELLS), atol=1e-3, rtol=1e-4)
+    torch.testing.assert_close(seen[0, Y], expected[:, None].expand(CELLS, CELLS), atol=1e-3, rtol=1e-4)
+    assert not seen[0, Z].any()
+
+
+def test_depth_counts_from_what_the_mask_shows_though_it_leaks() -> None:
+    """A thing 0.6 m away, a wall 4 cm behind it and one far behind; a third of the mask is of the far wall."""
+    depth = torch.full((HEIGHT, WIDTH), 0.64)
+    depth[:, 50:] = 1.2
+    depth[:, 30:50] = 0.6
+    mask = torch.zeros((HEIGHT, WIDTH), dtype=torch.bool)
+    mask[:, 30:60] = True
+    seen, pixels = look(plane(depth, 400.0), FIRST, MIDDLE, of_image(mask))
+    column = pixels[0, 0]
+    z = seen[0, Z]
+    assert ((column >= 16) & (column < 64)).all()
+    torch.testing.assert_close(z[(column >= 30) & (column < 50)].abs().max(), torch.tensor(0.0), atol=1e-4, rtol=0)
+    behind = z[column < 30]
+    torch.testing.assert_close(behind, torch.full_like(behind, 0.04 / UNIT), atol=1e-4, rtol=0)
+    assert (z[column >= 50] == 3).all()
+    assert (seen[0, MASK] > 0).equal((column >= 30) & (column < 60))
+
+
+def test_what_lies_beyond_the_image_is_no_pixel_and_unknown() -> None:
+    scene = images()
+    scene = Images(scene.rgb.clamp(min=1), scene.depth, scene.focal)
+    corner = square(5.0, 4.0, 48.0)
+    u, v = corner.places()
+    inside = (u >= 0) & (v >= 0)
+    seen, pixels = look(scene, FIRST, corner, everywhere)
+    assert 0 < inside.sum() < inside.numel() / 2
+    assert (pixels[:, 0][inside] == u[inside].floor()).all()
+    assert (pixels[:, 1][inside] == v[inside].floor()).all()
+    assert (pixels[~inside[:, None].expand_as(pixels)] == -1).all()
+    assert (seen[:, :3].amin(1)[inside] > 0).all()
+    for channel in (0, 1, 2, KNOWN, MASK):
+        assert not seen[:, channel][~inside].any()
+    assert (seen[:, MASK][inside] == 1).all()
+
+
+def test_a_hole_in_depth_is_told_and_lies_at_the_thing_s_depth() -> None:
+    depth = torch.full((HEIGHT, WIDTH), 0.7)
+    depth[20:30, 30:40] = 0.0
+    seen, pixels = look(plane(depth, 400.0), FIRST, MIDDLE, everywhere)
+    column, row = pixels[0]
+    hole = (column >= 30) & (column < 40) & (row >= 20) & (row < 30)
+    assert hole.any()
+    assert (seen[0, KNOWN] > 0).equal(~hole)
+    assert not seen[0, Z].any()
+    wall = look(
+        plane(torch.full_like(depth, 0.7), 400.0),
+        torch.zeros(1, dtype=torch.long),
+        square(40.0, 30.0, 48.0),
+        everywhere,
+    )[0]
+    torch.testing.assert_close(seen[0, [X, Y]], wall[0, [X, Y]])
+
+
+def test_without_any_depth_there_is_no_place() -> None:
+    seen, _ = look(
+        plane(torch.zeros((HEIGHT, WIDTH)), 400.0),
+        torch.zeros(1, dtype=torch.long),
+        square(40.0, 30.0, 48.0),
+        everywhere,
+    )
+    assert not seen[0, [X, Y, Z, KNOWN]].any()
+    assert seen[0, MASK].all()
+
+
+def test_squares_of_several_images_are_seen_as_if_alone() -> None:
+    scene, index = images(3), torch.tensor([2, 0, 2, 1])
+    several = Squares.about(torch.tensor([[5.0, 5, 30, 20], [40, 30, 75, 55], [20, 20, 33, 41], [-4, 0, 11, 9.5]]))
+    masks = torch.stack([disc().roll(4 * k, 1) for k in range(4)])
+    which = torch.arange(4)[:, None, None]
+    together, pixels = look(scene, index, several, lambda column, row: masks[which, row, column])
+    for k in range(4):
+        part, image = slice(k, k + 1), slice(int(index[k]), int(index[k]) + 1)
+        one = Squares(several.centre[part], several.side[part], several.turn[part], several.mirrored[part])
+        alone = Images(scene.rgb[image], scene.depth[image], scene.focal[image])
+        seen, seen_pixels = look(alone, FIRST, one, of_image(masks[k]))
+        torch.testing.assert_close(together[part], seen)
+        assert (pixels[part] == seen_pixels).all()
+
+
+def test_varied_squares_still_show_what_was_found() -> None:
+    torch.manual_seed(0)
+    found = torch.tensor([[100.0, 50.0, 160.0, 80.0]]).expand(2000, 4)
+    varied = Squares.about(found).varied()
+    plain = Squares.about(found)
+    larger = varied.side / plain.side
+    assert ((larger > 0.77) & (larger < 1.29)).all()
+    assert larger.min() < 0.8
+    assert larger.max() > 1.25
+    assert (varied.turn == 0).float().mean() == pytest.approx(0.5, abs=0.05)
+    assert (varied.mirrored == -1).float().mean() == pytest.approx(0.5, abs=0.05)
+    assert set(varied.mirrored.tolist()) == {-1.0, 1.0}
+    # The box's middle in the square's own axes, as a share of its side: in view, but anywhere.
+    away = (varied.centre - plain.centre).norm(dim=1) / varied.side
+    assert away.max() < 0.5
+    assert away.mean() > 0.03

@@ -1,0 +1,89 @@
+"""The trainer reads what the generator writes."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.perception.toy_scenes import toy_scenes
+from toolee_robot.errors import AssetError
+from toolee_robot.perception.dataset.records import HEIGHT, WIDTH, EeTable, Example
+from toolee_robot.perception.dataset.scene_reader import load
+from toolee_robot.perception.dataset.scene_writer import write_scene
+from toolee_robot.perception.detection.detector import TOOL
+from toolee_robot.perception.detection.inputs import STRIDE
+from toolee_robot.perception.detection.losses import instances_from_maps
+from toolee_robot.perception.detection.training_data import DeviceImages, augment
+from toolee_robot.perception.evaluation.segmentation import true_instances
+from toolee_robot.perception.training.scene_stream import SceneStream
+from toolee_robot.types import CameraIntrinsics
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    scenes = toy_scenes(3, height=HEIGHT, width=WIDTH)
+    examples = []
+    for i in range(3):
+        table = EeTable.empty()
+        category = table.category.copy()
+        category[0] = scenes.categories[i, 0]
+        depth = np.full((HEIGHT, WIDTH), 800, np.uint16)
+        camera = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, WIDTH, HEIGHT)
+        table = replace(table, category=category)
+        table.obj_id[0] = 1
+        table.visible[0] = np.count_nonzero(scenes.ee[i])
+        examples.append(Example(scenes.rgb[i], depth, scenes.ee[i], scenes.tool[i], table, camera, 0, scenes.ee[i]))
+    write_scene(tmp_path / "000000", examples)
+    return tmp_path
+
+
+def test_a_data_set_becomes_targets(folder: Path) -> None:
+    images = load(folder)
+    data = DeviceImages(images, torch.device("cpu"))
+    sample = data.sample(3)
+    categories = sample.categories
+    batch, maps = augment(sample, (HEIGHT, WIDTH), strength=0.0)
+    assert batch.pixels.shape[2] % STRIDE == 0
+    assert batch.pixels.shape[3] % STRIDE == 0
+    torch.testing.assert_close(batch.depth[:, :HEIGHT, :WIDTH], torch.full((3, HEIGHT, WIDTH), 0.8))
+    torch.testing.assert_close(batch.focal, torch.full((3,), 365.5))
+    instances = instances_from_maps(maps, categories, data.tools)
+    for b in range(3):
+        labels = sorted(instances.labels[b][instances.labels[b] > 0].tolist())
+        assert labels == [int(categories[b, 0]), TOOL]
+        for g in torch.nonzero(instances.labels[b])[:, 0].tolist():
+            seen = (maps[b, instances.plane[b, g]] == instances.ids[b, g]).numpy()
+            rows, columns = np.nonzero(seen)
+            box = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+            assert instances.boxes[b, g].tolist() == box
+
+
+def test_evaluation_sees_the_same_instances(folder: Path) -> None:
+    images = load(folder)
+    labels = [label for label, *_ in true_instances(images, 1)]
+    assert labels == [int(images.categories[1, 0]), TOOL]
+    assert true_instances(images, 1)[0][1].sum() == (images.ee[1] == 1).sum()
+
+
+def test_ranks_share_a_data_set_without_overlap_while_it_grows(folder: Path) -> None:
+    streams = [SceneStream(folder, (rank, 2)) for rank in range(2)]
+    try:
+        assert [len(images.rgb) for images in streams[0].take(60.0)] == [3]
+        assert streams[1].take() == []
+        shutil.copytree(folder / "000000", folder / ".000001.part")
+        (folder / ".000001.part").rename(folder / "000001")
+        assert [len(images.rgb) for images in streams[1].take(60.0)] == [3]
+        assert streams[0].take() == []
+    finally:
+        for stream in streams:
+            stream.close()
+
+
+def test_a_folder_without_data_is_named(tmp_path: Path) -> None:
+    with pytest.raises(AssetError, match="generate"):
+        load(tmp_path)

@@ -1,0 +1,271 @@
+"""The second look: where it looks, what it is shown, and what becomes of what both looks found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from toolee_robot.perception.detection.detector import TOOL, Detector, DetectorConfig, RawDetections, working_size
+from toolee_robot.perception.detection.inputs import RgbdBatch
+from toolee_robot.perception.detection.instances import Box, Instances
+from toolee_robot.perception.detection.segmenter import Segmenter
+from toolee_robot.perception.detection.zoom_pass import (
+    CERTAIN,
+    LEAST_MAGNIFICATION,
+    LEAST_TOOL,
+    MAGNIFICATION,
+    Crop,
+    crop_about,
+    crops,
+    cut,
+    merge,
+    placed,
+)
+from toolee_robot.types import CameraIntrinsics, Category, RgbdFrame
+
+IMAGE = (96, 128)
+PIXELS = 96 * 128
+
+
+def mask_of(box: Box, image: tuple[int, int] = IMAGE) -> NDArray[np.bool_]:
+    mask = np.zeros(image, dtype=np.bool_)
+    x0, y0, x1, y1 = (int(v) for v in box)
+    mask[y0:y1, x0:x1] = True
+    return mask
+
+
+def instances(*found: tuple[int, float, Box], image: tuple[int, int] = IMAGE) -> Instances:
+    """Of (label, score, box); every mask is its box."""
+    masks = [mask_of(box, image) for _, _, box in found]
+    return masks, [label for label, _, _ in found], [score for _, score, _ in found], [box for _, _, box in found]
+
+
+@st.composite
+def views(draw: st.DrawFn) -> tuple[tuple[int, int], Box]:
+    """An image's size and a box inside."""
+    height, width = draw(st.integers(1, 1100)), draw(st.integers(1, 2000))
+    x = sorted(draw(st.tuples(*[st.floats(0, width)] * 2)))
+    y = sorted(draw(st.tuples(*[st.floats(0, height)] * 2)))
+    return (height, width), (x[0], y[0], x[1], y[1])
+
+
+@given(views(), st.integers(2_000, 400_000))
+def test_a_crop_shows_the_whole_box_larger_and_never_more_pixels_than_the_first_look(
+    view: tuple[tuple[int, int], Box], pixels: int
+) -> None:
+    image, box = view
+    working = working_size(*image, pixels)
+    crop = crop_about(box, image, working, pixels)
+    if crop is None:
+        return
+    height, width = crop.size
+    assert 0 <= crop.x0 <= box[0] <= box[2] <= crop.x1 <= image[1]
+    assert 0 <= crop.y0 <= box[1] <= box[3] <= crop.y1 <= image[0]
+    assert crop.holds(box, image)
+    assert 0 < height * width <= pixels
+    for seen, side, before, whole in (
+        (width, crop.x1 - crop.x0, working[1], image[1]),
+        (height, crop.y1 - crop.y0, working[0], image[0]),
+    ):
+        once = side * before / whole  # pixels of the first look
+        assert seen <= MAGNIFICATION * once + 1
+        assert seen >= LEAST_MAGNIFICATION * once - MAGNIFICATION * before / whole - 1.5, "rounded outwards by a pixel"
+
+
+def test_a_small_tool_gets_the_full_magnification_and_a_large_one_no_second_look() -> None:
+    image, working = (424, 512), working_size(424, 512, 640 * 530)
+    crop = crop_about((200.0, 150.0, 280.0, 190.0), image, working, 640 * 530)
+    assert crop is not None
+    first = working[1] / 512
+    assert crop.size[1] / (crop.x1 - crop.x0) == pytest.approx(MAGNIFICATION * first, rel=0.01)
+    assert crop.size[0] / (crop.y1 - crop.y0) == pytest.approx(MAGNIFICATION * first, rel=0.01)
+    assert crop.size[0] * crop.size[1] < 0.25 * working[0] * working[1], "it is cheap"
+    assert crop_about((20.0, 20.0, 500.0, 400.0), image, working, 640 * 530) is None
+
+
+def test_only_tools_without_a_certain_end_effector_are_looked_at_again() -> None:
+    left, right = (4.0, 40.0, 44.0, 52.0), (80.0, 40.0, 120.0, 52.0)
+    on_left = (34.0, 40.0, 44.0, 52.0)
+
+    def looked_at(*found: tuple[int, float, Box]) -> list[bool]:
+        again = crops(instances(*found), IMAGE, IMAGE, PIXELS)
+        return [any(c.x0 <= b[0] and b[2] <= c.x1 for c in again) for b in (left, right)]
+
+    tools = ((TOOL, 0.9, left), (TOOL, LEAST_TOOL, right))
+    assert looked_at() == [False, False]
+    assert looked_at(*tools) == [True, True]
+    assert looked_at(*tools, (1, CERTAIN, on_left)) == [False, True]
+    assert looked_at(*tools, (1, CERTAIN - 0.01, on_left)) == [True, True]
+    assert looked_at(tools[0], (TOOL, LEAST_TOOL - 0.01, right)) == [True, False]
+    assert looked_at((1, 0.2, on_left)) == [False, False], "no tool: nothing says where to look"
+
+
+def test_a_crop_s_camera_sees_the_same_rays() -> None:
+    rng = np.random.default_rng(0)
+    rgb = rng.integers(0, 255, (*IMAGE, 3), dtype=np.uint8)
+    depth = rng.uniform(0.3, 1.0, IMAGE).astype(np.float32)
+    frame = RgbdFrame(rgb, depth, CameraIntrinsics(100.0, 110.0, 60.0, 50.0, 128, 96), 7.0)
+    part = cut(frame, Crop(10, 20, 90, 80, (96, 128)))
+    K, part_K = frame.intrinsics, part.intrinsics
+    assert part.depth.shape == (60, 80)
+    assert part.depth[5, 6] == depth[25, 16]
+    np.testing.assert_array_equal(part.rgb[5, 6], rgb[25, 16])
+    assert ((6 - part_K.cx) / part_K.fx, (5 - part_K.cy) / part_K.fy) == ((16 - K.cx) / K.fx, (25 - K.cy) / K.fy)
+    assert part.stamp == 7.0
+
+
+def test_what_a_crop_s_border_cuts_is_left_out_except_at_the_image_s() -> None:
+    crop = Crop(64, 0, 128, 60, (96, 102))
+    whole, at_crop, at_image = (10.0, 20.0, 20.0, 30.0), (0.0, 20.0, 9.0, 30.0), (40.0, 0.0, 64.0, 9.0)
+    seen = instances((1, 0.9, whole), (2, 0.8, at_crop), (3, 0.7, at_image), image=(60, 64))
+    masks, labels, scores, boxes = placed(seen, crop, IMAGE)
+    assert (labels, scores) == ([1, 3], [0.9, 0.7])
+    assert boxes == [(74.0, 20.0, 84.0, 30.0), (104.0, 0.0, 128.0, 9.0)]
+    for mask, box in zip(masks, boxes, strict=True):
+        np.testing.assert_array_equal(mask, mask_of(box))
+
+
+WHERE = Crop(20, 20, 100, 80, (96, 128))
+EE, NEARLY = (40.0, 30.0, 60.0, 40.0), (41.0, 30.0, 61.0, 40.0)
+
+
+def scores_of(merged: Instances) -> list[tuple[int, float]]:
+    """(label, score) of each, scores to twelve digits."""
+    return [(label, round(score, 12)) for label, score in zip(merged[1], merged[2], strict=True)]
+
+
+def test_what_both_looks_saw_has_the_mean_score_and_the_second_s_mask() -> None:
+    merged = merge(instances((1, 0.4, EE)), [instances((1, 0.8, NEARLY))], [WHERE], IMAGE)
+    assert scores_of(merged) == [(1, 0.6)]
+    np.testing.assert_array_equal(merged[0][0], mask_of(NEARLY))
+    assert merged[3] == [NEARLY]
+
+
+def test_what_one_look_saw_alone_is_half_as_credible() -> None:
+    elsewhere = (70.0, 60.0, 80.0, 70.0)
+    merged = merge(instances((1, 0.4, EE)), [instances((1, 0.8, elsewhere))], [WHERE], IMAGE)
+    assert scores_of(merged) == [(1, 0.2), (1, 0.4)]
+    other_class = merge(instances((1, 0.4, EE)), [instances((2, 0.8, EE))], [WHERE], IMAGE)
+    assert scores_of(other_class) == [(1, 0.2), (2, 0.4)]
+
+
+def test_of_a_tool_the_better_mask_counts_and_the_first_look_decides_that_it_is_there() -> None:
+    for second, expected in ((0.9, NEARLY), (0.3, EE)):
+        merged = merge(instances((TOOL, 0.5, EE)), [instances((TOOL, second, NEARLY))], [WHERE], IMAGE)
+        assert scores_of(merged) == [(TOOL, (0.5 + second) / 2)]
+        assert merged[3] == [expected]
+    missed = merge(instances((TOOL, 0.5, EE)), [instances((TOOL, 0.9, (70.0, 60.0, 80.0, 70.0)))], [WHERE], IMAGE)
+    assert scores_of(missed) == [(TOOL, 0.5)]
+
+
+def test_a_thing_in_two_crops_counts_once() -> None:
+    merged = merge(instances(), [instances((1, 0.8, EE)), instances((1, 0.6, NEARLY))], [WHERE, WHERE], IMAGE)
+    assert scores_of(merged) == [(1, 0.4)]
+
+
+boxes_inside = st.tuples(st.integers(0, 108), st.integers(0, 76), st.integers(4, 20), st.integers(4, 20)).map(
+    lambda v: (float(v[0]), float(v[1]), float(v[0] + v[2]), float(v[1] + v[3]))
+)
+found_things = st.lists(st.tuples(st.integers(1, TOOL), st.floats(0.01, 1.0), boxes_inside), max_size=6)
+
+
+@given(found_things, found_things)
+def test_nothing_is_lost_and_nothing_outside_of_the_crops_is_touched(
+    first: list[tuple[int, float, Box]], later: list[tuple[int, float, Box]]
+) -> None:
+    within = [(label, score, box) for label, score, box in later if WHERE.holds(box, IMAGE)]
+    masks, labels, scores, boxes = merge(instances(*first), [instances(*within)], [WHERE], IMAGE)
+    assert labels[: len(first)] == [label for label, _, _ in first]
+    for i, (label, score, box) in enumerate(first):
+        away = box[2] <= WHERE.x0 or box[0] >= WHERE.x1 or box[3] <= WHERE.y0 or box[1] >= WHERE.y1
+        if away:
+            assert (scores[i], boxes[i]) == (score, box)
+        assert scores[i] >= score / 2
+        assert label == TOOL or boxes[i] in (box, *(b for _, _, b in within))
+    assert all(label != TOOL for label in labels[len(first) :])
+    assert all(0 < s <= 1 for s in scores)
+    assert all(mask.any() for mask in masks)
+
+
+class ShortSighted(Detector):
+    """Sees red as an EE where it is wide enough, red and grey together as a tool, and notes what it was shown."""
+
+    def __init__(self, least_width: int) -> None:
+        super().__init__(
+            DetectorConfig(
+                widths=(4, 4, 4, 4), fpn_channels=16, box_features=8, mask_layers=1, mask_width=8, working_pixels=PIXELS
+            )
+        )
+        self.least_width = least_width
+        self.looks: list[tuple[int, int]] = []
+        self.metres: list[float] = []
+
+    def detect(self, batch: RgbdBatch, score_threshold: float | None = None) -> list[RawDetections]:  # noqa: ARG002
+        self.looks.append((batch.pixels.shape[2], batch.pixels.shape[3]))
+        rgb = (batch.pixels[0, :3] * 60 + 110) * (batch.depth[0] > 0)
+        red, any_tool = (rgb[0] > 150) & (rgb[1] < 60), rgb[0] > 150
+        rows = []
+        for seen, label in ((any_tool, TOOL), (red, 1)):
+            y, x = torch.nonzero(seen, as_tuple=True)
+            if len(x) == 0:
+                continue
+            box = (float(x.min()), float(y.min()), float(x.max()) + 1, float(y.max()) + 1)
+            if label == TOOL or box[2] - box[0] >= self.least_width:
+                rows.append((box, label))
+            if label == 1:
+                self.metres.append((box[2] - box[0]) * float(batch.depth[0][seen].median() / batch.focal[0]))
+        boxes = torch.tensor([box for box, _ in rows]).reshape(-1, 4)
+        labels = torch.tensor([label for _, label in rows], dtype=torch.long)
+        masks = torch.ones((len(rows), 8, 8))
+        return [RawDetections(boxes, torch.full((len(rows),), 0.8), labels, masks, boxes)]
+
+
+def bar(ee: Box = (60.0, 44.0, 70.0, 52.0)) -> RgbdFrame:
+    rgb = np.zeros((*IMAGE, 3), np.uint8)
+    rgb[46:50, 34:62] = 200
+    rgb[mask_of(ee)] = (255, 0, 0)
+    return RgbdFrame(rgb, np.full(IMAGE, 0.6, np.float32), CameraIntrinsics(100.0, 100.0, 64.0, 48.0, 128, 96))
+
+
+def test_an_end_effector_too_small_for_the_first_look_is_found_at_its_place_by_the_second() -> None:
+    detector = ShortSighted(least_width=13)  # it is 10 px wide, in the second look about 16
+    found = Segmenter(detector).detect(bar())
+    assert [d.category for d in found] == [next(iter(Category))]
+    truth = mask_of((60.0, 44.0, 70.0, 52.0))
+    assert (found[0].mask & truth).sum() > 0.7 * (found[0].mask | truth).sum()
+    np.testing.assert_allclose(found[0].box, (60, 44, 70, 52), atol=1.0)
+    assert found[0].score == pytest.approx(0.4)
+    assert found[0].tool_mask is not None
+    assert found[0].tool_score == pytest.approx(0.8)
+    assert len(detector.looks) == 2
+    assert detector.looks[1][0] * detector.looks[1][1] <= PIXELS
+    assert detector.metres[1] == pytest.approx(detector.metres[0], rel=0.1), "the larger picture is of the same size"
+
+
+def test_a_frame_without_a_tool_costs_one_look() -> None:
+    detector = ShortSighted(least_width=1)
+    frame = bar()
+    empty = RgbdFrame(np.zeros_like(frame.rgb), frame.depth, frame.intrinsics)
+    assert Segmenter(detector).detect(empty) == []
+    assert len(detector.looks) == 1
+
+
+def test_both_looks_agree_on_an_end_effector_that_is_large_enough() -> None:
+    detector = ShortSighted(least_width=1)
+    found = Segmenter(detector).detect(bar())
+    assert len(detector.looks) == 2, "0.8 is not certain"
+    assert [d.score for d in found] == [pytest.approx(0.8)]
+
+
+def test_the_second_look_of_a_picture_with_four_times_the_pixels_finds_the_same() -> None:
+    frame = bar()
+    K = CameraIntrinsics(200.0, 200.0, 128.5, 96.5, 256, 192)
+    large = RgbdFrame(frame.rgb.repeat(2, 0).repeat(2, 1), frame.depth.repeat(2, 0).repeat(2, 1), K)
+    small_found, large_found = (Segmenter(ShortSighted(least_width=13)).detect(f)[0] for f in (frame, large))
+    np.testing.assert_allclose(large_found.box, 2 * np.array(small_found.box), atol=2.0)
+    assert large_found.mask.shape == large.depth.shape
+    assert large_found.score == pytest.approx(small_found.score)

@@ -1,0 +1,223 @@
+"""The pose's representation and the canonical view of a cloud."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from tests.examples import examples
+from toolee_robot.perception.pose import canonical
+from toolee_robot.perception.pose.canonical import (
+    PATCHES,
+    POINTS,
+    REST_PATCHES,
+    CanonicalCloud,
+    canonicalize,
+    farthest_points_first,
+    ray_rotation,
+    with_rest,
+)
+from toolee_robot.perception.pose.canonical_single import canonicalize_one, with_rest_one
+from toolee_robot.perception.pose.representation import DIM, decode, encode, mirrored
+from toolee_robot.symmetry import SymmetryKind
+from toolee_robot.types import Category
+
+seeds = st.integers(0, 2**31)
+
+
+@given(seeds)
+@examples(30)
+def test_round_trip(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    R = torch.as_tensor(Rotation.random(5, rng=rng).as_matrix())
+    p = torch.as_tensor(rng.normal(0, 0.05, (5, 3)))
+    s = torch.as_tensor(rng.integers(0, 2, (5, 3)).astype(float))
+    R2, p2, s2 = decode(encode(R, p, s))
+    torch.testing.assert_close(R2, R, atol=1e-9, rtol=0)
+    torch.testing.assert_close(p2, p)
+    torch.testing.assert_close(s2, s)
+
+
+@given(seeds, st.sampled_from(list(Category)))
+@examples(40)
+def test_the_mirrored_pose_is_what_the_mirrored_view_shows(seed: int, category: Category) -> None:
+    """The plane that an EE mirrors in: y = 0, and z = 0 of wrenches. Where its points are mirrored in the camera's x,
+    they must lie on the EE in the mirrored pose, up to its own symmetry."""
+    rng = np.random.default_rng(seed)
+    R, p = Rotation.random(rng=rng).as_matrix(), rng.normal(0, 0.05, 3)
+    plane = [1.0, 1.0, -1.0] if category.symmetry.kind is SymmetryKind.C2 else [1.0, -1.0, 1.0]
+    half = rng.normal(0, 0.02, (50, 3))
+    ee = np.concatenate([half, half * plane])
+    seen = (ee @ R.T + p) * [-1.0, 1.0, 1.0]
+    u = mirrored(encode(torch.as_tensor(R), torch.as_tensor(p), torch.zeros(3, dtype=torch.float64)))
+    R_seen, p_seen, _ = (x.numpy() for x in decode(u))
+    found = (seen - p_seen) @ R_seen
+    turns = [np.ones(3)]
+    if category.symmetry.kind is SymmetryKind.C2:
+        assert tuple(category.symmetry.axis) == (1.0, 0.0, 0.0)
+        turns.append(np.array([1.0, -1.0, -1.0]))
+    distances = [np.linalg.norm(found[:, None] - ee * turn, axis=2).min(1).max() for turn in turns]
+    assert min(distances) < 1e-9
+    torch.testing.assert_close(mirrored(u), encode(torch.as_tensor(R), torch.as_tensor(p), torch.zeros(3).double()))
+
+
+@given(seeds)
+@examples(30)
+def test_any_vector_decodes_to_a_rotation_that_keeps_the_action_axis(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    u = torch.as_tensor(rng.normal(size=(4, DIM)))
+    u[1] = 0.0
+    u[2, 3:6] = 2.5 * u[2, :3]  # second column along the first
+    R, _, _ = decode(u)
+    torch.testing.assert_close(R @ R.mT, torch.eye(3, dtype=R.dtype).expand(4, 3, 3), atol=1e-9, rtol=0)
+    assert bool((torch.linalg.det(R) > 0).all())
+    torch.testing.assert_close(R[0, :, 2], u[0, :3] / u[0, :3].norm())
+
+
+def test_ray_rotation_turns_the_ray_onto_z() -> None:
+    centre = torch.tensor([[0.2, -0.1, 0.6], [0.0, 0.0, 1.0]])
+    R = ray_rotation(centre)
+    turned = torch.einsum("bij,bj->bi", R, centre)
+    torch.testing.assert_close(
+        turned, torch.tensor([[0.0, 0.0, 1.0]]) * centre.norm(dim=1, keepdim=True), atol=1e-6, rtol=0
+    )
+
+
+@given(seeds, st.integers(1, 40), st.integers(1, 12))
+@examples(30)
+def test_farthest_points_come_first_and_none_is_lost(seed: int, different: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    # Repeated points, as of a cloud with too few; marks travel along.
+    points = rng.normal(size=(2, different, 3)).astype(np.float32)[:, rng.integers(0, different, 40)]
+    marked = torch.as_tensor(np.concatenate([points, np.arange(80.0, dtype=np.float32).reshape(2, 40, 1)], -1))
+    ordered = farthest_points_first(marked, count)
+    for before, after in zip(marked, ordered, strict=True):
+        assert sorted(after[:, 3].tolist()) == before[:, 3].tolist()
+        rows = before[(after[:, 3] - before[0, 3]).long()]
+        torch.testing.assert_close(rows, after)
+        first = after[:count, :3].double()
+        everything = before[:, :3].double()
+        torch.testing.assert_close(first[0].norm(), everything.norm(dim=1).max())
+        for k in range(1, count):
+            to_picked = torch.cdist(everything, first[:k]).amin(1)
+            torch.testing.assert_close(to_picked.max(), torch.cdist(first[k : k + 1], first[:k]).amin())
+    # A GPU takes another way to the same.
+    on_gpu = canonical._farthest_of_batch(marked[..., :3], count)
+    torch.testing.assert_close(marked.gather(1, on_gpu[..., None].expand(-1, -1, 4)), ordered[:, :count])
+
+
+def test_canonical_cloud_ignores_background_and_distance() -> None:
+    rng = np.random.default_rng(0)
+    surface = rng.uniform(-0.02, 0.02, (300, 3)) + np.array([0.1, 0.0, 0.5])
+    wall = rng.uniform(-0.05, 0.05, (120, 3)) + np.array([0.1, 0.0, 1.4])
+    points = torch.as_tensor(np.concatenate([surface, wall]), dtype=torch.float32)[None]
+    cloud = canonicalize(
+        points, torch.ones(1, 420, dtype=torch.bool), torch.tensor([0.04]), torch.Generator().manual_seed(0)
+    )
+    assert cloud.points.shape == (1, POINTS, 3)
+    assert int(cloud.count[0]) == 300
+    assert float(cloud.points.norm(dim=-1).max()) < 0.05
+    np.testing.assert_allclose(cloud.centre[0], [0.1, 0.0, 0.5], atol=0.004)
+    back = cloud.points[0] @ cloud.R[0] + cloud.centre[0]
+    nearest = (back[:, None] - points[0, None, :300]).norm(dim=-1).min(1).values
+    assert float(nearest.max()) < 1e-5
+    # The first points are spread out: each is farther from the others than a random choice would be.
+    head = torch.cdist(cloud.points[0, :PATCHES], cloud.points[0, :PATCHES]) + torch.eye(PATCHES)
+    assert float(head.min()) > 0.004
+
+
+def test_guessed_points_are_marked_and_do_not_move_the_centre() -> None:
+    rng = np.random.default_rng(0)
+    points = torch.as_tensor(rng.uniform(-0.02, 0.0, (200, 3)) + np.array([0.1, 0.0, 0.5]), dtype=torch.float32)[None]
+    rim = torch.as_tensor(rng.uniform(0.005, 0.02, (100, 3)) + np.array([0.1, 0.0, 0.5]), dtype=torch.float32)[None]
+    rim[0, 90:] = torch.tensor([0.1, 0.0, 0.9])
+    everything = torch.ones(1, 200, dtype=torch.bool)
+    alone = canonicalize(points, everything, torch.tensor([0.05]), torch.Generator().manual_seed(0))
+    real = torch.arange(100)[None] >= 10
+    cloud = canonicalize(
+        points, everything, torch.tensor([0.05]), torch.Generator().manual_seed(0), guessed=(rim, real)
+    )
+    torch.testing.assert_close(cloud.centre, alone.centre)
+    assert int(cloud.count[0]) == int(alone.count[0]) == 200
+    assert not bool(alone.guessed.any())
+    back = cloud.points[0] @ cloud.R[0] + cloud.centre[0]
+    guessed = cloud.guessed[0] > 0
+    assert float((back[~guessed, None] - points[0]).norm(dim=-1).min(1).values.max()) < 1e-5
+    # Neither the ones that are not real nor the ones far away.
+    offset = (back[guessed, None] - rim[0, 10:90]).norm(dim=-1).min(1)
+    assert float(offset.values.max()) < 1e-5
+    assert len(torch.unique(offset.indices)) == 80
+
+
+@pytest.mark.parametrize("seen", [50, 200, 700, 1500])
+@pytest.mark.parametrize("guesses", [None, 0, 150])
+@pytest.mark.parametrize("rest", [0, 15, 60, 900])
+def test_one_cloud_becomes_what_it_becomes_in_a_batch(seen: int, guesses: int | None, rest: int) -> None:
+    rng = np.random.default_rng(seen + rest)
+    ee, background = np.array([0.1, -0.05, 0.5]), np.array([0.1, 0.0, 1.4])
+    # A flat EE with a wall behind it, and a handle that begins beside it.
+    points = rng.normal(0, [0.02, 0.01, 0.004], (seen, 3)) + ee
+    points[::9] = rng.uniform(-0.1, 0.1, (len(points[::9]), 3)) + background
+    guessed = None if guesses is None else rng.normal(0, 0.03, (guesses, 3)) + ee
+    handle = rng.uniform(0.03, 0.8, (rest, 1)) * [0.6, 0.0, 0.8] + rng.normal(0, 0.003, (rest, 3)) + ee
+
+    def pair(x: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+        # The first of a batch of two draws what it draws alone.
+        return torch.as_tensor(np.stack([x, x + 0.01]), dtype=torch.float32), torch.ones(2, len(x), dtype=torch.bool)
+
+    radius = torch.tensor([0.04, 0.04])
+    more = None if guessed is None else pair(guessed)
+    batch = canonicalize(*pair(points), radius, torch.Generator().manual_seed(1), guessed=more)
+    batch = with_rest(batch, *pair(handle), torch.Generator().manual_seed(2))
+    one = canonicalize_one(points, 0.04, torch.Generator().manual_seed(1), guessed=guessed)
+    one = with_rest_one(one, handle, torch.Generator().manual_seed(2))
+    for field in fields(CanonicalCloud):
+        of_one, of_batch = getattr(one, field.name), getattr(batch, field.name)[:1]
+        torch.testing.assert_close(of_one, of_batch, atol=1e-6, rtol=0, msg=f"{field.name}: {{}}".format)
+
+
+def test_one_cloud_that_loses_everything_is_its_centre() -> None:
+    # Three specks, none of them at their common median.
+    points = np.repeat([[0.5, 0.0, 0.6], [0.0, 0.5, 0.6], [-0.5, -0.5, 0.6]], 40, axis=0)
+    cloud = canonicalize_one(points, 0.04, torch.Generator().manual_seed(0))
+    assert int(cloud.count[0]) == 0
+    assert not bool(cloud.points.any())
+    assert not bool(cloud.guessed.any())
+
+
+def test_padding_flags_are_obeyed() -> None:
+    points = torch.full((1, 200, 3), 9.0)
+    points[0, :60] = torch.rand(60, 3) * 0.02 + torch.tensor([0.0, 0.0, 0.5])
+    valid = torch.zeros(1, 200, dtype=torch.bool)
+    valid[0, :60] = True
+    cloud = canonicalize(points, valid, torch.tensor([0.05]), torch.Generator().manual_seed(0))
+    assert int(cloud.count[0]) == 60
+    assert float(cloud.points.abs().max()) < 0.05
+
+
+def test_the_rest_of_the_tool_lies_in_the_same_frame_and_far_background_is_left_out() -> None:
+    rng = np.random.default_rng(0)
+    head = torch.as_tensor(rng.uniform(-0.02, 0.02, (300, 3)) + np.array([0.1, 0.0, 0.5]), dtype=torch.float32)[None]
+    along = rng.uniform(0.03, 0.25, (400, 1))
+    handle = along * [0.6, 0.0, 0.8] + rng.normal(0, 0.003, (400, 3)) + [0.1, 0.0, 0.5]
+    wall = rng.uniform(-0.1, 0.1, (200, 3)) + np.array([0.1, 0.0, 1.6])
+    points = torch.as_tensor(np.concatenate([handle, wall]), dtype=torch.float32)[None]
+    generator = torch.Generator().manual_seed(0)
+    bare = canonicalize(head, torch.ones(1, 300, dtype=torch.bool), torch.tensor([0.04]), generator)
+    assert not bool(bare.rest_known[0])
+    cloud = with_rest(bare, points, torch.ones(1, 600, dtype=torch.bool), generator)
+    assert bool(cloud.rest_known[0])
+    back = cloud.rest[0] @ cloud.R[0] + cloud.centre[0]
+    nearest = (back[:, None] - points[0, None, :400]).norm(dim=-1).min(1).values
+    assert float(nearest.max()) < 1e-5
+    # The first points reach from end to end.
+    assert float(torch.cdist(cloud.rest[0, :REST_PATCHES], cloud.rest[0, :REST_PATCHES]).max()) > 0.2
+    few = with_rest(bare, points, torch.arange(600)[None] % 50 == 0, generator)
+    assert not bool(few.rest_known[0])
+    assert float(few.rest.abs().max()) == 0

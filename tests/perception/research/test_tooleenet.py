@@ -1,0 +1,231 @@
+"""The paper's estimator: its encoder, its sampler against exact answers, its pooling, its training."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from toolee_robot.errors import TooleeError
+from toolee_robot.perception.pose.canonical import farthest_points_first
+from toolee_robot.perception.pose.processes.flow import Euler
+from toolee_robot.perception.pose.processes.variance_exploding import VarianceExploding
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import Float32, ToolBank, hand_bank, tool_bank
+from toolee_robot.perception.pose.training.config import TrainConfig
+from toolee_robot.perception.pose.training.trainer import Trainer
+from toolee_robot.perception.pose.weights import Calibration
+from toolee_robot.perception.research.tooleenet import COLUMNS, PaperEstimator, PaperMethod
+from toolee_robot.perception.research.tooleenet.object_clouds import category_priors, first_ends, with_ee_truth
+from toolee_robot.perception.research.tooleenet.pointnet2 import Level, PointNet2, SharedMlp
+from toolee_robot.perception.research.tooleenet.pooling import mean_pose
+from toolee_robot.perception.research.tooleenet.representation import class_ambiguity, decode, encode
+from toolee_robot.perception.research.tooleenet.rk45 import Rk45, solve
+from toolee_robot.perception.training.distributed import Ranks
+from toolee_robot.types import Category
+
+pytestmark = pytest.mark.sim
+
+CPU = Ranks(0, 1, torch.device("cpu"))
+
+MEAN, SPREAD = torch.tensor([0.5, -0.3, 0.1]), torch.tensor([0.2, 0.6, 1.0])
+SMALL = (
+    Level(64, (0.02, 0.04), (8, 16), ((8, 16), (8, 16))),
+    Level(16, (0.04, 0.08), (8, 16), ((16, 32), (16, 32))),
+    Level(0, (), (), ((32, 64), (32, 64))),
+)
+
+
+@pytest.fixture(scope="module")
+def bank() -> ToolBank:
+    return tool_bank(held_out=False, seeds_per_kind=1, workers=1)
+
+
+@pytest.fixture(scope="module")
+def hands() -> Float32:
+    return hand_bank(2)
+
+
+@pytest.mark.parametrize("sampler", [Rk45(), Euler(200)])
+def test_the_samplers_recover_a_gaussian_from_its_exact_score(sampler: Rk45 | Euler) -> None:
+    process = VarianceExploding(start=1.0)
+
+    def field(u: Tensor, t: Tensor) -> Tensor:
+        sigma = process.tau(t)[..., None]
+        return -sigma * (u - MEAN) / (SPREAD**2 + sigma**2)
+
+    u = sampler(process, field, torch.randn(2, 4000, 3, generator=torch.Generator().manual_seed(0)))
+    torch.testing.assert_close(u.mean((0, 1)), MEAN, atol=0.03, rtol=0)
+    covariance = torch.cov(u.flatten(0, 1).T)
+    torch.testing.assert_close(covariance, torch.diag(SPREAD**2), atol=0.05, rtol=0)
+
+
+def test_rk45_agrees_with_scipy_and_each_row_has_its_own_step() -> None:
+    y = torch.randn(3, 2, dtype=torch.double, generator=torch.Generator().manual_seed(1))
+    stiffness = torch.tensor([1.0, 5.0, 40.0], dtype=torch.double)
+
+    def derivative(t: Tensor, y: Tensor) -> Tensor:
+        return stiffness[: len(y), None] * torch.stack([y[:, 1], -y[:, 0]], -1) * t.cos()[:, None]
+
+    ours = solve(derivative, y, 0.0, 2.0, 1e-8, 1e-8)
+    for row, k in enumerate(stiffness.tolist()):
+        reference = solve_ivp(
+            lambda t, v, k=k: k * np.cos(t) * np.array([v[1], -v[0]]), (0, 2), y[row].numpy(), rtol=1e-10, atol=1e-10
+        )
+        np.testing.assert_allclose(ours[row].numpy(), reference.y[:, -1], atol=1e-5)
+    # A stiff neighbour in the batch changes nothing.
+    torch.testing.assert_close(solve(derivative, y[:1], 0.0, 2.0, 1e-8, 1e-8), ours[:1], atol=0, rtol=0)
+    with pytest.raises(TooleeError, match="steps"):
+        solve(derivative, y, 0.0, 2.0, 1e-12, 1e-12, most_steps=5)
+
+
+def test_pointnet_does_not_care_about_the_order_of_the_points() -> None:
+    torch.manual_seed(0)
+    net = PointNet2(SMALL).eval()
+    points = 0.03 * torch.randn(2, 200, 3)
+    feature = net(farthest_points_first(points, 64))
+    shuffled = net(farthest_points_first(points[:, torch.randperm(200)], 64))
+    torch.testing.assert_close(feature, shuffled, atol=1e-5, rtol=1e-4)
+    assert feature.shape == (2, net.size)
+    moved = net(farthest_points_first(points + 0.01, 64))
+    assert not torch.allclose(feature, moved)  # the paper's encoder sees where the cloud is
+
+
+def plainly(net: PointNet2, points: Tensor) -> Tensor:
+    """PointNet++ as it is written down: every group's coordinates and features side by side, then the shared MLP."""
+    feature: Tensor | None = None
+    for level, stage in zip(net.levels, net.stages, strict=True):
+        centres = points[:, : level.centres] if level.centres else torch.zeros(len(points), 1, 3)
+        distance = torch.cdist(centres, points, compute_mode="donot_use_mm_for_euclid_dist")
+        order = distance.argsort(-1)
+        scales = []
+        for mlp, radius, count in zip(
+            stage.children(), level.radii or (torch.inf,) * 2, level.neighbours or (points.shape[1],) * 2, strict=True
+        ):
+            assert isinstance(mlp, SharedMlp)
+            near = torch.where(distance.gather(-1, order[..., :count]) < radius, order[..., :count], order[..., :1])
+            batch = torch.arange(len(points))[:, None, None]
+            x = points[batch, near] - centres[:, :, None]
+            if feature is not None:
+                x = torch.cat([x, feature[batch, near]], dim=-1)
+            for linear, norm in zip(mlp.linears, mlp.norms, strict=True):
+                x = torch.relu(norm(linear(x).flatten(0, 2)).view(*x.shape[:3], -1))
+            scales.append(x.max(2)[0])
+        points, feature = centres, torch.cat(scales, dim=-1)
+    assert feature is not None
+    return feature[:, 0]
+
+
+def test_pointnet_and_its_gradients_are_those_of_the_plain_definition() -> None:
+    torch.manual_seed(0)
+    net = PointNet2(SMALL)
+    points = farthest_points_first(0.02 * torch.randn(3, 150, 3), 64) + torch.tensor([0.1, 0.0, 0.05])
+    weight = torch.randn(3, net.size)
+    results = []
+    for encode_ in (net, lambda points: plainly(net, points)):
+        net.zero_grad()
+        feature = encode_(points)
+        (feature * weight).sum().backward()
+        results.append([feature, *(p.grad.clone() for p in net.parameters() if p.grad is not None)])
+    assert len(results[0]) == 1 + len(list(net.parameters()))
+    for ours, plain in zip(*results, strict=True):
+        torch.testing.assert_close(ours, plain, atol=1e-4, rtol=1e-3)
+
+
+def test_the_published_sizes() -> None:
+    encoder = PointNet2()
+    assert encoder.size == 1024
+    assert sum(p.numel() for p in encoder.parameters()) == pytest.approx(1.0e6, rel=0.1)
+    net = PaperMethod().network(tool_bank(False, 1, 1))
+    assert sum(p.numel() for p in net.parameters()) == pytest.approx(2.5e6, rel=0.05)
+
+
+def test_pose_vectors_there_and_back() -> None:
+    R = torch.as_tensor(Rotation.random(20, random_state=0).as_matrix(), dtype=torch.float32)
+    p = torch.randn(20, 3)
+    for S in (None, class_ambiguity()[torch.arange(20) % 4]):
+        back, p_back, S_back = decode(encode(R, p, S))
+        torch.testing.assert_close(back, R, atol=1e-5, rtol=0)
+        torch.testing.assert_close(p_back, p)
+        torch.testing.assert_close(S_back, torch.zeros(20, 3) if S is None else S)
+
+
+def test_mean_pooling_keeps_the_axis_of_a_free_spin_and_fails_on_flips() -> None:
+    R = Rotation.random(random_state=3)
+    spins = Rotation.from_rotvec(np.linspace(0, 2 * np.pi, 40, endpoint=False)[:, None] * [0.0, 0.0, 1.0])
+    Xs = np.tile(np.eye(4), (40, 1, 1))
+    Xs[:, :3, :3] = (R * spins).as_matrix()
+    np.testing.assert_allclose(mean_pose(Xs)[:3, 2], R.as_matrix()[:, 2], atol=1e-9)
+    wrench = Category.WRENCH_HEAD.symmetry
+    tilt = Rotation.from_rotvec(np.random.default_rng(0).normal(0, 0.05, (40, 3)))
+    flips = Rotation.from_rotvec(np.pi * (np.arange(40) % 2)[:, None] * np.asarray(wrench.axis))
+    Xs[:, :3, :3] = (R * tilt * flips).as_matrix()
+    plain, knowing = (wrench.rotation_error(mean_pose(Xs, g)[:3, :3], R.as_matrix()) for g in (None, wrench))
+    assert knowing < np.deg2rad(3)
+    assert plain > np.deg2rad(10)
+
+
+def test_whole_tool_clouds_and_the_prior(bank: ToolBank, hands: Float32) -> None:
+    method = PaperMethod(COLUMNS["object-prior"])
+    clouds = method.clouds(bank, hands, torch.device("cpu"), 0).collect(12, 16)
+    assert clouds.points.shape[1:] == (1024, 3)
+    assert bool(torch.as_tensor(first_ends(bank) > 0)[clouds.item].all())
+    extent = (clouds.points.amax(1) - clouds.points.amin(1)).norm(dim=-1)
+    assert float(extent.median()) > 0.12
+    as_ee = with_ee_truth(clouds, bank)
+    X = torch.as_tensor(bank.X_ee_tool)[clouds.item]
+    torch.testing.assert_close(as_ee.R @ X[:, :3, :3], clouds.R, atol=1e-5, rtol=0)
+    torch.testing.assert_close(as_ee.p + (as_ee.R @ X[:, :3, 3:])[..., 0], clouds.p, atol=1e-5, rtol=0)
+    priors = category_priors(bank)
+    assert 0.1 < priors[0][2, 3] < 0.4  # a hammer's head is up the handle
+
+
+@pytest.mark.parametrize("column", ["object-prior", "ee-symmetry-prior", "symmetry-aware"])
+def test_every_column_trains_and_its_weights_load(
+    column: str, tmp_path: Path, bank: ToolBank, hands: Float32, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("toolee_robot.perception.research.tooleenet.pointnet2.LEVELS", SMALL)
+    monkeypatch.setattr(PointNet2.__init__, "__defaults__", (SMALL,))
+    config = TrainConfig(max_steps=3, batch=8, chunk=16, first_fill=16, capacity=32, validation=4, reuse=100, ema=0.5)
+    method = replace(PaperMethod(COLUMNS[column]), draws=2)
+    trainer = Trainer(tmp_path, config, (bank, bank), hands, method, CPU)
+    report = trainer.run()
+    assert report["steps"] == 3
+    assert "10deg_2cm" in report["K20"]["average"]
+    assert (tmp_path / "checkpoint.pt").is_file()
+    points = np.random.default_rng(0).uniform(-0.02, 0.02, (400, 3)) + np.array([0.0, 0.0, 0.5])
+    loaded = PaperEstimator.load(tmp_path).estimate(points, Category.WRENCH_HEAD, seed=1)
+    before = method.estimator(trainer.export(), Calibration(), "cpu").estimate(points, Category.WRENCH_HEAD, seed=1)
+    np.testing.assert_allclose(loaded.X_camera_ee, before.X_camera_ee, atol=1e-4)
+    assert loaded.hypotheses.Xs_camera_ee.shape == (20, 4, 4)
+    if column != "symmetry-aware":
+        np.testing.assert_array_equal(loaded.ambiguous, [1, 0, 0])
+
+
+def test_the_norms_keep_their_statistics_for_the_last_part_of_a_training(
+    tmp_path: Path, bank: ToolBank, hands: Float32, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Resumed, too."""
+    monkeypatch.setattr(PointNet2.__init__, "__defaults__", (SMALL,))
+    config = TrainConfig(max_steps=4, batch=8, chunk=16, first_fill=16, capacity=32, validation=4, reuse=100)
+    method = replace(PaperMethod(COLUMNS["ee"]), draws=2)
+
+    def statistics(max_steps: int, settle: float) -> dict[str, Tensor]:
+        trainer = Trainer(
+            tmp_path, replace(config, max_steps=max_steps, settle=settle), (bank, bank), hands, method, CPU
+        )
+        trainer.run()
+        assert trainer.step == max_steps
+        return {name: x.clone() for name, x in trainer.net.named_buffers() if "norms" in name}
+
+    half = statistics(4, settle=0.5)
+    assert {int(x) for name, x in half.items() if name.endswith("num_batches_tracked")} == {2}
+    gone_on = statistics(6, settle=0.5)
+    assert all(torch.equal(gone_on[name], x) for name, x in half.items())
+    unsettled = statistics(8, settle=1.0)
+    assert {int(x) for name, x in unsettled.items() if name.endswith("num_batches_tracked")} == {4}

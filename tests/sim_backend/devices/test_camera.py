@@ -1,0 +1,93 @@
+"""The simulated camera's promises, on a world of two boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from toolee_robot.config import CameraConfig
+from toolee_robot.errors import DeviceError, StaleDataError
+from toolee_robot.frames import inverse, transform
+from toolee_robot.hal import RgbdCamera
+from toolee_robot.render.mesh import box
+from toolee_robot.sim_backend.devices.camera import SimCamera
+from toolee_robot.sim_backend.visuals.visual_body import VisualBody
+
+pytestmark = pytest.mark.sim
+
+CONFIG = CameraConfig()
+CENTER = np.array(CONFIG.target)
+
+
+class Boxes:
+    """A `VisualWorld`: one box that can be moved."""
+
+    def __init__(self) -> None:
+        self.p = CENTER.copy()
+        self._mesh = box((0.12, 0.12, 0.12))
+
+    def visual_bodies(self) -> Sequence[VisualBody]:
+        return [VisualBody("box", self._mesh, transform(p=self.p), "wood", (0.8, 0.6, 0.4), body_id=4)]
+
+
+class Clock:
+    """Simulated time that advances by sleeping alone."""
+
+    def __init__(self) -> None:
+        self.t = 0.0
+
+    def now(self) -> float:
+        return self.t
+
+    def sleep(self, duration: float) -> None:
+        self.t += duration
+
+
+def test_is_the_hals_camera_and_looks_along_the_configured_line() -> None:
+    camera = SimCamera(Boxes(), Clock(), CONFIG, seed=1)
+    assert isinstance(camera, RgbdCamera)
+    assert camera.intrinsics == CONFIG.intrinsics
+    exact = camera.render()
+    p = (inverse(CONFIG.X_base_camera) @ [*CENTER, 1.0])[:3]
+    row, column = round(CONFIG.fy * p[1] / p[2] + CONFIG.cy), round(CONFIG.fx * p[0] / p[2] + CONFIG.cx)
+    assert exact.body_ids[row, column] == 4
+    assert 0.02 < p[2] - exact.depth[row, column] < 0.11  # the box's near side
+
+
+def test_frames_are_new_and_follow_the_world() -> None:
+    world, clock = Boxes(), Clock()
+    with SimCamera(world, clock, CONFIG, seed=1) as camera:
+        first = camera.read()
+        second = camera.read()
+        world.p = np.add(CENTER, [0.0, 0.0, 5.0])
+        gone = camera.read()
+    assert first.stamp < second.stamp < gone.stamp
+    assert second.stamp - first.stamp == pytest.approx(1 / 30)
+    assert not np.array_equal(first.depth, second.depth)  # fresh noise
+    row, column = int(CONFIG.cy), int(CONFIG.cx)
+    assert gone.depth[row, column] == 0 or gone.depth[row, column] > second.depth[row, column] + 0.1
+
+
+def test_the_seed_decides_the_frames() -> None:
+    def frame(seed: int) -> bytes:
+        return SimCamera(Boxes(), Clock(), CONFIG, seed=seed).read().rgb.tobytes()
+
+    assert frame(1) == frame(1)
+    assert frame(1) != frame(2)
+
+
+def test_a_frozen_or_closed_camera_raises() -> None:
+    clock = Clock()
+    camera = SimCamera(Boxes(), clock, CONFIG)
+    with camera:
+        camera.read()
+        camera.freeze()
+        with pytest.raises(StaleDataError, match="no new frame"):
+            camera.read(max_age=0.2)
+        assert clock.now() >= 0.2
+        camera.thaw()
+        assert camera.read().stamp >= 0.2
+    with pytest.raises(DeviceError, match="closed"):
+        camera.read()

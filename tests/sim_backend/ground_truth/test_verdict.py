@@ -1,0 +1,172 @@
+"""The judge against a small world whose truth is known: a free hammer head thrown at a nail."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pybullet as pb
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.errors import TooleeError
+from toolee_robot.frames import Array, inverse, transform
+from toolee_robot.sim_backend.ground_truth.verdict import Judge, pose_error, strike_offset, strike_tilt
+from toolee_robot.sim_backend.physics.impact_steps import IMPACT
+from toolee_robot.sim_backend.physics.nail import Nail
+from toolee_robot.sim_backend.physics.wood import NailSpec, driving_work
+from toolee_robot.types import Category, InHandEstimate
+
+pytestmark = pytest.mark.sim
+
+DOWN = np.diag([1.0, -1.0, -1.0])
+SPEC = NailSpec()
+HALF = 0.03  # [m] half the head's length
+angles = st.floats(-3.0, 3.0)
+lengths = st.floats(-0.2, 0.2)
+
+
+class ThrownHead:
+    """A hammer head without gravity, in a hand that is only a frame moving with it."""
+
+    def __init__(self, client: int, X_hand_ee: Array) -> None:
+        self.client, self.time = client, 0.0
+        self.nail = Nail(client, transform(DOWN, [0.0, 0.0, SPEC.protrusion]), SPEC)
+        shape = pb.createCollisionShape(pb.GEOM_CYLINDER, radius=0.014, height=2 * HALF, physicsClientId=client)
+        self.tool_body = int(pb.createMultiBody(0.6, shape, -1, [0, 0, 0.3], physicsClientId=client))
+        pb.changeDynamics(self.tool_body, -1, linearDamping=0, angularDamping=0, restitution=0, physicsClientId=client)
+        self.X_hand_ee = X_hand_ee
+        self.judge = Judge(self)
+
+    def X_base_ee(self) -> Array:
+        p, q = pb.getBasePositionAndOrientation(self.tool_body, physicsClientId=self.client)
+        return transform(Rotation.from_quat(q), p) @ transform(DOWN, [0.0, 0.0, -HALF])
+
+    def X_base_hand(self) -> Array:
+        return self.X_base_ee() @ inverse(self.X_hand_ee)
+
+    def throw(self, *, speed: float, offset: float = 0.0, tilt: float = 0.0, duration: float = 0.05) -> None:
+        """Put the face's centre 12 mm over the nail's head and let it go down."""
+        q = Rotation.from_rotvec([0.0, tilt, 0.0])
+        face = self.nail.head_pose()[:3, 3] + [offset, 0.0, 0.012]
+        com = face + q.apply([0.0, 0.0, HALF])
+        pb.resetBasePositionAndOrientation(self.tool_body, com, q.as_quat(), physicsClientId=self.client)
+        pb.resetBaseVelocity(self.tool_body, [0, 0, -speed], [0, 0, 0], physicsClientId=self.client)
+        self.run(duration)
+
+    def run(self, duration: float) -> None:
+        IMPACT.apply(self.client)
+        for _ in range(round(duration / IMPACT.time_step)):
+            self.nail.before_step(IMPACT.time_step)
+            pb.stepSimulation(physicsClientId=self.client)
+            self.time += IMPACT.time_step
+            self.judge.after_step()
+
+
+@pytest.fixture
+def world() -> Iterator[ThrownHead]:
+    client = pb.connect(pb.DIRECT)
+    yield ThrownHead(client, transform(Rotation.from_rotvec([0.2, 1.0, -0.3]), [0.05, 0.02, 0.11]))
+    pb.disconnect(client)
+
+
+def estimate(X_hand_ee: Array, usable: bool = True) -> InHandEstimate:
+    return InHandEstimate(Category.HAMMER_HEAD, X_hand_ee, np.eye(6) * 1e-6, 0.9, 5, 5, usable, "ok")
+
+
+def test_a_blow_is_measured_at_first_contact(world: ThrownHead) -> None:
+    world.throw(speed=1.5, offset=0.005, tilt=np.deg2rad(6.0))
+    (blow,) = world.judge.blows
+    assert blow.hit
+    assert blow.offset_mm == pytest.approx(5.0, abs=0.3)
+    assert blow.tilt_deg == pytest.approx(6.0, abs=0.3)
+    assert blow.speed == pytest.approx(1.5, rel=0.01)
+    assert blow.energy == pytest.approx(0.5 * 0.6 * 1.5**2, rel=0.02)
+    assert blow.protrusion_before_mm == pytest.approx(20.0, abs=0.01)
+    assert blow.protrusion_mm == pytest.approx(world.nail.protrusion * 1e3)
+    assert 0.7 * blow.energy < blow.work < blow.energy
+    assert blow.work == pytest.approx(driving_work(SPEC, SPEC.protrusion, world.nail.protrusion))
+    assert blow.peak_force > 100.0
+
+
+def test_every_blow_is_counted_once_and_the_first_numbers_stay(world: ThrownHead) -> None:
+    for _ in range(3):
+        world.throw(speed=1.5)
+    first, second, third = world.judge.blows
+    assert first.protrusion_mm == pytest.approx(second.protrusion_before_mm, abs=1e-6)
+    assert first.protrusion_mm > second.protrusion_mm > third.protrusion_mm
+    assert world.judge.verdict().hits == 3
+
+
+def test_touching_slowly_is_no_blow(world: ThrownHead) -> None:
+    world.throw(speed=0.03, duration=0.5)
+    assert world.judge.blows == ()
+
+
+def test_a_miss_is_a_blow_that_hit_nothing(world: ThrownHead) -> None:
+    world.throw(speed=1.5, offset=0.025)
+    (miss,) = world.judge.blows
+    assert not miss.hit
+    assert miss.offset_mm == pytest.approx(25.0, abs=0.1)
+    assert miss.protrusion_mm == pytest.approx(20.0)
+    verdict = world.judge.verdict()
+    assert (verdict.hits, verdict.misses) == (0, 1)
+    assert verdict.strike_offset_mm == pytest.approx(25.0, abs=0.1)
+
+
+def test_in_hand_pose_is_known_at_every_time_of_the_run(world: ThrownHead) -> None:
+    world.throw(speed=1.5, offset=0.012)
+    slipped = transform(Rotation.from_rotvec([0.0, 0.0, 0.1]), [0.01, 0.0, 0.0]) @ world.X_hand_ee
+    before, world.X_hand_ee = world.X_hand_ee, slipped
+    half_time = world.time
+    world.run(0.05)
+    np.testing.assert_allclose(world.judge.X_hand_ee(half_time / 2), before, atol=1e-9)
+    np.testing.assert_allclose(world.judge.X_hand_ee(world.time - 0.01), slipped, atol=1e-9)
+    with pytest.raises(TooleeError, match="saw nothing"):
+        world.judge.X_hand_ee(world.time + 1.0)
+
+
+def test_estimate_error_is_that_of_face_and_normal_and_free_of_spin(world: ThrownHead) -> None:
+    world.throw(speed=1.5)
+    off = transform(Rotation.from_rotvec([np.deg2rad(2.0), 0.0, 0.0]), [0.003, 0.0, 0.004])
+    spun = world.X_hand_ee @ off @ transform(Rotation.from_rotvec([0.0, 0.0, 1.3]))
+    error = world.judge.estimate_error(0.01, estimate(spun))
+    assert error.position_mm == pytest.approx(5.0)
+    assert error.angle_deg == pytest.approx(2.0)
+
+
+def test_verdict_judges_the_last_usable_estimate_before_the_first_blow(world: ThrownHead) -> None:
+    assert world.judge.verdict().pose_error_mm is None
+    world.throw(speed=1.5)
+    late = world.time
+    estimates = [
+        (0.0, estimate(world.X_hand_ee @ transform(p=[0.009, 0, 0]))),
+        (0.001, estimate(world.X_hand_ee @ transform(p=[0.002, 0, 0]))),
+        (0.002, estimate(world.X_hand_ee @ transform(p=[0.050, 0, 0]), usable=False)),
+        (0.003, estimate(np.full((4, 4), np.nan), usable=False)),
+        (late, estimate(world.X_hand_ee)),
+    ]
+    verdict = world.judge.verdict(estimates)
+    assert verdict.pose_error_mm == pytest.approx(2.0)
+    assert verdict.nail_outcome == "standing"
+
+
+@given(angles, angles, angles, lengths, lengths, lengths)
+def test_offset_and_tilt_do_not_depend_on_spin_or_depth(
+    a: float, b: float, spin: float, x: float, y: float, z: float
+) -> None:
+    X_base_nail = transform(Rotation.from_rotvec([a, b, 0.3]), [0.7, 0.1, 0.2])
+    tilt = 0.1
+    X_nail_ee = transform(Rotation.from_rotvec([tilt, 0, 0]) * Rotation.from_rotvec([0, 0, spin]), [x, y, z])
+    assert strike_offset(X_base_nail, X_base_nail @ X_nail_ee) == pytest.approx(np.hypot(x, y), abs=1e-9)
+    assert strike_tilt(X_base_nail, X_base_nail @ X_nail_ee) == pytest.approx(tilt, abs=1e-9)
+
+
+@given(spin=angles)
+def test_pose_error_follows_the_category(spin: float) -> None:
+    X = transform(Rotation.from_rotvec([0.4, -0.2, 0.9]), [0.1, 0.2, 0.3])
+    spun = X @ transform(Rotation.from_rotvec([0, 0, spin]))
+    assert pose_error(spun, X, Category.HAMMER_HEAD).angle_deg == pytest.approx(0.0, abs=1e-4)
+    assert pose_error(spun, X, Category.HAMMER_GRIP).angle_deg == pytest.approx(np.rad2deg(abs(spin)), abs=1e-4)

@@ -1,0 +1,85 @@
+"""Blows with the hammer in the hand: plausible drives, a wrist that gives way, a grip that keeps the tool."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from tests.sim_backend.physics.energy_balance import driven_by
+from toolee_robot.config import StationConfig
+from toolee_robot.control import CollisionWorld, RobotModel, plan_handover, plan_straight, plan_strike
+from toolee_robot.frames import inverse, rotation_angle
+from toolee_robot.hal import ContactGuard, MotionOutcome
+from toolee_robot.sim_backend import SimStation
+
+pytestmark = pytest.mark.sim
+
+CONFIG = StationConfig()
+SPEED = 1.1  # [m/s]
+
+
+@pytest.fixture(scope="module")
+def held() -> Iterator[SimStation]:
+    robot = RobotModel.load()
+    with SimStation.build(CONFIG, 0) as simulation:
+        station = simulation.station
+        q, q_hand = station.arm.state().q_commanded, station.hand.state().joints.q
+        station.arm.execute(plan_handover(robot, CONFIG, CollisionWorld(robot, CONFIG, q_hand), q, q_hand))
+        assert station.person.request_handover("", 10.0)
+        station.hand.close(8.0)
+        assert station.person.release("", 10.0)
+        X_hand_tool = inverse(simulation.world.X_base_hand()) @ simulation.world.X_base_tool()
+        q_hand = station.hand.state().joints.q
+        tool = simulation.tool
+        station.arm.set_payload(robot.payload(q_hand, X_hand_tool, tool.mass, tool.center_of_mass))
+        yield simulation
+
+
+def test_blows_drive_the_nail_by_the_hammers_energy_and_the_hand_keeps_it(held: SimStation) -> None:
+    robot, station, world = RobotModel.load(), held.station, held.world
+    simulated, cpu = -world.time, -time.process_time()
+    for _ in range(2):
+        X_before = inverse(world.X_base_hand()) @ world.X_base_tool()
+        X_hand_ee = inverse(world.X_base_hand()) @ world.X_base_ee()
+        q, q_hand = station.arm.state().q_commanded, station.hand.state().joints.q
+        collisions = CollisionWorld(robot, CONFIG, q_hand, X_hand_ee)
+        protrusion = world.nail.protrusion
+        X_base_nail = CONFIG.work.X_base_nail(protrusion)
+        plan = plan_strike(robot, CONFIG, collisions, q, q_hand, X_hand_ee, X_base_nail, speed=SPEED)
+        station.arm.execute(plan.approach)
+        wrist: list[float] = []
+        held.observers.append(lambda sample, seen=wrist: seen.append(float(sample.q_hand[0])))  # type: ignore[misc]
+        guard = ContactGuard(CONFIG.strike.contact_force, after=0.5 * plan.contact_time)
+        report = station.arm.execute(plan.strike, guard)
+        station.clock.sleep(0.1)
+        held.observers.clear()
+        retract = plan_straight(robot, CONFIG, collisions, station.arm.state().q_commanded, 0.2)
+        station.arm.execute(retract)
+        station.clock.sleep(0.3)
+
+        assert report.outcome is MotionOutcome.CONTACT
+        blow = held.judge.blows[-1]
+        assert blow.hit
+        assert blow.speed == pytest.approx(SPEED, rel=0.1)
+        assert blow.offset_mm < 1.5
+        assert blow.tilt_deg < 1.0
+        free = driven_by(world.nail.spec, protrusion, blow.energy)
+        # The hand behind the hammer adds to its own energy, the grip's compliance takes off: never a rigid weld's 3x.
+        assert 0.6 * free < protrusion - world.nail.protrusion < 1.35 * free
+        assert np.ptp(wrist) > 0.02  # the wrist gives way,
+        moved = inverse(X_before) @ inverse(world.X_base_hand()) @ world.X_base_tool()
+        assert np.linalg.norm(moved[:3, 3]) < 0.0015  # the grip hardly does
+        assert rotation_angle(moved[:3, :3]) < np.deg2rad(1.0)
+        assert station.hand.state().joints.q[0] == pytest.approx(q_hand[0], abs=0.01)  # and the wrist comes back
+        assert station.hand.state().holding
+    simulated, cpu = simulated + world.time, cpu + time.process_time()
+    assert simulated > cpu  # faster than real time, planning and blows included
+
+
+def test_after_the_blows_the_nail_stays_where_it_is(held: SimStation) -> None:
+    protrusion = held.world.nail.protrusion
+    held.station.clock.sleep(0.5)
+    assert held.world.nail.protrusion == pytest.approx(protrusion, abs=1e-5)

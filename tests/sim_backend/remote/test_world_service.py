@@ -1,0 +1,223 @@
+"""The world behind a controller's tick loop: devices that wait, truth on the host's clock, and nobody else's steps."""
+
+from __future__ import annotations
+
+import select
+import threading
+import time
+from collections.abc import Iterator
+from multiprocessing import Pipe
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.sim_backend.kinematics import joints_for_hand
+from toolee_robot.config import StationConfig
+from toolee_robot.errors import DeviceError, TooleeError
+from toolee_robot.frames import Array, frame_from_axes
+from toolee_robot.hal import Hand, Person, RgbdCamera
+from toolee_robot.robots import SHADOW_HAND
+from toolee_robot.runtime.clock import HostClock
+from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.sim_backend.remote.channel import Channel
+from toolee_robot.sim_backend.remote.station import RemoteHand, RemoteJudge, RemotePerson, remote_station
+from toolee_robot.sim_backend.remote.world_plant import WorldPlant
+from toolee_robot.sim_backend.remote.world_service import WorldService
+from toolee_robot.sim_backend.station import draw_handover
+from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
+from toolee_robot.sim_backend.ur_controller.server.service import Service
+
+pytestmark = pytest.mark.sim
+
+CONFIG, SEED, TICK = StationConfig(), 101, 0.008
+PERIOD = 0.005  # [s] between ticks: faster than real, and time for the other thread
+SLOW = HostClock(pace=0.2)  # the world's time, at least: a tick with a hand full of contacts takes 11 ms, on two busy
+# cores several times as long
+# The palm faces the person, fingers down.
+X_BASE_HAND = frame_from_axes(z=np.array([0.0, -0.3, -1.0]), x=np.array([1.0, 0.0, 0.0]), p=[0.55, -0.35, 0.75])
+OPTIONS = SimOptions(q_start=joints_for_hand(X_BASE_HAND))
+
+
+class Loop(threading.Thread):
+    """The least controller: requests between ticks. hold: no ticks while it is set."""
+
+    def __init__(self) -> None:
+        super().__init__(daemon=True)
+        ours, self._theirs = Pipe()
+        self.ended, self.hold, self.ready = threading.Event(), threading.Event(), threading.Event()
+        self.ticks = 0
+        self.start()
+        self.ready.wait(30.0)
+        self.channel = Channel(ours)
+
+    def call(self, name: str, *arguments: Any, lasting: float = 0.0) -> Any:
+        """As `RemoteWorld.call`: lasting is the world's time, which here goes on as fast as it is computed."""
+        return self.channel.call(name, *arguments, lasting=SLOW.wall(lasting))
+
+    def run(self) -> None:
+        service = WorldService(self._theirs, CONFIG, SEED, OPTIONS, HostClock())
+        service.ended = self.ended.set
+        plant = WorldPlant(service.world, TICK)
+        payload = service.world.robot.robot.hand_payload(service.world.robot.q_hand_target)
+        plant.set_payload(payload.mass, payload.center_of_mass)
+        part: Service = service
+        self.plant: Plant = plant
+        self.world = service.world
+        self.ready.set()
+        while not self.ended.is_set():
+            due = time.monotonic() + PERIOD  # no tick is caught up: that would be the other thread's time
+            for fd in select.select(part.filenos(), [], [], max(0.0, due - time.monotonic()))[0]:
+                part.on_readable(fd)
+            if not self.hold.is_set():
+                plant.step(TICK)
+                part.on_tick(TICK)
+                self.ticks += 1
+        part.close()
+
+
+@pytest.fixture
+def loop() -> Iterator[Loop]:
+    loop = Loop()
+    yield loop
+    loop.channel.close()
+    loop.join(10.0)
+    assert loop.ended.is_set(), "the loop ends when its client hangs up"
+
+
+def test_a_handover_through_the_pipe_is_the_direct_one(loop: Loop) -> None:
+    """The same seed, tool, offset and room; the same hold; frames and states on the host's clock."""
+    tool, _ = draw_handover(SEED, OPTIONS)
+    loop.hold.set()  # two worlds would take turns on one core
+    with SimStation.build(CONFIG, SEED, OPTIONS) as direct:
+        assert direct.tool.name == tool.name
+        expected = direct.station.camera.read()
+        direct.station.hand.open()
+        assert direct.station.person.request_handover("", 5.0)
+        direct.station.hand.close()
+        assert direct.station.person.release("", 5.0)
+        state = direct.station.hand.state()
+        X_direct = direct.judge.X_hand_ee(direct.station.clock.now())
+    loop.hold.clear()
+    # No arm: it goes through the controller's ports, which this loop has none of.
+    station = remote_station(loop, CONFIG, SEED, tool, None, HostClock())  # type: ignore[arg-type]
+    hand, person, camera = station.hand, station.person, station.camera
+    assert isinstance(hand, Hand)
+    assert isinstance(person, Person)
+    assert isinstance(camera, RgbdCamera)
+    began = time.monotonic()
+    frame = camera.read()
+    np.testing.assert_allclose(frame.rgb.astype(float).mean(), expected.rgb.astype(float).mean(), atol=2.0)
+    assert np.mean(np.abs(frame.rgb.astype(float) - expected.rgb)) < 5.0
+    hand.open()
+    assert person.inside() is False or person.attending()
+    assert person.request_handover("", 5.0)
+    hand.close()
+    assert hand.state().holding
+    assert person.release("", 5.0)
+    now = hand.state()
+    assert began < frame.stamp < now.joints.stamp <= time.monotonic()
+    assert (now.holding, now.assisted) == (state.holding, state.assisted)
+    assert list(hand.joint_names) == list(direct.station.hand.joint_names)
+    np.testing.assert_allclose(now.joints.q, state.joints.q, atol=0.08)
+    judge = RemoteJudge(loop)
+    X = judge.X_hand_ee(now.joints.stamp)  # the clock on the wall may be ahead of a world that is late
+    assert np.linalg.norm(X[:3, 3] - X_direct[:3, 3]) < 0.004
+    assert judge.verdict().hits == 0
+    assert judge.blows == ()
+    with pytest.raises(TooleeError, match="saw nothing"):
+        judge.X_hand_ee(began - 1e3)
+
+
+def test_the_hand_closes_while_the_arm_moves_and_is_read(loop: Loop) -> None:
+    hand = RemoteHand(loop, ())
+    q_start = loop.plant.q.copy()
+    closing = threading.Thread(target=hand.close)
+    closing.start()
+    time.sleep(0.05)
+    with pytest.raises(DeviceError, match="another command"):
+        hand.open()
+    stamps, postures = [], []
+    target = q_start.copy()
+    while closing.is_alive():
+        target[0] += 0.002
+        loop.plant.command(target, np.zeros(6))
+        state = hand.state()
+        stamps.append(state.joints.stamp)
+        postures.append(state.joints.q)
+    closing.join()
+    assert len(stamps) > 20
+    assert np.all(np.diff(stamps) > 0)
+    assert np.ptp(np.array(postures), axis=0).max() > 0.5, "the fingers closed"
+    assert loop.plant.q[0] > q_start[0] + 0.01
+
+
+def test_a_stopped_hand_ends_its_command_and_time_alone_ends_a_wait(loop: Loop) -> None:
+    hand, person = RemoteHand(loop, ()), RemotePerson(loop)
+    failed: list[Exception] = []
+
+    def close() -> None:
+        try:
+            hand.close()
+        except DeviceError as error:
+            failed.append(error)
+
+    closing = threading.Thread(target=close)
+    closing.start()
+    time.sleep(0.05)
+    hand.stop()
+    closing.join(5.0)
+    assert "stopped" in str(failed[0])
+    assert not hand.state().holding
+    assert not person.request_handover("", 0.2), "a person needs longer than that"
+    hand.open()
+
+
+def test_nothing_but_the_tick_loop_steps_the_world(loop: Loop) -> None:
+    """While no tick is done, a hand's command does not end, its state can be read, and no time passes."""
+    hand = RemoteHand(loop, ())
+    hand.state()
+    loop.hold.set()
+    time.sleep(0.05)
+    ticks, before = loop.ticks, loop.world.time
+    closing = threading.Thread(target=hand.close)
+    closing.start()
+    still: list[Array] = [hand.state().joints.q for _ in range(5)]
+    assert closing.is_alive()
+    assert (loop.ticks, loop.world.time) == (ticks, before)
+    np.testing.assert_array_equal(still[0], still[-1])
+    loop.hold.clear()
+    closing.join(20.0)
+    assert not closing.is_alive()
+    with pytest.raises(RuntimeError, match="nothing else may wait"):
+        loop.world.wait(0.1)
+
+
+def test_unknown_requests_and_failures_are_answers_and_an_ended_world_says_so(loop: Loop) -> None:
+    with pytest.raises(DeviceError, match=r"knows no 'hand\.__class__'"):
+        loop.channel.call("hand.__class__")
+    with pytest.raises(DeviceError, match="TypeError"):
+        loop.channel.call("judge.X_hand_ee")
+    assert loop.channel.call("hand.state", 0.1).joints.q.shape == (len(SHADOW_HAND.joints),)
+    loop.channel.close()
+    loop.join(10.0)
+    with pytest.raises(DeviceError, match="has ended"):
+        loop.channel.call("hand.state", 0.1)
+
+
+def test_a_push_is_felt_at_the_flange_in_the_controllers_base(loop: Loop) -> None:
+    def felt(push: list[float]) -> Array:
+        loop.plant.external_force = np.array(push)
+        ticks = loop.ticks
+        while loop.ticks < ticks + 40:
+            time.sleep(0.01)
+        return loop.plant.wrench.copy()
+
+    rest = felt([0.0] * 6)
+    assert np.abs(rest).max() < 2.0
+    for push in ([30.0, 20.0, 10.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0, -2.0, 3.0]):
+        np.testing.assert_allclose(felt(push) - rest, push, atol=0.1)
+    # What the environment puts on it, it gives way to: a push along the controller's x is one along -x of base_link.
+    before = loop.world.X_base_hand()[:3, 3]
+    felt([400.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert loop.world.X_base_hand()[0, 3] < before[0]

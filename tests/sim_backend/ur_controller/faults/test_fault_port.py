@@ -1,0 +1,405 @@
+"""The fault port: every hook does to a client what it says, and the stand-in lives on."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.examples import examples
+from tests.sim_backend.ur_controller.server.wire import RtdeSocket
+from tests.sim_backend.ur_controller.ur_rtde.client import Wheel, WheelDiedError, WheelHungError
+from tests.sim_backend.ur_controller.ur_rtde.contract import wait_for
+from tests.sim_backend.ur_controller.ur_rtde.motions import speed_with_kicks
+from toolee_robot.errors import DeviceError, UserError
+from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
+from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient
+from toolee_robot.sim_backend.ur_controller.process import ControllerProcess, resting_joints
+from toolee_robot.sim_backend.ur_controller.server.rtde_types import packet
+
+pytestmark = pytest.mark.sim
+
+HOST = "127.0.0.15"
+PERIOD = 0.008
+FOREVER = "def job():\n  while True:\n    sync()\n  end\nend\n"
+
+
+@pytest.fixture(scope="module")
+def process() -> Iterator[ControllerProcess]:
+    with ControllerProcess(model="UR10", host=HOST) as controller:
+        yield controller
+
+
+@pytest.fixture
+def controller(process: ControllerProcess) -> ControllerProcess:
+    process.fault("reset")
+    return process
+
+
+@pytest.fixture
+def client(controller: ControllerProcess) -> Iterator[RtdeSocket]:  # noqa: ARG001
+    with RtdeSocket(HOST) as client:
+        client.subscribe("timestamp")
+        yield client
+
+
+def ask(line: str) -> str:
+    """A question to the dashboard."""
+    with socket.create_connection((HOST, 29999), 5.0) as dashboard, dashboard.makefile("rw") as stream:
+        stream.readline()
+        stream.write(f"{line}\n")
+        stream.flush()
+        return stream.readline().strip()
+
+
+def upload(source: str) -> None:
+    with socket.create_connection((HOST, 30003), 5.0) as port:
+        port.sendall(source.encode())
+
+
+def test_every_hook_is_documented(controller: ControllerProcess) -> None:
+    page = (Path(__file__).parents[4] / "docs" / "ur_controller.md").read_text()
+    with pytest.raises(UserError, match="choose one of") as caught:
+        controller.fault("explode")
+    names = str(caught.value).split("choose one of ")[1].split(", ")
+    assert len(names) > 30
+    assert [name for name in names if f"`{name}`" not in page] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "message"),
+    [
+        ("explode", {}, "no fault 'explode': choose one of"),
+        ("drop", {"port": "usb"}, "no port 'usb': choose one of all, dashboard"),
+        ("stall", {}, "missing a required argument: 'seconds'"),
+        ("stall", {"seconds": -1}, "greater than or equal to 0"),
+        ("stall", {"seconds": 1, "hours": 2}, "unexpected keyword argument"),
+        ("force", {"wrench": [1, 2]}, "at least 6 items"),
+        ("own", {"variables": ["nonsense"]}, "no input variable 'nonsense'"),
+        ("nan", {"variables": ["nonsense"]}, "no output variable 'nonsense'"),
+    ],
+)
+def test_says_what_is_wrong_with_a_request(
+    controller: ControllerProcess, name: str, arguments: dict[str, object], message: str
+) -> None:
+    with pytest.raises(UserError, match=message):
+        controller.fault(name, **arguments)
+
+
+def test_drop_with_fin(controller: ControllerProcess, client: RtdeSocket) -> None:
+    controller.fault("drop", port="rtde")
+    with pytest.raises(EOFError):
+        client.read_for(5.0)
+    wait_for(lambda: controller.state()["clients"]["rtde"] == 0)
+
+
+def test_drop_with_rst(controller: ControllerProcess, client: RtdeSocket) -> None:
+    controller.fault("drop", port="rtde", reset=True)
+    with pytest.raises(ConnectionResetError):
+        client.read_for(5.0)
+
+
+def test_refuse_and_accept(controller: ControllerProcess, client: RtdeSocket) -> None:
+    controller.fault("refuse", port="rtde")
+    with pytest.raises(ConnectionRefusedError):
+        RtdeSocket(HOST)
+    assert client.timestamps(3)  # who is in stays in
+    controller.fault("accept", port="rtde")
+    RtdeSocket(HOST).close()
+    controller.fault("refuse", port="rtde", seconds=0.2)
+    wait_for(lambda: _reachable(30004))
+
+
+def test_stall_delivers_everything_afterwards(controller: ControllerProcess, client: RtdeSocket) -> None:
+    client.timestamps(3)
+    controller.fault("stall", port="rtde", seconds=0.5)
+    client.read_for(0.1)
+    assert client.read_for(0.2) == b""
+    stamps = client.timestamps(60)
+    np.testing.assert_allclose(np.diff(stamps), PERIOD, atol=1e-9)
+
+
+def test_freeze_slips_ticks_and_counts_them(controller: ControllerProcess) -> None:
+    controller.fault("reset_statistics")
+    controller.fault("freeze", seconds=0.4)
+    wait_for(lambda: controller.state()["ticks"]["slipped"] >= 40)
+    assert controller.state()["ticks"]["worst_late"] >= 0.35
+
+
+def test_delay(controller: ControllerProcess, client: RtdeSocket) -> None:
+    client.timestamps(3)
+    controller.fault("delay", port="rtde", seconds=0.4)
+    client.read_for(0.05)
+    (newest,) = client.timestamps(1)
+    assert controller.state()["timestamp"] - newest > 0.3
+
+
+def test_skip(controller: ControllerProcess, client: RtdeSocket) -> None:
+    before = client.timestamps(3)
+    controller.fault("skip", packets=5)
+    gaps = np.diff(before + client.timestamps(60))
+    assert gaps.max() == pytest.approx(6 * PERIOD)
+
+
+def test_half_open(controller: ControllerProcess, client: RtdeSocket) -> None:
+    controller.fault("half_open", port="rtde")
+    client.read_for(0.1)
+    assert client.read_for(0.3) == b""  # no data, and no end either
+    with RtdeSocket(HOST) as other:
+        other.subscribe("timestamp")
+        assert other.timestamps(3)
+
+
+def test_truncate(controller: ControllerProcess, client: RtdeSocket) -> None:
+    client.timestamps(3)
+    controller.fault("truncate", port="rtde", bytes=5)
+    data = client.read_for(0.3)
+    assert len(data) % client.packet_size == 5
+
+
+def test_coalesce(controller: ControllerProcess, client: RtdeSocket) -> None:
+    client.timestamps(3)
+    controller.fault("coalesce", port="rtde", sends=10)
+    client.read_for(0.1)
+    assert len(client.read_for(0.5)) % (10 * client.packet_size) == 0
+
+
+@pytest.mark.parametrize("packets", [1, 2, 4])
+def test_drop_in_mid_handshake(controller: ControllerProcess, packets: int) -> None:
+    controller.fault("handshake_drop", packets=packets)
+    with RtdeSocket(HOST) as client, pytest.raises((EOFError, ConnectionError)):
+        list(map(client.ask, "vvvv"))
+    with RtdeSocket(HOST) as client:
+        client.subscribe("timestamp")
+        assert client.timestamps(2)
+
+
+def test_registers_that_someone_else_owns(controller: ControllerProcess) -> None:
+    controller.fault("own", variables=["input_int_register_0"])
+    with RtdeSocket(HOST) as client:
+        client.ask("V", b"\x00\x02")
+        assert client.ask("I", b"input_int_register_0,") == b"\x00IN_USE"
+    with Wheel(HOST) as wheel, pytest.raises(RuntimeError, match="in use"):
+        wheel.open("control")
+
+
+def test_missing_variable(controller: ControllerProcess) -> None:
+    controller.fault("missing", variables=["actual_q"])
+    with RtdeSocket(HOST) as client:
+        client.ask("V", b"\x00\x02")
+        assert client.ask("O", struct.pack(">d", 125.0) + b"timestamp,actual_q,") == b"\x00DOUBLE,NOT_FOUND"
+
+
+def test_nan_and_frozen_timestamp(controller: ControllerProcess, client: RtdeSocket) -> None:
+    controller.fault("nan", variables=["timestamp"], ticks=3)
+    assert np.isnan(client.timestamps(60)).sum() == 3
+    controller.fault("freeze_timestamp")
+    client.read_for(0.1)
+    assert len(set(client.timestamps(10))) == 1
+    controller.fault("freeze_timestamp", frozen=False)
+    client.read_for(0.1)
+    assert len(set(client.timestamps(10))) == 10
+
+
+def test_rejected_script_and_slow_start(controller: ControllerProcess) -> None:
+    controller.fault("reject_script")
+    upload(FOREVER)
+    wait_for(lambda: controller.state()["program_error"] == "script rejected (fault)")
+    assert controller.state()["program_state"] == "STOPPED"
+    controller.fault("slow_start", seconds=0.5)
+    uploads = controller.state()["uploads"]
+    upload(FOREVER)
+    wait_for(lambda: controller.state()["uploads"] > uploads)
+    assert controller.state()["program_state"] == "STOPPED"
+    wait_for(lambda: controller.state()["program_state"] == "PLAYING")
+
+
+def test_safety_hooks(controller: ControllerProcess) -> None:
+    controller.fault("protective_stop")
+    assert ask("safetystatus") == "Safetystatus: PROTECTIVE_STOP"
+    controller.fault("unlock")
+    assert ask("safetystatus") == "Safetystatus: NORMAL"
+    controller.fault("safeguard_stop")
+    assert ask("safetystatus") == "Safetystatus: SAFEGUARD_STOP"
+    controller.fault("safeguard_stop", active=False)
+    controller.fault("emergency_stop")
+    assert ask("safetystatus") == "Safetystatus: ROBOT_EMERGENCY_STOP"
+    controller.fault("emergency_stop", pressed=False)
+    assert ask("robotmode") == "Robotmode: POWER_OFF"
+    controller.fault("reset")
+    controller.fault("safety_fault")
+    assert ask("safetystatus") == "Safetystatus: FAULT"
+
+
+def test_wrong_identity(controller: ControllerProcess) -> None:
+    controller.fault("version", version=[5, 25, 1, 0])
+    controller.fault("model", name="UR5")
+    controller.fault("serial", number="12345")
+    assert (ask("PolyscopeVersion"), ask("get robot model"), ask("get serial number")) == ("5.25.1.0", "UR5", "12345")
+    with RtdeSocket(HOST) as client:
+        assert struct.unpack(">4I", client.ask("v")) == (5, 25, 1, 0)
+
+
+def test_wrong_settings(controller: ControllerProcess) -> None:
+    controller.fault("payload", mass=3.5, cog=[0.0, 0.0, 0.1])
+    controller.fault("tcp", pose=[0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
+    controller.fault("speed_slider", fraction=0.3)
+    with RtdeSocket(HOST) as client:
+        client.subscribe("payload", "payload_cog", "tcp_offset", "target_speed_fraction")
+        numbers = client.numbers()
+    assert numbers == (3.5, 0.0, 0.0, 0.1, 0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 0.3)
+
+
+def test_kinematics_of_another_arm(controller: ControllerProcess) -> None:
+    nominal = _calibration()
+    tcp = controller.state()["tcp_pose"]
+    controller.fault("kinematics", a=[0.0, 0.002, 0.0, 0.0, 0.0, 0.0], d=[0.0] * 6)
+    changed = _calibration()
+    assert changed[:6] != nominal[:6]
+    assert changed[6 + 6 + 1] == pytest.approx(nominal[6 + 6 + 1] + 0.002)
+    assert np.linalg.norm(np.subtract(controller.state()["tcp_pose"][:3], tcp[:3])) == pytest.approx(0.002)
+
+
+def test_joint_offset_is_measured_and_not_true(controller: ControllerProcess) -> None:
+    q = controller.state()["q"]
+    controller.fault("joint_offset", offset=[0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
+    with RtdeSocket(HOST) as client:
+        client.subscribe("actual_q")
+        measured = client.numbers()
+    assert measured[0] == pytest.approx(q[0] + 0.05)
+    assert controller.state()["q"] == q
+
+
+def test_force_and_where_it_shows(controller: ControllerProcess) -> None:
+    controller.fault("force", wrench=[0.0, 0.0, 30.0, 0.0, 0.0, 0.0], seconds=0.3)
+    wait_for(lambda: controller.state()["tcp_force"][2] == pytest.approx(30.0))
+    wait_for(lambda: controller.state()["tcp_force"][2] == 0.0)
+    controller.fault("force", wrench=[0.0, 0.0, 300.0, 0.0, 0.0, 0.0], seconds=0.3)
+    wait_for(lambda: controller.state()["safety_mode"] == "PROTECTIVE_STOP")
+    assert "force" in controller.state()["safety_reason"]
+
+
+def test_reboot(controller: ControllerProcess, client: RtdeSocket) -> None:
+    client.timestamps(2)
+    controller.fault("reboot", seconds=0.3)
+    with pytest.raises(ConnectionResetError):
+        client.read_for(5.0)
+    assert not _reachable(30004)
+    wait_for(lambda: _reachable(30004))
+    assert ask("robotmode") == "Robotmode: POWER_OFF"
+
+
+def test_trace_has_every_tick(controller: ControllerProcess) -> None:
+    first = controller.state()["tick"]
+    time.sleep(0.3)
+    trace = controller.trace(first)
+    assert (np.diff(trace.ticks) == 1).all()
+    assert trace.ticks[0] == first + 1
+    assert (np.diff(trace.stamps) > 0).all()
+    assert trace.q.shape == trace.qd.shape == trace.q_target.shape == (len(trace.ticks), 6)
+
+
+@pytest.mark.parametrize("reset", [False, True])
+def test_a_dropped_link_in_mid_motion_stops_the_arm_by_its_watchdog(controller: ControllerProcess, reset: bool) -> None:
+    with Wheel(HOST) as wheel:
+        wheel.open("control")
+        wheel.control("setWatchdog", 10.0)
+        wheel.run(speed_with_kicks, 0.3)
+        before = controller.state()["tick"]
+        controller.fault("drop", port="rtde", reset=reset)
+        with contextlib.suppress(WheelDiedError, WheelHungError, RuntimeError):  # whatever the wheel makes of it
+            wheel.call("control", "isConnected", timeout=1.0)
+        wheel.kill()
+    wait_for(lambda: controller.state()["program_state"] == "STOPPED")
+    wait_for(lambda: np.abs(controller.state()["qd"]).max() == 0.0)
+    trace = controller.trace(before)
+    moving = np.flatnonzero(np.abs(trace.qd).max(axis=1) > 0.0)
+    # 0.1 s of watchdog, and 0.1 s to brake from 0.5 rad/s; ticks, since the wall's clock is not ours alone.
+    assert len(moving) <= round((0.1 + 0.5 / 5.0) / PERIOD) + 4
+    with Wheel(HOST) as wheel:
+        wheel.open("control")
+        assert wheel.control("isProgramRunning")
+
+
+@settings(examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    port=st.sampled_from([29999, 30001, 30002, 30003, 30004, 30020]),
+    chunks=st.lists(
+        st.one_of(
+            st.binary(max_size=400), st.builds(packet, st.sampled_from(list(b"VvOISPUM")), st.binary(max_size=60))
+        ),
+        max_size=6,
+    ),
+)
+def test_any_bytes_on_any_port(controller: ControllerProcess, port: int, chunks: list[bytes]) -> None:
+    with socket.create_connection((HOST, port), 5.0) as sock:
+        try:
+            for chunk in chunks:
+                sock.sendall(chunk)
+        except ConnectionError:
+            pass  # it may hang up on us
+    tick = controller.state()["tick"]
+    wait_for(lambda: controller.state()["tick"] > tick)
+
+
+def test_a_flood_does_not_stop_the_ticks(controller: ControllerProcess) -> None:
+    controller.fault("reset_statistics")
+    flood = packet(ord("v")) * 20000
+    with socket.create_connection((HOST, 30004), 5.0) as sock:
+        sock.settimeout(0.2)
+        try:
+            for _ in range(5):
+                sock.sendall(flood)
+        except (TimeoutError, ConnectionError):
+            pass  # nobody reads our answers: the controller may hang up
+        wait_for(lambda: controller.state()["ticks"]["done"] > 20)
+    assert controller.state()["ticks"]["worst_late"] < 1.0  # on a loaded machine; alone it is a few milliseconds
+
+
+def test_a_used_port_is_said_plainly(controller: ControllerProcess) -> None:
+    with pytest.raises(UserError, match=r"127\.0\.0\.15:29999.*choose another"):
+        ControllerProcess(host=controller.host).__enter__()
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.10", "robot"])
+def test_only_loopback_is_served(host: str) -> None:
+    with pytest.raises(UserError, match="not a loopback address"):
+        Controller(ControllerOptions(host=host), resting_joints)
+
+
+def test_clients_are_closed_before_the_controller() -> None:
+    order: list[str] = []
+    with ControllerProcess(host="127.0.0.17") as controller:
+        controller.on_exit(lambda: order.append(controller.state()["model"]))
+    assert order == ["UR10"]
+    with pytest.raises(DeviceError, match="toolee ur-controller --host"):
+        FaultClient("127.0.0.17", timeout=1.0)
+
+
+def _reachable(port: int) -> bool:
+    try:
+        socket.create_connection((HOST, port), 1.0).close()
+    except OSError:
+        return False
+    return True
+
+
+def _calibration() -> tuple[float, ...]:
+    """Checksum (6), theta (6), a (6), d (6), alpha (6), status: from the primary interface's first robot state."""
+    with socket.create_connection((HOST, 30001), 5.0) as primary, primary.makefile("rb") as stream:
+        while True:
+            size, kind = struct.unpack(">iB", stream.read(5))
+            body = stream.read(size - 5)
+            while kind == 16 and body:
+                part, name = struct.unpack(">iB", body[:5])
+                if name == 5:
+                    return struct.unpack(">6I24dI", body[5:part])
+                body = body[part:]

@@ -1,0 +1,213 @@
+"""Safety system, power, program state and script ports of the stand-in, without sockets or a clock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.examples import examples
+from tests.sim_backend.ur_controller.server.wire import Recorder, robot
+from toolee_robot.sim_backend.ur_controller.process import Q_START
+from toolee_robot.sim_backend.ur_controller.robot.safety import RobotMode, SafetyMode
+from toolee_robot.sim_backend.ur_controller.robot_system import Robot
+from toolee_robot.sim_backend.ur_controller.server.primary import StateSession
+from toolee_robot.sim_backend.ur_controller.server.script_ports import MAX_SCRIPT, ScriptReader, ScriptSession
+from toolee_robot.sim_backend.ur_controller.urscript.program import RuntimeState
+
+SWING = "def swing():\n  speedj([1.5, 0, 0, 0, 0, 0], 40, 5)\nend\n"
+
+
+def ticks(served: Robot, seconds: float) -> None:
+    for _ in range(round(seconds * served.model.rate)):
+        served.step()
+
+
+def swinging(model: str) -> Robot:
+    """A robot whose base turns at full 1.5 rad/s."""
+    served = robot(model)
+    served.program.upload(SWING)
+    ticks(served, 0.3)
+    assert served.plant.qd[0] == pytest.approx(1.5)
+    return served
+
+
+@pytest.mark.parametrize("model", ["UR10", "UR10e"])
+@pytest.mark.parametrize(
+    ("stop", "mode", "bits"),
+    [
+        (lambda s: s.safety.protective_stop("test"), SafetyMode.PROTECTIVE_STOP, 1 << 2 | 1 << 10),
+        (lambda s: s.safety.emergency_stop(), SafetyMode.ROBOT_EMERGENCY_STOP, 1 << 6 | 1 << 7 | 1 << 10),
+        (lambda s: s.safety.emergency_stop(system=True), SafetyMode.SYSTEM_EMERGENCY_STOP, 1 << 5 | 1 << 7 | 1 << 10),
+        (lambda s: s.safety.fault(), SafetyMode.FAULT, 1 << 9 | 1 << 10),
+        (lambda s: s.safety.fault(violation=True), SafetyMode.VIOLATION, 1 << 8 | 1 << 10),
+    ],
+)
+def test_stops_brake_as_hard_as_the_model_says(
+    model: str, stop: Callable[[Robot], None], mode: SafetyMode, bits: int
+) -> None:
+    served = swinging(model)
+    stop(served)
+    assert served.safety.mode is mode
+    assert served.safety.status_bits == bits
+    speeds = [served.plant.qd[0]]
+    while abs(served.plant.qd[0]) > 0.0:
+        served.step()
+        speeds.append(served.plant.qd[0])
+    deceleration = -np.diff(speeds) * served.model.rate
+    assert np.max(deceleration) <= served.model.safety_deceleration * (1 + 1e-9)
+    shortest = 1.5 / served.model.safety_deceleration
+    assert (len(speeds) - 1) * served.model.period <= shortest + 2 * served.model.period
+    at_rest = served.plant.q.copy()
+    ticks(served, 0.5)
+    np.testing.assert_array_equal(served.plant.q, at_rest)
+
+
+def test_a_push_makes_a_protective_stop_and_ends_the_program() -> None:
+    served = swinging("UR10e")
+    served.plant.external_force = np.array([200.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    ticks(served, 0.2)
+    assert served.safety.mode is SafetyMode.PROTECTIVE_STOP
+    assert "force" in served.safety.reason
+    assert served.program.state is RuntimeState.STOPPED
+
+
+def test_a_short_blow_is_not_a_push() -> None:
+    served = robot("UR10e")
+    served.plant.external_force = np.array([0.0, 0.0, 600.0, 0.0, 0.0, 0.0])
+    ticks(served, 0.002)
+    served.plant.external_force = np.zeros(6)
+    ticks(served, 0.2)
+    assert served.safety.mode is SafetyMode.NORMAL
+
+
+def test_a_joint_far_from_its_set_point_makes_a_protective_stop() -> None:
+    served = robot()
+    served.joint_offset = np.array([0.0, 0.0, 0.25, 0.0, 0.0, 0.0])
+    served.step()
+    served.step()
+    assert served.safety.mode is SafetyMode.PROTECTIVE_STOP
+    assert "joint 2" in served.safety.reason
+
+
+def test_an_emergency_stop_powers_off_after_standstill_and_needs_a_person() -> None:
+    served = swinging("UR10")
+    served.safety.emergency_stop()
+    served.step()
+    assert served.safety.powered
+    ticks(served, 0.5)
+    assert served.safety.robot_mode is RobotMode.POWER_OFF
+    assert not served.safety.brake_release()
+    served.safety.release_emergency_stop()
+    assert served.safety.mode is SafetyMode.NORMAL
+    assert served.safety.robot_mode is RobotMode.POWER_OFF
+    served.program.upload(SWING)
+    ticks(served, 0.1)
+    assert served.program.name == ""
+    served.safety.brake_release()
+    ticks(served, 2.0)
+    served.program.upload(SWING)
+    ticks(served, 0.1)
+    assert served.program.name == "swing"
+
+
+def test_a_safeguard_stop_pauses_and_goes_on_only_when_played() -> None:
+    served = swinging("UR10")
+    served.safety.safeguard_stop()
+    assert served.program.state is RuntimeState.PAUSED
+    assert served.safety.status_bits == 1 << 4 | 1 << 10
+    ticks(served, 0.3)
+    assert served.plant.qd[0] == 0.0
+    assert not served.program.resume()
+    served.safety.release_safeguard_stop()
+    ticks(served, 0.5)
+    assert served.plant.qd[0] == 0.0
+    assert served.program.resume()
+    ticks(served, 0.3)
+    assert served.plant.qd[0] > 0.0
+
+
+def test_a_fault_needs_a_restart_of_the_safety_system() -> None:
+    served = robot()
+    served.safety.fault()
+    assert not served.safety.power_on()
+    served.safety.restart()
+    assert served.safety.brake_release()
+    ticks(served, 2.0)
+    assert served.safety.forbidden() == ""
+
+
+def test_a_new_program_takes_the_place_of_the_old_one() -> None:
+    served = swinging("UR10")
+    served.program.upload("def second():\n  while True:\n    sync()\n  end\nend\n")
+    ticks(served, 0.05)
+    assert served.program.name == "second"
+    ticks(served, 1.0)
+    assert served.plant.qd[0] == 0.0
+
+
+def test_a_program_that_does_not_parse_is_not_run() -> None:
+    served = robot()
+    served.program.upload("def broken():\n  movej([\nend\n")
+    ticks(served, 0.1)
+    assert served.program.state is RuntimeState.STOPPED
+    assert "script not started" in served.program.last_error
+
+
+def test_a_program_that_fails_ends() -> None:
+    served = robot()
+    served.program.upload("def wrong():\n  sync()\n  x = no_such_function()\nend\n")
+    ticks(served, 0.2)
+    assert served.program.state is RuntimeState.STOPPED
+    assert served.program.last_error
+
+
+@examples(60)
+@given(st.data())
+def test_programs_are_cut_out_of_any_stream(data: st.DataObject) -> None:
+    program = "def job():\n  if True:\n    sync()\n  end\nend\n"
+    stream = f"# a comment\n{program}\nset_digital_out(1, True)\r\nsec aside():\n  sync()\nend\n{program}".encode()
+    reader, found = ScriptReader(), []
+    while stream:
+        size = data.draw(st.integers(1, max(8, len(stream) // 2)))
+        found += reader.feed(stream[:size])
+        stream = stream[size:]
+    assert found == [
+        program,
+        "def unnamed():\n  set_digital_out(1, True)\nend\n",
+        "sec aside():\n  sync()\nend\n",
+        program,
+    ]
+
+
+@examples(100)
+@given(
+    st.lists(
+        st.one_of(st.binary(max_size=80), st.sampled_from([b"def a():\n", b"end\n", b" movej(q)\n", b"sec b():\n"]))
+    )
+)
+def test_any_bytes_on_a_script_port_leave_the_robot_alive(chunks: list[bytes]) -> None:
+    served = robot()
+    for session in (ScriptSession(Recorder(), served), StateSession(Recorder(), served)):
+        for chunk in chunks:
+            session.feed(chunk)
+            served.step()
+            session.tick()
+    served.program.upload("def job():\n  while True:\n    sync()\n  end\nend\n")
+    ticks(served, 0.05)
+    assert served.program.state is RuntimeState.PLAYING
+
+
+def test_an_endless_program_text_ends_the_connection() -> None:
+    sink = Recorder()
+    session = ScriptSession(sink, robot())
+    session.feed(b"def job():\n")
+    session.feed(b"x" * MAX_SCRIPT)
+    assert not sink.open
+
+
+def test_the_arm_starts_where_it_should() -> None:
+    np.testing.assert_array_equal(robot().plant.q, Q_START)

@@ -1,0 +1,162 @@
+"""Threads of a script against the controller's ticks."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.sim_backend.ur_controller.urscript.script_robot import ScriptRobot
+from toolee_robot.sim_backend.ur_controller.robot.machine import EventKind
+from toolee_robot.sim_backend.ur_controller.robot.model import UR10, UR10E, ControllerModel
+from toolee_robot.sim_backend.ur_controller.urscript import ScriptRuntime
+
+both = pytest.mark.parametrize("model", [UR10, UR10E], ids=lambda m: m.name)
+
+
+def test_sync_ends_a_threads_tick_and_main_goes_first() -> None:
+    robot = ScriptRobot()
+    robot.start(
+        """def a():
+ global n = 0
+ thread count():
+  while True:
+   n = n + 1
+   textmsg("thread ", n)
+   sync()
+  end
+ end
+ run count()
+ while True:
+  textmsg("main ", n)
+  sync()
+ end
+end"""
+    )
+    robot.tick(3)
+    assert robot.messages == ["main 0", "thread 1", "main 1", "thread 2", "main 2", "thread 3"]
+
+
+@both
+def test_sleep_takes_its_time_in_whole_ticks(model: ControllerModel) -> None:
+    robot = ScriptRobot(model)
+    runtime = robot.start("def a():\n sleep(0.1)\n textmsg(1)\nend")
+    ticks = 0
+    while runtime.running:
+        robot.tick()
+        ticks += 1
+    assert ticks == -(-0.1 * model.rate // 1) + 1
+
+
+def test_a_critical_section_holds_the_others_up_even_while_it_waits() -> None:
+    robot = ScriptRobot()
+    robot.start(
+        """def a():
+ thread other():
+  while True:
+   textmsg("other")
+   sync()
+  end
+ end
+ run other()
+ sync()
+ enter_critical
+ sleep(0.01)
+ textmsg("out")
+ exit_critical
+ sleep(0.004)
+end"""
+    )
+    robot.tick(10)
+    assert robot.messages == ["other", "out", "other", "other"]
+
+
+def test_join_waits_kill_ends_and_zero_is_no_thread() -> None:
+    robot = ScriptRobot()
+    runtime = robot.run(
+        """def a():
+ thread short(text):
+  sleep(0.02)
+  textmsg(text)
+ end
+ thread endless():
+  while True:
+   sync()
+  end
+  textmsg("never")
+ end
+ h = 0
+ kill h
+ join h
+ h = run short("done")
+ join h
+ textmsg("joined")
+ e = run endless()
+ sync()
+ kill e
+ kill e
+ join e
+ if e != 0:
+  textmsg("a handle is not 0")
+ end
+end"""
+    )
+    assert runtime.error is None
+    assert robot.messages == ["done", "joined", "a handle is not 0"]
+
+
+def test_all_threads_end_with_main_and_halt_ends_main_from_anywhere() -> None:
+    robot = ScriptRobot()
+    body = (
+        "def a():\n thread t():\n  sleep(0.01)\n  {}\n  while True:\n   textmsg(1)\n   sync()\n  end\n end\n run t()\n"
+    )
+    robot.run(body.format("sync()") + " sleep(0.02)\nend")
+    printed = len(robot.messages)
+    assert printed > 0
+    robot.tick(20)
+    assert len(robot.messages) == printed
+    halted = ScriptRobot()
+    halted.run(body.format("halt") + " sleep(100)\nend", seconds=1.0)
+    assert halted.messages == []
+    assert [event.kind for event in halted.events] == [EventKind.HALT]
+
+
+def test_an_error_in_a_thread_ends_the_program() -> None:
+    robot = ScriptRobot()
+    runtime = robot.run("def a():\n thread t():\n  sync()\n  x = [1][1]\n end\n run t()\n sleep(100)\nend", seconds=1.0)
+    assert runtime.error is not None
+    assert runtime.error.line == 4
+
+
+def test_a_killed_move_decelerates() -> None:
+    robot = ScriptRobot(UR10)
+    robot.start(
+        """def a():
+ thread t():
+  movej([1.3, -1.4, 1.6, -1.8, -1.5, 0.2], a=5, v=1)
+ end
+ h = run t()
+ sleep(0.5)
+ kill h
+ sleep(5)
+end"""
+    )
+    robot.tick(round(0.5 * 125) + 1)
+    assert robot.machine.moving
+    robot.tick(round(125 / UR10.stop_deceleration) + 1)
+    assert not robot.machine.moving
+    assert robot.plant.q[0] < 1.0
+
+
+def test_a_secondary_program_runs_beside_the_main_one_and_leaves_it_alone() -> None:
+    robot = ScriptRobot()
+    main = robot.start("def a():\n movej([0.5, -1.4, 1.6, -1.8, -1.5, 0.2])\nend")
+    robot.tick(10)
+    second = ScriptRuntime("sec b():\n set_digital_out(1, True)\n textmsg(get_digital_out(1))\nend", robot.machine)
+    assert second.secondary
+    second.step(0.002)
+    robot.tick()
+    assert not second.running
+    assert robot.machine.digital_out[1]
+    assert robot.messages == ["True"]
+    robot.tick(1000)
+    assert not main.running
+    assert robot.plant.q[0] == pytest.approx(0.5)

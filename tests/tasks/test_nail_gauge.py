@@ -1,0 +1,85 @@
+"""What shakes the arm while it feels its way, and what the job makes of it: on the simulated station itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from toolee_robot.faults.rigs.job_rig import Bench, Log
+from toolee_robot.hal import ArmState, ContactGuard, MotionReport, MotionWatch
+from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.tasks.common.outcome import HammerResult, Outcome
+from toolee_robot.types import Trajectory
+
+pytestmark = pytest.mark.sim
+
+
+def knock_at_the_wood(bench: Bench, monkeypatch: pytest.MonkeyPatch, force: float, seconds: float) -> None:
+    """The first time that the arm feels for the wood, the hand is pushed up [N] for so long, far from the wood."""
+    world, execute, touches = bench.sim.world, bench.arm.execute, [0]
+    until = [0.0, 0.0]
+
+    def push(_dt: float) -> None:
+        if until[0] <= world.time < until[1]:
+            body, link = world.robot.body, world.robot.sensor_link
+            at = world.robot.link_pose(link)[:3, 3].tolist()
+            pb.applyExternalForce(body, link, [0.0, 0.0, force], at, pb.WORLD_FRAME, physicsClientId=world.client)
+
+    def touch(
+        trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None
+    ) -> MotionReport:
+        if guard is not None and guard.over > 0.0:
+            touches[0] += 1
+            if touches[0] == 2:
+                # From the middle of a step: just so many steps, however the clock is rounded.
+                until[:] = world.time + 0.0605, world.time + 0.0605 + seconds
+        return execute(trajectory, guard, watch)
+
+    world.before_step.append(push)
+    monkeypatch.setattr(bench.arm, "execute", touch)
+
+
+def measured(bench: Bench, log: Log, result: HammerResult) -> None:
+    """The one blow was done, and measured as it is."""
+    assert result.outcome is Outcome.OUT_OF_BLOWS, result.reason
+    (blow,) = log.blows
+    assert blow.protrusion == pytest.approx(bench.sim.world.nail.protrusion, abs=0.001)
+
+
+def test_a_knock_of_one_cycle_is_no_wood(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A servo packet that comes late shakes the arm by 10 N for a cycle."""
+    knock_at_the_wood(bench, monkeypatch, force=20.0, seconds=0.008)
+    log = Log()
+    measured(bench, log, bench.blind_task(log).run())
+    assert log.motions.count("touch the wood") == 2  # before the blow and after it
+
+
+def test_wood_that_was_felt_too_early_is_touched_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    knock_at_the_wood(bench, monkeypatch, force=30.0, seconds=0.08)
+    log = Log()
+    measured(bench, log, bench.blind_task(log).run())
+    assert log.motions.count("touch the wood") == 3
+
+
+@pytest.mark.parametrize(("swings", "outcome"), [(0.3, Outcome.OUT_OF_BLOWS), (np.inf, Outcome.DEVICE_FAULT)])
+def test_an_arm_that_a_blow_has_left_swinging_is_waited_for_but_not_for_ever(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, swings: float, outcome: Outcome
+) -> None:
+    clock, state = bench.sim.station.clock, bench.arm.state
+    since = [np.inf]
+
+    def swinging(max_age: float = 0.1) -> ArmState:
+        now = state(max_age)
+        fast = since[0] <= clock.now() < since[0] + swings
+        return replace(now, joints=replace(now.joints, qd=np.full(6, 0.14))) if fast else now
+
+    monkeypatch.setattr(bench.arm, "state", swinging)
+    log = Log(after={"strike": lambda: since.__setitem__(0, clock.now())})
+    result = bench.blind_task(log).run()
+    assert result.outcome is outcome
+    if outcome is Outcome.DEVICE_FAULT:
+        assert "the arm still moves" in result.reason
+        assert log.motions[-1] == "strike"
+        assert clock.now() - since[0] < 2.0

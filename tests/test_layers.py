@@ -1,0 +1,83 @@
+"""The simulation's ground truth is out of reach of the task, the perception and the control."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import toolee_robot
+from toolee_robot import hal
+
+_ROOT = Path(toolee_robot.__file__).parent
+_BLIND = ("tasks", "doctor", "perception", "control", "hardware")
+
+_IMPORT_ALL = """
+import importlib, pkgutil, sys
+package = importlib.import_module("toolee_robot." + sys.argv[1])
+for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+    if not module.name.endswith("__main__"):
+        importlib.import_module(module.name)
+bad = [m for m in sys.modules if m == "pybullet" or m.startswith("toolee_robot.sim_backend")]
+print(len(sys.modules), bad)
+sys.exit(bool(bad))
+"""
+
+
+@pytest.mark.parametrize("package", _BLIND)
+def test_importing_every_module_of_a_blind_package_does_not_load_the_simulation(package: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _IMPORT_ALL, package], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("package", _BLIND)
+def test_no_blind_package_names_the_simulation_even_in_a_string(package: str) -> None:
+    """Closes the way around the import rules: importlib, __import__, sys.modules with a name put together elsewhere."""
+    for path in (_ROOT / package).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                names = [a.name for a in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names = [node.module or "", *(a.name for a in node.names)]
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and " " not in node.value:
+                names = [node.value]
+            else:
+                continue
+            # The servo process, which has nothing of the simulation in it, must keep the collector from pausing it.
+            banned = {"pybullet", "inspect"} | (set() if path.name == "clock.py" else {"gc"})
+            found = [n for n in names if "sim_backend" in n or n.split(".")[0] in banned]
+            assert not found, f"{path}:{getattr(node, 'lineno', '?')} names {found}"
+
+
+def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
+    """Adding a member is a decision about what a real device can tell: it has to be made here too."""
+    members = {
+        name: {m for m in vars(protocol) if not m.startswith("_")}
+        for name, protocol in vars(hal).items()
+        if isinstance(protocol, type)
+        and getattr(protocol, "_is_protocol", False)
+        and protocol.__module__ == hal.__name__
+    }
+    assert members == {
+        "Device": set(),
+        "Arm": {"rate", "state", "execute", "set_payload", "stop", "reset"},
+        "Hand": {"joint_names", "state", "open", "close", "stop"},
+        "RgbdCamera": {"intrinsics", "read"},
+        "Person": {"request_handover", "release", "take_tool", "confirm_swing", "inside", "attending"},
+        "Clock": {"now", "sleep"},
+    }
+    assert {f.name for f in dataclasses.fields(hal.Station)} == {
+        *("arm", "hand", "camera", "person", "clock"),
+        *("robot_serial", "camera_serial"),
+    }
+    assert {f.name for f in dataclasses.fields(hal.HandState)} == {
+        *("joints", "contact_forces", "holding", "assisted"),
+        *("temperature", "fault"),
+    }
+    assert {f.name for f in dataclasses.fields(hal.ArmState)} == {"joints", "q_commanded", "wrench", "status"}

@@ -1,0 +1,1 @@
+"""`toolee bench` and `toolee bench-servo`."""

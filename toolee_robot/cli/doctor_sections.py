@@ -1,0 +1,108 @@
+"""What `toolee doctor` looks at, section by section; takes seconds to import."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import asdict, dataclass, field
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from toolee_robot import doctor
+from toolee_robot.config import StationConfig
+from toolee_robot.errors import DeviceError
+from toolee_robot.findings import Finding, warn
+from toolee_robot.hal import Station
+from toolee_robot.hardware.ur.config import UrArmConfig
+from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.runtime.clock import HostClock
+from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.sim_backend.remote.station import remote_station
+from toolee_robot.sim_backend.remote.world import RemoteWorld
+from toolee_robot.sim_backend.station import SimStation, draw_handover
+
+Section = tuple[str, list[Finding]]
+_SEED = 0
+
+
+@dataclass
+class Examination:
+    """host: of a UR controller, None for the simulated arm. with_world: a stand-in is started on that host, with the
+    simulated station behind it. out: where recordings would go. doing: shows what takes its time.
+
+    facts: what was learnt besides the findings, for --json.
+    """
+
+    config: StationConfig
+    host: str | None
+    with_world: bool
+    out: Path
+    doing: Callable[[str], AbstractContextManager[object]]
+    facts: dict[str, Any] = field(default_factory=dict)
+    _rate: float | None = field(default=None, init=False)
+    _robot_serial: str | None = field(default=None, init=False)
+    _camera_serial: str | None = field(default=None, init=False)
+
+    def sections(self) -> Iterator[Section]:
+        """The robot first: it is what a person is waiting for."""
+        yield from self._simulated() if self.host is None else self._controller(self.host)
+        config = self.config
+        with self.doing("planning"):
+            findings = [
+                doctor.check_calibration(config, self._robot_serial, self._camera_serial, date.today()),
+                *doctor.check_limits(config),
+                *doctor.check_reach(config),
+            ]
+        yield "Station file", findings
+        with self.doing("loading the networks, trying the clock"):
+            findings = [doctor.check_weights(), doctor.check_disk(self.out), *doctor.check_processor()]
+            if self._rate is not None:
+                findings += doctor.check_real_time(self._rate)
+        yield "This computer", findings
+
+    def _simulated(self) -> Iterator[Section]:
+        with self.doing("building the simulated station"), SimStation.build(self.config, _SEED) as simulation:
+            station = simulation.station
+            findings = list(self._devices(station))
+        yield "Devices", findings
+
+    def _controller(self, host: str) -> Iterator[Section]:
+        with ExitStack() as stack:
+            world = None
+            if self.with_world:
+                with self.doing("building the simulated station behind a controller stand-in"):
+                    world = stack.enter_context(RemoteWorld(self.config, _SEED, SimOptions(), host, HostClock()))
+            with self.doing(f"asking the robot at {host}"):
+                robot = doctor.examine_robot(host, self.config)
+            self._rate, self._robot_serial = robot.rate, robot.serial
+            own = robot.calibration
+            self.facts |= {"robot_serial": robot.serial, "arm_calibration": None if own is None else asdict(own)}
+            yield "Robot", robot.findings
+            if world is None:
+                findings = list(_without_driver())
+            else:
+                with self.doing("connecting the arm's driver"):
+                    findings = list(self._devices_behind(host, world))
+            yield "Devices", findings
+
+    def _devices_behind(self, host: str, world: RemoteWorld) -> Iterator[Finding]:
+        """The arm through its driver, the rest from the simulated world."""
+        tool, _ = draw_handover(_SEED, SimOptions())
+        try:
+            with UrArm(UrArmConfig(host), self.config.arm) as arm:
+                yield from self._devices(remote_station(world, self.config, _SEED, tool, arm, HostClock()))
+        except DeviceError as error:
+            yield Finding.of_error("arm", error, "first mend what is said of the robot")
+
+    def _devices(self, station: Station) -> Iterator[Finding]:
+        self._robot_serial, self._camera_serial = station.robot_serial, station.camera_serial
+        yield doctor.check_arm(station.arm, station.hand, self.config)
+        yield doctor.check_hand(station.hand, self.config)
+        yield from doctor.check_camera(station.camera, station.clock, self.config)
+        yield doctor.check_person(station.person)
+
+
+def _without_driver() -> Iterator[Finding]:
+    for name in ("hand", "camera"):
+        yield warn(name, "has no driver here yet: nothing was checked", "look after it yourself")

@@ -1,0 +1,122 @@
+"""`toolee hammer`: the whole job on a simulated station."""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+
+from toolee_robot.cli.options import Flag
+from toolee_robot.cli.output import json_line
+from toolee_robot.config import StationConfig, load_station
+from toolee_robot.errors import UserError
+from toolee_robot.runtime.clock import check_pace, is_loopback
+from toolee_robot.types import ArmModel
+
+WORLD_PACE = {ArmModel.UR10: 0.25, ArmModel.UR10E: 0.1}
+"""A cycle has 32 and 20 ms then: twice and more what the world needs for it at worst, in a blow, so that two busy cores
+keep the servo's schedule within a real robot's bounds."""
+
+
+@dataclass(frozen=True)
+class Hammer:
+    """Take a hammer from a person, look at it, and drive the nail (simulated station).
+
+    Example: toolee hammer --seed 100 --json
+
+    Example: toolee hammer --arm ur-rtde --robot-host 127.0.0.2 --world pybullet
+
+    Exit code 0: the nail is flush; 1: it is not, and the reason is said; 2: the input was wrong; 130: interrupted,
+    the arm was stopped.
+    """
+
+    seed: int = 0
+    """Which hammer (none was used in training), which grasp, which noise."""
+    json: Flag = False
+    """Print one line of JSON last on standard output; everything for people goes to standard error."""
+    no_correction: Flag = False
+    """Strike as if the tool were where it nominally is in the hand: the baseline."""
+    arm: Literal["sim", "ur-rtde"] = "sim"
+    """The simulated arm itself, or a UR arm through the driver that a real one gets."""
+    robot_host: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="")] = None
+    """Of the UR controller, with --arm ur-rtde; with --world a loopback address, where a stand-in will serve."""
+    world: Annotated[Literal["pybullet"] | None, tyro.conf.arg(metavar="pybullet", help_behavior_hint="")] = None
+    """What is behind the UR controller: a stand-in is started, with the simulated station as its world."""
+    pace: Annotated[
+        float | None, tyro.conf.arg(metavar="0.05..1", help_behavior_hint="(default: UR10 0.25, UR10e 0.1)")
+    ] = None
+    """With --world: seconds of the station, its robot and its world for one of the wall's clock. 1 is real time, which
+    a busy machine does not keep up with."""
+    robot: Annotated[Literal["UR10", "UR10e"] | None, tyro.conf.arg(metavar="UR10|UR10e", help_behavior_hint="")] = None
+    """Which arm, instead of the configuration's."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """A station: any subset of the fields of toolee_robot/config.py."""
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
+    """Where the run's folder goes: summary.json, recording.mcap, picture.png."""
+    gui: Flag = False
+    """Show pybullet's window (needs a screen)."""
+    perfect_perception: Flag = False
+    """For tests and the ablation only: poses from the simulation's ground truth instead of the camera."""
+
+    def run(self) -> int:
+        if not 0 <= self.seed < 2**31:
+            raise UserError(f"--seed {self.seed}: give a whole number from 0 to {2**31 - 1}")
+        if self.gui and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+            raise UserError("--gui needs a screen and DISPLAY is not set: leave it out, headless does the same job")
+        if self.perfect_perception and self.no_correction:
+            raise UserError("--perfect-perception with --no-correction changes nothing: leave one out")
+        config = StationConfig() if self.config is None else load_station(self.config)
+        if self.robot is not None:
+            config = replace(config, arm=replace(config.arm, model=ArmModel(self.robot)))
+        address = self._address(config.arm.model)
+        console = Console(stderr=self.json, highlight=False)
+
+        from toolee_robot.cli.hammering.run_folder import run_folder
+
+        with run_folder(self.out, f"seed{self.seed}") as folder:
+            console.print("[dim]loading the networks and building the station[/dim]")
+            from toolee_robot.cli.hammering.job import (
+                HammerJob,  # seconds of loading: after everything that can be wrong at once
+            )
+            from toolee_robot.stations.simulated import StandIn
+
+            stand_in = None if address is None else StandIn(*address)
+            correction, perfect = not self.no_correction, self.perfect_perception
+            job = HammerJob(
+                config, self.seed, correction=correction, perfect_perception=perfect, gui=self.gui, stand_in=stand_in
+            )
+            report = job.run(folder.path, console)
+            folder.keep()
+        console.print(report.panel(folder.path))
+        if self.json:
+            print(json_line({**report.figures, "run_folder": str(folder.path)}), flush=True)
+        return report.exit_code
+
+    def _address(self, model: ArmModel) -> tuple[str, float] | None:
+        """Host and pace of the stand-in that the arm is driven through; None for the simulated arm itself."""
+        if self.arm == "sim":
+            if self.pace is not None:
+                raise UserError(
+                    "--pace without --arm ur-rtde: the simulated arm itself needs none, its time waits for it"
+                )
+            if self.robot_host is not None:
+                raise UserError("--robot-host without --arm ur-rtde: the simulated arm has no address")
+            return None
+        if self.world is None:
+            raise UserError(
+                "--arm ur-rtde on a real robot: this project has no drivers for a real hand and a real camera yet, so "
+                "no job can be done there. Add --world pybullet for the simulated station behind the real driver; "
+                "`toolee doctor --arm ur-rtde --robot-host ...` checks a real arm"
+            )
+        if self.robot_host is None:
+            raise UserError("--arm ur-rtde needs --robot-host: a loopback address such as 127.0.0.2")
+        if not is_loopback(self.robot_host):
+            raise UserError(f"{self.robot_host!r} is not a loopback address: a stand-in serves this machine only")
+        pace = WORLD_PACE[model] if self.pace is None else self.pace
+        check_pace(pace, self.robot_host)
+        return self.robot_host, pace

@@ -1,0 +1,147 @@
+"""What the person reads while the robot works, stage by stage."""
+# ruff: noqa: ARG002 - an observer is told more than it shows
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+
+from toolee_robot.control.records import StrikePlan
+from toolee_robot.frames import Array
+from toolee_robot.recording.pose_text import pose_text, sigma_text
+from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.outcome import Blow, HammerResult, Stage
+from toolee_robot.types import Category, InHandEstimate, RgbdFrame, ToolEstimate
+
+_PHASES = {
+    Stage.HANDOVER: "Handover",
+    Stage.GRIP: "Grip",
+    Stage.VIEW: "Look",
+    Stage.PERCEIVE: "Look",
+    Stage.PLAN: "Drive the nail",
+    Stage.TOUCH: "Drive the nail",
+    Stage.STRIKE: "Drive the nail",
+    Stage.PARK: "Park",
+}
+"""Stages that alternate are one phase to a person."""
+_DOING = {
+    Stage.HANDOVER: "waiting for the tool in the open hand",
+    Stage.GRIP: "closing the fingers, confirming the hold",
+    Stage.VIEW: "bringing the tool before the camera",
+    Stage.PERCEIVE: "finding the end effector and its pose",
+    Stage.PLAN: "planning the blow",
+    Stage.TOUCH: "measuring the nail with a slow touch",
+    Stage.STRIKE: "striking",
+    Stage.PARK: "putting the arm away",
+}
+
+
+class ConsoleObserver(TaskObserver):
+    """Writes the job to a rich console: stages, poses with their uncertainty, the nail after each blow."""
+
+    def __init__(self, console: Console, protrusion: float, flush: float) -> None:
+        """protrusion [m] of the nail before the first blow; flush [m], under which it is driven."""
+        self._console = console
+        self._start, self._flush = protrusion, flush
+        self._last = protrusion
+        self._progress = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            TextColumn("{task.fields[protrusion]}"),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+        )
+        self._task: TaskID | None = None
+        self._phase, self._phase_seconds, self._told_plan = "", 0.0, False
+
+    @contextmanager
+    def live(self) -> Iterator[None]:
+        """Show the progress line while inside (on a terminal; a plain stream gets the lines only)."""
+        if not self._console.is_terminal:
+            yield
+            return
+        with self._progress:
+            self._task = self._progress.add_task("starting", total=self._start - self._flush, protrusion="")
+            yield
+
+    def stage_started(self, stage: Stage) -> None:
+        if _PHASES[stage] != self._phase:
+            self._close_phase()
+            self._phase, self._phase_seconds, self._told_plan = _PHASES[stage], 0.0, False
+            self._console.print(f"[bold]{self._phase}[/bold]")
+        if self._task is not None:
+            self._progress.update(self._task, description=_DOING[stage])
+
+    def stage_ended(self, stage: Stage, seconds: float) -> None:
+        self._phase_seconds += seconds
+
+    def _close_phase(self) -> None:
+        if self._phase:
+            self._console.print(f"  [dim]{self._phase_seconds:.1f} s[/dim]")
+        self._phase = ""
+
+    def message(self, text: str) -> None:
+        self._console.print(f"  [yellow]{escape(text)}[/yellow]")
+
+    def frame(self, frame: RgbdFrame, estimates: list[ToolEstimate], X_camera_hand: Array) -> None:
+        heads = [e for e in estimates if e.category is Category.HAMMER_HEAD]
+        if not heads:
+            self._console.print("    frame: no hammer head found")
+            return
+        best = max(heads, key=lambda e: (e.usable, e.confidence))
+        verdict = "" if best.usable else f"  [red]not used: {escape(best.reason)}[/red]"
+        sigma = sigma_text(best.covariance, best.X_camera_ee)
+        self._console.print(f"    hammer head  {sigma}  confidence {best.confidence:.2f}{verdict}")
+
+    def in_hand(self, stamp: float, estimate: InHandEstimate) -> None:
+        colour = "cyan" if estimate.usable else "red"
+        name = str(estimate.category).replace("_", " ")
+        sigma = sigma_text(estimate.covariance, estimate.X_hand_ee)
+        self._console.print(
+            f"  [bold {colour}]{name} in the hand[/bold {colour}]  {pose_text(estimate.X_hand_ee)}\n"
+            f"    {sigma}  from {estimate.frames_used} of {estimate.frames_seen} frames"
+            + ("" if estimate.usable else f"  [red]{escape(estimate.reason)}[/red]")
+        )
+
+    def blow(self, blow: Blow) -> None:
+        if blow.protrusion is None:
+            self._console.print(f"  blow {blow.number:>2}  [red]the nail could not be measured after it[/red]")
+            return
+        gained = (self._last - blow.protrusion) * 1e3
+        self._last = blow.protrusion
+        left = max(blow.protrusion, 0.0) / max(self._start, 1e-9)
+        bar = "█" * round(20 * min(left, 1.0))
+        self._console.print(
+            f"  blow {blow.number:>2}  {blow.protrusion * 1e3:5.1f} mm over the wood  [dim]({gained:+.1f})[/dim]  "
+            f"[blue]{bar:<20}[/blue] [dim]{blow.speed:.1f} m/s, {blow.peak_force:.0f} N[/dim]"
+        )
+        if self._task is not None:
+            driven = max(self._start - blow.protrusion, 0.0)
+            self._progress.update(self._task, completed=driven, protrusion=f"{blow.protrusion * 1e3:.1f} mm left")
+
+    def planned(self, stamp: float, plan: StrikePlan) -> None:
+        if not self._told_plan:
+            self._told_plan = True
+            self._console.print(f"  plan: {plan_text(plan)}")
+
+    def ended(self, result: HammerResult) -> None:
+        self._close_phase()
+        if self._task is not None:
+            self._progress.stop()
+            self._task = None
+
+
+def plan_text(plan: StrikePlan) -> str:
+    """A plan in a line, for a person."""
+    lowered = f" (wanted {plan.wanted_speed:.1f})" if plan.speed < 0.99 * plan.wanted_speed else ""
+    return (
+        f"{plan.speed:.2f} m/s{lowered} at contact, spin {np.rad2deg(plan.theta):+.0f}°, "
+        f"clearance {plan.clearance.distance * 1e3:.0f} mm  [dim]({plan.planning_time * 1e3:.0f} ms)[/dim]"
+    )

@@ -1,0 +1,231 @@
+"""One hammering job on a simulated station: put together, run, judged and written down."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.panel import Panel
+
+import toolee_robot
+from toolee_robot.cli.hammering.console import ConsoleObserver
+from toolee_robot.cli.output import json_line
+from toolee_robot.config import StationConfig
+from toolee_robot.perception import ToolPerception
+from toolee_robot.recording.observer import Album, RecordingObserver
+from toolee_robot.recording.recorder import RunRecorder
+from toolee_robot.robots import ARM_JOINTS
+from toolee_robot.runtime.files import write_whole
+from toolee_robot.runtime.latency_monitor import EXCUSE, Steadiness
+from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.sim_backend.ground_truth.verdict import BlowTruth, Verdict
+from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.stations.simulated import StandIn, open_backend
+from toolee_robot.tasks.common.observer import Observers
+from toolee_robot.tasks.common.outcome import HammerResult, Outcome
+from toolee_robot.tasks.hammering.grasp import nominal_grasp
+from toolee_robot.tasks.hammering.task import HammeringTask
+from toolee_robot.tools import Tool
+
+EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
+
+
+@dataclass(frozen=True)
+class HammerReport:
+    """What came of a job. figures: what --json prints, by name."""
+
+    figures: Mapping[str, Any]
+
+    @property
+    def exit_code(self) -> int:
+        if self.figures["outcome"] == Outcome.INTERRUPTED:
+            return EXIT_INTERRUPTED
+        return 0 if self.figures["success"] else EXIT_FAILED
+
+    def panel(self, folder: Path) -> Panel:
+        """The last thing a person sees."""
+        f = self.figures
+        seconds = ", ".join(f"{name} {s:.1f}" for name, s in f["stage_seconds"].items())
+        rows = [
+            ("blows", str(f["blows"])),
+            ("nail over the wood", _figure(f["protrusion_mm"], "mm")),
+            ("pose error *", f"{_figure(f['pose_error_mm'], 'mm')}, {_figure(f['pose_error_deg'], '°')}"),
+            ("strike offset, tilt *", f"{_figure(f['strike_offset_mm'], 'mm')}, {_figure(f['strike_tilt_deg'], '°')}"),
+            ("time", f"{f['seconds']:.1f} s  [dim]({seconds})[/dim]"),
+            ("files", escape(str(folder))),
+        ]
+        lines = [f"[bold]{escape(f['reason'])}[/bold]", ""]
+        lines += [f"{name:<22}{value}" for name, value in rows]
+        lines += ["", "[dim]* measured by the simulation; the task cannot see it[/dim]"]
+        title = "the nail is flush" if f["success"] else str(f["outcome"]).replace("_", " ")
+        colour = "green" if f["success"] else "red"
+        return Panel("\n".join(lines), title=f"[bold]{title}[/bold]", border_style=colour, expand=False, padding=(1, 2))
+
+
+@dataclass(frozen=True)
+class HammerJob:
+    """What is to be done. perfect_perception: poses from the ground truth, for tests and the ablation only. stand_in:
+    what to drive the arm through, with the real driver; None: straight to the simulated station."""
+
+    config: StationConfig
+    seed: int
+    correction: bool = True
+    perfect_perception: bool = False
+    gui: bool = False
+    stand_in: StandIn | None = None
+
+    def run(self, folder: Path, console: Console) -> HammerReport:
+        """Do the job and write summary.json, recording.mcap and picture.png into `folder`, whatever the ending.
+
+        Raises TooleeError where the job could not begin. An interrupt stops the arm and is reported.
+        """
+        began = time.perf_counter()
+        perception = None if self.perfect_perception else ToolPerception.load()
+        work, flush = self.config.work, self.config.task.flush_protrusion
+        screen, album = ConsoleObserver(console, work.nail_protrusion, flush), Album(work.nail_protrusion, flush)
+        metadata = {"seed": str(self.seed), "correction": str(self.correction)}
+        with (
+            nullcontext() if self.stand_in is None else Steadiness() as machine,
+            open_backend(self.config, self.seed, SimOptions(gui=self.gui), self.stand_in) as sim,
+            RunRecorder(folder / "recording.mcap", metadata) as recorder,
+        ):
+            console.print(f"[bold]{_words(sim.tool)}[/bold]  [dim]seed {self.seed}{self._mode()}[/dim]")
+            station = sim.station
+            keeper = RecordingObserver(
+                recorder,
+                station.clock,
+                ARM_JOINTS,
+                station.hand.joint_names,
+                self.config.camera.X_base_camera,
+            )
+            task = HammeringTask(
+                station,
+                perception or PerfectPerception(sim.judge),
+                self.config,
+                nominal_grasp(sim.tool, self.config),
+                correction=self.correction,
+                observer=Observers(screen, keeper, album),
+            )
+            if machine is not None:
+                machine.begin()
+            try:
+                with screen.live():
+                    result = task.run()
+            except KeyboardInterrupt:
+                reason = "interrupted by a person; the arm was stopped"
+                result = task.result(Outcome.INTERRUPTED, reason)
+            standstill = None if machine is None else machine.longest
+            verdict, truths = sim.judge.verdict(result.estimates), sim.judge.blows
+        figures = self._figures(result, verdict, sim.tool, time.perf_counter() - began, standstill)
+        self._write(folder, figures, result, truths, album, sim.tool)
+        return HammerReport(figures)
+
+    def _mode(self) -> str:
+        words = ""
+        if self.stand_in is not None:
+            words = f", {self.config.arm.model} over ur_rtde at {self.stand_in.host}, pace {self.stand_in.pace:g}"
+        if self.perfect_perception:
+            return f"{words}, poses from the simulation's ground truth"
+        return words if self.correction else f"{words}, no correction: the nominal in-hand pose is believed"
+
+    def _excused(self, result: HammerResult, standstill: float | None) -> bool:
+        """Whether the machine itself stood still for longer than the driver's bounds allow at this pace."""
+        if self.stand_in is None or standstill is None or result.outcome is not Outcome.DEVICE_FAULT:
+            return False
+        return standstill * self.stand_in.pace > EXCUSE
+
+    def _figures(
+        self, result: HammerResult, verdict: Verdict, tool: Tool, seconds: float, standstill: float | None
+    ) -> dict[str, Any]:
+        success, outcome, reason = result.success, str(result.outcome), result.reason
+        if success and verdict.nail_outcome != "flush":
+            # The robot only feels the nail; the simulation knows.
+            success = False
+            reason = (
+                f"the robot takes the nail for flush ({reason}), but it is {verdict.nail_outcome.replace('_', ' ')}"
+            )
+        excused = self._excused(result, standstill)
+        if excused:
+            reason += (
+                f". This machine itself stood still meanwhile, for up to {(standstill or 0.0) * 1e3:.0f} ms: the host "
+                "of a virtual machine takes its cores away. Try again, or with a slower --pace, which bears more"
+            )
+        return {
+            "success": success,
+            "outcome": outcome,
+            "reason": reason,
+            "blows": len(result.blows),
+            "protrusion_mm": _rounded(verdict.protrusion_mm),
+            "measured_protrusion_mm": None if result.protrusion is None else _rounded(result.protrusion * 1e3),
+            "nail": verdict.nail_outcome,
+            "pose_error_mm": _rounded(verdict.pose_error_mm),
+            "pose_error_deg": _rounded(verdict.pose_error_deg),
+            "strike_offset_mm": _rounded(verdict.strike_offset_mm),
+            "strike_tilt_deg": _rounded(verdict.strike_tilt_deg),
+            "contact_speed": _rounded(verdict.contact_speed),
+            "stage_seconds": {str(k): round(v, 3) for k, v in result.stage_seconds.items()},
+            "seconds": round(seconds, 3),
+            "seed": self.seed,
+            "tool": tool.name,
+            "arm": "sim" if self.stand_in is None else "ur-rtde",
+            "pace": None if self.stand_in is None else self.stand_in.pace,
+            "machine_standstill_ms": None if standstill is None else _rounded(standstill * 1e3),
+            "machine_to_blame": excused,
+            "robot": str(self.config.arm.model),
+            "correction": self.correction,
+            "perfect_perception": self.perfect_perception,
+        }
+
+    def _write(
+        self,
+        folder: Path,
+        figures: dict[str, Any],
+        result: HammerResult,
+        truths: tuple[BlowTruth, ...],
+        album: Album,
+        tool: Tool,
+    ) -> None:
+        summary = {
+            **figures,
+            "version": toolee_robot.__version__,
+            "blow_log": [asdict(blow) for blow in result.blows],
+            "blow_truth": [asdict(truth) for truth in truths],
+            "looks": [
+                {
+                    "stamp": stamp,
+                    "X_hand_ee": estimate.X_hand_ee.tolist(),
+                    "covariance": estimate.covariance.tolist(),
+                    "confidence": estimate.confidence,
+                    "frames_used": estimate.frames_used,
+                    "frames_seen": estimate.frames_seen,
+                }
+                for stamp, estimate in result.estimates
+            ],
+            "station": asdict(self.config),
+        }
+        write_whole(folder / "summary.json", (json_line(summary) + "\n").encode())
+        blows = f"{figures['blows']} blow{'' if figures['blows'] == 1 else 's'}"
+        title = (
+            f"{'Flush' if figures['success'] else str(figures['outcome']).replace('_', ' ').capitalize()} after {blows}"
+        )
+        picture = album.picture(title, f"{_words(tool)}, seed {self.seed}{self._mode()}")
+        if picture is not None:
+            write_whole(folder / "picture.png", picture)
+
+
+def _words(tool: Tool) -> str:
+    return f"{tool.kind.replace('_', ' ').capitalize()}, {tool.mass:.2f} kg, held out from training"
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 3)
+
+
+def _figure(value: float | None, unit: str) -> str:
+    return "unknown" if value is None else f"{value:.1f} {unit}"

@@ -1,0 +1,91 @@
+"""What this machine is, and how long things take on it."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+_PACKAGES = ("toolee_robot", "numpy", "scipy", "torch", "torchvision", "pin", "coal", "ruckig", "pybullet", "embreex")
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Enough to judge a latency by. cores: those this process may use; memory_gb: all of it; arithmetic: of the
+    networks on the processor."""
+
+    cpu: str
+    cores: int
+    memory_gb: float
+    system: str
+    python: str
+    torch_threads: int
+    arithmetic: str
+    versions: dict[str, str]
+
+
+def describe_machine() -> Machine:
+    """Read it from the operating system; "unknown" where that does not tell."""
+    import torch
+
+    from toolee_robot.perception.precision import bfloat16_pays
+
+    cpu = platform.processor() or platform.machine() or "unknown"
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        names = [
+            line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if line.startswith("model name")
+        ]
+        cpu = names[0] if names else cpu
+    versions = {}
+    for name in _PACKAGES:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = "not installed"
+    return Machine(
+        cpu=cpu,
+        cores=len(os.sched_getaffinity(0)),
+        memory_gb=round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
+        system=f"{platform.system()} {platform.release()} {platform.machine()}",
+        python=platform.python_version(),
+        torch_threads=torch.get_num_threads(),
+        arithmetic="bfloat16" if bfloat16_pays(torch.device("cpu")) else "float32",
+        versions=versions,
+    )
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Wall-clock times of repeated calls [ms]."""
+
+    name: str
+    median_ms: float
+    p90_ms: float
+    repeats: int
+    target_ms: float | None = None
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the median is under its target; None without a target."""
+        return None if self.target_ms is None else self.median_ms < self.target_ms
+
+
+def measure(
+    name: str, call: Callable[[], object], *, repeats: int, warm_up: int = 2, target_ms: float | None = None
+) -> Latency:
+    """Time `call` after `warm_up` calls that do not count."""
+    for _ in range(warm_up):
+        call()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        call()
+        times.append((time.perf_counter() - start) * 1e3)
+    return Latency(name, float(np.median(times)), float(np.percentile(times, 90)), repeats, target_ms)

@@ -1,0 +1,107 @@
+"""`toolee train segmentation` and `toolee train refinement`: the networks that learn from images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import tyro
+
+from toolee_robot.cli.train.options import (
+    CHECKPOINT,
+    CONFIG,
+    Count,
+    Folder,
+    Number,
+    TrainingCommand,
+    options_of,
+    remember,
+)
+from toolee_robot.errors import UserError
+
+if TYPE_CHECKING:
+    from toolee_robot.perception.training.image_training import ImageTraining
+
+Training = TypeVar("Training", bound="ImageTraining")
+
+_REFINEMENT_CONFIG = "refinement_config.json"
+"""The refiner's, which may be trained into its detector's folder."""
+
+
+@dataclass(frozen=True)
+class _Data:
+    data: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """The training split of a data set, which may still be growing."""
+
+
+@dataclass(frozen=True)
+class _ImageCommand(TrainingCommand, _Data):
+    """What both have."""
+
+    def _begin(
+        self, kind: type[Training], checkpoint: str, config: str = CONFIG, **own: Path | None
+    ) -> tuple[Training, bool]:
+        """The training, its options remembered, and whether it goes on from a checkpoint. own: further options, which
+        no file gives."""
+        if not self.data.is_dir():
+            raise UserError(f"--data {self.data} is not a folder: make it with `toolee dataset generate`")
+        names = {f.name for f in fields(kind)} - {"data", "out", "model", "init", *own}
+        options: dict[str, Any] = options_of(self, self.config, names)
+        training = kind(self.data, self.out, init=self.init, **options, **own)
+        resumed = (self.out / checkpoint).is_file()
+        about = {name: getattr(training, name) for name in sorted(names)}
+        about |= {name: None if path is None else str(path) for name, path in own.items()}
+        remember(self.out, resumed, about, config)
+        return training, resumed
+
+
+@dataclass(frozen=True)
+class Segmentation(_ImageCommand):
+    """Train the detector (masks of end effectors and tools).
+
+    Example: toolee train segmentation --data data/hard/train --out runs/segmentation --minutes 20
+
+    The same command again continues from the last checkpoint in DIR. Several GPUs: torchrun --no-python
+    --nproc-per-node 4 toolee train segmentation, with the same options.
+    """
+
+    minutes: Number = None
+    """Wall-clock of the optimisation (default: 12)."""
+    batch: Count = None
+    """Images a GPU (default: 32)."""
+
+    def run(self) -> int:
+        from toolee_robot.perception.detection.train import SegmentationTraining, train
+
+        training, resumed = self._begin(SegmentationTraining, CHECKPOINT)
+        train(training)
+        return self.end(resumed)
+
+
+@dataclass(frozen=True)
+class Refinement(_ImageCommand):
+    """Train the refiner, which draws again, near, the end effectors that the detector found.
+
+    Example: toolee train refinement --data data/refine/train --detector runs/segmentation --out runs/segmentation
+
+    Take images that the detector was not trained on. The refiner is used where its weights lie beside the detector's:
+    --out may be their folder. The same command again continues from the last checkpoint there. Several GPUs: torchrun
+    --no-python --nproc-per-node 4 toolee train refinement, with the same options.
+    """
+
+    minutes: Number = None
+    """Wall-clock, from the first scene on (default: 15)."""
+    batch: Count = None
+    """Detections a GPU (default: 512)."""
+    lr: Number = None
+    """Learning rate (default: 0.002)."""
+    detector: Folder = None
+    """The detector's weights (default: those that ship)."""
+
+    def run(self) -> int:
+        from toolee_robot.perception.detection.refiner.train import CHECKPOINT, RefinementTraining, train
+
+        training, resumed = self._begin(RefinementTraining, CHECKPOINT, _REFINEMENT_CONFIG, detector=self.detector)
+        train(training)
+        return self.end(resumed)

@@ -1,0 +1,168 @@
+"""The real driver on the controller stand-in, swinging, with a fault at the right moment."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from toolee_robot.control.planning.timing import joint_move
+from toolee_robot.errors import DeviceError, LatchedError, MotionFaultError
+from toolee_robot.faults.rigs.joints_path import MOVING, Stop, stop_after
+from toolee_robot.faults.rigs.strikes import Swing, plan_swing
+from toolee_robot.faults.rigs.time_bounds import PATIENT
+from toolee_robot.frames import Array
+from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
+from toolee_robot.hardware.ur.config import UrArmConfig
+from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
+from toolee_robot.types import ArmModel, Trajectory
+
+FAST = 1.0  # [rad/s] of the fastest joint: what counts as mid-swing
+BEFORE_CONTACT = 0.02  # [s]: near the highest speed, before the planned braking
+START_TIME, SETTLE_TIME, RESET_TIME, NOTICE_TIME = 5.0, 0.6, 15.0, 0.2  # [s]
+
+
+class MissedMomentError(DeviceError):
+    """The swing was over, or had not begun, when the fault came."""
+
+
+@dataclass(frozen=True)
+class Happening:
+    """What came of a fault in mid-swing. stop: what the joints did. error: that `execute` raised. report: of the
+    motion. answer: what the injected action itself returned or raised."""
+
+    stop: Stop
+    error: Exception | None
+    report: MotionReport | None
+    answer: object
+
+
+class Rig:
+    """An entered UrArm at the beginning of a blow's swing."""
+
+    def __init__(self, controller: ControllerProcess, arm: UrArm, swing: Swing) -> None:
+        self.controller, self.arm, self.swing = controller, arm, swing
+
+    @property
+    def name(self) -> str:
+        return f"{self.swing.config.arm.model.value}, {self.arm.rate:.0f} Hz"
+
+    @property
+    def strike(self) -> Trajectory:
+        return self.swing.plan.strike
+
+    @property
+    def q_commanded(self) -> Array:
+        """(6,) [rad] where the next motion starts, however old the arm's newest state is."""
+        return self.arm.state(np.inf).q_commanded
+
+    @property
+    def period(self) -> float:
+        return 1.0 / self.arm.rate
+
+    def inject(
+        self,
+        action: Callable[[], object],
+        *,
+        watch: MotionWatch = PATIENT,
+        guard: ContactGuard | None = None,
+        execute: Callable[[Trajectory, ContactGuard | None, MotionWatch], MotionReport] | None = None,
+    ) -> Happening:
+        """Swing, and do it when the face is at its fastest."""
+        self.prepare()
+        before = self.controller.state()["tick"]
+        at, answer = [0.0], [None]
+        thread = threading.Thread(target=self._act, args=(action, at, answer))
+        thread.start()
+        error: Exception | None = None
+        report: MotionReport | None = None
+        try:
+            report = (execute or self.arm.execute)(self.strike, guard, watch)
+        except DeviceError as raised:
+            error = raised
+            report = raised.report if isinstance(raised, MotionFaultError) else None
+        thread.join()
+        time.sleep(SETTLE_TIME)
+        stop = stop_after(self.controller.trace(before), self.strike, at[0])
+        if stop.speed < FAST:
+            raise MissedMomentError(f"the arm moved at {stop.speed:.2f} rad/s when the fault came: no mid-swing")
+        return Happening(stop, error, report, answer[0])
+
+    def _act(self, action: Callable[[], object], at: list[float], answer: list[object]) -> None:
+        began = time.monotonic()
+        while np.abs(self.controller.state()["qd"]).max() < MOVING:
+            if time.monotonic() > began + START_TIME:
+                return
+            time.sleep(1e-3)
+        time.sleep(max(self.swing.plan.contact_time - BEFORE_CONTACT, 0.0))
+        at[0] = time.monotonic()
+        try:
+            answer[0] = action()
+        except Exception as error:  # noqa: BLE001  (whatever it is, it is the answer)
+            answer[0] = error
+
+    def is_latched(self) -> bool:
+        """Whether the next motion is refused, without a tick of movement. A fault that came at rest may be noticed only
+        by the first attempt to move."""
+        for _ in range(2):
+            q = np.array(self.controller.state()["q_target"])
+            try:
+                self.arm.execute(self._nudge(q), None, PATIENT)
+            except LatchedError:
+                return bool(np.abs(np.array(self.controller.state()["q_target"]) - q).max() < 1e-9)
+            except MotionFaultError:
+                continue
+            except DeviceError:
+                return False
+            return False
+        return False
+
+    def make_ready(self) -> None:
+        """What a person does: clear the robot, then reset the arm."""
+        self.controller.fault("reset")
+        time.sleep(NOTICE_TIME)  # the reset ends the robot's program, which the arm has to see first
+        deadline = time.monotonic() + RESET_TIME
+        while True:
+            try:
+                self.arm.reset()
+                return
+            except DeviceError:
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(0.1)
+
+    def prepare(self) -> None:
+        """To the beginning of the swing, ready."""
+        self.make_ready()
+        limits = self.swing.config.arm
+        way = joint_move(
+            self.q_commanded,
+            self.strike.q[0],
+            0.5 * np.asarray(limits.velocity),
+            np.full(6, limits.transfer_acceleration),
+            np.full(6, limits.jerk),
+        )
+        self.arm.execute(way, None, PATIENT)
+
+    def _nudge(self, q: np.ndarray) -> Trajectory:
+        limits = self.swing.config.arm
+        return joint_move(q, q + 0.02, np.full(6, 0.2), np.full(6, 1.0), np.full(6, limits.jerk))
+
+
+@contextmanager
+def rig(model: ArmModel, host: str) -> Iterator[Rig]:
+    """A stand-in of this model on a loopback address, the driver connected to it, and a planned blow."""
+    swing = plan_swing(model)
+    plant = partial(JointPlant, q=swing.plan.strike.q[0])
+    with (
+        ControllerProcess(model=model.value, host=host, plant=plant, realtime=True) as controller,
+        UrArm(UrArmConfig(host), swing.config.arm) as arm,
+    ):
+        yield Rig(controller, arm, swing)

@@ -1,0 +1,261 @@
+"""A simulated station with the hammer already in the hand, put back between jobs, and people and observers for it.
+
+Only the handover itself is cut short: arm, hand, grip, camera, nail and clock are the simulation's own.
+"""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from toolee_robot.config import ArmLimits, StationConfig, TaskConfig
+from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_handover
+from toolee_robot.faults.rigs.people import People
+from toolee_robot.frames import Array, inverse
+from toolee_robot.hal import Hand, HandState, MotionReport, Station
+from toolee_robot.robots import SHADOW_HAND
+from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.sim_backend.devices.arm import SimArm
+from toolee_robot.sim_backend.devices.camera import SimCamera
+from toolee_robot.sim_backend.devices.hand import SimHand
+from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.world import Sample
+from toolee_robot.tasks.common.look import Perceiver
+from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.outcome import Blow, HammerResult, Stage
+from toolee_robot.tasks.hammering.grasp import nominal_grasp
+from toolee_robot.tasks.hammering.task import Grasp, HammeringTask
+
+# Transfers are not what is examined: they may be fast.
+CONFIG = StationConfig(
+    task=TaskConfig(views=1, max_blows=1, handover_timeout=2.0),
+    arm=ArmLimits(transfer_velocity_scale=0.7, transfer_acceleration=5.0),
+)
+HOME = np.array(CONFIG.scene.home)
+SEED = 101
+
+
+class ClosedHand:
+    """The simulated hand with the hammer in it: already closed, and it does not open. closed: whether it says so; it
+    feels what it holds only from then on."""
+
+    def __init__(self, hand: SimHand) -> None:
+        self._hand = hand
+        self.opened = 0
+        self.closed = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return self._hand.joint_names
+
+    def state(self, max_age: float = 0.1) -> HandState:
+        state = self._hand.state(max_age)
+        return state if self.closed else replace(state, holding=False)
+
+    def open(self, timeout: float = 5.0) -> None:
+        if self._hand.hangs:
+            self._hand.open(timeout)
+        self.opened += 1
+        self.closed = False
+
+    def close(self, timeout: float = 5.0) -> None:
+        if self._hand.hangs:
+            self._hand.close(timeout)
+        self.closed = True
+
+    def stop(self) -> None:
+        self._hand.stop()
+
+
+def _nothing() -> None: ...
+
+
+class Log(TaskObserver):
+    """What a task said, in order. at: stage -> what to do when it first begins; after: the name of a motion -> what to
+    do when it has first ended."""
+
+    def __init__(
+        self, at: dict[Stage, Callable[[], None]] | None = None, after: dict[str, Callable[[], None]] | None = None
+    ) -> None:
+        self.motions: list[str] = []
+        self.reports: list[MotionReport] = []
+        self.stages: list[tuple[str, Stage]] = []
+        self.messages: list[str] = []
+        self.blows: list[Blow] = []
+        self.plan: StrikePlan | None = None
+        self.last: HammerResult | None = None
+        self.at, self.after = at or {}, after or {}
+
+    def stage_started(self, stage: Stage) -> None:
+        self.stages.append(("begin", stage))
+        self.at.pop(stage, _nothing)()
+
+    def stage_ended(self, stage: Stage, seconds: float) -> None:
+        assert seconds >= 0.0
+        self.stages.append(("end", stage))
+
+    def message(self, text: str) -> None:
+        self.messages.append(text)
+
+    def planned(self, stamp: float, plan: StrikePlan) -> None:  # noqa: ARG002
+        self.plan = plan
+
+    def motion(self, name: str, report: MotionReport, hand_joints: Array) -> None:
+        assert len(report.stamps) > 0
+        assert hand_joints.shape == (len(SHADOW_HAND.joints),)
+        self.motions.append(name)
+        self.reports.append(report)
+        self.after.pop(name, _nothing)()
+
+    def blow(self, blow: Blow) -> None:
+        self.blows.append(blow)
+
+    def ended(self, result: HammerResult) -> None:
+        self.last = result
+
+
+class Bench:
+    """The station with the hammer in the hand, at the handover; `reset` puts everything back."""
+
+    def __init__(self) -> None:
+        robot = RobotModel.of_station(CONFIG)
+        q_open = robot.description.hand_open
+        way = plan_handover(robot, CONFIG, CollisionWorld(robot, CONFIG, q_open), HOME, q_open)
+        self.sim = SimStation.build(CONFIG, SEED, SimOptions(q_start=way.q[-1]))
+        station, world = self.sim.station, self.sim.world
+        assert station.person.request_handover("", 10.0)
+        station.hand.close()
+        assert station.person.release("", 10.0)
+        assert station.hand.state().holding
+        X_hand_tool = inverse(world.X_base_hand()) @ world.X_base_tool()
+        self.true_grasp: Grasp = replace(nominal_grasp(self.sim.tool, CONFIG), X_hand_tool=X_hand_tool)
+        self._spec = world.nail.spec
+        self._callbacks = list(world.before_step), list(world.after_step)
+        self.keep()
+        self.reset()
+
+    def keep(self) -> None:
+        """As things are now they will be after every `reset`."""
+        world = self.sim.world
+        self._q_hand = world.robot.q_hand_target.copy()
+        self._q = world.robot.q_arm_target.copy()
+        self._grip = copy.deepcopy(world.grip)
+        self._state = pb.saveState(physicsClientId=world.client)
+
+    def reset(self) -> None:
+        world = self.sim.world
+        world.observers.clear()
+        world.before_step[:], world.after_step[:] = self._callbacks
+        pb.restoreState(stateId=self._state, physicsClientId=world.client)
+        world.grip = copy.deepcopy(self._grip)
+        world.nail.spec = self._spec
+        world.robot.command_arm(self._q, np.zeros(6))
+        world.robot.command_hand(self._q_hand)
+        assert isinstance(self.sim.station.hand, SimHand)
+        assert isinstance(self.sim.station.camera, SimCamera)
+        self.sim_hand, self.camera = self.sim.station.hand, self.sim.station.camera
+        self.sim_hand.recover()
+        self.camera.thaw()
+        self.arm = SimArm(world)
+        self.hand: ClosedHand = ClosedHand(self.sim_hand)
+        self.people = People()
+        world.advance(0.1)  # the judge, too, has then seen only what is now
+
+    @property
+    def station(self) -> Station:
+        hand: Hand = self.hand
+        return replace(self.sim.station, arm=self.arm, hand=hand, person=self.people)
+
+    def blind_task(self, log: TaskObserver, config: StationConfig = CONFIG) -> HammeringTask:
+        """A job that believes the grasp, which is the true one here: it needs no look."""
+        return HammeringTask(self.station, NoPerception(), config, self.true_grasp, correction=False, observer=log)
+
+    def seeing_task(
+        self, log: TaskObserver, config: StationConfig = CONFIG, perceiver: Perceiver | None = None
+    ) -> HammeringTask:
+        """A job that looks and is told the truth, unless by another perceiver."""
+        perceiver = perceiver or PerfectPerception(self.sim.judge)
+        return HammeringTask(self.station, perceiver, config, nominal_grasp(self.sim.tool, config), observer=log)
+
+    def soon(self, act: Callable[[], None], delay: float = 0.25) -> Callable[[], None]:
+        """A function after whose call `act` happens once, `delay` [s] later, in the midst of whatever moves then."""
+
+        def arm_it() -> None:
+            due = self.sim.world.time + delay
+
+            def watch(sample: Sample) -> None:
+                if sample.stamp >= due:
+                    self.sim.world.observers.remove(watch)
+                    act()
+
+            self.sim.world.observers.append(watch)
+
+        return arm_it
+
+    @contextmanager
+    def in_real_time(self) -> Iterator[None]:
+        """Inside, no simulated step takes less time than it simulates: a thread notices things as soon as it would at
+        a robot. Time that was lost, in a plan's check for instance, is not caught up."""
+        world = self.sim.world
+        due = time.monotonic()
+
+        def keep(dt: float) -> None:
+            nonlocal due
+            now = time.monotonic()
+            if due > now:
+                time.sleep(due - now)
+            due = max(due, now) + dt
+
+        world.before_step.append(keep)
+        try:
+            yield
+        finally:
+            world.before_step.remove(keep)
+
+    def drop(self) -> None:
+        """The hand loses the hammer."""
+        assert self.sim.world.grip is not None
+        self.sim.world.grip.release()
+
+
+class NoPerception:
+    """What must not be asked."""
+
+    def estimate(self, *_args: Any, **_kwargs: Any) -> Any:
+        raise AssertionError("perception was asked for an estimate")
+
+    def fuse(self, *_args: Any, **_kwargs: Any) -> Any:
+        raise AssertionError("perception was asked to fuse")
+
+
+def at_rest(sim: SimStation) -> bool:
+    """Whether the arm stands where it was last commanded, and goes on standing there."""
+    robot = sim.world.robot
+    q, qd = robot.arm_state()
+    still = np.abs(qd).max() < 5e-3 and not robot.qd_arm_target.any() and np.abs(q - robot.q_arm_target).max() < 5e-3
+    sim.world.advance(0.2)
+    later, qd = robot.arm_state()
+    return bool(still and np.abs(qd).max() < 5e-3 and np.abs(later - q).max() < 2e-3)
+
+
+def is_home(sim: SimStation) -> bool:
+    return bool(np.abs(sim.world.robot.arm_state()[0] - HOME).max() < 5e-3)
+
+
+def grip_kept(sim: SimStation) -> bool:
+    return sim.world.grip is not None and sim.world.grip.holding

@@ -1,0 +1,56 @@
+"""Perception that tells the truth until it is told to tell something else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from toolee_robot.frames import Array, transform
+from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.sim_backend.ground_truth.verdict import Truth
+from toolee_robot.types import Category, InHandEstimate, RgbdFrame, ToolEstimate
+
+Change = Callable[[InHandEstimate], InHandEstimate]
+
+
+class Told(PerfectPerception):
+    """Perfect perception whose fused answers are changed, one of `changes` for each look, the last one for good.
+
+    hands: where the hand was in the last frame of each look, as the camera saw it. sees: whether it finds anything.
+    """
+
+    def __init__(self, judge: Truth, *changes: Change) -> None:
+        super().__init__(judge)
+        self.changes = list(changes) or [right]
+        self.hands: list[Array] = []
+        self.sees = True
+
+    def estimate(self, frame: RgbdFrame, X_camera_hand: Array | None = None) -> list[ToolEstimate]:
+        """See `PerfectPerception`."""
+        return super().estimate(frame, X_camera_hand) if self.sees else []
+
+    def fuse(
+        self,
+        estimates_per_frame: Sequence[Sequence[ToolEstimate]],
+        Xs_camera_hand: Sequence[Array],
+        category: Category | None = None,
+    ) -> InHandEstimate:
+        """See `PerfectPerception`."""
+        self.hands.append(Xs_camera_hand[-1])
+        change = self.changes.pop(0) if len(self.changes) > 1 else self.changes[0]
+        return change(super().fuse(estimates_per_frame, Xs_camera_hand, category))
+
+
+def right(estimate: InHandEstimate) -> InHandEstimate:
+    """As it is."""
+    return estimate
+
+
+def unsure(estimate: InHandEstimate) -> InHandEstimate:
+    """Not to be relied on."""
+    return replace(estimate, usable=False, reason="sigma 31 mm")
+
+
+def moved(p: Sequence[float]) -> Change:
+    """Displaced by p (3,) [m] along the face's own axes."""
+    return lambda e: replace(e, X_hand_ee=e.X_hand_ee @ transform(p=p))

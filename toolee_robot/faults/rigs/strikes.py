@@ -1,0 +1,44 @@
+"""The swing that faults are injected into: a blow of the default station, planned as in a job."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from toolee_robot.config import ArmLimits, StationConfig
+from toolee_robot.control.collision import CollisionWorld
+from toolee_robot.control.planning.strike import plan_strike
+from toolee_robot.control.records import StrikePlan
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.frames import Array
+from toolee_robot.sim_backend.station import draw_hammer
+from toolee_robot.types import ArmModel, Category
+
+
+@dataclass(frozen=True)
+class Swing:
+    """config: of the station. world: what must not be hit. plan: of the blow."""
+
+    config: StationConfig
+    robot: RobotModel
+    world: CollisionWorld
+    q_hand: Array
+    X_hand_ee: Array
+    plan: StrikePlan
+
+
+@lru_cache(maxsize=2)
+def plan_swing(model: ArmModel) -> Swing:
+    """Of an arm of this model with a held-out hammer, nominally in the hand."""
+    config = StationConfig(arm=ArmLimits(model=model))
+    robot = RobotModel.load(model)
+    tool = draw_hammer(np.random.default_rng([0, 10]))
+    X_hand_tool = robot.description.hand.grasp.X_hand_tool(tool.handle.grip_radius)
+    X_hand_ee = X_hand_tool @ tool.ee(Category.HAMMER_HEAD).X_tool_ee
+    q_hand = robot.description.hand_closed
+    world = CollisionWorld(robot, config, q_hand, X_hand_ee)
+    home = np.asarray(config.scene.home)
+    plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, config.work.X_base_nail())
+    return Swing(config, robot, world, q_hand, X_hand_ee, plan)

@@ -1,0 +1,33 @@
+"""A task in a process of its own, for faults that end or stall it.
+
+    python -m toolee_robot.faults.rigs.swinging_task HOST MODEL
+
+Says "ready" at the beginning of the swing; swings when a line comes on its standard input; then says how it ended.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from toolee_robot.errors import DeviceError
+from toolee_robot.faults.rigs.strikes import plan_swing
+from toolee_robot.faults.rigs.time_bounds import PATIENT
+from toolee_robot.hardware.ur.config import UrArmConfig
+from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.types import ArmModel
+
+
+def main() -> None:
+    host, model = sys.argv[1], ArmModel(sys.argv[2])
+    swing = plan_swing(model)
+    with UrArm(UrArmConfig(host), swing.config.arm) as arm:
+        print("ready", flush=True)
+        sys.stdin.readline()
+        try:
+            print(arm.execute(swing.plan.strike, None, PATIENT).outcome, flush=True)
+        except DeviceError as error:
+            print(type(error).__name__, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,205 @@
+"""Faults of the robot, its network and its servo, under the real driver on the stand-in."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from toolee_robot.errors import (
+    DeviceError,
+    EmergencyStopError,
+    LinkLostError,
+    MotionFaultError,
+    OverrunError,
+    ProtectiveStopError,
+    ServoCrashError,
+    TrackingError,
+)
+from toolee_robot.faults.measuring import Measurement
+from toolee_robot.faults.record import FaultRow, Phase
+from toolee_robot.faults.rigs.driver_rig import Happening, Rig
+from toolee_robot.faults.rigs.joints_path import braking_time
+from toolee_robot.faults.rigs.time_bounds import PATIENT, SHORT_AGE, STRICT_AGE, STRICT_LOOP
+from toolee_robot.hal import MotionOutcome, MotionWatch
+from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
+
+AT_REST = 1e-4  # [rad]: what counts as standing still
+OFF_PATH = 5e-3  # [rad]
+OFF_PATH_BY_ROBOT = 20e-3  # [rad]: it brakes along the direction of the moment, from which the path bends away
+WATCHDOG = 0.1  # [s] of silence after which the controller stops the program: `UrArmConfig.watchdog`
+HEARTBEAT = 0.1  # [s] `UrArmConfig.heartbeat_timeout`
+REST_TIME = 0.4  # [s] that a fault at rest gets to be noticed
+QUIET_TIME = 2.2  # [s] the same for a link that dies without a word: `UrArmConfig.link_timeout` and some
+
+
+@dataclass(frozen=True)
+class ArmFault:
+    """number, fault: as in `FaultRow`. inject: does it. error: the type that the motion must raise, None for a motion
+    that reports STOPPED. notice: the time that noticing it may take [s]. by_robot: whether the controller brakes, by
+    its own deceleration, or the driver, along the path. at_rest: whether a fault at rest must latch; None where it is
+    no fault at rest. emergency: whether it brakes as its safety system does. watch: the bounds under which it is
+    injected. rest: how long a fault at rest may take to be noticed [s].
+    """
+
+    number: int
+    fault: str
+    expected: str
+    inject: Callable[[Rig], object]
+    error: type[Exception] | None
+    notice: Callable[[Rig], float]
+    by_robot: bool = False
+    emergency: bool = False
+    at_rest: bool | None = True
+    watch: MotionWatch = PATIENT
+    rest: float = REST_TIME
+
+
+def _cycles(n: float) -> Callable[[Rig], float]:
+    return lambda rig: n * rig.period
+
+
+def _seconds(time: float) -> Callable[[Rig], float]:
+    return lambda rig: time + rig.period
+
+
+def _hold_up(rig: Rig, seconds: float) -> None:
+    """The servo process does not get the processor."""
+    pid = rig.arm.servo_pid
+    os.kill(pid, signal.SIGSTOP)
+    time.sleep(seconds)
+    os.kill(pid, signal.SIGCONT)
+
+
+ARM_FAULTS = (
+    ArmFault(
+        0, "stop from another thread", "brakes on the path", lambda r: r.arm.stop(), None, _cycles(2), at_rest=None
+    ),
+    ArmFault(
+        7, "joints are not where they were sent (0.1 rad)", "brakes on the path, latches",
+        lambda r: r.controller.fault("joint_offset", offset=[0.0, 0.1, 0.0, 0.0, 0.0, 0.0]), TrackingError, _cycles(3),
+    ),
+    ArmFault(
+        8, "data stops coming (stalled network)", "brakes on the path, latches",
+        lambda r: r.controller.fault("stall", seconds=0.5, port="rtde"), LinkLostError, _seconds(WATCHDOG),
+        by_robot=True, at_rest=None, watch=STRICT_AGE,
+    ),
+    ArmFault(
+        8, "data comes, its timestamp stands still", "brakes on the path, latches",
+        lambda r: r.controller.fault("freeze_timestamp"), LinkLostError, _cycles(5), watch=STRICT_AGE,
+        rest=QUIET_TIME,
+    ),
+    ArmFault(
+        9, "connection closed (FIN)", "robot's watchdog stops it, latches",
+        lambda r: r.controller.fault("drop", port="rtde"), DeviceError, _seconds(WATCHDOG), by_robot=True,
+    ),
+    ArmFault(
+        9, "connection reset (RST)", "robot's watchdog stops it, latches",
+        lambda r: r.controller.fault("drop", port="rtde", reset=True), DeviceError, _seconds(WATCHDOG), by_robot=True,
+    ),
+    ArmFault(
+        9, "half-open connection", "robot's watchdog stops it, latches",
+        lambda r: r.controller.fault("half_open", port="rtde"), LinkLostError, _seconds(WATCHDOG), by_robot=True,
+        rest=QUIET_TIME, watch=SHORT_AGE,
+    ),
+    ArmFault(
+        9, "controller reboots", "robot's brakes fall in, latches",
+        lambda r: r.controller.fault("reboot", seconds=1.0, powered=True), DeviceError, _cycles(2), by_robot=True,
+        emergency=True,
+    ),
+    ArmFault(
+        10, "servo loop late by 60 ms", "brakes on the path, latches",
+        lambda r: _hold_up(r, 0.06), OverrunError, _seconds(0.06), at_rest=None, watch=STRICT_LOOP,
+    ),
+    ArmFault(
+        11, "servo process killed", "robot's watchdog stops it, latches",
+        lambda r: os.kill(r.arm.servo_pid, signal.SIGKILL), ServoCrashError, _seconds(WATCHDOG), by_robot=True,
+    ),
+    ArmFault(
+        11, "servo process hangs", "robot's watchdog stops it, latches",
+        lambda r: os.kill(r.arm.servo_pid, signal.SIGSTOP), ServoCrashError, _seconds(WATCHDOG), by_robot=True,
+    ),
+    ArmFault(
+        12, "protective stop", "robot stops, latches until a person releases it",
+        lambda r: r.controller.fault("protective_stop"), ProtectiveStopError, _cycles(2), by_robot=True, emergency=True,
+    ),
+    ArmFault(
+        13, "emergency stop", "robot stops, latches, nothing queued goes out",
+        lambda r: r.controller.fault("emergency_stop"), EmergencyStopError, _cycles(2), by_robot=True, emergency=True,
+    ),
+    ArmFault(
+        13, "safeguard stop", "robot stops, latches",
+        lambda r: r.controller.fault("safeguard_stop"), EmergencyStopError, _cycles(2), by_robot=True, emergency=True,
+    ),
+)  # fmt: skip
+
+
+def arm_rows(rig: Rig) -> Iterator[Measurement]:
+    """Every arm fault in mid-swing and, where it is one there, at rest."""
+    for fault in ARM_FAULTS:
+        for phase, run in ((Phase.SWING, _in_swing), (Phase.REST, _at_rest)):
+            if phase is Phase.SWING or fault.at_rest is not None:
+                yield Measurement(fault.number, fault.fault, phase, rig.name, fault.expected, partial(run, fault, rig))
+
+
+def _in_swing(fault: ArmFault, rig: Rig) -> FaultRow:
+    happened = rig.inject(partial(fault.inject, rig), watch=fault.watch)
+    stop, latched = happened.stop, rig.is_latched()
+    allowed = fault.notice(rig) + _braking(fault, rig, happened) + 2 * rig.period
+    wrong = _wrong(fault, happened, latched)
+    if stop.standstill > allowed:
+        wrong.append(f"standstill after {stop.standstill * 1e3:.0f} ms, {allowed * 1e3:.0f} allowed")
+    if stop.off_path > (OFF_PATH_BY_ROBOT if fault.by_robot else OFF_PATH):
+        wrong.append(f"the joints left the path by {stop.off_path:.4f} rad")
+    got = type(happened.error).__name__ if happened.error else str(happened.report and happened.report.outcome)
+    return FaultRow(
+        fault.number, fault.fault, Phase.SWING, rig.name, fault.expected, got, latched, not wrong, "; ".join(wrong),
+        stop.reaction, stop.standstill, allowed, stop.speed, stop.off_path,
+    )  # fmt: skip
+
+
+def _wrong(fault: ArmFault, happened: Happening, latched: bool) -> list[str]:
+    wrong = []
+    if fault.error is None:
+        if happened.report is None or happened.report.outcome is not MotionOutcome.STOPPED:
+            wrong.append(f"the motion was to report a stop, but: {happened.error or happened.report}")
+        if latched:
+            wrong.append("a stop is no fault and must not latch")
+        return wrong
+    if not isinstance(happened.error, fault.error) or not isinstance(happened.error, MotionFaultError):
+        wrong.append(f"{fault.error.__name__} expected, got {type(happened.error).__name__}: {happened.error}")
+    if not latched:
+        wrong.append("the next motion was not refused")
+    return wrong
+
+
+def _braking(fault: ArmFault, rig: Rig, happened: Happening) -> float:
+    """[s] The least time that braking takes from where and how fast the arm was."""
+    limits = rig.swing.config.arm
+    if fault.by_robot:
+        model = MODELS[limits.model.value]
+        return happened.stop.speed / (model.safety_deceleration if fault.emergency else model.stop_deceleration)
+    path_time = happened.stop.path_time + fault.notice(rig)
+    return braking_time(rig.strike, path_time, rig.period, limits)
+
+
+def _at_rest(fault: ArmFault, rig: Rig) -> FaultRow:
+    rig.prepare()
+    before = rig.controller.state()["tick"]
+    fault.inject(rig)
+    time.sleep(fault.rest)
+    latched = rig.is_latched()
+    moved = float(np.ptp(rig.controller.trace(before).q_target, axis=0).max())
+    wrong = [] if moved < AT_REST else [f"the arm moved by {moved:.4f} rad"]
+    if latched is not fault.at_rest:
+        wrong.append("the next motion was not refused" if fault.at_rest else "it latched, though nothing was at fault")
+    got = "stands still, latched" if latched else "stands still"
+    return FaultRow(
+        fault.number, fault.fault, Phase.REST, rig.name, "stands still, latches", got, latched, not wrong,
+        "; ".join(wrong), off_path=moved,
+    )  # fmt: skip

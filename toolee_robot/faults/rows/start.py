@@ -1,0 +1,138 @@
+"""Faults that must keep a job from starting: a robot that is not as configured, a calibration that does not hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from toolee_robot.config import SIMULATED, ArmLimits, CalibrationConfig
+from toolee_robot.errors import NotReadyError
+from toolee_robot.faults.measuring import Measurement
+from toolee_robot.faults.record import FaultRow, Phase
+from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, Log, at_rest, grip_kept
+from toolee_robot.faults.rows.job import ON
+from toolee_robot.hardware.ur.config import UrArmConfig
+from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
+from toolee_robot.tasks.common.outcome import Outcome
+from toolee_robot.types import ArmModel, Payload
+
+HAND = Payload(4.2, np.array([0.0, 0.0, 0.12]))  # what the installation ought to say
+REFUSES = "refuses to start, nothing moves"
+
+
+@dataclass(frozen=True)
+class StartFault:
+    """hook, arguments: of the stand-in's fault port. says: in the driver's refusal, which must tell what to do, too;
+    e_series: whether there is such a thing on that generation only."""
+
+    fault: str
+    hook: str
+    arguments: Mapping[str, Any]
+    says: str
+    do: str
+    e_series: bool = False
+
+
+START_FAULTS = (
+    StartFault("wrong payload", "payload", {"mass": 1.5, "cog": [0.0, 0.0, 0.12]}, "1.50 kg", "payload page"),
+    StartFault("wrong centre of gravity", "payload", {"mass": 4.2, "cog": [0, 0, 0]}, "(0, 0, 0) mm", "payload page"),
+    StartFault("wrong TCP", "tcp", {"pose": [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]}, "100.0) mm", "TCP page"),
+    StartFault("wrong robot model", "model", {"name": "UR5"}, "UR5", "arm.model"),
+    StartFault("another arm's kinematics", "kinematics", {"a": [0, 0.05, 0, 0, 0, 0], "d": [0] * 6}, "mm off", "check"),
+    StartFault("unknown controller version", "version", {"version": [10, 7, 0, 1]}, "10.7.0.1", "PolyScope"),
+    StartFault("speed slider at half", "speed_slider", {"fraction": 0.5}, "50%", "slider"),
+    StartFault("local control", "remote", {"remote": False}, "local control", "remote control", e_series=True),
+    StartFault("protective stop", "protective_stop", {}, "protective stop", "release"),
+    StartFault("emergency stop", "emergency_stop", {}, "emergency stop", "release"),
+)  # fmt: skip
+
+
+def start_rows(model: ArmModel, host: str) -> Iterator[Measurement]:
+    """Each of them before the driver is entered, on one stand-in of this model."""
+    with ControllerProcess(model=model.value, host=host) as controller:
+        for fault in START_FAULTS:
+            if fault.e_series and model is not ArmModel.UR10E:
+                continue
+            run = partial(start_row, fault, model, controller)
+            yield Measurement(14, fault.fault, Phase.START, _name(model), REFUSES, run)
+
+
+def start_row(fault: StartFault, model: ArmModel, controller: ControllerProcess) -> FaultRow:
+    """One of them. Raises what the stand-in's fault port raises."""
+    _as_it_should_be(controller)
+    controller.fault(fault.hook, **fault.arguments)
+    config = replace(UrArmConfig(controller.host), payload=HAND, tcp=(0.0,) * 6)
+    before = controller.state()
+    wrong, got = [], "started"
+    try:
+        with UrArm(config, ArmLimits(model=model)):
+            pass
+        wrong.append("the driver started")
+    except NotReadyError as error:
+        got = "NotReadyError"
+        wrong += [
+            f"the refusal does not say {what!r}: {error}" for what in (fault.says, fault.do) if what not in str(error)
+        ]
+    after = controller.state()
+    moved = float(np.abs(np.subtract(after["q_target"], before["q_target"])).max())
+    if moved > 0.0:
+        wrong.append(f"the arm moved by {moved:.4f} rad")
+    if after["uploads"] != before["uploads"]:
+        wrong.append("a program was sent to the robot")
+    return FaultRow(
+        14, fault.fault, Phase.START, _name(model), REFUSES, got, False, not wrong, "; ".join(wrong), off_path=moved
+    )
+
+
+def _as_it_should_be(controller: ControllerProcess) -> None:
+    controller.fault("reset")
+    controller.fault("payload", mass=HAND.mass, cog=HAND.center_of_mass.tolist())
+    controller.fault("tcp", pose=[0.0] * 6)
+
+
+def _name(model: ArmModel) -> str:
+    return f"{model.value}, {MODELS[model.value].rate:.0f} Hz"
+
+
+OURS = CalibrationConfig("2026-01-01", SIMULATED, SIMULATED, 0.001, valid_days=None)
+CALIBRATIONS = (
+    ("no calibration", None, "not calibrated"),
+    ("calibration of another robot", replace(OURS, robot_serial="20235012345"), "robot '20235012345'"),
+    ("calibration of another camera", replace(OURS, camera_serial="F1370001"), "camera 'F1370001'"),
+    ("stale calibration", replace(OURS, measured_on="2020-01-01", valid_days=30.0), "days old"),
+    ("calibration with a large residual", replace(OURS, residual=0.02), "residual"),
+)
+
+
+def calibration_rows(bench: Bench) -> Iterator[Measurement]:
+    """Each calibration that must keep the job from starting."""
+    for name, calibration, says in CALIBRATIONS:
+        run = partial(calibration_row, bench, name, calibration, says)
+        yield Measurement(24, name, Phase.START, ON, REFUSES, run)
+
+
+def calibration_row(bench: Bench, name: str, calibration: CalibrationConfig | None, says: str) -> FaultRow:
+    """A job with this calibration."""
+    bench.reset()
+    log, before = Log(), bench.sim.world.robot.arm_state()[0]
+    result = bench.blind_task(log, replace(CONFIG, calibration=calibration)).run()
+    moved = float(np.abs(bench.sim.world.robot.arm_state()[0] - before).max())
+    wrong = []
+    if result.outcome is not Outcome.NOT_READY:
+        wrong.append(f"{Outcome.NOT_READY} expected, got {result.outcome}")
+    if says not in result.reason:
+        wrong.append(f"the reason does not say {says!r}: {result.reason}")
+    if log.motions or bench.people.asked or bench.hand.opened:
+        wrong.append(f"it went on: {log.motions}, {bench.people.asked}")
+    if moved > 1e-3 or not at_rest(bench.sim) or not grip_kept(bench.sim):
+        wrong.append("the arm does not stand where it stood, or let go")
+    return FaultRow(
+        24, name, Phase.START, ON, REFUSES, result.outcome.replace("_", " "), False, not wrong, "; ".join(wrong),
+        off_path=moved,
+    )  # fmt: skip

@@ -1,0 +1,265 @@
+"""What a UR controller says of itself, read without moving anything.
+
+    report = probe("192.168.1.10")
+    findings = check(report, UrExpected(model=ArmModel.UR10))  # checks.py
+
+Asks the dashboard server, listens to the primary interface until it has told the arm's kinematics, and to RTDE for a
+second. Uploads no script, takes no input register, and never raises for what the robot does or does not answer: what
+stayed unknown is None, and `problems` says why.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from toolee_robot.arm_data import CB3_RATE, E_SERIES_RATE
+from toolee_robot.errors import DeviceError
+from toolee_robot.frames import Array
+from toolee_robot.hardware.ur.protocols.dashboard import DASHBOARD_PORT, Question, ask_all
+from toolee_robot.hardware.ur.protocols.primary import PRIMARY_PORT, UrKinematics, read_kinematics
+from toolee_robot.hardware.ur.protocols.rtde import RTDE_PORT, RtdeReader, RtdeSample, Value
+from toolee_robot.hardware.ur.protocols.tcp import connect
+from toolee_robot.runtime.clock import HostClock
+from toolee_robot.types import Payload
+
+SCRIPT_PORTS = (PRIMARY_PORT, 30002, 30003)
+
+_QUESTIONS: tuple[Question, ...] = (
+    "PolyscopeVersion",
+    "get robot model",
+    "get serial number",
+    "is in remote control",
+)
+_ALWAYS = (
+    "timestamp",
+    "actual_q",
+    "actual_qd",
+    "actual_TCP_pose",
+    "robot_mode",
+    "safety_mode",
+    "robot_status_bits",
+    "safety_status_bits",
+    "runtime_state",
+    "speed_scaling",
+    "target_speed_fraction",
+)
+_WHERE_KNOWN = ("tcp_offset", "payload", "payload_cog")  # payload since 3.11 and 5.5.1
+
+
+@dataclass(frozen=True)
+class PortState:
+    """latency: time to connect [s], None where it failed; problem: why, empty where it worked."""
+
+    latency: float | None
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class UrState:
+    """One reading. q, qd (6,) [rad, rad/s]. tcp_pose: (6,) the TCP in the controller's base, position [m] and rotation
+    vector [rad]. tcp_offset: (6,) the TCP in the flange, likewise; None where this PolyScope does not tell. payload:
+    likewise None. robot_mode, safety_mode, runtime_state, *_bits: RTDE's numbers. speed_slider in 0..1."""
+
+    q: Array
+    qd: Array
+    tcp_pose: Array
+    tcp_offset: Array | None
+    payload: Payload | None
+    robot_mode: int
+    safety_mode: int
+    runtime_state: int
+    robot_status_bits: int
+    safety_status_bits: int
+    speed_slider: float
+    speed_scaling: float
+
+
+@dataclass(frozen=True)
+class RtdeQuality:
+    """About a second of data. asked: the rate asked for [Hz]. rate: by the controller's timestamps [Hz]. lost: samples
+    that the timestamps skip; samples: those that came. backward: timestamps that did not advance. gap_p99, gap_max:
+    between arrivals at this machine [s]. clock_ratio: the controller's seconds per second of this machine's."""
+
+    asked: float
+    rate: float
+    samples: int
+    lost: int
+    backward: int
+    gap_p99: float
+    gap_max: float
+    clock_ratio: float
+
+
+@dataclass(frozen=True)
+class UrReport:
+    """version: URControl's major, minor, bugfix, build. model: as the dashboard names it, without the e of the
+    e-Series. serial, polyscope: as the dashboard says. remote_control: None where it does not say (CB3 has no local
+    mode). kinematics: the arm's own. problems: what could not be read, and why."""
+
+    host: str
+    ports: dict[int, PortState]
+    version: tuple[int, int, int, int] | None
+    polyscope: str | None
+    model: str | None
+    serial: str | None
+    remote_control: bool | None
+    state: UrState | None
+    quality: RtdeQuality | None
+    kinematics: UrKinematics | None
+    problems: tuple[str, ...]
+
+    @property
+    def reachable(self) -> bool:
+        return any(port.latency is not None for port in self.ports.values())
+
+
+def nominal_rate(version: tuple[int, int, int, int]) -> float:
+    """RTDE and servo rate [Hz] of a controller generation."""
+    return E_SERIES_RATE if version[0] > 3 else CB3_RATE
+
+
+def probe(host: str, timeout: float = 3.0, listen: float = 1.0, clock: HostClock | None = None) -> UrReport:
+    """Ask, and listen to RTDE for `listen` [s]; for at most `timeout` [s] in all. Takes about 1.2 s on a robot that
+    answers. clock: the robot's, on which all of these times are; the wall's if None."""
+    clock = clock or HostClock()
+    timeout, listen = clock.wall(timeout), clock.wall(listen)
+    deadline = time.monotonic() + timeout
+    ports: dict[int, PortState] = {}
+    for port in (RTDE_PORT, DASHBOARD_PORT, *SCRIPT_PORTS):
+        ports[port] = _knock(host, port, min(deadline, time.monotonic() + timeout / 10))
+    problems: list[str] = []
+    answers: dict[Question, str | None] = {}
+    if ports[DASHBOARD_PORT].latency is not None:
+        try:
+            answers = ask_all(host, _QUESTIONS, min(deadline, time.monotonic() + timeout / 5))
+        except DeviceError as error:
+            problems.append(f"dashboard: {error}")
+    version, samples, asked = None, list[RtdeSample](), 0.0
+    if ports[RTDE_PORT].latency is not None:
+        try:
+            version, asked = _version(host, deadline)
+            samples = _listen(host, asked, deadline, listen)
+        except DeviceError as error:
+            problems.append(f"RTDE: {error}")
+    state, quality = None, None
+    if samples:
+        try:
+            state = _state(samples[-1].values)
+        except (TypeError, ValueError, OverflowError) as error:
+            problems.append(f"RTDE: a variable has another type than documented ({error})")
+        else:
+            quality = _quality(samples, asked, clock)
+    kinematics = None
+    if ports[PRIMARY_PORT].latency is not None:
+        try:
+            kinematics = read_kinematics(host, min(deadline, time.monotonic() + timeout / 5))
+        except DeviceError as error:
+            problems.append(f"primary interface: {error}")
+    remote = answers.get("is in remote control")
+    model = answers.get("get robot model")
+    return UrReport(
+        host=host,
+        ports=ports,
+        version=version,
+        polyscope=answers.get("PolyscopeVersion"),
+        model=None if model is None else model.strip().upper().removesuffix("E"),
+        serial=answers.get("get serial number"),
+        remote_control=None if remote is None else remote.strip().lower() == "true",
+        state=state,
+        quality=quality,
+        kinematics=kinematics,
+        problems=tuple(problems),
+    )
+
+
+def _knock(host: str, port: int, deadline: float) -> PortState:
+    began = time.monotonic()
+    try:
+        connect(host, port, deadline).close()
+    except DeviceError as error:
+        return PortState(None, str(error))
+    return PortState(time.monotonic() - began)
+
+
+def _version(host: str, deadline: float) -> tuple[tuple[int, int, int, int], float]:
+    with RtdeReader.connect(host, deadline) as reader:
+        version = reader.version(deadline)
+    return version, nominal_rate(version)
+
+
+def _listen(host: str, rate: float, deadline: float, duration: float) -> list[RtdeSample]:
+    """Data of about `duration` [s], less where the deadline comes first; a recipe with an unknown name is not mended
+    on its connection but asked for anew."""
+    names = [*_ALWAYS, *_WHERE_KNOWN]
+    for _ in range(2):
+        with RtdeReader.connect(host, deadline) as reader:
+            unknown = reader.subscribe(names, rate, deadline)
+            if not unknown:
+                samples = [reader.read(deadline)]
+                while samples[-1].received - samples[0].received < duration and time.monotonic() < deadline - 0.1:
+                    samples.append(reader.read(deadline))
+                return samples
+        names = [name for name in names if name not in unknown]
+        if missing := set(_ALWAYS) - set(names):
+            raise DeviceError(f"this controller does not know {', '.join(sorted(missing))}: update PolyScope")
+    raise DeviceError("the controller changes its mind on which variables it knows")
+
+
+def _state(values: dict[str, Value]) -> UrState:
+    payload = None
+    if "payload" in values and "payload_cog" in values:
+        payload = Payload(_number(values["payload"]), _vector(values["payload_cog"], 3))
+    return UrState(
+        q=_vector(values["actual_q"], 6),
+        qd=_vector(values["actual_qd"], 6),
+        tcp_pose=_vector(values["actual_TCP_pose"], 6),
+        tcp_offset=_vector(values["tcp_offset"], 6) if "tcp_offset" in values else None,
+        payload=payload,
+        robot_mode=int(_number(values["robot_mode"])),
+        safety_mode=int(_number(values["safety_mode"])),
+        runtime_state=int(_number(values["runtime_state"])),
+        robot_status_bits=int(_number(values["robot_status_bits"])),
+        safety_status_bits=int(_number(values["safety_status_bits"])),
+        speed_slider=_number(values["target_speed_fraction"]),
+        speed_scaling=_number(values["speed_scaling"]),
+    )
+
+
+def _number(value: Value) -> float:
+    if isinstance(value, tuple):
+        raise TypeError(f"a number was due, not {len(value)} of them")
+    return float(value)
+
+
+def _vector(value: Value, n: int) -> Array:
+    if not isinstance(value, tuple) or len(value) != n:
+        raise TypeError(f"{n} numbers were due")
+    return np.array(value, float)
+
+
+def _quality(samples: list[RtdeSample], asked: float, clock: HostClock) -> RtdeQuality | None:
+    """None where there is too little to judge by."""
+    if len(samples) < 10:
+        return None
+    stamps = np.array([_number(s.values["timestamp"]) for s in samples])
+    received = clock.pace * np.array([s.received for s in samples])
+    steps, gaps = np.diff(stamps), np.diff(received)
+    if not np.all(np.isfinite(stamps)):
+        return None
+    forward = steps[steps > 0]
+    period = float(np.median(forward)) if len(forward) else float("inf")
+    lost = int(np.sum(np.maximum(np.rint(forward * asked) - 1, 0))) if len(forward) else 0
+    elapsed = received - received.mean()
+    return RtdeQuality(
+        asked=asked,
+        rate=1.0 / period,
+        samples=len(samples),
+        lost=lost,
+        backward=int(np.sum(steps <= 0)),
+        gap_p99=float(np.percentile(gaps, 99)),
+        gap_max=float(gaps.max()),
+        clock_ratio=float(elapsed @ (stamps - stamps.mean()) / max(float(elapsed @ elapsed), 1e-12)),
+    )

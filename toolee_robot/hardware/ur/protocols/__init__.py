@@ -1,0 +1,1 @@
+"""Read-only clients of a UR controller's interfaces."""

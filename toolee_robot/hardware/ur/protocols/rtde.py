@@ -1,0 +1,209 @@
+"""A small read-only RTDE client: it asks for outputs, never for an input register, and moves nothing.
+
+    with RtdeReader.connect("192.168.1.10", deadline=time.monotonic() + 2.0) as reader:
+        version = reader.version(deadline)
+        reader.subscribe(["timestamp", "actual_q"], 125.0, deadline)
+        sample = reader.read(deadline)
+
+Used before any motion, where the ur_rtde wheel's constructors, which hold the interpreter's lock and cannot be given
+a time limit, are of no use. Every call ends by its deadline (a value of `time.monotonic()`), whatever the other side
+sends: with `ProtocolError` for bytes that are no RTDE, with `NoAnswerError` for silence or a closed connection.
+
+Protocol: Universal Robots' Real-Time Data Exchange guide, protocol version 2, port 30004. A packet is a big-endian u16
+size (header included), a u8 type, and the payload.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+from toolee_robot.errors import NoAnswerError, ProtocolError
+from toolee_robot.hardware.ur.protocols.tcp import connect, receive, receive_now, send
+
+RTDE_PORT = 30004
+NOT_FOUND = "NOT_FOUND"
+
+_PROTOCOL, _VERSION, _TEXT, _DATA, _OUTPUTS, _START = b"VvMUOS"
+_HEADER = struct.Struct(">HB")
+_FORMATS = {
+    "BOOL": "?",
+    "UINT8": "B",
+    "UINT32": "I",
+    "UINT64": "Q",
+    "INT32": "i",
+    "DOUBLE": "d",
+    "VECTOR3D": "3d",
+    "VECTOR6D": "6d",
+    "VECTOR6INT32": "6i",
+    "VECTOR6UINT32": "6I",
+}
+
+Value = bool | int | float | tuple[float, ...]
+
+
+class PacketBuffer:
+    """Bytes as they come in, packets as they are whole; a stream cut anywhere gives the same packets."""
+
+    def __init__(self) -> None:
+        self._bytes = bytearray()
+
+    def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
+        """Yield (type, payload) of every packet that `data` completes. Raises ProtocolError for an impossible size."""
+        self._bytes += data
+        while len(self._bytes) >= _HEADER.size:
+            size, kind = _HEADER.unpack_from(self._bytes)
+            if size < _HEADER.size:
+                raise ProtocolError(f"an RTDE packet says that it is {size} bytes long: this is no RTDE server")
+            if len(self._bytes) < size:
+                return
+            payload = bytes(self._bytes[_HEADER.size : size])
+            del self._bytes[:size]
+            yield kind, payload
+
+
+@dataclass(frozen=True)
+class RtdeSample:
+    """One data packet. received: when the last of its bytes came, or, waited for, were read, a value of
+    `time.monotonic()` [s]. values: by name."""
+
+    received: float
+    values: dict[str, Value]
+
+
+class RtdeReader:
+    """One connection. Not for several threads."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        """sock: connected; the reader owns it from here."""
+        self._sock = sock
+        self._buffer = PacketBuffer()
+        self._packets: deque[tuple[float, int, bytes]] = deque()
+        self._layout: list[tuple[str, int]] = []
+        self._struct = struct.Struct(">")
+        self._recipe = -1
+
+    @classmethod
+    def connect(cls, host: str, deadline: float, port: int = RTDE_PORT) -> Self:
+        """Connect and agree on protocol version 2. Raises NoAnswerError or ProtocolError."""
+        reader = cls(connect(host, port, deadline))
+        try:
+            reader.negotiate(deadline)
+        except BaseException:
+            reader.close()
+            raise
+        return reader
+
+    def negotiate(self, deadline: float) -> None:
+        """Ask for protocol version 2, once, first of all. Raises ProtocolError where the controller refuses it."""
+        if self._request(_PROTOCOL, struct.pack(">H", 2), deadline, "B") != (1,):
+            raise ProtocolError("the controller refuses RTDE protocol version 2: update PolyScope (3.4 or newer)")
+
+    def version(self, deadline: float) -> tuple[int, int, int, int]:
+        """URControl's major, minor, bugfix, build."""
+        major, minor, bugfix, build = self._request(_VERSION, b"", deadline, "4I")
+        return int(major), int(minor), int(bugfix), int(build)
+
+    def subscribe(self, names: Sequence[str], rate: float, deadline: float) -> list[str]:
+        """Ask for outputs at a rate [Hz] and start them. Returns the names that this controller does not know; where
+        there are any, nothing is started and the connection has to be closed."""
+        payload = struct.pack(">d", rate) + ",".join(names).encode() + b","
+        reply = self._reply(_OUTPUTS, payload, deadline)
+        types = _ascii(reply[1:]).rstrip(",").split(",") if reply else []
+        if len(types) != len(names):
+            raise ProtocolError(f"asked for {len(names)} RTDE outputs, the reply names {len(types)} types")
+        unknown = [name for name, kind in zip(names, types, strict=True) if kind == NOT_FOUND]
+        if unknown:
+            return unknown
+        odd = [kind for kind in types if kind not in _FORMATS]
+        if odd:
+            raise ProtocolError(f"RTDE type {odd[0][:40]!r} is unknown: update toolee_robot")
+        self._recipe = reply[0]
+        formats = [_FORMATS[kind] for kind in types]
+        self._layout = [(name, int(f[:-1] or 1)) for name, f in zip(names, formats, strict=True)]
+        self._struct = struct.Struct(">" + "".join(formats))
+        if self._request(_START, b"", deadline, "B") != (1,):
+            raise ProtocolError("the controller refuses to start RTDE: too many RTDE clients may be connected")
+        return []
+
+    def read(self, deadline: float) -> RtdeSample:
+        """The next data packet; text messages in between are passed over."""
+        while True:
+            sample = self._sample(*self._packet(deadline))
+            if sample is not None:
+                return sample
+
+    def arrived(self) -> list[RtdeSample]:
+        """The data packets that have come by now, the oldest first. Never waits. Raises as `read`."""
+        self._fill(*receive_now(self._sock))
+        samples = [self._sample(*packet) for packet in self._packets]
+        self._packets.clear()
+        return [sample for sample in samples if sample is not None]
+
+    def close(self) -> None:
+        self._sock.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _sample(self, received: float, kind: int, payload: bytes) -> RtdeSample | None:
+        """None for a text message."""
+        if kind == _TEXT:
+            return None
+        if kind != _DATA or len(payload) != 1 + self._struct.size or payload[0] != self._recipe:
+            raise ProtocolError(
+                f"an RTDE packet of type {kind} with {len(payload)} bytes where data with {1 + self._struct.size} "
+                "was due"
+            )
+        return RtdeSample(received, self._unpack(payload[1:]))
+
+    def _unpack(self, data: bytes) -> dict[str, Value]:
+        flat, values, at = self._struct.unpack(data), {}, 0
+        for name, count in self._layout:
+            values[name] = flat[at] if count == 1 else tuple(flat[at : at + count])
+            at += count
+        return values
+
+    def _request(self, kind: int, payload: bytes, deadline: float, layout: str) -> tuple[int, ...]:
+        reply = self._reply(kind, payload, deadline)
+        if len(reply) != struct.calcsize(">" + layout):
+            raise ProtocolError(f"the RTDE reply of type {chr(kind)!r} has {len(reply)} bytes: this is no RTDE server")
+        return struct.unpack(">" + layout, reply)
+
+    def _reply(self, kind: int, payload: bytes, deadline: float) -> bytes:
+        send(self._sock, _HEADER.pack(_HEADER.size + len(payload), kind) + payload, deadline)
+        while True:
+            _, answered, reply = self._packet(deadline)
+            if answered == _TEXT:
+                continue
+            if answered != kind:
+                raise ProtocolError(f"the RTDE reply has type {answered} where {kind} was due")
+            return reply
+
+    def _packet(self, deadline: float) -> tuple[float, int, bytes]:
+        while not self._packets:
+            self._fill(receive(self._sock, deadline), time.monotonic())
+        if time.monotonic() > deadline:  # a flood of packets that are passed over must end as well
+            raise NoAnswerError("the RTDE server sends, but not what was asked for in time")
+        return self._packets.popleft()
+
+    def _fill(self, data: bytes, received: float) -> None:
+        self._packets.extend((received, kind, payload) for kind, payload in self._buffer.feed(data))
+
+
+def _ascii(data: bytes) -> str:
+    try:
+        return data.decode("ascii")
+    except UnicodeDecodeError as error:
+        raise ProtocolError("an RTDE reply is not text where names of types were due") from error

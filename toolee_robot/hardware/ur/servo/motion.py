@@ -1,0 +1,179 @@
+"""One motion in the servo process: send the path, watch the robot, and brake on the path for every reason to stop."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from typing import Final, Protocol
+
+import numpy as np
+
+from toolee_robot.frames import Array
+from toolee_robot.hal import ArmStatus
+from toolee_robot.hardware.ur.servo.clock import FOLLOW, Schedule
+from toolee_robot.hardware.ur.servo.messages import Cause, MotionOrder
+from toolee_robot.hardware.ur.servo.rtde_link import UrLink
+from toolee_robot.hardware.ur.servo.shared_memory import Column, ServoMemory, StateColumn, Word
+from toolee_robot.motion.path_stop import brake_on_path
+from toolee_robot.runtime.clock import HostClock
+
+STANDSTILL: Final = 2e-3  # [rad/s]
+SETTLE_TIME: Final = 1.0  # [s] at most, after the last command
+SETTLE_CYCLES: Final = 5  # at least
+
+
+class TaskLife(Protocol):
+    """Whether the task's process still lives."""
+
+    def lost(self) -> Cause:
+        """TASK_ENDED, TASK_STALLED or NONE."""
+
+
+class Motion:
+    """From the first sample to standstill; `run` returns the cause of the end."""
+
+    def __init__(
+        self,
+        link: UrLink,
+        memory: ServoMemory,
+        order: MotionOrder,
+        schedule: Schedule,
+        alive: TaskLife,
+        clock: HostClock,
+    ) -> None:
+        self._link, self._memory, self._order, self._schedule, self._alive = link, memory, order, schedule, alive
+        self._clock = clock
+        self._period = 1.0 / link.rate
+        self._path = memory.path(order.knots)
+        self._cause, self._silent = Cause.NONE, False
+        self._time, self._row, self._streak, self._brakes, self._still = 0.0, 0, 0, False, 0
+        self._commands = self._reference()
+        self._lag_cycles = order.lag / self._period
+        self._window = int(self._lag_cycles + order.watch.data_cycles) + 8
+        self._wrenches: list[Array] = []
+        over = 0.0 if order.guard is None else order.guard.over
+        self._felt: deque[Array] = deque(maxlen=max(round(over / self._period), 1))
+
+    def run(self) -> Cause:
+        words, link = self._memory.words, self._link
+        words[Word.ROWS] = words[Word.OVERRUNS] = 0
+        words[Word.CAUSE], words[Word.CONTACT_ROW] = Cause.NONE, -1
+        q = link.reading[StateColumn.COMMANDED].copy()
+        settled = 0
+        link.unread_wrenches()
+        while self._row < len(self._memory.rows):
+            lateness, missed = self._schedule.wait()
+            link.read()
+            self._schedule.follow(link.arrived, FOLLOW)
+            self._wrenches = link.unread_wrenches()
+            self._judge(lateness, missed)
+            following = None if self._silent else next(self._commands, None)
+            if following is not None:
+                q = following
+            if not self._silent:
+                link.servo(q)
+            self._log(q, lateness)
+            if following is None:
+                settled += 1
+                if self._at_rest(settled):
+                    break
+        return self._cause
+
+    def _judge(self, lateness: float, missed: int) -> None:
+        """Every reason to stop. The first one counts, unless a later one forbids to send at all."""
+        words, watch = self._memory.words, self._order.watch
+        late = missed + (lateness >= self._period / 2)
+        words[Word.OVERRUNS] += late
+        self._streak = self._streak + late if late else 0
+        touches = self._touches()
+        if not self._link.connected:
+            self._end(Cause.LINK)
+        elif not self._link.sane or self._link.age > watch.data_cycles * self._period:
+            self._end(Cause.DATA)
+        elif self._link.status is not ArmStatus.READY:
+            self._end(Cause.STOPPED_BY_ROBOT)
+        elif not self._link.playing or self._link.refused:
+            self._end(Cause.PROGRAM_ENDED)
+        if self._cause is not Cause.NONE:
+            return
+        if self._streak >= watch.overruns:
+            # After a gap the arm has already come to rest where it was last sent: there it stays.
+            self._end(Cause.OVERRUN, hold=missed >= watch.overruns)
+        elif self._tracking_error() > watch.tracking_error:
+            self._end(Cause.TRACKING)
+        elif (lost := self._alive.lost()) is not Cause.NONE:
+            self._end(lost)
+        elif words[Word.STOP] != self._order.stop:
+            self._end(Cause.STOP)
+        elif touches:
+            words[Word.CONTACT_ROW] = self._row
+            self._end(Cause.CONTACT)
+
+    def _end(self, cause: Cause, hold: bool = False) -> None:
+        if cause >= Cause.PROGRAM_ENDED:
+            self._silent = True
+        if cause is Cause.PROGRAM_ENDED and self._cause >= Cause.DATA:
+            return  # the program ended because of the fault, which is what a person has to know
+        if cause <= self._cause or (self._cause > Cause.NONE and cause < Cause.PROGRAM_ENDED):
+            return
+        self._cause = cause
+        self._memory.words[Word.CAUSE] = cause
+        if cause < Cause.PROGRAM_ENDED and not self._brakes:
+            self._brakes = True
+            self._commands = iter(()) if hold else self._brake()
+
+    def _reference(self) -> Iterator[Array]:
+        samples, reference = self._order.samples, self._memory.reference
+        for k in range(samples):
+            self._time = min((k + 1) * self._period, self._path.duration)
+            yield reference[k].copy()
+
+    def _brake(self) -> Iterator[Array]:
+        order = self._order
+        for q, _ in brake_on_path(self._path, self._time, self._period, order.acceleration, order.jerk):
+            yield q
+
+    def _touches(self) -> bool:
+        """Whether the guard's force is in any of the new readings, averaged with those before it."""
+        guard, touches = self._order.guard, False
+        for wrench in self._wrenches:
+            self._felt.append(wrench[:3])
+            force = np.mean(self._felt, axis=0)
+            full = len(self._felt) == self._felt.maxlen
+            touches |= guard is not None and full and float(np.sqrt(force @ force)) > guard.force
+        return touches and guard is not None and self._time >= guard.after and not self._brakes
+
+    def _tracking_error(self) -> float:
+        """[rad] How far the newest reading lies outside of what was commanded within the servo's lag before it."""
+        reading = self._link.reading
+        rows = self._memory.rows[max(self._row - self._window, 0) : self._row]
+        sent = rows[:, Column.SENT]
+        i, j = np.searchsorted(sent, (reading[StateColumn.SEEN] - self._order.lag, reading[StateColumn.SEEN]))
+        if j == 0:
+            return 0.0
+        commanded, q = rows[max(i - 1, 0) : j, Column.COMMANDED], reading[StateColumn.Q]
+        return float(np.maximum(q - commanded.max(axis=0), commanded.min(axis=0) - q).max())
+
+    def _at_rest(self, settled: int) -> bool:
+        """Standstill, seen in fresh data and after the servo's lag, or no more time to wait for it. An arm that swings
+        stands for a moment at every turn: it has to stand for SETTLE_CYCLES."""
+        if settled > SETTLE_TIME / self._period or self._cause is Cause.LINK:
+            return True
+        reading = self._link.reading
+        fresh = self._link.age < self._order.watch.data_cycles * self._period
+        still = fresh and bool(np.abs(reading[StateColumn.QD]).max() < STANDSTILL)
+        self._still = self._still + 1 if still else 0
+        return self._still >= SETTLE_CYCLES and settled >= SETTLE_CYCLES + self._lag_cycles
+
+    def _log(self, q: Array, lateness: float) -> None:
+        memory, reading, row = self._memory, self._link.reading, self._memory.rows[self._row]
+        row[Column.SENT], row[Column.LATENESS] = self._clock.now(), lateness
+        row[Column.SEEN], row[Column.TIMESTAMP] = reading[StateColumn.SEEN], reading[StateColumn.TIMESTAMP]
+        row[Column.PATH_TIME], row[Column.COMMANDED] = self._time, q
+        row[Column.Q], row[Column.QD] = reading[StateColumn.Q], reading[StateColumn.QD]
+        wrenches = self._wrenches or [reading[StateColumn.WRENCH]]
+        row[Column.WRENCH] = max(wrenches, key=lambda wrench: float(wrench[:3] @ wrench[:3]))
+        self._row += 1
+        memory.words[Word.ROWS] = self._row
+        memory.words[Word.CYCLES] += 1
+        memory.write_state(reading)

@@ -1,0 +1,208 @@
+"""The servo process: it alone talks to the robot, in cycles of the controller's rate, and obeys the task's process.
+
+Started by `ServoClient`. It may crash, hang or be killed at any time: the robot's watchdog stops the robot, and the
+task gets a typed error. When the task's process ends or stalls it is this one that brakes, along the path.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import os
+import select
+import signal
+import sys
+import time
+import traceback
+from multiprocessing.connection import Connection
+from types import TracebackType
+from typing import Any
+
+from toolee_robot.errors import DeviceError, NotReadyError
+from toolee_robot.hal import ArmStatus
+from toolee_robot.hardware.ur.config import UrArmConfig
+from toolee_robot.hardware.ur.servo.clock import SEEK, Schedule, become_realtime
+from toolee_robot.hardware.ur.servo.messages import (
+    Cause,
+    Close,
+    Connect,
+    Connected,
+    Done,
+    Freedrive,
+    MotionOrder,
+    Moved,
+    Order,
+    Refused,
+    Reply,
+    SetPayload,
+)
+from toolee_robot.hardware.ur.servo.motion import Motion
+from toolee_robot.hardware.ur.servo.rtde_link import UrLink
+from toolee_robot.hardware.ur.servo.shared_memory import ServoMemory, StateColumn, Word
+
+EXIT_LINK_LOST = 3
+_FRESH, _PATIENCE = 3, 5  # readings, cycles
+
+
+class ServoProcess:
+    """The loop at rest; motions run in `Motion`."""
+
+    def __init__(self, pipe: Connection, memory: ServoMemory, link: UrLink, config: UrArmConfig) -> None:
+        self._pipe, self._memory, self._link, self._config = pipe, memory, link, config
+        self._poll = select.poll()
+        self._poll.register(pipe.fileno(), select.POLLIN | select.POLLHUP)
+        self._beat, self._since = -1, 0.0
+        self._clock = config.clock
+        self._fault = Cause.NONE
+        self._terminated = False
+        signal.signal(signal.SIGTERM, self._terminate)
+
+    def run(self) -> None:
+        """Until the task ends it, is gone, or the link is lost. Does not return."""
+        link, memory = self._link, self._memory
+        schedule = Schedule(self._clock.now(), 1.0 / link.rate, self._clock)
+        schedule.follow(link.arrived, 0.5)
+        answered = 0.0
+        while True:
+            schedule.wait()
+            link.read()
+            schedule.follow(link.arrived, SEEK)
+            link.unread_wrenches()
+            self._judge()
+            # A kick that meets an ended program would wait for it in vain. One for each reading: what is sent to a
+            # controller that pauses waits there, and so would every command after it.
+            if self._fault < Cause.PROGRAM_ENDED and link.playing and link.reading[StateColumn.TIMESTAMP] > answered:
+                link.kick()
+                answered = float(link.reading[StateColumn.TIMESTAMP])
+            memory.words[Word.CYCLES] += 1
+            memory.write_state(link.reading)
+            if self._terminated:
+                link.close()
+            if self._poll.poll(0):
+                self._obey(schedule)
+
+    def _judge(self) -> None:
+        """What happens at rest latches as well: nothing moves before a reset."""
+        link = self._link
+        if not link.connected or self._clock.wall(link.age) > self._config.link_timeout:
+            self._latch(Cause.LINK)
+            os._exit(EXIT_LINK_LOST)
+        elif link.status is not ArmStatus.READY:
+            self._latch(Cause.STOPPED_BY_ROBOT)
+        elif not link.playing:
+            self._latch(Cause.PROGRAM_ENDED)
+        elif not link.sane:
+            self._latch(Cause.DATA)
+
+    def _latch(self, cause: Cause) -> None:
+        if self._fault is Cause.NONE or Cause.PROGRAM_ENDED <= self._fault < cause:
+            self._fault = cause
+            self._memory.words[Word.CAUSE] = cause
+
+    def _obey(self, schedule: Schedule) -> None:
+        link = self._link
+        try:
+            order: Order = self._pipe.recv()
+            reply: Reply
+            if isinstance(order, Close):
+                link.close()
+            elif self._fault is not Cause.NONE:
+                reply = Moved(self._fault) if isinstance(order, MotionOrder) else Refused("the arm is latched", False)
+            elif isinstance(order, MotionOrder):
+                self._await_data(schedule)
+                reply = Moved(self._move(order, schedule))
+            else:
+                reply = self._handshake(order)
+            schedule.resume()
+            self._pipe.send(reply)
+        except (EOFError, OSError):
+            # The task's process is gone; the arm stands.
+            link.close()
+
+    def _move(self, order: MotionOrder, schedule: Schedule) -> Cause:
+        cause = Motion(self._link, self._memory, order, schedule, self, self._clock).run()
+        if cause is Cause.TASK_ENDED:
+            self._link.close()
+        if cause >= Cause.DATA:
+            self._fault = cause
+        if cause is Cause.LINK:
+            self._pipe.send(Moved(cause))
+            os._exit(EXIT_LINK_LOST)
+        return cause
+
+    def _handshake(self, order: Order) -> Reply:
+        try:
+            if isinstance(order, SetPayload):
+                self._link.set_payload(order.mass, order.center_of_mass)
+            elif isinstance(order, Freedrive):
+                if order.on:
+                    self._link.start_freedrive()
+                else:
+                    self._link.end_freedrive()
+        except DeviceError as error:
+            return Refused(str(error), False)
+        self._memory.write_state(self._link.reading)  # whoever gets the answer plans from this
+        return Done()
+
+    def lost(self) -> Cause:
+        """See `servo_motion.TaskLife`: its life line holds, its end of the pipe is open, and its heartbeat goes on."""
+        now, beat = self._clock.now(), int(self._memory.words[Word.HEARTBEAT])
+        if beat != self._beat:
+            self._beat, self._since = beat, now
+        hung_up = any(events & (select.POLLHUP | select.POLLERR) for _, events in self._poll.poll(0))
+        if self._terminated or self._memory.life.cut or hung_up:
+            return Cause.TASK_ENDED
+        return Cause.TASK_STALLED if now - self._since > self._config.heartbeat_timeout else Cause.NONE
+
+    def _await_data(self, schedule: Schedule) -> None:
+        """Up to three new readings, within _PATIENCE cycles at most: a motion does not begin with data that were old
+        before it."""
+        end = schedule.deadline + _PATIENCE / self._link.rate
+        fresh = 0
+        while fresh < _FRESH and schedule.deadline < end:
+            schedule.resume()
+            schedule.wait()
+            if self._link.read():
+                fresh += 1
+                if self._fault is Cause.NONE and self._link.playing:
+                    self._link.kick()
+        schedule.resume()
+
+    def _terminate(self, _signum: int, _frame: object) -> None:
+        self._terminated = True
+
+
+def main() -> None:
+    """Arguments: the file descriptors of the pipe and of the shared memory, and the longest motion [s]."""
+    # Ctrl-C goes to every process of the terminal; this one waits for what the task says.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    sys.excepthook = _die
+    faulthandler.enable()  # the wheel's crashes say where they were
+    pipe = Connection(int(sys.argv[1]))
+    memory = ServoMemory(int(sys.argv[2]), float(sys.argv[3]))
+    order: Any = pipe.recv()
+    if not isinstance(order, Connect):
+        raise TypeError(f"the first order must be Connect, not {order!r}")
+    realtime = become_realtime()
+    memory.words[Word.CONNECTING] = time.monotonic_ns()
+    try:
+        link = UrLink(order.config, order.rate)
+    except DeviceError as error:
+        pipe.send(Refused(str(error), isinstance(error, NotReadyError)))
+        # The wheel's objects are left to the kernel.
+        os._exit(0)
+    process = ServoProcess(pipe, memory, link, order.config)
+    memory.write_state(link.reading)
+    pipe.send(Connected(realtime))
+    process.run()
+
+
+def _die(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """What an error that nobody expected comes to. Not the interpreter's own end: the wheel's destructors may hang, or
+    connect again."""
+    traceback.print_exception(kind, error, trace)
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""How well the servo loop keeps its time: one long motion, measured by what was really sent.
+
+    with UrArm(UrArmConfig("127.0.0.2", longest_motion=660.0), limits) as arm:
+        figures, report = servo_benchmark(arm, seconds=600.0)
+
+The arm moves all the while: not for a robot with people or things around it.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from toolee_robot.frames import Array
+from toolee_robot.hal import MotionReport, MotionWatch
+from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.types import Trajectory
+
+AMPLITUDE: Final = 0.1  # [rad]
+FREQUENCIES: Final = (0.20, 0.23, 0.29, 0.31, 0.37, 0.41)  # [Hz] of the joints: they never all stand at once
+SAMPLE_PERIOD: Final = 0.004  # [s] of the trajectory
+_PATIENT: Final = MotionWatch(tracking_error=1.0, data_cycles=500.0, overruns=500)
+WARM_UP: Final = 2.0  # [s] after which memory is first looked at
+
+
+@dataclass(frozen=True)
+class ServoFigures:
+    """rate [Hz]. cycles: commands sent. period_error_*: of the time between two commands from its nominal value [s].
+    overruns: cycles that the driver itself reported as late by half a cycle or more. drift: of the schedule from the
+    first second to the last [s], see `drift`. memory_growth: of the servo process from WARM_UP to the end [bytes], what
+    it shares left out. cpu: cores' worth of time that it took. fifo, locked: what the system granted it."""
+
+    rate: float
+    seconds: float
+    cycles: int
+    period_error_p50: float
+    period_error_p99: float
+    period_error_max: float
+    overruns: int
+    drift: float
+    memory_growth: int
+    cpu: float
+    fifo: bool
+    locked: bool
+
+
+def wave(q: Array, seconds: float) -> Trajectory:
+    """From rest at q (6,) to rest at q, every joint along its own cosine; [s]."""
+    turns = np.maximum(np.round(np.array(FREQUENCIES) * seconds), 1.0)
+    omega = 2 * np.pi * turns / seconds
+    times = np.linspace(0.0, seconds, round(seconds / SAMPLE_PERIOD) + 1)
+    phase = times[:, None] * omega
+    return Trajectory(
+        times,
+        q + AMPLITUDE * (1 - np.cos(phase)),
+        AMPLITUDE * omega * np.sin(phase),
+        AMPLITUDE * omega**2 * np.cos(phase),
+    )
+
+
+def servo_benchmark(arm: UrArm, seconds: float) -> tuple[ServoFigures, MotionReport]:
+    """Drive `wave` for so long [s], without stopping for a late cycle. Raises what `UrArm.execute` raises."""
+    pid, realtime = arm.servo_pid, arm.realtime
+    memory: list[int] = []
+    ended = threading.Event()
+
+    def look() -> None:
+        ended.wait(WARM_UP)
+        memory.append(_private_memory(pid))
+        ended.wait()
+        memory.append(_private_memory(pid))
+
+    watcher = threading.Thread(target=look, daemon=True)
+    cpu = cpu_time(pid)
+    watcher.start()
+    try:
+        report = arm.execute(wave(arm.state().q_commanded, seconds), None, _PATIENT)
+        cpu = cpu_time(pid) - cpu
+    finally:
+        ended.set()
+        watcher.join()
+    period = 1.0 / arm.rate
+    stamps = report.stamps
+    steps = np.diff(stamps)
+    error = np.abs(steps - period)
+    figures = ServoFigures(
+        rate=arm.rate,
+        seconds=float(stamps[-1] - stamps[0]),
+        cycles=len(stamps),
+        period_error_p50=float(np.percentile(error, 50)),
+        period_error_p99=float(np.percentile(error, 99)),
+        period_error_max=float(error.max()),
+        overruns=report.overruns,
+        drift=drift(stamps, period),
+        memory_growth=memory[1] - memory[0],
+        cpu=cpu / float(stamps[-1] - stamps[0]),
+        fifo=realtime.fifo,
+        locked=realtime.locked,
+    )
+    return figures, report
+
+
+def drift(stamps: Array, period: float) -> float:
+    """By how much the last whole second's commands, sent at stamps (N,) [s], are off the first second's grid [s].
+
+    A command counts by its place within its period, followed from second to second: late and missed ones change
+    nothing, a schedule that wanders does, by whole periods too. Raises ValueError for less than two seconds."""
+    turn = np.exp(2j * np.pi * (stamps - stamps[0]) / period)
+    phases = []
+    for part in np.split(turn, np.searchsorted(stamps, np.arange(stamps[0] + 1.0, stamps[-1])))[:-1]:
+        mean = np.sum(part)
+        phases.append(np.angle(mean) + np.median(np.angle(part / mean)))
+    if not phases:
+        raise ValueError("drift needs two seconds")
+    return float((np.unwrap(phases)[-1] - phases[0]) / (2 * np.pi) * period)
+
+
+def _private_memory(pid: int) -> int:
+    """Resident and not shared [bytes]."""
+    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
+        if line.startswith("RssAnon:"):
+            return 1024 * int(line.split()[1])
+    return 0
+
+
+def cpu_time(pid: int) -> float:
+    """[s] that a process has run."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

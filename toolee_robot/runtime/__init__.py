@@ -1,0 +1,1 @@
+"""Processes, time, and the machine that they run on."""

@@ -1,0 +1,78 @@
+"""Processes that evaluate side by side."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+from itertools import islice
+from types import TracebackType
+from typing import Any, Generic, Self, TypeVar
+
+import torch
+
+from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.runtime.process_pool import WorkerPool
+
+State = TypeVar("State")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class Crew(Generic[State]):
+    """`workers` processes, each with a state of its own that `begin` makes; with one worker, this process does it.
+
+    `begin`, functions and items must be picklable."""
+
+    def __init__(self, begin: Callable[[], State], workers: int) -> None:
+        if workers < 1:
+            raise UserError(f"--workers {workers}: give 1 or more")
+        self._begin, self._workers = begin, workers
+        self._own: list[State] = []
+        self._pool: WorkerPool | None = None
+        if workers > 1:
+            self._pool = WorkerPool(workers, _begin, (begin,))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if self._pool is not None:
+            self._pool.__exit__(kind, error, at)
+
+    def map(self, function: Callable[[State, Item], Result], items: Iterable[Item]) -> Generator[Result]:
+        """function(state, item) of every item, in the items' order. Of endless items no more are begun than the workers
+        need to stay busy. Raises what `function` raises, and TooleeError when a worker dies."""
+        if self._pool is None:
+            if not self._own:
+                self._own.append(self._begin())
+            for item in items:
+                yield function(self._own[0], item)
+            return
+        left = iter(items)
+        running: deque[Future[Result]] = deque()
+        try:
+            while True:
+                for item in islice(left, 2 * self._workers - len(running)):
+                    running.append(self._pool.submit(_call, function, item))
+                if not running:
+                    return
+                yield running.popleft().result()
+        except BrokenProcessPool as error:
+            raise TooleeError("a worker process died (out of memory?): run it again with fewer --workers") from error
+        finally:
+            for future in running:
+                future.cancel()
+
+
+_state: list[Any] = []
+
+
+def _begin(begin: Callable[[], Any]) -> None:
+    torch.set_num_threads(1)
+    _state.append(begin())
+
+
+def _call(function: Callable[[Any, Any], Any], item: Any) -> Any:
+    return function(_state[0], item)

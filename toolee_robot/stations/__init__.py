@@ -1,0 +1,1 @@
+"""What builds a station, and what only the simulation behind it knows."""

@@ -1,0 +1,1 @@
+"""What tasks share: looking, moving, watching the hand, stages, observers."""

@@ -1,0 +1,109 @@
+"""Look at the held tool from several views and fuse what was seen into its pose in the hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.errors import DeviceError, PerceptionError, StaleDataError, UserError
+from toolee_robot.frames import Array, angle_between, inverse
+from toolee_robot.hal import Station
+from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.types import Category, InHandEstimate, RgbdFrame, ToolEstimate
+
+MAX_DISPLACEMENT = 0.10
+"""[m] A face further than this from where a nominal grasp has it is not believed: no hand holds a tool like that."""
+MAX_MISALIGNMENT = np.deg2rad(60.0)
+MIN_DEPTH = 0.3
+"""Share of a frame's pixels that must have a depth: less is a camera that is blinded or covered."""
+
+
+class Perceiver(Protocol):
+    """What a task needs of perception; `toolee_robot.perception.ToolPerception` is one."""
+
+    def estimate(self, frame: RgbdFrame, X_camera_hand: Array | None = None) -> list[ToolEstimate]: ...
+
+    def fuse(
+        self,
+        estimates_per_frame: Sequence[Sequence[ToolEstimate]],
+        Xs_camera_hand: Sequence[Array],
+        category: Category | None = None,
+    ) -> InHandEstimate: ...
+
+
+class Look:
+    """Frames taken so far in one look, and what they say together."""
+
+    def __init__(
+        self,
+        station: Station,
+        config: StationConfig,
+        robot: RobotModel,
+        perceiver: Perceiver,
+        observer: TaskObserver,
+        X_hand_ee_nominal: Array,
+    ) -> None:
+        self._station = station
+        self._X_camera_base = inverse(config.camera.X_base_camera)
+        self._robot = robot
+        self._perceiver = perceiver
+        self._observer = observer
+        self._nominal = X_hand_ee_nominal
+        self._seen: list[list[ToolEstimate]] = []
+        self._hands: list[Array] = []
+
+    def take(self) -> None:
+        """Read a frame where the arm stands now and estimate what is in it."""
+        asked = self._station.clock.now()
+        frame = self._station.camera.read()
+        if frame.stamp < asked:
+            raise StaleDataError(
+                f"the camera gave a frame {asked - frame.stamp:.2f} s older than it was asked: it repeats old ones; "
+                "restart it"
+            )
+        q_arm = self._station.arm.state().joints.q
+        q_hand = self._station.hand.state().joints.q
+        X_camera_hand = self._X_camera_base @ self._robot.fk(q_arm, q_hand)[1]
+        try:
+            estimates = self._perceiver.estimate(frame, X_camera_hand)
+        except UserError as error:  # it is the camera that made this frame
+            raise DeviceError(f"the camera's frame is of no use: {error}") from error
+        self._observer.frame(frame, estimates, X_camera_hand)
+        known = float(np.mean(frame.depth > 0.0))  # NaN included
+        if known < MIN_DEPTH:
+            self._observer.message(f"only {100 * known:.0f} % of the frame's depth is known: it does not count")
+            estimates = []
+        self._seen.append([e for e in estimates if self._plausible(e, X_camera_hand)])
+        self._hands.append(X_camera_hand)
+
+    def fuse(self) -> InHandEstimate:
+        """The face's pose in the hand. Raises PerceptionError when it is unseen, uncertain or implausible."""
+        estimate = self._perceiver.fuse(self._seen, self._hands, Category.HAMMER_HEAD)
+        self._observer.in_hand(self._station.clock.now(), estimate)
+        if not estimate.usable:
+            raise PerceptionError(f"the hammer head's pose is not to be relied on: {estimate.reason}")
+        displacement, misalignment = self._off_nominal(estimate.X_hand_ee)
+        if not (displacement <= MAX_DISPLACEMENT and misalignment <= MAX_MISALIGNMENT):  # NaN included
+            raise PerceptionError(
+                f"the hammer head seems to be {displacement * 1e3:.0f} mm and {np.rad2deg(misalignment):.0f} deg away "
+                "from where a held hammer can have it: hand it over again, face towards the fingers"
+            )
+        return estimate
+
+    def _plausible(self, estimate: ToolEstimate, X_camera_hand: Array) -> bool:
+        """Whether it can be the face that strikes: not a club hammer's other face, nor a hammer on the table."""
+        if not np.all(np.isfinite(estimate.X_camera_ee)):
+            return True  # a detection without a pose: its reason is worth telling
+        displacement, misalignment = self._off_nominal(inverse(X_camera_hand) @ estimate.X_camera_ee)
+        return displacement < 1.5 * MAX_DISPLACEMENT and misalignment < 1.25 * MAX_MISALIGNMENT
+
+    def _off_nominal(self, X_hand_ee: Array) -> tuple[float, float]:
+        """Distance [m] and angle [rad] of the face's centre and normal from those of a nominal grasp."""
+        return (
+            float(np.linalg.norm(X_hand_ee[:3, 3] - self._nominal[:3, 3])),
+            angle_between(X_hand_ee[:3, 2], self._nominal[:3, 2]),
+        )

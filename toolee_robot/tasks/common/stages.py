@@ -1,0 +1,29 @@
+"""The stages of a job and what each took."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.outcome import Stage
+
+
+class Stages:
+    """Times stages, which may come more than once, and tells an observer. seconds: stage -> wall-clock time [s]."""
+
+    def __init__(self, observer: TaskObserver) -> None:
+        self.seconds: dict[str, float] = {}
+        self._observer = observer
+
+    @contextmanager
+    def __call__(self, stage: Stage) -> Iterator[None]:
+        began = time.perf_counter()
+        self._observer.stage_started(stage)
+        try:
+            yield
+        finally:
+            seconds = time.perf_counter() - began
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
+            self._observer.stage_ended(stage, seconds)

@@ -1,0 +1,20 @@
+"""How a tool lies in the hand in a perfect handover."""
+
+from __future__ import annotations
+
+from toolee_robot.config import StationConfig
+from toolee_robot.robots import hand_model
+from toolee_robot.tasks.hammering.task import Grasp
+from toolee_robot.tools import Tool
+from toolee_robot.types import Category
+
+
+def nominal_grasp(tool: Tool, config: StationConfig) -> Grasp:
+    """How the tool nominally lies in the station's hand, from its data sheet: its true pose in the hand is not known.
+
+    Args:
+        tool: A hammer.
+        config: The station, of which the hand matters.
+    """
+    X_hand_tool = hand_model(config.hand.model).grasp.X_hand_tool(tool.handle.grip_radius)
+    return Grasp(X_hand_tool, tool.ee(Category.HAMMER_HEAD).X_tool_ee, tool.mass, tool.center_of_mass)

@@ -1,0 +1,290 @@
+"""The hammering job: take the tool, look at it, strike until the nail is flush, put the arm safely away.
+
+A state machine over the hardware abstraction alone. What it knows of the world is its station file, what the camera
+shows and what the arm and the hand feel. Every ending is an `Outcome` with a reason; every exception leaves the arm
+at a standstill.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import date
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control.collision import CollisionWorld
+from toolee_robot.control.modes import Mode
+from toolee_robot.control.planning.strike import plan_strike
+from toolee_robot.control.planning.transfer import plan_transfer
+from toolee_robot.control.planning.views import plan_handover, plan_views
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.control.slip import merge, slip
+from toolee_robot.errors import (
+    DeviceError,
+    GripError,
+    PerceptionError,
+    PersonNearError,
+    PlanningError,
+    UnreachableError,
+)
+from toolee_robot.frames import Array
+from toolee_robot.hal import Station
+from toolee_robot.tasks.common.look import Look, Perceiver
+from toolee_robot.tasks.common.motions import Motions
+from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.outcome import Ended, HammerResult, Outcome, Stage
+from toolee_robot.tasks.common.stages import Stages
+from toolee_robot.tasks.hammering.nail_driving import Drive
+from toolee_robot.types import InHandEstimate
+
+SETTLE = 0.3
+"""[s] of standing still before a frame, so that arm, wrist and tool have stopped swinging."""
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """How the tool would lie in the hand in a perfect handover, from the tool's data sheet.
+
+    X_hand_tool, X_tool_ee: 4x4. mass [kg]. p_tool_com: centre of mass (3,) [m], tool frame.
+    """
+
+    X_hand_tool: Array
+    X_tool_ee: Array
+    mass: float
+    p_tool_com: Array
+
+    @property
+    def X_hand_ee(self) -> Array:
+        return self.X_hand_tool @ self.X_tool_ee
+
+
+class HammeringTask:
+    """One job. `correction=False` strikes with the nominal in-hand pose: the paper's baseline, for comparison only."""
+
+    def __init__(
+        self,
+        station: Station,
+        perceiver: Perceiver,
+        config: StationConfig,
+        grasp: Grasp,
+        *,
+        correction: bool = True,
+        observer: TaskObserver | None = None,
+    ) -> None:
+        self._station = station
+        self._perceiver = perceiver
+        self._config = config
+        self._grasp = grasp
+        self._correction = correction
+        self._observer = observer or TaskObserver()
+        self._robot = RobotModel.of_station(config)
+        self._motions = Motions(station, config, self._robot, self._observer, grasp.X_hand_ee)
+        self._stages = Stages(self._observer)
+        self._drive = Drive(
+            self._motions,
+            config,
+            self._robot,
+            station.clock,
+            self._stages,
+            self._observer,
+            self._look,
+            correction=correction,
+        )
+        self._person_clear = True
+        self._estimates: list[tuple[float, InHandEstimate]] = []
+
+    def run(self) -> HammerResult:
+        """Do the job and park. Returns how it ended; only a programming error or KeyboardInterrupt escapes, after
+        arm and hand have been stopped, the grip kept."""
+        try:
+            outcome, reason = self._job()
+            outcome, reason = self._park(outcome, reason)
+        except BaseException:
+            self._motions.stand_still()
+            raise
+        result = self.result(outcome, reason)
+        self._observer.ended(result)
+        return result
+
+    @property
+    def latched(self) -> str:
+        """The fault that stopped the arm in this job and that nobody has reset; empty if none."""
+        return self._motions.arm.latched
+
+    def result(self, outcome: Outcome, reason: str) -> HammerResult:
+        """The record of the job as far as it went: what is left to say after an interruption."""
+        return HammerResult(
+            outcome,
+            reason,
+            tuple(self._drive.blows),
+            self._drive.protrusion,
+            tuple(self._estimates),
+            dict(self._stages.seconds),
+        )
+
+    def _job(self) -> tuple[Outcome, str]:
+        try:
+            self._check_calibration()
+            self._motions.begin()
+            self._take_tool()
+            self._look(self._config.task.views)
+            return self._drive.run()
+        except Ended as end:
+            return end.outcome, str(end)
+        except PersonNearError as error:
+            self._motions.stand_still()
+            return Outcome.PERSON_NEAR, str(error)
+        except PerceptionError as error:
+            return Outcome.POSE_UNKNOWN, str(error)
+        except PlanningError as error:
+            return Outcome.NO_PLAN, str(error)
+        except GripError as error:
+            self._motions.retreat()
+            return Outcome.TOOL_LOST, str(error)
+        except DeviceError as error:
+            self._motions.stand_still()
+            return Outcome.DEVICE_FAULT, str(error)
+
+    # -- stages ----------------------------------------------------------------------------------------------------
+
+    def _check_calibration(self) -> None:
+        """Refuse a station whose camera stands who knows where."""
+        calibration = self._config.calibration
+        if calibration is None:
+            raise Ended(Outcome.NOT_READY, "the station is not calibrated: calibrate it, and keep what comes of it")
+        station = self._station
+        problems = calibration.problems(station.robot_serial, station.camera_serial, date.today())
+        if problems:
+            raise Ended(Outcome.NOT_READY, "the calibration does not hold: " + "; ".join(problems))
+
+    def _take_tool(self) -> None:
+        station, timeout = self._station, self._config.task.handover_timeout
+        with self._stages(Stage.HANDOVER):
+            self._check_reach()
+            self._empty_hand()
+            q_hand = self._motions.q_hand
+            world = CollisionWorld(self._robot, self._config, q_hand)
+            self._motions.transfer(
+                "to the handover", plan_handover(self._robot, self._config, world, self._motions.q, q_hand)
+            )
+            self._person_clear = False
+            if not station.person.request_handover(
+                "Put the hammer's handle into the open hand, face towards the fingertips.", timeout
+            ):
+                raise Ended(Outcome.NO_HANDOVER, "nobody handed a tool over in time: run the job again")
+        with self._stages(Stage.GRIP):
+            station.hand.close()
+            if not station.hand.state().holding:
+                raise Ended(Outcome.NO_GRIP, "the hand closed but holds nothing: hand the tool over again")
+            self._clear_person("Let go and step back.")
+            if not station.hand.state().holding:
+                raise Ended(Outcome.NO_GRIP, "the tool left the hand as it was let go: hand it over again")
+            self._motions.held = True
+            grasp = self._grasp
+            q_hand = self._motions.q_hand
+            self._motions.arm.set_payload(self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
+
+    def _empty_hand(self) -> None:
+        """Open the hand; a tool that it still holds is taken out first, it would fall."""
+        station = self._station
+        if station.hand.state().holding:
+            self._person_clear = False
+            prompt = "The hand still holds a tool: take hold of it, the hand opens."
+            if not station.person.take_tool(prompt, self._config.task.handover_timeout):
+                raise Ended(Outcome.NOT_READY, "the hand still holds a tool, and nobody took it: take it out first")
+        station.hand.open()
+
+    def _clear_person(self, prompt: str) -> None:
+        """Ask the person to step back; from then on the arm may move fast. Raises PersonNearError when they do not."""
+        if not self._station.person.release(prompt, self._config.task.handover_timeout):
+            raise PersonNearError("nobody confirmed to be out of reach: no motion")
+        self._motions.arm.mode = Mode.HAMMERING
+        self._person_clear = True
+
+    def _check_reach(self) -> None:
+        """Refuse a nail that is out of reach before anyone is asked for a tool. Only that: whether a reachable nail
+        can be hit without a collision depends on how the tool will lie in the hand."""
+        q_hand = self._robot.description.hand_closed
+        world = CollisionWorld(self._robot, self._config, q_hand, self._motions.X_hand_ee)
+        X_base_nail = self._config.work.X_base_nail()
+        try:
+            plan_strike(self._robot, self._config, world, self._motions.q, q_hand, self._motions.X_hand_ee, X_base_nail)
+        except UnreachableError:
+            raise
+        except PlanningError as error:
+            self._observer.message(f"with the tool as it nominally lies in the hand no blow is possible: {error}")
+
+    def _look(self, views: int) -> None:
+        """Set the believed pose of the face in the hand from what the camera sees; as many other views if in doubt."""
+        if not self._correction:
+            return
+        look = Look(self._station, self._config, self._robot, self._perceiver, self._observer, self._grasp.X_hand_ee)
+        for attempt in (1, 2):
+            with self._stages(Stage.VIEW):
+                q_hand = self._motions.q_hand
+                # Another seed, other views: the same ones would show the same again.
+                plan = plan_views(
+                    self._robot,
+                    self._config,
+                    self._motions.world(),
+                    self._motions.q,
+                    q_hand,
+                    self._grasp.X_hand_ee,
+                    count=views,
+                    seed=attempt - 1,
+                )
+            for view in plan.views:
+                with self._stages(Stage.VIEW):
+                    self._motions.transfer("to a view", view.transfer)
+                    self._station.clock.sleep(SETTLE)
+                with self._stages(Stage.PERCEIVE):
+                    look.take()
+            try:
+                with self._stages(Stage.PERCEIVE):
+                    estimate = look.fuse()
+                    if self._estimates:
+                        estimate = self._after_slip(self._estimates[-1][1], estimate)
+                break
+            except (PerceptionError, Ended) as error:
+                # Not to be relied on, or not where it was: one more look, from elsewhere.
+                if attempt == 2:
+                    raise
+                self._observer.message(f"{error}; looking again")
+        self._believe(estimate)
+
+    def _believe(self, estimate: InHandEstimate) -> None:
+        self._estimates.append((self._station.clock.now(), estimate))
+        self._motions.X_hand_ee = estimate.X_hand_ee
+
+    def _after_slip(self, before: InHandEstimate, now: InHandEstimate) -> InHandEstimate:
+        """What the looks so far say together. Ends the job when the tool has slipped too far to go on."""
+        task = self._config.task
+        distance, angle = slip(before, now)
+        self._observer.message(f"slip in the hand {distance * 1e3:.1f} mm, {np.rad2deg(angle):.1f} deg")
+        if distance > task.abort_slip or angle > task.abort_slip_angle:
+            raise Ended(
+                Outcome.TOOL_SLIPPED,
+                f"the tool slipped {distance * 1e3:.0f} mm and {np.rad2deg(angle):.0f} deg in the hand: grip it again",
+            )
+        blows = max(self._drive.blows_since_look, 1)
+        return merge(before, now, blows * task.slip_per_blow, blows * task.slip_angle_per_blow)
+
+    def _park(self, outcome: Outcome, reason: str) -> tuple[Outcome, str]:
+        """Bring the arm home with the tool still in the hand. It stays where it stands when a device has failed, a tool
+        has dropped who knows where, a person may be within reach, or no safe way is known."""
+        if outcome is Outcome.NOT_READY:
+            return outcome, f"{reason}; nothing was moved"
+        if outcome in (Outcome.DEVICE_FAULT, Outcome.TOOL_LOST, Outcome.PERSON_NEAR):
+            return outcome, f"{reason}; the arm stands still, put it away by hand"
+        with self._stages(Stage.PARK):
+            try:
+                if not self._person_clear:
+                    self._clear_person("Take the tool along and step back: the arm goes home.")
+                home = np.asarray(self._config.scene.home)
+                world = self._motions.world()
+                self._motions.transfer("home", plan_transfer(self._robot, self._config, world, self._motions.q, home))
+            except (PlanningError, DeviceError) as error:
+                self._motions.stand_still()
+                reason = f"{reason}; the arm stands where it stopped: {error}"
+        return outcome, reason
