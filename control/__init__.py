@@ -16,7 +16,7 @@ from toolee_robot.control.collision import Clearance, CollisionWorld
 from toolee_robot.control.collision_shapes import ToolEnvelope
 from toolee_robot.control.contact import ContactVerdict, ExpectedContact, Meeting
 from toolee_robot.control.limits import check_trajectory
-from toolee_robot.control.modes import Mode, paced
+from toolee_robot.control.modes import Mode, slowed_to
 from toolee_robot.control.planning.strike import plan_over_nail, plan_straight, plan_strike
 from toolee_robot.control.planning.transfer import plan_transfer
 from toolee_robot.control.planning.views import plan_handover, plan_views
@@ -40,7 +40,6 @@ __all__ = [
     "ViewPlan",
     "check_trajectory",
     "merge",
-    "paced",
     "plan_handover",
     "plan_over_nail",
     "plan_straight",
@@ -49,4 +48,5 @@ __all__ = [
     "plan_views",
     "protrusion",
     "slip",
+    "slowed_to",
 ]

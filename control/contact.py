@@ -1,4 +1,4 @@
-"""Where a blow should meet the nail, and whether it did, told by the joints: a servo lags, so no clock can tell."""
+"""Where a strike should meet the nail, and whether it did, told by the joints: a servo lags, so no clock can tell."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from toolee_robot.hal import MotionReport
 
 
 class Meeting(StrEnum):
-    """How a blow met what it was meant for."""
+    """How a strike met what it was meant for."""
 
     EXPECTED = "expected"
     EARLY = "early"
@@ -41,7 +41,7 @@ class ContactVerdict:
 
     def __str__(self) -> str:
         if self.meeting is Meeting.NONE:
-            return "the blow met nothing"
+            return "the strike met nothing"
         where = f"{abs(self.before) * 1e3:.0f} mm {'before' if self.before > 0 else 'beyond'} the nail"
         return f"the tool hit something {where}"
 
@@ -49,7 +49,7 @@ class ContactVerdict:
 def judge_contact(
     report: MotionReport, expected: ExpectedContact, arm: ArmKinematics, config: SupervisorConfig
 ) -> ContactVerdict:
-    """Compare the measured joints at the contact with the expected ones, along the blow's direction."""
+    """Compare the measured joints at the contact with the expected ones, along the strike's direction."""
     if report.contact is None:
         return ContactVerdict(Meeting.NONE, float("nan"))
     place, met = arm.fk(np.stack([expected.q, report.contact.q]))[:, :3, 3]

@@ -84,8 +84,8 @@ def rank(found: Candidates, wanted_speed: float, near: Array) -> Array:
     """Kinematic score (C,), higher is better; clearance joins once it is known (`planning.strike`).
 
     Speed counts fully up to 1.5 x the wanted one (the reserve is what the joints' accelerations need), margin up to
-    0.6 rad, manipulability up to 0.1; the way from `near` (6,) breaks ties, so that successive blows keep one posture.
-    """
+    0.6 rad, manipulability up to 0.1; the way from `near` (6,) breaks ties, so that successive strikes keep one
+    posture."""
     speed = np.minimum(found.attainable_speed / wanted_speed, 1.5)
     margin = np.minimum(found.margin / 0.6, 1.0)
     dexterity = np.minimum(found.manipulability / 0.1, 1.0)

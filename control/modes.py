@@ -15,14 +15,14 @@ from toolee_robot.types import Trajectory
 
 
 class Mode(StrEnum):
-    """HANDOVER: a person may be in reach and watches; slow. HAMMERING: nobody is in reach; fast."""
+    """HANDOVER: a person may be in reach and watches; slow. UNATTENDED: nobody is in reach; fast."""
 
     HANDOVER = "handover"
-    HAMMERING = "hammering"
+    UNATTENDED = "unattended"
 
     def speed(self, config: SupervisorConfig) -> float:
         """[m/s] The most that any point of hand and tool may move with."""
-        return config.handover_speed if self is Mode.HANDOVER else config.hammering_speed
+        return config.handover_speed if self is Mode.HANDOVER else config.unattended_speed
 
 
 def carried_speed(trajectory: Trajectory, world: CollisionWorld) -> Array:
@@ -38,7 +38,7 @@ def carried_speed(trajectory: Trajectory, world: CollisionWorld) -> Array:
     return np.asarray(length / np.diff(trajectory.times))
 
 
-def paced(trajectory: Trajectory, world: CollisionWorld, speed: float) -> Trajectory:
+def slowed_to(trajectory: Trajectory, world: CollisionWorld, speed: float) -> Trajectory:
     """The same path, slowed as a whole until nothing carried is faster than `speed` [m/s]; itself where nothing is."""
     slower = float(np.max(carried_speed(trajectory, world))) / (0.99 * speed)
     if slower <= 1.0:

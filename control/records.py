@@ -12,7 +12,7 @@ from toolee_robot.types import Trajectory
 
 @dataclass(frozen=True)
 class StrikePlan:
-    """One blow.
+    """One strike.
 
     theta: the chosen spin of the hammer about the nail's axis [rad]. q_standoff, q_contact: (6,) [rad], at rest before
     the run-up, and where face and nail are expected to meet. approach: transfer from where the arm is to q_standoff.

@@ -1,10 +1,10 @@
 """The supervisor: every command of the arm passes it, and nothing that could do harm gets through.
 
     arm = Supervisor(station.arm, station.person, robot, config, world=lambda: CollisionWorld(robot, config, q_hand))
-    arm.execute(trajectory)                          # HANDOVER: slow, the person attends
+    arm.execute(trajectory)                          # HANDOVER: slow, a person attends
     arm.mode = Mode.HAMMERING                        # nobody in reach, or it is refused
-    arm.permit_swings(timeout=30.0)                  # a person says that blows may begin
-    report, verdict = arm.swing(blow, guard, ExpectedContact(q_contact, direction, contact_time))
+    arm.permit_swings(timeout=30.0)                  # a person says that strikes may begin
+    report, verdict = arm.swing(strike, guard, ExpectedContact(q_contact, direction, contact_time))
 
 It rejects; it never clips. None of it replaces the robot's own safety system: it is software that runs on a computer.
 """
@@ -34,7 +34,7 @@ from toolee_robot.hal import Arm, ArmState, ContactGuard, MotionReport, MotionWa
 from toolee_robot.motion.trajectory_checks import check_start
 from toolee_robot.types import Payload, Trajectory
 
-UNSURE = "the station cannot tell whether a person is near"
+UNKNOWN_OCCUPANCY = "the station cannot tell whether a person is near"
 
 
 class Supervisor:
@@ -85,8 +85,8 @@ class Supervisor:
 
     @mode.setter
     def mode(self, mode: Mode) -> None:
-        """Raises PersonNearError, and the mode stays, when somebody is in reach and HAMMERING is asked for."""
-        if mode is Mode.HAMMERING and self._person.inside():
+        """Raises PersonNearError, and the mode stays, when somebody is in reach and UNATTENDED is asked for."""
+        if mode is Mode.UNATTENDED and self._person.zone_occupied():
             raise PersonNearError("somebody is within the arm's reach: it stays in handover mode")
         self._mode, self._swings_permitted = mode, False
 
@@ -96,8 +96,8 @@ class Supervisor:
         return self._latched
 
     def permit_swings(self, timeout: float) -> None:
-        """Ask a person whether blows may begin; once for this mode. Raises PersonNearError if they do not say so within
-        `timeout` [s]."""
+        """Ask a person whether strikes may begin; once for this mode. Raises PersonNearError if they do not say so
+        within `timeout` [s]."""
         if self._swings_permitted or not self._config.supervisor.ask_before_swing:
             return
         prompt = "The arm is about to swing, fast. Is everybody out of its reach?"
@@ -126,14 +126,14 @@ class Supervisor:
     def swing(
         self, trajectory: Trajectory, guard: ContactGuard, expected: ExpectedContact
     ) -> tuple[MotionReport, ContactVerdict]:
-        """A blow, and whether it met what it was meant for where that was expected. Before the expected contact only
+        """A strike, and whether it met what it was meant for where that was expected. Before the expected contact only
         the tool's head may come near the block. Raises as `execute`, and PersonNearError without `permit_swings`."""
         world = self._check(trajectory)
         config = self._config.supervisor
-        if self._mode is not Mode.HAMMERING or not (self._swings_permitted or not config.ask_before_swing):
+        if self._mode is not Mode.UNATTENDED or not (self._swings_permitted or not config.ask_before_swing):
             raise PersonNearError("nobody has confirmed that the arm may swing: no motion")
         if not 0.0 < expected.time < trajectory.duration:
-            raise LimitError(f"the blow should meet the nail at {expected.time:.3f} s, which is not on its way")
+            raise LimitError(f"the strike should meet the nail at {expected.time:.3f} s, which is not on its way")
         before = trajectory.times <= expected.time
         check_clear(trajectory.q[before], world, RUN_UP_EXEMPT)
         check_clear(trajectory.q[~before], world, BRAKE_EXEMPT)
@@ -174,28 +174,30 @@ class Supervisor:
         check_ready(state)
         check_place(state)
         check_start(trajectory, state.q_commanded)
-        reason = self._why_not()
+        reason = self._reason_to_stop()
         if reason:
             raise PersonNearError(f"{reason}: no motion")
         return world
 
-    def _why_not(self) -> str:
+    def _reason_to_stop(self) -> str:
         """Why a person forbids motion in this mode; empty if they do not."""
-        if self._mode is Mode.HAMMERING:
-            return "somebody is within the arm's reach" if self._person.inside() else ""
-        return "" if self._person.attending() else "the person at the station does not hold the enabling switch"
+        if self._mode is Mode.UNATTENDED:
+            return "somebody is within the arm's reach" if self._person.zone_occupied() else ""
+        return (
+            "" if self._person.enabling_switch_held() else "the person at the station does not hold the enabling switch"
+        )
 
     def _move(self, trajectory: Trajectory, guard: ContactGuard | None, watch: MotionWatch | None) -> MotionReport:
         config = self._config.supervisor
         watch = watch or MotionWatch(config.tracking_error, config.data_cycles, config.overruns)
         try:
-            with Watcher(self._why_not, self._arm.stop, UNSURE) as person:
+            with Watcher(self._reason_to_stop, self._arm.stop, UNKNOWN_OCCUPANCY) as person:
                 report = self._arm.execute(trajectory, guard, watch)
         except MotionFaultError as fault:
             self._latch(str(fault))
             raise
         if person.reason:
-            if self._mode is Mode.HAMMERING:
+            if self._mode is Mode.UNATTENDED:
                 self._latch(person.reason)
             raise PersonNearError(f"{person.reason}: the arm was stopped", report)
         return report

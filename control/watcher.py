@@ -12,18 +12,17 @@ PERIOD = 0.01
 
 
 class Watcher:
-    """Inside this context a thread asks `why_not` every `period` [s] and calls `stop` once it has an answer, and again
-    until the context is left: a stop that comes before the arm has begun to move is lost.
+    """Inside this context a thread asks `reason_to_stop` every `period` [s] and calls `stop` once it has an answer, and
+    again until the context is left: a stop that comes before the arm has begun to move is lost.
 
-    why_not: a reason in words, empty while the motion may go on; one that raises is a reason, told after `unsure`.
-    reason: the first one.
-    """
+    reason_to_stop: a reason in words, empty while the motion may go on; one that raises is a reason, reported after
+    `unsure`. reason: the first one."""
 
     def __init__(
-        self, why_not: Callable[[], str], stop: Callable[[], None], unsure: str, period: float = PERIOD
+        self, reason_to_stop: Callable[[], str], stop: Callable[[], None], unsure: str, period: float = PERIOD
     ) -> None:
         self.reason = ""
-        self._why_not, self._stop, self._unsure, self._period = why_not, stop, unsure, period
+        self._reason_to_stop, self._stop, self._unsure, self._period = reason_to_stop, stop, unsure, period
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watcher", daemon=True)
 
@@ -45,6 +44,6 @@ class Watcher:
 
     def _ask(self) -> str:
         try:
-            return self._why_not()
+            return self._reason_to_stop()
         except Exception as error:  # noqa: BLE001 - whatever it is, nobody knows any more whether it is safe
             return f"{self._unsure}: {error}"

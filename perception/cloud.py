@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.perception.pose.canonical import MIN_POINTS, REST_LEAST, REST_REACH
-from toolee_robot.perception.pose.depth_completion import fill, surface_step
+from toolee_robot.perception.pose.canonical import MIN_POINTS, REST_MIN, REST_REACH
+from toolee_robot.perception.pose.depth_completion import complete_depth, surface_step
 from toolee_robot.tools.model import ee_radius
 from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
 
@@ -27,13 +27,13 @@ NEAR_QUANTILE = 0.2
 class EeCloud:
     """points (N, 3) [m], camera frame, or the reason why there are none.
 
-    rest: (M, 3) [m], camera frame, the visible points of the rest of the tool. guessed: (G, 3) [m], camera frame, the
+    rest: (M, 3) [m], camera frame, the visible points of the rest of the tool. completed: (G, 3) [m], camera frame, the
     mask's pixels without a depth, at the one of their neighbours.
     """
 
     points: Array
     rest: Array
-    guessed: Array
+    completed: Array
     reason: str = "ok"
 
     @classmethod
@@ -45,7 +45,7 @@ class EeCloud:
     @property
     def direction(self) -> Array | None:
         """Unit vector (3,), camera frame, from the points' centroid to the rest of the tool; None where unseen."""
-        if not self.usable or len(self.rest) < REST_LEAST:
+        if not self.usable or len(self.rest) < REST_MIN:
             return None
         to_rest = np.median(self.rest, axis=0) - self.points.mean(axis=0)
         norm = float(np.linalg.norm(to_rest))
@@ -139,12 +139,12 @@ def ee_cloud(frame: RgbdFrame, detection: Detection) -> EeCloud:
     if len(cleaned) >= MIN_POINTS:
         points, measured = cleaned, clean
     centre = np.median(points, axis=0)
-    guessed = guessed_points(frame, detection.mask, measured)
-    guessed = guessed[np.linalg.norm(guessed - centre, axis=1) < radius]
-    return EeCloud(points, rest_of_tool(frame, detection, centre), guessed)
+    completed = completed_points(frame, detection.mask, measured)
+    completed = completed[np.linalg.norm(completed - centre, axis=1) < radius]
+    return EeCloud(points, rest_of_tool(frame, detection, centre), completed)
 
 
-def guessed_points(frame: RgbdFrame, mask: NDArray[np.bool_], measured: NDArray[np.bool_]) -> Array:
+def completed_points(frame: RgbdFrame, mask: NDArray[np.bool_], measured: NDArray[np.bool_]) -> Array:
     """Points (G, 3) [m], camera frame, of the mask's pixels that are not measured, at the depth of their neighbours."""
     rows, columns = np.nonzero(mask)
     top, left, bottom, right = rows.min(), columns.min(), rows.max() + 1, columns.max() + 1
@@ -154,9 +154,9 @@ def guessed_points(frame: RgbdFrame, mask: NDArray[np.bool_], measured: NDArray[
         torch.from_numpy(np.ascontiguousarray(x))[None]
         for x in (frame.depth[window].astype(np.float32), known, mask[window] & ~known)
     )
-    guess = fill(depth, seen, wanted)[0].numpy()
-    K, (height, width) = frame.intrinsics, guess.shape
-    return back_project(guess, guess > 0, CameraIntrinsics(K.fx, K.fy, K.cx - left, K.cy - top, width, height))
+    completed = complete_depth(depth, seen, wanted)[0].numpy()
+    K, (height, width) = frame.intrinsics, completed.shape
+    return back_project(completed, completed > 0, CameraIntrinsics(K.fx, K.fy, K.cx - left, K.cy - top, width, height))
 
 
 def rest_of_tool(frame: RgbdFrame, detection: Detection, centroid: Array) -> Array:

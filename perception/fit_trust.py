@@ -27,10 +27,10 @@ from toolee_robot.perception.evaluation.pose import right_poses
 from toolee_robot.perception.pipeline import ToolPerception
 from toolee_robot.perception.pose import PoseEstimator, confidence
 from toolee_robot.perception.trust import FEATURES, Trust, features
-from toolee_robot.runtime.process_map import Crew
+from toolee_robot.runtime.process_map import ProcessMap
 
 PRECISION = 0.95
-QUIET = 0.993
+TRUE_NEGATIVE_RATE = 0.993
 """A little over the 99 % that are wanted: other frames than those of the fit are a little louder."""
 _RIDGE = 3.0
 _HIGHEST = 0.95  # threshold
@@ -50,7 +50,7 @@ class Networks:
 
 
 @dataclass(frozen=True, eq=False)
-class Looked:
+class TrustSamples:
     """What was found, one row a pose: features (N, F) of the model; right (N,); usable (N,): as the pose's own
     confidence has it; images: how many were looked at."""
 
@@ -60,7 +60,7 @@ class Looked:
     images: int
 
 
-def look(seed: int, networks: Networks, part: Part | int) -> Looked:
+def look(seed: int, networks: Networks, part: Part | int) -> TrustSamples:
     """At a part of a data set, or at a frame without a tool, rendered by seed and number."""
     if isinstance(part, Part):
         return _look_at_tools(networks, read_part(part, networks.detector))
@@ -73,7 +73,7 @@ def look(seed: int, networks: Networks, part: Part | int) -> Looked:
     return _looked(rows, 1)
 
 
-def _look_at_tools(networks: Networks, examples: Examples) -> Looked:
+def _look_at_tools(networks: Networks, examples: Examples) -> TrustSamples:
     found = []
     for number, case in enumerate(examples.cases["predicted"]):
         instance = None if case.instance is None else examples.instances[case.instance]
@@ -88,21 +88,21 @@ def _look_at_tools(networks: Networks, examples: Examples) -> Looked:
     return _looked([(x, float(ok), ranked.usable) for (ranked, x), ok, counts in judged if counts], examples.images)
 
 
-def _looked(rows: list[tuple[Array, float, bool]], images: int) -> Looked:
+def _looked(rows: list[tuple[Array, float, bool]], images: int) -> TrustSamples:
     x = np.array([row[0] for row in rows]).reshape(-1, len(FEATURES))
     right, usable = (np.array([row[k] for row in rows], dtype=np.float64) for k in (1, 2))
-    return Looked(x, right, usable, images)
+    return TrustSamples(x, right, usable, images)
 
 
-def fit(tools: list[Looked], empty: list[Looked]) -> tuple[Trust, dict[str, float]]:
+def fit(tools: list[TrustSamples], empty: list[TrustSamples]) -> tuple[Trust, dict[str, float]]:
     """The model, and what it does on what it was fitted on. Raises UserError where there is too little to fit on."""
     x = np.concatenate([each.x for each in (*tools, *empty)])
     right = np.concatenate([each.right for each in (*tools, *empty)])
     if right.sum() < 50 or not empty:
         raise UserError("too few poses are right, or no frame is without a tool: take more images")
     model = confidence.fit(x, right, PRECISION, _RIDGE, FEATURES)
-    loudest = np.array([_loudest(model, each) for each in empty])
-    needed = float(np.quantile(loudest, QUIET, method="higher")) + 1e-6
+    loudest = np.array([_max_probability(model, each) for each in empty])
+    needed = float(np.quantile(loudest, TRUE_NEGATIVE_RATE, method="higher")) + 1e-6
     model = replace(model, threshold=min(max(model.threshold, needed), _HIGHEST))
     p = model.probability(np.concatenate([each.x for each in tools]))
     passed = (p >= model.threshold) & (np.concatenate([each.usable for each in tools]) > 0)
@@ -118,7 +118,7 @@ def fit(tools: list[Looked], empty: list[Looked]) -> tuple[Trust, dict[str, floa
     return Trust(model), report
 
 
-def _loudest(model: confidence.ConfidenceModel, each: Looked) -> float:
+def _max_probability(model: confidence.ConfidenceModel, each: TrustSamples) -> float:
     claims = model.probability(each.x)[each.usable > 0]
     return float(claims.max()) if len(claims) else 0.0
 
@@ -136,8 +136,8 @@ def fit_trust(
     what it was fitted on. Raises AssetError when data or weights are missing, UserError when they are too few."""
     todo = [*parts(data), *range(frames)]
     found = []
-    with Crew(partial(Networks.load, folder), workers) as crew:
-        for each in crew.map(partial(look, seed), todo):
+    with ProcessMap(partial(Networks.load, folder), workers) as processes:
+        for each in processes.map(partial(look, seed), todo):
             found.append(each)
             progress(len(found), len(todo))
     count = len(todo) - frames

@@ -85,7 +85,7 @@ class ToolPerception:
             start = time.perf_counter()
             try:
                 result = self.pose.estimate(
-                    cloud.points, detection.category, cloud.rest, X_camera_hand, guessed=cloud.guessed
+                    cloud.points, detection.category, cloud.rest, X_camera_hand, completed=cloud.completed
                 )
             except PerceptionError as error:
                 estimates.append(_without_pose(detection, str(error)))

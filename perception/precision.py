@@ -17,7 +17,7 @@ _PACKS: Final = hasattr(torch.ops.mkldnn, "_linear_pointwise")
 """Whether this release of torch has the operator that its own compiler calls for products with packed weights."""
 
 
-def bfloat16_pays(device: torch.device) -> bool:
+def prefers_bfloat16(device: torch.device) -> bool:
     """Whether the device is a processor with matrix units for bfloat16. Without them it was not tried."""
     return device.type == "cpu" and _matrix_units()
 
@@ -74,7 +74,7 @@ class Bfloat16Linear(nn.Module):
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
+def single_thread() -> Iterator[None]:
     """With one of torch's threads: for what takes so little that others gain nothing, and make it wait where they are
     busy elsewhere."""
     before = torch.get_num_threads()

@@ -20,12 +20,12 @@ from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.cloud import EeCloud
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.evaluation.examples import Case, Instance, Part, parts, read_part
-from toolee_robot.perception.evaluation.shapes import telling_points
+from toolee_robot.perception.evaluation.shapes import spin_points
 from toolee_robot.perception.pipeline import EeDetector
 from toolee_robot.perception.pose.canonical import MIN_POINTS
-from toolee_robot.perception.pose.synthetic_clouds.rendered import MOST_GUESSED, MOST_POINTS, MOST_REST, RenderedClouds
+from toolee_robot.perception.pose.synthetic_clouds.rendered import MAX_COMPLETED, MAX_POINTS, MAX_REST, RenderedClouds
 from toolee_robot.perception.research.tooleenet import Column
-from toolee_robot.runtime.process_map import Crew
+from toolee_robot.runtime.process_map import ProcessMap
 from toolee_robot.types import Category
 
 NOTHING_THERE = 0.1
@@ -49,8 +49,8 @@ def rendered_clouds(
     found = []
     begin = partial(Segmenter.load, weights, device) if column is None else _no_detector
     read = of_part if column is None or not column.of_tool else tools_of_part
-    with Crew(begin, workers) as crew:
-        for done, part in enumerate(crew.map(read, todo)):
+    with ProcessMap(begin, workers) as processes:
+        for done, part in enumerate(processes.map(read, todo)):
             found.append(part)
             progress(done + 1, len(todo))
     clouds = RenderedClouds.cat(found)
@@ -70,7 +70,7 @@ def of_part(detector: EeDetector | None, part: Part) -> RenderedClouds:
         if asked and case.cloud.usable:
             tells = 0
             if instance is not None and instance.category is Category.HAMMER_HEAD:
-                tells = telling_points(instance, case)
+                tells = spin_points(instance, case)
             rows.append(_cloud(case, instance, rng, tells))
     return RenderedClouds.cat(rows)
 
@@ -93,7 +93,7 @@ def tools_of_part(_detector: EeDetector | None, part: Part) -> RenderedClouds:
 
 
 def _no_detector() -> None:
-    """The state of a crew that needs none."""
+    """The state of a process map that needs none."""
 
 
 def _rng(part: Part) -> np.random.Generator:
@@ -102,14 +102,14 @@ def _rng(part: Part) -> np.random.Generator:
 
 def _cloud(case: Case, instance: Instance | None, rng: np.random.Generator, tells_spin: int = 0) -> RenderedClouds:
     cloud = case.cloud
-    kinds = (cloud.points, MOST_POINTS), (cloud.guessed, MOST_GUESSED), (cloud.rest, MOST_REST)
-    points, guessed, rest = (_thinned(x, most, rng).astype(np.float32) for x, most in kinds)
+    kinds = (cloud.points, MAX_POINTS), (cloud.completed, MAX_COMPLETED), (cloud.rest, MAX_REST)
+    points, completed, rest = (_thinned(x, most, rng).astype(np.float32) for x, most in kinds)
     hand = None if instance is None else instance.X_camera_hand
     return RenderedClouds(
         points,
-        guessed,
+        completed,
         rest,
-        counts=np.array([[len(points), len(guessed), len(rest)]]),
+        counts=np.array([[len(points), len(completed), len(rest)]]),
         X_camera_target=np.array([np.eye(4) if instance is None else instance.X_camera_ee], np.float32),
         of_tool=np.array([False]),
         p_camera_hand=np.array([np.full(3, np.nan) if hand is None else hand[:3, 3]], np.float32),

@@ -33,13 +33,13 @@ FEATURES = (
     "tool_score",
     *(f"is_{category}" for category in Category),
 )
-_LEAST = 1e-3
+_MIN = 1e-3
 """Probabilities are held so far from 0 and 1: no single voice is certain."""
 
 
 def features(confidence: float, score: float, tool_score: float, category: Category) -> Array:
     """The model's input (F,). confidence: the pose's; score, tool_score: the detector's."""
-    p = np.clip([confidence, score], _LEAST, 1 - _LEAST)
+    p = np.clip([confidence, score], _MIN, 1 - _MIN)
     is_category = (float(category == other) for other in Category)
     return np.array([*np.log(p / (1 - p)), float(tool_score > 0), tool_score, *is_category])
 

@@ -20,7 +20,7 @@ def main(seed: int = 0, gui: bool = False) -> None:
     config, perception = StationConfig(), ToolPerception.load()
     with SimStation.build(config, seed, SimOptions(gui=gui)) as sim:
         result = HammeringTask(sim.station, perception, config, nominal_grasp(sim.tool, config)).run()
-        print(f"{result.outcome}: {result.reason} ({len(result.blows)} blows)")
+        print(f"{result.outcome}: {result.reason} ({len(result.strikes)} strikes)")
         print(sim.judge.verdict(result.estimates))
 
 

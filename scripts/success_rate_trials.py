@@ -21,7 +21,7 @@ OUR_OWN = {"--seed", "--no-correction", "--json"}  # of `toolee hammer`, set by 
 
 def trial(options: list[str]) -> dict[str, float | None]:
     run, tries = job(options), 1
-    while run.get("machine_to_blame") and tries <= AGAIN:
+    while run.get("machine_stalled") and tries <= AGAIN:
         run, tries = job(options), tries + 1
     return {**run, "tries": tries}
 
@@ -48,7 +48,7 @@ def main(options: tyro.conf.Positional[tuple[str, ...]] = (), first_seed: int = 
     if given := sorted({option.split("=")[0].replace("_", "-") for option in options} & OUR_OWN):
         print(f"error: {', '.join(given)}: the trials say this themselves (--first-seed, --baseline)", file=sys.stderr)
         raise SystemExit(2)
-    names = ("blows", "pose_error_mm", "pose_error_deg", "strike_offset_mm", "strike_tilt_deg")
+    names = ("strikes", "pose_error_mm", "pose_error_deg", "strike_offset_mm", "strike_tilt_deg")
     table = Table("mode", "success", "95 % (Wilson)", *(f"median {name}" for name in names))
     records: dict[str, list[dict[str, float | None]]] = {}
     for mode, more in {"correction": [], **({"no correction": ["--no-correction"]} if baseline else {})}.items():

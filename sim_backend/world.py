@@ -30,7 +30,7 @@ from toolee_robot.types import Category
 QUANTUM = IMPACT.time_step  # [s]
 NORMAL = StepSettings(time_step=4 * QUANTUM, iterations=50, contact_erp=0.2)
 NEAR_NAIL = 0.12  # [m] of the face from the nail within which the impact window is looked for
-BLOW_SPEED = 0.2  # [m/s] of the face
+STRIKE_SPEED = 0.2  # [m/s] of the face
 WINDOW_QUANTA = 40  # 10 ms more, after the last fast step, for the nail to come to rest
 SAMPLE_QUANTA = 64  # between two samples for the observers: 16 ms
 
@@ -113,7 +113,7 @@ class SimWorld:
             self._step(end - self._quanta)
 
     def _step(self, most: int) -> None:
-        near = self._blow_near()
+        near = self._strike_near()
         settings = IMPACT if near or most < 4 else NORMAL
         if settings is not self._settings:
             settings.apply(self.client)
@@ -135,7 +135,7 @@ class SimWorld:
             for observer in self.observers:
                 observer(sample)
 
-    def _blow_near(self) -> bool:
+    def _strike_near(self) -> bool:
         """Whether the tool is about to hit the nail, or hits it: close to its head and coming fast. A tool that is
         lowered onto the nail, or turns on it, needs no short steps."""
         face = self.X_base_ee()[:3, 3] - self.nail.X_world_surface[:3, 3]
@@ -144,7 +144,7 @@ class SimWorld:
         v, w = pb.getBaseVelocity(self.tool.body, physicsClientId=self.client)
         p = pb.getBasePositionAndOrientation(self.tool.body, physicsClientId=self.client)[0]
         velocity = np.array(v) + cross(w, self.X_base_ee()[:3, 3] - np.array(p))
-        if -velocity[2] > BLOW_SPEED and self.nail.impact_near(self.tool.body):
+        if -velocity[2] > STRIKE_SPEED and self.nail.impact_near(self.tool.body):
             self._window_end = self._quanta + WINDOW_QUANTA
         return self._quanta < self._window_end
 

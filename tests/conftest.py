@@ -8,12 +8,12 @@ import signal
 
 import pytest
 
-from toolee_robot.runtime.cpu_keepalive import CoresAwake
-from toolee_robot.runtime.latency_monitor import EXCUSE, Steadiness
+from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
+from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
 
 pytest_plugins = ("tests.plugins.tiers",)
 FINE = ("tests/cli/test_bench_servo.py",)
-"""Whose own bounds are a millisecond: a standstill that the others bear breaks them."""
+"""Whose own bounds are a millisecond: a stall that the others tolerate breaks them."""
 CYCLE = 0.002
 """[s] At 500 Hz: a machine that stood still for so long has missed one itself."""
 
@@ -32,28 +32,28 @@ class _Machine:
     """How steady it is while tests that are bound to the clock run; no core of it halts meanwhile."""
 
     def __init__(self) -> None:
-        self._steadiness, self._awake = Steadiness(), CoresAwake()
+        self._latency, self._keepalive = LatencyMonitor(), CpuKeepalive()
         self._running = ""
-        self.standstills: dict[str, float] = {}
+        self.stalls: dict[str, float] = {}
 
     def begin(self, name: str) -> None:
         if not self._running:
-            self._steadiness.__enter__()
-            self._awake.__enter__()
+            self._latency.__enter__()
+            self._keepalive.__enter__()
         self._running = name
-        self._steadiness.begin()
+        self._latency.begin()
 
     def stood_still(self) -> bool:
-        standstill = self._steadiness.longest
-        if standstill < (CYCLE if self._running.startswith(FINE) else EXCUSE):
+        stall = self._latency.longest
+        if stall < (CYCLE if self._running.startswith(FINE) else STALL_LIMIT):
             return False
-        self.standstills[self._running] = standstill
+        self.stalls[self._running] = stall
         return True
 
     def end(self) -> None:
         if self._running:
-            self._steadiness.__exit__(None, None, None)
-            self._awake.__exit__(None, None, None)
+            self._latency.__exit__(None, None, None)
+            self._keepalive.__exit__(None, None, None)
 
 
 _MACHINE = _Machine()
@@ -77,8 +77,8 @@ def pytest_unconfigure() -> None:
 
 @pytest.hookimpl(tryfirst=True)  # before a worker sends it
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    if report.outcome == "rerun" and report.nodeid in _MACHINE.standstills:  # type: ignore[comparison-overlap]
-        report.user_properties.append(("standstill", _MACHINE.standstills[report.nodeid]))
+    if report.outcome == "rerun" and report.nodeid in _MACHINE.stalls:  # type: ignore[comparison-overlap]
+        report.user_properties.append(("standstill", _MACHINE.stalls[report.nodeid]))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -88,8 +88,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.section(report.nodeid)
         terminalreporter.line(report.longreprtext)
     for report in again:
-        standstill = dict(report.user_properties).get("standstill", 0.0)
-        terminalreporter.line(f"RUN AGAIN: {report.nodeid}, the machine stood still for {1e3 * standstill:.0f} ms")
+        stall = dict(report.user_properties).get("standstill", 0.0)
+        terminalreporter.line(f"RUN AGAIN: {report.nodeid}, the machine stood still for {1e3 * stall:.0f} ms")
 
 
 def pytest_report_header(config: pytest.Config) -> str | None:

@@ -34,8 +34,12 @@ def held(arm: Arm) -> Array:
 
 
 @contextmanager
-def stand_in(model: ArmModel, host: str, pace: float = 1.0) -> Iterator[ControllerProcess]:
+def stand_in(model: ArmModel, host: str, real_time_factor: float = 1.0) -> Iterator[ControllerProcess]:
     with ControllerProcess(
-        model=model.value, host=host, plant=partial(JointPlant, q=HOME), realtime=True, pace=pace
+        model=model.value,
+        host=host,
+        plant=partial(JointPlant, q=HOME),
+        realtime=True,
+        real_time_factor=real_time_factor,
     ) as controller:
         yield controller

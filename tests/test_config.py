@@ -20,9 +20,11 @@ def _write(folder: Path, text: str) -> Path:
 
 
 def test_a_subset_of_the_fields_is_enough(tmp_path: Path) -> None:
-    config = load_station(_write(tmp_path, "work: {nail_xy: [0.6, 0.2], nail_diameter: 0.003}\ntask: {max_blows: 7}\n"))
+    config = load_station(
+        _write(tmp_path, "work: {nail_xy: [0.6, 0.2], nail_diameter: 0.003}\ntask: {max_strikes: 7}\n")
+    )
     assert config.work.nail_xy == (0.6, 0.2)
-    assert config.task.max_blows == 7
+    assert config.task.max_strikes == 7
     assert config.camera == StationConfig().camera
 
 
@@ -31,29 +33,29 @@ def test_an_empty_file_is_the_default_station(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "expected_text"),
     [
         ("work: {nail_xz: [0.6, 0.2]}", "work.nail_xz"),
-        ("task: {max_blows: many}", "task.max_blows"),
+        ("task: {max_strikes: many}", "task.max_strikes"),
         ("work: {nail_xy: [0.6]}", "work.nail_xy"),
         ("strike: {speed: .nan}", "strike.speed"),
         ("work: {nail_diameter: -0.002}", "work.nail_diameter"),
         ("work: {nail_protrusion: 0.2}", "nail_length"),
         ("arm: {velocity: [1, 1, 1]}", "arm.velocity"),
         ("arm: {transfer_velocity_scale: 1.5}", "arm.transfer_velocity_scale"),
-        ("task: {max_blows: 0}", "task.max_blows"),
+        ("task: {max_strikes: 0}", "task.max_strikes"),
         ("robot: ur5", "robot"),
         ("- a\n- list", "lab.yaml"),
         ("work: {nail_xy: [0.6, 0.2", "lab.yaml"),
         ("just words", "lab.yaml"),
         ("calibration: {measured_on: 20th of May, robot_serial: a, camera_serial: b, residual: 0}", "measured_on"),
         ("calibration: {measured_on: '2026-05-20'}", "calibration"),
-        ("supervisor: {hammering_speed: 0}", "supervisor.hammering_speed"),
-        ("strike: {speed: 1.6}", "supervisor.hammering_speed"),
+        ("supervisor: {unattended_speed: 0}", "supervisor.unattended_speed"),
+        ("strike: {speed: 1.6}", "supervisor.unattended_speed"),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path: Path, text: str, says: str) -> None:
-    with pytest.raises(ConfigError, match=says.replace(".", r"\.")) as caught:
+def test_what_is_wrong_is_named(tmp_path: Path, text: str, expected_text: str) -> None:
+    with pytest.raises(ConfigError, match=expected_text.replace(".", r"\.")) as caught:
         load_station(_write(tmp_path, text))
     assert isinstance(caught.value, UserError)
 
@@ -85,7 +87,7 @@ def test_the_nails_frame_points_into_the_wood_and_sinks_with_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("record", "devices", "today", "says"),
+    ("record", "devices", "today", "expected_text"),
     [
         ({}, ("R1", "C1"), "2026-05-20", []),
         ({}, ("R1", "C1"), "2026-06-19", []),
@@ -99,13 +101,13 @@ def test_the_nails_frame_points_into_the_wood_and_sinks_with_it() -> None:
     ],
 )
 def test_a_calibration_is_for_one_robot_one_camera_and_some_weeks(
-    record: dict[str, float | None], devices: tuple[str, str], today: str, says: list[str]
+    record: dict[str, float | None], devices: tuple[str, str], today: str, expected_text: list[str]
 ) -> None:
     calibration = CalibrationConfig(**{"measured_on": "2026-05-20", "robot_serial": "R1", "camera_serial": "C1",
                                        "residual": 0.001, **record})  # type: ignore[arg-type]  # fmt: skip
     problems = calibration.problems(*devices, date.fromisoformat(today))
-    assert len(problems) == len(says)
-    assert all(expected in problem for expected, problem in zip(says, problems, strict=True))
+    assert len(problems) == len(expected_text)
+    assert all(expected in problem for expected, problem in zip(expected_text, problems, strict=True))
 
 
 def test_the_default_station_is_calibrated_for_the_simulated_devices_and_no_others(tmp_path: Path) -> None:

@@ -69,7 +69,14 @@ def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
         "Arm": {"rate", "state", "execute", "set_payload", "stop", "reset"},
         "Hand": {"joint_names", "state", "open", "close", "stop"},
         "RgbdCamera": {"intrinsics", "read"},
-        "Person": {"request_handover", "release", "take_tool", "confirm_swing", "inside", "attending"},
+        "Person": {
+            "request_handover",
+            "release",
+            "take_tool",
+            "confirm_swing",
+            "zone_occupied",
+            "enabling_switch_held",
+        },
         "Clock": {"now", "sleep"},
     }
     assert {f.name for f in dataclasses.fields(hal.Station)} == {

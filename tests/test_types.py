@@ -50,7 +50,7 @@ def test_joint_arrays_of_different_shapes_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rgb", "depth", "says"),
+    ("rgb", "depth", "expected_text"),
     [
         (np.zeros((6, 8), np.uint8), np.zeros((6, 8), np.float32), "convert grey"),
         (np.zeros((6, 8, 3), np.float32), np.zeros((6, 8), np.float32), "uint8"),
@@ -59,8 +59,10 @@ def test_joint_arrays_of_different_shapes_are_refused() -> None:
         (np.zeros((5, 8, 3), np.uint8), np.zeros((5, 8), np.float32), "intrinsics are for"),
     ],
 )
-def test_a_frame_that_does_not_fit_together_says_what_to_do(rgb: np.ndarray, depth: np.ndarray, says: str) -> None:
-    with pytest.raises(UserError, match=says):
+def test_a_frame_that_does_not_fit_together_says_what_to_do(
+    rgb: np.ndarray, depth: np.ndarray, expected_text: str
+) -> None:
+    with pytest.raises(UserError, match=expected_text):
         RgbdFrame(rgb, depth, _K)
 
 

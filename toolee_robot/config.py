@@ -114,10 +114,10 @@ class WorkConfig:
     """The block on its stand, and the nail. Heights are over the base plane, which is the table's top.
 
     nail_xy: the nail in `base`. block_size: wood, x, y, z. stand_height: what lifts the block. nail_protrusion: how
-    far the head's top stands over the wood before the first blow; nail_diameter and nail_length of the shank.
+    far the head's top stands over the wood before the first strike; nail_diameter and nail_length of the shank.
     nail_head_diameter. The nail stands upright: X_base_nail's z points down, into the wood. wood_specific_gravity:
     white pine 0.35, Scots pine 0.42, oak 0.68. pilot_hole_diameter: drilled before, 0 for none. By default 3.7 J drive
-    the nail; a held claw hammer of 0.9 kg at 1.5 m/s, hitting far from its centre of mass, gives about 0.45 J a blow.
+    the nail; a held claw hammer of 0.9 kg at 1.5 m/s, hitting far from its centre of mass, gives about 0.45 J a strike.
     """
 
     __pydantic_config__ = _STRICT
@@ -156,12 +156,11 @@ class ArmLimits:
     """Which arm it is, and what the planner may use: per joint velocity [rad/s], acceleration [rad/s^2] and jerk
     [rad/s^3].
 
-    UR10 data sheet: base and shoulder 120 deg/s, the others 180 deg/s. Accelerations are not public: 15 for blows keeps
-    the elbow, which carries most of a blow here, under 90 % of its 150 Nm (inverse dynamics of arm, hand and a 0.9 kg
-    hammer while braking; 53 % in the run-up); a common, slower choice is 8. Lower elsewhere.
-    stop_acceleration, stop_jerk: of the braking after a contact or a stop. calibration: of this very arm, from its
-    controller's calibration.conf; without it the model's nominal kinematics hold, a millimetre or two off.
-    """
+    UR10 data sheet: base and shoulder 120 deg/s, the others 180 deg/s. Accelerations are not public: 15 for strikes
+    keeps the elbow, which carries most of a strike here, under 90 % of its 150 Nm (inverse dynamics of arm, hand and a
+    0.9 kg hammer while braking; 53 % in the run-up); a common, slower choice is 8. Lower elsewhere. stop_acceleration,
+    stop_jerk: of the braking after a contact or a stop. calibration: of this very arm, from its controller's
+    calibration.conf; without it the model's nominal kinematics hold, a millimetre or two off."""
 
     __pydantic_config__ = _STRICT
     model: ArmModel = ArmModel.UR10
@@ -181,7 +180,7 @@ class StrikeConfig:
     1.5 140 mm, which the hand at a short hammer has not beside the block. run_up: length of the straight run to the
     nail [m]. touch_speed [m/s] and touch_force [N]: the slow guarded approach that measures where the face meets the
     nail; the force must be under what a yielding wrist passes on at a long hammer's end. contact_force [N]: what counts
-    as the blow. clearance: least distance of anything to anything but face and nail [m]."""
+    as the strike. clearance: least distance of anything to anything but face and nail [m]."""
 
     __pydantic_config__ = _STRICT
     speed: Positive = 1.2
@@ -196,23 +195,23 @@ class StrikeConfig:
 class TaskConfig:
     """When to go on, to look again and to end.
 
-    flush_protrusion: at most this much of the nail over the wood counts as flush [m]. min_progress: a blow that drives
-    less has not moved the nail [m]. slip_per_blow, slip_angle_per_blow: standard deviation of how far a tool drifts in
-    the hand with a blow [m, rad]; beyond abort_slip or abort_slip_angle between two looks it must be gripped again.
-    views: of the first look; views_again: of the later ones, one every blows_between_looks. handover_timeout [s].
-    """
+    flush_protrusion: at most this much of the nail over the wood counts as flush [m]. min_progress: a strike that
+    drives less has not moved the nail [m]. slip_per_strike, slip_angle_per_strike: standard deviation of how far a tool
+    drifts in the hand with a strike [m, rad]; beyond abort_slip or abort_slip_angle between two looks it must be
+    gripped again. views: of the first look; views_again: of the later ones, one every strikes_between_looks.
+    handover_timeout [s]."""
 
     __pydantic_config__ = _STRICT
-    max_blows: Count = 40
+    max_strikes: Count = 40
     flush_protrusion: Positive = 0.001
     min_progress: NotNegative = 0.0002
-    slip_per_blow: NotNegative = 0.0015
-    slip_angle_per_blow: NotNegative = np.pi / 450
+    slip_per_strike: NotNegative = 0.0015
+    slip_angle_per_strike: NotNegative = np.pi / 450
     abort_slip: Positive = 0.015
     abort_slip_angle: Positive = np.pi / 12
     views: Count = 6
     views_again: Count = 4
-    blows_between_looks: Count = 4
+    strikes_between_looks: Count = 4
     handover_timeout: Positive = 30.0
 
 
@@ -250,17 +249,16 @@ class SupervisorConfig:
     """What the supervisor lets pass, on top of the joints' limits.
 
     handover_speed: of flange and tool [m/s] at most in HANDOVER mode, with a person in reach: the reduced speed of
-    ISO 10218-1. hammering_speed: at most in HAMMERING mode, with nobody in reach; a usual safety setting of a UR arm.
+    ISO 10218-1. unattended_speed: at most in UNATTENDED mode, with nobody in reach; a usual safety setting of a UR arm.
     tracking_error [rad], data_cycles, overruns: of the arm's `MotionWatch`. max_data_age: of the arm's newest reading
-    before a motion [s]. early_contact, late_contact: how far before, and beyond, the expected place a blow may meet the
-    nail [m]; at 1.2 m/s and 125 Hz the force is felt some 15 mm behind where it began.
-    max_hand_temperature [deg C]: a hotter hand gets no further blow. ask_before_swing: whether a person must confirm
-    the first swing of a job.
-    """
+    before a motion [s]. early_contact, late_contact: how far before, and beyond, the expected place a strike may meet
+    the nail [m]; at 1.2 m/s and 125 Hz the force is felt some 15 mm behind where it began. max_hand_temperature [deg
+    C]: a hotter hand gets no further strike. ask_before_swing: whether a person must confirm the first swing of a
+    job."""
 
     __pydantic_config__ = _STRICT
     handover_speed: Positive = 0.25
-    hammering_speed: Positive = 1.5
+    unattended_speed: Positive = 1.5
     tracking_error: Positive = 0.05
     data_cycles: Positive = 3.0
     overruns: Count = 3
@@ -296,10 +294,10 @@ class StationConfig:
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
 
     def __post_init__(self) -> None:
-        if self.strike.speed > self.supervisor.hammering_speed:
+        if self.strike.speed > self.supervisor.unattended_speed:
             raise ValueError(
-                f"strike.speed {self.strike.speed} is more than supervisor.hammering_speed "
-                f"{self.supervisor.hammering_speed}: every blow would be refused"
+                f"strike.speed {self.strike.speed} is more than supervisor.unattended_speed "
+                f"{self.supervisor.unattended_speed}: every strike would be refused"
             )
 
 

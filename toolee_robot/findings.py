@@ -19,22 +19,22 @@ class Level(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """name: of what was checked, unique in a report. says: what was found, with figures and units. do: what to do about
-    it, empty where there is nothing to do."""
+    """name: of what was checked, unique in a report. message: what was found, with figures and units. remedy: what to
+    do about it, empty where there is nothing to do."""
 
     level: Level
     name: str
-    says: str
-    do: str = ""
+    message: str
+    remedy: str = ""
 
     @classmethod
-    def of_error(cls, name: str, error: TooleeError, do: str) -> Finding:
-        """FAIL, in the error's own words; they end in what to do after a colon, or else `do` says it."""
-        says, colon, remedy = str(error).rpartition(": ")
-        return cls(Level.FAIL, name, says, remedy) if colon else cls(Level.FAIL, name, str(error), do)
+    def of_error(cls, name: str, error: TooleeError, remedy: str) -> Finding:
+        """FAIL, in the error's own words; they end in what to do after a colon, or else `remedy` says it."""
+        message, colon, from_error = str(error).rpartition(": ")
+        return cls(Level.FAIL, name, message, from_error) if colon else cls(Level.FAIL, name, str(error), remedy)
 
     def __str__(self) -> str:
-        return f"{self.name}: {self.says}" + (f": {self.do}" if self.do else "")
+        return f"{self.name}: {self.message}" + (f": {self.remedy}" if self.remedy else "")
 
 
 def worst(findings: Iterable[Finding]) -> Level:
@@ -43,16 +43,16 @@ def worst(findings: Iterable[Finding]) -> Level:
     return next((level for level in (Level.FAIL, Level.WARN) if level in levels), Level.OK)
 
 
-def ok(name: str, says: str) -> Finding:
+def ok(name: str, message: str) -> Finding:
     """As it should be."""
-    return Finding(Level.OK, name, says)
+    return Finding(Level.OK, name, message)
 
 
-def warn(name: str, says: str, do: str) -> Finding:
+def warn(name: str, message: str, remedy: str) -> Finding:
     """It works, but worse or less surely than it could."""
-    return Finding(Level.WARN, name, says, do)
+    return Finding(Level.WARN, name, message, remedy)
 
 
-def fail(name: str, says: str, do: str) -> Finding:
+def fail(name: str, message: str, remedy: str) -> Finding:
     """Nothing may move before it is mended."""
-    return Finding(Level.FAIL, name, says, do)
+    return Finding(Level.FAIL, name, message, remedy)

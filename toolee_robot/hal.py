@@ -54,16 +54,15 @@ class ArmState:
 class ContactGuard:
     """Watch for contact during a motion.
 
-    force: sensed force [N] at the flange (payload-compensated) that counts as contact. after: time [s] on the
-    trajectory before which nothing counts (starting transients). over: time [s] over which the force is averaged, as a
-    vector, or one reading if shorter: what only shakes the arm (a late command, a tool that swings) comes and goes with
-    changing sign, what is in its way stays. On contact the arm brakes along the path from its
-    last commanded state as fast as its limits allow, and the motion ends.
-    """
+    force: sensed force [N] at the flange (payload-compensated) that counts as contact. ignore_before: time [s] on the
+    trajectory before which nothing counts (starting transients). averaging_window: time [s] over which the force is
+    averaged, as a vector, or one reading if shorter: what only shakes the arm (a late command, a tool that swings)
+    comes and goes with changing sign, what is in its way stays. On contact the arm brakes along the path from its last
+    commanded state as fast as its limits allow, and the motion ends."""
 
     force: float
-    after: float = 0.0
-    over: float = 0.0
+    ignore_before: float = 0.0
+    averaging_window: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -194,10 +193,9 @@ class RgbdCamera(Device, Protocol):
 class Person(Protocol):
     """The person at the station: hands the tool over and confirms what software must not decide.
 
-    Every question waits at most `timeout` [s]; no answer is a no. `inside` and `attending` answer at once, from any
-    thread, and are asked all through a motion: a light barrier, a scanner, an enabling switch, or a key held down. A
-    station that cannot tell must say True to `inside`: nothing fast moves then.
-    """
+    Every question waits at most `timeout` [s]; no answer is a no. `zone_occupied` and `enabling_switch_held` answer at
+    once, from any thread, and are asked all through a motion: a light barrier, a scanner, an enabling switch, or a key
+    held down. A station that cannot tell must say True to `zone_occupied`: nothing fast moves then."""
 
     def request_handover(self, prompt: str, timeout: float) -> bool:
         """Ask for the tool; True once the person says that it lies in the open hand, False on time-out [s]."""
@@ -212,14 +210,14 @@ class Person(Protocol):
         ...
 
     def confirm_swing(self, prompt: str, timeout: float) -> bool:
-        """Ask whether fast blows may begin; True once the person confirms it."""
+        """Ask whether fast strikes may begin; True once the person confirms it."""
         ...
 
-    def inside(self) -> bool:
+    def zone_occupied(self) -> bool:
         """Whether anybody is, or may be, within the arm's reach."""
         ...
 
-    def attending(self) -> bool:
+    def enabling_switch_held(self) -> bool:
         """Whether the person lets the arm move slowly while they are near: the enabling switch is held."""
         ...
 

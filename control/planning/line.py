@@ -99,10 +99,10 @@ def line_derivatives(arm: ArmKinematics, q: Array, direction: Array) -> tuple[Ar
     return first, second
 
 
-def blow_limits(
+def strike_limits(
     s: Array, first: Array, second: Array, velocity: Array, acceleration: float, jerk: float, wanted: float
 ) -> PathLimits:
-    """The highest speed at s = 0, up to `wanted` [m/s], that the joints allow for a blow along s (M,) [m].
+    """The highest speed at s = 0, up to `wanted` [m/s], that the joints allow for a strike along s (M,) [m].
 
     first, second (M, 6): the line's derivatives at s, which runs from the start of the run-up (negative) to the deepest
     point of braking. The ramp fills the whole run-up, so v^2 grows about linearly along it; it falls linearly while

@@ -1,4 +1,4 @@
-"""Planning a blow: choose spin and branch, then one straight, timed, checked motion through the nail.
+"""Planning a strike: choose spin and branch, then one straight, timed, checked motion through the nail.
 
 The run-up is a straight line along the nail's axis with the face square to it, timed by Ruckig over its length, every
 sample solved by inverse kinematics. The face arrives at the expected contact at full speed and with no acceleration;
@@ -16,7 +16,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Clearance, CollisionWorld
 from toolee_robot.control.correction import Candidates, candidates, flange_targets, rank
 from toolee_robot.control.limits import check_trajectory
-from toolee_robot.control.planning.line import Line, PathLimits, blow_limits, line_derivatives
+from toolee_robot.control.planning.line import Line, PathLimits, line_derivatives, strike_limits
 from toolee_robot.control.planning.timing import brake_profile, concatenate, ramp_length, run_up_profile, travel_profile
 from toolee_robot.control.planning.transfer import plan_transfer
 from toolee_robot.control.records import StrikePlan
@@ -28,7 +28,7 @@ from toolee_robot.types import Trajectory
 SHORTLIST = 24
 """Candidates whose whole line is solved and measured."""
 MIN_SPEED = 0.3
-"""[m/s]; a slower blow drives nothing."""
+"""[m/s]; a slower strike drives nothing."""
 
 
 def plan_strike(
@@ -42,7 +42,7 @@ def plan_strike(
     *,
     speed: float | None = None,
 ) -> StrikePlan:
-    """Plan one blow from rest at q_start (6,).
+    """Plan one strike from rest at q_start (6,).
 
     world: built with the same q_hand (n,) and X_hand_ee (4x4); X_hand_ee: the estimate (or the nominal pose for the
     uncorrected baseline). X_base_nail: 4x4, z into the wood. speed: wanted [m/s], config.strike.speed if None; it is
@@ -59,7 +59,7 @@ def plan_strike(
     short = found.take(order)
     fastest = min(wanted, float(np.max(short.attainable_speed)))
     failure: PlanningError | None = None
-    # What lies under the nail may be too near to brake above it: then a slower blow.
+    # What lies under the nail may be too near to brake above it: then a slower strike.
     for share in (1.0, 0.8, 0.6):
         try:
             return _plan(robot, config, world, q_start, short, X_base_nail, X_flange_ee, share * fastest, wanted, began)
@@ -81,7 +81,7 @@ def _plan(
     wanted: float,
     began: float,
 ) -> StrikePlan:
-    """The best blow of at most `speed` [m/s] among the shortlist."""
+    """The best strike of at most `speed` [m/s] among the shortlist."""
     failure: PlanningError | None = None
     for found in _solve_lines(robot, config, world, short, q_start, X_base_nail, X_flange_ee, speed):
         line, limits, index = found.line, found.limits, found.index
@@ -91,7 +91,7 @@ def _plan(
             contact = int(np.searchsorted(strike.times, contact_time - 1e-9))
             need = config.strike.clearance
             world.check(strike.q[: contact + 1 : 4], need, "the run-up", RUN_UP_EXEMPT)
-            world.check(strike.q[contact + 1 :: 4], need, "braking after the blow", BRAKE_EXEMPT)
+            world.check(strike.q[contact + 1 :: 4], need, "braking after the strike", BRAKE_EXEMPT)
             check_trajectory(strike, robot.arm, config.arm, config.scene)
             approach = plan_transfer(robot, config, world, q_start, strike.q[0])
         except (UnreachableError, LimitError, CollisionError) as error:
@@ -121,7 +121,7 @@ def _plan(
 def plan_over_nail(
     robot: RobotModel, config: StationConfig, world: CollisionWorld, q_start: Array, plan: StrikePlan, before: float
 ) -> Trajectory:
-    """To rest on the blow's line, `before` [m] above the expected contact: where a slow touch begins."""
+    """To rest on the strike's line, `before` [m] above the expected contact: where a slow touch begins."""
     line = _line_of(robot, plan)
     lower = _travel(line, config, -plan.run_up, -before)
     approach = concatenate(plan_transfer(robot, config, world, q_start, plan.q_standoff), lower)
@@ -151,7 +151,7 @@ def plan_straight(
 
 
 @dataclass(frozen=True)
-class _Blow:
+class _Feasible:
     """A candidate whose coarse line is reachable and fast enough; `index` into the shortlist. clearance: of that line,
     once measured."""
 
@@ -172,7 +172,7 @@ def _solve_lines(
     X_base_nail: Array,
     X_flange_ee: Array,
     wanted: float,
-) -> list[_Blow]:
+) -> list[_Feasible]:
     """The shortlist's lines, best first: reachable, fast enough and clear of everything on a coarse grid.
 
     Value: the kinematic rank, plus the speed that the accelerations leave (over the wanted one), plus 0.3 for a margin
@@ -181,7 +181,7 @@ def _solve_lines(
     """
     normal = X_base_nail[:3, 2]
     run_up = config.strike.run_up
-    # About as far down as braking takes (1 rad/s^2 is some 0.45 m/s^2 here); the timed blow is checked once more.
+    # About as far down as braking takes (1 rad/s^2 is some 0.45 m/s^2 here); the timed strike is checked once more.
     deepest = float(ramp_length(wanted, 0.45 * config.arm.acceleration, 0.3 * config.arm.jerk))
     s = np.concatenate([np.linspace(-run_up, 0.0, 9), np.linspace(0.0, deepest, 6)[1:]])
     targets = flange_targets(X_base_nail, X_flange_ee, short.theta)
@@ -197,46 +197,48 @@ def _solve_lines(
     first, second = line_derivatives(arm, q[reachable].reshape(-1, 6), normal)
     first, second = first.reshape(-1, len(s), 6), second.reshape(-1, len(s), 6)
     for row, i in enumerate(reachable):
-        limits = blow_limits(s, first[row], second[row], velocity, config.arm.acceleration, config.arm.jerk, wanted)
+        limits = strike_limits(s, first[row], second[row], velocity, config.arm.acceleration, config.arm.jerk, wanted)
         if limits.speed < MIN_SPEED:
             failure = f"reaches no more than {limits.speed:.2f} m/s"
             continue
         margin = float(np.min(np.minimum(q[i] - arm.lower, arm.upper - q[i])))
         value = float(score[i]) + limits.speed / wanted + 0.3 * min(margin / 0.6, 1.0)
         line = Line(robot.ik, targets[i], normal, int(short.branch[i]), short.q[i])
-        usable.append(_Blow(value, int(i), line, limits, margin))
+        usable.append(_Feasible(value, int(i), line, limits, margin))
     if not usable:
         raise UnreachableError(
             f"the straight run-up of {run_up:.2f} m to the nail {failure} for every spin: move the block nearer to the "
             "middle of the arm's reach, or shorten config.strike.run_up"
         )
 
-    def order(blow: _Blow) -> tuple[bool, float]:
-        # No comfort makes up for a blow that is slower than wanted while another is not.
-        return blow.limits.speed < 0.999 * wanted, -blow.value
+    def order(candidate: _Feasible) -> tuple[bool, float]:
+        # No comfort makes up for a strike that is slower than wanted while another is not.
+        return candidate.limits.speed < 0.999 * wanted, -candidate.value
 
     usable.sort(key=order)
-    clear: list[_Blow] = []
+    clear: list[_Feasible] = []
     nearest: Clearance | None = None
-    for blow in usable:
-        before = world.closest(q[blow.index][s <= 0], FAR, RUN_UP_EXEMPT)
-        after = world.closest(q[blow.index][s > 0], FAR, BRAKE_EXEMPT)
+    for candidate in usable:
+        before = world.closest(q[candidate.index][s <= 0], FAR, RUN_UP_EXEMPT)
+        after = world.closest(q[candidate.index][s > 0], FAR, BRAKE_EXEMPT)
         clearance = min(before, after, key=lambda c: c.distance)
         nearest = nearest or clearance
         if clearance.distance >= config.strike.clearance:
-            clear.append(replace(blow, value=blow.value + 0.4 * clearance.distance / FAR, clearance=clearance))
+            clear.append(
+                replace(candidate, value=candidate.value + 0.4 * clearance.distance / FAR, clearance=clearance)
+            )
         if len(clear) == 4:
             break
     if not clear:
         raise CollisionError(
-            f"every blow at this nail would bring bodies together, the best one {nearest}: clear the way, move the "
+            f"every strike at this nail would bring bodies together, the best one {nearest}: clear the way, move the "
             "block, or use a higher stand"
         )
     return sorted(clear, key=order)
 
 
 def _time(line: Line, limits: PathLimits, run_up: float) -> tuple[Trajectory, float, float]:
-    """The timed blow, the time of contact [s] and the braking length [m]."""
+    """The timed strike, the time of contact [s] and the braking length [m]."""
     up = run_up_profile(run_up, limits.speed, limits.acceleration, limits.jerk)
     down = brake_profile(limits.speed, limits.brake, limits.jerk)
     whole = replace(

@@ -18,7 +18,7 @@ from toolee_robot.types import Trajectory
 STEP = 0.03
 """[rad] between the configurations that are checked along a move."""
 NEED = 0.012
-"""[m] of clearance on a transfer: more than a blow's, the samples are coarse."""
+"""[m] of clearance on a transfer: more than a strike's, the samples are coarse."""
 
 
 def plan_transfer(
@@ -33,7 +33,7 @@ def plan_transfer(
         if q.shape != (6,) or not np.all(np.isfinite(q)):
             raise UserError(f"the {name} of a transfer must be six finite joint positions, got {q}")
     world.check(q_goal, NEED, "the goal of the transfer")
-    # A start that is nearer than the clearance (a blow's end, say) may be left but not approached further.
+    # A start that is nearer than the clearance (a strike's end, say) may be left but not approached further.
     need = min(NEED, world.closest(q_start, NEED).distance)
     if need <= 0:
         world.check(q_start, 1e-6, "the start of the transfer")

@@ -104,7 +104,7 @@ class Card:
             "splits": splits,
             "histogram_edges": EDGES,
             "catalogue": {split: _names(self._catalogue, split) for split in SPLITS},
-            "held_out_rule": _OWN_RULE if self._spec.tools else _RULE,
+            "held_out_rule": _CUSTOM_RULE if self._spec.tools else _RULE,
             "surfaces": {
                 split: {k: n * (4 if split == "train" else 1) // 5 for k, n in _SURFACES.items()} for split in SPLITS
             },
@@ -113,7 +113,7 @@ class Card:
     def to_markdown(self) -> str:
         data = self.to_json()
         spec = data["spec"]
-        which = _OWN_TOOLS if self._spec.tools else f" --test-share {spec['test_share']:g}`"
+        which = _CUSTOM_TOOLS if self._spec.tools else f" --test-share {spec['test_share']:g}`"
         lines = [
             f"# TOOLEE data set `{spec['config']}`, {spec['size']} examples, seed {spec['seed']}",
             "",
@@ -164,10 +164,10 @@ class Card:
 
 _SURFACES = {"textures": TEXTURES, "rooms": ROOMS, "backdrops": BACKDROPS}
 _RULE = "tools, textures, rooms and backdrops whose number leaves 4 when divided by 5 are the test split's"
-_OWN_RULE = (
+_CUSTOM_RULE = (
     "the tools were brought by a user and all are the test split's, as is every fifth texture, room and backdrop"
 )
-_OWN_TOOLS = " --tools DIR` on a user's own tools, whose shapes are not under this licence"
+_CUSTOM_TOOLS = " --tools DIR` on a user's own tools, whose shapes are not under this licence"
 _ABOUT = {
     "paper": "The paper's protocol: an upright tool held in one grasp by one right hand, a camera never rolled, "
     "0.42 to 0.98 m, no noise; the end effector (EE) is what its tool shows within a circle of pixels (60 of 1920) "

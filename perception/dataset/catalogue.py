@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from toolee_robot.errors import UserError
-from toolee_robot.perception.dataset.custom_tools import OwnTool, OwnToolRecord
+from toolee_robot.perception.dataset.custom_tools import CustomTool, CustomToolRecord
 from toolee_robot.perception.dataset.instances import read_ply, tool_path
 from toolee_robot.perception.dataset.records import INSTANCES
 from toolee_robot.perception.synthesis.surfaces import draw
@@ -21,7 +21,7 @@ from toolee_robot.tools.catalog import split as split_of
 from toolee_robot.types import Category
 
 _KINDS = tuple(TOOL_SPECS)
-_OWN = len(_KINDS) * INSTANCES
+_CUSTOM = len(_KINDS) * INSTANCES
 """Numbers from here on are a user's own tools."""
 _POOL = 12
 """Tools that a scene folder's examples draw from."""
@@ -74,8 +74,8 @@ def number_of(tool: ToolShape) -> int:
     """The number of a generated or a data set's own tool."""
     if isinstance(tool, StoredTool):
         return tool.number
-    if isinstance(tool, OwnTool):
-        return _OWN + tool.index
+    if isinstance(tool, CustomTool):
+        return _CUSTOM + tool.index
     assert isinstance(tool, Tool)
     return TOOL_SPECS[tool.kind].number * INSTANCES + tool.seed
 
@@ -88,7 +88,7 @@ class GeneratedTools(Catalogue):
         return "GENERATED"
 
     def numbers(self, split: str) -> list[int]:
-        return [n for n in range(_OWN) if split_of(n % INSTANCES) == split]
+        return [n for n in range(_CUSTOM) if split_of(n % INSTANCES) == split]
 
     def pool(self, rng: np.random.Generator, split: str) -> tuple[int, ...]:
         numbers = []
@@ -116,7 +116,7 @@ class GeneratedTools(Catalogue):
         return make_tool(*self._which(number))
 
     def _which(self, number: int) -> tuple[ToolKind, int]:
-        if not 0 <= number < _OWN:
+        if not 0 <= number < _CUSTOM:
             raise UserError(f"there is no generated tool {number}: the data set is another's")
         kind, seed = divmod(number, INSTANCES)
         return _KINDS[kind], seed
@@ -126,19 +126,19 @@ GENERATED = GeneratedTools()
 
 
 @dataclass(frozen=True, eq=False)
-class OwnTools(Catalogue):
+class CustomTools(Catalogue):
     """A user's tools in the data set's folder `root`, all held out."""
 
     root: Path
-    records: tuple[OwnToolRecord, ...]
-    _made: dict[int, OwnTool] = field(default_factory=dict)
+    records: tuple[CustomToolRecord, ...]
+    _made: dict[int, CustomTool] = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # One for each folder in every process, that what is known of its tools is worked out once.
-        return _own_tools, (self.root, self.records)
+        return _custom_tools, (self.root, self.records)
 
     def numbers(self, split: str) -> list[int]:
-        return [_OWN + i for i in range(len(self.records))] if split == "test" else []
+        return [_CUSTOM + i for i in range(len(self.records))] if split == "test" else []
 
     def pool(self, rng: np.random.Generator, split: str) -> tuple[int, ...]:
         """A dozen of them, or all."""
@@ -158,20 +158,20 @@ class OwnTools(Catalogue):
     def about(self, number: int) -> dict[str, Any]:  # noqa: ARG002
         return {}
 
-    def tool(self, number: int) -> OwnTool:
+    def tool(self, number: int) -> CustomTool:
         """Raises AssetError where the mesh is missing or broken."""
         record = self._record(number)
         if number not in self._made:
             vertices, faces = read_ply(tool_path(self.root, record.name))
-            self._made[number] = OwnTool.build(record, number - _OWN, 1e-3 * vertices, faces)
+            self._made[number] = CustomTool.build(record, number - _CUSTOM, 1e-3 * vertices, faces)
         return self._made[number]
 
-    def _record(self, number: int) -> OwnToolRecord:
-        if not 0 <= number - _OWN < len(self.records):
+    def _record(self, number: int) -> CustomToolRecord:
+        if not 0 <= number - _CUSTOM < len(self.records):
             raise UserError(f"there is no tool {number} in this data set")
-        return self.records[number - _OWN]
+        return self.records[number - _CUSTOM]
 
 
 @lru_cache(maxsize=8)
-def _own_tools(root: Path, records: tuple[OwnToolRecord, ...]) -> OwnTools:
-    return OwnTools(root, records)
+def _custom_tools(root: Path, records: tuple[CustomToolRecord, ...]) -> CustomTools:
+    return CustomTools(root, records)

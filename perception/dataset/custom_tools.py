@@ -23,7 +23,7 @@ _ON_HANDLE = 1.5
 
 
 @dataclass(frozen=True)
-class OwnToolRecord:
+class CustomToolRecord:
     """mesh_sha256: of the mesh in `tools/`. Xs_tool_ee: 16 numbers row by row for each of `categories`; sections: z,
     half-widths along x and along y as in `Handle`. handle_material, head_material: names in `MATERIALS`."""
 
@@ -58,10 +58,10 @@ class OwnToolRecord:
         }
 
     @staticmethod
-    def from_json(data: dict[str, Any]) -> OwnToolRecord:
+    def from_json(data: dict[str, Any]) -> CustomToolRecord:
         """Raises KeyError, TypeError, ValueError."""
         z, x, y = (tuple(map(float, data["handle"][k])) for k in ("z", "radii_x", "radii_y"))
-        return OwnToolRecord(
+        return CustomToolRecord(
             data["name"],
             data["mesh_sha256"],
             tuple(Category(ee["category"]) for ee in data["ees"]),
@@ -73,15 +73,15 @@ class OwnToolRecord:
 
 
 @dataclass(frozen=True, eq=False)
-class OwnMesh:
+class CustomMesh:
     """A tool as it was read from its user's folder. ply: its mesh, `tool` frame [mm], as `tools/` is to hold it."""
 
-    record: OwnToolRecord
+    record: CustomToolRecord
     ply: bytes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OwnTool(ToolShape):
+class CustomTool(ToolShape):
     """A tool that a user brought. index: its place among the data set's own tools.
 
     Its parts are a handle, a head and, if it has a grip, a claw: what lies along the handle's axis, what is near the
@@ -89,20 +89,22 @@ class OwnTool(ToolShape):
     """
 
     index: int
-    record: OwnToolRecord
+    record: CustomToolRecord
 
     @staticmethod
-    def build(record: OwnToolRecord, index: int, vertices: Array, faces: NDArray[np.int64]) -> OwnTool:
+    def build(record: CustomToolRecord, index: int, vertices: Array, faces: NDArray[np.int64]) -> CustomTool:
         """vertices (V, 3): `tool` frame [m]."""
         head = MATERIALS[record.head_material]
         parts = (Part(HANDLE, MATERIALS[record.handle_material]), Part(HEAD, head), Part(CLAW, head))
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         ees, handle = record.ees, record.handle
         owner = _owners(vertices[faces].mean(axis=1), ees, handle)
-        return OwnTool(record.name, parts, mesh, owner, ees, handle, index, record)
+        return CustomTool(record.name, parts, mesh, owner, ees, handle, index, record)
 
 
-def cut_at_parts(record: OwnToolRecord, vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+def cut_at_parts(
+    record: CustomToolRecord, vertices: Array, faces: NDArray[np.int64]
+) -> tuple[Array, NDArray[np.int64]]:
     """The same surface, `tool` frame [m], the triangles across a border of parts cut until they are small: a drawing's
     may run from head to claw."""
     for _ in range(_CUTS):

@@ -21,7 +21,7 @@ from toolee_robot.perception.dataset.instances import (
     tool_path,
 )
 from toolee_robot.perception.dataset.scene_writer import json_by_line
-from toolee_robot.runtime.files import write_whole
+from toolee_robot.runtime.files import write_atomic
 from toolee_robot.types import Category
 
 
@@ -53,4 +53,4 @@ def write_models_info(out: Path, entries: dict[int, dict[str, Any]]) -> None:
 
 def _write(path: Path, data: bytes) -> None:
     path.parent.mkdir(exist_ok=True)
-    write_whole(path, data)
+    write_atomic(path, data)

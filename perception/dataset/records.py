@@ -19,7 +19,7 @@ MIN_POINTS = 50
 """An EE with fewer visible pixels counts as not labelled: neither to be found nor a false alarm."""
 NEAREST, FARTHEST = 0.4, 1.1
 """Depths [m] at which EEs are placed."""
-MOST_HIDDEN = 0.7
+MAX_OCCLUSION = 0.7
 """An EE of which more is hidden is no target."""
 INSTANCES = 150
 """Tools of each kind, by seed; every fifth is held out."""
@@ -79,7 +79,7 @@ class EeTable:
         """The EEs that are to be found and whose pose is asked for: at least 50 pixels seen, at most 70 % hidden, 0.4
         to 1.1 m away."""
         depth = self.X_camera_ee[..., 2, 3]
-        known = (self.category > 0) & (self.visible >= MIN_POINTS) & (self.occlusion <= MOST_HIDDEN)
+        known = (self.category > 0) & (self.visible >= MIN_POINTS) & (self.occlusion <= MAX_OCCLUSION)
         with np.errstate(invalid="ignore"):
             return known & (depth >= NEAREST) & (depth <= FARTHEST)
 

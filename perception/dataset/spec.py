@@ -9,8 +9,8 @@ from typing import Any
 
 from toolee_robot import __version__
 from toolee_robot.errors import UserError
-from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, OwnTools
-from toolee_robot.perception.dataset.custom_tools import OwnToolRecord
+from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, CustomTools
+from toolee_robot.perception.dataset.custom_tools import CustomToolRecord
 
 CONFIGS = ("paper", "hard", "paper-claws")
 SPLITS = ("train", "test")
@@ -45,7 +45,7 @@ class DatasetSpec:
     seed: int = 0
     test_share: float = 0.1
     scene_size: int = 32
-    tools: tuple[OwnToolRecord, ...] = ()
+    tools: tuple[CustomToolRecord, ...] = ()
     device: str = "cpu"
 
     def __post_init__(self) -> None:
@@ -88,7 +88,7 @@ class DatasetSpec:
 
     def catalogue(self, root: Path) -> Catalogue:
         """The tools that the data set in the folder `root` shows."""
-        return OwnTools(root, self.tools) if self.tools else GENERATED
+        return CustomTools(root, self.tools) if self.tools else GENERATED
 
     @staticmethod
     def read(root: Path) -> DatasetSpec:
@@ -102,7 +102,7 @@ class DatasetSpec:
                 data["seed"],
                 float(data["test_share"]),
                 data["scene_size"],
-                tuple(OwnToolRecord.from_json(tool) for tool in data.get("tools", ())),
+                tuple(CustomToolRecord.from_json(tool) for tool in data.get("tools", ())),
                 data["device"],
             )
         except FileNotFoundError as error:

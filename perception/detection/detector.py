@@ -39,7 +39,7 @@ CLASSES: tuple[str, ...] = ("background", *(c.value for c in Category), "tool")
 """Class index -> name. Index 5 is the whole visible tool."""
 TOOL = len(CLASSES) - 1
 WEIGHTS_NAME = "segmentation"
-MOST_ENLARGED = 2.0
+MAX_ENLARGEMENT = 2.0
 
 _ROI_STRIDES = (4, 8, 16, 32)
 ROI_DELTA_WEIGHTS = (10.0, 10.0, 5.0, 5.0)
@@ -50,7 +50,7 @@ class DetectorConfig:
     """Architecture and inference settings; stored beside the weights.
 
     anchor_sizes: square root of the anchors' areas [px], two a pyramid level (strides 8 to 64).
-    working_pixels: images are scaled to about this area, up by at most MOST_ENLARGED: an EE a metre away is
+    working_pixels: images are scaled to about this area, up by at most MAX_ENLARGEMENT: an EE a metre away is
     20 px wide in a depth camera's image, few for a pyramid that begins at stride 4. pre_nms a level, post_nms an image.
     score_threshold: doubtful detections are given, too; whether a pose is usable is decided by `trust.py`.
     """
@@ -271,7 +271,7 @@ class Detector(nn.Module):
 
 def working_size(height: int, width: int, pixels: int) -> tuple[int, int]:
     """Height and width, of an area of about `pixels`, at which the network sees an image of the given size."""
-    factor = min(MOST_ENLARGED, math.sqrt(pixels / (height * width)))
+    factor = min(MAX_ENLARGEMENT, math.sqrt(pixels / (height * width)))
     return max(1, round(height * factor)), max(1, round(width * factor))
 
 

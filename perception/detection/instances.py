@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from toolee_robot.perception.detection.detector import CLASSES, TOOL
 from toolee_robot.types import Category, Detection
 
-LEAST_TOOL_OVERLAP = 0.5
+MIN_TOOL_OVERLAP = 0.5
 """Share of an EE's mask that a tool's mask must cover for the EE to belong to that tool."""
 
-MOST_COVERED = 0.6
+MAX_COVERED = 0.6
 """Share of an instance's mask that a better one of the same class may cover."""
 
 Box = tuple[float, float, float, float]
@@ -28,7 +28,7 @@ def without_duplicates(
     kept: list[int] = []
     for i in sorted(range(len(masks)), key=lambda i: -scores[i]):
         same = [k for k in kept if labels[k] == labels[i]]
-        if all(np.count_nonzero(masks[k] & masks[i]) <= MOST_COVERED * np.count_nonzero(masks[i]) for k in same):
+        if all(np.count_nonzero(masks[k] & masks[i]) <= MAX_COVERED * np.count_nonzero(masks[i]) for k in same):
             kept.append(i)
     return [masks[i] for i in kept], [labels[i] for i in kept], [scores[i] for i in kept], [boxes[i] for i in kept]
 
@@ -48,7 +48,7 @@ def associate(
         overlaps = [float((mask & tool).sum()) / float(mask.sum()) for tool, _ in tools]
         best = int(np.argmax(overlaps)) if overlaps else -1
         tool_mask, tool_score = None, 0.0
-        if overlaps and overlaps[best] >= LEAST_TOOL_OVERLAP:
+        if overlaps and overlaps[best] >= MIN_TOOL_OVERLAP:
             tool_mask, tool_score = tools[best][0] | mask, tools[best][1]
         found.append(Detection(Category(CLASSES[label]), score, mask, box, tool_mask, tool_score))
     return sorted(found, key=lambda d: -d.score)

@@ -23,7 +23,7 @@ MASK_MARGIN = 1.25
 
 _CONTEXT = 14
 _METRES = 0.05
-_FURTHEST = 3.0
+_MAX_DEPTH = 3.0
 _NEAR_QUANTILE = 0.3
 
 
@@ -145,5 +145,5 @@ def _near(batch: RgbdBatch, rois: Tensor) -> Tensor:
     scale = z / (batch.focal[image][:, None, None] * _METRES)
     x = (u - (rois[:, 1] + rois[:, 3])[:, None] / 2)[:, None, :] * scale
     y = (v - (rois[:, 2] + rois[:, 4])[:, None] / 2)[:, :, None] * scale
-    metres = torch.stack([x, y, (z - reference) / _METRES], 1).clamp(-_FURTHEST, _FURTHEST)
+    metres = torch.stack([x, y, (z - reference) / _METRES], 1).clamp(-_MAX_DEPTH, _MAX_DEPTH)
     return torch.cat([colour, metres, known[:, None].to(colour.dtype)], 1)

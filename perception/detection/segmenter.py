@@ -20,9 +20,9 @@ from toolee_robot.perception.detection.detector import (
 from toolee_robot.perception.detection.inputs import RgbdBatch, encode_rgbd
 from toolee_robot.perception.detection.instances import Instances, associate, without_duplicates
 from toolee_robot.perception.detection.mask_head import paste_one
-from toolee_robot.perception.detection.refiner.mask_refinement import Redraw
-from toolee_robot.perception.detection.zoom_pass import LEAST_PROBABLE, crops, cut, merge, placed
-from toolee_robot.perception.precision import bfloat16_pays, in_bfloat16
+from toolee_robot.perception.detection.refiner.mask_refinement import MaskRefinement
+from toolee_robot.perception.detection.zoom_pass import MIN_PROBABILITY, crops, cut, merge, placed
+from toolee_robot.perception.precision import in_bfloat16, prefers_bfloat16
 from toolee_robot.types import Detection, RgbdFrame
 
 EVERYTHING = 0.02
@@ -37,13 +37,13 @@ class Segmenter:
         detector: Detector,
         device: torch.device | str = "cpu",
         bfloat16: bool | None = None,
-        redraw: Redraw | None = None,
+        refinement: MaskRefinement | None = None,
     ) -> None:
-        """bfloat16: whether a processor computes in it; where it pays if None. redraw: what draws the end effectors'
+        """bfloat16: whether a processor computes in it; where it pays if None. refinement: refines the end effectors'
         masks once more; without it they stay as the detector draws them."""
         self._device = torch.device(device)
-        self._bfloat16 = bfloat16_pays(self._device) if bfloat16 is None else bfloat16
-        self._redraw = redraw
+        self._bfloat16 = prefers_bfloat16(self._device) if bfloat16 is None else bfloat16
+        self._refinement = refinement
         self._detector = detector.fuse().to(self._device).to(memory_format=torch.channels_last)
         if self._bfloat16:
             in_bfloat16(self._detector)
@@ -59,8 +59,8 @@ class Segmenter:
         Raises AssetError that names the missing or unreadable file.
         """
         device = torch.device(device)
-        bfloat16 = bfloat16_pays(device) if bfloat16 is None else bfloat16
-        return cls(trained_detector(weights_dir), device, bfloat16, Redraw.load(weights_dir, device, bfloat16))
+        bfloat16 = prefers_bfloat16(device) if bfloat16 is None else bfloat16
+        return cls(trained_detector(weights_dir), device, bfloat16, MaskRefinement.load(weights_dir, device, bfloat16))
 
     def detect(self, frame: RgbdFrame) -> list[Detection]:
         """End effectors in an image, best score first, each with its tool's mask where seen."""
@@ -71,7 +71,7 @@ class Segmenter:
         configured one if None). Tools without a certain EE are looked at twice: see `segmentation_look`. What is found
         is then drawn once more, near: see `segmentation_refiner`."""
         found = self._found(frame, score_threshold)
-        return found if self._redraw is None else self._redraw(frame, found)
+        return found if self._refinement is None else self._refinement(frame, found)
 
     def _found(self, frame: RgbdFrame, score_threshold: float | None) -> Instances:
         height, width = frame.depth.shape
@@ -83,7 +83,7 @@ class Segmenter:
             return first
         second = []
         for crop in again:
-            seen = self._look(cut(frame, crop), crop.size, max(threshold, LEAST_PROBABLE))
+            seen = self._look(cut(frame, crop), crop.size, max(threshold, MIN_PROBABILITY))
             second.append(placed(seen, crop, (height, width)))
         return without_duplicates(*merge(first, second, again, (height, width)))
 

@@ -27,8 +27,7 @@ from toolee_robot.perception.detection.detector import (
 )
 from toolee_robot.perception.detection.losses import DetectorLoss, instances_from_maps
 from toolee_robot.perception.detection.training_data import DeviceImages, augment
-from toolee_robot.perception.training.distributed import Ranks
-from toolee_robot.perception.training.distributed import ranks as ranks_of
+from toolee_robot.perception.training.distributed import Distributed, init_distributed
 from toolee_robot.perception.training.image_training import ImageTraining, ImageTrainingRun
 from toolee_robot.perception.training.labelled_images import SegmentationImages
 from toolee_robot.perception.training.scene_stream import SceneStream
@@ -48,15 +47,17 @@ def train(config: SegmentationTraining, images: SegmentationImages | None = None
 
     images: the data, if not to be read from `config.data`. Raises TooleeError when a loss is not finite.
     """
-    with ranks_of(config.device) as ranks:
-        torch.manual_seed(config.seed + 1000 * ranks.rank)
+    with init_distributed(config.device) as distributed:
+        torch.manual_seed(config.seed + 1000 * distributed.rank)
         torch.backends.cudnn.benchmark = True
-        stream = SceneStream(config.data, (ranks.rank, ranks.world)) if images is None else None
+        stream = SceneStream(config.data, (distributed.rank, distributed.world)) if images is None else None
         try:
             first = [images] if images is not None else stream.take(config.patience) if stream else []
             if not first:
-                raise UserError(f"{config.data} holds no scene for rank {ranks.rank}: generate the data set first")
-            _Run(config, ranks, first, stream).loop()
+                raise UserError(
+                    f"{config.data} holds no scene for rank {distributed.rank}: generate the data set first"
+                )
+            _Run(config, distributed, first, stream).loop()
         finally:
             if stream is not None:
                 stream.close()
@@ -69,26 +70,26 @@ class _Run(ImageTrainingRun):
     def __init__(
         self,
         config: SegmentationTraining,
-        ranks: Ranks,
+        distributed: Distributed,
         first: list[SegmentationImages],
         stream: SceneStream | None,
     ) -> None:
         self.config, self.stream = config, stream
-        self.data = DeviceImages(first[0], ranks.device)
+        self.data = DeviceImages(first[0], distributed.device)
         self._extend(first[1:])
         detector = Detector(config.model)
         if config.init is not None:
             load_detector(detector, *load_weights(config.init, WEIGHTS_NAME))
-        detector = detector.to(ranks.device).to(memory_format=torch.channels_last)
+        detector = detector.to(distributed.device).to(memory_format=torch.channels_last)
         loss = DetectorLoss(detector)
         self.augment = augment
-        if config.compile and ranks.device.type == "cuda":
+        if config.compile and distributed.device.type == "cuda":
             # 747 images a second on each of two GPUs; 667 on one without. Targets stay as they are: compiled, argmax
             # took the last of equal values instead of the first, and a training learnt from wrong boxes.
             detector.backbone.compile(dynamic=False)
             loss.compile_proposal_losses()
             self.augment = torch.compile(augment, dynamic=False)
-        super().__init__(config, config.out, ranks, detector, loss)
+        super().__init__(config, config.out, distributed, detector, loss)
 
     def images(self) -> int:
         return len(self.data)
@@ -104,7 +105,7 @@ class _Run(ImageTrainingRun):
         return {"kind": "mask_rcnn_resnet18_fpn", "classes": list(CLASSES), "model": self.config.model.to_json()}
 
     def losses(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        config, device = self.config, self.ranks.device
+        config, device = self.config, self.distributed.device
         sample = self.data.sample(config.batch)
         size = working_size(sample.rgb.shape[1], sample.rgb.shape[2], config.model.working_pixels)
         batch, maps = self.augment(sample, size, config.augmentation)

@@ -1,4 +1,4 @@
-"""The detector's second look: tools whose end effector it is not sure of, seen larger, each in a crop of its own.
+"""The detector's zoom pass: tools whose end effector it is not sure of, seen larger, each in a crop of its own.
 
 An EE is often 20 px wide. Where it is missed or doubtful the whole tool is mostly found, and says where to look. What
 both looks found is one thing; what only one of them saw is half as credible. Also the masks are better: the same
@@ -17,30 +17,30 @@ from numpy.typing import NDArray
 
 from toolee_robot.perception.detection.detector import TOOL
 from toolee_robot.perception.detection.inputs import STRIDE
-from toolee_robot.perception.detection.instances import LEAST_TOOL_OVERLAP, Box, Instances, mask_iou, without_duplicates
+from toolee_robot.perception.detection.instances import MIN_TOOL_OVERLAP, Box, Instances, mask_iou, without_duplicates
 from toolee_robot.types import RgbdFrame
 
-LEAST_TOOL = 0.3
-"""Score from which a tool is worth a second look."""
+MIN_TOOL_SCORE = 0.3
+"""Score from which a tool is worth a zoom pass."""
 
 CERTAIN = 0.9
 """A tool with an EE of this score is not looked at again."""
 
 MAGNIFICATION = 1.6
-"""How much larger the second look sees things than the first. At 1.8 and 2 it gains less, though in training things
+"""How much larger the zoom pass sees things than the first. At 1.8 and 2 it gains less, though in training things
 were enlarged by up to 1.9."""
 
-LEAST_MAGNIFICATION = 1.25
-"""A tool that fills the image can hardly be enlarged: below this a second look shows nothing new."""
+MIN_MAGNIFICATION = 1.25
+"""A tool that fills the image can hardly be enlarged: below this a zoom pass shows nothing new."""
 
-LEAST_PROBABLE = 0.1
-"""Class probability from which the second look's finds count: each costs a mask, a tenth of a look, and those below
+MIN_PROBABILITY = 0.1
+"""Class probability from which the zoom pass's detections count: each costs a mask, a tenth of a look, and those below
 hardly change a score."""
 
 SAME = 0.5
 """IoU of two masks of one class from which they are of one thing."""
 
-_MARGIN, _LEAST_MARGIN = 0.1, 6.0
+_MARGIN, _MIN_MARGIN = 0.1, 6.0
 """About a tool's box: a share of its longer side, and at least so many pixels."""
 _EDGE = 1.5
 """A box that comes so near to a crop's border [px] may be of a thing that goes on beyond it."""
@@ -79,9 +79,9 @@ def crops(first: Instances, image: tuple[int, int], working: tuple[int, int], pi
     certain = [m for m, label, score in zip(masks, labels, scores, strict=True) if label != TOOL and score >= CERTAIN]
     found = []
     for tool, label, score, box in zip(masks, labels, scores, boxes, strict=True):
-        if label != TOOL or score < LEAST_TOOL:
+        if label != TOOL or score < MIN_TOOL_SCORE:
             continue
-        if any(np.count_nonzero(m & tool) >= LEAST_TOOL_OVERLAP * np.count_nonzero(m) for m in certain):
+        if any(np.count_nonzero(m & tool) >= MIN_TOOL_OVERLAP * np.count_nonzero(m) for m in certain):
             continue
         crop = crop_about(box, image, working, pixels)
         if crop is not None:
@@ -91,12 +91,12 @@ def crops(first: Instances, image: tuple[int, int], working: tuple[int, int], pi
 
 def crop_about(box: Box, image: tuple[int, int], working: tuple[int, int], pixels: int) -> Crop | None:
     """The crop that shows `box` with a margin, inside the image, `MAGNIFICATION` times as large as the first look did,
-    or less, so that it has at most `pixels`. None where that is under `LEAST_MAGNIFICATION`. Arguments as `crops`."""
-    margin = max(_LEAST_MARGIN, _MARGIN * max(box[2] - box[0], box[3] - box[1]))
+    or less, so that it has at most `pixels`. None where that is under `MIN_MAGNIFICATION`. Arguments as `crops`."""
+    margin = max(_MIN_MARGIN, _MARGIN * max(box[2] - box[0], box[3] - box[1]))
     y0, y1, height = _span(box[1] - margin, box[3] + margin, image[0], MAGNIFICATION * working[0] / image[0])
     x0, x1, width = _span(box[0] - margin, box[2] + margin, image[1], MAGNIFICATION * working[1] / image[1])
     shrink = min(1.0, math.sqrt(pixels / (height * width)))
-    if MAGNIFICATION * shrink < LEAST_MAGNIFICATION:
+    if MAGNIFICATION * shrink < MIN_MAGNIFICATION:
         return None
     return Crop(x0, y0, x1, y1, (math.floor(height * shrink), math.floor(width * shrink)))
 
@@ -138,7 +138,7 @@ def merge(first: Instances, second: Sequence[Instances], again: Sequence[Crop], 
     first: of the whole image, of size (height, width); second: `placed`, one for each crop of `again`. What both saw
     has the mean of their scores, and the mask of the second; a tool, of which a crop may show less, that of the better
     score. An EE that one look saw and the other should have has half of its score. What no crop holds stays as it is,
-    and so does a tool that the second look misses; a tool that only it sees is left out.
+    and so does a tool thin the zoom pass misses; a tool that only it sees is left out.
     """
     # Crops of neighbours share pixels: a thing seen in both counts once.
     together = _columns([instance for look in second for instance in zip(*look, strict=True)])

@@ -14,7 +14,7 @@ from toolee_robot.errors import AssetError, PerceptionError
 from toolee_robot.frames import Array
 from toolee_robot.perception.evaluation import metrics
 from toolee_robot.perception.evaluation.examples import Case, Examples, Instance
-from toolee_robot.perception.evaluation.shapes import ee_shape, spin_is_told
+from toolee_robot.perception.evaluation.shapes import ee_shape, spin_is_observable
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult, with_hand
 from toolee_robot.perception.pose.estimator import PoseEstimator
 from toolee_robot.perception.research.tooleenet import PaperEstimator
@@ -97,7 +97,7 @@ def estimate_case(estimator: CloudEstimator, case: Case, seed: int) -> tuple[Pos
         return None, 0.0
     begun = time.perf_counter()
     try:
-        result = estimator.estimate(points, case.category, case.cloud.rest, seed=seed, guessed=case.cloud.guessed)
+        result = estimator.estimate(points, case.category, case.cloud.rest, seed=seed, completed=case.cloud.completed)
     except PerceptionError:
         return None, 0.0
     return result, 1e3 * (time.perf_counter() - begun)
@@ -187,11 +187,11 @@ def _row(
 ) -> tuple[object, ...]:
     category, X_true = instance.category, instance.X_camera_ee
     index = CATEGORIES.index(category)
-    told = case is not None and case.cloud.usable and spin_is_told(instance, case)
+    observable = case is not None and case.cloud.usable and spin_is_observable(instance, case)
     if result is None:
         nan = float("nan")
         errors = (_INF, _INF, _INF, _INF, _INF, _INF, nan, nan)
-        return (index, instance.held_out, *errors, 0.0, False, told, nan, False, ms)
+        return (index, instance.held_out, *errors, 0.0, False, observable, nan, False, ms)
     X, group = result.X_camera_ee, category.symmetry
     shape = ee_shape(instance.catalogue, instance.tool, instance.ee)
     K = instance.intrinsics
@@ -214,7 +214,7 @@ def _row(
         spin_fixed,
         result.confidence,
         usable,
-        told,
+        observable,
         result.hypotheses.spin_observable,
         bool((said == class_ambiguity()[index].numpy().astype(bool)).all()),
         ms,

@@ -75,11 +75,13 @@ def _bop(e: Estimates) -> dict[str, float]:
 
 
 def _symmetry(e: Estimates) -> dict[str, Any]:
-    """Share of views whose S is the class's constant, and of hammer heads whose spin is rightly said to be told."""
+    """Share of views whose S is the class's constant, and of hammer heads whose spin is rightly called observable."""
     hammers = e.rows(e.made & (e.category == CATEGORIES.index(Category.HAMMER_HEAD)))
     right = (hammers.spin_observable > 0.5) == hammers.spin_told
     each = [
-        float(right[hammers.spin_told == told].mean()) for told in (True, False) if (hammers.spin_told == told).any()
+        float(right[hammers.spin_told == observable].mean())
+        for observable in (True, False)
+        if (hammers.spin_told == observable).any()
     ]
     return {
         "class_symmetry_accuracy": float(e.class_ambiguity_right[e.made].mean()) if e.made.any() else None,

@@ -30,7 +30,7 @@ from toolee_robot.perception.pipeline import EeDetector, ToolPerception
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
 from toolee_robot.perception.research.tooleenet import PaperEstimator
 from toolee_robot.perception.trust import Trust
-from toolee_robot.runtime.process_map import Crew
+from toolee_robot.runtime.process_map import ProcessMap
 from toolee_robot.types import RgbdFrame
 
 T = TypeVar("T")
@@ -95,9 +95,9 @@ def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
     missing."""
     networks = Networks.load(plan)
     load = partial(Networks.load, plan) if plan.workers > 1 else lambda: networks
-    with Crew(load, plan.workers) as crew:
+    with ProcessMap(load, plan.workers) as processes:
         todo = parts(plan.folder, plan.limit)
-        examples = joined(_counted(crew.map(_read, todo), partial(progress, "reading"), len(todo)))
+        examples = joined(_counted(processes.map(_read, todo), partial(progress, "reading"), len(todo)))
         report: dict[str, Any] = {"data": _data(plan.folder, examples), "estimators": {}}
         estimates: dict[str, dict[str, Estimates]] = {}
         rankings: dict[tuple[str, str], list[Ranked]] = {}
@@ -106,10 +106,12 @@ def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
             for masks in examples.cases:
                 asked = questions(examples, masks, estimator.of_tool)
                 answers = _counted(
-                    crew.map(partial(_answer, label), asked), partial(progress, f"{label}, {masks} masks"), len(asked)
+                    processes.map(partial(_answer, label), asked),
+                    partial(progress, f"{label}, {masks} masks"),
+                    len(asked),
                 )
                 estimates[label][masks], rankings[label, masks] = summary(examples, estimator.of_tool, answers)
-        ranked_ap = crew.map(partial(_ranked_ap, examples.instances), rankings.values())
+        ranked_ap = processes.map(partial(_ranked_ap, examples.instances), rankings.values())
         ranked = dict(zip(rankings, _counted(ranked_ap, partial(progress, "ranking"), len(rankings)), strict=True))
         for label, estimator in networks.estimators.items():
             record: dict[str, Any] = {"method": describe(estimator)}
@@ -130,12 +132,12 @@ def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
             first = next(iter(networks.estimators.values()))
             report["samplers"] = sampler_table(first, examples, plan.sampler_clouds, partial(progress, "samplers"))
         if plan.hammers and not plan.true_masks_only:
-            with closing(crew.map(partial(_fuse, plan.seed), itertools.count())) as tried:
+            with closing(processes.map(partial(_fuse, plan.seed), itertools.count())) as tried:
                 found = itertools.islice((f for f in tried if f is not None), plan.hammers)
                 report["fused"] = views.fused(list(_counted(found, partial(progress, "five views"), plan.hammers)))
         if plan.empty_frames and not plan.true_masks_only:
             frames: Iterable[RgbdFrame | int] = itertools.chain(examples.empty, itertools.count())
-            looked = crew.map(partial(_claims, plan.seed), itertools.islice(frames, plan.empty_frames))
+            looked = processes.map(partial(_claims, plan.seed), itertools.islice(frames, plan.empty_frames))
             report["no_tool"] = views.no_tool(list(_counted(looked, partial(progress, "no tool"), plan.empty_frames)))
     return Evaluation(report, estimates)
 

@@ -18,7 +18,7 @@ from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
 from toolee_robot.perception.training.labelled_images import SegmentationImages
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
-LEAST_PIXELS = 50
+MIN_PIXELS = 50
 """An instance of which less is seen is crowd: no pose could come of it."""
 STATISTICS = ("AP", "AP50", "AP75", "AP_S", "AP_M", "AP_L")
 """COCO's first six: the mean over IoU .50 to .95, at .50, at .75, and by area (under 32^2, to 96^2, over) [px]."""
@@ -107,7 +107,7 @@ def coco_task(
             area = int(mask.sum())
             rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
             box = [int(columns[0]), int(rows[0]), int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1]
-            crowd = int(area < LEAST_PIXELS)
+            crowd = int(area < MIN_PIXELS)
             asked = targets is None or ee_id == 0 or bool(targets[i, ee_id - 1])
             entry = {"id": len(annotations) + 1, "image_id": i + 1, "category_id": label, "bbox": box, _TARGET: asked}
             annotations.append({**entry, "area": area, "iscrowd": crowd, "segmentation": encoded(mask)})

@@ -39,7 +39,7 @@ def ee_shape(catalogue: Catalogue, tool: int, ee: int) -> EeShape:
     return EeShape(vertices, vertices.min(0), vertices.max(0), float(pdist(vertices).max()))
 
 
-def spin_is_told(instance: Instance, case: Case) -> bool:
+def spin_is_observable(instance: Instance, case: Case) -> bool:
     """Whether the view holds what tells the spin about a hammer's axis, by the rule that training labels with: enough
     points of the handle or the claw in the cloud, or the rest of the tool in sight off the axis."""
     if instance.category is not Category.HAMMER_HEAD:
@@ -47,10 +47,10 @@ def spin_is_told(instance: Instance, case: Case) -> bool:
     z = instance.X_camera_ee[:3, 2]
     if case.cloud.direction is not None and float(np.linalg.norm(np.cross(case.cloud.direction, z))) > 0.3:
         return True
-    return telling_points(instance, case) >= SPIN_PIXELS
+    return spin_points(instance, case) >= SPIN_PIXELS
 
 
-def telling_points(instance: Instance, case: Case) -> int:
+def spin_points(instance: Instance, case: Case) -> int:
     """How many points of the cloud are of what tells the spin about a hammer's axis: handle or claw."""
     tree, tells = _labelled_surface(instance.catalogue, instance.tool)
     X_tool_ee = instance.catalogue.tool(instance.tool).ees[instance.ee].X_tool_ee

@@ -14,7 +14,7 @@ from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.perception.dataset.records import EeTable
 from toolee_robot.perception.evaluation import metrics
 from toolee_robot.perception.pipeline import ToolPerception
-from toolee_robot.perception.synthesis.example import Series, expose, label, take_shot
+from toolee_robot.perception.synthesis.example import Series, expose, label, render_example
 from toolee_robot.perception.synthesis.hard import ARM, HAND, hard_scene
 from toolee_robot.perception.synthesis.placement import PlacedTool, Pool, SceneSample
 from toolee_robot.render.renderer import Shot
@@ -38,7 +38,7 @@ class HeldHammer:
 def held_hammer(seed: int, index: int, split: str = "test") -> HeldHammer | None:
     """A hammer in a right hand among the clutter of the hard scenes, the hand turned by up to 60 deg and moved by 5 cm
     between the frames; a face is a target (`EeTable.targets`) in each. None if that scene holds no such hammer."""
-    taken = take_shot(Series(seed, split), index)
+    taken = render_example(Series(seed, split), index)
     hammer = _held_hammer(taken.sample, taken.labels[3])
     if hammer is None:
         return None

@@ -1,5 +1,5 @@
 """The canonical view of a cloud: outliers trimmed, centred, turned so that the ray to its centre is z, 512 points;
-beside it, in the same frame, a coarse cloud of what else is seen of the tool. Points whose depth is only guessed
+beside it, in the same frame, a coarse cloud of what else is seen of the tool. Points whose depth was completed
 (`depth_completion.py`) are among the 512, marked.
 
 Centring keeps the working distance out of the network, turning makes the result independent of where in the image the
@@ -30,19 +30,19 @@ REST_PATCHES = 32
 """The first this many of them are farthest-point samples."""
 REST_REACH = 0.5
 """No tool of these is longer [m]: farther points are background that the mask caught."""
-REST_LEAST = 20
+REST_MIN = 20
 """Fewer points of the rest say nothing."""
 
 
 @dataclass(frozen=True)
 class CanonicalCloud:
-    """points: (B, N, 3) [m], canonical frame; guessed: (B, N), 1 where a point's depth is guessed, else 0. centre:
+    """points: (B, N, 3) [m], canonical frame; completed: (B, N), 1 where a point's depth is completed, else 0. centre:
     (B, 3) [m] and R: (B, 3, 3) with p_canonical = R @ (p_camera - centre). count: (B,) measured points that survived
     the trimming. rest: (B, 256, 3) [m] of the tool beyond its EE, canonical frame, zeros where rest_known (B,) is not;
     see `with_rest`."""
 
     points: Tensor
-    guessed: Tensor
+    completed: Tensor
     centre: Tensor
     R: Tensor
     count: Tensor
@@ -57,14 +57,14 @@ def canonicalize(
     generator: torch.Generator | None = None,
     size: int = POINTS,
     ordered: int = PATCHES,
-    guessed: tuple[Tensor, Tensor] | None = None,
+    completed: tuple[Tensor, Tensor] | None = None,
 ) -> CanonicalCloud:
     """Clouds (B, N, 3) [m] in the camera frame with a mask (B, N) of real points -> canonical clouds.
 
     radius: (B,) [m] of the EE's area. A dilated mask on a thin tool is mostly background, so the centre starts at the
     30 % quantile of the depth, then is the median of what lies near, then outliers are cut. The generator draws the
     points; it lives on the same device as the points. size: points of the result, of which the first `ordered` are
-    farthest-point samples. guessed: points (B, M, 3) [m] and mask (B, M), likewise, of a guessed depth; they do not
+    farthest-point samples. completed: points (B, M, 3) [m] and mask (B, M), likewise, of a completed depth; they do not
     move the centre.
     """
     radius = radius[:, None]
@@ -78,8 +78,8 @@ def canonicalize(
     count = kept.sum(1)
     R = ray_rotation(centre)
     marks = torch.zeros_like(points[..., :1])
-    if guessed is not None:
-        more, real = guessed
+    if completed is not None:
+        more, real = completed
         points = torch.cat([points, more], 1)
         marks = torch.cat([marks, torch.ones_like(more[..., :1])], 1)
         kept = torch.cat([kept, real & ((more - centre[:, None]).norm(dim=-1) < 1.6 * radius)], 1)
@@ -110,7 +110,7 @@ def with_rest(
     offset = points - cloud.centre[:, None]
     kept = valid & (offset.norm(dim=-1) < REST_REACH)
     count = kept.sum(1)
-    known = count >= REST_LEAST
+    known = count >= REST_MIN
     key = torch.rand(valid.shape, device=points.device, generator=generator) + (~kept).float() * 2
     pick = torch.arange(REST_POINTS, device=points.device)[None] % count.clamp(1, REST_POINTS)[:, None]
     chosen = torch.einsum("bij,bnj->bni", cloud.R, _rows(offset, key.argsort(1).gather(1, pick)))

@@ -16,7 +16,7 @@ from toolee_robot.frames import Array
 from toolee_robot.perception.pose.canonical import (
     PATCHES,
     POINTS,
-    REST_LEAST,
+    REST_MIN,
     REST_PATCHES,
     REST_POINTS,
     REST_REACH,
@@ -34,10 +34,10 @@ def canonicalize_one(
     generator: torch.Generator,
     size: int = POINTS,
     ordered: int = PATCHES,
-    guessed: Array | None = None,
+    completed: Array | None = None,
 ) -> CanonicalCloud:
-    """`canonicalize` of one cloud (N, 3) [m], N > 0, with the guessed points (M, 3) [m]: a batch of one. The generator
-    lives on the CPU."""
+    """`canonicalize` of one cloud (N, 3) [m], N > 0, with the completed points (M, 3) [m]: a batch of one. The
+    generator lives on the CPU."""
     xyz = _columns(points)
     near = np.abs(xyz[2:] - _quantile(xyz[2:], 0.3))[0] < 1.6 * radius
     centre = _quantile(xyz.compress(near, axis=1), 0.5)
@@ -45,8 +45,8 @@ def canonicalize_one(
     offset = xyz - centre
     kept = _within(offset, 1.6 * radius)
     count = int(np.count_nonzero(kept))
-    if guessed is not None:
-        more = _columns(guessed) - centre
+    if completed is not None:
+        more = _columns(completed) - centre
         offset = np.concatenate([offset, more], axis=1)
         kept = np.concatenate([kept, _within(more, 1.6 * radius)])
     pick = _drawn(kept, size, generator)
@@ -56,7 +56,7 @@ def canonicalize_one(
     marks = (pick[order] >= len(points)).astype(np.float32)
     return CanonicalCloud(
         points=torch.from_numpy(local[order])[None],
-        guessed=torch.from_numpy(marks)[None],
+        completed=torch.from_numpy(marks)[None],
         centre=torch.from_numpy(centre.T),
         R=torch.from_numpy(R)[None],
         count=torch.tensor([count]),
@@ -72,7 +72,7 @@ def with_rest_one(cloud: CanonicalCloud, points: Array, generator: torch.Generat
     offset = _columns(points) - cloud.centre.numpy().T
     kept = _within(offset, REST_REACH)
     pick = _drawn(kept, REST_POINTS, generator)
-    if np.count_nonzero(kept) < REST_LEAST:
+    if np.count_nonzero(kept) < REST_MIN:
         return cloud
     local = _turned(offset, cloud.R[0].numpy(), pick)
     rest = torch.from_numpy(local[_farthest_first(local, REST_PATCHES)])[None]

@@ -59,14 +59,14 @@ class CloudEstimator(ABC):
 
     points, ordered: how many points the network takes, and how many of them are farthest-point samples, first.
     candidates: samples drawn for a pose, by `sampler` from `process`. of_tool: it wants the whole tool's cloud.
-    guesses: it takes points of a guessed depth, too.
+    uses_completed: it takes points of a completed depth, too.
     """
 
     points: int = POINTS
     ordered: int = PATCHES
     candidates: int = CANDIDATES
     of_tool: bool = False
-    guesses: bool = True
+    uses_completed: bool = True
     process: Process
     sampler: Sampler
 
@@ -83,15 +83,15 @@ class CloudEstimator(ABC):
         X_camera_hand: Array | None = None,
         seed: int = 0,
         candidates: int | None = None,
-        guessed: Array | None = None,
+        completed: Array | None = None,
     ) -> PoseResult:
         """The pose of the EE whose visible points (N, 3) [m] are given in the camera's frame (OpenCV axes).
 
-        rest: (M, 3) [m], the visible points of the rest of the tool, camera frame. guessed: (G, 3) [m], likewise, those
-        of the EE's mask whose depth is guessed from their neighbours' (`depth_completion.py`). X_camera_hand: 4x4, the
-        hand that holds the tool; tells where the rest is if that is not seen, and the spin about a symmetric EE's axis.
-        The same input and seed give the same result. Raises PerceptionError with fewer than 25 finite points.
-        """
+        rest: (M, 3) [m], the visible points of the rest of the tool, camera frame. completed: (G, 3) [m], likewise,
+        those of the EE's mask whose depth is completed from their neighbours' (`depth_completion.py`). X_camera_hand:
+        4x4, the hand that holds the tool; tells where the rest is if that is not seen, and the spin about a symmetric
+        EE's axis. The same input and seed give the same result. Raises PerceptionError with fewer than 25 finite
+        points."""
         points = _finite(points)
         if len(points) < MIN_POINTS:
             raise PerceptionError(
@@ -101,7 +101,7 @@ class CloudEstimator(ABC):
         generator = torch.Generator().manual_seed(seed)
         visible = len(points)
         points = _thinned(points, generator)
-        more = _thinned(_finite(guessed), generator) if self.guesses and guessed is not None else None
+        more = _thinned(_finite(completed), generator) if self.uses_completed and completed is not None else None
         cloud = canonicalize_one(points, self.radius(category), generator, self.points, self.ordered, more)
         if int(cloud.count[0]) < MIN_KEPT:
             raise PerceptionError(

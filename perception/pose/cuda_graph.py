@@ -23,7 +23,7 @@ class _Recording:
     held: tuple[Tensor, ...]
 
 
-class Captured:
+class CudaGraphRunner:
     """`function` of tensors on `device`, with the same results, faster: from tensors on the host to tensors on the
     host, the way there and back recorded, too. One recording for each shape of its inputs.
 

@@ -1,4 +1,4 @@
-"""Depths for the pixels of a mask that have none of their own, guessed from their measured neighbours.
+"""Depths for the pixels of a mask that have none of their own, completed from their measured neighbours.
 
 A depth camera loses what is shiny, steep or at an edge: of the end effectors in `hard` scenes 32 % of the pixels, three
 quarters of them within two pixels of the outline, which is what tells where a wrench's jaws point.
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 RINGS = 3
-"""Pixels so far from a measured one get a depth; beyond, a guess says nothing."""
+"""Pixels so far from a measured one get a depth; beyond, a completed depth says nothing."""
 _STEP, _RELATIVE_STEP = 0.012, 0.01
 _Depth = TypeVar("_Depth", Tensor, NDArray[np.float32])
 
@@ -25,7 +25,7 @@ def surface_step(depth: _Depth) -> _Depth:
     return _STEP + _RELATIVE_STEP * depth
 
 
-def fill(depth: Tensor, known: Tensor, wanted: Tensor, rings: int = RINGS) -> Tensor:
+def complete_depth(depth: Tensor, known: Tensor, wanted: Tensor, rings: int = RINGS) -> Tensor:
     """Depths (B, H, W) [m] of the wanted pixels, 0 elsewhere and where no known pixel is within `rings` pixels.
 
     depth (B, H, W) [m], which holds at the known pixels (B, H, W). Ring by ring, an unknown pixel takes the mean of

@@ -19,13 +19,13 @@ from toolee_robot.frames import Array, transform
 from toolee_robot.perception.pose import confidence
 from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
-from toolee_robot.perception.pose.cuda_graph import Captured
+from toolee_robot.perception.pose.cuda_graph import CudaGraphRunner
 from toolee_robot.perception.pose.network import CATEGORIES, CONTEXT_DIM, REGRESSED, SAMPLER, PoseNet, Seen
 from toolee_robot.perception.pose.pooling import Pooled, pairwise_angles, pool
 from toolee_robot.perception.pose.processes.flow import Euler, Sampler
 from toolee_robot.perception.pose.representation import DIM, T_SCALE, decode, mirrored
 from toolee_robot.perception.pose.weights import Calibration, load
-from toolee_robot.perception.precision import bfloat16_pays, one_thread
+from toolee_robot.perception.precision import prefers_bfloat16, single_thread
 from toolee_robot.types import Category, PoseHypotheses
 
 
@@ -42,14 +42,14 @@ class PoseEstimator(CloudEstimator):
         bfloat16: bool | None = None,
     ) -> None:
         self._device = torch.device(device)
-        self._bfloat16 = bfloat16_pays(self._device) if bfloat16 is None else bfloat16
+        self._bfloat16 = prefers_bfloat16(self._device) if bfloat16 is None else bfloat16
         if self._bfloat16:
             net = copy.deepcopy(net)
             net.encoder_in_bfloat16()
         self._net = net.to(device).eval()
         self.calibration = calibration or Calibration()
         self.process, self.sampler = net.process, sampler
-        self._captured: dict[Sampler, Captured] = {}
+        self._graph_runners: dict[Sampler, CudaGraphRunner] = {}
 
     @classmethod
     def load(cls, weights_dir: Path | None = None, device: str = "cpu") -> PoseEstimator:
@@ -73,7 +73,7 @@ class PoseEstimator(CloudEstimator):
         # The generator lives on the CPU: the same seed gives the same draws on any device.
         noise = torch.randn(len(categories), candidates, DIM, generator=generator).to(device)
         # Measured, one cloud: 20 ms with one thread, 16 with two; beside a program that keeps a core busy 18 and 36.
-        with one_thread() if self._bfloat16 and len(categories) == 1 else nullcontext():
+        with single_thread() if self._bfloat16 and len(categories) == 1 else nullcontext():
             u, *direct = (x.float().cpu() for x in run(*Seen.of(cloud, index, direction, context), noise))
         regression = dict(zip(REGRESSED, direct, strict=True))
         # The candidates, and the regression's pose as one more.
@@ -109,9 +109,9 @@ class PoseEstimator(CloudEstimator):
         be recorded: it chooses its steps by values."""
         if not (alone and self._device.type == "cuda" and isinstance(self.sampler, Euler)):
             return self._network, self._device
-        if self.sampler not in self._captured:
-            self._captured[self.sampler] = Captured(self._network, self._device)
-        return self._captured[self.sampler], torch.device("cpu")
+        if self.sampler not in self._graph_runners:
+            self._graph_runners[self.sampler] = CudaGraphRunner(self._network, self._device)
+        return self._graph_runners[self.sampler], torch.device("cpu")
 
     def _network(self, *inputs: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Candidates u (B, K, 12) and `REGRESSED` from the fields of `Seen` and noise (B, K, 12).

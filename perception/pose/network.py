@@ -1,7 +1,7 @@
 """The pose network: a patch transformer over the EE's cloud and the rest of the tool, a generative head and a
 regression head.
 
-Encoder: 64 patches of 32 points (marked where their depth is guessed) within 12 mm of their centres, and 32 coarser
+Encoder: 64 patches of 32 points (marked where their depth is completed) within 12 mm of their centres, and 32 coarser
 ones of the rest of the tool, a small PointNet each, then a transformer with tokens for the category and for the
 direction to the rest of the tool, for when no more is known of that. Measured against PointNet++ at equal data it is
 better and faster.
@@ -54,11 +54,11 @@ class NetworkConfig:
 
 
 class Seen(NamedTuple):
-    """The network's input: a canonical cloud's points (B, 512, 3) [m] with guessed (B, 512), and rest (B, 256, 3) [m]
+    """The network's input: a canonical cloud's points (B, 512, 3) [m] with completed (B, 512), and rest (B, 256, 3) [m]
     with rest_known (B,); the category (B,); the tokens direction (B, 5) and context (B, 2)."""
 
     points: Tensor
-    guessed: Tensor
+    completed: Tensor
     rest: Tensor
     rest_known: Tensor
     category: Tensor
@@ -69,8 +69,8 @@ class Seen(NamedTuple):
     def of(cloud: CanonicalCloud, category: Tensor, direction: Tensor, context: Tensor) -> Seen:
         """On the category's device."""
         to = category.device
-        points, guessed, tokens = cloud.points.to(to), cloud.guessed.to(to), (direction.to(to), context.to(to))
-        return Seen(points, guessed, cloud.rest.to(to), cloud.rest_known.to(to), category, *tokens)
+        points, completed, tokens = cloud.points.to(to), cloud.completed.to(to), (direction.to(to), context.to(to))
+        return Seen(points, completed, cloud.rest.to(to), cloud.rest_known.to(to), category, *tokens)
 
     def with_mirror(self) -> Seen:
         """Twice as many: as they are, then their mirror images in x."""
@@ -115,7 +115,7 @@ class PoseNet(nn.Module):
                 self.category(both.category)[:, None],
                 self.direction(both.direction)[:, None],
                 self.context(both.context)[:, None],
-                self.ee(seen.points, seen.guessed, mirror),
+                self.ee(seen.points, seen.completed, mirror),
                 self.rest_tokens(seen, mirror),
             ],
             dim=1,

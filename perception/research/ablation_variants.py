@@ -15,8 +15,8 @@ from toolee_robot.perception.pose.network import NetworkConfig, PoseNet, Seen
 from toolee_robot.perception.pose.pooling import align, pool
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch
 from toolee_robot.perception.pose.synthetic_clouds.generator import CloudGenerator
-from toolee_robot.perception.pose.synthetic_clouds.surface_samples import Float32, ToolBank
-from toolee_robot.perception.pose.training.recipe import Ours
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import Float32, SurfaceSamples
+from toolee_robot.perception.pose.training.recipe import DefaultRecipe
 from toolee_robot.perception.research.tooleenet.pointnet2 import PointNet2
 from toolee_robot.perception.research.tooleenet.pooling import mean_pose
 from toolee_robot.symmetry import SymmetryGroup
@@ -46,15 +46,15 @@ class PointNetPose(PoseNet):
 
 
 @dataclass(frozen=True)
-class WithPointNet(Ours):
-    """`Ours` with `PointNetPose`."""
+class WithPointNet(DefaultRecipe):
+    """`DefaultRecipe` with `PointNetPose`."""
 
-    def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
-        """See `Method`."""
-        return CloudGenerator(bank, hands, device, seed, replace(self.clouds_config, ordered=POINTS, guessed=False))
+    def clouds(self, samples: SurfaceSamples, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
+        """See `TrainingRecipe`."""
+        return CloudGenerator(samples, hands, device, seed, replace(self.clouds_config, ordered=POINTS, guessed=False))
 
-    def network(self, bank: ToolBank) -> PoseNet:  # noqa: ARG002 - as the protocol
-        """See `Method`."""
+    def network(self, samples: SurfaceSamples) -> PoseNet:  # noqa: ARG002 - as the protocol
+        """See `TrainingRecipe`."""
         return PointNetPose(self.config)
 
 
@@ -83,16 +83,16 @@ class _Scale(nn.Module):
 
 
 @dataclass(frozen=True)
-class Uncentred(Ours):
-    """`Ours` on `UncentredGenerator`'s clouds."""
+class Uncentred(DefaultRecipe):
+    """`DefaultRecipe` on `UncentredGenerator`'s clouds."""
 
-    def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
-        """See `Method`."""
-        return UncentredGenerator(bank, hands, device, seed, self.clouds_config)
+    def clouds(self, samples: SurfaceSamples, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
+        """See `TrainingRecipe`."""
+        return UncentredGenerator(samples, hands, device, seed, self.clouds_config)
 
-    def network(self, bank: ToolBank) -> PoseNet:
-        """See `Method`."""
-        net = super().network(bank)
+    def network(self, samples: SurfaceSamples) -> PoseNet:
+        """See `TrainingRecipe`."""
+        net = super().network(samples)
         for patches in (net.ee, net.rest):
             patches.place = nn.Sequential(_Scale(), *patches.place)
         return net

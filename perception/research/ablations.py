@@ -24,15 +24,15 @@ from toolee_robot.perception.pose.estimator import PoseEstimator
 from toolee_robot.perception.pose.network import NetworkConfig
 from toolee_robot.perception.pose.processes.flow import Euler
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, CloudConfig
-from toolee_robot.perception.pose.synthetic_clouds.surface_samples import load_hands, tool_bank
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import load_hands, sample_tools
 from toolee_robot.perception.pose.training import validation
 from toolee_robot.perception.pose.training.config import TrainConfig
-from toolee_robot.perception.pose.training.recipe import Method, Ours
+from toolee_robot.perception.pose.training.recipe import DefaultRecipe, TrainingRecipe
 from toolee_robot.perception.pose.training.trainer import Trainer
 from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.perception.research.ablation_variants import POOLINGS, Uncentred, WithPointNet
-from toolee_robot.perception.research.tooleenet import PaperMethod
-from toolee_robot.perception.training.distributed import ranks
+from toolee_robot.perception.research.tooleenet import PaperRecipe
+from toolee_robot.perception.training.distributed import init_distributed
 
 KS = (1, 5, 10, 20, 32, 50)
 STEPS = (1, 2, 3, 5, 10, 20)
@@ -47,45 +47,45 @@ class Row:
 
     what: str
     change: str
-    method: Method[Any]
+    recipe: TrainingRecipe[Any]
 
 
-def _ours(**changes: Any) -> Ours:
-    return Ours(name=_NAME, **changes)
+def _default(**changes: Any) -> DefaultRecipe:
+    return DefaultRecipe(name=_NAME, **changes)
 
 
 ROWS: dict[str, Row] = {
-    "base": Row("base", "patch transformer, EDM, rest of the tool, centred, augmented", _ours()),
+    "base": Row("base", "patch transformer, EDM, rest of the tool, centred, augmented", _default()),
     "pointnet2": Row("encoder", "the paper's PointNet++", WithPointNet(name=_NAME)),
-    "flow": Row("process", "flow matching", _ours(config=NetworkConfig(process="flow"))),
+    "flow": Row("process", "flow matching", _default(config=NetworkConfig(process="flow"))),
     "score": Row(
         "process",
         "score matching (VE), 20 steps",
-        _ours(config=NetworkConfig(process="score"), sampler=Euler(20)),
+        _default(config=NetworkConfig(process="score"), sampler=Euler(20)),
     ),
-    "no-rest": Row("rest of the tool", "its direction alone, no points", _ours(rest_dropout=1.0)),
-    "no-direction": Row("rest of the tool", "unknown", _ours(rest_dropout=1.0, direction_dropout=1.0)),
+    "no-rest": Row("rest of the tool", "its direction alone, no points", _default(rest_dropout=1.0)),
+    "no-direction": Row("rest of the tool", "unknown", _default(rest_dropout=1.0, direction_dropout=1.0)),
     "uncentred": Row("centring", "encoder sees the cloud in the camera's frame", Uncentred(name=_NAME)),
-    "no-augmentation": Row("augmentation", "without", _ours(augmentation=False)),
-    "no-guesses": Row("pixels without a depth", "left out", _ours(clouds_config=CloudConfig(guessed=False))),
+    "no-augmentation": Row("augmentation", "without", _default(augmentation=False)),
+    "no-guesses": Row("pixels without a depth", "left out", _default(clouds_config=CloudConfig(guessed=False))),
     **{
         f"radius-{r}": Row(
-            "crop radius", f"{r} mm for every category", _ours(clouds_config=CloudConfig(radius=r / 1e3))
+            "crop radius", f"{r} mm for every category", _default(clouds_config=CloudConfig(radius=r / 1e3))
         )
         for r in RADII_MM
     },
-    "paper": Row("all of it", "the paper's estimator", PaperMethod()),
+    "paper": Row("all of it", "the paper's estimator", PaperRecipe()),
 }
 
 
-def run_row(name: str, out: Path, config: TrainConfig, banks: Any, hands: Any, device: str) -> None:
+def run_row(name: str, out: Path, config: TrainConfig, samples: Any, hands: Any, device: str) -> None:
     """Train a row (or resume it), judge it, write its row.json. Raises TooleeError when the loss is not finite."""
     row = ROWS[name]
-    with ranks(device) as place:
-        trainer: Trainer[Any] = Trainer(out / name, config, banks, hands, row.method, place)
+    with init_distributed(device) as distributed:
+        trainer: Trainer[Any] = Trainer(out / name, config, samples, hands, row.recipe, distributed)
         report = trainer.run()
         held_out = trainer.judged()
-        estimator = row.method.estimator(trainer.export(), Calibration(), str(trainer.device))
+        estimator = row.recipe.estimator(trainer.export(), Calibration(), str(trainer.device))
         K = estimator.candidates
         record: dict[str, Any] = {
             "what": row.what,
@@ -190,10 +190,10 @@ def main(arguments: list[str] | None = None) -> int:
                 validation=options.validation,
                 seed=options.seed,
             )
-            banks = tool_bank(False, config.train_seeds), tool_bank(True, config.test_seeds)
+            samples = sample_tools(False, config.train_seeds), sample_tools(True, config.test_seeds)
             hands = load_hands(options.hands)
             for name in names:
-                run_row(name, options.out, config, banks, hands, options.device)
+                run_row(name, options.out, config, samples, hands, options.device)
                 write_table(options.out)
         print(write_table(options.out))
     except TooleeError as error:

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, ConfigDict, Field
 
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array, angle_between, frame_from_axes, inverse, transform_points
-from toolee_robot.perception.dataset.custom_tools import MATERIALS, OwnMesh, OwnToolRecord, cut_at_parts
+from toolee_robot.perception.dataset.custom_tools import MATERIALS, CustomMesh, CustomToolRecord, cut_at_parts
 from toolee_robot.perception.dataset.instances import ply_bytes
 from toolee_robot.runtime.yaml_files import read_record
 from toolee_robot.symmetry import SymmetryKind
@@ -30,7 +30,7 @@ _SMALLEST, _LARGEST = 0.05, 1.0
 _SCALES = (0.001, 0.01, 0.0254, 1.0)
 _GRIP = 0.08
 """A hand nominally holds a handle so far [m] from the butt, or in the middle of a shorter one."""
-_THICKEST = 0.035
+_MAX_THICKNESS = 0.035
 """Half-width [m] of a handle that a hand can hold, and a little."""
 _OFF_SURFACE = 0.04
 _SAMPLES = 30_000
@@ -88,7 +88,7 @@ class ToolConfig:
     materials: MaterialsConfig = field(default_factory=MaterialsConfig)
 
 
-def read_own_tools(folder: Path) -> tuple[OwnMesh, ...]:
+def read_custom_tools(folder: Path) -> tuple[CustomMesh, ...]:
     """The tools in a folder of folders, by name. Raises ConfigError naming the file and what to change in it."""
     if not folder.is_dir():
         raise ConfigError(f"--tools {folder}: there is no such folder")
@@ -98,7 +98,7 @@ def read_own_tools(folder: Path) -> tuple[OwnMesh, ...]:
     return tuple(_read_tool(path) for path in folders)
 
 
-def _read_tool(folder: Path) -> OwnMesh:
+def _read_tool(folder: Path) -> CustomMesh:
     path = folder / DESCRIPTION
     if not re.fullmatch(r"[\w.-]{1,64}", folder.name, re.ASCII):
         raise ConfigError(f"{folder}: the folder is the tool's name; use letters, digits, dots, - and _ only")
@@ -122,7 +122,7 @@ def _read_mesh(path: Path) -> tuple[Array, NDArray[np.int64]]:
     return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
 
 
-def _resolved(name: str, config: ToolConfig, vertices: Array, faces: NDArray[np.int64]) -> OwnMesh:
+def _resolved(name: str, config: ToolConfig, vertices: Array, faces: NDArray[np.int64]) -> CustomMesh:
     """Everything in metres in the tool's frame. Raises ValueError with what to change."""
     length = _length(vertices) * config.scale
     if not _SMALLEST <= length <= _LARGEST:
@@ -141,7 +141,7 @@ def _resolved(name: str, config: ToolConfig, vertices: Array, faces: NDArray[np.
         )
     X_tool_mesh = inverse(_tool_frame(config.ees[0].category, Xs_mesh_ee[0], butt, end))
     z_butt, z_end = (float(transform_points(X_tool_mesh, p[None])[0, 2]) for p in (butt, end))
-    record = OwnToolRecord(
+    record = CustomToolRecord(
         name,
         "",
         tuple(ee.category for ee in config.ees),
@@ -152,7 +152,7 @@ def _resolved(name: str, config: ToolConfig, vertices: Array, faces: NDArray[np.
     )
     vertices, faces = cut_at_parts(record, transform_points(X_tool_mesh, vertices), faces)
     ply = ply_bytes(1e3 * vertices, faces)
-    return OwnMesh(replace(record, mesh_sha256=hashlib.sha256(ply).hexdigest()), ply)
+    return CustomMesh(replace(record, mesh_sha256=hashlib.sha256(ply).hexdigest()), ply)
 
 
 def _length(vertices: Array) -> float:
@@ -199,7 +199,7 @@ def _tool_frame(category: Category, X_mesh_ee: Array, butt: Array, end: Array) -
 
 def _handle(surface: Array, z_butt: float, z_end: float) -> tuple[_Row, _Row, _Row]:
     """z, half-widths along x and y [m] of the surface (N, 3), `tool` frame, around the line from butt to end."""
-    near = surface[np.linalg.norm(surface[:, :2], axis=1) < _THICKEST]
+    near = surface[np.linalg.norm(surface[:, :2], axis=1) < _MAX_THICKNESS]
     edges = np.linspace(z_butt, z_end, 25)
     which = np.digitize(near[:, 2], edges) - 1
     slabs = [np.abs(near[which == k, :2]) for k in range(len(edges) - 1)]
@@ -207,7 +207,7 @@ def _handle(surface: Array, z_butt: float, z_end: float) -> tuple[_Row, _Row, _R
     if there.mean() < 0.75:
         raise ValueError(
             f"handle: along {1 - there.mean():.0%} of the line from butt to end no surface is within "
-            f"{1e3 * _THICKEST:.0f} mm; give both points on the handle's axis, in the mesh's frame and unit"
+            f"{1e3 * _MAX_THICKNESS:.0f} mm; give both points on the handle's axis, in the mesh's frame and unit"
         )
     middles = 0.5 * (edges[1:] + edges[:-1])
     widths = np.array([slab.max(axis=0) for slab, ok in zip(slabs, there, strict=True) if ok])

@@ -51,7 +51,7 @@ class Series:
 
 def make_example(series: Series, index: int, device: str = "cpu") -> Example:
     """Example `index` of a series, rendered on a device (see `render`)."""
-    taken = take_shot(series, index, device)
+    taken = render_example(series, index, device)
     sample, shot, rng = taken.sample, taken.shot, taken.rng
     ee, tool, full, table = taken.labels
     if series.config == "hard":
@@ -77,7 +77,7 @@ Labels = tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8], EeTable]
 
 
 @dataclass(frozen=True, eq=False)
-class Taken:
+class RenderedExample:
     """The scene of an example, what its camera sees of it (with labels), and the generator that camera and sensor
     continue with."""
 
@@ -87,7 +87,7 @@ class Taken:
     rng: np.random.Generator
 
 
-def take_shot(series: Series, index: int, device: str = "cpu") -> Taken:
+def render_example(series: Series, index: int, device: str = "cpu") -> RenderedExample:
     """Example `index` of a series before it is developed.
 
     A scene with tools none of whose EEs is a target (`EeTable.targets`) is drawn again.
@@ -101,7 +101,7 @@ def take_shot(series: Series, index: int, device: str = "cpu") -> Taken:
         labels = label(sample, shot)
         if not sample.tools or labels[3].targets.any():
             break
-    return Taken(sample, shot, labels, rng)
+    return RenderedExample(sample, shot, labels, rng)
 
 
 def examples_of(

@@ -19,7 +19,7 @@ from typing import TypeVar
 
 from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.dataset.catalogue import GENERATED
-from toolee_robot.perception.dataset.custom_tools import OwnMesh
+from toolee_robot.perception.dataset.custom_tools import CustomMesh
 from toolee_robot.perception.dataset.encoding.checksums import SUMS
 from toolee_robot.perception.dataset.index_files import Summary, finish, is_finished
 from toolee_robot.perception.dataset.instances import tool_path
@@ -29,9 +29,9 @@ from toolee_robot.perception.dataset.scene_writer import json_by_line, write_sce
 from toolee_robot.perception.dataset.spec import DESCRIPTION, SPLITS, DatasetSpec, SceneJob
 from toolee_robot.perception.synthesis.bodies import forget_tools
 from toolee_robot.perception.synthesis.example import examples_of
-from toolee_robot.perception.synthesis.tool_cache import Shelf
+from toolee_robot.perception.synthesis.tool_cache import ToolCache
 from toolee_robot.render.device import checked
-from toolee_robot.runtime.files import write_whole
+from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.process_pool import WorkerPool
 
 T = TypeVar("T")
@@ -46,14 +46,13 @@ def generate(
     workers: int = 1,
     progress: Progress | None = None,
     cluster: str = "local",
-    own: Sequence[OwnMesh] = (),
+    custom_tools: Sequence[CustomMesh] = (),
 ) -> bool:
     """Write the data set into the folder `out`; False if it was there already. Scenes that exist are kept.
 
-    own: the meshes of `spec.tools`. cluster: "local" for `workers` processes here; "ray" for as many on a Ray cluster,
-    whose machines share `out`. Raises UserError when `out` holds another data set or there is no such device,
-    TooleeError when a worker dies.
-    """
+    custom_tools: the meshes of `spec.tools`. cluster: "local" for `workers` processes here; "ray" for as many on a Ray
+    cluster, whose machines share `out`. Raises UserError when `out` holds another data set or there is no such device,
+    TooleeError when a worker dies."""
     if workers < 1:
         raise UserError(f"--workers {workers}: give 1 or more")
     if cluster not in CLUSTERS:
@@ -61,7 +60,7 @@ def generate(
     if cluster == "ray" and spec.device != "cpu":
         raise UserError(f"--device {spec.device}: Ray gives its tasks no GPU unless they ask for it, choose cpu there")
     checked(spec.device)
-    begin(spec, out, own)
+    begin(spec, out, custom_tools)
     if is_finished(out):
         return False
     jobs = spec.jobs()
@@ -91,7 +90,7 @@ def generate(
     return True
 
 
-def begin(spec: DatasetSpec, out: Path, own: Sequence[OwnMesh] = ()) -> None:
+def begin(spec: DatasetSpec, out: Path, custom_tools: Sequence[CustomMesh] = ()) -> None:
     """Make or check the folder, put a user's meshes into it, and clear away what a killed run left half done."""
     try:
         for split in SPLITS:
@@ -108,12 +107,12 @@ def begin(spec: DatasetSpec, out: Path, own: Sequence[OwnMesh] = ()) -> None:
     elif any(p.name not in SPLITS for p in out.iterdir()) or any(any((out / s).iterdir()) for s in SPLITS):
         raise UserError(f"{out} is not empty and no data set: choose another folder")
     else:
-        write_whole(path, json_by_line(wanted))
+        write_atomic(path, json_by_line(wanted))
     _clear(out)
-    for tool in own:
+    for tool in custom_tools:
         path = tool_path(out, tool.record.name)
         path.parent.mkdir(exist_ok=True)
-        write_whole(path, tool.ply)
+        write_atomic(path, tool.ply)
     for split in SPLITS:
         for scene in (out / split).glob("[0-9]*"):
             if not (scene / SUMS).exists():
@@ -133,7 +132,7 @@ def _clear(out: Path) -> None:
 
 def make_scene_folder(spec: DatasetSpec, out: Path, job: SceneJob) -> SceneJob:
     """Write one scene and the models of its tools."""
-    catalogue = spec.catalogue(out) if spec.tools else Shelf(GENERATED, out)
+    catalogue = spec.catalogue(out) if spec.tools else ToolCache(GENERATED, out)
     examples = examples_of(spec, job.split, job.first, job.last, catalogue)
     write_scene(job.folder(out), examples, partial(write_models, out, catalogue), catalogue)
     forget_tools()

@@ -15,20 +15,20 @@ import trimesh
 from toolee_robot.perception.dataset.catalogue import Catalogue, StoredTool
 from toolee_robot.perception.synthesis.bodies import tool_meshes
 from toolee_robot.render import Mesh
-from toolee_robot.runtime.files import write_whole
+from toolee_robot.runtime.files import write_atomic
 from toolee_robot.tools import EndEffector, Handle, Material, Part, ToolShape
 from toolee_robot.types import Category
 
-SHELF = ".tools.part"
+TOOL_CACHE = ".tools.part"
 """The files' folder in a data set's; what ends so is cleared away when a run begins or ends."""
 
 
-class Shelf(Catalogue):
+class ToolCache(Catalogue):
     """The tools of another catalogue, drawn once by whichever process needs one first."""
 
     def __init__(self, source: Catalogue, root: Path) -> None:
         """root: the data set's folder."""
-        self._source, self._folder = source, root / SHELF
+        self._source, self._folder = source, root / TOOL_CACHE
         self._made: dict[int, StoredTool] = {}
 
     def numbers(self, split: str) -> list[int]:
@@ -54,7 +54,7 @@ class Shelf(Catalogue):
             path = self._folder / f"{number:06d}.npz"
             if not path.exists():
                 self._folder.mkdir(exist_ok=True)
-                write_whole(path, _packed(self._source.tool(number)))
+                write_atomic(path, _packed(self._source.tool(number)))
             self._made[number] = _unpacked(path, number)
         return self._made[number]
 

@@ -13,8 +13,8 @@ from torch import nn
 
 
 @dataclass(frozen=True)
-class Ranks:
-    """This process's number among `world` processes, and its device."""
+class Distributed:
+    """This process among `world` processes that train together: its rank, and its device."""
 
     rank: int
     world: int
@@ -31,7 +31,7 @@ class Ranks:
         name = torch.cuda.get_device_name(self.device) if self.device.type == "cuda" else "CPU"
         return f"{self.world} x {name}"
 
-    def agreed(self, value: float) -> float:
+    def broadcast(self, value: float) -> float:
         """Rank 0's value, everywhere."""
         if self.world == 1:
             return value
@@ -39,7 +39,7 @@ class Ranks:
         dist.broadcast(tensor, 0)
         return float(tensor.item())
 
-    def shared(self, module: nn.Module) -> nn.Module:
+    def wrap_ddp(self, module: nn.Module) -> nn.Module:
         """The module with its gradients averaged over the ranks."""
         if self.world == 1:
             return module
@@ -48,7 +48,7 @@ class Ranks:
 
 
 @contextmanager
-def ranks(device: str = "auto") -> Iterator[Ranks]:
+def init_distributed(device: str = "auto") -> Iterator[Distributed]:
     """This process's place among those that torchrun started (alone without torchrun). device: "auto" for a GPU, each
     process its own, where there are any."""
     world = int(os.environ.get("WORLD_SIZE", "1"))
@@ -60,7 +60,7 @@ def ranks(device: str = "auto") -> Iterator[Ranks]:
     if world > 1:
         dist.init_process_group("nccl" if chosen.type == "cuda" else "gloo")
     try:
-        yield Ranks(int(os.environ.get("RANK", "0")), world, chosen)
+        yield Distributed(int(os.environ.get("RANK", "0")), world, chosen)
     finally:
         if world > 1:
             dist.destroy_process_group()

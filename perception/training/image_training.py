@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from toolee_robot.errors import TooleeError, UserError
-from toolee_robot.perception.training.distributed import Ranks
+from toolee_robot.perception.training.distributed import Distributed
 from toolee_robot.perception.training.tensorboard_log import Scalars
 from toolee_robot.perception.weight_files import save_weights
 from toolee_robot.runtime.files import written_whole
@@ -112,10 +112,10 @@ class TrainingRun(ABC):
     averages_buffers: bool = True
 
     def __init__(
-        self, options: TrainingOptions, out: Path, ranks: Ranks, network: nn.Module, module: nn.Module
+        self, options: TrainingOptions, out: Path, distributed: Distributed, network: nn.Module, module: nn.Module
     ) -> None:
         """module: the network, or what holds it and makes its losses."""
-        self.ranks, self.network, self.module, self.out = ranks, network, module, out
+        self.distributed, self.network, self.module, self.out = distributed, network, module, out
         self._options = options
         self.average = {k: v.detach().clone() for k, v in network.state_dict().items()}
         weights = {k for k, _ in network.named_parameters()}
@@ -151,7 +151,7 @@ class TrainingRun(ABC):
 
     def reseed(self) -> None:
         """After a resumption: other examples than the first process began with."""
-        torch.manual_seed(self._options.seed + 1000 * self.ranks.rank + 1_000_003 * self.step)
+        torch.manual_seed(self._options.seed + 1000 * self.distributed.rank + 1_000_003 * self.step)
 
     def prepare(self) -> nn.Module:
         """What is left to do before the first step; the module that the ranks share."""
@@ -168,13 +168,13 @@ class TrainingRun(ABC):
 
     def loop(self) -> None:
         """Train until the budget or the session is used up. Raises TooleeError when the loss stops being finite."""
-        options, ranks = self._options, self.ranks
+        options, distributed = self._options, self.distributed
         if self.resumed:
             self._restore()
-        self.module = ranks.shared(self.prepare())
+        self.module = distributed.wrap_ddp(self.prepare())
         parameters = sum(p.numel() for p in self.network.parameters())
         begun = "resumed" if self.resumed else "start"
-        self.record({"event": begun, "device": ranks.device_name, "parameters": parameters})
+        self.record({"event": begun, "device": distributed.device_name, "parameters": parameters})
         self.module.train()
         session = math.inf if options.session_minutes is None else 60 * options.session_minutes
         end = self.elapsed + session
@@ -189,13 +189,13 @@ class TrainingRun(ABC):
             if self.step % options.log_every and self.step != options.max_steps:
                 continue
             # The ranks must end with the same step.
-            self.elapsed = ranks.agreed(time.monotonic() - began)
+            self.elapsed = distributed.broadcast(time.monotonic() - began)
             entry = {name: float(value) for name, value in values.items()} | {"gradient_norm": float(norm)}
             self._stop_unless_finite(entry)
             more = self.grow()
             if self.elapsed - last_log >= self.log_seconds:
                 seconds = max(self.elapsed - last_log, 1e-9)
-                per_second = (self.step - last_step) * options.batch * ranks.world / seconds
+                per_second = (self.step - last_step) * options.batch * distributed.world / seconds
                 self.record({**entry, "lr": rate, "examples_per_second": per_second, **more})
                 last_log, last_step = self.elapsed, self.step
             if self.elapsed - last_checkpoint > 60 * options.checkpoint_minutes:
@@ -205,7 +205,7 @@ class TrainingRun(ABC):
 
     def record(self, values: dict[str, Any]) -> None:
         """One line on the terminal, in the log and in the curves; the losses, which are no "event", are also kept."""
-        if not self.ranks.first:
+        if not self.distributed.first:
             return
         entry = {"step": self.step, "minutes": round(self.elapsed / 60, 4), **_rounded(values)}
         line = json.dumps(entry)
@@ -222,7 +222,7 @@ class TrainingRun(ABC):
 
     def _optimise(self) -> tuple[dict[str, Tensor], Tensor]:
         losses, more = self.losses()
-        total = sum(losses.values(), torch.zeros((), device=self.ranks.device))
+        total = sum(losses.values(), torch.zeros((), device=self.distributed.device))
         self.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(total)
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self._options.clip_norm)
@@ -247,7 +247,7 @@ class TrainingRun(ABC):
             )
 
     def _checkpoint(self) -> None:
-        if not self.ranks.first:
+        if not self.distributed.first:
             return
         state = {
             "model": self.network.state_dict(),
@@ -262,7 +262,7 @@ class TrainingRun(ABC):
         self.write()
 
     def _restore(self) -> None:
-        state = torch.load(self.checkpoint_path, map_location=self.ranks.device, weights_only=True)
+        state = torch.load(self.checkpoint_path, map_location=self.distributed.device, weights_only=True)
         self.network.load_state_dict(state["model"])
         self.average = state["average"]
         self.optimizer.load_state_dict(state["optimizer"])
@@ -289,7 +289,7 @@ class ImageTrainingRun(TrainingRun):
 
     def grow(self) -> dict[str, float]:
         self.extend()
-        return {"images": self.images() * self.ranks.world}
+        return {"images": self.images() * self.distributed.world}
 
     def write(self) -> None:
         """Averaged weights as safetensors, configuration and log as JSON."""
@@ -298,8 +298,8 @@ class ImageTrainingRun(TrainingRun):
             "training": self.config.to_json(),
             "steps": self.step,
             "minutes": self.elapsed / 60,
-            "images": self.images() * self.ranks.world,
-            "device": self.ranks.device_name,
+            "images": self.images() * self.distributed.world,
+            "device": self.distributed.device_name,
             "torch": torch.__version__,
             "log": self.log[:: max(1, len(self.log) // 200)],
         }

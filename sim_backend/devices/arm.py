@@ -21,7 +21,7 @@ from toolee_robot.errors import (
 )
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ArmStatus, ContactGuard, MotionOutcome, MotionReport, MotionWatch
-from toolee_robot.motion.path_stop import brake_on_path
+from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.motion.trajectory_checks import check_payload, check_trajectory
 from toolee_robot.sim_backend.devices.flange_sensor import FlangeSensor
 from toolee_robot.sim_backend.world import SimWorld
@@ -38,7 +38,7 @@ Fault = tuple[type[MotionFaultError], str]
 class SimArm:
     """A `hal.Arm` that moves the simulated UR10.
 
-    Faults to be had: `cut_link`, `protective_stop`, `emergency_stop`, `stick`, `be_late`; `make_ready` and
+    Faults to be had: `cut_link`, `protective_stop`, `emergency_stop`, `stick`, `delay_commands`; `make_ready` and
     `restore_link` are what a person does at the robot after them.
     """
 
@@ -117,11 +117,11 @@ class SimArm:
         self._stuck.clear()
         self._late = 0
 
-    def stick(self, joint: int) -> None:
+    def block_joint(self, joint: int) -> None:
         """From now on a joint (0 to 5) stays where it is."""
         self._stuck[joint] = float(self._world.robot.arm_state()[0][joint])
 
-    def be_late(self, cycles: int) -> None:
+    def delay_commands(self, cycles: int) -> None:
         """The next so many commands go out late."""
         self._late = cycles
 
@@ -157,7 +157,11 @@ class SimArm:
                 if fault is not None or self._stop_asked:
                     outcome = MotionOutcome.STOPPED
                     break
-                if guard is not None and t >= guard.after and log.mean_force(guard.over) > guard.force:
+                if (
+                    guard is not None
+                    and t >= guard.ignore_before
+                    and log.mean_force(guard.averaging_window) > guard.force
+                ):
                     outcome = MotionOutcome.CONTACT
                     contact = JointState(*self._world.robot.arm_state(), self._world.time)
                     break
@@ -238,7 +242,7 @@ class SimArm:
     def _brake(self, trajectory: Trajectory, t: float, log: _Log) -> None:
         """To rest on the trajectory's own path, from time t [s] on it."""
         limits = self._limits
-        for q, qd in brake_on_path(trajectory, t, 1 / RATE, limits.stop_acceleration, limits.stop_jerk):
+        for q, qd in stop_on_path(trajectory, t, 1 / RATE, limits.stop_acceleration, limits.stop_jerk):
             self._command(q, qd, log)
             self._tick(log)
         self._command(self._q, np.zeros(6), log)

@@ -29,10 +29,9 @@ def handed_over(X_hand_nominal: Array, offset: InHandOffset) -> Array:
 class SimPerson:
     """A `hal.Person` who is always prompt. comes: whether they have a tool to give.
 
-    visible_arm: elbow and hand (3,) in `base` while the person holds the tool, else None. confirms, attends: whether
-    they confirm a swing, and hold the enabling switch; stays: whether they stay in reach when asked to step back.
-    intended_X_hand_tool: where they mean to put the tool in the hand, before the hand closes: ground truth.
-    """
+    visible_arm: elbow and hand (3,) in `base` while the person holds the tool, else None. confirms, holds_switch:
+    whether they confirm a swing, and hold the enabling switch; stays: whether they stay in reach when asked to step
+    back. intended_X_hand_tool: where they mean to put the tool in the hand, before the hand closes: ground truth."""
 
     def __init__(self, world: SimWorld, offset: InHandOffset, comes: bool) -> None:
         self._world = world
@@ -45,7 +44,7 @@ class SimPerson:
         self.body = fixed_box(world.client, scene.person_size, self._place, (0.25, 0.3, 0.45))
         self.center = self._place.copy()
         self.visible_arm: tuple[Array, Array] | None = None
-        self.confirms, self.attends, self.stays = True, True, False
+        self.confirms, self.holds_switch, self.stays = True, True, False
         self._constraint: int | None = None
         tool = world.tool.tool
         X_nominal = world.robot.robot.hand.grasp.X_hand_tool(tool.handle.grip_radius)
@@ -97,12 +96,12 @@ class SimPerson:
     def confirm_swing(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
         return self.confirms
 
-    def inside(self) -> bool:
+    def zone_occupied(self) -> bool:
         """Whether they stand nearer than half a step back from their place at the arm."""
         return bool(np.linalg.norm(self.center - self._place) < 0.5 * STEP_BACK)
 
-    def attending(self) -> bool:
-        return self.attends
+    def enabling_switch_held(self) -> bool:
+        return self.holds_switch
 
     def _walk(self, to: Array) -> None:
         start, steps = self.center.copy(), round(STEP_TIME / TICK)

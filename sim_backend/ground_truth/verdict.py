@@ -1,7 +1,7 @@
 """The judge: what truly happened, for the command line's report and the tests, never for the task.
 
 It watches every step of the simulated world and answers: how far an estimate of the end effector (EE) in the hand was
-off at its time, where and how fast the face met the nail at each blow, and what became of the nail.
+off at its time, where and how fast the face met the nail at each strike, and what became of the nail.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from toolee_robot.sim_backend.physics.wood import driving_work
 from toolee_robot.types import Category, InHandEstimate
 
 HISTORY_PERIOD = 1 / 240  # [s] between recorded poses
-BLOW_SPEED = 0.15  # [m/s] of approach above which a contact is a blow, not a touch
-REARM_GAP = 0.010  # [m] the face must go back from the head before the next blow can begin
+STRIKE_SPEED = 0.15  # [m/s] of approach above which a contact is a strike, not a touch
+REARM_GAP = 0.010  # [m] the face must go back from the head before the next strike can begin
 MISS_DEPTH = 0.003  # [m] below the head's top: a face that gets there untouched has missed
 FAR = 0.10  # [m] between face and nail: farther out, a motion has nothing to do with the nail
 
@@ -80,8 +80,8 @@ def strike_tilt(X_base_nail: Array, X_base_ee: Array) -> float:
 
 
 @dataclass(frozen=True)
-class BlowTruth:
-    """One blow at its first contact; a miss (hit False) at the moment when the face passed the head's height.
+class StrikeTruth:
+    """One strike at its first contact; a miss (hit False) at the moment when the face passed the head's height.
 
     stamp [s]. offset_mm, tilt_deg: of face against nail. speed [m/s]: of the face's centre along the nail, before
     contact. energy [J]: the tool's own kinetic energy along the nail at that speed, without the arm behind it.
@@ -103,7 +103,7 @@ class BlowTruth:
 @dataclass(frozen=True)
 class Verdict:
     """The figures of a run; None where there is nothing to judge. The pose error is that of the last usable estimate
-    before the first blow (the last one at all when none was usable), offset and tilt are medians over the blows."""
+    before the first strike (the last one at all when none was usable), offset and tilt are medians over the strikes."""
 
     nail_outcome: str
     protrusion_mm: float
@@ -121,8 +121,8 @@ class Truth(Protocol):
     """What a judge answers."""
 
     @property
-    def blows(self) -> tuple[BlowTruth, ...]:
-        """All blows so far; the last one may still be going on."""
+    def strikes(self) -> tuple[StrikeTruth, ...]:
+        """All strikes so far; the last one may still be going on."""
         ...
 
     def X_hand_ee(self, stamp: float) -> Array:
@@ -141,8 +141,8 @@ class Judge:
         self._world = world
         self._stamps: list[float] = []
         self._Xs_hand_ee: list[Array] = []
-        self._blows: list[BlowTruth] = []
-        self._open = False  # the last of the blows is still going on
+        self._strikes: list[StrikeTruth] = []
+        self._open = False  # the last of the strikes is still going on
         self._armed = False
         self._approach_speed = 0.0  # [m/s], and the protrusion [m], before the contact
         self._protrusion_before = world.nail.protrusion
@@ -154,9 +154,9 @@ class Judge:
         if not self._stamps or now - self._stamps[-1] >= HISTORY_PERIOD:
             self._stamps.append(now)
             self._Xs_hand_ee.append(inverse(self._world.X_base_hand()) @ X_base_ee)
-        self._watch_blow(now, X_base_ee)
+        self._watch_strike(now, X_base_ee)
 
-    def _watch_blow(self, now: float, X_base_ee: Array) -> None:
+    def _watch_strike(self, now: float, X_base_ee: Array) -> None:
         nail = self._world.nail
         if np.linalg.norm(X_base_ee[:3, 3] - nail.X_world_surface[:3, 3]) > FAR:  # the usual case, made cheap
             self._armed, self._open = True, False
@@ -170,9 +170,9 @@ class Judge:
             return
         force = self._contact_force()
         if self._open:
-            last = self._blows[-1]
+            last = self._strikes[-1]
             protrusion = nail.protrusion
-            self._blows[-1] = replace(
+            self._strikes[-1] = replace(
                 last,
                 peak_force=max(last.peak_force, force),
                 protrusion_mm=protrusion * 1e3,
@@ -180,7 +180,7 @@ class Judge:
             )
         elif self._armed and (force > 0.0 or gap < -MISS_DEPTH):
             self._armed = False
-            if self._approach_speed >= BLOW_SPEED:
+            if self._approach_speed >= STRIKE_SPEED:
                 self._begin(now, force, X_base_ee, X_base_nail)
         else:
             self._approach_speed = self._speed_along(X_base_ee, X_base_nail)
@@ -189,8 +189,8 @@ class Judge:
         world = self._world
         mass = float(pb.getDynamicsInfo(world.tool_body, -1, physicsClientId=world.client)[0])
         before = self._protrusion_before * 1e3
-        self._blows.append(
-            BlowTruth(
+        self._strikes.append(
+            StrikeTruth(
                 stamp=now,
                 hit=force > 0.0,
                 offset_mm=strike_offset(X_base_nail, X_base_ee) * 1e3,
@@ -222,9 +222,9 @@ class Judge:
         return float(sum(contact[9] for contact in contacts))
 
     @property
-    def blows(self) -> tuple[BlowTruth, ...]:
-        """All blows so far; the last one may still be going on."""
-        return tuple(self._blows)
+    def strikes(self) -> tuple[StrikeTruth, ...]:
+        """All strikes so far; the last one may still be going on."""
+        return tuple(self._strikes)
 
     @property
     def protrusion_mm(self) -> float:
@@ -250,12 +250,12 @@ class Judge:
 
     def verdict(self, estimates: Sequence[tuple[float, InHandEstimate]] = ()) -> Verdict:
         """The figures of the run so far; estimates: (stamp, estimate) in the order in which they were made."""
-        first_blow = self._blows[0].stamp if self._blows else np.inf
+        first_strike = self._strikes[0].stamp if self._strikes else np.inf
         known = [e for e in estimates if np.all(np.isfinite(e[1].X_hand_ee))]
-        candidates = [e for e in known if e[0] <= first_blow] or known
+        candidates = [e for e in known if e[0] <= first_strike] or known
         candidates = [e for e in candidates if e[1].usable] or candidates
         error = self.estimate_error(*candidates[-1]) if candidates else None
-        blows = self._blows
+        strikes = self._strikes
         nail = self._world.nail
         return Verdict(
             nail_outcome=nail.outcome.value,
@@ -263,9 +263,9 @@ class Judge:
             bend_deg=float(np.rad2deg(nail.bend_angle)),
             pose_error_mm=error.position_mm if error else None,
             pose_error_deg=error.angle_deg if error else None,
-            strike_offset_mm=float(np.median([b.offset_mm for b in blows])) if blows else None,
-            strike_tilt_deg=float(np.median([b.tilt_deg for b in blows])) if blows else None,
-            contact_speed=float(np.median([b.speed for b in blows])) if blows else None,
-            hits=sum(b.hit for b in blows),
-            misses=sum(not b.hit for b in blows),
+            strike_offset_mm=float(np.median([b.offset_mm for b in strikes])) if strikes else None,
+            strike_tilt_deg=float(np.median([b.tilt_deg for b in strikes])) if strikes else None,
+            contact_speed=float(np.median([b.speed for b in strikes])) if strikes else None,
+            hits=sum(b.hit for b in strikes),
+            misses=sum(not b.hit for b in strikes),
         )

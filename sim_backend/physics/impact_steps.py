@@ -1,9 +1,9 @@
-"""Step settings of the physics engine: what a blow needs, and only while it lasts.
+"""Step settings of the physics engine: what a strike needs, and only while it lasts.
 
-A blow lasts 2 to 5 ms and moves the nail by 2 mm. Measured against the energy balance (free heads of 0.4 to 1 kg at 1
+A strike lasts 2 to 5 ms and moves the nail by 2 mm. Measured against the energy balance (free heads of 0.4 to 1 kg at 1
 to 4 m/s, tests/sim_backend/physics/test_nail.py): at 1/4000 s with 100 iterations the nail goes 1 to 15 % short
 (first-order integration of the braking); at 1/240 s it goes 16 to 98 % short. The engine's push-out of penetrations
-(contactERP, 0.2 by default) would add up to 15 % of energy to eccentric blows: it is off in the window.
+(contactERP, 0.2 by default) would add up to 15 % of energy to eccentric strikes: it is off in the window.
 """
 
 from __future__ import annotations

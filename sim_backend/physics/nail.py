@@ -1,11 +1,11 @@
-"""A nail in wood, in pybullet: it yields to blows against the wood's resistance, bends when hit badly, ends flush.
+"""A nail in wood, in pybullet: it yields to strikes against the wood's resistance, bends when hit badly, ends flush.
 
 The nail slides along its axis on a prismatic joint whose motor holds velocity 0 with a force limited to the wood's
 resistance at the present depth: the solver's own Coulomb law, stable where an explicit force diverges. Two hinges
-at the wood's surface hold with the shank's plastic moment: a lateral or eccentric blow beyond it bends the nail for
+at the wood's surface hold with the shank's plastic moment: a lateral or eccentric strike beyond it bends the nail for
 good. The nail's 20 g is more than a real nail's (about 2 g): the solver needs the mass ratio. Call `before_step`
-before every step, and step with `impact.IMPACT` while a fast body is near (`impact_near`); nothing but blows moves it.
-"""
+before every step, and step with `impact.IMPACT` while a fast body is near (`impact_near`); nothing but strikes moves
+it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from toolee_robot.sim_backend.physics.wood import NailSpec, resistance
 IMPACT_DISTANCE = 0.006  # [m] between a body and the nail's head at which the impact window opens
 HEAD_HEIGHT = 0.006  # [m] of the head's collision shape: pybullet's contacts with a 1 mm disc are off by up to 0.6 mm
 LUMPED_MASS = 0.020  # [kg]
-STUCK_MASS = 100.0  # [kg] between blows
+STUCK_MASS = 100.0  # [kg] between strikes
 STOP_FORCE = 1e6  # [N] once the head's top is level with the wood
 BENT_ANGLE = np.deg2rad(10.0)
 HINGE_MASS, HINGE_INERTIA = 1e-3, 1e-7  # [kg], [kg m^2]: what the hinges' massless frames weigh
@@ -39,10 +39,9 @@ class NailOutcome(StrEnum):
 class Nail:
     """A nail in the pybullet world `client`.
 
-    X_world_nail: 4x4, the head's top before the first blow, z into the wood. wood: body the nail is driven into, which
-    then does not collide with the nail; None if there is none. flush_protrusion [m]: of the outcome.
-    X_world_surface: where the nail enters the wood, z into it.
-    """
+    X_world_nail: 4x4, the head's top before the first strike, z into the wood. wood: body the nail is driven into,
+    which then does not collide with the nail; None if there is none. flush_protrusion [m]: of the outcome.
+    X_world_surface: where the nail enters the wood, z into it."""
 
     def __init__(
         self,
@@ -124,7 +123,7 @@ class Nail:
         """Set the motors' limits for the step of `dt` [s] to come: the wood's resistance at the present depth and
         the plastic moment. The world calls it before each step, once the engine has that step's length (pybullet
         stores a motor's limit as an impulse). The step that would end below the wood's surface is not made.
-        struck: False while no blow is under way: the nail is then stuck, and heavy. As it is, it would creep under a
+        struck: False while no strike is under way: the nail is then stuck, and heavy. As it is, it would creep under a
         pressing hammer: the solver's few iterations cannot weigh an arm against 20 g and a limited motor (45 N at
         1/1000 s: 9 mm in half a second into wood that resists 120 N)."""
         if struck != self._struck:
@@ -181,7 +180,7 @@ class Nail:
 
     def head_pose(self) -> Array:
         """X_world_nail now, 4x4."""
-        # Asked for at every step of a blow: written out, Rx(a) Ry(b) and then up along the nail.
+        # Asked for at every step of a strike: written out, Rx(a) Ry(b) and then up along the nail.
         a, b, up = self._joint(HINGE_X), self._joint(HINGE_Y), -self.protrusion
         sa, ca, sb, cb = np.sin(a), np.cos(a), np.sin(b), np.cos(b)
         x, y, z = (cb, sa * sb, -ca * sb), (0.0, ca, sa), (sb, -sa * cb, ca * cb)

@@ -10,7 +10,7 @@ from toolee_robot.sim_backend.physics.bullet import pb
 
 ARM_GAIN = 100.0  # [1/s] of the arm's position loop
 FINGER_GAIN = 20.0  # [1/s]
-WRIST_GAIN = 12.0  # [1/s]: a wrist that gave way in a blow comes back without a second blow
+WRIST_GAIN = 12.0  # [1/s]: a wrist that gave way in a strike comes back without a second strike
 
 
 class RobotBody:

@@ -14,7 +14,7 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import Arm, Clock, HandState, Station
 from toolee_robot.robots import load_robot
 from toolee_robot.sim_backend.devices.camera import SimCamera
-from toolee_robot.sim_backend.ground_truth.verdict import BlowTruth, Verdict
+from toolee_robot.sim_backend.ground_truth.verdict import StrikeTruth, Verdict
 from toolee_robot.sim_backend.visuals.scene import SceneState, SceneVisuals
 from toolee_robot.tools import Tool
 from toolee_robot.types import InHandEstimate
@@ -79,11 +79,11 @@ class RemotePerson:
     def confirm_swing(self, prompt: str, timeout: float) -> bool:
         return bool(self._world.call("person.confirm_swing", prompt, timeout, lasting=timeout))
 
-    def inside(self) -> bool:
-        return bool(self._world.call("person.inside"))
+    def zone_occupied(self) -> bool:
+        return bool(self._world.call("person.zone_occupied"))
 
-    def attending(self) -> bool:
-        return bool(self._world.call("person.attending"))
+    def enabling_switch_held(self) -> bool:
+        return bool(self._world.call("person.enabling_switch_held"))
 
 
 class RemoteJudge:
@@ -93,9 +93,9 @@ class RemoteJudge:
         self._world = world
 
     @property
-    def blows(self) -> tuple[BlowTruth, ...]:
-        blows: tuple[BlowTruth, ...] = self._world.call("judge.blows")
-        return blows
+    def strikes(self) -> tuple[StrikeTruth, ...]:
+        strikes: tuple[StrikeTruth, ...] = self._world.call("judge.strikes")
+        return strikes
 
     def X_hand_ee(self, stamp: float) -> Array:
         X: Array = self._world.call("judge.X_hand_ee", stamp)

@@ -35,7 +35,7 @@ class RemoteWorld:
             model=str(config.arm.model),
             host=host,
             realtime=True,
-            pace=clock.pace,
+            real_time_factor=clock.real_time_factor,
         )
         self._channel = Channel(Connection(ours.detach()))
 
@@ -58,4 +58,4 @@ class RemoteWorld:
 
     def call(self, name: str, *arguments: Any, lasting: float = 0.0) -> Any:
         """See `Channel.call`; lasting on the clock."""
-        return self._channel.call(name, *arguments, lasting=self._clock.wall(lasting))
+        return self._channel.call(name, *arguments, lasting=self._clock.to_wall_time(lasting))

@@ -61,10 +61,10 @@ class WorldService:
         self._immediate: dict[str, Handler] = {
             "hand.state": self._hand_state,
             "hand.stop": self._stop_hand,
-            "person.inside": person.inside,
-            "person.attending": person.attending,
+            "person.zone_occupied": person.zone_occupied,
+            "person.enabling_switch_held": person.enabling_switch_held,
             "scene": lambda: scene_state(world, person),
-            "judge.blows": lambda: judge.blows,
+            "judge.strikes": lambda: judge.strikes,
             "judge.X_hand_ee": judge.X_hand_ee,
             "judge.verdict": judge.verdict,
         }

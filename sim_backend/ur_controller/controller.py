@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.runtime.clock import HostClock, check_pace, is_loopback
+from toolee_robot.runtime.clock import HostClock, check_real_time_factor, is_loopback
 from toolee_robot.sim_backend.ur_controller.faults.fault_port import Faults
 from toolee_robot.sim_backend.ur_controller.faults.session import FaultSession
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS, ControllerModel
@@ -42,8 +42,8 @@ TRACE_TICKS = 30000  # 4 min at 125 Hz, 1 min at 500 Hz
 class ControllerOptions:
     """How a stand-in starts. model: of MODELS. host: a loopback address. fault_port: of the fault port; the other
     ports are the robot's. speed_slider: 0..1. q_start (6,) [rad]; None: the plant's own. remote: e-Series remote
-    control. powered: brakes are released already. limits: of the safety system. pace: of the robot's time, all of it,
-    against the wall's: its clients' clocks must run at the same."""
+    control. powered: brakes are released already. limits: of the safety system. real_time_factor: of the robot's time,
+    all of it, against the wall's: its clients' clocks must run at the same."""
 
     model: str = "UR10"
     host: str = "127.0.0.2"
@@ -52,7 +52,7 @@ class ControllerOptions:
     remote: bool = True
     powered: bool = True
     limits: SafetyLimits = field(default_factory=SafetyLimits)
-    pace: float = 1.0
+    real_time_factor: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Controller:
     ) -> None:
         _check(options)
         self.options, self.log = options, log
-        self.clock = HostClock(options.pace)
+        self.clock = HostClock(options.real_time_factor)
         self.publish_at = 0.0
         model = MODELS[options.model]
         self.robot = Robot(model, plant(model), options.limits, log)
@@ -193,7 +193,7 @@ class Controller:
         clock.sleep(self.frozen_until - clock.now())
         while True:
             readers = {fd: service for service in self.services for fd in service.filenos()}
-            timeout = max(0.0, clock.wall(due - clock.now()))
+            timeout = max(0.0, clock.to_wall_time(due - clock.now()))
             ready, _, _ = select.select(list(readers), [], [], timeout)
             self.inputs.catching_up = self.schedule.overdue  # the computer may have stopped in the midst of the wait
             # A flood on many connections must not hold up the tick, nor one of them always come last.
@@ -215,7 +215,7 @@ def _check(options: ControllerOptions) -> None:
             f"{options.host!r} is not a loopback address: the stand-in serves this machine only. Use --host 127.0.0.2, "
             "127.0.0.3, ..."
         )
-    check_pace(options.pace, options.host)
+    check_real_time_factor(options.real_time_factor, options.host)
     if not 0.0 <= options.speed_slider <= 1.0:
         raise UserError(f"the speed slider is between 0 and 1, not {options.speed_slider}")
     if not 1024 <= options.fault_port <= 65535:

@@ -51,7 +51,7 @@ def _frame_args(
 
 
 @pytest.mark.parametrize(
-    ("args", "says"),
+    ("args", "expected_text"),
     [
         ([], "hammer, estimate, bench"),
         (["hamer"], "hamer"),
@@ -83,7 +83,11 @@ def _frame_args(
     ],
 )
 def test_bad_input_is_exit_2_with_a_remedy(
-    args: list[str], says: str, files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    args: list[str],
+    expected_text: str,
+    files: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(files)
     monkeypatch.setenv("COLUMNS", "200")
@@ -94,7 +98,7 @@ def test_bad_input_is_exit_2_with_a_remedy(
         code = int(str(stop.code))
     captured = capsys.readouterr()
     assert code == 2, captured
-    assert says in captured.err.replace("\n", " ")
+    assert expected_text in captured.err.replace("\n", " ")
     assert "Traceback" not in captured.err
     assert not captured.out, "standard output is for results"
     assert sorted(files.rglob("*")) == before, "nothing half-written"

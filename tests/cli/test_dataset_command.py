@@ -110,7 +110,7 @@ def test_an_impatient_ctrl_c_ends_it_at_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "expected_text"),
     [
         (["validate", "none"], "holds no data set"),
         (["inspect", "none"], "holds no data set"),
@@ -127,10 +127,14 @@ def test_an_impatient_ctrl_c_ends_it_at_once(tmp_path: Path) -> None:
     ],
 )
 def test_misuse_says_what_to_do(
-    arguments: list[str], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    arguments: list[str],
+    expected_text: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("mine")
     assert run(["dataset", *arguments]) == 2
-    assert says in capsys.readouterr().err
+    assert expected_text in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["file"]

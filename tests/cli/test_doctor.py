@@ -107,11 +107,11 @@ def test_no_robot_there_is_exit_1_and_the_rest_is_still_looked_at(capsys: pytest
     assert record["worst"] == "fail"
     assert record["robot_serial"] is None
     assert "check the cable" in said
-    assert {"blow", "networks", "schedule"} <= {f["name"] for f in record["findings"]}
+    assert {"strike", "networks", "schedule"} <= {f["name"] for f in record["findings"]}
 
 
 @pytest.mark.parametrize(
-    ("args", "says"),
+    ("args", "expected_text"),
     [
         (["--arm", "ur-rtde"], "--robot-host"),
         (["--robot-host", "127.0.0.49"], "--robot-host without --arm ur-rtde"),
@@ -120,12 +120,12 @@ def test_no_robot_there_is_exit_1_and_the_rest_is_still_looked_at(capsys: pytest
         (["--arm", "ur5"], "ur5"),
     ],
 )
-def test_bad_input_is_exit_2(args: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_is_exit_2(args: list[str], expected_text: str, capsys: pytest.CaptureFixture[str]) -> None:
     try:
         code = run(["doctor", *args])
     except SystemExit as stop:  # the parser's own
         code = int(str(stop.code))
     captured = capsys.readouterr()
     assert code == 2
-    assert says in captured.err.replace("\n", " ")
+    assert expected_text in captured.err.replace("\n", " ")
     assert not captured.out

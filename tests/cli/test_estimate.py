@@ -15,7 +15,7 @@ from toolee_robot.cli.app import run
 from toolee_robot.frames import is_rigid
 from toolee_robot.perception import ToolPerception
 from toolee_robot.perception.dataset.records import CATEGORIES, Example
-from toolee_robot.perception.synthesis.example import Series, make_example, take_shot
+from toolee_robot.perception.synthesis.example import Series, make_example, render_example
 from toolee_robot.types import Category
 
 pytestmark = pytest.mark.sim
@@ -37,7 +37,7 @@ def _clear_view(example: Example) -> bool:
 def examples() -> list[Example]:
     found = []
     for index in range(200):
-        if take_shot(Series(7, "test"), index).sample.kind == _STATION:
+        if render_example(Series(7, "test"), index).sample.kind == _STATION:
             example = make_example(Series(7, "test"), index)
             found += [example] if _clear_view(example) else []
         if len(found) == 3:

@@ -21,7 +21,7 @@ _FIGURES = {
     "success",
     "outcome",
     "reason",
-    "blows",
+    "strikes",
     "protrusion_mm",
     "pose_error_mm",
     "pose_error_deg",
@@ -92,7 +92,7 @@ def test_the_whole_job_ends_with_the_nail_flush(corrected: _Job) -> None:
     assert (record["success"], record["outcome"], record["seed"]) == (True, "flush", 101)
     assert (record["correction"], record["perfect_perception"]) == (True, False)
     assert record["protrusion_mm"] <= 1.5
-    assert record["blows"] >= 3, "a nail of 20 mm takes more than a tap"
+    assert record["strikes"] >= 3, "a nail of 20 mm takes more than a tap"
     assert {"handover", "grip", "view", "perceive", "plan", "touch", "strike", "park"} <= set(record["stage_seconds"])
     assert "Drive the nail" in corrected.err
 
@@ -112,7 +112,7 @@ def test_the_whole_job_leaves_a_whole_folder(corrected: _Job) -> None:
     assert record["run_folder"] == f"out/{folder.name}"
     assert sorted(p.name for p in folder.iterdir()) == ["picture.png", "recording.mcap", "summary.json"]
     summary = json.loads((folder / "summary.json").read_text())
-    assert len(summary["blow_log"]) == record["blows"]
+    assert len(summary["strike_log"]) == record["strikes"]
     assert summary["station"]["work"]["nail_protrusion"] == 0.02
     picture = cv2.imread(str(folder / "picture.png"))
     assert picture is not None
@@ -124,7 +124,7 @@ def test_the_whole_job_leaves_a_whole_folder(corrected: _Job) -> None:
         topics = {c.topic: counts.statistics.channel_message_counts[i] for i, c in counts.channels.items()}
     assert topics["/camera/rgb"] == topics["/camera/depth"] >= 3
     assert topics["/arm/measured"] > 100
-    assert topics["/contacts"] >= 2 * record["blows"]
+    assert topics["/contacts"] >= 2 * record["strikes"]
 
 
 def test_without_correction_the_same_hammer_misses_the_nail(tmp_path: Path) -> None:
@@ -168,7 +168,7 @@ def test_a_nail_out_of_reach_ends_the_job_with_a_reason_and_the_arm_parked(tmp_p
     out, err = process.communicate(timeout=120)
     record = _line(out)
     assert process.returncode == 1, err
-    assert (record["outcome"], record["blows"]) == ("no_plan", 0)
+    assert (record["outcome"], record["strikes"]) == ("no_plan", 0)
     assert "move the block" in record["reason"]
     assert "park" in record["stage_seconds"]
     assert "Traceback" not in err

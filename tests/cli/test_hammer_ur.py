@@ -17,8 +17,8 @@ from mcap.reader import make_reader
 
 from toolee_robot.cli.app import run
 
-# A nail that stands out little, and few looks: at its default pace a second of the job takes four of the clock on the
-# wall.
+# A nail that stands out little, and few looks: at its default real-time factor a second of the job takes four of the
+# clock on the wall.
 _STATION = "work: {nail_protrusion: 0.004}\ntask: {views: 1, views_again: 1}\n"
 
 
@@ -59,14 +59,14 @@ def _nobody_serves(host: str) -> bool:
 @pytest.mark.realtime
 @pytest.mark.nightly
 def test_the_nail_is_driven_through_the_real_driver(tmp_path: Path) -> None:
-    """The acceptance: handover, looks, touches and blows over the unmodified ur_rtde, to a flush nail."""
+    """The acceptance: handover, looks, touches and strikes over the unmodified ur_rtde, to a flush nail."""
     process = _start(tmp_path, "127.0.0.34")
     out, err = process.communicate(timeout=400)
     record = _record(out)
     assert process.returncode == 0, err
     assert (record["success"], record["outcome"], record["nail"]) == (True, "flush", "flush")
     assert (record["arm"], record["robot"]) == ("ur-rtde", "UR10")
-    assert record["blows"] >= 3
+    assert record["strikes"] >= 3
     assert record["strike_offset_mm"] < 6.0
     assert record["contact_speed"] > 0.9
     assert "Traceback" not in err
@@ -75,10 +75,10 @@ def test_the_nail_is_driven_through_the_real_driver(tmp_path: Path) -> None:
     folder = next((tmp_path / "runs").iterdir())
     assert sorted(p.name for p in folder.iterdir()) == ["picture.png", "recording.mcap", "summary.json"]
     summary = json.loads((folder / "summary.json").read_text())
-    stamps = [blow["stamp"] for blow in summary["blow_log"]]
-    truths = [blow["stamp"] for blow in summary["blow_truth"]]
-    # One clock for task, driver, controller and judge: each blow is felt when it happens, give or take the link. (A
-    # blow on a flush nail meets the wood: the judge does not count it.)
+    stamps = [strike["stamp"] for strike in summary["strike_log"]]
+    truths = [strike["stamp"] for strike in summary["strike_truth"]]
+    # One clock for task, driver, controller and judge: each strike is felt when it happens, give or take the link. (A
+    # strike on a flush nail meets the wood: the judge does not count it.)
     assert len(truths) >= 3
     for truth in truths:
         assert min(abs(stamp - truth) for stamp in stamps) < 0.3
@@ -111,22 +111,25 @@ def test_an_interrupt_stops_the_arm_and_ends_client_and_server_in_order(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("args", "says"),
+    ("args", "expected_text"),
     [
         (["--arm", "ur-rtde"], "no drivers for a real hand and a real camera"),
         (["--arm", "ur-rtde", "--robot-host", "192.168.1.10"], "toolee doctor"),
         (["--arm", "ur-rtde", "--world", "pybullet"], "needs --robot-host"),
         (["--robot-host", "127.0.0.36"], "without --arm ur-rtde"),
-        (["--pace", "0.5"], "--pace without --arm ur-rtde"),
-        (["--arm", "ur-rtde", "--world", "pybullet", "--robot-host", "127.0.0.36", "--pace", "0"], "0.05 to 1"),
+        (["--real-time-factor", "0.5"], "--real-time-factor without --arm ur-rtde"),
+        (
+            ["--arm", "ur-rtde", "--world", "pybullet", "--robot-host", "127.0.0.36", "--real-time-factor", "0"],
+            "0.05 to 1",
+        ),
         (["--world", "pybullet", "--robot-host", "192.168.1.10", "--arm", "ur-rtde"], "not a loopback address"),
     ],
 )
 def test_what_cannot_be_done_is_refused_before_anything_moves(
-    args: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    args: list[str], expected_text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["hammer", *args, "--json", "--perfect-perception", "--out", str(tmp_path)]) == 2
     record = _record(capsys.readouterr().out)
     assert record["outcome"] == "user_error"
-    assert says in record["reason"]
+    assert expected_text in record["reason"]
     assert list(tmp_path.iterdir()) == []

@@ -13,7 +13,7 @@ from toolee_robot.cli.output import json_line
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
 from toolee_robot.recording.pose_text import pose_text, sigma_text
-from toolee_robot.runtime.files import write_whole
+from toolee_robot.runtime.files import write_atomic
 
 
 def test_json_is_one_strict_line_even_of_numpy_and_of_what_is_not_finite() -> None:
@@ -40,14 +40,14 @@ def test_what_was_not_estimated_is_unknown() -> None:
 
 
 def test_a_file_that_cannot_be_written_leaves_nothing_and_says_so(tmp_path: Path) -> None:
-    write_whole(tmp_path / "a.txt", b"1")
-    write_whole(tmp_path / "a.txt", b"2")
+    write_atomic(tmp_path / "a.txt", b"1")
+    write_atomic(tmp_path / "a.txt", b"2")
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("a.txt", b"2")]
     with pytest.raises(UserError, match="cannot write"):
-        write_whole(tmp_path / "none" / "a.txt", b"1")
+        write_atomic(tmp_path / "none" / "a.txt", b"1")
     (tmp_path / "folder").mkdir()
     with pytest.raises(UserError, match="cannot write"):
-        write_whole(tmp_path / "folder", b"1")
+        write_atomic(tmp_path / "folder", b"1")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.txt", "folder"]
 
 

@@ -15,7 +15,7 @@ from toolee_robot.cli.app import run
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH, EeTable, Example
 from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.spec import DatasetSpec
-from toolee_robot.perception.detection.refiner.mask_refinement import Redraw
+from toolee_robot.perception.detection.refiner.mask_refinement import MaskRefinement
 from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.perception.weight_files import WEIGHTS_DIR
 from toolee_robot.types import CameraIntrinsics
@@ -92,22 +92,23 @@ def test_refinement_resumes_beside_the_detector_and_keeps_its_configuration(
     assert "another seed" in capsys.readouterr().err
     assert run([*command, "--max-steps", "3"]) == 2
     assert "another detector" in capsys.readouterr().err
-    assert Redraw.load(out, torch.device("cpu"), bfloat16=False) is not None
+    assert MaskRefinement.load(out, torch.device("cpu"), bfloat16=False) is not None
 
 
 @pytest.mark.parametrize(
-    ("text", "says"), [("lrr: 1", "has no option lrr"), ("- 1", "no mapping"), ("{", "cannot read the options")]
+    ("text", "expected_text"),
+    [("lrr: 1", "has no option lrr"), ("- 1", "no mapping"), ("{", "cannot read the options")],
 )
 def test_a_bad_configuration_is_named(
-    text: str, says: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    text: str, expected_text: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "bad.yaml").write_text(text)
     arguments = ["--out", str(tmp_path / "out"), "--config", str(tmp_path / "bad.yaml")]
     for network in ("segmentation", "refinement"):
         assert run(["train", network, "--data", str(data), *arguments]) == 2
-        assert says in capsys.readouterr().err
+        assert expected_text in capsys.readouterr().err
     assert run(["train", "pose", *arguments]) == 2
-    assert says in capsys.readouterr().err
+    assert expected_text in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

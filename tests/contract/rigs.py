@@ -149,7 +149,7 @@ class SimRig(Rig):
         tip = (hand @ [0.0, 0.0, 0.15, 1.0])[:3]
         shape = pb.createCollisionShape(pb.GEOM_BOX, halfExtents=[0.1, 0.1, 0.05], physicsClientId=world.client)
         pb.createMultiBody(0.0, shape, -1, [tip[0], tip[1], tip[2] - 0.13 - 0.05], physicsClientId=world.client)
-        return line([self.start(), down], 1.5), ContactGuard(force=15.0, after=0.05)
+        return line([self.start(), down], 1.5), ContactGuard(force=15.0, ignore_before=0.05)
 
     def protective_stop(self) -> None:
         self.arm.protective_stop()
@@ -161,7 +161,7 @@ class SimRig(Rig):
         self.arm.make_ready()
 
     def hold_up(self) -> None:
-        self.arm.stick(0)
+        self.arm.block_joint(0)
 
     def cut(self) -> None:
         self.arm.cut_link()
@@ -198,7 +198,7 @@ class StandInRig(Rig):
 
     def contact(self) -> tuple[Trajectory, ContactGuard]:
         self.after(0.5, lambda: self.controller.fault("force", wrench=[30.0, 0, 0, 0, 0, 0], seconds=0.5))
-        return self.nudge(1.5), ContactGuard(force=15.0, after=0.05)
+        return self.nudge(1.5), ContactGuard(force=15.0, ignore_before=0.05)
 
     def protective_stop(self) -> None:
         self.controller.fault("protective_stop")

@@ -147,7 +147,7 @@ def test_a_contact_brakes_on_the_path(rig: Rig) -> None:
 
 def test_no_contact_counts_before_its_time(rig: Rig) -> None:
     trajectory = rig.nudge(share=0.5)
-    report = rig.execute(trajectory, ContactGuard(force=0.0, after=trajectory.duration + 1.0))
+    report = rig.execute(trajectory, ContactGuard(force=0.0, ignore_before=trajectory.duration + 1.0))
     assert report.outcome is MotionOutcome.COMPLETED
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from toolee_robot.errors import DeviceError, MotionFaultError, StaleDataError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ArmStatus, ContactGuard, MotionOutcome, MotionReport, MotionWatch
-from toolee_robot.motion.path_stop import brake_on_path
+from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.types import JointState, Payload, Trajectory
 
 STOP_ACCELERATION, STOP_JERK = 15.0, 1500.0
@@ -73,7 +73,7 @@ class PaperArm:
             if self._stop or (fault is not None and t > trajectory.duration / 2):
                 outcome = MotionOutcome.STOPPED
                 break
-        for q, _ in brake_on_path(trajectory, t, period, STOP_ACCELERATION, STOP_JERK):
+        for q, _ in stop_on_path(trajectory, t, period, STOP_ACCELERATION, STOP_JERK):
             self._go(q)
         rows = np.array(self.driven[begun:])
         stamps = np.array([k * period for k in range(len(rows))])
@@ -122,8 +122,8 @@ class Bystander:
         self.asked += 1
         return self.confirms
 
-    def inside(self) -> bool:
+    def zone_occupied(self) -> bool:
         return self.here
 
-    def attending(self) -> bool:
+    def enabling_switch_held(self) -> bool:
         return self.holds

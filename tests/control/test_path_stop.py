@@ -17,7 +17,7 @@ from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_st
 from toolee_robot.control.planning import timing
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.frames import Array, transform
-from toolee_robot.motion.path_stop import PathBrake, brake_on_path
+from toolee_robot.motion.path_stop import PathStop, stop_on_path
 from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.types import Trajectory
 
@@ -42,7 +42,7 @@ def plans(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, 
     return plans
 
 
-def driven(trajectory: Trajectory, start: float, period: float, brake: PathBrake) -> tuple[Array, Array]:
+def driven(trajectory: Trajectory, start: float, period: float, brake: PathStop) -> tuple[Array, Array]:
     """Commanded q (N, n) from three cycles before the stop to two after it, and the positions on the trajectory."""
     q = [trajectory.sample(start - k * period)[0] for k in (3, 2, 1, 0)]
     s = [start]
@@ -58,7 +58,7 @@ def driven(trajectory: Trajectory, start: float, period: float, brake: PathBrake
 
 def check(trajectory: Trajectory, start: float, period: float, acceleration: float, jerk: float) -> float:
     """Drive the stop, assert what it promises, and return its duration [s]."""
-    brake = brake_on_path(trajectory, start, period, acceleration, jerk)
+    brake = stop_on_path(trajectory, start, period, acceleration, jerk)
     q, s = driven(trajectory, start, period, brake)
     assert np.all(np.diff(s) >= 0.0), "never backwards"
     rough = OWN * np.abs(np.diff(trajectory.qdd, axis=0)).max()
@@ -69,7 +69,7 @@ def check(trajectory: Trajectory, start: float, period: float, acceleration: flo
 
 
 @pytest.mark.parametrize("period", PERIODS)
-def test_a_blow_is_stopped_anywhere_on_its_way(plans: list[StrikePlan], period: float) -> None:
+def test_a_strike_is_stopped_anywhere_on_its_way(plans: list[StrikePlan], period: float) -> None:
     for plan in plans:
         for start in np.linspace(0.0, plan.strike.duration, 14):
             check(plan.strike, start, period, ACCELERATION, JERK)
@@ -104,12 +104,12 @@ def test_a_second_stop_takes_over_where_the_first_one_is(
 ) -> None:
     """A gentle stop, then a hard one: together no slower than the gentle one alone, and no jolt where they meet."""
     strike, period = plans[0].strike, 1 / 125
-    alone = sum(1 for _ in brake_on_path(strike, start, period, *limits))
+    alone = sum(1 for _ in stop_on_path(strike, start, period, *limits))
     rows = [strike.sample(start - k * period)[0] for k in (2, 1, 0)]
-    gentle = brake_on_path(strike, start, period, *limits)
+    gentle = stop_on_path(strike, start, period, *limits)
     for _ in range(min(first, alone)):
         rows.append(next(gentle)[0])
-    hard = brake_on_path(strike, 0.0, period, 20.0, 2000.0, state=gentle.state)
+    hard = stop_on_path(strike, 0.0, period, 20.0, 2000.0, state=gentle.state)
     rows += [q for q, _ in hard]
     q = np.array([*rows, rows[-1], rows[-1]])
     assert len(rows) - 3 <= alone + 1
@@ -120,7 +120,7 @@ def test_a_second_stop_takes_over_where_the_first_one_is(
 
 def test_a_trajectory_that_breaks_the_limits_itself_still_comes_to_rest(plans: list[StrikePlan]) -> None:
     for start in np.linspace(0.0, 0.5, 6):
-        brake = brake_on_path(plans[0].strike, start, 1 / 125, 1.0, 20.0)
+        brake = stop_on_path(plans[0].strike, start, 1 / 125, 1.0, 20.0)
         _, s = driven(plans[0].strike, start, 1 / 125, brake)
         assert len(s) < 125
 
@@ -128,8 +128,8 @@ def test_a_trajectory_that_breaks_the_limits_itself_still_comes_to_rest(plans: l
 def test_nothing_is_left_to_stop_at_the_end_and_little_where_nothing_moves() -> None:
     still = np.zeros((2, 6))
     rest = Trajectory(np.array([0.0, 0.004]), still, still, still)
-    assert list(brake_on_path(rest, rest.duration, 1 / 125, 15.0, 1500.0)) == []
-    assert len(list(brake_on_path(rest, 0.0, 1 / 125, 15.0, 1500.0))) == 1
+    assert list(stop_on_path(rest, rest.duration, 1 / 125, 15.0, 1500.0)) == []
+    assert len(list(stop_on_path(rest, 0.0, 1 / 125, 15.0, 1500.0))) == 1
 
 
 def fastest(trajectory: Trajectory, start: float, within: float, step: float) -> float:

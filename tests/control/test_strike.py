@@ -1,4 +1,4 @@
-"""A blow: frames compose at the contact, the face goes straight and fast, limits hold, offsets are corrected."""
+"""A strike: frames compose at the contact, the face goes straight and fast, limits hold, offsets are corrected."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def test_a_nail_out_of_reach_says_so(
         plan_strike(robot, far, world, home, q_hand, X_hand_ee, far.work.X_base_nail())
 
 
-def test_a_wall_in_the_way_of_the_blow_is_named(
+def test_a_wall_in_the_way_of_the_strike_is_named(
     robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_hand_ee: Array
 ) -> None:
     x, y = config.work.nail_xy

@@ -10,7 +10,16 @@ import pytest
 
 from tests.control.paper_arm import Bystander, PaperArm
 from toolee_robot.config import StationConfig, SupervisorConfig
-from toolee_robot.control import CollisionWorld, Meeting, Mode, RobotModel, StrikePlan, Supervisor, paced, plan_strike
+from toolee_robot.control import (
+    CollisionWorld,
+    Meeting,
+    Mode,
+    RobotModel,
+    StrikePlan,
+    Supervisor,
+    plan_strike,
+    slowed_to,
+)
 from toolee_robot.control.collision_shapes import box_body
 from toolee_robot.control.modes import carried_speed
 from toolee_robot.control.planning.timing import joint_move
@@ -51,11 +60,11 @@ class Desk:
         return joint_move(self.arm.q, to, np.full(6, speed), np.full(6, 3.0), np.full(6, 30.0))
 
     def slow(self, change: float = 0.3) -> Trajectory:
-        return paced(self.move(change), self.world, self.config.supervisor.handover_speed)
+        return slowed_to(self.move(change), self.world, self.config.supervisor.handover_speed)
 
     def ready_to_swing(self, plan: StrikePlan) -> None:
         self.arm.q = plan.strike.q[0].copy()
-        self.supervisor.mode = Mode.HAMMERING
+        self.supervisor.mode = Mode.UNATTENDED
         self.supervisor.permit_swings(1.0)
 
 
@@ -98,7 +107,7 @@ def test_it_is_an_arm_and_a_good_motion_passes_unchanged(desk: Desk) -> None:
     )
 
 
-def test_a_blow_passes_as_planned_once_it_is_permitted(desk: Desk, plan: StrikePlan) -> None:
+def test_a_strike_passes_as_planned_once_it_is_permitted(desk: Desk, plan: StrikePlan) -> None:
     desk.ready_to_swing(plan)
     desk.arm.meets = plan.contact_time / plan.strike.duration
     report, verdict = desk.supervisor.swing(plan.strike, GUARD, plan.expected_contact)
@@ -131,7 +140,7 @@ def _from(name: str, row: int, value: float) -> Callable[[Trajectory], Trajector
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "expected_text"),
     [
         (_from("q", 40, 0.0005), "step in position of joint 4"),
         (_from("q", 40, 0.3), "velocity between samples of joint 4"),
@@ -148,9 +157,11 @@ def _from(name: str, row: int, value: float) -> Callable[[Trajectory], Trajector
         (lambda t: replace(t, q=t.q[:, :5], qd=t.qd[:, :5], qdd=t.qdd[:, :5]), "5 joints"),
     ],
 )
-def test_what_breaks_a_limit_is_refused(desk: Desk, change: Callable[[Trajectory], Trajectory], says: str) -> None:
+def test_what_breaks_a_limit_is_refused(
+    desk: Desk, change: Callable[[Trajectory], Trajectory], expected_text: str
+) -> None:
     desk.supervisor.execute(desk.slow(0.1))
-    refused(desk, LimitError, lambda: desk.supervisor.execute(change(desk.slow())), says)
+    refused(desk, LimitError, lambda: desk.supervisor.execute(change(desk.slow())), expected_text)
     desk.supervisor.execute(desk.slow())  # it was the change, nothing else
 
 
@@ -174,24 +185,24 @@ def test_the_workspace_ends_somewhere(
     refused(desk, LimitError, lambda: desk.supervisor.execute(desk.slow()), "flange position of z")
 
 
-def test_handover_is_slow_and_hammering_is_fast_but_not_any_fast(desk: Desk) -> None:
+def test_handover_is_slow_and_unattended_is_fast_but_not_any_fast(desk: Desk) -> None:
     fast = desk.move(0.5, speed=0.9)
     speed = float(np.max(carried_speed(fast, desk.world)))
     assert 0.3 < speed < 1.5
     refused(desk, LimitError, lambda: desk.supervisor.execute(fast), "0.25 m/s are allowed in handover mode")
-    slow = paced(fast, desk.world, 0.25)
+    slow = slowed_to(fast, desk.world, 0.25)
     assert slow.duration == pytest.approx(fast.duration * speed / (0.99 * 0.25))
-    assert paced(fast, desk.world, 2.0) is fast
+    assert slowed_to(fast, desk.world, 2.0) is fast
     desk.supervisor.execute(slow)
-    desk.supervisor.mode = Mode.HAMMERING
+    desk.supervisor.mode = Mode.UNATTENDED
     desk.supervisor.execute(desk.move(-0.5, speed=0.9))
     faster = desk.move(0.9, speed=2.0)
-    faster = paced(faster, desk.world, 0.7)
+    faster = slowed_to(faster, desk.world, 0.7)
     gentle = replace(desk.config.strike, speed=0.5)
-    tight = replace(desk.config, strike=gentle, supervisor=SupervisorConfig(hammering_speed=0.6))
+    tight = replace(desk.config, strike=gentle, supervisor=SupervisorConfig(unattended_speed=0.6))
     other = Supervisor(desk.arm, desk.person, desk.world.robot, tight, lambda: desk.world)
-    other.mode = Mode.HAMMERING
-    refused(desk, LimitError, lambda: other.execute(faster), "hammering mode")
+    other.mode = Mode.UNATTENDED
+    refused(desk, LimitError, lambda: other.execute(faster), "unattended mode")
 
 
 def test_a_way_through_something_is_refused_though_its_ends_are_free(
@@ -208,7 +219,7 @@ def test_a_way_through_something_is_refused_though_its_ends_are_free(
 
 
 def test_only_the_tool_and_only_at_work_may_touch_the_block(desk: Desk, plan: StrikePlan) -> None:
-    desk.supervisor.mode = Mode.HAMMERING
+    desk.supervisor.mode = Mode.UNATTENDED
     into = joint_move(plan.strike.q[0], plan.strike.q[-1], np.full(6, 0.2), np.full(6, 3.0), np.full(6, 30.0))
     desk.arm.q = into.q[0].copy()
     refused(desk, CollisionError, lambda: desk.supervisor.execute(into), "tool")
@@ -228,7 +239,7 @@ def test_an_arm_that_is_not_ready_not_known_or_elsewhere_is_not_moved(desk: Desk
     desk.arm.measured_off = np.array([0, 0.05, 0, 0, 0, 0])
     refused(desk, LimitError, lambda: desk.supervisor.execute(move), "stands 0.050 rad from where it was commanded")
     # Nor from where it has been moved to: it would jump there from where it holds itself.
-    there = paced(replace(move, q=move.q + desk.arm.measured_off), desk.world, 0.2)
+    there = slowed_to(replace(move, q=move.q + desk.arm.measured_off), desk.world, 0.2)
     refused(desk, LimitError, lambda: desk.supervisor.execute(there), "has somebody moved it")
 
 
@@ -253,7 +264,7 @@ def test_no_swing_without_a_mode_a_confirmation_and_a_plan(desk: Desk, plan: Str
 
     desk.arm.q = plan.strike.q[0].copy()
     refused(desk, LimitError, swing, "handover mode")
-    desk.supervisor.mode = Mode.HAMMERING
+    desk.supervisor.mode = Mode.UNATTENDED
     refused(desk, PersonNearError, swing, "confirmed")
     desk.person.confirms = False
     refused(desk, PersonNearError, lambda: desk.supervisor.permit_swings(1.0), "nobody confirmed")
@@ -266,18 +277,18 @@ def test_no_swing_without_a_mode_a_confirmation_and_a_plan(desk: Desk, plan: Str
     late = replace(plan.expected_contact, time=9.0)
     refused(desk, LimitError, lambda: desk.supervisor.swing(plan.strike, GUARD, late), "not on its way")
     swing()
-    assert desk.person.asked == 2, "asked once for all blows"
-    desk.supervisor.mode = Mode.HAMMERING
+    assert desk.person.asked == 2, "asked once for all strikes"
+    desk.supervisor.mode = Mode.UNATTENDED
     desk.arm.q = plan.strike.q[0].copy()
     desk.supervisor.reset(confirmed=True)
-    desk.supervisor.mode = Mode.HAMMERING
+    desk.supervisor.mode = Mode.UNATTENDED
     refused(desk, PersonNearError, swing, "confirmed")
 
 
 def test_nobody_hammers_while_somebody_is_inside(desk: Desk) -> None:
     desk.person.here = True
     with pytest.raises(PersonNearError, match="handover mode"):
-        desk.supervisor.mode = Mode.HAMMERING
+        desk.supervisor.mode = Mode.UNATTENDED
     assert desk.supervisor.mode is Mode.HANDOVER
     desk.supervisor.execute(desk.slow())  # slowly it may
 
@@ -330,7 +341,7 @@ def test_a_person_sensor_that_fails_stops_the_arm(desk: Desk) -> None:
             raise OSError("scanner unplugged")
         return True
 
-    desk.person.attending = broken  # type: ignore[method-assign]
+    desk.person.enabling_switch_held = broken  # type: ignore[method-assign]
     with pytest.raises(PersonNearError, match="scanner unplugged"):
         desk.supervisor.execute(desk.slow(0.5))
 
@@ -382,7 +393,7 @@ def test_a_contact_is_judged_by_its_place(desk: Desk, plan: StrikePlan, share: f
     desk.arm.meets = None if share is None else share * plan.contact_time / plan.strike.duration
     _, verdict = desk.supervisor.swing(plan.strike, GUARD, plan.expected_contact)
     assert verdict.meeting is meeting
-    assert not desk.supervisor.latched, "a blow beside the nail is no fault of the arm"
+    assert not desk.supervisor.latched, "a strike beside the nail is no fault of the arm"
 
 
 def test_a_servo_lag_is_no_early_contact(desk: Desk, plan: StrikePlan) -> None:

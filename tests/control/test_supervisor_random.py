@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.control.paper_arm import STOP_ACCELERATION, STOP_JERK, Bystander, PaperArm
 from tests.examples import examples
 from toolee_robot.config import StationConfig
-from toolee_robot.control import CollisionWorld, Mode, RobotModel, Supervisor, paced
+from toolee_robot.control import CollisionWorld, Mode, RobotModel, Supervisor, slowed_to
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.errors import DeviceError, EmergencyStopError, PlanningError, ProtectiveStopError, TrackingError
 from toolee_robot.frames import Array
@@ -121,7 +121,7 @@ def test_nothing_that_is_driven_breaks_a_limit(
     ones = np.ones(6)
     move = joint_move(home, home + np.array(goal), speed * ones, acceleration * ones, jerk * ones)
     if slowed:
-        move = paced(move, free, mode.speed(config.supervisor))
+        move = slowed_to(move, free, mode.speed(config.supervisor))
     spoilt = apply(move, changes)
     if spoilt is None:
         return
@@ -138,7 +138,7 @@ def test_nothing_that_is_driven_breaks_a_limit(
         return
     assert status is ArmStatus.READY
     assert off < 0.03
-    assert not inside if mode is Mode.HAMMERING else not absent
+    assert not inside if mode is Mode.UNATTENDED else not absent
     event("driven")
     check_driven(np.array([home, home, home, *arm.driven, arm.driven[-1], arm.driven[-1]]), robot, config, free, mode)
 

@@ -67,10 +67,10 @@ def test_nothing_moves(simulation: SimStation) -> None:
 
 def test_a_stopped_arm(simulation: SimStation, arm: SimArm) -> None:
     arm.protective_stop()
-    assert (_arm(simulation).level, _arm(simulation).says) == (Level.FAIL, "protective stop")
+    assert (_arm(simulation).level, _arm(simulation).message) == (Level.FAIL, "protective stop")
     arm.make_ready()
     arm.emergency_stop()
-    assert (_arm(simulation).level, _arm(simulation).says) == (Level.FAIL, "emergency stop")
+    assert (_arm(simulation).level, _arm(simulation).message) == (Level.FAIL, "emergency stop")
 
 
 def test_an_arm_that_tells_nothing_new(simulation: SimStation, arm: SimArm) -> None:
@@ -78,22 +78,22 @@ def test_an_arm_that_tells_nothing_new(simulation: SimStation, arm: SimArm) -> N
     simulation.station.clock.sleep(0.5)
     finding = _arm(simulation)
     assert finding.level is Level.FAIL
-    assert "old" in finding.says
+    assert "old" in finding.message
 
 
 @pytest.mark.parametrize(
-    ("section", "changes", "says"),
+    ("section", "changes", "expected_text"),
     [
         ("scene", {"workspace_lower": (-1.0, -1.2, 1.2), "workspace_upper": (1.2, 1.2, 1.6)}, "outside the workspace"),
         ("strike", {"clearance": 0.2}, "stands too near"),
     ],
 )
 def test_an_arm_that_cannot_be_planned_for(
-    simulation: SimStation, section: str, changes: dict[str, Any], says: str
+    simulation: SimStation, section: str, changes: dict[str, Any], expected_text: str
 ) -> None:
     finding = _arm(simulation, replace(_CONFIG, **{section: replace(getattr(_CONFIG, section), **changes)}))
     assert finding.level is Level.FAIL
-    assert says in finding.says
+    assert expected_text in finding.message
 
 
 @pytest.fixture
@@ -107,7 +107,7 @@ def hand(simulation: SimStation) -> Iterator[SimHand]:
 def test_a_hand_that_is_not_well(simulation: SimStation, hand: SimHand) -> None:
     def found() -> tuple[Level, str]:
         finding = doctor.check_hand(hand, _CONFIG)
-        return finding.level, finding.says
+        return finding.level, finding.message
 
     hand.temperature = 40.0
     assert found() == (Level.OK, "answers, empty, 24 joints, 40 °C")
@@ -117,9 +117,9 @@ def test_a_hand_that_is_not_well(simulation: SimStation, hand: SimHand) -> None:
     assert found() == (Level.FAIL, "index finger stalled")
     hand.cut_link()
     simulation.station.clock.sleep(0.5)
-    level, says = found()
+    level, expected_text = found()
     assert level is Level.FAIL
-    assert "old" in says
+    assert "old" in expected_text
 
 
 class _FullHand(SimHand):
@@ -131,7 +131,7 @@ class _FullHand(SimHand):
 
 def test_a_hand_that_holds_something(simulation: SimStation) -> None:
     finding = doctor.check_hand(_FullHand(simulation.world, 0.9), _CONFIG)
-    assert (finding.level, finding.says) == (Level.WARN, "it holds something")
+    assert (finding.level, finding.message) == (Level.WARN, "it holds something")
 
 
 def test_a_camera_that_is_frozen(simulation: SimStation) -> None:
@@ -143,7 +143,7 @@ def test_a_camera_that_is_frozen(simulation: SimStation) -> None:
     finally:
         station.camera.thaw()
     assert finding.level is Level.FAIL
-    assert "no new frame" in finding.says
+    assert "no new frame" in finding.message
 
 
 class _ReplayedCamera:
@@ -178,11 +178,11 @@ def _camera(simulation: SimStation, camera: RgbdCamera) -> dict[str, Finding]:
 
 def test_a_camera_that_is_slow(simulation: SimStation, frame: RgbdFrame) -> None:
     found = _camera(simulation, _ReplayedCamera(simulation.station.clock, frame, slow=0.8))
-    assert (found["camera"].level, found["camera"].says) == (Level.WARN, "a frame takes 0.83 s")
+    assert (found["camera"].level, found["camera"].message) == (Level.WARN, "a frame takes 0.83 s")
 
 
 @pytest.mark.parametrize(
-    ("changes", "name", "says"),
+    ("changes", "name", "expected_text"),
     [
         ({"stamp": lambda _: 1.0}, "camera", "repeats"),
         ({"stamp": lambda t: t - 2.0}, "camera", "is 2.03 s old"),
@@ -192,8 +192,8 @@ def test_a_camera_that_is_slow(simulation: SimStation, frame: RgbdFrame) -> None
     ],
 )
 def test_a_camera_that_is_not_well(
-    simulation: SimStation, frame: RgbdFrame, changes: dict[str, Any], name: str, says: str
+    simulation: SimStation, frame: RgbdFrame, changes: dict[str, Any], name: str, expected_text: str
 ) -> None:
     finding = _camera(simulation, _ReplayedCamera(simulation.station.clock, frame, **changes))[name]
     assert finding.level is Level.FAIL
-    assert says in finding.says
+    assert expected_text in finding.message

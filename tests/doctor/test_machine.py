@@ -35,14 +35,14 @@ def _cpus(folder: Path, *governors: str) -> Path:
 def test_cores_that_sleep(tmp_path: Path, governors: tuple[str, ...], level: Level) -> None:
     found = {f.name: f for f in doctor.check_processor(_cpus(tmp_path, *governors))}
     assert found["frequency"].level is level
-    assert ("powersave" in found["frequency"].says) == (level is Level.WARN)
+    assert ("powersave" in found["frequency"].message) == (level is Level.WARN)
 
 
 @pytest.mark.parametrize(("n", "level"), [(1, Level.FAIL), (2, Level.WARN), (4, Level.OK)])
 def test_cores(n: int, level: Level, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(n)))
     found = {f.name: f for f in doctor.check_processor(tmp_path)}
-    assert (found["cores"].level, found["cores"].says) == (level, str(n))
+    assert (found["cores"].level, found["cores"].message) == (level, str(n))
 
 
 @pytest.mark.parametrize(("free", "level"), [(100 << 30, Level.OK), (1 << 30, Level.WARN), (50 << 20, Level.FAIL)])
@@ -55,7 +55,7 @@ def test_a_folder_that_is_a_file(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("")
     finding = doctor.check_disk(tmp_path / "runs")
     assert finding.level is Level.FAIL
-    assert "--out" in finding.do
+    assert "--out" in finding.remedy
 
 
 def test_real_time_warnings_say_what_to_do_and_leave_no_trace() -> None:
@@ -63,7 +63,7 @@ def test_real_time_warnings_say_what_to_do_and_leave_no_trace() -> None:
     findings = list(doctor.check_real_time(125.0))
     assert [f.name for f in findings] == ["kernel", "priority", "memory", "schedule"]
     assert all(f.level is not Level.FAIL for f in findings), "a robot's rate can be kept without"
-    assert all(bool(f.do) == (f.level is Level.WARN) for f in findings)
+    assert all(bool(f.remedy) == (f.level is Level.WARN) for f in findings)
     assert os.sched_getscheduler(0) == before
 
 

@@ -33,24 +33,26 @@ def test_the_shipped_station_is_well(model: ArmModel) -> None:
     config = _changed("arm", model=model)
     findings = [*doctor.check_limits(config), *doctor.check_reach(config)]
     assert {f.level for f in findings} == {Level.OK}, findings
-    assert all(f.says and not f.do for f in findings)
+    assert all(f.message and not f.remedy for f in findings)
 
 
 @pytest.mark.parametrize(
-    ("section", "changes", "name", "level", "says"),
+    ("section", "changes", "name", "level", "expected_text"),
     [
         ("arm", {"velocity": (2.09, 2.09, 3.5, 3.14, 3.14, 3.14)}, "limits", Level.FAIL, "elbow_joint is 3.50 rad/s"),
         ("scene", {"home": (0.0, -1.9, 7.0, -1.57, -1.57, 0.0)}, "limits", Level.FAIL, "scene.home puts elbow_joint"),
         ("scene", {"handover_position": (0.4, -1.3, 0.65)}, "limits", Level.FAIL, "outside the workspace"),
         ("supervisor", {"handover_speed": 0.4}, "handover speed", Level.WARN, "0.4 m/s"),
-        ("supervisor", {"hammering_speed": 2.5}, "swing speed", Level.WARN, "2.5 m/s"),
+        ("supervisor", {"unattended_speed": 2.5}, "swing speed", Level.WARN, "2.5 m/s"),
     ],
 )
-def test_limits_that_do_not_fit(section: str, changes: dict[str, Any], name: str, level: Level, says: str) -> None:
+def test_limits_that_do_not_fit(
+    section: str, changes: dict[str, Any], name: str, level: Level, expected_text: str
+) -> None:
     found = {f.name: f for f in doctor.check_limits(_changed(section, **changes))}
     assert found[name].level is level
-    assert says in found[name].says
-    assert found[name].do
+    assert expected_text in found[name].message
+    assert found[name].remedy
 
 
 @pytest.mark.parametrize(
@@ -58,18 +60,18 @@ def test_limits_that_do_not_fit(section: str, changes: dict[str, Any], name: str
     [
         ("scene", {"handover_position": (1.1, -1.1, 1.5)}, "handover", Level.FAIL),
         ("camera", {"position": (3.5, -3.0, 2.5)}, "views", Level.FAIL),
-        ("work", {"nail_xy": (1.5, 0.1)}, "blow", Level.FAIL),
-        ("arm", {"velocity": (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)}, "blow", Level.WARN),
+        ("work", {"nail_xy": (1.5, 0.1)}, "strike", Level.FAIL),
+        ("arm", {"velocity": (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)}, "strike", Level.WARN),
     ],
 )
 def test_what_is_out_of_reach(section: str, changes: dict[str, Any], name: str, level: Level) -> None:
     found = {f.name: f for f in doctor.check_reach(_changed(section, **changes))}
     assert found[name].level is level, found
-    assert found[name].do
+    assert found[name].remedy
 
 
 @pytest.mark.parametrize(
-    ("calibration", "robot", "camera", "level", "says"),
+    ("calibration", "robot", "camera", "level", "expected_text"),
     [
         (SIMULATED_CALIBRATION, SIMULATED, SIMULATED, Level.OK, "residual 0.0 mm"),
         (_CALIBRATION, "2018550001", "cam7", Level.OK, "of 2026-11-10, residual 1.2 mm"),
@@ -85,19 +87,19 @@ def test_what_is_out_of_reach(section: str, changes: dict[str, Any], name: str, 
     ],
 )
 def test_calibrations(
-    calibration: CalibrationConfig | None, robot: str | None, camera: str | None, level: Level, says: str
+    calibration: CalibrationConfig | None, robot: str | None, camera: str | None, level: Level, expected_text: str
 ) -> None:
     config = replace(StationConfig(), calibration=calibration)
     finding = doctor.check_calibration(config, robot, camera, _TODAY)
     assert finding.level is level
-    assert says in finding.says
-    assert bool(finding.do) == (level is not Level.OK)
+    assert expected_text in finding.message
+    assert bool(finding.remedy) == (level is not Level.OK)
 
 
 def test_missing_weights_are_named(tmp_path: Path) -> None:
     finding = doctor.check_weights(tmp_path)
     assert finding.level is Level.FAIL
-    assert str(tmp_path) in finding.says
+    assert str(tmp_path) in finding.message
     assert doctor.check_weights().level is Level.OK
 
 
@@ -110,4 +112,4 @@ def test_the_worst_finding_decides() -> None:
 
 def test_the_shipped_station_with_the_heaviest_hammer_is_what_the_arm_carries() -> None:
     finding = _only(list(doctor.check_limits(StationConfig())))
-    assert "of 10.0 kg payload" in finding.says
+    assert "of 10.0 kg payload" in finding.message

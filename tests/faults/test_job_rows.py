@@ -76,9 +76,9 @@ def test_a_fault_is_handled(bench: Bench, fault: JobFault) -> None:
         assert row.speed > 1.0, "that is no swing"
 
 
-@pytest.mark.parametrize(("name", "calibration", "says"), CALIBRATIONS[:2])
-def test_a_calibration_that_does_not_hold(bench: Bench, name: str, calibration: None, says: str) -> None:
-    row = calibration_row(bench, name, calibration, says)
+@pytest.mark.parametrize(("name", "calibration", "expected_text"), CALIBRATIONS[:2])
+def test_a_calibration_that_does_not_hold(bench: Bench, name: str, calibration: None, expected_text: str) -> None:
+    row = calibration_row(bench, name, calibration, expected_text)
     assert row.handled, row.why
 
 
@@ -97,7 +97,7 @@ def test_without_the_check_of_the_calibration(bench: Bench, monkeypatch: pytest.
 
 def test_without_the_check_of_the_hand(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Motions, "check_hand", lambda _: None)
-    _not_handled(job_row(_fault("hand too hot", Phase.REST), bench), "1 blows were swung, 0 may be")
+    _not_handled(job_row(_fault("hand too hot", Phase.REST), bench), "1 strikes were swung, 0 may be")
 
 
 def test_without_the_watch_of_the_person(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,7 +117,7 @@ def test_an_arm_that_notices_late_and_does_not_latch(bench: Bench, monkeypatch: 
 
     monkeypatch.setattr(SimArm, "_fault", late)
     monkeypatch.setattr(SimArm, "_check_open", lambda self: setattr(self, "_latched", ""))
-    # Longer before the nail, which would stop the blow otherwise.
+    # Longer before the nail, which would stop the strike otherwise.
     row = job_row(replace(_fault("network link cut", Phase.SWING), before=0.2), bench)
     _not_handled(row, "allowed")
     assert "the arm did not refuse to move" in row.why

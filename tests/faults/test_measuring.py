@@ -13,14 +13,14 @@ from toolee_robot.errors import LinkLostError
 from toolee_robot.faults.measuring import ATTEMPTS, Measurement
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rigs.driver_rig import MissedMomentError
-from toolee_robot.runtime.latency_monitor import EXCUSE, Steadiness
+from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
 
 pytestmark = pytest.mark.realtime
 
 
 @pytest.fixture(scope="module")
-def machine() -> Iterator[Steadiness]:
-    with Steadiness() as witness:
+def machine() -> Iterator[LatencyMonitor]:
+    with LatencyMonitor() as witness:
         yield witness
 
 
@@ -32,21 +32,21 @@ def row(handled: bool) -> FaultRow:
     return FaultRow(9, "connection closed", Phase.REST, "UR10", "latches", "latched", True, handled)
 
 
-def stand_still(machine: Steadiness) -> None:
+def stand_still(machine: LatencyMonitor) -> None:
     """What the witness sees when the host takes the cores away."""
     os.kill(machine.pid, signal.SIGSTOP)
-    time.sleep(3 * EXCUSE)
+    time.sleep(3 * STALL_LIMIT)
     os.kill(machine.pid, signal.SIGCONT)
-    time.sleep(EXCUSE)
+    time.sleep(STALL_LIMIT)
 
 
-def test_a_failure_on_a_steady_machine_counts(machine: Steadiness) -> None:
+def test_a_failure_on_a_machine_without_stalls_counts(machine: LatencyMonitor) -> None:
     failed = measurement(lambda: row(False)).row(machine)
     assert not failed.handled
     assert failed.again == 0
 
 
-def test_what_failed_while_the_machine_stood_still_is_measured_again(machine: Steadiness) -> None:
+def test_what_failed_while_the_machine_stood_still_is_measured_again(machine: LatencyMonitor) -> None:
     tries: list[FaultRow] = []
 
     def run() -> FaultRow:
@@ -60,7 +60,7 @@ def test_what_failed_while_the_machine_stood_still_is_measured_again(machine: St
     assert handled.again == 1
 
 
-def test_it_is_not_measured_until_it_succeeds(machine: Steadiness) -> None:
+def test_it_is_not_measured_until_it_succeeds(machine: LatencyMonitor) -> None:
     def run() -> FaultRow:
         stand_still(machine)
         return row(False)
@@ -70,7 +70,9 @@ def test_it_is_not_measured_until_it_succeeds(machine: Steadiness) -> None:
     assert failed.again == ATTEMPTS - 1
 
 
-def test_what_cannot_be_measured_is_not_handled_and_a_missed_moment_is_waited_for_again(machine: Steadiness) -> None:
+def test_what_cannot_be_measured_is_not_handled_and_a_missed_moment_is_waited_for_again(
+    machine: LatencyMonitor,
+) -> None:
     def lost() -> FaultRow:
         raise LinkLostError("the link is gone")
 

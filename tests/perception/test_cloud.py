@@ -109,7 +109,7 @@ def test_trim_keeps_a_compact_cloud_whole() -> None:
     assert len(trim(np.empty((0, 3)), 0.09)) == 0
 
 
-def test_pixels_without_a_depth_are_guessed_from_their_neighbours() -> None:
+def test_pixels_without_a_depth_are_completed_from_their_neighbours() -> None:
     """A steel face that loses its rim and some of its middle is whole again; the wall behind it is not the tool."""
     depth = np.full((424, 512), 1.5)
     face = disc(200, 250, 12)
@@ -117,15 +117,15 @@ def test_pixels_without_a_depth_are_guessed_from_their_neighbours() -> None:
     lost = face & ~disc(200, 250, 10) | disc(196, 250, 1)
     depth[lost] = 0.0
     cloud = ee_cloud(frame(depth), detection(face))
-    assert len(cloud.guessed) == lost.sum()
-    np.testing.assert_allclose(cloud.guessed[:, 2], 0.6, atol=1e-6)
-    radius = np.hypot(*(cloud.guessed[:, :2] - cloud.points[:, :2].mean(axis=0)).T)
+    assert len(cloud.completed) == lost.sum()
+    np.testing.assert_allclose(cloud.completed[:, 2], 0.6, atol=1e-6)
+    radius = np.hypot(*(cloud.completed[:, :2] - cloud.points[:, :2].mean(axis=0)).T)
     assert radius.max() > 1.1 * np.hypot(*(cloud.points[:, :2] - cloud.points[:, :2].mean(axis=0)).T).max()
     whole = ee_cloud(frame(np.where(lost, 0.6, depth)), detection(disc(200, 250, 8)))
-    assert len(whole.guessed) == 0
+    assert len(whole.completed) == 0
 
 
-def test_what_a_wide_mask_holds_of_the_wall_is_not_guessed_to_be_the_tool() -> None:
+def test_what_a_wide_mask_holds_of_the_wall_is_not_completed_as_the_tool() -> None:
     depth = np.full((424, 512), 1.6)
     depth[150:210, 240:260] = 0.7
     depth[150:210, 258:260] = np.nan
@@ -134,8 +134,8 @@ def test_what_a_wide_mask_holds_of_the_wall_is_not_guessed_to_be_the_tool() -> N
     mask[145:215, 230:270] = True
     cloud = ee_cloud(frame(depth), detection(mask))
     # The column at the tool's edge; the one at the wall's is the wall's.
-    assert 60 <= len(cloud.guessed) <= 62
-    np.testing.assert_allclose(cloud.guessed[:, 2], 0.7, atol=0.01)
+    assert 60 <= len(cloud.completed) <= 62
+    np.testing.assert_allclose(cloud.completed[:, 2], 0.7, atol=0.01)
 
 
 def test_too_few_points_give_a_reason_instead_of_a_cloud() -> None:

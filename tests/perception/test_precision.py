@@ -19,7 +19,7 @@ from toolee_robot.perception.evaluation.examples import collect
 from toolee_robot.perception.evaluation.segmentation import frame_of
 from toolee_robot.perception.pose import PoseEstimator, weights
 from toolee_robot.perception.pose.network import PoseNet
-from toolee_robot.perception.precision import bfloat16_pays, one_thread
+from toolee_robot.perception.precision import prefers_bfloat16, single_thread
 from toolee_robot.perception.synthesis.example import examples_of
 
 swift = pytest.mark.skipif(
@@ -62,7 +62,7 @@ def test_poses_are_the_same_to_a_fraction_of_their_error(folder: Path) -> None:
         if not case.cloud.usable:
             continue
         both = [
-            e.estimate(case.cloud.points, case.category, case.cloud.rest, guessed=case.cloud.guessed)
+            e.estimate(case.cloud.points, case.category, case.cloud.rest, completed=case.cloud.completed)
             for e in (exact, fast)
         ]
         if both[0].confidence > 0.9:
@@ -96,13 +96,13 @@ def test_the_network_that_an_estimator_is_given_stays_as_it_is() -> None:
 
 
 def test_a_gpu_is_left_to_its_own_arithmetic() -> None:
-    assert not bfloat16_pays(torch.device("cuda"))
+    assert not prefers_bfloat16(torch.device("cuda"))
 
 
 def test_the_other_threads_come_back_after_an_error() -> None:
     inside = []
 
-    @one_thread()
+    @single_thread()
     def fails() -> None:
         inside.append(torch.get_num_threads())
         raise ValueError("inside")

@@ -20,20 +20,20 @@ from toolee_robot.perception.dataset.spec import DatasetSpec
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.evaluation.examples import parts, read_part
 from toolee_robot.perception.pose import PoseEstimator
-from toolee_robot.perception.pose.canonical import REST_LEAST, CanonicalCloud
+from toolee_robot.perception.pose.canonical import REST_MIN, CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import PoseResult
 from toolee_robot.perception.pose.network import NetworkConfig
 from toolee_robot.perception.pose.synthetic_clouds.batch import CATEGORY_SHARE, CloudBatch, CloudConfig
 from toolee_robot.perception.pose.synthetic_clouds.rendered import RenderedClouds, RenderedSource
 from toolee_robot.perception.pose.synthetic_clouds.source import CloudSource, Mixture
-from toolee_robot.perception.pose.synthetic_clouds.surface_samples import hand_bank, tool_bank
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import sample_hands, sample_tools
 from toolee_robot.perception.pose.training.config import TrainConfig
-from toolee_robot.perception.pose.training.recipe import Ours
+from toolee_robot.perception.pose.training.recipe import DefaultRecipe
 from toolee_robot.perception.pose.training.trainer import Trainer
 from toolee_robot.perception.rendered_clouds import of_part, tools_of_part
 from toolee_robot.perception.research.tooleenet import PaperEstimator
 from toolee_robot.perception.synthesis.example import examples_of
-from toolee_robot.perception.training.distributed import Ranks
+from toolee_robot.perception.training.distributed import Distributed
 from toolee_robot.tools import ee_radius
 from toolee_robot.types import Category, Detection, RgbdFrame
 
@@ -69,7 +69,7 @@ def test_both_kinds_of_masks_give_clouds_about_their_ends(clouds: RenderedClouds
     assert found > len(np.unique(poses, axis=0)) > 0
 
 
-class Finds:
+class ScriptedDetector:
     """A detector that reports given detections of every frame."""
 
     def __init__(self, detections: list[Detection]) -> None:
@@ -91,7 +91,7 @@ def test_only_what_shows_none_of_its_category_is_a_negative(folder: Path) -> Non
     others = [c for c in Category if c is not one.category]
 
     def negatives(*detections: Detection) -> int:
-        clouds = of_part(Finds(list(detections)), part)
+        clouds = of_part(ScriptedDetector(list(detections)), part)
         return int((~clouds.positive).sum())
 
     assert negatives(one) == 0
@@ -127,7 +127,7 @@ def test_a_batch_s_truth_is_the_kept_one_in_the_canonical_frame(clouds: Rendered
 
 def test_a_cloud_is_what_the_estimator_would_see(clouds: RenderedClouds) -> None:
     """The same cloud, given to an estimator as the pipeline gives it: centre, count and rest agree."""
-    i = int(np.flatnonzero(clouds.positive & (clouds.counts[:, 2] > REST_LEAST))[0])
+    i = int(np.flatnonzero(clouds.positive & (clouds.counts[:, 2] > REST_MIN))[0])
     alone = _one(clouds, i)
     batch = RenderedSource(alone, "cpu", 0, CloudConfig(negative_share=0.0)).collect(1, 1)
     seen: list[tuple[torch.Tensor, float]] = []
@@ -141,7 +141,7 @@ def test_a_cloud_is_what_the_estimator_would_see(clouds: RenderedClouds) -> None
 
     category = list(Category)[clouds.category[i]]
     points, rest, guessed = (x.astype(np.float64) for x in (alone.points, alone.rest, alone.guessed))
-    Looks.load().estimate(points, category, rest, guessed=guessed)
+    Looks.load().estimate(points, category, rest, completed=guessed)
     torch.testing.assert_close(batch.centre, seen[0][0], atol=1e-6, rtol=0)
     assert float(batch.visible[0]) == pytest.approx(seen[0][1] * clouds.visible[i] / clouds.counts[i, 0], abs=1.0)
 
@@ -218,14 +218,16 @@ def test_the_command_keeps_them_for_a_training(
 
 
 def test_a_training_learns_from_them(clouds: RenderedClouds, tmp_path: Path) -> None:
-    bank, held_out = (tool_bank(held_out=held, seeds_per_kind=1, workers=1) for held in (False, True))
+    samples, held_out = (sample_tools(held_out=held, seeds_per_kind=1, workers=1) for held in (False, True))
     config = TrainConfig(max_steps=3, batch=8, chunk=16, first_fill=16, capacity=64, validation=40, compile=False)
-    method = Ours(NetworkConfig(width=32, layers=1, heads=2, neighbours=8, flow_width=64, flow_blocks=1))
-    place = Ranks(0, 1, torch.device("cpu"))
+    recipe = DefaultRecipe(NetworkConfig(width=32, layers=1, heads=2, neighbours=8, flow_width=64, flow_blocks=1))
+    distributed = Distributed(0, 1, torch.device("cpu"))
 
     def weights(share: float) -> torch.Tensor:
         shares = replace(config, rendered_share=share)
-        trainer = Trainer(tmp_path / str(share), shares, (bank, held_out), hand_bank(4), method, place, clouds)
+        trainer = Trainer(
+            tmp_path / str(share), shares, (samples, held_out), sample_hands(4), recipe, distributed, clouds
+        )
         report = trainer.run()
         assert np.isfinite(report["K20"]["average"]["median_mm"])
         assert report["train"]["rendered_clouds"] == len(clouds)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception import weight_files
-from toolee_robot.perception.fit_trust import Looked, fit
+from toolee_robot.perception.fit_trust import TrustSamples, fit
 from toolee_robot.perception.pose.cloud_estimator import PoseResult
 from toolee_robot.perception.trust import Trust, features
 from toolee_robot.types import Category, PoseHypotheses
@@ -80,7 +80,7 @@ def test_what_was_fitted_is_for_these_weights_only(tmp_path: Path) -> None:
         Trust.load(folder, folder)
 
 
-def _drawn(n: int, alarm: bool, seed: int) -> list[Looked]:
+def _drawn(n: int, alarm: bool, seed: int) -> list[TrustSamples]:
     """Images with one pose each: right ones under sure detections and a few wrong ones under doubtful, or alarms."""
     rng = np.random.default_rng(seed)
     looked = []
@@ -90,7 +90,7 @@ def _drawn(n: int, alarm: bool, seed: int) -> list[Looked]:
         x = features(float(rng.uniform(0.6, 0.99)), score, score, HEAD)
         rows = 0 if alarm and rng.uniform() < 0.5 else 1
         ones = np.ones(rows)
-        looked.append(Looked(x[None][:rows], ones * right, ones, 1))
+        looked.append(TrustSamples(x[None][:rows], ones * right, ones, 1))
     return looked
 
 

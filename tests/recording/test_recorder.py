@@ -91,7 +91,7 @@ def test_poses_clouds_joints_contacts_and_events_come_back(tmp_path: Path) -> No
     assert metadata.metadata == {"seed": "7"}
 
 
-def test_a_motion_is_thinned_but_keeps_the_peak_of_the_blow(tmp_path: Path) -> None:
+def test_a_motion_is_thinned_but_keeps_the_peak_of_the_strike(tmp_path: Path) -> None:
     n = 500
     wrenches = np.zeros((n, 6))
     wrenches[237, 2] = 420.0

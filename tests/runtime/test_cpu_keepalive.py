@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from toolee_robot.hardware.ur.servo_benchmark import cpu_time
-from toolee_robot.runtime.cpu_keepalive import CoresAwake, is_virtual
+from toolee_robot.runtime.cpu_keepalive import CpuKeepalive, is_virtual
 
 pytestmark = pytest.mark.skipif(not is_virtual(), reason="a machine of one's own needs none of it")
 
@@ -25,14 +25,14 @@ def alive(pid: int) -> bool:
 
 
 def test_every_core_has_one_of_the_lowest_priority_until_the_end() -> None:
-    with CoresAwake() as awake:
+    with CpuKeepalive() as keepalive:
         deadline = time.monotonic() + 20.0
-        while not all(os.sched_getscheduler(pid) == os.SCHED_IDLE for pid in awake.pids):
+        while not all(os.sched_getscheduler(pid) == os.SCHED_IDLE for pid in keepalive.pids):
             assert time.monotonic() < deadline
             time.sleep(0.01)
-        cores = [os.sched_getaffinity(pid) for pid in awake.pids]
+        cores = [os.sched_getaffinity(pid) for pid in keepalive.pids]
         assert sorted(core for of in cores for core in of) == sorted(os.sched_getaffinity(0))
-        pids = awake.pids
+        pids = keepalive.pids
     assert pids
     assert not any(alive(pid) for pid in pids)
 
@@ -40,14 +40,14 @@ def test_every_core_has_one_of_the_lowest_priority_until_the_end() -> None:
 def test_they_leave_the_cores_to_whatever_else_runs() -> None:
     """Beside other sessions' work, too: each is given a share of its own."""
     busy = "import os\nos.sched_setaffinity(0, {%d})\nwhile True:\n    pass"
-    with CoresAwake() as awake:
+    with CpuKeepalive() as keepalive:
         cores = sorted(os.sched_getaffinity(0))
         work = [subprocess.Popen([sys.executable, "-c", busy % core], start_new_session=True) for core in cores]
         try:
             time.sleep(1.0 + 0.2 * len(cores))  # all have started, and given way: one at a time, without root
-            began, before = time.monotonic(), [cpu_time(pid) for pid in awake.pids]
+            began, before = time.monotonic(), [cpu_time(pid) for pid in keepalive.pids]
             time.sleep(2.0)
-            taken = [cpu_time(pid) - then for pid, then in zip(awake.pids, before, strict=True)]
+            taken = [cpu_time(pid) - then for pid, then in zip(keepalive.pids, before, strict=True)]
             assert max(taken) < 0.1 * (time.monotonic() - began)
         finally:
             for process in work:
@@ -56,7 +56,7 @@ def test_they_leave_the_cores_to_whatever_else_runs() -> None:
 
 
 def test_they_end_with_a_user_that_is_killed() -> None:
-    program = "import time\nfrom toolee_robot.runtime.cpu_keepalive import CoresAwake\nwith CoresAwake() as a:\n"
+    program = "import time\nfrom toolee_robot.runtime.cpu_keepalive import CpuKeepalive\nwith CpuKeepalive() as a:\n"
     program += "    print(*a.pids, flush=True)\n    time.sleep(60)"
     user = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
     assert user.stdout is not None

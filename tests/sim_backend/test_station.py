@@ -101,7 +101,7 @@ def test_arm_brakes_at_a_contact_within_its_limits(empty: SimStation) -> None:
     tip = (hand @ [0.0, 0.0, 0.15, 1.0])[:3]
     shape = pb.createCollisionShape(pb.GEOM_BOX, halfExtents=[0.1, 0.1, 0.05], physicsClientId=world.client)
     pb.createMultiBody(0.0, shape, -1, [tip[0], tip[1], tip[2] - 0.13 - 0.05], physicsClientId=world.client)
-    report = station.arm.execute(line([HOME, down], 1.5), ContactGuard(force=15.0, after=0.05))
+    report = station.arm.execute(line([HOME, down], 1.5), ContactGuard(force=15.0, ignore_before=0.05))
     assert report.outcome is MotionOutcome.CONTACT
     assert report.contact is not None
     assert np.linalg.norm(report.wrenches[report.stamps == report.contact.stamp][0, :3]) > 15.0

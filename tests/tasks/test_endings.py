@@ -13,7 +13,7 @@ from toolee_robot.control import Meeting, RobotModel
 from toolee_robot.errors import PerceptionError, UserError
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, Log, at_rest, grip_kept, is_home
 from toolee_robot.faults.rigs.people import People
-from toolee_robot.faults.rigs.scripted_perception import Told, moved, unsure
+from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception, moved, unsure
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
@@ -43,7 +43,7 @@ def test_nobody_comes(empty: SimStation) -> None:
     result = HammeringTask(
         empty.station, PerfectPerception(empty.judge), CONFIG, nominal_grasp(empty.tool, CONFIG), observer=log
     ).run()
-    assert (result.outcome, result.blows, result.protrusion) == (Outcome.NO_HANDOVER, (), None)
+    assert (result.outcome, result.strikes, result.protrusion) == (Outcome.NO_HANDOVER, (), None)
     assert "run the job again" in result.reason
     assert log.motions == ["to the handover", "home"]
     assert is_home(empty)
@@ -178,7 +178,7 @@ def test_the_tool_is_lost_in_a_motion(bench: Bench, where: Stage | str, motion: 
 )
 def test_a_pose_that_no_held_hammer_has_is_not_believed(bench: Bench, X: Array, reason: str) -> None:
     nominal = bench.true_grasp.X_hand_ee
-    perceiver = Told(bench.sim.judge, lambda e: replace(e, X_hand_ee=nominal @ X))
+    perceiver = ScriptedPerception(bench.sim.judge, lambda e: replace(e, X_hand_ee=nominal @ X))
     look = Look(bench.station, CONFIG, RobotModel.load(), perceiver, Log(), nominal)
     look.take()
     with pytest.raises(PerceptionError, match=reason):
@@ -186,7 +186,7 @@ def test_a_pose_that_no_held_hammer_has_is_not_believed(bench: Bench, X: Array, 
 
 
 def test_a_detection_that_no_held_hammer_can_be_is_left_out(bench: Bench) -> None:
-    perceiver = Told(bench.sim.judge, lambda e: e)
+    perceiver = ScriptedPerception(bench.sim.judge, lambda e: e)
     far = bench.true_grasp.X_hand_ee @ transform(p=[0.0, 0.4, 0.0])
     look = Look(bench.station, CONFIG, RobotModel.load(), perceiver, Log(), far)
     look.take()
@@ -207,7 +207,7 @@ def test_a_camera_whose_frames_perception_refuses_is_a_device_fault(bench: Bench
 
 
 def test_perception_stays_unsure(bench: Bench) -> None:
-    log, perceiver = Log(), Told(bench.sim.judge, unsure)
+    log, perceiver = Log(), ScriptedPerception(bench.sim.judge, unsure)
     result = bench.seeing_task(log, perceiver=perceiver).run()
     assert result.outcome is Outcome.POSE_UNKNOWN
     assert "sigma 31 mm" in result.reason
@@ -221,13 +221,13 @@ def test_perception_stays_unsure(bench: Bench) -> None:
 
 
 def test_the_second_look_saves_the_job_and_a_slip_between_looks_ends_it(bench: Bench) -> None:
-    config = replace(CONFIG, task=replace(CONFIG.task, max_blows=2, blows_between_looks=1))
-    told = Told(bench.sim.judge, unsure, lambda e: e, moved([0.0, 0.02, 0.0]))
+    config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=2, strikes_between_looks=1))
+    perception = ScriptedPerception(bench.sim.judge, unsure, lambda e: e, moved([0.0, 0.02, 0.0]))
     log = Log()
-    result = bench.seeing_task(log, config, told).run()
+    result = bench.seeing_task(log, config, perception).run()
     assert result.outcome is Outcome.TOOL_SLIPPED
     assert "grip it again" in result.reason
-    assert len(result.blows) == 1
+    assert len(result.strikes) == 1
     assert len(result.estimates) == 1, "where it has slipped to is not believed, it is looked at again"
     assert is_home(bench.sim)
     assert at_rest(bench.sim)
@@ -243,7 +243,7 @@ def test_a_nail_out_of_reach_is_refused_before_anyone_is_asked(bench: Bench) -> 
     result = bench.seeing_task(log, config).run()
     assert result.outcome is Outcome.NO_PLAN
     assert "move the block" in result.reason
-    assert (bench.people.asked, bench.hand.opened, log.blows) == ([], 0, [])
+    assert (bench.people.asked, bench.hand.opened, log.strikes) == ([], 0, [])
     assert set(log.motions) <= {"home"}
     assert at_rest(bench.sim)
 
@@ -260,14 +260,14 @@ def test_the_nail_is_not_where_the_station_file_has_it(bench: Bench, change: dic
     assert reason in result.reason
     if "too high" in reason:  # by 8 mm; a touch is good to half a millimetre
         assert float(result.reason.split(" mm too high")[0].split()[-1]) == pytest.approx(8.0, abs=0.5)
-    assert result.blows == ()
+    assert result.strikes == ()
     assert "strike" not in log.motions
     assert is_home(bench.sim)
     assert at_rest(bench.sim)
     assert grip_kept(bench.sim)
 
 
-def test_a_blow_that_hits_something_before_the_nail(bench: Bench) -> None:
+def test_a_strike_that_hits_something_before_the_nail(bench: Bench) -> None:
     client, nail = bench.sim.world.client, CONFIG.work.X_base_nail()[:3, 3]
     added: list[int] = []
 
@@ -282,7 +282,7 @@ def test_a_blow_that_hits_something_before_the_nail(bench: Bench) -> None:
         log.after["up"] = bench.sim.observers.clear
 
     log = Log(after={"to the run-up": put_a_plate_over_the_nail, "strike": watch_the_hand})
-    config = replace(CONFIG, task=replace(CONFIG.task, max_blows=5))
+    config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=5))
     try:
         result = bench.blind_task(log, config).run()
     finally:
@@ -290,7 +290,7 @@ def test_a_blow_that_hits_something_before_the_nail(bench: Bench) -> None:
             pb.removeBody(body, physicsClientId=client)
     assert result.outcome is Outcome.NAIL_MISSED
     assert "before the nail" in result.reason
-    assert [(b.meeting, b.protrusion) for b in result.blows] == [(Meeting.EARLY, None)] * 3, (
+    assert [(b.meeting, b.protrusion) for b in result.strikes] == [(Meeting.EARLY, None)] * 3, (
         "so often it is tried blindly"
     )
     assert min(heights) > heights[0] - 0.002, "it goes up from there, not down to the nail"
@@ -299,10 +299,10 @@ def test_a_blow_that_hits_something_before_the_nail(bench: Bench) -> None:
 
 @pytest.mark.parametrize(
     ("joint", "to", "reason"),
-    [(SLIDE, 0.011, "in one blow: the nail has bent away"), (HINGE_X, np.deg2rad(80), "met nothing")],
+    [(SLIDE, 0.011, "in one strike: the nail has bent away"), (HINGE_X, np.deg2rad(80), "met nothing")],
 )
-def test_the_nail_bends_under_a_blow(bench: Bench, joint: int, to: float, reason: str) -> None:
-    """Its head sinks further than a blow can drive it, or is not where the face comes down."""
+def test_the_nail_bends_under_a_strike(bench: Bench, joint: int, to: float, reason: str) -> None:
+    """Its head sinks further than a strike can drive it, or is not where the face comes down."""
     nail = bench.sim.world.nail
 
     def bend() -> None:
@@ -311,7 +311,7 @@ def test_the_nail_bends_under_a_blow(bench: Bench, joint: int, to: float, reason
     result = bench.seeing_task(Log(after={"strike": bend})).run()
     assert result.outcome is Outcome.BENT
     assert reason in result.reason
-    assert [b.meeting for b in result.blows] == [Meeting.EXPECTED], "a blow that ends the job is a blow"
+    assert [b.meeting for b in result.strikes] == [Meeting.EXPECTED], "a strike that ends the job is a strike"
     assert is_home(bench.sim)
     assert at_rest(bench.sim)
     assert grip_kept(bench.sim)
@@ -319,26 +319,26 @@ def test_the_nail_bends_under_a_blow(bench: Bench, joint: int, to: float, reason
 
 def test_the_wood_is_too_hard(bench: Bench) -> None:
     bench.sim.world.nail.spec = replace(bench.sim.world.nail.spec, specific_gravity=1.2, pilot_diameter=0.0)
-    config = replace(CONFIG, task=replace(CONFIG.task, max_blows=5, min_progress=0.0005))
+    config = replace(CONFIG, task=replace(CONFIG.task, max_strikes=5, min_progress=0.0005))
     log = Log()
     result = bench.blind_task(log, config).run()
     assert result.outcome is Outcome.STUCK
-    assert "two blows" in result.reason
-    assert len(result.blows) == len(log.blows) == 2
+    assert "two strikes" in result.reason
+    assert len(result.strikes) == len(log.strikes) == 2
     assert result.protrusion == pytest.approx(bench.sim.world.nail.protrusion, abs=0.0015)
     assert is_home(bench.sim)
     assert at_rest(bench.sim)
     assert grip_kept(bench.sim)
 
 
-def test_out_of_blows_without_correction_and_without_perception(bench: Bench) -> None:
+def test_out_of_strikes_without_correction_and_without_perception(bench: Bench) -> None:
     log = Log()
     result = bench.blind_task(log).run()  # a perceiver that is asked fails the job
-    assert result.outcome is Outcome.OUT_OF_BLOWS
+    assert result.outcome is Outcome.OUT_OF_STRIKES
     assert not result.success
-    assert "after 1 blows" in result.reason
-    assert len(result.blows) == 1
-    assert result.protrusion == result.blows[0].protrusion
+    assert "after 1 strikes" in result.reason
+    assert len(result.strikes) == 1
+    assert result.protrusion == result.strikes[0].protrusion
     assert result.protrusion == pytest.approx(bench.sim.world.nail.protrusion, abs=0.001)
     assert result.protrusion is not None
     assert result.protrusion < CONFIG.work.nail_protrusion - 0.0005

@@ -19,9 +19,9 @@ from toolee_robot.tasks.common.outcome import HammerResult, Outcome, Stage
 pytestmark = pytest.mark.sim
 
 
-def stands(bench: Bench, result: HammerResult, outcome: Outcome, says: str) -> None:
+def stands(bench: Bench, result: HammerResult, outcome: Outcome, expected_text: str) -> None:
     assert result.outcome is outcome
-    assert says in result.reason
+    assert expected_text in result.reason
     assert at_rest(bench.sim)
     assert grip_kept(bench.sim)
 
@@ -30,7 +30,7 @@ def stands(bench: Bench, result: HammerResult, outcome: Outcome, says: str) -> N
 
 
 @pytest.mark.parametrize(
-    ("calibration", "says"),
+    ("calibration", "expected_text"),
     [
         (None, "not calibrated"),
         (CalibrationConfig("2026-01-01", "20235012345", "simulated", 0.001, valid_days=None), "robot '20235012345'"),
@@ -40,11 +40,11 @@ def stands(bench: Bench, result: HammerResult, outcome: Outcome, says: str) -> N
     ],
 )
 def test_a_calibration_that_does_not_hold_is_refused_before_anything_moves(
-    bench: Bench, calibration: CalibrationConfig | None, says: str
+    bench: Bench, calibration: CalibrationConfig | None, expected_text: str
 ) -> None:
     log = Log()
     result = bench.blind_task(log, replace(CONFIG, calibration=calibration)).run()
-    stands(bench, result, Outcome.NOT_READY, says)
+    stands(bench, result, Outcome.NOT_READY, expected_text)
     assert "nothing was moved" in result.reason
     assert (log.motions, bench.people.asked, bench.hand.opened) == ([], [], 0)
 
@@ -68,7 +68,7 @@ def test_a_tool_from_the_last_job_is_taken_out_of_the_hand_first(bench: Bench) -
 
 
 def test_the_enabling_switch_is_not_held(bench: Bench) -> None:
-    bench.people.attends = False
+    bench.people.holds_switch = False
     log = Log()
     stands(bench, bench.blind_task(log).run(), Outcome.PERSON_NEAR, "enabling switch")
     assert log.motions == []
@@ -88,7 +88,7 @@ def test_nobody_confirms_the_first_swing(bench: Bench) -> None:
     stands(bench, result, Outcome.PERSON_NEAR, "nobody confirmed that the arm may swing")
     assert bench.people.asked[-1] == "swing"
     assert log.motions[-1] == "to the run-up"
-    assert result.blows == ()
+    assert result.strikes == ()
 
 
 # -- hand ----------------------------------------------------------------------------------------------------------
@@ -101,16 +101,17 @@ def test_the_hand_does_not_close_in_time(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "says"), [("temperature", 71.0, "71 deg C"), ("fault", "index finger stalled", "finger stalled")]
+    ("name", "value", "expected_text"),
+    [("temperature", 71.0, "71 deg C"), ("fault", "index finger stalled", "finger stalled")],
 )
-def test_a_hand_that_is_hot_or_complains_gets_no_further_blow(
-    bench: Bench, name: str, value: float | str, says: str
+def test_a_hand_that_is_hot_or_complains_gets_no_further_strike(
+    bench: Bench, name: str, value: float | str, expected_text: str
 ) -> None:
     log = Log(after={"to the run-up": lambda: setattr(bench.sim_hand, name, value)})
     result = bench.blind_task(log).run()
-    stands(bench, result, Outcome.DEVICE_FAULT, says)
+    stands(bench, result, Outcome.DEVICE_FAULT, expected_text)
     assert log.motions[-1] == "to the run-up"
-    assert result.blows == ()
+    assert result.strikes == ()
 
 
 # -- camera --------------------------------------------------------------------------------------------------------
@@ -139,9 +140,9 @@ def test_a_camera_without_depth_is_looked_through_again_and_then_no_more(bench: 
 
 
 @pytest.mark.parametrize("stays", [True, False])
-def test_a_blow_that_meets_something_too_early_is_looked_at_again_once(bench: Bench, stays: bool) -> None:
+def test_a_strike_that_meets_something_too_early_is_looked_at_again_once(bench: Bench, stays: bool) -> None:
     """A plate lies over the nail: the arm brakes on it, goes up, looks again, and strikes once more."""
-    config: StationConfig = replace(CONFIG, task=replace(CONFIG.task, max_blows=2))
+    config: StationConfig = replace(CONFIG, task=replace(CONFIG.task, max_strikes=2))
     client, nail = bench.sim.world.client, CONFIG.work.X_base_nail()[:3, 3]
     plates: list[int] = []
 
@@ -163,13 +164,13 @@ def test_a_blow_that_meets_something_too_early_is_looked_at_again_once(bench: Be
         take_away()
     assert [m for m in log.messages if "looking again" in m]
     assert len(result.estimates) == 2
-    meetings = [b.meeting for b in result.blows]
+    meetings = [b.meeting for b in result.strikes]
     if stays:
-        assert result.outcome in (Outcome.NAIL_MISSED, Outcome.OUT_OF_BLOWS)
+        assert result.outcome in (Outcome.NAIL_MISSED, Outcome.OUT_OF_STRIKES)
         assert meetings == [Meeting.EARLY, Meeting.EARLY]
-        assert result.blows[0].protrusion is None
+        assert result.strikes[0].protrusion is None
     else:
-        assert result.outcome is Outcome.OUT_OF_BLOWS
+        assert result.outcome is Outcome.OUT_OF_STRIKES
         assert meetings == [Meeting.EARLY, Meeting.EXPECTED]
         assert result.protrusion == pytest.approx(bench.sim.world.nail.protrusion, abs=0.001)
     early = log.reports[log.motions.index("strike")]

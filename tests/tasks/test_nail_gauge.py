@@ -30,7 +30,7 @@ def knock_at_the_wood(bench: Bench, monkeypatch: pytest.MonkeyPatch, force: floa
     def touch(
         trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None
     ) -> MotionReport:
-        if guard is not None and guard.over > 0.0:
+        if guard is not None and guard.averaging_window > 0.0:
             touches[0] += 1
             if touches[0] == 2:
                 # From the middle of a step: just so many steps, however the clock is rounded.
@@ -42,10 +42,10 @@ def knock_at_the_wood(bench: Bench, monkeypatch: pytest.MonkeyPatch, force: floa
 
 
 def measured(bench: Bench, log: Log, result: HammerResult) -> None:
-    """The one blow was done, and measured as it is."""
-    assert result.outcome is Outcome.OUT_OF_BLOWS, result.reason
-    (blow,) = log.blows
-    assert blow.protrusion == pytest.approx(bench.sim.world.nail.protrusion, abs=0.001)
+    """The one strike was done, and measured as it is."""
+    assert result.outcome is Outcome.OUT_OF_STRIKES, result.reason
+    (strike,) = log.strikes
+    assert strike.protrusion == pytest.approx(bench.sim.world.nail.protrusion, abs=0.001)
 
 
 def test_a_knock_of_one_cycle_is_no_wood(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,7 +53,7 @@ def test_a_knock_of_one_cycle_is_no_wood(bench: Bench, monkeypatch: pytest.Monke
     knock_at_the_wood(bench, monkeypatch, force=20.0, seconds=0.008)
     log = Log()
     measured(bench, log, bench.blind_task(log).run())
-    assert log.motions.count("touch the wood") == 2  # before the blow and after it
+    assert log.motions.count("touch the wood") == 2  # before the strike and after it
 
 
 def test_wood_that_was_felt_too_early_is_touched_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,8 +63,8 @@ def test_wood_that_was_felt_too_early_is_touched_again(bench: Bench, monkeypatch
     assert log.motions.count("touch the wood") == 3
 
 
-@pytest.mark.parametrize(("swings", "outcome"), [(0.3, Outcome.OUT_OF_BLOWS), (np.inf, Outcome.DEVICE_FAULT)])
-def test_an_arm_that_a_blow_has_left_swinging_is_waited_for_but_not_for_ever(
+@pytest.mark.parametrize(("swings", "outcome"), [(0.3, Outcome.OUT_OF_STRIKES), (np.inf, Outcome.DEVICE_FAULT)])
+def test_an_arm_that_a_strike_has_left_swinging_is_waited_for_but_not_for_ever(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, swings: float, outcome: Outcome
 ) -> None:
     clock, state = bench.sim.station.clock, bench.arm.state

@@ -40,7 +40,7 @@ SETTLING = 0.05
 
 @dataclass
 class Swing:
-    """The hammer held over the nail, and the blow that comes next."""
+    """The hammer held over the nail, and the strike that comes next."""
 
     bench: Bench
     robot: RobotModel
@@ -97,13 +97,13 @@ def swing(over_nail: tuple[Bench, StrikePlan]) -> Swing:
     motions = Motions(bench.station, CONFIG, robot, log, bench.true_grasp.X_hand_ee)
     motions.begin()
     motions.held = True
-    motions.arm.mode = Mode.HAMMERING
+    motions.arm.mode = Mode.UNATTENDED
     motions.arm.permit_swings(1.0)
     return Swing(bench, robot, plan, motions, log)
 
 
 @pytest.mark.sim
-def test_the_blow_itself_meets_the_nail(swing: Swing) -> None:
+def test_the_strike_itself_meets_the_nail(swing: Swing) -> None:
     report, verdict = swing.motions.swing("strike", swing.plan)
     assert report.contact is not None
     assert verdict.meeting == "expected"
@@ -113,7 +113,7 @@ def test_the_blow_itself_meets_the_nail(swing: Swing) -> None:
 
 
 def _stick(swing: Swing) -> None:
-    swing.bench.arm.stick(int(np.abs(swing.plan.strike.qd).max(axis=0).argmax()))
+    swing.bench.arm.block_joint(int(np.abs(swing.plan.strike.qd).max(axis=0).argmax()))
 
 
 FAULTS: dict[str, tuple[Callable[[Swing], None], type[MotionFaultError], float]] = {
@@ -122,7 +122,7 @@ FAULTS: dict[str, tuple[Callable[[Swing], None], type[MotionFaultError], float]]
     "emergency stop": (lambda s: s.bench.arm.emergency_stop(), EmergencyStopError, 1),
     "lost link": (lambda s: s.bench.arm.cut_link(), LinkLostError, 4),
     "stuck joint": (_stick, TrackingError, 8),
-    "late clock": (lambda s: s.bench.arm.be_late(50), OverrunError, 5),
+    "late clock": (lambda s: s.bench.arm.delay_commands(50), OverrunError, 5),
 }
 
 
@@ -183,7 +183,7 @@ def test_a_fault_at_rest_and_the_way_out(swing: Swing, name: str) -> None:
 @pytest.mark.realtime
 def test_somebody_steps_in(swing: Swing) -> None:
     """A thread of its own asks for it every 10 ms: how many cycles later it is heard depends on the machine, hence a
-    blow that never gets to the nail is all that is asked here."""
+    strike that never gets to the nail is all that is asked here."""
     swing.bench.soon(swing.bench.people.step_in, 0.05)()
     with swing.bench.in_real_time(), pytest.raises(PersonNearError, match="was stopped") as caught:
         swing.run()
@@ -220,7 +220,7 @@ HAND_TROUBLE: dict[str, tuple[Callable[[Bench], None], type[DeviceError], str]] 
 @pytest.mark.parametrize("motion", ["strike", "transfer"])
 def test_the_hand_is_watched_all_the_way(swing: Swing, motion: str, name: str) -> None:
     """The arm brakes on its path, at once as a thread sees it; it does not latch, since it may have to retreat."""
-    cause, error, says = HAND_TROUBLE[name]
+    cause, error, expected_text = HAND_TROUBLE[name]
     bench, motions = swing.bench, swing.motions
     path = swing.plan.strike
     move: Callable[[], object] = swing.run
@@ -228,7 +228,7 @@ def test_the_hand_is_watched_all_the_way(swing: Swing, motion: str, name: str) -
         path = plan_straight(swing.robot, CONFIG, motions.world(), motions.q, 0.15, (0.0, 0.0, 1.0), 0.15)
         move = partial(motions.execute, "to a view", path)
     bench.soon(lambda: cause(bench), 0.05)()
-    with bench.in_real_time(), pytest.raises(error, match=says):
+    with bench.in_real_time(), pytest.raises(error, match=expected_text):
         move()
     report = swing.log.reports[-1]
     assert on_path(report.q_commanded, path) < 1e-3

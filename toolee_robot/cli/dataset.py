@@ -19,10 +19,10 @@ from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
 from toolee_robot.cli.progress import progress_bars
 from toolee_robot.errors import UserError
-from toolee_robot.runtime.files import write_whole
+from toolee_robot.runtime.files import write_atomic
 
 if TYPE_CHECKING:
-    from toolee_robot.perception.dataset.custom_tools import OwnMesh
+    from toolee_robot.perception.dataset.custom_tools import CustomMesh
 
 _Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
 
@@ -65,13 +65,13 @@ class Generate:
         from toolee_robot.perception.dataset.spec import DatasetSpec
         from toolee_robot.perception.synthesis.generate import generate
 
-        own: tuple[OwnMesh, ...] = ()
+        custom_tools: tuple[CustomMesh, ...] = ()
         if self.tools is not None:
-            from toolee_robot.perception.synthesis.custom_tool_reader import read_own_tools
+            from toolee_robot.perception.synthesis.custom_tool_reader import read_custom_tools
 
-            own = read_own_tools(self.tools)
-        share = self.test_share if self.test_share is not None else 1.0 if own else DatasetSpec.test_share
-        tools = tuple(tool.record for tool in own)
+            custom_tools = read_custom_tools(self.tools)
+        share = self.test_share if self.test_share is not None else 1.0 if custom_tools else DatasetSpec.test_share
+        tools = tuple(tool.record for tool in custom_tools)
         spec = DatasetSpec(self.config, self.size, self.seed, share, tools=tools, device=self.device)
         workers = _cores() if self.workers is None else self.workers
         console = Console(stderr=self.json, highlight=False)
@@ -83,7 +83,7 @@ class Generate:
                 counts.append(done)
                 report("rendering", done, total)
 
-            made = generate(spec, self.out, workers, count, self.cluster, own)
+            made = generate(spec, self.out, workers, count, self.cluster, custom_tools)
         seconds = time.monotonic() - began
         cost = _Cost.of_workers(spec.size - counts[0], seconds) if made and self.cluster == "local" else None
         if made:
@@ -166,7 +166,7 @@ class Inspect:
             if found.values:
                 plots.shape_figure(found).savefig(out / "shapes.png", dpi=110)
         record = {"spec": spec.to_json(), "splits": _summary(card), "shape_distances": found.to_json()}
-        write_whole(out / "inspection.json", (json_line(record) + "\n").encode())
+        write_atomic(out / "inspection.json", (json_line(record) + "\n").encode())
         if found.values:
             console.print(_shape_table(found.to_json()))
         else:

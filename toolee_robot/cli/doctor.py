@@ -55,11 +55,11 @@ class Doctor:
         config = StationConfig() if self.config is None else load_station(self.config)
         console = Console(stderr=self.json, highlight=False)
         with console.status("loading"):
-            from toolee_robot.cli.doctor_sections import Examination
+            from toolee_robot.cli.doctor_sections import DoctorReport
 
-        examination = Examination(config, self.robot_host, self.world is not None, self.out, console.status)
+        report = DoctorReport(config, self.robot_host, self.world is not None, self.out, console.status)
         found: list[tuple[str, Finding]] = []
-        for section, findings in examination.sections():
+        for section, findings in report.sections():
             found += [(section, finding) for finding in findings]
             console.print(f"\n[bold]{section}[/bold]")
             console.print(_table(findings))
@@ -67,7 +67,7 @@ class Doctor:
         console.print(f"\n{self._verdict([finding for _, finding in found])}")
         if self.json:
             told = [{"section": section, **asdict(finding)} for section, finding in found]
-            facts = {"arm": self.arm, "robot_host": self.robot_host, **examination.facts}
+            facts = {"arm": self.arm, "robot_host": self.robot_host, **report.facts}
             print(json_line({"worst": level, **facts, "findings": told}), flush=True)
         return int(level is Level.FAIL)
 
@@ -88,9 +88,9 @@ def _table(findings: Iterable[Finding]) -> Table:
     table.add_column(min_width=18)
     table.add_column(overflow="fold")
     for f in findings:
-        table.add_row(_MARK[f.level], f.name, f"[{_STYLE[f.level]}]{escape(f.says)}[/]")
-        if f.do:
-            table.add_row("", "", f"→ {escape(f.do)}")
+        table.add_row(_MARK[f.level], f.name, f"[{_STYLE[f.level]}]{escape(f.message)}[/]")
+        if f.remedy:
+            table.add_row("", "", f"→ {escape(f.remedy)}")
     return table
 
 

@@ -27,7 +27,7 @@ _SEED = 0
 
 
 @dataclass
-class Examination:
+class DoctorReport:
     """host: of a UR controller, None for the simulated arm. with_world: a stand-in is started on that host, with the
     simulated station behind it. out: where recordings would go. doing: shows what takes its time.
 

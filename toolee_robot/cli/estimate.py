@@ -17,7 +17,7 @@ from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
 from toolee_robot.errors import UserError
 from toolee_robot.recording.pose_text import pose_text, sigma_text
-from toolee_robot.runtime.files import write_whole
+from toolee_robot.runtime.files import write_atomic
 from toolee_robot.types import ToolEstimate
 
 _File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
@@ -79,7 +79,7 @@ class Estimate:
         if self.picture is not None:
             from toolee_robot.recording.picture import draw
 
-            write_whole(self.picture, draw(frame, estimates, title=self.rgb.name))
+            write_atomic(self.picture, draw(frame, estimates, title=self.rgb.name))
             console.print(f"picture: {escape(str(self.picture))}", soft_wrap=True)
         if self.json:
             print(json_line([as_record(e) for e in estimates]))

@@ -19,7 +19,7 @@ from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
 from toolee_robot.cli.progress import progress_bars
 from toolee_robot.errors import UserError
-from toolee_robot.runtime.files import write_whole
+from toolee_robot.runtime.files import write_atomic
 
 if TYPE_CHECKING:
     from toolee_robot.perception.evaluation.run import Evaluation, Plan
@@ -224,10 +224,10 @@ def _write(console: Console, out: Path, report: dict[str, Any], images: dict[str
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot make the folder {out}: {error.strerror or error}; choose another place") from error
-    write_whole(out / "report.json", json_line(report).encode() + b"\n")
+    write_atomic(out / "report.json", json_line(report).encode() + b"\n")
     for name, data in images.items():
-        write_whole(out / name, data)
-    write_whole(out / "report.html", html.encode())
+        write_atomic(out / name, data)
+    write_atomic(out / "report.html", html.encode())
     console.print(f"report: {escape(str(out / 'report.html'))}", soft_wrap=True)
 
 

@@ -43,7 +43,7 @@ class Faults:
         if not console.is_terminal:  # a file takes whole rows
             console.width = max(console.width, _ROW)
         from toolee_robot.faults.matrix import ELSEWHERE, MatrixOptions, Part, run_matrix
-        from toolee_robot.runtime.latency_monitor import EXCUSE
+        from toolee_robot.runtime.latency_monitor import STALL_LIMIT
 
         models = tuple(ArmModel) if self.robot == "both" else (ArmModel(self.robot),)
         rows: list[FaultRow] = []
@@ -70,7 +70,7 @@ class Faults:
         if again:
             console.print(
                 f"{again} of them not at the first try: the machine itself had stood still for over "
-                f"{EXCUSE * 1e3:.0f} ms, as a witness saw, or the moment for the fault was missed."
+                f"{STALL_LIMIT * 1e3:.0f} ms, as a witness saw, or the moment for the fault was missed."
             )
         if self.json:
             record = {"handled": handled, "rows": [asdict(row) for row in rows], "not_covered": ELSEWHERE}

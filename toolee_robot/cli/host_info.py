@@ -34,7 +34,7 @@ def describe_machine() -> Machine:
     """Read it from the operating system; "unknown" where that does not tell."""
     import torch
 
-    from toolee_robot.perception.precision import bfloat16_pays
+    from toolee_robot.perception.precision import prefers_bfloat16
 
     cpu = platform.processor() or platform.machine() or "unknown"
     cpuinfo = Path("/proc/cpuinfo")
@@ -56,7 +56,7 @@ def describe_machine() -> Machine:
         system=f"{platform.system()} {platform.release()} {platform.machine()}",
         python=platform.python_version(),
         torch_threads=torch.get_num_threads(),
-        arithmetic="bfloat16" if bfloat16_pays(torch.device("cpu")) else "float32",
+        arithmetic="bfloat16" if prefers_bfloat16(torch.device("cpu")) else "float32",
         versions=versions,
     )
 

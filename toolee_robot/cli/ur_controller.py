@@ -43,7 +43,7 @@ class UrController:
     """Distance of a joint from its set-point that makes a protective stop."""
     tcp_speed_limit: Annotated[float, METRES_PER_SECOND] = 5.0
     """Speed of the TCP that makes a protective stop."""
-    pace: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 1.0
+    real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 1.0
     """Seconds of the robot for one of the wall's clock, for all that it does; its clients must count likewise."""
 
     def run(self) -> int:
@@ -68,7 +68,7 @@ class UrController:
             remote=not self.local,
             powered=not self.off,
             limits=limits,
-            pace=self.pace,
+            real_time_factor=self.real_time_factor,
         )
         controller = Controller(options, resting_joints, log)
         try:

@@ -39,16 +39,16 @@ def check_limits(config: StationConfig) -> Iterator[Finding]:
     )
     if not inside:
         wrong.append("scene.handover_position is outside the workspace")
-    yield from (fail("limits", says, "change it in the station file") for says in wrong)
+    yield from (fail("limits", message, "change it in the station file") for message in wrong)
     if not wrong:
         yield ok("limits", f"within the {arm.model}'s; {load:.1f} kg of {payload:.1f} kg payload")
     if supervisor.handover_speed > REDUCED_SPEED:
-        says = f"handovers at up to {supervisor.handover_speed} m/s"
-        do = f"ISO 10218-1 allows {REDUCED_SPEED} m/s near a person: lower supervisor.handover_speed"
-        yield warn("handover speed", says, do)
-    if supervisor.hammering_speed > USUAL_SPEED:
-        says = f"up to {supervisor.hammering_speed} m/s"
-        yield warn("swing speed", says, "compare it with the robot's own TCP speed limit")
+        message = f"handovers at up to {supervisor.handover_speed} m/s"
+        remedy = f"ISO 10218-1 allows {REDUCED_SPEED} m/s near a person: lower supervisor.handover_speed"
+        yield warn("handover speed", message, remedy)
+    if supervisor.unattended_speed > USUAL_SPEED:
+        message = f"up to {supervisor.unattended_speed} m/s"
+        yield warn("swing speed", message, "compare it with the robot's own TCP speed limit")
 
 
 def check_calibration(
@@ -64,12 +64,12 @@ def check_calibration(
         today,
     )
     if problems:
-        says, _, do = problems[0].rpartition(": ")
+        message, _, remedy = problems[0].rpartition(": ")
         others = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        return fail("calibration", f"{says}{others}", do)
+        return fail("calibration", f"{message}{others}", remedy)
     unknown = [what for what, serial in (("robot", robot_serial), ("camera", camera_serial)) if serial is None]
-    says = f"of {calibration.measured_on}, residual {calibration.residual * 1e3:.1f} mm"
+    message = f"of {calibration.measured_on}, residual {calibration.residual * 1e3:.1f} mm"
     if unknown:
-        says += f"; not compared with the {' and the '.join(unknown)}"
-        return warn("calibration", says, "make sure that it is of these devices")
-    return ok("calibration", says)
+        message += f"; not compared with the {' and the '.join(unknown)}"
+        return warn("calibration", message, "make sure that it is of these devices")
+    return ok("calibration", message)

@@ -35,8 +35,8 @@ def check_arm(arm: Arm, hand: Hand, config: StationConfig) -> Finding:
     flange = robot.arm.fk(q)[:3, 3]
     scene = config.scene
     if not (np.all(flange >= scene.workspace_lower) and np.all(flange <= scene.workspace_upper)):
-        says = f"the flange, at {np.round(flange, 2)} m, is outside the workspace"
-        return fail("arm", says, "jog it inside, or change scene.workspace_lower and _upper")
+        message = f"the flange, at {np.round(flange, 2)} m, is outside the workspace"
+        return fail("arm", message, "jog it inside, or change scene.workspace_lower and _upper")
     closest = CollisionWorld(robot, config, q_hand).closest(q)
     if closest.distance < config.strike.clearance:
         return fail("arm", f"stands too near: {closest}", "jog it away, or correct the station file")
@@ -78,11 +78,11 @@ def check_camera(camera: RgbdCamera, clock: Clock, config: StationConfig) -> Ite
     if not second.stamp > first.stamp:
         yield fail(name, "it repeats the same frame", "restart the camera's driver")
     elif not asked - EARLY <= second.stamp <= now + EARLY:
-        says = f"a frame asked for now says that it is {now - second.stamp:.2f} s old"
-        yield fail(name, says, "its clock is not the station's, or its frames queue: correct its driver")
+        message = f"a frame asked for now says that it is {now - second.stamp:.2f} s old"
+        yield fail(name, message, "its clock is not the station's, or its frames queue: correct its driver")
     elif now - asked > SLOW:
-        says = f"a frame takes {now - asked:.2f} s"
-        yield warn(name, says, "jobs take longer: look for load on this machine and on its port")
+        message = f"a frame takes {now - asked:.2f} s"
+        yield warn(name, message, "jobs take longer: look for load on this machine and on its port")
     else:
         yield ok(name, f"new frames, {(now - second.stamp) * 1e3:.0f} ms old when they are here")
     if second.intrinsics != config.camera.intrinsics:
@@ -100,6 +100,6 @@ def check_camera(camera: RgbdCamera, clock: Clock, config: StationConfig) -> Ite
 
 def check_person(person: Person) -> Finding:
     """Whether anybody is inside: no mistake before a handover, but nothing fast moves then."""
-    if person.inside():
+    if person.zone_occupied():
         return ok("person", "somebody is inside, or the station cannot tell: nothing fast will move")
     return ok("person", "nobody is inside")

@@ -73,11 +73,13 @@ def check_real_time(rate: float) -> Iterator[Finding]:
         )
     late = wake_up_lateness(rate, 0.5)
     p99 = float(np.percentile(late, 99))
-    says = f"{rate:.0f} Hz: 99 % of the cycles less than {p99 * 1e3:.2f} ms late, the worst {late.max() * 1e3:.2f} ms"
+    message = (
+        f"{rate:.0f} Hz: 99 % of the cycles less than {p99 * 1e3:.2f} ms late, the worst {late.max() * 1e3:.2f} ms"
+    )
     if p99 > LATE:
-        yield warn("schedule", says, "stop other programs; commands later than half a cycle count as overruns")
+        yield warn("schedule", message, "stop other programs; commands later than half a cycle count as overruns")
     else:
-        yield ok("schedule", says)
+        yield ok("schedule", message)
 
 
 def check_disk(folder: Path) -> Finding:
@@ -86,12 +88,12 @@ def check_disk(folder: Path) -> Finding:
     if not there.is_dir() or not os.access(there, os.W_OK):
         return fail("recordings", f"{there} cannot be written", "choose another --out")
     free = shutil.disk_usage(there).free
-    says = f"{free / 2**30:.1f} GiB free in {folder}"
+    message = f"{free / 2**30:.1f} GiB free in {folder}"
     if free < DISK_FULL:
-        return fail("recordings", says, "make room, or choose another --out")
+        return fail("recordings", message, "make room, or choose another --out")
     if free < DISK_LOW:
-        return warn("recordings", says, "make room before a long series")
-    return ok("recordings", says)
+        return warn("recordings", message, "make room before a long series")
+    return ok("recordings", message)
 
 
 def wake_up_lateness(rate: float, duration: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

@@ -1,4 +1,4 @@
-"""Can the planner do the job in this station? Handover, looking and blows with the kinds of hammers there are."""
+"""Can the planner do the job in this station? Handover, looking and strikes with the kinds of hammers there are."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from toolee_robot.tools import NAIL_DRIVERS, SWUNG_MASS, Tool, ToolKind, make_to
 from toolee_robot.types import Category
 
 SLOWER = 0.9
-"""A blow slower than this share of what is wanted is worth a line."""
+"""A strike slower than this share of what is wanted is worth a line."""
 
 
 def check_reach(config: StationConfig) -> Iterator[Finding]:
@@ -26,7 +26,7 @@ def check_reach(config: StationConfig) -> Iterator[Finding]:
     tools = [make_tool(kind, _seed(kind)) for kind in NAIL_DRIVERS]
     grips = [model.hand.grasp.X_hand_tool(t.handle.grip_radius) @ _face(t) for t in tools]
     yield _views(robot, config, home, model.hand_closed, grips[0])
-    yield _blows(robot, config, home, model.hand_closed, grips)
+    yield _strikes(robot, config, home, model.hand_closed, grips)
 
 
 def _seed(kind: ToolKind) -> int:
@@ -55,8 +55,8 @@ def _views(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array,
     return ok("views", f"the camera sees the tool from {config.task.views} sides")
 
 
-def _blows(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, grips: list[Array]) -> Finding:
-    name, X_base_nail, wanted = "blow", config.work.X_base_nail(), config.strike.speed
+def _strikes(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, grips: list[Array]) -> Finding:
+    name, X_base_nail, wanted = "strike", config.work.X_base_nail(), config.strike.speed
     speeds: list[float] = []
     failures: list[Finding] = []
     for X_hand_ee in grips:
@@ -69,9 +69,9 @@ def _blows(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array,
             speeds.append(plan.speed)
     if not speeds:
         return failures[0]
-    says = f"{len(speeds)} of {len(grips)} kinds of hammers strike the nail, at {min(speeds):.2f} m/s or more"
+    message = f"{len(speeds)} of {len(grips)} kinds of hammers strike the nail, at {min(speeds):.2f} m/s or more"
     if failures:
-        return warn(name, f"{says}; with another, {failures[0].says}", failures[0].do)
+        return warn(name, f"{message}; with another, {failures[0].message}", failures[0].remedy)
     if min(speeds) < SLOWER * wanted:
-        return warn(name, f"{says}; {wanted} m/s were wanted", "move the nail, or lower strike.speed")
-    return ok(name, says)
+        return warn(name, f"{message}; {wanted} m/s were wanted", "move the nail, or lower strike.speed")
+    return ok(name, message)

@@ -15,8 +15,8 @@ from toolee_robot.faults.rows.commands import command_rows
 from toolee_robot.faults.rows.job import job_rows
 from toolee_robot.faults.rows.process import process_rows
 from toolee_robot.faults.rows.start import calibration_rows, start_rows
-from toolee_robot.runtime.cpu_keepalive import CoresAwake
-from toolee_robot.runtime.latency_monitor import Steadiness
+from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
+from toolee_robot.runtime.latency_monitor import LatencyMonitor
 from toolee_robot.types import ArmModel
 
 ELSEWHERE = {
@@ -48,7 +48,7 @@ class MatrixOptions:
 
 def run_matrix(options: MatrixOptions) -> Iterator[FaultRow]:
     """Every row, sorted by nothing but the order of measuring."""
-    with CoresAwake(), Steadiness() as machine:
+    with CpuKeepalive(), LatencyMonitor() as machine:
         for measurement in _measurements(options):
             yield measurement.row(machine)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from toolee_robot.errors import TooleeError
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rigs.driver_rig import MissedMomentError
-from toolee_robot.runtime.latency_monitor import EXCUSE, Steadiness
+from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
 
 ATTEMPTS = 3
 
@@ -24,7 +24,7 @@ class Measurement:
     expected: str
     run: Callable[[], FaultRow]
 
-    def row(self, machine: Steadiness) -> FaultRow:
+    def row(self, machine: LatencyMonitor) -> FaultRow:
         """Measured; and again, up to ATTEMPTS times in all, where it is not handled and the machine itself stood still
         meanwhile or the moment for the fault was missed. What could not be measured is not handled."""
         again = 0
@@ -34,7 +34,7 @@ class Measurement:
                 row, missed = self.run(), False
             except TooleeError as error:
                 row, missed = self._failed(error), isinstance(error, MissedMomentError)
-            excused = missed or machine.longest > EXCUSE
+            excused = missed or machine.longest > STALL_LIMIT
             if row.handled or not excused or again == ATTEMPTS - 1:
                 return replace(row, again=again)
             again += 1

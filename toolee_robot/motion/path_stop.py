@@ -29,7 +29,7 @@ STEP = 0.001
 """[s] between two calls of Ruckig."""
 USED_ACCELERATION, USED_JERK = 0.98, 0.97
 """Shares of the limits that are used: the bounds move on within a step."""
-LEAST = 0.1
+MIN_SHARE = 0.1
 """Share of the limits that brakes in any case: a stop ends even where a trajectory itself breaks them."""
 STILL = 1e-6
 """[rad/s] along the path: standstill."""
@@ -45,7 +45,7 @@ class PathState:
     change: float
 
 
-def brake_on_path(
+def stop_on_path(
     trajectory: Trajectory,
     start: float,
     period: float,
@@ -53,14 +53,14 @@ def brake_on_path(
     jerk: float,
     *,
     state: PathState | None = None,
-) -> PathBrake:
+) -> PathStop:
     """q, qd (n,) each `period` [s], from time `start` [s] on the trajectory to rest; nothing at its end.
 
     acceleration [rad/s^2] and jerk [rad/s^3] bound every joint; where the trajectory itself breaks them the stop goes
     on all the same. state: of another stop that is under way, which this one takes over (instead of `start`). It is
     never slower than the trajectory, and ends at the trajectory's end at the latest.
     """
-    return PathBrake(trajectory, start, period, acceleration, jerk, state)
+    return PathStop(trajectory, start, period, acceleration, jerk, state)
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class _Path:
     P_s: Array
 
 
-class PathBrake(Iterator[tuple[Array, Array]]):
+class PathStop(Iterator[tuple[Array, Array]]):
     """A stop under way; `state` tells how far it has come."""
 
     def __init__(
@@ -158,8 +158,8 @@ class PathBrake(Iterator[tuple[Array, Array]]):
         hardest = float(np.min((self._jerk + own) / size))
         rise = float(np.min((self._jerk - own) / size))
         fade = float(np.min((self._jerk - np.maximum(own, 0.0)) / size))
-        least = LEAST * self._jerk
-        return min(lowest, -LEAST * self._acceleration), max(hardest, least), max(rise, least), max(fade, least)
+        least = MIN_SHARE * self._jerk
+        return min(lowest, -MIN_SHARE * self._acceleration), max(hardest, least), max(rise, least), max(fade, least)
 
     def _ruckig_step(self, lowest: float, jerk: float) -> tuple[float, float, float]:
         """Speed, change and the length of path [rad] one step on."""

@@ -18,7 +18,7 @@ def check_trajectory(trajectory: Trajectory, q_commanded: Array, lower: Array, u
     """Raise LimitError, before anything moves, unless the arm may drive this trajectory.
 
     q_commanded: (6,) the present commanded position [rad]. lower, upper: (6,) joint range [rad]. velocity: (6,)
-    [rad/s]. A trajectory is rejected, never clipped: a clipped blow is another blow.
+    [rad/s]. A trajectory is rejected, never clipped: a clipped strike is another strike.
     """
     if trajectory.q.shape[1] != 6:
         raise LimitError(f"the arm has 6 joints, the trajectory {trajectory.q.shape[1]}")

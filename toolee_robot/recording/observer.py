@@ -14,7 +14,7 @@ from toolee_robot.hal import Clock, MotionReport
 from toolee_robot.recording.picture import NailCurve, draw
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.tasks.common.outcome import Blow, HammerResult, Stage
+from toolee_robot.tasks.common.outcome import HammerResult, Stage, Strike
 from toolee_robot.types import Category, InHandEstimate, RgbdFrame, ToolEstimate
 
 
@@ -89,39 +89,39 @@ class RecordingObserver(TaskObserver):
     def contact(self, stamp: float, force: float, X_base_ee: Array) -> None:
         self._recorder.record_contact(stamp, force, X_base_ee)
 
-    def blow(self, blow: Blow) -> None:
-        data: dict[str, Any] = {"number": blow.number, "protrusion": blow.protrusion}
-        data |= {"speed": blow.speed, "peak_force": blow.peak_force, "meeting": str(blow.meeting)}
-        self._recorder.record_event(blow.stamp, "blow", data)
+    def strike(self, strike: Strike) -> None:
+        data: dict[str, Any] = {"number": strike.number, "protrusion": strike.protrusion}
+        data |= {"speed": strike.speed, "peak_force": strike.peak_force, "meeting": str(strike.meeting)}
+        self._recorder.record_event(strike.stamp, "blow", data)
 
     def ended(self, result: HammerResult) -> None:
-        data = {"outcome": str(result.outcome), "reason": result.reason, "blows": len(result.blows)}
+        data = {"outcome": str(result.outcome), "reason": result.reason, "blows": len(result.strikes)}
         self._recorder.record_event(self._clock.now(), "ended", data)
 
 
-class Album(TaskObserver):
-    """Keeps what the picture needs: the first look's best frame and the nail after every blow."""
+class PictureCollector(TaskObserver):
+    """Keeps what the picture needs: the first look's best frame and the nail after every strike."""
 
     def __init__(self, protrusion: float, flush: float) -> None:
-        """protrusion: of the nail before the first blow; flush: under which it is driven [m]."""
+        """protrusion: of the nail before the first strike; flush: under which it is driven [m]."""
         self._best: tuple[RgbdFrame, list[ToolEstimate]] | None = None
         self._rank = (False, -1.0)
-        self.blows: list[Blow] = []
+        self.strikes: list[Strike] = []
         self._protrusion_mm = protrusion * 1e3
         self._flush_mm = flush * 1e3
 
     def frame(self, frame: RgbdFrame, estimates: list[ToolEstimate], X_camera_hand: Array) -> None:
         rank = max(((e.usable, e.confidence) for e in estimates if e.category is Category.HAMMER_HEAD), default=None)
-        if self._best is None or (not self.blows and rank is not None and rank > self._rank):
+        if self._best is None or (not self.strikes and rank is not None and rank > self._rank):
             self._best, self._rank = (frame, estimates), rank or self._rank
 
-    def blow(self, blow: Blow) -> None:
-        self.blows.append(blow)
+    def strike(self, strike: Strike) -> None:
+        self.strikes.append(strike)
 
     def picture(self, title: str, note: str) -> bytes | None:
         """PNG, or None when no frame was taken."""
         if self._best is None:
             return None
-        measured = (b.protrusion * 1e3 for b in self.blows if b.protrusion is not None)
+        measured = (b.protrusion * 1e3 for b in self.strikes if b.protrusion is not None)
         nail = NailCurve((self._protrusion_mm, *measured), self._flush_mm)
         return draw(*self._best, nail, title=title, note=note, focus=Category.HAMMER_HEAD)

@@ -35,7 +35,7 @@ _AZIMUTH = -68.0
 
 @dataclass(frozen=True)
 class NailCurve:
-    """Protrusion [mm] over the wood as the robot measured it: before the first blow, then after each blow."""
+    """Protrusion [mm] over the wood as the robot measured it: before the first strike, then after each strike."""
 
     protrusion_mm: tuple[float, ...]
     flush_mm: float
@@ -204,7 +204,7 @@ def _draw_nail(figure: Figure, panel: SubplotSpec, nail: NailCurve) -> None:
     _heading(figure, panel, "The nail, as the robot measures it")
     ax = figure.add_subplot(panel)
     values = np.array(nail.protrusion_mm)
-    blows = np.arange(len(values))
+    strikes = np.arange(len(values))
     top = max(values.max(initial=1.0), 1.0) * 1.12
     bottom = -0.14 * top
     ax.axhspan(bottom, 0.0, color="#d9b48a", lw=0)
@@ -214,17 +214,20 @@ def _draw_nail(figure: Figure, panel: SubplotSpec, nail: NailCurve) -> None:
         0.015, bottom / 2, f"- -  flush: {nail.flush_mm:g} mm or less", transform=ax.get_yaxis_transform(),
         color="#14632a", ha="left", va="center",
     )  # fmt: skip
-    ax.vlines(blows, 0.0, values, color="#9aa5b1", lw=2.2, zorder=2)
-    ax.plot(blows, values, color=_AXES[2], lw=1.2, alpha=0.5, zorder=3)
-    ax.scatter(blows, values, s=44, color=_AXES[2], zorder=4, edgecolors="white", linewidths=1)
+    ax.vlines(strikes, 0.0, values, color="#9aa5b1", lw=2.2, zorder=2)
+    ax.plot(strikes, values, color=_AXES[2], lw=1.2, alpha=0.5, zorder=3)
+    ax.scatter(strikes, values, s=44, color=_AXES[2], zorder=4, edgecolors="white", linewidths=1)
     if len(values):
         for i in {0, len(values) - 1}:
             ax.annotate(
-                f"{values[i]:.1f}", (blows[i], values[i]), xytext=(0, 9), textcoords="offset points",
+                f"{values[i]:.1f}", (strikes[i], values[i]), xytext=(0, 9), textcoords="offset points",
                 ha="center", fontweight="bold",
             )  # fmt: skip
     ax.set(
-        ylim=(bottom, top), xlim=(-0.6, max(len(values) - 1, 4) + 0.6), xlabel="blow", ylabel="nail over the wood [mm]"
+        ylim=(bottom, top),
+        xlim=(-0.6, max(len(values) - 1, 4) + 0.6),
+        xlabel="strike",
+        ylabel="nail over the wood [mm]",
     )
     ax.xaxis.set_major_locator(mpl.ticker.MaxNLocator(integer=True, nbins=9))
     ax.grid(axis="y", color=_GRID, lw=0.8)

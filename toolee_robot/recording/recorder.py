@@ -125,7 +125,7 @@ class RunRecorder:
 
     def record_motion(self, name: str, report: MotionReport, joint_names: Sequence[str]) -> None:
         """An arm's motion: `/arm/measured`, `/arm/commanded` and `/arm/wrench`, and its outcome as an event. Thinned to
-        MOTION_PERIOD: of each period the sample of the greatest force, so that no blow's peak is lost."""
+        MOTION_PERIOD: of each period the sample of the greatest force, so that no strike's peak is lost."""
         for i in _thin(report.stamps, np.linalg.norm(report.wrenches[:, :3], axis=1)):
             stamp = float(report.stamps[i])
             self.record_joints(stamp, joint_names, report.q_measured[i], "/arm/measured")

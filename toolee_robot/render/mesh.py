@@ -14,7 +14,7 @@ from toolee_robot.frames import Array
 
 FloatArray = NDArray[np.float32]
 IntArray = NDArray[np.int32]
-_MOST_PARTNERS = 48
+_MAX_PARTNERS = 48
 """Corners at a vertex that count for a normal: the tip of a fan has more, and a 49th changes nothing visible."""
 
 
@@ -67,7 +67,7 @@ def corner_normals(vertices: FloatArray, faces: NDArray[np.int32], crease_deg: f
     face = (order // 3).astype(np.int32)
     counts = np.bincount(vertex)
     first = (np.cumsum(counts) - counts)[vertex[order]]
-    partners = np.minimum(counts, _MOST_PARTNERS)[vertex[order]]
+    partners = np.minimum(counts, _MAX_PARTNERS)[vertex[order]]
     ends = np.cumsum(partners)
     # All pairs of a corner and its partner, as rows and columns of a sparse matrix: 1 where the two faces are smooth.
     partner = face.take(np.arange(ends[-1]) + np.repeat(first - ends + partners, partners))

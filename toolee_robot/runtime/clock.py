@@ -12,36 +12,37 @@ from dataclasses import dataclass
 
 from toolee_robot.errors import UserError
 
-SLOWEST = 0.05
-"""A cycle of 125 Hz takes 160 ms of the wall's clock at this pace, and nothing else is gained."""
+MIN_REAL_TIME_FACTOR = 0.05
+"""A cycle of 125 Hz takes 160 ms of the wall's clock at this real-time factor, and nothing else is gained."""
 
 
 @dataclass(frozen=True)
 class HostClock:
-    """A `hal.Clock`: `time.monotonic()`, `pace` times as fast. Processes of one pace agree on the time. 1 for every
-    real robot."""
+    """A `hal.Clock`: `time.monotonic()`, `real_time_factor` times as fast. Processes of one real-time factor agree on
+    the time. 1 for every real robot."""
 
-    pace: float = 1.0
+    real_time_factor: float = 1.0
 
     def now(self) -> float:
-        return time.monotonic() * self.pace
+        return time.monotonic() * self.real_time_factor
 
     def sleep(self, duration: float) -> None:
         if duration > 0:
-            time.sleep(duration / self.pace)
+            time.sleep(duration / self.real_time_factor)
 
-    def wall(self, duration: float) -> float:
+    def to_wall_time(self, duration: float) -> float:
         """[s] that `duration` [s] of this clock takes on the wall's."""
-        return duration / self.pace
+        return duration / self.real_time_factor
 
 
-def check_pace(pace: float, host: str) -> None:
-    """Raises UserError for a pace that is not SLOWEST to 1, or not 1 for a robot that may be real."""
-    if not SLOWEST <= pace <= 1.0:
-        raise UserError(f"pace {pace}: give {SLOWEST} to 1, which is real time")
-    if pace != 1.0 and not is_loopback(host):
+def check_real_time_factor(real_time_factor: float, host: str) -> None:
+    """Raises UserError for a real-time factor that is not SLOWEST to 1, or not 1 for a robot that may be real."""
+    if not MIN_REAL_TIME_FACTOR <= real_time_factor <= 1.0:
+        raise UserError(f"real-time factor {real_time_factor}: give {MIN_REAL_TIME_FACTOR} to 1, which is real time")
+    if real_time_factor != 1.0 and not is_loopback(host):
         raise UserError(
-            f"pace {pace} for {host!r}: a real robot runs in real time; only a stand-in on a loopback address "
+            f"real-time factor {real_time_factor} for {host!r}: a real robot runs in real time; only a stand-in on a "
+            "loopback address "
             "(127.0.0.2, ...) may run slower"
         )
 

@@ -17,7 +17,7 @@ from typing import Self
 
 # Linux shares a core among sessions first (sched_autogroup): a session's only process has half of it beside another's,
 # whatever its own priority, and holds up by 3 ms what wakes. So its session is the least one, too.
-_SPIN = """
+_BUSY_LOOP = """
 import os, time
 os.sched_setaffinity(0, {{{core}}})
 os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
@@ -37,34 +37,34 @@ while os.getppid() == {parent}:
 """
 
 
-class CoresAwake:
+class CpuKeepalive:
     """While this context lasts, and its process, a process of the lowest priority runs on each core that this one may
     use, if the machine is a virtual one."""
 
     def __init__(self) -> None:
-        self._spinners: list[subprocess.Popen[bytes]] = []
+        self._processes: list[subprocess.Popen[bytes]] = []
 
     def __enter__(self) -> Self:
         if is_virtual():
             for core in sorted(os.sched_getaffinity(0)):
-                program = _SPIN.format(core=core, parent=os.getpid())
+                program = _BUSY_LOOP.format(core=core, parent=os.getpid())
                 # A session of its own: Ctrl-C is not meant for it.
-                self._spinners.append(subprocess.Popen([sys.executable, "-S", "-c", program], start_new_session=True))
+                self._processes.append(subprocess.Popen([sys.executable, "-S", "-c", program], start_new_session=True))
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for spinner in self._spinners:
+        for spinner in self._processes:
             spinner.kill()
-        for spinner in self._spinners:
+        for spinner in self._processes:
             spinner.wait()
-        self._spinners.clear()
+        self._processes.clear()
 
     @property
     def pids(self) -> list[int]:
         """Of the processes."""
-        return [spinner.pid for spinner in self._spinners]
+        return [spinner.pid for spinner in self._processes]
 
 
 def is_virtual() -> bool:

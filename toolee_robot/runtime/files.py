@@ -36,7 +36,7 @@ def written_whole(path: Path) -> Iterator[Path]:
         raise UserError(f"cannot write {path}: {error.strerror or error}; choose another place") from error
 
 
-def write_whole(path: Path, data: bytes) -> None:
+def write_atomic(path: Path, data: bytes) -> None:
     """Write a file as `written_whole` does.
 
     Raises:

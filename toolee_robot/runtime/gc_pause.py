@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def no_collection() -> Iterator[None]:
+def gc_paused() -> Iterator[None]:
     """The collector stops all threads of a task with its libraries for up to 0.2 s, an arm's heartbeat too: not within
     this block. It is not in `hardware`, which may not reach for `gc`: it finds every object there is, the simulation's
     truth too."""

@@ -23,15 +23,15 @@ from toolee_robot.frames import Array
 PRIORITY: Final = 60
 """Of SCHED_FIFO: over the driver's (40) and the stand-in's (1), so that what they do to each other is never put down to
 the machine."""
-STANDSTILL: Final = 0.005  # [s] from which on they are counted
-EXCUSE: Final = 0.02
+STALL: Final = 0.005  # [s] from which on they are counted
+STALL_LIMIT: Final = 0.02
 """[s] Under the least bound of the driver that a standing machine breaks: a UR10's on its data's age, 24 ms (three
 readings of 125 Hz). What failed while the machine stood still for longer is tried again, and said to have been."""
 
 
-class Steadiness:
-    """A process beside what is measured, with a thread on each core that sleeps for `pause` [s] again and again, and
-    sees by how much it overslept."""
+class LatencyMonitor:
+    """Measures stalls: a process beside what is measured, with a thread on each core that sleeps for `pause` [s] again
+    and again, and sees by how much it overslept."""
 
     def __init__(self, pause: float = 0.002) -> None:
         self._pause = pause
@@ -39,7 +39,7 @@ class Steadiness:
     def __enter__(self) -> Self:
         """Raises DeviceError when it does not start."""
         cores = sorted(os.sched_getaffinity(0))
-        fd = os.memfd_create("toolee-steadiness")
+        fd = os.memfd_create("toolee-latency-monitor")
         try:
             os.truncate(fd, 2 * len(cores) * 8)
             self._longest, self._count = _shared(fd)
@@ -51,7 +51,7 @@ class Steadiness:
             os.close(fd)
         while self._longest.min() < 0.0:
             if self._process.poll() is not None:
-                raise DeviceError("the process that watches the machine's steadiness died at its start")
+                raise DeviceError("the latency monitor's process died at its start")
             time.sleep(self._pause)
         return self
 
@@ -72,17 +72,17 @@ class Steadiness:
 
     @property
     def longest(self) -> float:
-        """[s] The longest standstill since `begin`, of any core."""
+        """[s] The longest stall since `begin`, of any core."""
         return float(self._longest.max())
 
     @property
     def count(self) -> int:
-        """Standstills since `begin` of more than STANDSTILL, of the core that had most."""
+        """Stalls since `begin` of more than STALL, of the core that had most."""
         return int(self._count.max())
 
 
 def _shared(fd: int) -> Array:
-    """(2, cores): the longest standstill [s], and their number."""
+    """(2, cores): the longest stall [s], and their number."""
     return np.frombuffer(mmap.mmap(fd, 0)).reshape(2, -1)
 
 
@@ -102,7 +102,7 @@ def _watch(fd: int, pause: float, cores: list[int]) -> None:
             late = now - before - pause
             if late > longest[i]:
                 longest[i] = late
-            if late > STANDSTILL:
+            if late > STALL:
                 count[i] += 1
             before = now
 

@@ -20,7 +20,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-class Crew(Generic[State]):
+class ProcessMap(Generic[State]):
     """`workers` processes, each with a state of its own that `begin` makes; with one worker, this process does it.
 
     `begin`, functions and items must be picklable."""

@@ -35,10 +35,11 @@ class Backend(Protocol):
 
 @dataclass(frozen=True)
 class StandIn:
-    """A controller stand-in to go through. host: a loopback address. pace: of its time and the job's, 1 is real."""
+    """A controller stand-in to go through. host: a loopback address. real_time_factor: of its time and the job's, 1 is
+    real."""
 
     host: str
-    pace: float
+    real_time_factor: float
 
 
 def open_backend(config: StationConfig, seed: int, options: SimOptions, stand_in: StandIn | None) -> Backend:
@@ -47,4 +48,4 @@ def open_backend(config: StationConfig, seed: int, options: SimOptions, stand_in
         return SimStation.build(config, seed, options)
     from toolee_robot.stations.ur_rehearsal import UrStation  # the driver and the stand-in: only where they are wanted
 
-    return UrStation(config, seed, options, stand_in.host, stand_in.pace)
+    return UrStation(config, seed, options, stand_in.host, stand_in.real_time_factor)

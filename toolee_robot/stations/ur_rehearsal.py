@@ -12,7 +12,7 @@ from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.driver import UrArm
 from toolee_robot.robots import load_robot
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.runtime.cpu_keepalive import CoresAwake
+from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.station import RemoteJudge, remote_station
 from toolee_robot.sim_backend.remote.world import RemoteWorld
@@ -21,13 +21,15 @@ from toolee_robot.sim_backend.station import draw_handover
 
 class UrStation:
     """The station of a seed as `SimStation.build` has it. The arm is driven by `UrArm` over ur_rtde; its controller is
-    a stand-in on a loopback `host`, with the simulated world as its plant, in a process of its own. Time runs at `pace`
-    in all of it: 1 is real time."""
+    a stand-in on a loopback `host`, with the simulated world as its plant, in a process of its own. Time runs at
+    `real_time_factor` in all of it: 1 is real time."""
 
     station: Station
 
-    def __init__(self, config: StationConfig, seed: int, options: SimOptions, host: str, pace: float) -> None:
-        self._config, self._seed, self._host, self._clock = config, seed, host, HostClock(pace)
+    def __init__(
+        self, config: StationConfig, seed: int, options: SimOptions, host: str, real_time_factor: float
+    ) -> None:
+        self._config, self._seed, self._host, self._clock = config, seed, host, HostClock(real_time_factor)
         self.tool, _ = draw_handover(seed, options)
         self._world = RemoteWorld(config, seed, options, host, self._clock)
         self.judge = RemoteJudge(self._world)
@@ -37,12 +39,14 @@ class UrStation:
         """Raises UserError for a host that cannot be served, DeviceError when the arm cannot be had."""
         config = self._config
         with ExitStack() as stack:
-            stack.enter_context(CoresAwake())
+            stack.enter_context(CpuKeepalive())
             world = stack.enter_context(self._world)
             # The last to come is the first to go: a client outlives no controller.
             hand = load_robot(config.arm.model, config.arm.calibration, config.hand.model)
             payload = hand.hand_payload(hand.hand_open)
-            driver = UrArmConfig(self._host, payload=payload, tcp=(0.0,) * 6, pace=self._clock.pace)
+            driver = UrArmConfig(
+                self._host, payload=payload, tcp=(0.0,) * 6, real_time_factor=self._clock.real_time_factor
+            )
             arm = stack.enter_context(UrArm(driver, config.arm))
             self.station = remote_station(world, config, self._seed, self.tool, arm, self._clock)
             self._open = stack.pop_all()

@@ -6,7 +6,7 @@ import hashlib
 from pathlib import Path
 
 from toolee_robot.errors import AssetError
-from toolee_robot.runtime.files import write_whole
+from toolee_robot.runtime.files import write_atomic
 
 SUMS = "SHA256SUMS"
 
@@ -20,7 +20,7 @@ def sha256(path: Path) -> str:
 def write_sums(folder: Path, sums: dict[str, str]) -> None:
     """The SHA256SUMS of a folder (as `sha256sum -c` reads it), written whole."""
     text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
-    write_whole(folder / SUMS, text.encode())
+    write_atomic(folder / SUMS, text.encode())
 
 
 def read_sums(folder: Path) -> dict[str, str]:

@@ -18,9 +18,9 @@ CHANNELS = 8
 """Of a square: see `look`."""
 
 _MARGIN = 1.7
-_LEAST_SIDE = 24.0
+_MIN_SIDE = 24.0
 _METRES = 0.05
-_FURTHEST = 3.0
+_MAX_DEPTH = 3.0
 _NEAR_QUANTILE = 0.3
 _EVERY = 3
 
@@ -41,14 +41,14 @@ class Squares:
     @classmethod
     def about(cls, boxes: Tensor) -> Squares:
         """Upright, about the centres of boxes (N, 4), with room around them."""
-        side = ((boxes[:, 2:] - boxes[:, :2]).amax(1) * _MARGIN).clamp(min=_LEAST_SIDE)
+        side = ((boxes[:, 2:] - boxes[:, :2]).amax(1) * _MARGIN).clamp(min=_MIN_SIDE)
         return cls((boxes[:, :2] + boxes[:, 2:]) / 2, side, torch.zeros_like(side), torch.ones_like(side))
 
-    def in_the_mirror(self) -> Squares:
+    def mirrored_copy(self) -> Squares:
         """The same squares, seen left for right."""
         return Squares(self.centre, self.side, self.turn, -self.mirrored)
 
-    def varied(self) -> Squares:
+    def jittered(self) -> Squares:
         """For training: shifted, larger or smaller, turned (every second) and mirrored at random."""
         n, device = len(self.side), self.side.device
         shift = 0.05 * torch.randn((n, 2), device=device) * self.side[:, None]
@@ -109,7 +109,7 @@ def look(images: Images, index: Tensor, squares: Squares, mask_at: MaskAt) -> tu
     z = torch.where(known, z, reference)
     x, y = squares.offsets()
     scale = z / (images.focal[index][:, None, None] * _METRES)
-    metres = torch.stack([x * scale, y * scale, (z - reference) / _METRES], 1).clamp(-_FURTHEST, _FURTHEST)
+    metres = torch.stack([x * scale, y * scale, (z - reference) / _METRES], 1).clamp(-_MAX_DEPTH, _MAX_DEPTH)
     colour = _colour(images.rgb, which, u, v) * inside[:, None]
     return torch.cat([colour, metres, known[:, None].float(), mask[:, None].float()], 1), pixels
 

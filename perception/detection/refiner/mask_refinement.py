@@ -18,7 +18,7 @@ from toolee_robot.perception.weight_files import WEIGHTS_DIR, load_weights
 from toolee_robot.types import RgbdFrame
 
 
-class Redraw:
+class MaskRefinement:
     """A trained refiner, ready. Thread-safe once loaded."""
 
     def __init__(self, refiner: Refiner, device: torch.device, bfloat16: bool) -> None:
@@ -28,7 +28,7 @@ class Redraw:
             in_bfloat16(self._refiner)
 
     @classmethod
-    def load(cls, weights_dir: Path | None, device: torch.device, bfloat16: bool) -> Redraw | None:
+    def load(cls, weights_dir: Path | None, device: torch.device, bfloat16: bool) -> MaskRefinement | None:
         """What lies beside the detector's weights in `weights_dir` (the shipped one if None); None where a detector was
         trained and no refiner yet. Raises AssetError that names the unreadable file."""
         if not ((weights_dir or WEIGHTS_DIR) / f"{WEIGHTS_NAME}.json").is_file():
@@ -80,7 +80,7 @@ class Redraw:
         )
         first = torch.zeros(len(masks), dtype=torch.long, device=d)
         which = torch.arange(len(masks), device=d)[:, None, None]
-        both = [look(images, first, s, lambda u, v: masks[which, v, u])[0] for s in (squares, squares.in_the_mirror())]
+        both = [look(images, first, s, lambda u, v: masks[which, v, u])[0] for s in (squares, squares.mirrored_copy())]
         seen = torch.cat(both).contiguous(memory_format=torch.channels_last)
         with torch.autocast(d.type, torch.bfloat16, enabled=self._bfloat16):
             logits, quality = self._refiner(seen, category.repeat(2), score.repeat(2))

@@ -1,4 +1,5 @@
-"""A second stage for masks: each end effector that the detector found is drawn again, and judged again, near.
+"""A second stage for masks: each end effector that the detector found is segmented and scored again, in an enlarged
+crop.
 
 The detector's mask head works on features of an image seen at one size, small things at few pixels. This network sees
 nothing but a square of the image about one detection, always at the same size, with the detector's mask as a hint

@@ -24,8 +24,7 @@ from toolee_robot.perception.detection.detector import trained_detector
 from toolee_robot.perception.detection.losses import mask_overlap, outline_losses, weighted_mean
 from toolee_robot.perception.detection.refiner.network import WEIGHTS_NAME, Refiner, RefinerConfig, load_refiner
 from toolee_robot.perception.detection.refiner.training_data import Examples, RefinementData
-from toolee_robot.perception.training.distributed import Ranks
-from toolee_robot.perception.training.distributed import ranks as ranks_of
+from toolee_robot.perception.training.distributed import Distributed, init_distributed
 from toolee_robot.perception.training.image_training import ImageTraining, ImageTrainingRun
 from toolee_robot.perception.training.scene_stream import SceneStream
 from toolee_robot.perception.weight_files import load_weights
@@ -85,11 +84,11 @@ def train(config: RefinementTraining) -> Path:
     Raises AssetError for missing or broken data or weights, UserError for bad settings, TooleeError when the loss stops
     being finite (the last checkpoint is kept).
     """
-    with ranks_of(config.device) as ranks:
-        torch.manual_seed(config.seed + 1000 * ranks.rank)
-        stream = SceneStream(config.data, (ranks.rank, ranks.world))
+    with init_distributed(config.device) as distributed:
+        torch.manual_seed(config.seed + 1000 * distributed.rank)
+        stream = SceneStream(config.data, (distributed.rank, distributed.world))
         try:
-            _Run(config, ranks, stream).loop()
+            _Run(config, distributed, stream).loop()
         finally:
             stream.close()
     return config.out
@@ -99,21 +98,21 @@ class _Run(ImageTrainingRun):
     name = tag = WEIGHTS_NAME
     checkpoint, log_name = CHECKPOINT, "refinement_log.jsonl"
 
-    def __init__(self, config: RefinementTraining, ranks: Ranks, stream: SceneStream) -> None:
+    def __init__(self, config: RefinementTraining, distributed: Distributed, stream: SceneStream) -> None:
         self.config, self.stream = config, stream
-        self.data = RefinementData(trained_detector(config.detector), ranks.device)
+        self.data = RefinementData(trained_detector(config.detector), distributed.device)
         waited = time.monotonic()
         while not self.data.ready and time.monotonic() - waited < config.patience:
             self._extend(1.0)
         if not self.data.ready:
-            raise UserError(f"{config.data} shows rank {ranks.rank} no end effector: generate the data set first")
+            raise UserError(f"{config.data} shows rank {distributed.rank} no end effector: generate the data set first")
         refiner = Refiner(config.model)
         if config.init is not None:
             load_refiner(refiner, load_weights(config.init, WEIGHTS_NAME)[0])
-        refiner = refiner.to(ranks.device).to(memory_format=torch.channels_last)
-        if config.compile and ranks.device.type == "cuda":
+        refiner = refiner.to(distributed.device).to(memory_format=torch.channels_last)
+        if config.compile and distributed.device.type == "cuda":
             refiner.compile(dynamic=False)
-        super().__init__(config, config.out, ranks, refiner, refiner)
+        super().__init__(config, config.out, distributed, refiner, refiner)
 
     def images(self) -> int:
         return len(self.data)
@@ -131,7 +130,7 @@ class _Run(ImageTrainingRun):
         return {k: v for k, v in values.items() if k in LOSSES}, {k: v for k, v in values.items() if k not in LOSSES}
 
     def _forward(self, refiner: nn.Module, examples: Examples) -> tuple[Tensor, Tensor]:
-        squares, device = examples.squares.contiguous(memory_format=torch.channels_last), self.ranks.device.type
+        squares, device = examples.squares.contiguous(memory_format=torch.channels_last), self.distributed.device.type
         with torch.autocast(device, torch.bfloat16, enabled=device == "cuda"):
             logits, quality = refiner(squares, examples.category, examples.score)
         return logits.float(), quality.float()
@@ -140,7 +139,7 @@ class _Run(ImageTrainingRun):
     def validate(self) -> dict[str, float]:
         """The averaged network on images kept aside: mean IoU of the masks before and after, and losses. Empty where
         they show nothing."""
-        refiner = Refiner(self.config.model).to(self.ranks.device).to(memory_format=torch.channels_last)
+        refiner = Refiner(self.config.model).to(self.distributed.device).to(memory_format=torch.channels_last)
         load_refiner(refiner, self.averaged())
         refiner.eval()
         sums: dict[str, float] = {}

@@ -32,8 +32,8 @@ class CloudConfig:
     border_share: how often the image ends near the EE. rest: whether the rest of the tool is seen, too;
     rest_error_share, rest_chunk_share: how often its mask is imperfect, a piece of it missing; rest_gap_share: how
     often it begins up to rest_gap [m] beyond the cut; wrong_rest_share: how often it is another tool's. guessed:
-    whether the mask's pixels without a depth are there, too, at a guessed one. points, of which the first `ordered` are
-    farthest-point samples: what the network takes."""
+    whether the mask's pixels without a depth are there, too, at a completed one. points, of which the first `ordered`
+    are farthest-point samples: what the network takes."""
 
     distance: tuple[float, float] = (0.35, 1.1)
     near_share: float = 0.25
@@ -100,15 +100,15 @@ PROTOCOLS = {"hard": CloudConfig, "paper": CloudConfig.paper}
 class CloudBatch:
     """Canonical clouds and their truth, all tensors with the batch first.
 
-    points (B, 512, 3), guessed (B, 512), centre (B, 3), R_canonical (B, 3, 3), rest (B, 256, 3), rest_known (B,): see
+    points (B, 512, 3), completed (B, 512), centre (B, 3), R_canonical (B, 3, 3), rest (B, 256, 3), rest_known (B,): see
     `canonical.CanonicalCloud`. R (B, 3, 3), p (B, 3):
-    the EE's pose in the canonical frame. direction (B, 5): the token, given for all. tells_spin (B,): pixels in the
+    the EE's pose in the canonical frame. direction (B, 5): the token, given for all. spin_pixels (B,): pixels in the
     mask that tell the spin. category, item (B,); positive (B,): whether it is that category's EE at all;
     visible (B,): native points; occlusion (B,) in [0, 1]; distance (B,) [m].
     """
 
     points: Tensor
-    guessed: Tensor
+    completed: Tensor
     centre: Tensor
     R_canonical: Tensor
     rest: Tensor
@@ -116,7 +116,7 @@ class CloudBatch:
     R: Tensor
     p: Tensor
     direction: Tensor
-    tells_spin: Tensor
+    spin_pixels: Tensor
     category: Tensor
     item: Tensor
     positive: Tensor
@@ -130,7 +130,7 @@ class CloudBatch:
     @property
     def cloud(self) -> CanonicalCloud:
         """What an estimator gets of it."""
-        seen = self.points, self.guessed, self.centre, self.R_canonical
+        seen = self.points, self.completed, self.centre, self.R_canonical
         return CanonicalCloud(*seen, self.visible, self.rest, self.rest_known)
 
     @classmethod
@@ -139,7 +139,7 @@ class CloudBatch:
         has."""
         return cls(
             points=cloud.points,
-            guessed=cloud.guessed,
+            completed=cloud.completed,
             centre=cloud.centre,
             R_canonical=cloud.R,
             rest=cloud.rest,

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudConfig
 from toolee_robot.perception.pose.synthetic_clouds.surface_samples import NOWHERE
-from toolee_robot.perception.pose.synthetic_clouds.torch_rng import Draws
+from toolee_robot.perception.pose.synthetic_clouds.torch_rng import TorchRng
 
 _BORDER = (-0.4, 0.8)
 """How far beyond a focus an image ends, in radii."""
@@ -41,16 +41,16 @@ class Cut:
         other_radius: Tensor,
         config: CloudConfig,
         f: Tensor,
-        draws: Draws,
+        torch_rng: TorchRng,
     ) -> Cut:
         """As `config` has it; radius (B,) [m]: the category's own. f (B,) [px] of the camera."""
         B = len(focus)
         if config.circle is not None:
             radius = config.circle / f * focus[:, 2]
             return cls(focus, radius, other, radius, torch.ones_like(radius, dtype=torch.bool))
-        differs = draws.uniform(B) < config.other_cut_share
-        factor = torch.where(differs, draws.uniform(B, *config.other_cut), 1.0)
-        circle = differs & (draws.uniform(B) < config.circle_share)
+        differs = torch_rng.uniform(B) < config.other_cut_share
+        factor = torch.where(differs, torch_rng.uniform(B, *config.other_cut), 1.0)
+        circle = differs & (torch_rng.uniform(B) < config.circle_share)
         return cls(focus, radius * factor, other, other_radius * factor, circle)
 
     def holds(self, points: Tensor) -> Tensor:
@@ -78,16 +78,16 @@ class Border:
     limit: Tensor
 
     @classmethod
-    def drawn(cls, focus: Tensor, radius: Tensor, share: float, draws: Draws) -> Border:
+    def drawn(cls, focus: Tensor, radius: Tensor, share: float, torch_rng: TorchRng) -> Border:
         """In a `share` of the clouds near the focus (B, 3) [m, camera frame] of a sphere of radius (B,) [m], and never
         such that the image would not hold its own middle."""
         B = len(focus)
         ray = _projected(focus)
-        across = torch.nn.functional.one_hot(draws.integers(0, 2, B), 2).to(ray.dtype)
+        across = torch.nn.functional.one_hot(torch_rng.integers(0, 2, B), 2).to(ray.dtype)
         normal = across * torch.where(ray < 0, -1.0, 1.0)
         centre = (normal * ray).sum(1)
-        limit = (centre + draws.uniform(B, *_BORDER) * radius / focus[:, 2].clamp_min(0.05)).clamp_min(0.05)
-        return cls(normal, torch.where(draws.uniform(B) < share, limit, torch.inf))
+        limit = (centre + torch_rng.uniform(B, *_BORDER) * radius / focus[:, 2].clamp_min(0.05)).clamp_min(0.05)
+        return cls(normal, torch.where(torch_rng.uniform(B) < share, limit, torch.inf))
 
     def shows(self, rays: Tensor) -> Tensor:
         """Whether the image holds rays (B, H, W, 3), z = 1: (B, H, W)."""

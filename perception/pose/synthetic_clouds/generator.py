@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, CanonicalCloud, canonicalize, with_rest
-from toolee_robot.perception.pose.depth_completion import fill
+from toolee_robot.perception.pose.depth_completion import complete_depth
 from toolee_robot.perception.pose.synthetic_clouds import point_splatting
 from toolee_robot.perception.pose.synthetic_clouds.batch import CATEGORY_SHARE, CloudBatch, CloudConfig
 from toolee_robot.perception.pose.synthetic_clouds.cuts import Border, Cut
@@ -28,12 +28,17 @@ from toolee_robot.perception.pose.synthetic_clouds.scene import (
     upright_rotations,
 )
 from toolee_robot.perception.pose.synthetic_clouds.source import CloudSource
-from toolee_robot.perception.pose.synthetic_clouds.surface_samples import NOWHERE, Float32, ToolBank, random_grasps
-from toolee_robot.perception.pose.synthetic_clouds.torch_rng import Draws
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import (
+    NOWHERE,
+    Float32,
+    SurfaceSamples,
+    random_grasps,
+)
+from toolee_robot.perception.pose.synthetic_clouds.torch_rng import TorchRng
 from toolee_robot.tools.model import ee_radius
 from toolee_robot.types import Category
 
-_MOST_GUESSED = 512
+_MAX_COMPLETED = 512
 WHOLE_TOOL = 1
 """[px] Reach of splats in a window that holds a whole tool: wider ones would swell what is thin at this scale."""
 
@@ -56,14 +61,14 @@ class Target:
 
 
 class CloudGenerator(CloudSource):
-    """Endless clouds of one bank on one device, from one seed. reach: of splats without normals, in windows that hold
-    what the mask is said to show [px]."""
+    """Endless clouds of one set of surface samples on one device, from one seed. reach: of splats without normals, in
+    windows that hold what the mask is said to show [px]."""
 
     reach = 2
 
     def __init__(
         self,
-        bank: ToolBank,
+        samples: SurfaceSamples,
         hands: Float32,
         device: torch.device | str,
         seed: int,
@@ -71,29 +76,33 @@ class CloudGenerator(CloudSource):
     ) -> None:
         self.config = config or CloudConfig()
         self._device = torch.device(device)
-        self._draws = Draws(self._device, seed)
+        self._torch_rng = TorchRng(self._device, seed)
         self._rng = np.random.default_rng(seed)
-        self._bank = bank
+        self._samples = samples
 
         def put(x: np.ndarray) -> Tensor:
             return torch.as_tensor(x, device=self._device)
 
-        self._ee, self._normals, self._tells = put(bank.ee_points), put(bank.ee_normals), put(bank.asymmetric)
-        self._rest, self._X_ee_tool = put(bank.rest), put(bank.X_ee_tool)
-        self._category, self._shininess = put(bank.category), put(bank.shininess)
-        self._other_end, self._other_category = put(bank.other_end), put(bank.other_category)
-        self._hands, self._handle = put(hands), put(bank.handle)
+        self._ee, self._normals, self._asymmetric = (
+            put(samples.ee_points),
+            put(samples.ee_normals),
+            put(samples.asymmetric),
+        )
+        self._rest, self._X_ee_tool = put(samples.rest), put(samples.X_ee_tool)
+        self._category, self._shininess = put(samples.category), put(samples.shininess)
+        self._other_end, self._other_category = put(samples.other_end), put(samples.other_category)
+        self._hands, self._handle = put(hands), put(samples.handle)
         categories = list(Category)
         radii = [self.config.radius or ee_radius(c) for c in categories]
         self._radius = put(np.array(radii, np.float32))
-        counts = np.bincount(bank.category, minlength=len(categories))
+        counts = np.bincount(samples.category, minlength=len(categories))
         share = np.array([CATEGORY_SHARE[c] for c in categories])
-        self._weights = share[bank.category] / counts[bank.category]
+        self._weights = share[samples.category] / counts[samples.category]
         self._weights /= self._weights.sum()
 
     def reseed(self, seed: int) -> None:
         """See `CloudSource`."""
-        self._draws.generator.manual_seed(seed)
+        self._torch_rng.generator.manual_seed(seed)
         self._rng = np.random.default_rng(seed)
 
     def generate(self, n: int) -> CloudBatch:
@@ -102,7 +111,7 @@ class CloudGenerator(CloudSource):
             return self._generate(n)
 
     def _generate(self, B: int) -> CloudBatch:
-        c, draws = self.config, self._draws
+        c, torch_rng = self.config, self._torch_rng
         placed = self._place(B)
         target = self._target(placed)
         focus, radius = target.focus, target.cut.radius
@@ -115,30 +124,32 @@ class CloudGenerator(CloudSource):
         )
         alone, buffer = self._draw(placed, target, window, self.reach)
         rays = window.rays()
-        draw_occluders(buffer, focus, radius, rays, c.occluder_share, draws)
-        draw_backgrounds(buffer, focus, rays, draws)
+        draw_occluders(buffer, focus, radius, rays, c.occluder_share, torch_rng)
+        draw_backgrounds(buffer, focus, rays, torch_rng)
 
         unoccluded = _is_target(alone.images()[1]).sum((1, 2)).clamp_min(1)
         truth, labels, cosine = buffer.images()
         inside = target.border.shows(rays)
         seen = _is_target(labels) & inside
         occlusion = 1 - seen.sum((1, 2)) / unoccluded
-        depth = point_splatting.measure(truth, cosine, self._shininess[placed.item], f, draws.generator, c.sensor_level)
-        depth = torch.where(cleaned(depth, c.cleaned_share, draws), depth, 0.0)
-        mask = imperfect(seen, c.mask_error_share, c.chunk_share, draws) & inside
+        depth = point_splatting.measure(
+            truth, cosine, self._shininess[placed.item], f, torch_rng.generator, c.sensor_level
+        )
+        depth = torch.where(cleaned(depth, c.cleaned_share, torch_rng), depth, 0.0)
+        mask = imperfect(seen, c.mask_error_share, c.chunk_share, torch_rng) & inside
 
         usable = mask & (depth > 0)
         points, valid, count = pick(usable, depth, rays)
-        guessed = None
+        completed = None
         if c.guessed:
-            guess = fill(depth, usable, mask & ~usable)
-            guessed = pick(guess > 0, guess, rays, most=_MOST_GUESSED)[:2]
-        cloud = canonicalize(points, valid, target.radius, draws.generator, c.points, c.ordered, guessed)
+            completed_depth = complete_depth(depth, usable, mask & ~usable)
+            completed = pick(completed_depth > 0, completed_depth, rays, most=_MAX_COMPLETED)[:2]
+        cloud = canonicalize(points, valid, target.radius, torch_rng.generator, c.points, c.ordered, completed)
         visible = cloud.count / valid.sum(1).clamp_min(1) * count * (placed.f_native / f) ** 2
         if c.rest:
             cloud = self._with_rest(cloud, placed, target)
         tells_spin = (usable & (labels == point_splatting.TARGET_TELLS_SPIN)).sum((1, 2))
-        direction = directions(placed, cloud.centre, cloud.R, draws)
+        direction = directions(placed, cloud.centre, cloud.R, torch_rng)
 
         shows = (cloud.count >= MIN_KEPT) & (visible >= MIN_POINTS)
         shows &= torch.where(target.positive, occlusion <= c.max_occlusion, target.admissible)
@@ -148,7 +159,7 @@ class CloudGenerator(CloudSource):
             cloud,
             *self._truth(placed),
             direction=direction,
-            tells_spin=tells_spin,
+            spin_pixels=tells_spin,
             category=target.claimed,
             item=placed.item,
             positive=target.positive,
@@ -161,7 +172,7 @@ class CloudGenerator(CloudSource):
     def _with_rest(self, cloud: CanonicalCloud, placed: Placement, target: Target) -> CanonicalCloud:
         """The clouds with the rest of their tools, seen by the same kind of camera through a window that holds it all:
         its pixels are coarser than the camera's, for the network takes few points."""
-        c, draws = self.config, self._draws
+        c, torch_rng = self.config, self._torch_rng
         middle = placed.rest.mean(1)
         size = (placed.rest - middle[:, None]).norm(dim=-1).amax(1).clamp_min(0.06)
         depth_middle = middle[:, 2].clamp_min(0.15)
@@ -173,47 +184,49 @@ class CloudGenerator(CloudSource):
         )
         buffer = self._draw(placed, target, window, WHOLE_TOOL)[1]
         rays = window.rays()
-        draw_backgrounds(buffer, middle, rays, draws)
+        draw_backgrounds(buffer, middle, rays, torch_rng)
         truth, labels, cosine = buffer.images()
-        depth = point_splatting.measure(truth, cosine, self._shininess[placed.item], f, draws.generator, c.sensor_level)
-        depth = torch.where(cleaned(depth, c.cleaned_share, draws), depth, 0.0)
-        mask = imperfect(labels == point_splatting.TOOL, c.rest_error_share, c.rest_chunk_share, draws) & ~_is_target(
-            labels
+        depth = point_splatting.measure(
+            truth, cosine, self._shininess[placed.item], f, torch_rng.generator, c.sensor_level
         )
+        depth = torch.where(cleaned(depth, c.cleaned_share, torch_rng), depth, 0.0)
+        mask = imperfect(
+            labels == point_splatting.TOOL, c.rest_error_share, c.rest_chunk_share, torch_rng
+        ) & ~_is_target(labels)
         mask &= target.border.shows(rays)
         points, valid, _ = pick(mask & (depth > 0), depth, rays)
         # Here the rest begins a pixel of this window beside the cut, in an image at the very next point: what it says
         # of the cut is not to be relied on.
-        wide = draws.uniform(len(points)) < c.rest_gap_share
-        start = torch.where(wide, target.cut.radius + draws.uniform(len(points), 0.0, c.rest_gap), 0.0)
+        wide = torch_rng.uniform(len(points)) < c.rest_gap_share
+        start = torch.where(wide, target.cut.radius + torch_rng.uniform(len(points), 0.0, c.rest_gap), 0.0)
         valid &= (points - target.focus[:, None]).norm(dim=-1) > start[:, None]
-        other = (draws.uniform(len(points)) < c.wrong_rest_share)[:, None]
+        other = (torch_rng.uniform(len(points)) < c.wrong_rest_share)[:, None]
         points = torch.where(other[..., None], points.roll(1, 0), points)
         valid = torch.where(other, valid.roll(1, 0), valid)
-        return with_rest(cloud, points, valid, draws.generator)
+        return with_rest(cloud, points, valid, torch_rng.generator)
 
     def _place(self, B: int) -> Placement:
         """Tools at random poses in the camera's frame, full SO(3), most of them in a hand."""
-        c, draws = self.config, self._draws
+        c, torch_rng = self.config, self._torch_rng
         item_np = self._rng.choice(len(self._weights), B, p=self._weights)
         item = torch.as_tensor(item_np, device=self._device)
         X_ee_tool = self._X_ee_tool[item]
-        grasps = random_grasps(self._bank.handle[item_np], self._rng, nominal=c.upright)
+        grasps = random_grasps(self._samples.handle[item_np], self._rng, nominal=c.upright)
         X_tool_hand = torch.as_tensor(grasps, device=self._device)
-        f_native = torch.where(draws.uniform(B) < c.kinect_share, 365.5, draws.uniform(B, *c.focal))
-        near = draws.uniform(B) < c.near_share
-        distance = torch.where(near, draws.uniform(B, c.distance[0], c.near), draws.uniform(B, *c.distance))
-        R = upright_rotations(X_ee_tool, draws) if c.upright else draws.rotations(B)
+        f_native = torch.where(torch_rng.uniform(B) < c.kinect_share, 365.5, torch_rng.uniform(B, *c.focal))
+        near = torch_rng.uniform(B) < c.near_share
+        distance = torch.where(near, torch_rng.uniform(B, c.distance[0], c.near), torch_rng.uniform(B, *c.distance))
+        R = upright_rotations(X_ee_tool, torch_rng) if c.upright else torch_rng.rotations(B)
         right, down = c.field
         ray = torch.stack(
-            [draws.uniform(B, -right, right), draws.uniform(B, -down, down), torch.ones_like(distance)], -1
+            [torch_rng.uniform(B, -right, right), torch_rng.uniform(B, -down, down), torch.ones_like(distance)], -1
         )
         p = ray * distance[:, None]
         X_ee_hand = X_ee_tool @ X_tool_hand
         p_hand = torch.einsum("bij,bj->bi", R, X_ee_hand[:, :3, 3]) + p
-        which = draws.integers(0, len(self._hands), B)
+        which = torch_rng.integers(0, len(self._hands), B)
         hand = torch.einsum("bij,bnj->bni", R @ X_ee_hand[:, :3, :3], self._hands[which]) + p_hand[:, None]
-        has_hand = draws.uniform(B) < c.hand_share
+        has_hand = torch_rng.uniform(B) < c.hand_share
         return Placement(
             item=item,
             R=R,
@@ -232,18 +245,18 @@ class CloudGenerator(CloudSource):
 
     def _target(self, placed: Placement) -> Target:
         """The EE; or a negative: another category claimed, or the mask on the hand or on another part of the tool."""
-        draws, item, p = self._draws, placed.item, placed.p
+        torch_rng, item, p = self._torch_rng, placed.item, placed.p
         B = len(item)
-        kind = draws.uniform(B) / max(self.config.negative_share, 1e-9)
+        kind = torch_rng.uniform(B) / max(self.config.negative_share, 1e-9)
         swapped = kind < 0.5
         claimed = torch.where(
             swapped,
-            (self._category[item] + draws.integers(1, len(Category), B)) % len(Category),
+            (self._category[item] + torch_rng.integers(1, len(Category), B)) % len(Category),
             self._category[item],
         )
         on_hand = (kind >= 0.5) & (kind < 0.75) & placed.has_hand
         on_rest = (kind >= 0.75) & (kind < 1.0)
-        spot = draws.integers(0, placed.rest.shape[1], B)
+        spot = torch_rng.integers(0, placed.rest.shape[1], B)
         batch = torch.arange(B, device=self._device)
         focus = torch.where(on_rest[:, None], placed.rest[batch, spot], p)
         # On the handle only: the other end may be an EE of the same category.
@@ -259,8 +272,10 @@ class CloudGenerator(CloudSource):
         return Target(
             focus=focus,
             radius=radius,
-            cut=Cut.drawn(focus, radius, other, self._radius[self._other_category[item]], c, placed.f_native, draws),
-            border=Border.drawn(focus, radius, c.border_share, draws),
+            cut=Cut.drawn(
+                focus, radius, other, self._radius[self._other_category[item]], c, placed.f_native, torch_rng
+            ),
+            border=Border.drawn(focus, radius, c.border_share, torch_rng),
             claimed=claimed,
             positive=on_ee & ~swapped,
             admissible=swapped | (on_hand & far_enough) | (on_rest & on_handle),
@@ -282,7 +297,7 @@ class CloudGenerator(CloudSource):
             return torch.where(inside, hit, usual)
 
         alone = ZBuffer(window)
-        tells = self._tells[placed.item]
+        tells = self._asymmetric[placed.item]
         alone.draw(placed.ee, label(placed.ee, point_splatting.TOOL, ~target.on_hand, tells), placed.normals, 1)
         alone.draw(placed.rest, label(placed.rest, point_splatting.TOOL, ~target.on_hand), None, reach)
         buffer = alone.copy()

@@ -8,10 +8,10 @@ from torch import Tensor
 from toolee_robot.perception.pose.depth_completion import surface_step
 from toolee_robot.perception.pose.synthetic_clouds import point_splatting
 from toolee_robot.perception.pose.synthetic_clouds.point_splatting import GRID
-from toolee_robot.perception.pose.synthetic_clouds.torch_rng import Draws
+from toolee_robot.perception.pose.synthetic_clouds.torch_rng import TorchRng
 
 
-def cleaned(depth: Tensor, share: float, draws: Draws) -> Tensor:
+def cleaned(depth: Tensor, share: float, torch_rng: TorchRng) -> Tensor:
     """Which pixels are left (B, GRID, GRID): in a `share` of the clouds those that hang between surfaces are removed,
     as `toolee_robot.perception.cloud` does."""
     limit = surface_step(depth)
@@ -21,32 +21,34 @@ def cleaned(depth: Tensor, share: float, draws: Draws) -> Tensor:
         for di in range(3):
             if (dj, di) != (1, 1):
                 near += ((padded[:, dj : dj + GRID, di : di + GRID] - depth).abs() < limit).float()
-    as_seen = (draws.uniform(len(depth)) < 1 - share)[:, None, None]
+    as_seen = (torch_rng.uniform(len(depth)) < 1 - share)[:, None, None]
     return as_seen | (near >= 2)
 
 
-def imperfect(target: Tensor, error_share: float, chunk_share: float, draws: Draws) -> Tensor:
+def imperfect(target: Tensor, error_share: float, chunk_share: float, torch_rng: TorchRng) -> Tensor:
     """Predicted masks (B, GRID, GRID) of true ones: grown or shrunk by a pixel or three, ragged, shifted, now and then
     a piece missing."""
     B, device = len(target), target.device
-    wrong = (draws.uniform(B) < error_share)[:, None, None]
-    shift = draws.integers(-1, 2, B, 2) * (draws.uniform(B, 0, 1) < 0.3)[:, None]
+    wrong = (torch_rng.uniform(B) < error_share)[:, None, None]
+    shift = torch_rng.integers(-1, 2, B, 2) * (torch_rng.uniform(B, 0, 1) < 0.3)[:, None]
     k = torch.arange(GRID, device=device)
     rows = (k[None] + shift[:, :1]).clamp(0, GRID - 1)[:, :, None]
     columns = (k[None] + shift[:, 1:]).clamp(0, GRID - 1)[:, None, :]
     moved = target[torch.arange(B, device=device)[:, None, None], rows, columns].float()[:, None]
     narrow = torch.nn.functional.avg_pool2d(moved, 3, 1, 1)[:, 0]
     wide = torch.nn.functional.avg_pool2d(moved, 7, 1, 3)[:, 0]
-    soft = torch.where((draws.uniform(B) < 0.5)[:, None, None], narrow, wide)
-    ragged = point_splatting.smooth_noise(B, 3.0, draws.generator, device) * draws.uniform(B, 0, 0.2)[:, None, None]
-    grown = (soft > 0) & (soft + ragged > draws.uniform(B, 0.12, 0.75)[:, None, None])
+    soft = torch.where((torch_rng.uniform(B) < 0.5)[:, None, None], narrow, wide)
+    ragged = (
+        point_splatting.smooth_noise(B, 3.0, torch_rng.generator, device) * torch_rng.uniform(B, 0, 0.2)[:, None, None]
+    )
+    grown = (soft > 0) & (soft + ragged > torch_rng.uniform(B, 0.12, 0.75)[:, None, None])
     # Chunks: everything beyond a line through the mask.
-    cut = wrong & (draws.uniform(B) < chunk_share)[:, None, None]
-    angle = draws.uniform(B, 0, 2 * torch.pi)[:, None, None]
+    cut = wrong & (torch_rng.uniform(B) < chunk_share)[:, None, None]
+    angle = torch_rng.uniform(B, 0, 2 * torch.pi)[:, None, None]
     x, y = k[None, None, :] - GRID / 2, k[None, :, None] - GRID / 2
     along = x * angle.cos() + y * angle.sin()
     spread = (along.abs() * target).sum((1, 2)) / target.sum((1, 2)).clamp_min(1)
-    missing = cut & (along > (draws.uniform(B, -0.3, 1.2) * spread)[:, None, None])
+    missing = cut & (along > (torch_rng.uniform(B, -0.3, 1.2) * spread)[:, None, None])
     return torch.where(wrong, grown, target) & ~missing
 
 

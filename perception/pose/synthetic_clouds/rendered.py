@@ -29,12 +29,12 @@ from toolee_robot.perception.pose.canonical import (
 from toolee_robot.perception.pose.synthetic_clouds.batch import CATEGORY_SHARE, CloudBatch, CloudConfig
 from toolee_robot.perception.pose.synthetic_clouds.scene import DIRECTION_SIGMA, direction_token
 from toolee_robot.perception.pose.synthetic_clouds.source import CloudSource
-from toolee_robot.perception.pose.synthetic_clouds.torch_rng import Draws
+from toolee_robot.perception.pose.synthetic_clouds.torch_rng import TorchRng
 from toolee_robot.runtime.files import written_whole
 from toolee_robot.tools.model import ee_radius
 from toolee_robot.types import Category
 
-MOST_POINTS, MOST_GUESSED, MOST_REST = 1024, 512, 1024
+MAX_POINTS, MAX_COMPLETED, MAX_REST = 1024, 512, 1024
 """More points of a cloud are not kept: the network takes 512 of them, and 256 of the rest."""
 
 
@@ -122,7 +122,7 @@ class RenderedSource(CloudSource):
         """config: its negative_share, radius, rest, guessed, points and ordered hold here, too. Raises AssetError where
         there is nothing to draw."""
         self._device, self._config = torch.device(device), config
-        self._draws = Draws(self._device, seed)
+        self._torch_rng = TorchRng(self._device, seed)
 
         def put(x: np.ndarray) -> Tensor:
             return torch.as_tensor(x, device=self._device)
@@ -138,7 +138,7 @@ class RenderedSource(CloudSource):
 
     def reseed(self, seed: int) -> None:
         """See `CloudSource`."""
-        self._draws.generator.manual_seed(seed)
+        self._torch_rng.generator.manual_seed(seed)
 
     def generate(self, n: int) -> CloudBatch:
         """See `CloudSource`."""
@@ -146,24 +146,24 @@ class RenderedSource(CloudSource):
             return self._generate(n)
 
     def _generate(self, n: int) -> CloudBatch:
-        c, draws = self._config, self._draws
-        which = torch.multinomial(self._weights, n, replacement=True, generator=draws.generator)
-        points, valid = self._take(0, which, MOST_POINTS)
-        rest, rest_valid = self._take(2, which, MOST_REST)
+        c, torch_rng = self._config, self._torch_rng
+        which = torch.multinomial(self._weights, n, replacement=True, generator=torch_rng.generator)
+        points, valid = self._take(0, which, MAX_POINTS)
+        rest, rest_valid = self._take(2, which, MAX_REST)
         category = self._category[which]
-        guessed = self._take(1, which, MOST_GUESSED) if c.guessed else None
-        cloud = canonicalize(points, valid, self._radius[category], draws.generator, c.points, c.ordered, guessed)
+        completed = self._take(1, which, MAX_COMPLETED) if c.guessed else None
+        cloud = canonicalize(points, valid, self._radius[category], torch_rng.generator, c.points, c.ordered, completed)
         # A fraction of what was seen, as at inference.
         visible = cloud.count / valid.sum(1).clamp_min(1) * self._visible[which]
         if c.rest:
-            cloud = with_rest(cloud, rest, rest_valid, draws.generator)
+            cloud = with_rest(cloud, rest, rest_valid, torch_rng.generator)
         X = self._X[which]
         result = CloudBatch.of(
             cloud,
             X[:, :3, :3],
             X[:, :3, 3],
             direction=self._direction(cloud, rest, rest_valid, self._p_hand[which]),
-            tells_spin=self._tells[which],
+            spin_pixels=self._tells[which],
             category=category,
             item=torch.full_like(which, -1),
             positive=self._positive[which],
@@ -189,7 +189,7 @@ class RenderedSource(CloudSource):
         goal = torch.where(by_hand[:, None], p_hand, masked_median(rest, valid))
         known = torch.isfinite(goal).all(1)[:, None]
         sigma = goal.new_tensor(DIRECTION_SIGMA)
-        token = direction_token(torch.where(known, goal, 0.0), cloud.centre, cloud.R, by_hand, sigma, self._draws)
+        token = direction_token(torch.where(known, goal, 0.0), cloud.centre, cloud.R, by_hand, sigma, self._torch_rng)
         return torch.where(known, token, 0.0)
 
 

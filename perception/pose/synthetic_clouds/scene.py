@@ -10,7 +10,7 @@ from torch import Tensor
 
 from toolee_robot.perception.pose.synthetic_clouds import point_splatting
 from toolee_robot.perception.pose.synthetic_clouds.point_splatting import ZBuffer
-from toolee_robot.perception.pose.synthetic_clouds.torch_rng import Draws
+from toolee_robot.perception.pose.synthetic_clouds.torch_rng import TorchRng
 
 DIRECTION_SIGMA = 0.1
 """[rad] How uncertain most directions to the rest of a tool are."""
@@ -20,10 +20,9 @@ DIRECTION_SIGMA = 0.1
 class Placement:
     """A batch of held tools before the camera, all [m], camera frame.
 
-    item (B,): row of the bank. R (B, 3, 3), p (B, 3): the EE's pose. ee, normals (B, N, 3): its surface; rest
-    (B, M, 3): the tool's other surface; hand (B, H, 3), p_hand (B, 3): behind the camera where has_hand (B,) is not.
-    X_ee_tool, X_tool_hand (B, 4, 4). f_native (B,) [px]; distance (B,) [m].
-    """
+    item (B,): row of the surface samples. R (B, 3, 3), p (B, 3): the EE's pose. ee, normals (B, N, 3): its surface;
+    rest (B, M, 3): the tool's other surface; hand (B, H, 3), p_hand (B, 3): behind the camera where has_hand (B,) is
+    not. X_ee_tool, X_tool_hand (B, 4, 4). f_native (B,) [px]; distance (B,) [m]."""
 
     item: Tensor
     R: Tensor
@@ -47,68 +46,72 @@ class Placement:
         return torch.einsum("bj,bnj->bn", axis, self.rest - self.p[:, None]) + X_tool_ee[:, 2, 3, None]
 
 
-def draw_occluders(buffer: ZBuffer, focus: Tensor, radius: Tensor, rays: Tensor, share: float, draws: Draws) -> None:
+def draw_occluders(
+    buffer: ZBuffer, focus: Tensor, radius: Tensor, rays: Tensor, share: float, torch_rng: TorchRng
+) -> None:
     """In a `share` of the clouds, an ellipse that floats between the camera and the EE."""
     B = len(focus)
     z = focus[:, 2]
     around = rays[..., :2] * z[:, None, None, None] - focus[:, None, None, :2]
-    offset = draws.normal(B, 2) * 0.8 * radius[:, None]
+    offset = torch_rng.normal(B, 2) * 0.8 * radius[:, None]
     d = around - offset[:, None, None]
-    angle = draws.uniform(B, 0, 2 * torch.pi)[:, None, None]
+    angle = torch_rng.uniform(B, 0, 2 * torch.pi)[:, None, None]
     a = d[..., 0] * angle.cos() + d[..., 1] * angle.sin()
     b = d[..., 1] * angle.cos() - d[..., 0] * angle.sin()
-    size_a, size_b = draws.uniform(B, 0.006, 0.06)[:, None, None], draws.uniform(B, 0.006, 0.03)[:, None, None]
-    present = (draws.uniform(B) < share)[:, None, None]
+    size_a, size_b = torch_rng.uniform(B, 0.006, 0.06)[:, None, None], torch_rng.uniform(B, 0.006, 0.03)[:, None, None]
+    present = (torch_rng.uniform(B) < share)[:, None, None]
     inside = present & ((a / size_a) ** 2 + (b / size_b) ** 2 < 1)
-    slope = draws.normal(B, 2) * 0.3
-    depth = (z - draws.uniform(B, 0.02, 0.25))[:, None, None] + (d * slope[:, None, None]).sum(-1)
+    slope = torch_rng.normal(B, 2) * 0.3
+    depth = (z - torch_rng.uniform(B, 0.02, 0.25))[:, None, None] + (d * slope[:, None, None]).sum(-1)
     buffer.fill(depth, inside, point_splatting.OCCLUDER)
 
 
-def draw_backgrounds(buffer: ZBuffer, focus: Tensor, rays: Tensor, draws: Draws) -> None:
+def draw_backgrounds(buffer: ZBuffer, focus: Tensor, rays: Tensor, torch_rng: TorchRng) -> None:
     """A tilted plane behind the tool, near or far, or nothing."""
     B = len(focus)
-    gap = torch.exp(draws.uniform(B, float(np.log(0.05)), float(np.log(2.0))))
+    gap = torch.exp(torch_rng.uniform(B, float(np.log(0.05)), float(np.log(2.0))))
     around = rays[..., :2] * focus[:, 2, None, None, None] - focus[:, None, None, :2]
-    slope = draws.normal(B, 2) * 0.5
+    slope = torch_rng.normal(B, 2) * 0.5
     depth = (focus[:, 2] + gap)[:, None, None] + (around * slope[:, None, None]).sum(-1)
-    present = (draws.uniform(B) < 0.85)[:, None, None]
+    present = (torch_rng.uniform(B) < 0.85)[:, None, None]
     buffer.fill(depth, present.expand_as(depth), point_splatting.BACKGROUND)
 
 
-def directions(placed: Placement, centre: Tensor, R_canonical: Tensor, draws: Draws) -> Tensor:
+def directions(placed: Placement, centre: Tensor, R_canonical: Tensor, torch_rng: TorchRng) -> Tensor:
     """Tokens (B, 5): from the cloud's centre to the mean of some visible stretch of the rest of the tool, or to the
     hand; noisy; canonical frame."""
     B, height = len(centre), placed.height
     low, high = height.min(1).values, height.max(1).values
     length = high - low
-    a = low + length * draws.uniform(B, 0.0, 0.5) * (draws.uniform(B) < 0.6)
-    b = high - length * draws.uniform(B, 0.0, 0.4) * (draws.uniform(B) < 0.6)
+    a = low + length * torch_rng.uniform(B, 0.0, 0.5) * (torch_rng.uniform(B) < 0.6)
+    b = high - length * torch_rng.uniform(B, 0.0, 0.4) * (torch_rng.uniform(B) < 0.6)
     kept = (height >= a[:, None]) & (height <= b[:, None])
     under_hand = (height - placed.X_tool_hand[:, 2, 3, None]).abs() < 0.045
-    hides = placed.has_hand & (draws.uniform(B) < 0.85)
+    hides = placed.has_hand & (torch_rng.uniform(B) < 0.85)
     kept &= ~(under_hand & hides[:, None])
     mean = (placed.rest * kept[..., None]).sum(1) / kept.sum(1, keepdim=True).clamp_min(1)
-    by_hand = (draws.uniform(B) < 0.3) | (kept.sum(1) < 20)
-    goal = torch.where(by_hand[:, None], placed.p_hand + 0.01 * draws.normal(B, 3), mean)
-    sigma = torch.where(draws.uniform(B) < 0.1, 0.35, DIRECTION_SIGMA)[:, None]
-    return direction_token(goal, centre, R_canonical, by_hand, sigma, draws)
+    by_hand = (torch_rng.uniform(B) < 0.3) | (kept.sum(1) < 20)
+    goal = torch.where(by_hand[:, None], placed.p_hand + 0.01 * torch_rng.normal(B, 3), mean)
+    sigma = torch.where(torch_rng.uniform(B) < 0.1, 0.35, DIRECTION_SIGMA)[:, None]
+    return direction_token(goal, centre, R_canonical, by_hand, sigma, torch_rng)
 
 
-def direction_token(goal: Tensor, centre: Tensor, R: Tensor, by_hand: Tensor, sigma: Tensor, draws: Draws) -> Tensor:
+def direction_token(
+    goal: Tensor, centre: Tensor, R: Tensor, by_hand: Tensor, sigma: Tensor, torch_rng: TorchRng
+) -> Tensor:
     """Tokens (B, 5) of the directions from centres to goals, (B, 3) each, camera frame, that are uncertain by sigma
     [rad]; R (B, 3, 3): canonical; by_hand (B,): the goal is the hand."""
     d = torch.nn.functional.normalize(goal - centre, dim=-1)
-    d = torch.nn.functional.normalize(d + sigma * draws.normal(len(d), 3), dim=-1)
+    d = torch.nn.functional.normalize(d + sigma * torch_rng.normal(len(d), 3), dim=-1)
     d = torch.einsum("bij,bj->bi", R, d)
     return torch.cat([d, torch.ones_like(d[:, :1]), by_hand.float()[:, None]], dim=-1)
 
 
-def upright_rotations(X_ee_tool: Tensor, draws: Draws) -> Tensor:
+def upright_rotations(X_ee_tool: Tensor, torch_rng: TorchRng) -> Tensor:
     """(B, 3, 3) of EEs, camera frame: their tools, X_ee_tool (B, 4, 4), stand upright, turned at will, before a camera
     that is pitched by -45 to 30 deg."""
     B = len(X_ee_tool)
-    yaw, pitch = draws.uniform(B, -torch.pi, torch.pi), torch.deg2rad(draws.uniform(B, -45.0, 30.0))
+    yaw, pitch = torch_rng.uniform(B, -torch.pi, torch.pi), torch.deg2rad(torch_rng.uniform(B, -45.0, 30.0))
     zero, one = torch.zeros_like(yaw), torch.ones_like(yaw)
     turn = torch.stack([yaw.cos(), -yaw.sin(), zero, yaw.sin(), yaw.cos(), zero, zero, zero, one], -1)
     # Rows: right, down and forward in a world whose z is up.

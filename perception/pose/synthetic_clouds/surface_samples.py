@@ -37,7 +37,7 @@ Float32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class ToolBank:
+class SurfaceSamples:
     """One row per EE of one tool, all in the EE's frame [m].
 
     ee_points, ee_normals (I, 8192, 3): the surface near the EE; asymmetric (I, 8192): whether a point tells the spin.
@@ -106,7 +106,7 @@ def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
     return rows
 
 
-def tool_bank(held_out: bool, seeds_per_kind: int, workers: int | None = None) -> ToolBank:
+def sample_tools(held_out: bool, seeds_per_kind: int, workers: int | None = None) -> SurfaceSamples:
     """Samples of `seeds_per_kind` tools of every kind (times `ToolSpec.training_share`).
 
     held_out: of the test split instead of the training split. workers: processes; None: one per CPU, 1: none.
@@ -120,7 +120,7 @@ def tool_bank(held_out: bool, seeds_per_kind: int, workers: int | None = None) -
     else:
         results = [_rows(job) for job in jobs]
     columns = list(zip(*[row for rows in results for row in rows], strict=True))
-    return ToolBank(
+    return SurfaceSamples(
         np.stack(columns[0]),
         np.stack(columns[1]),
         np.stack(columns[2]),
@@ -135,7 +135,7 @@ def tool_bank(held_out: bool, seeds_per_kind: int, workers: int | None = None) -
     )
 
 
-def hand_bank(count: int = 64, seed: int = 0) -> Float32:
+def sample_hands(count: int = 64, seed: int = 0) -> Float32:
     """Surface samples (count, 6144, 3) [m] of the Shadow Hand in its `hand` frame, closed around handles of many
     radii, single fingers astray."""
     rng = np.random.default_rng(seed)
@@ -165,15 +165,15 @@ def hand_bank(count: int = 64, seed: int = 0) -> Float32:
 
 
 def save_hands(path: Path) -> None:
-    """Write `hand_bank()` for machines without the hand's model; float16, about 2 MB."""
+    """Write `sample_hands()` for machines without the hand's model; float16, about 2 MB."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(path, hands=hand_bank().astype(np.float16))
+    np.savez_compressed(path, hands=sample_hands().astype(np.float16))
 
 
 def load_hands(path: Path | None) -> Float32:
     """Hands from `save_hands`'s file, or made here if path is None. Raises AssetError."""
     if path is None:
-        return hand_bank()
+        return sample_hands()
     try:
         with np.load(path) as data:
             return np.asarray(data["hands"], np.float32)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 
-class Draws:
+class TorchRng:
     """A torch generator and the few distributions that the clouds are made of."""
 
     def __init__(self, device: torch.device | str, seed: int) -> None:

@@ -10,9 +10,9 @@ from __future__ import annotations
 from torch import nn
 
 
-def settle_norms(net: nn.Module, settled: bool) -> None:
-    """Layers of batch normalisation take their running statistics, and keep them, where settled, and otherwise their
+def freeze_batchnorm(net: nn.Module, frozen: bool) -> None:
+    """Layers of batch normalisation take their running statistics, and keep them, where frozen, and otherwise their
     batch's. Their weights learn either way."""
     for module in net.modules():
         if isinstance(module, nn.BatchNorm1d):
-            module.train(not settled)
+            module.train(not frozen)

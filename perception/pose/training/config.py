@@ -20,7 +20,8 @@ class TrainConfig(TrainingOptions):
         train_seeds: Tools of each kind to learn from.
         test_seeds: Held-out tools of each kind.
         validation: Held-out clouds.
-        settle: Share of the budget after which batch normalisation keeps its statistics (`settled_norms`; networks
+        freeze_batchnorm: Share of the budget after which batch normalisation keeps its statistics (`freeze_batchnorm`;
+        networks
             without it do not mind).
         rendered_share: Of the clouds, where rendered ones are given.
         init_share: Of the weights that it starts from in those that it ends with, where it starts from some (Wortsman
@@ -40,6 +41,6 @@ class TrainConfig(TrainingOptions):
     train_seeds: int = 480
     test_seeds: int = 30
     validation: int = 4096
-    settle: float = 0.25
+    freeze_batchnorm: float = 0.25
     rendered_share: float = 0.5
     init_share: float = 0.0

@@ -75,8 +75,8 @@ def ambiguity(batch: CloudBatch) -> Tensor:
     """S (B, 3) in {0, 1}: the axes about which this view leaves the pose open."""
     z = batch.R[:, :, 2]
     sine = torch.cross(batch.direction[:, :3], z, dim=-1).norm(dim=-1)
-    told = (batch.tells_spin >= SPIN_PIXELS) | ((batch.direction[:, 3] > 0) & (sine > 0.3))
-    about_z = (batch.category == SCREW) | ((batch.category == HEAD) & ~told)
+    observable = (batch.spin_pixels >= SPIN_PIXELS) | ((batch.direction[:, 3] > 0) & (sine > 0.3))
+    about_z = (batch.category == SCREW) | ((batch.category == HEAD) & ~observable)
     about_x = batch.category == WRENCH
     return torch.stack([about_x, torch.zeros_like(about_x), about_z], -1).float()
 

@@ -1,6 +1,6 @@
 """What a training trains: a network on some clouds, its loss, and the estimator that comes of it.
 
-The trainer knows only `Method`; `Ours` is the project's, `paper.PaperMethod` the paper's own.
+The trainer knows only `TrainingRecipe`; `DefaultRecipe` is the project's, `paper.PaperRecipe` the paper's own.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from toolee_robot.perception.pose.processes.registry import PROCESSES
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.synthetic_clouds.generator import CloudGenerator
 from toolee_robot.perception.pose.synthetic_clouds.rendered import RenderedClouds, RenderedSource
-from toolee_robot.perception.pose.synthetic_clouds.surface_samples import Float32, ToolBank
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import Float32, SurfaceSamples
 from toolee_robot.perception.pose.training import validation
 from toolee_robot.perception.pose.training.losses import augment, pose_loss, without_rest
 from toolee_robot.perception.pose.weights import Calibration
@@ -30,7 +30,7 @@ from toolee_robot.perception.pose.weights import Calibration
 Net = TypeVar("Net", bound=nn.Module)
 
 
-class Method(Protocol, Generic[Net]):
+class TrainingRecipe(Protocol, Generic[Net]):
     """A network with all that is needed to train it, to judge it and to keep it."""
 
     @property
@@ -43,16 +43,16 @@ class Method(Protocol, Generic[Net]):
         """Whether it learns from clouds of whole tools instead of end effectors."""
         ...
 
-    def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
-        """Endless training (or held-out) clouds of a bank."""
+    def clouds(self, samples: SurfaceSamples, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
+        """Endless training (or held-out) clouds of surface samples."""
         ...
 
-    def kept(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
+    def rendered(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
         """Endless draws of clouds of rendered images, of the kind that it learns from."""
         ...
 
-    def network(self, bank: ToolBank) -> Net:
-        """A fresh network; `bank`: the training tools."""
+    def network(self, samples: SurfaceSamples) -> Net:
+        """A fresh network; `samples`: of the training tools."""
         ...
 
     def prepare(self, batch: CloudBatch, generator: torch.Generator) -> CloudBatch:
@@ -67,12 +67,14 @@ class Method(Protocol, Generic[Net]):
         """The trained network at work."""
         ...
 
-    def judged(self, batch: CloudBatch, bank: ToolBank) -> CloudBatch:
+    def with_ee_truth(self, batch: CloudBatch, samples: SurfaceSamples) -> CloudBatch:
         """Held-out clouds with the EE's pose as their truth."""
         ...
 
-    def report(self, net: Net, held_out: CloudBatch, bank: ToolBank, device: str) -> tuple[dict[str, Any], Calibration]:
-        """Metrics on held-out clouds, of a bank's tools, and what is calibrated there."""
+    def report(
+        self, net: Net, held_out: CloudBatch, samples: SurfaceSamples, device: str
+    ) -> tuple[dict[str, Any], Calibration]:
+        """Metrics on held-out clouds, of the sampled tools, and what is calibrated there."""
         ...
 
     def save(self, folder: Path, net: Net, calibration: Calibration, report: dict[str, Any]) -> None:
@@ -85,7 +87,7 @@ class Method(Protocol, Generic[Net]):
 
 
 @dataclass(frozen=True)
-class Ours:
+class DefaultRecipe:
     """`PoseNet`. draws: noise draws a cloud; rest_dropout: how often the rest of the tool is
     withheld, direction_dropout: how often then the direction to it, too (1: never known, neither when it is judged);
     augmentation: random roll and mirror image, each time anew."""
@@ -101,42 +103,42 @@ class Ours:
 
     @property
     def of_tool(self) -> bool:
-        """See `Method`."""
+        """See `TrainingRecipe`."""
         return False
 
-    def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
-        """See `Method`."""
-        return CloudGenerator(bank, hands, device, seed, self.clouds_config)
+    def clouds(self, samples: SurfaceSamples, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
+        """See `TrainingRecipe`."""
+        return CloudGenerator(samples, hands, device, seed, self.clouds_config)
 
-    def kept(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
-        """See `Method`."""
+    def rendered(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
+        """See `TrainingRecipe`."""
         return RenderedSource(clouds, device, seed, self.clouds_config)
 
-    def network(self, bank: ToolBank) -> PoseNet:  # noqa: ARG002 - others need it
-        """See `Method`."""
+    def network(self, samples: SurfaceSamples) -> PoseNet:  # noqa: ARG002 - others need it
+        """See `TrainingRecipe`."""
         return PoseNet(self.config)
 
     def prepare(self, batch: CloudBatch, generator: torch.Generator) -> CloudBatch:
-        """See `Method`."""
+        """See `TrainingRecipe`."""
         batch = without_rest(batch, self.rest_dropout, self.direction_dropout, generator)
         return augment(batch, generator) if self.augmentation else batch
 
     def loss(self, net: nn.Module, batch: CloudBatch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
-        """See `Method`."""
+        """See `TrainingRecipe`."""
         return pose_loss(net, batch, self.draws, generator, PROCESSES[self.config.process])
 
     def estimator(self, net: PoseNet, calibration: Calibration, device: str) -> PoseEstimator:
-        """See `Method`."""
+        """See `TrainingRecipe`."""
         return PoseEstimator(net, calibration, device, self.sampler)
 
-    def judged(self, batch: CloudBatch, bank: ToolBank) -> CloudBatch:  # noqa: ARG002 - others need it
-        """See `Method`."""
+    def with_ee_truth(self, batch: CloudBatch, samples: SurfaceSamples) -> CloudBatch:  # noqa: ARG002 - others need it
+        """See `TrainingRecipe`."""
         if self.rest_dropout == 1:
             batch = validation.without_rest(batch)
         return batch if self.direction_dropout < 1 else validation.without_direction(batch)
 
     def report(
-        self, net: PoseNet, held_out: CloudBatch, bank: ToolBank, device: str
+        self, net: PoseNet, held_out: CloudBatch, samples: SurfaceSamples, device: str
     ) -> tuple[dict[str, Any], Calibration]:
         """Fits the calibration on one half of the tools and reports it on the other."""
         estimator = self.estimator(net, Calibration(), device)
@@ -151,23 +153,25 @@ class Ours:
             f"K{K}_no_rest": validation.metrics(validation.evaluate(estimator, no_rest, K)),
             f"K{K}_no_direction": validation.metrics(validation.evaluate(estimator, none, K)),
         }
-        fit, test = (_half(held_out, bank, result, parity) for parity in (0, 1))
+        fit, test = (_half(held_out, samples, result, parity) for parity in (0, 1))
         calibration = validation.calibrate(fit)
         report["confidence"] = validation.confidence_report(test, calibration)
         report["clouds"] = asdict(self.clouds_config)
         return report, calibration
 
     def save(self, folder: Path, net: PoseNet, calibration: Calibration, report: dict[str, Any]) -> None:
-        """See `Method`."""
+        """See `TrainingRecipe`."""
         weights.save(folder, net, calibration, report, self.name)
 
     def load(self, folder: Path) -> PoseNet:
-        """See `Method`."""
+        """See `TrainingRecipe`."""
         return weights.load(folder, self.name)[0]
 
 
-def _half(batch: CloudBatch, bank: ToolBank, evaluated: validation.Evaluated, parity: int) -> validation.Evaluated:
+def _half(
+    batch: CloudBatch, samples: SurfaceSamples, evaluated: validation.Evaluated, parity: int
+) -> validation.Evaluated:
     """The clouds of every second tool; not of every second EE, which would part a hammer's claw from its head."""
-    chosen = np.flatnonzero(bank.tools[evaluated.item] % 2 == parity)
+    chosen = np.flatnonzero(samples.tools[evaluated.item] % 2 == parity)
     index = torch.as_tensor(chosen, device=batch.points.device)
     return validation.Evaluated(batch.select(index), [evaluated.results[i] for i in chosen])

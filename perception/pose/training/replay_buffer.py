@@ -9,7 +9,7 @@ import torch
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch
 
 
-class Reservoir:
+class ReplayBuffer:
     """A ring of clouds on the device: new ones replace the oldest, batches are drawn at random."""
 
     def __init__(self, first: CloudBatch, capacity: int) -> None:

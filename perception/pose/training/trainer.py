@@ -18,20 +18,25 @@ from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch
 from toolee_robot.perception.pose.synthetic_clouds.rendered import RenderedClouds
 from toolee_robot.perception.pose.synthetic_clouds.source import CloudSource, Mixture
-from toolee_robot.perception.pose.synthetic_clouds.surface_samples import Float32, ToolBank, load_hands, tool_bank
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import (
+    Float32,
+    SurfaceSamples,
+    load_hands,
+    sample_tools,
+)
 from toolee_robot.perception.pose.training import validation
-from toolee_robot.perception.pose.training.batchnorm import settle_norms
+from toolee_robot.perception.pose.training.batchnorm import freeze_batchnorm
 from toolee_robot.perception.pose.training.config import TrainConfig
-from toolee_robot.perception.pose.training.recipe import Method, Net, Ours
-from toolee_robot.perception.pose.training.replay_buffer import Reservoir
+from toolee_robot.perception.pose.training.recipe import DefaultRecipe, Net, TrainingRecipe
+from toolee_robot.perception.pose.training.replay_buffer import ReplayBuffer
 from toolee_robot.perception.pose.weights import Calibration
-from toolee_robot.perception.training.distributed import Ranks, ranks
+from toolee_robot.perception.training.distributed import Distributed, init_distributed
 from toolee_robot.perception.training.image_training import TrainingRun
 
 
 class Trainer(TrainingRun, Generic[Net]):
-    """One network, one budget; one device or, as one of several `Ranks`, several. `run` may be called again in a new
-    process: it resumes."""
+    """One network, one budget; one device or, as one of several processes (`Distributed`), several. `run` may be called
+    again in a new process: it resumes."""
 
     log_seconds = 15.0
     averages_buffers = False
@@ -40,27 +45,27 @@ class Trainer(TrainingRun, Generic[Net]):
         self,
         out: Path,
         config: TrainConfig,
-        banks: tuple[ToolBank, ToolBank],
+        samples: tuple[SurfaceSamples, SurfaceSamples],
         hands: Float32,
-        method: Method[Net],
-        place: Ranks,
+        recipe: TrainingRecipe[Net],
+        distributed: Distributed,
         rendered: RenderedClouds | None = None,
     ) -> None:
         """banks: training and held-out tools. rendered: clouds to mix in. The first rank validates, logs and writes."""
         torch.manual_seed(config.seed)
-        self.config, self.method, self.name = config, method, method.name
-        self.net = method.network(banks[0]).to(place.device)
-        super().__init__(config, out, place, self.net, self.net)
+        self.config, self.recipe, self.name = config, recipe, recipe.name
+        self.net = recipe.network(samples[0]).to(distributed.device)
+        super().__init__(config, out, distributed, self.net, self.net)
         self._init: dict[str, Tensor] = {}
-        self._generator: CloudSource = method.clouds(banks[0], hands, place.device, self._seed(1))
+        self._generator: CloudSource = recipe.clouds(samples[0], hands, distributed.device, self._seed(1))
         self._rendered = 0 if rendered is None else len(rendered)
         if rendered is not None:
-            kept = method.kept(rendered, place.device, self._seed(3))
+            kept = recipe.rendered(rendered, distributed.device, self._seed(3))
             self._generator = Mixture(self._generator, kept, config.rendered_share)
-        self._test_bank = banks[1]
-        self._clouds_held_out = method.clouds(banks[1], hands, place.device, 10_000 + config.seed)
+        self._test_samples = samples[1]
+        self._clouds_held_out = recipe.clouds(samples[1], hands, distributed.device, 10_000 + config.seed)
         self._held_out: CloudBatch | None = None
-        self._g = torch.Generator(place.device).manual_seed(self._seed(2))
+        self._g = torch.Generator(distributed.device).manual_seed(self._seed(2))
 
     def run(self) -> dict[str, Any]:
         """Train until the time is used up, then validate, calibrate and write the weights. Returns the report (of ranks
@@ -70,7 +75,7 @@ class Trainer(TrainingRun, Generic[Net]):
 
     def make_optimizer(self) -> torch.optim.Optimizer:
         """AdamW, all parameters alike."""
-        c, fused = self.config, self.ranks.device.type == "cuda"
+        c, fused = self.config, self.distributed.device.type == "cuda"
         parameters = self.net.parameters()
         return torch.optim.AdamW(parameters, c.lr, weight_decay=c.weight_decay, betas=(0.9, 0.99), fused=fused)
 
@@ -81,10 +86,10 @@ class Trainer(TrainingRun, Generic[Net]):
     def prepare(self) -> nn.Module:
         """The first clouds."""
         c = self.config
-        network = self._compiled() if c.compile and self.ranks.device.type == "cuda" else self.net
-        self._reservoir = Reservoir(self._generator.collect(max(c.first_fill, c.batch), c.chunk), c.capacity)
+        network = self._compiled() if c.compile and self.distributed.device.type == "cuda" else self.net
+        self._reservoir = ReplayBuffer(self._generator.collect(max(c.first_fill, c.batch), c.chunk), c.capacity)
         self._first_clouds, self._first_step = self._reservoir.made, self.step
-        self._held_out = self.judged() if self.ranks.first else None
+        self._held_out = self.judged() if self.distributed.first else None
         return network
 
     def losses(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
@@ -93,9 +98,9 @@ class Trainer(TrainingRun, Generic[Net]):
         shown = (self.step - self._first_step) * c.batch
         while self._reservoir.made - self._first_clouds < shown / c.reuse:
             self._reservoir.add(self._generator.generate(c.chunk))
-        settle_norms(self.net, self.progress >= c.settle)
-        batch = self.method.prepare(self._reservoir.draw(c.batch, self._g), self._g)
-        loss, parts = self.method.loss(self.module, batch, self._g)
+        freeze_batchnorm(self.net, self.progress >= c.freeze_batchnorm)
+        batch = self.recipe.prepare(self._reservoir.draw(c.batch, self._g), self._g)
+        loss, parts = self.recipe.loss(self.module, batch, self._g)
         return {"loss": loss}, parts
 
     def grow(self) -> dict[str, float]:
@@ -109,7 +114,7 @@ class Trainer(TrainingRun, Generic[Net]):
 
     def start_from(self, weights: Path) -> None:
         """Begin with the network in `weights` instead of a random one. Raises AssetError where it does not fit."""
-        state = self.method.load(weights).state_dict()
+        state = self.recipe.load(weights).state_dict()
         try:
             self.net.load_state_dict(state)
         except RuntimeError as error:
@@ -121,7 +126,7 @@ class Trainer(TrainingRun, Generic[Net]):
     def calibrate(self) -> dict[str, Any]:
         """Validate and calibrate the weights that lie in `out`, on any machine: what a training that ran out of time
         left undone. Returns the report."""
-        self._take_average(self.method.load(self.out).state_dict())
+        self._take_average(self.recipe.load(self.out).state_dict())
         self._init = {}  # these are in the weights already
         described = json.loads((self.out / f"{self.name}.json").read_text())["report"]
         self.step, self.elapsed = int(described["steps"]), 60.0 * float(described["minutes"])
@@ -129,16 +134,18 @@ class Trainer(TrainingRun, Generic[Net]):
 
     def finish(self, held_out: CloudBatch, trained: dict[str, Any] | None = None) -> dict[str, Any]:
         """Validate and calibrate on held-out tools, and save. trained: the training's own configuration, if another."""
-        report, calibration = self.method.report(self.export(), held_out, self._test_bank, str(self.ranks.device))
+        report, calibration = self.recipe.report(
+            self.export(), held_out, self._test_samples, str(self.distributed.device)
+        )
         self.record({"event": "finished", **{k: v for k, v in report.items() if k != "clouds"}})
         report |= self._described(calibrated=True) | ({"train": trained} if trained else {})
-        self.method.save(self.out, self.export(), calibration, report)
+        self.recipe.save(self.out, self.export(), calibration, report)
         return report
 
     def judged(self) -> CloudBatch:
         """The next held-out clouds."""
         clouds = self._clouds_held_out.collect(self.config.validation, self.config.chunk)
-        return self.method.judged(clouds, self._test_bank)
+        return self.recipe.with_ee_truth(clouds, self._test_samples)
 
     def export(self) -> Net:
         """The averaged network, with its share of the weights it started from, as it will be loaded: rounded to half
@@ -153,10 +160,10 @@ class Trainer(TrainingRun, Generic[Net]):
 
     def write(self) -> None:
         """The weights, not calibrated yet; validated while there is more to train."""
-        self.method.save(self.out, self.export(), Calibration(), self._described(calibrated=False))
+        self.recipe.save(self.out, self.export(), Calibration(), self._described(calibrated=False))
         if self._held_out is not None and self.progress < 1:
-            few = self._held_out.select(torch.arange(min(512, len(self._held_out)), device=self.ranks.device))
-            estimator = self.method.estimator(self.export(), Calibration(), str(self.ranks.device))
+            few = self._held_out.select(torch.arange(min(512, len(self._held_out)), device=self.distributed.device))
+            estimator = self.recipe.estimator(self.export(), Calibration(), str(self.distributed.device))
             self.record({"event": "validation", **validation.metrics(validation.evaluate(estimator, few, 20))})
 
     def _described(self, calibrated: bool) -> dict[str, Any]:
@@ -166,16 +173,16 @@ class Trainer(TrainingRun, Generic[Net]):
         return {"calibrated": calibrated, "steps": self.step, "minutes": minutes, "train": train}
 
     def _take_average(self, state: dict[str, Tensor]) -> None:
-        self.average = {name: value.to(self.ranks.device, copy=True) for name, value in state.items()}
+        self.average = {name: value.to(self.distributed.device, copy=True) for name, value in state.items()}
 
     def _compiled(self) -> nn.Module:
         """The network compiled, or as it is where the compiler does not work."""
         compiled: nn.Module = torch.compile(self.net)  # type: ignore[assignment]
         batch = self._generator.collect(self.config.batch, self.config.chunk)
         try:
-            for settled in (True, False):  # each is compiled for itself
-                settle_norms(self.net, settled)
-                self.method.loss(compiled, batch, self._g)[0].backward()  # type: ignore[no-untyped-call]
+            for frozen in (True, False):  # each is compiled for itself
+                freeze_batchnorm(self.net, frozen)
+                self.recipe.loss(compiled, batch, self._g)[0].backward()  # type: ignore[no-untyped-call]
         except Exception as error:  # noqa: BLE001 - the compiler's errors have no common root; eager always works
             self.record({"event": "not compiled", "error": f"{type(error).__name__}: {error}"[:300]})
             torch._dynamo.reset()
@@ -185,13 +192,13 @@ class Trainer(TrainingRun, Generic[Net]):
 
     def _seed(self, which: int) -> int:
         """Every rank has clouds, and so on, of its own; after a resumption, new ones."""
-        return self.config.seed + which + 1_000_003 * self.ranks.rank + self.step
+        return self.config.seed + which + 1_000_003 * self.distributed.rank + self.step
 
 
 def train(
     out: Path,
     config: TrainConfig,
-    method: Method[Any] | None = None,
+    recipe: TrainingRecipe[Any] | None = None,
     hands_file: Path | None = None,
     calibrate_only: bool = False,
     init: Path | None = None,
@@ -199,23 +206,24 @@ def train(
 ) -> dict[str, Any]:
     """Surface samples, training, validation, weights in `out`. Raises AssetError, UserError, TooleeError.
 
-    method: `Ours` if None. calibrate_only: no training, but validation and calibration of the weights that are there.
-    init: folder of weights to start from, of the same architecture; their process may be another. rendered: files of
-    `RenderedClouds` to mix in.
-    """
-    method = method or Ours()
+    method: `DefaultRecipe` if None. calibrate_only: no training, but validation and calibration of the weights that are
+    there. init: folder of weights to start from, of the same architecture; their process may be another. rendered:
+    files of `RenderedClouds` to mix in."""
+    recipe = recipe or DefaultRecipe()
     if config.init_share and init is None and not calibrate_only:
         raise UserError("init_share: say whose share that is, with --init FOLDER")
     kept = None
     if rendered:
         kept = RenderedClouds.cat([RenderedClouds.load(path) for path in rendered])
-        kept.check_kind(method.of_tool)  # before the work
+        kept.check_kind(recipe.of_tool)  # before the work
     begun = time.monotonic()
-    banks = tool_bank(False, config.train_seeds), tool_bank(True, config.test_seeds)
+    samples = sample_tools(False, config.train_seeds), sample_tools(True, config.test_seeds)
     hands = load_hands(hands_file)
-    print(f"{[len(b.category) for b in banks]} EEs and {len(hands)} hands sampled in {time.monotonic() - begun:.0f} s")
-    with ranks(config.device) as place:
-        trainer = Trainer(out, config, banks, hands, method, place, kept)
+    print(
+        f"{[len(b.category) for b in samples]} EEs and {len(hands)} hands sampled in {time.monotonic() - begun:.0f} s"
+    )
+    with init_distributed(config.device) as distributed:
+        trainer = Trainer(out, config, samples, hands, recipe, distributed, kept)
         if init is not None:
             trainer.start_from(init)
         return trainer.calibrate() if calibrate_only else trainer.run()

@@ -7,6 +7,6 @@ each cloud's own (theirs is shared by the whole batch), and a metric never asks 
 """
 
 from toolee_robot.perception.research.tooleenet.estimator import COLUMNS, Column, PaperEstimator, column_of
-from toolee_robot.perception.research.tooleenet.recipe import PaperMethod
+from toolee_robot.perception.research.tooleenet.recipe import PaperRecipe
 
-__all__ = ["COLUMNS", "Column", "PaperEstimator", "PaperMethod", "column_of"]
+__all__ = ["COLUMNS", "Column", "PaperEstimator", "PaperRecipe", "column_of"]

@@ -71,7 +71,7 @@ class PaperEstimator(CloudEstimator):
     """Holds the network on one device. It has no confidence: every pose is usable."""
 
     points, ordered, candidates = POINTS, ORDERED, 20
-    guesses = False
+    uses_completed = False
 
     def __init__(self, net: PaperNet, column: Column, device: str = "cpu", sampler: Sampler | None = None) -> None:
         """sampler: the paper's RK45 if None."""

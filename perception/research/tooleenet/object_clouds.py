@@ -13,7 +13,7 @@ from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, Clou
 from toolee_robot.perception.pose.synthetic_clouds.cuts import Border, Cut
 from toolee_robot.perception.pose.synthetic_clouds.generator import WHOLE_TOOL, CloudGenerator, Target
 from toolee_robot.perception.pose.synthetic_clouds.scene import Placement, rigid_inverse
-from toolee_robot.perception.pose.synthetic_clouds.surface_samples import Float32, ToolBank
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import Float32, SurfaceSamples
 from toolee_robot.perception.research.tooleenet.estimator import OBJECT_RADIUS
 from toolee_robot.perception.research.tooleenet.pooling import mean_pose
 from toolee_robot.types import Category
@@ -29,19 +29,19 @@ class ObjectCloudGenerator(CloudGenerator):
     reach = WHOLE_TOOL
 
     def __init__(
-        self, bank: ToolBank, hands: Float32, device: torch.device | str, seed: int, config: CloudConfig
+        self, samples: SurfaceSamples, hands: Float32, device: torch.device | str, seed: int, config: CloudConfig
     ) -> None:
-        super().__init__(bank, hands, device, seed, config)
-        self._weights = self._weights * first_ends(bank)
+        super().__init__(samples, hands, device, seed, config)
+        self._weights = self._weights * first_ends(samples)
         self._weights /= self._weights.sum()
-        surface = np.concatenate([bank.ee_points, bank.rest], axis=1)
+        surface = np.concatenate([samples.ee_points, samples.rest], axis=1)
         self._middle = torch.as_tensor((surface.min(1) + surface.max(1)) / 2, device=self._device)
 
     def _target(self, placed: Placement) -> Target:
         no = torch.zeros_like(placed.has_hand)
         focus = torch.einsum("bij,bj->bi", placed.R, self._middle[placed.item]) + placed.p
         radius = torch.full_like(placed.distance, OBJECT_RADIUS)
-        border = Border.drawn(focus, radius, self.config.border_share, self._draws)
+        border = Border.drawn(focus, radius, self.config.border_share, self._torch_rng)
         return Target(focus, radius, Cut.sphere(focus, radius), border, self._category[placed.item], ~no, no, no)
 
     def _truth(self, placed: Placement) -> tuple[Tensor, Tensor]:
@@ -50,26 +50,26 @@ class ObjectCloudGenerator(CloudGenerator):
         return placed.R @ placed.X_ee_tool[:, :3, :3], p
 
 
-def first_ends(bank: ToolBank) -> Array:
+def first_ends(samples: SurfaceSamples) -> Array:
     """(I,) 1 for the first EE of its category on its tool, else 0."""
     seen: set[str] = set()
-    return np.array([float(name not in seen and not seen.add(name)) for name in bank.names])  # type: ignore[func-returns-value]
+    return np.array([float(name not in seen and not seen.add(name)) for name in samples.names])  # type: ignore[func-returns-value]
 
 
-def category_priors(bank: ToolBank) -> Array:
-    """X_tool_ee (4, 4, 4): the mean over a bank's tools of each category, modulo its symmetry group; the identity where
-    the bank has none."""
+def category_priors(samples: SurfaceSamples) -> Array:
+    """X_tool_ee (4, 4, 4): the mean over the sampled tools of each category, modulo its symmetry group; the identity
+    where there are none."""
     priors = np.tile(np.eye(4), (len(Category), 1, 1))
-    first = first_ends(bank) > 0
+    first = first_ends(samples) > 0
     for i, category in enumerate(Category):
-        rows = first & (bank.category == i)
+        rows = first & (samples.category == i)
         if rows.any():
-            priors[i] = mean_pose(inverse(bank.X_ee_tool[rows].astype(np.float64)), category.symmetry)
+            priors[i] = mean_pose(inverse(samples.X_ee_tool[rows].astype(np.float64)), category.symmetry)
     return priors
 
 
-def with_ee_truth(batch: CloudBatch, bank: ToolBank) -> CloudBatch:
+def with_ee_truth(batch: CloudBatch, samples: SurfaceSamples) -> CloudBatch:
     """Whole-tool clouds with the EE's pose in place of the tool's."""
-    X = rigid_inverse(torch.as_tensor(bank.X_ee_tool, device=batch.R.device)[batch.item])
+    X = rigid_inverse(torch.as_tensor(samples.X_ee_tool, device=batch.R.device)[batch.item])
     p = batch.p + torch.einsum("bij,bj->bi", batch.R, X[:, :3, 3])
     return replace(batch, R=batch.R @ X[:, :3, :3], p=p)

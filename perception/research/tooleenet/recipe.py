@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.synthetic_clouds.generator import CloudGenerator
 from toolee_robot.perception.pose.synthetic_clouds.rendered import RenderedClouds, RenderedSource
-from toolee_robot.perception.pose.synthetic_clouds.surface_samples import Float32, ToolBank
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import Float32, SurfaceSamples
 from toolee_robot.perception.pose.training import validation
 from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.perception.research.tooleenet import object_clouds
@@ -34,8 +34,8 @@ from toolee_robot.perception.research.tooleenet.representation import class_ambi
 
 
 @dataclass(frozen=True)
-class PaperMethod:
-    """A `Method`. draws: noise draws an encoded cloud, 20 in the published code."""
+class PaperRecipe:
+    """A `TrainingRecipe`. draws: noise draws an encoded cloud, 20 in the published code."""
 
     column: Column = COLUMNS["symmetry-aware"]
     clouds_config: CloudConfig = field(default_factory=CloudConfig)
@@ -44,16 +44,16 @@ class PaperMethod:
 
     @property
     def of_tool(self) -> bool:
-        """See `Method`."""
+        """See `TrainingRecipe`."""
         return self.column.of_tool
 
-    def clouds(self, bank: ToolBank, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
+    def clouds(self, samples: SurfaceSamples, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
         """Clouds of the EE, or of the whole tool, as large as the paper's."""
         make = object_clouds.ObjectCloudGenerator if self.of_tool else CloudGenerator
-        return make(bank, hands, device, seed, self._seen)
+        return make(samples, hands, device, seed, self._seen)
 
-    def kept(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
-        """See `Method`: no negatives."""
+    def rendered(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
+        """See `TrainingRecipe`: no negatives."""
         config = replace(self._seen, negative_share=0.0, radius=OBJECT_RADIUS if self.of_tool else None)
         return RenderedSource(clouds, device, seed, config)
 
@@ -61,10 +61,10 @@ class PaperMethod:
     def _seen(self) -> CloudConfig:
         return replace(self.clouds_config, points=POINTS, ordered=ORDERED, rest=False, guessed=False)
 
-    def network(self, bank: ToolBank) -> PaperNet:
+    def network(self, samples: SurfaceSamples) -> PaperNet:
         """A fresh network with the priors of the training tools."""
         net = PaperNet(self.column.dim)
-        net.X_tool_ee.copy_(torch.as_tensor(object_clouds.category_priors(bank)).half())
+        net.X_tool_ee.copy_(torch.as_tensor(object_clouds.category_priors(samples)).half())
         return net
 
     def prepare(self, batch: CloudBatch, generator: torch.Generator) -> CloudBatch:  # noqa: ARG002 - as the protocol
@@ -88,29 +88,29 @@ class PaperMethod:
         return loss, {"loss": loss.detach()}
 
     def estimator(self, net: PaperNet, calibration: Calibration, device: str) -> PaperEstimator:  # noqa: ARG002
-        """See `Method`; there is no calibration."""
+        """See `TrainingRecipe`; there is no calibration."""
         return PaperEstimator(net, self.column, device)
 
-    def judged(self, batch: CloudBatch, bank: ToolBank) -> CloudBatch:
-        """See `Method`."""
-        return object_clouds.with_ee_truth(batch, bank) if self.of_tool else batch
+    def with_ee_truth(self, batch: CloudBatch, samples: SurfaceSamples) -> CloudBatch:
+        """See `TrainingRecipe`."""
+        return object_clouds.with_ee_truth(batch, samples) if self.of_tool else batch
 
     def report(
         self,
         net: PaperNet,
         held_out: CloudBatch,
-        bank: ToolBank,  # noqa: ARG002 - others need it
+        samples: SurfaceSamples,  # noqa: ARG002 - others need it
         device: str,
     ) -> tuple[dict[str, Any], Calibration]:
-        """See `Method`."""
+        """See `TrainingRecipe`."""
         result = validation.evaluate(self.estimator(net, Calibration(), device), held_out, PaperEstimator.candidates)
         report = {"K20": validation.metrics(result), "column": self.column.name, "clouds": asdict(self.clouds_config)}
         return report, Calibration()
 
     def save(self, folder: Path, net: PaperNet, calibration: Calibration, report: dict[str, Any]) -> None:  # noqa: ARG002
-        """See `Method`."""
+        """See `TrainingRecipe`."""
         save(folder, net, self.column, report)
 
     def load(self, folder: Path) -> PaperNet:
-        """See `Method`."""
+        """See `TrainingRecipe`."""
         return load(folder)[0]

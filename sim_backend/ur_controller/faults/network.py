@@ -75,7 +75,7 @@ class NetworkFaults(HookGroup):
     def stall(self, seconds: Seconds, port: str = "all") -> None:
         """The network is stuck: nothing goes in or out; afterwards everything arrives in one burst."""
         for found in self._ports(port):
-            found.faults.stalled_until = time.monotonic() + self._clock.wall(seconds)
+            found.faults.stalled_until = time.monotonic() + self._clock.to_wall_time(seconds)
 
     @hook
     def freeze(self, seconds: Seconds) -> None:
@@ -86,7 +86,7 @@ class NetworkFaults(HookGroup):
     def delay(self, seconds: Seconds, port: str = "all") -> None:
         """Everything sent arrives so much later; 0 ends it."""
         for found in self._ports(port):
-            found.faults.delay = self._clock.wall(seconds)
+            found.faults.delay = self._clock.to_wall_time(seconds)
 
     @hook
     def half_open(self, port: str = "all") -> None:

@@ -72,10 +72,10 @@ class ServoJ(Motion):
     dt^2 / 8); an arm that is already too fast for that passes it and comes back. A goal that stands still for a tick
     in a stream, because a packet was late, costs a tick or two until the stream is followed again.
 
-    The joints share what they are short of: the speed of all of them changes along one line, at the pace of the joint
-    that has most to change. One gain and one lookahead for all joints, which is all that a real servoj has, make its
-    error shrink along one line, too; the Script Manual has stopj, in the same words, "linear in joint space".
-    """
+    The joints share what they are short of: the speed of all of them changes along one line, at the real-time factor of
+    the joint that has most to change. One gain and one lookahead for all joints, which is all that a real servoj has,
+    make its error shrink along one line, too; the Script Manual has stopj, in the same words, "linear in joint
+    space"."""
 
     stays = True
 

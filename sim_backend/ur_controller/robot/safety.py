@@ -54,7 +54,7 @@ class SafetyLimits:
     """What stops the arm protectively.
 
     force [N]: of what the environment puts on the flange, smoothed over force_time [s] (the controller estimates it
-    from joint currents: it does not see a blow of a few milliseconds at full height). following_error [rad]: of a
+    from joint currents: it does not see a strike of a few milliseconds at full height). following_error [rad]: of a
     joint from its set-point. joint_speed: fraction of the model's limit. tcp_speed [m/s].
     """
 

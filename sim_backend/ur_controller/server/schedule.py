@@ -12,7 +12,7 @@ CATCH_UP = 0.05  # [s] of being late that is caught up by ticks back to back; be
 @dataclass
 class TickStatistics:
     """ticks: done. late: begun later than half a period after their time. slipped: periods by which the schedule had
-    to be moved, because the machine or the physics was too slow for the pace. worst_late [s]. busy [s]: of
+    to be moved, because the machine or the physics was too slow for the real-time factor. worst_late [s]. busy [s]: of
     the processor, spent on all ticks."""
 
     ticks: int = 0

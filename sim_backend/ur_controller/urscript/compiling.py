@@ -21,7 +21,7 @@ SHORT = 512
 """[characters] What is no longer compiles in the time that it takes to start a child."""
 KEPT = 16
 """Compiled programs that are kept: a client uploads the same one again and again."""
-_MOST_FILES = 1 << 16
+_MAX_FILES = 1 << 16
 
 _kept: dict[tuple[str, bool], Compiled] = {}
 
@@ -94,7 +94,7 @@ def _compile_into(file: int, source: str, e_series: bool) -> None:
     """The child: what it inherits of the controller's connections would keep them open. Does not return."""
     try:
         os.closerange(3, file)
-        os.closerange(file + 1, _MOST_FILES)
+        os.closerange(file + 1, _MAX_FILES)
         try:
             found = compile_script(source, _builtins(e_series))
             os.write(file, marshal.dumps((True, found.code, found.name, found.secondary)))

@@ -45,7 +45,7 @@ class Rule:
     to_robot: bool = False
 
 
-class EvilProxy:
+class CorruptingProxy:
     """The test's side. host: where clients connect; upstream: the controller's."""
 
     def __init__(self, host: str, upstream: str) -> None:

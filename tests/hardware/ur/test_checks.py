@@ -83,7 +83,7 @@ def test_any_report_is_answered_in_findings(
         findings = check(report, UrExpected(model, payload=payload, tcp=np.zeros(6), serial=serial))
     assert findings
     assert len({f.name for f in findings}) == len(findings)
-    assert all(f.says and bool(f.do) == (f.level is not Level.OK) for f in findings)
+    assert all(f.message and bool(f.remedy) == (f.level is not Level.OK) for f in findings)
     state = report.state
     nonsense = state is None or not all(np.all(np.isfinite(v)) for v in (state.q, state.qd, state.tcp_pose))
     if nonsense or not report.reachable:

@@ -46,7 +46,7 @@ def test_a_robot_that_is_silent_ends_the_servo_process_in_time() -> None:
             server.bind((SILENT, port))
             server.listen()
         began = time.monotonic()
-        # The wheel's constructor waits for an answer, holds the interpreter's lock, and cannot be told to stop.
+        # ur_rtde's constructor waits for an answer, holds the interpreter's lock, and cannot be told to stop.
         with pytest.raises(ServoCrashError, match="in time"):
             ServoClient(UrArmConfig(SILENT, connect_timeout=1.0), 125.0)
         assert time.monotonic() - began < 1.0 + 8.0  # starting a process on a busy machine

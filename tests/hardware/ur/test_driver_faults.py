@@ -135,7 +135,7 @@ def test_safeguard_stop(arm: UrArm, controller: ControllerProcess) -> None:
 @pytest.mark.parametrize("reset", [False, True], ids=["FIN", "RST"])
 def test_dropped_link(arm: UrArm, controller: ControllerProcess, reset: bool) -> None:
     """The robot's program goes on and holds the arm where it was sent last, until the robot's watchdog ends it: the
-    wheel, which would end it at once and start another, does not get through."""
+    ur_rtde, which would end it at once and start another, does not get through."""
     uploads = controller.state()["uploads"]
     stop, error = happens(arm, controller, lambda: controller.fault("drop", port="rtde", reset=reset))
     assert isinstance(error, LinkLostError | ServoCrashError)

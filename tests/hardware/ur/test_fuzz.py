@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.examples import examples, is_nightly
-from tests.hardware.ur.corrupting_proxy import EvilProxy, Rule
+from tests.hardware.ur.corrupting_proxy import CorruptingProxy, Rule
 from tests.hardware.ur.swings import MOVING, swing, wait_for_mid_swing
 from tests.hardware.ur.wire import packet
 from tests.stand_in import HOME, held, stand_in
@@ -65,13 +65,13 @@ def controller(model: ArmModel) -> Iterator[ControllerProcess]:
 
 
 @pytest.fixture(scope="module")
-def proxy(controller: ControllerProcess) -> Iterator[EvilProxy]:
-    with EvilProxy(HOST, controller.host) as evil:
+def proxy(controller: ControllerProcess) -> Iterator[CorruptingProxy]:
+    with CorruptingProxy(HOST, controller.host) as evil:
         yield evil
 
 
 @pytest.fixture(scope="module")
-def arm(model: ArmModel, proxy: EvilProxy) -> Iterator[UrArm]:  # noqa: ARG001  (it is on the way)
+def arm(model: ArmModel, proxy: CorruptingProxy) -> Iterator[UrArm]:  # noqa: ARG001  (it is on the way)
     with UrArm(replace(CONFIG, connect_timeout=15.0, handshake_timeout=5.0), ArmLimits(model=model)) as connected:
         yield connected
 
@@ -104,7 +104,7 @@ OTHERS = [
     scope="module",
 )
 def test_what_is_no_measurement_is_a_fault(
-    arm: UrArm, proxy: EvilProxy, controller: ControllerProcess, rule: Rule
+    arm: UrArm, proxy: CorruptingProxy, controller: ControllerProcess, rule: Rule
 ) -> None:
     error = _swing_while_struck(arm, proxy, controller, rule)
     assert isinstance(error, LinkLostError), f"the motion went on, or ended otherwise: {error!r}"
@@ -115,15 +115,15 @@ def test_what_is_no_measurement_is_a_fault(
 
 @pytest.mark.parametrize("variable", ["safety_status_bits", "runtime_state"])
 def test_modes_that_do_not_exist_are_a_fault(
-    arm: UrArm, proxy: EvilProxy, controller: ControllerProcess, variable: str
+    arm: UrArm, proxy: CorruptingProxy, controller: ControllerProcess, variable: str
 ) -> None:
     error = _swing_while_struck(arm, proxy, controller, poison(variable, 0xFFFFFF))
     assert isinstance(error, MotionFaultError)
 
 
 @both
-def test_the_wheel_does_not_connect_again_behind_our_back(
-    arm: UrArm, proxy: EvilProxy, controller: ControllerProcess
+def test_ur_rtde_does_not_connect_again_behind_our_back(
+    arm: UrArm, proxy: CorruptingProxy, controller: ControllerProcess
 ) -> None:
     """Its control interface does, within milliseconds, and the commands between are lost."""
     for skip in (0, 1, 2):  # one connection or another
@@ -131,8 +131,8 @@ def test_the_wheel_does_not_connect_again_behind_our_back(
         assert isinstance(error, MotionFaultError)
 
 
-def test_positions_that_the_wheel_does_not_send_are_a_fault(
-    arm: UrArm, proxy: EvilProxy, controller: ControllerProcess
+def test_positions_that_ur_rtde_does_not_send_are_a_fault(
+    arm: UrArm, proxy: CorruptingProxy, controller: ControllerProcess
 ) -> None:
     """Its control interface takes nonsense for the end of the program: it sends nothing more, and only says so."""
     for skip in (0, 1, 2):
@@ -212,18 +212,18 @@ def _few(count: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
 @_few(4)
 @given(rule=st.one_of(_streams, _orders), skip=st.integers(0, 3), moment=st.floats(0.0, 0.3))
 def test_any_corruption_in_mid_motion(
-    arm: UrArm, proxy: EvilProxy, controller: ControllerProcess, rule: Rule, skip: int, moment: float
+    arm: UrArm, proxy: CorruptingProxy, controller: ControllerProcess, rule: Rule, skip: int, moment: float
 ) -> None:
-    """Some do no harm: the motion is then done as ordered, or the fault shows at rest."""
+    """Some do no harm: the motion is then done as requested, or the fault shows at rest."""
     _swing_while_struck(arm, proxy, controller, replace(rule, skip=skip), moment)
 
 
 @_few(3)
 @given(rule=st.one_of(_handshakes, _dashboard), skip=st.integers(0, 40))
 def test_any_corruption_while_connecting(
-    arm: UrArm, proxy: EvilProxy, controller: ControllerProcess, rule: Rule, skip: int
+    arm: UrArm, proxy: CorruptingProxy, controller: ControllerProcess, rule: Rule, skip: int
 ) -> None:
-    """Of the wheel's own connections, which a reset makes anew."""
+    """Of ur_rtde's own connections, which a reset makes anew."""
     os.kill(arm.servo_pid, 9)
     _expect_latch(arm, HOME)
     with suppress(DeviceError):  # what little harm it does
@@ -239,13 +239,13 @@ def test_any_corruption_while_connecting(
     rule=st.one_of(_handshakes, _dashboard, st.sampled_from([*NO_MEASUREMENT.values(), *OTHERS])),
     skip=st.integers(0, 12),
 )
-def test_any_corruption_of_the_questions_before(proxy: EvilProxy, arm: UrArm, rule: Rule, skip: int) -> None:  # noqa: ARG001
+def test_any_corruption_of_the_questions_before(proxy: CorruptingProxy, arm: UrArm, rule: Rule, skip: int) -> None:  # noqa: ARG001
     """`probe` never raises, and is done in time; nor is an arm entered by it that does not say what a robot says."""
     _within(lambda: probe(HOST, timeout=IN_TIME), proxy, replace(rule, skip=skip))
     proxy.heal()
 
 
-def _within(act: Callable[[], object], proxy: EvilProxy, rule: Rule) -> None:
+def _within(act: Callable[[], object], proxy: CorruptingProxy, rule: Rule) -> None:
     proxy.arm(rule)
     try:
         act()
@@ -271,7 +271,7 @@ def _expect_latch(arm: UrArm, q: np.ndarray) -> None:
 
 
 def _swing_while_struck(
-    arm: UrArm, proxy: EvilProxy, controller: ControllerProcess, rule: Rule, moment: float = 0.0
+    arm: UrArm, proxy: CorruptingProxy, controller: ControllerProcess, rule: Rule, moment: float = 0.0
 ) -> Exception | None:
     """The error, or None when the motion was completed; the arm is ready again."""
     cycles = PATIENCE * arm.rate

@@ -19,7 +19,7 @@ from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
 
 pytestmark = pytest.mark.realtime
 
-HOST, PACE = "127.0.0.29", 0.5
+HOST, REAL_TIME_FACTOR = "127.0.0.29", 0.5
 FREQUENCY, DAMPING = 2.0 * np.pi * 4.0, 0.15  # [rad/s], of critical
 
 
@@ -49,12 +49,14 @@ class Elastic(JointPlant):
 
 def test_an_arm_that_swings_is_not_taken_for_one_that_stands() -> None:
     with (
-        ControllerProcess(model="UR10", host=HOST, plant=Elastic, realtime=True, pace=PACE) as controller,
-        UrArm(UrArmConfig(HOST, pace=PACE), ArmLimits()) as arm,
+        ControllerProcess(
+            model="UR10", host=HOST, plant=Elastic, realtime=True, real_time_factor=REAL_TIME_FACTOR
+        ) as controller,
+        UrArm(UrArmConfig(HOST, real_time_factor=REAL_TIME_FACTOR), ArmLimits()) as arm,
     ):
         way = np.array([0.15, 0.0, 0.0, 0.0, 0.0, 0.0])
         for target in (HOME + way, HOME):
             arm.execute(line([held(arm), target], 0.5))
             tick = controller.state()["tick"]
-            time.sleep(0.4 / PACE)
+            time.sleep(0.4 / REAL_TIME_FACTOR)
             assert np.abs(controller.trace(tick).qd).max() < 0.01

@@ -54,8 +54,8 @@ def _found(robot: ControllerProcess, **changes: Any) -> dict[str, Finding]:
     findings = check(probe(robot.host, listen=_LISTEN), _expected(robot, **changes))
     by_name = {f.name: f for f in findings}
     assert len(by_name) == len(findings), "names are unique"
-    assert all(f.says for f in findings)
-    assert all(bool(f.do) == (f.level is not Level.OK) for f in findings), "what is not well says what to do"
+    assert all(f.message for f in findings)
+    assert all(bool(f.remedy) == (f.level is not Level.OK) for f in findings), "what is not well says what to do"
     return by_name
 
 
@@ -66,7 +66,7 @@ def test_a_robot_as_it_should_be(robot: ControllerProcess) -> None:
     # Timing is this machine's: everything else must be well.
     assert {f.name for f in found.values() if f.level is not Level.OK} <= {"RTDE jitter", "clock", "network"}
     assert found["network"].level is not Level.FAIL
-    assert found["robot model"].says.startswith(_model(robot))
+    assert found["robot model"].message.startswith(_model(robot))
     after = robot.state()
     assert after["uploads"] == before["uploads"], "no script was uploaded"
     assert after["q"] == before["q"]
@@ -140,18 +140,18 @@ _FAULTS: list[tuple[str, dict[str, Any], str, Level, str]] = [
 
 
 @pytest.mark.parametrize(
-    ("robot", "fault", "arguments", "name", "level", "says"),
+    ("robot", "fault", "arguments", "name", "level", "expected_text"),
     [(list(ArmModel)[i % 2], *row) for i, row in enumerate(_FAULTS)],  # in turn: none concerns one model alone
     indirect=["robot"],
 )
 def test_each_fault_is_found(
-    robot: ControllerProcess, fault: str, arguments: dict[str, Any], name: str, level: Level, says: str
+    robot: ControllerProcess, fault: str, arguments: dict[str, Any], name: str, level: Level, expected_text: str
 ) -> None:
     robot.fault(fault, **arguments)
     time.sleep(0.05)
     finding = _found(robot, serial="20185500001")[name]
     assert finding.level is level, finding
-    assert says in finding.says, finding
+    assert expected_text in finding.message, finding
 
 
 def test_local_control_is_found_on_an_e_series_and_does_not_exist_on_a_cb3(robot: ControllerProcess) -> None:
@@ -165,7 +165,7 @@ def test_the_other_model_is_found_by_its_controller_and_by_its_kinematics(robot:
     found = _found(robot, model=other)
     assert found["robot model"].level is Level.FAIL
     assert found["kinematics"].level is Level.FAIL
-    assert f"{_model(robot)} fits to 0.0 mm" in found["kinematics"].says
+    assert f"{_model(robot)} fits to 0.0 mm" in found["kinematics"].message
 
 
 def test_without_the_primary_interface_one_posture_tells_the_model(robot: ControllerProcess) -> None:
@@ -174,7 +174,7 @@ def test_without_the_primary_interface_one_posture_tells_the_model(robot: Contro
     assert _found(robot)["kinematics"].level is Level.OK
     wrong = _found(robot, model=other)["kinematics"]
     assert wrong.level is Level.FAIL
-    assert "in this posture" in wrong.says
+    assert "in this posture" in wrong.message
 
 
 def test_an_arms_own_calibration_fits_it_and_no_other(robot: ControllerProcess) -> None:
@@ -187,7 +187,7 @@ def test_an_arms_own_calibration_fits_it_and_no_other(robot: ControllerProcess) 
     robot.fault("kinematics", a=[0] * 6, d=[0] * 6)
     wrong = _found(robot, calibration=own)["kinematics"]
     assert wrong.level is Level.FAIL
-    assert "another arm" in wrong.do
+    assert "another arm" in wrong.remedy
 
 
 def test_a_program_and_a_moving_arm_are_found(robot: ControllerProcess) -> None:
@@ -199,7 +199,7 @@ def test_a_program_and_a_moving_arm_are_found(robot: ControllerProcess) -> None:
             time.sleep(0.02)
         found = _found(robot)
     assert found["standstill"].level is Level.FAIL
-    assert "0.30 rad/s" in found["standstill"].says
+    assert "0.30 rad/s" in found["standstill"].message
     assert found["program"].level is Level.WARN
 
 
@@ -252,7 +252,7 @@ def test_no_robot_at_all_is_said_at_once() -> None:
     began = time.monotonic()
     findings = check(probe("127.0.0.45"), UrExpected(ArmModel.UR10))
     assert [(f.name, f.level) for f in findings] == [("network", Level.FAIL)]
-    assert "no robot at 127.0.0.45" in findings[0].says
+    assert "no robot at 127.0.0.45" in findings[0].message
     assert time.monotonic() - began < 3.0
 
 
@@ -268,5 +268,5 @@ def test_a_silent_host_does_not_hold_us_up() -> None:
         assert time.monotonic() - began < 3.0
     findings = {f.name: f for f in check(report, UrExpected(ArmModel.UR10))}
     assert findings["RTDE"].level is Level.FAIL
-    assert "no answer in time" in findings["RTDE"].says
+    assert "no answer in time" in findings["RTDE"].message
     assert findings["dashboard"].level is Level.WARN

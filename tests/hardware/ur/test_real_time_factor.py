@@ -1,4 +1,4 @@
-"""A stand-in and its driver at another pace than the wall's clock, with the bounds of a real robot."""
+"""A stand-in and its driver at another real-time factor than the wall's clock, with the bounds of a real robot."""
 
 from __future__ import annotations
 
@@ -22,33 +22,35 @@ from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
-HOST, PACE = "127.0.0.28", 0.25
+HOST, REAL_TIME_FACTOR = "127.0.0.28", 0.25
 WAY = np.array([0.1, 0.05, 0.0, 0.0, 0.0, 0.2])
 
 
 @pytest.fixture(scope="module")
 def controller() -> Iterator[ControllerProcess]:
-    with stand_in(ArmModel.UR10, HOST, PACE) as process:
+    with stand_in(ArmModel.UR10, HOST, REAL_TIME_FACTOR) as process:
         yield process
 
 
 @pytest.fixture(scope="module")
 def arm(controller: ControllerProcess) -> Iterator[UrArm]:
-    with UrArm(UrArmConfig(controller.host, pace=PACE), ArmLimits()) as arm:
+    with UrArm(UrArmConfig(controller.host, real_time_factor=REAL_TIME_FACTOR), ArmLimits()) as arm:
         yield arm
 
 
 @pytest.mark.realtime
-def test_all_of_the_station_runs_at_its_pace_and_on_one_clock(controller: ControllerProcess, arm: UrArm) -> None:
-    clock = HostClock(PACE)
+def test_all_of_the_station_runs_at_its_real_time_factor_and_on_one_clock(
+    controller: ControllerProcess, arm: UrArm
+) -> None:
+    clock = HostClock(REAL_TIME_FACTOR)
     before = controller.state()
     wall, began = time.monotonic(), clock.now()
     report = arm.execute(line([held(arm), HOME + WAY], 0.8))
     took, passed = time.monotonic() - wall, clock.now() - began
     after = controller.state()
     assert report.outcome is MotionOutcome.COMPLETED
-    assert took > 0.8 / PACE
-    assert passed == pytest.approx(PACE * took, rel=0.05)
+    assert took > 0.8 / REAL_TIME_FACTOR
+    assert passed == pytest.approx(REAL_TIME_FACTOR * took, rel=0.05)
     # The robot's time, by its own count of cycles, is the station's.
     assert after["timestamp"] - before["timestamp"] == pytest.approx(after["stamp"] - before["stamp"], abs=0.1)
     assert np.median(np.diff(report.stamps)) == pytest.approx(1 / 125, rel=0.1)
@@ -64,14 +66,14 @@ def test_all_of_the_station_runs_at_its_pace_and_on_one_clock(controller: Contro
 def test_a_knock_is_no_contact_for_a_guard_that_averages_and_a_push_is(
     controller: ControllerProcess, arm: UrArm
 ) -> None:
-    guard = ContactGuard(force=15.0, over=0.2)
+    guard = ContactGuard(force=15.0, averaging_window=0.2)
 
     def push(seconds: float) -> None:
         controller.fault("force", wrench=[0.0, 0.0, 30.0, 0.0, 0.0, 0.0], seconds=seconds)
 
     for seconds, outcome in ((0.03, MotionOutcome.COMPLETED), (0.6, MotionOutcome.CONTACT)):
         there = HOME if np.abs(held(arm) - HOME).max() > 0.05 else HOME + WAY
-        timer = threading.Timer(0.3 / PACE, push, [seconds])
+        timer = threading.Timer(0.3 / REAL_TIME_FACTOR, push, [seconds])
         timer.start()
         report = arm.execute(line([held(arm), there], 0.9), guard)
         timer.join()
@@ -91,9 +93,9 @@ def test_a_knock_among_readings_that_come_at_once_is_felt(
         controller.fault("force", wrench=[0.0, 0.0, 30.0, 0.0, 0.0, 0.0], seconds=2 / 125)
 
     there = HOME if np.abs(held(arm) - HOME).max() > 0.05 else HOME + WAY
-    timer = threading.Timer(0.3 / PACE, knock)
+    timer = threading.Timer(0.3 / REAL_TIME_FACTOR, knock)
     timer.start()
-    report = arm.execute(line([held(arm), there], 1.2), ContactGuard(force=15.0, over=over), PATIENT)
+    report = arm.execute(line([held(arm), there], 1.2), ContactGuard(force=15.0, averaging_window=over), PATIENT)
     timer.join()
     assert report.outcome is MotionOutcome.CONTACT
     assert np.linalg.norm(report.wrenches[:, :3], axis=1).max() == pytest.approx(30.0, abs=0.1)
@@ -102,7 +104,9 @@ def test_a_knock_among_readings_that_come_at_once_is_felt(
 @pytest.mark.realtime
 def test_the_collector_does_not_pause_a_task_whose_arm_moves(arm: UrArm) -> None:
     """Its pause is the heartbeat's, too, and a task without one is taken for stalled."""
-    heartbeat = UrArmConfig(HOST, pace=PACE).heartbeat_timeout / PACE  # [s] of the wall
+    heartbeat = (
+        UrArmConfig(HOST, real_time_factor=REAL_TIME_FACTOR).heartbeat_timeout / REAL_TIME_FACTOR
+    )  # [s] of the wall
     hold_all_threads = ctypes.PyDLL(None).usleep  # keeps the interpreter's lock
     ended = threading.Event()
 
@@ -118,7 +122,7 @@ def test_the_collector_does_not_pause_a_task_whose_arm_moves(arm: UrArm) -> None
 
     there = HOME if np.abs(held(arm) - HOME).max() > 0.05 else HOME + WAY
     task = threading.Thread(target=litter)
-    timer = threading.Timer(0.3 / PACE, lambda: gc.callbacks.append(pause))
+    timer = threading.Timer(0.3 / REAL_TIME_FACTOR, lambda: gc.callbacks.append(pause))
     task.start()
     timer.start()
     try:
@@ -141,7 +145,7 @@ def test_a_driver_in_real_time_refuses_a_robot_that_is_slower(controller: Contro
 
 
 @pytest.mark.parametrize(
-    ("host", "pace", "says"),
+    ("host", "real_time_factor", "expected_text"),
     [
         ("192.168.1.10", 0.5, "a real robot runs in real time"),
         ("robot.lan", 0.5, "a real robot runs in real time"),
@@ -150,6 +154,6 @@ def test_a_driver_in_real_time_refuses_a_robot_that_is_slower(controller: Contro
         ("127.0.0.2", float("nan"), "0.05 to 1"),
     ],
 )
-def test_a_pace_that_cannot_be_is_refused(host: str, pace: float, says: str) -> None:
-    with pytest.raises(UserError, match=says):
-        UrArmConfig(host, pace=pace)
+def test_a_real_time_factor_that_cannot_be_is_refused(host: str, real_time_factor: float, expected_text: str) -> None:
+    with pytest.raises(UserError, match=expected_text):
+        UrArmConfig(host, real_time_factor=real_time_factor)

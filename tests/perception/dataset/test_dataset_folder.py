@@ -33,7 +33,7 @@ from toolee_robot.perception.dataset.validation.validate import validate
 from toolee_robot.perception.io import bop_images
 from toolee_robot.perception.synthesis.bodies import tool_meshes
 from toolee_robot.perception.synthesis.generate import generate
-from toolee_robot.perception.synthesis.tool_cache import SHELF, Shelf
+from toolee_robot.perception.synthesis.tool_cache import TOOL_CACHE, ToolCache
 
 pytestmark = pytest.mark.sim
 
@@ -42,7 +42,7 @@ KILLED = """
 import sys
 from pathlib import Path
 from toolee_robot.perception.synthesis.generate import generate
-from toolee_robot.perception.synthesis.tool_cache import SHELF, Shelf
+from toolee_robot.perception.synthesis.tool_cache import TOOL_CACHE, ToolCache
 from toolee_robot.perception.dataset.spec import DatasetSpec
 if __name__ == "__main__":
     generate(DatasetSpec("hard", 6, 11, 0.3, 2), Path(sys.argv[1]), 1, lambda done, total: print(done, flush=True))
@@ -329,9 +329,9 @@ def test_shape_distances() -> None:
     assert distances(row, row + np.array([3.0, 0.0, 0.0])) == pytest.approx((0.6, 3.0, 3.0))
 
 
-def test_a_tool_from_the_shelf_is_the_one_that_was_drawn(tmp_path: Path) -> None:
+def test_a_tool_from_the_tool_cache_is_the_one_that_was_drawn(tmp_path: Path) -> None:
     number = GENERATED.numbers("train")[7]
-    drawn, first, second = GENERATED.tool(number), Shelf(GENERATED, tmp_path), Shelf(GENERATED, tmp_path)
+    drawn, first, second = GENERATED.tool(number), ToolCache(GENERATED, tmp_path), ToolCache(GENERATED, tmp_path)
     for tool in (first.tool(number), second.tool(number)):
         assert number_of(tool) == number
         assert tool.name == drawn.name
@@ -346,4 +346,4 @@ def test_a_tool_from_the_shelf_is_the_one_that_was_drawn(tmp_path: Path) -> None
         for new, old in pairs:
             np.testing.assert_array_equal(new, old)
     assert first.tool(number) is first.tool(number)
-    assert len(list((tmp_path / SHELF).iterdir())) == 1
+    assert len(list((tmp_path / TOOL_CACHE).iterdir())) == 1

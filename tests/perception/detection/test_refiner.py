@@ -1,4 +1,5 @@
-"""The second stage of masks on toy pictures: the refiner trained, exported, reloaded, and what it does to finds."""
+"""The second stage of masks on toy pictures: the refiner trained, exported, reloaded, and what it does to
+detections."""
 
 from __future__ import annotations
 
@@ -22,16 +23,16 @@ from toolee_robot.perception.detection.detector import TOOL, Detector, DetectorC
 from toolee_robot.perception.detection.instances import Box, Instances, mask_iou
 from toolee_robot.perception.detection.mask_head import MASK_SIZE, paste_one
 from toolee_robot.perception.detection.refiner.crops import CELLS, CHANNELS
-from toolee_robot.perception.detection.refiner.mask_refinement import Redraw
+from toolee_robot.perception.detection.refiner.mask_refinement import MaskRefinement
 from toolee_robot.perception.detection.refiner.network import Refiner, RefinerConfig, load_refiner
 from toolee_robot.perception.detection.refiner.train import CHECKPOINT, RefinementTraining, losses, train
 from toolee_robot.perception.detection.refiner.training_data import (
     DRAWN,
     VALIDATION,
+    Detections,
     Examples,
-    Finds,
     RefinementData,
-    kept_aside,
+    is_validation,
     zoom_of,
 )
 from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
@@ -137,7 +138,7 @@ def finds(detector: Path) -> RefinementData:
     return found
 
 
-def masks_of(found: Finds) -> NDArray[np.bool_]:
+def masks_of(found: Detections) -> NDArray[np.bool_]:
     """In the image, of every find."""
     row, column = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
     return found.mask_at()(column.expand(len(found), -1, -1), row.expand(len(found), -1, -1)).numpy()
@@ -201,7 +202,7 @@ def test_a_find_s_mask_is_the_one_that_the_detector_draws() -> None:
     covered = torch.tensor([[10.3, 5.2, 71.8, 60.1], [-20.0, -10.0, 30.5, 47.0], [50.0, 30.0, 110.0, 75.0]])
     one, none = torch.ones(3), torch.zeros(3, dtype=torch.long)
     masks = (patches * 255).round().to(torch.uint8)
-    found = Finds(none, covered, covered, masks, none, one, none.byte(), one.bool())
+    found = Detections(none, covered, covered, masks, none, one, none.byte(), one.bool())
     row, column = torch.meshgrid(torch.arange(64), torch.arange(96), indexing="ij")
     drawn = found.mask_at()(column.expand(3, -1, -1), row.expand(3, -1, -1))
     for patch, box, mask in zip(patches.numpy(), covered.double().numpy(), drawn.numpy(), strict=True):
@@ -212,8 +213,8 @@ def test_a_find_s_mask_is_the_one_that_the_detector_draws() -> None:
 
 def test_finds_are_matched_with_the_end_effectors_of_their_kind(finds: RefinementData) -> None:
     assert len(finds) == 32
-    assert finds.finds is not None
-    pictures, found = toys(8), finds.finds.of(finds.finds.image < 8)
+    assert finds.detections is not None
+    pictures, found = toys(8), finds.detections.of(finds.detections.image < 8)
     matched = 0
     for i, mask in enumerate(masks_of(found)):
         image = int(found.image[i])
@@ -228,7 +229,7 @@ def test_finds_are_matched_with_the_end_effectors_of_their_kind(finds: Refinemen
 def test_both_sizes_are_as_frequent_among_the_pictures_kept_aside(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("toolee_robot.perception.detection.refiner.training_data.VALIDATION", VALIDATION)
     pictures = torch.arange(4000)
-    for some in (pictures, pictures[kept_aside(pictures)]):
+    for some in (pictures, pictures[is_validation(pictures)]):
         sizes, count = torch.unique(zoom_of(some), return_counts=True)
         assert sizes.tolist() == [1.0, MAGNIFICATION]
         assert count.tolist() == [len(some) // 2] * 2
@@ -255,8 +256,8 @@ def test_examples_show_their_end_effector(finds: RefinementData) -> None:
 
 
 def test_pictures_kept_aside_are_judged_as_in_the_whole_image(finds: RefinementData) -> None:
-    assert finds.finds is not None
-    pictures, found = toys(32), finds.finds.of(finds.validation)
+    assert finds.detections is not None
+    pictures, found = toys(32), finds.detections.of(finds.validation)
     assert set(found.image.tolist()) <= {0, 8, 16, 24}
     examples = finds.plain(finds.validation)
     # What is drawn is the hint itself.
@@ -329,17 +330,17 @@ def box_of(mask: NDArray[np.bool_]) -> Box:
 
 
 @pytest.mark.parametrize("spoilt", [dilated, eroded, shifted])
-def test_spoilt_masks_of_new_pictures_are_better_redrawn(
+def test_spoilt_masks_of_new_pictures_are_better_refined(
     trained: Path, spoilt: Callable[[NDArray[np.bool_]], NDArray[np.bool_]]
 ) -> None:
-    redraw = Redraw.load(trained, CPU, bfloat16=False)
-    assert redraw is not None
+    refinement = MaskRefinement.load(trained, CPU, bfloat16=False)
+    assert refinement is not None
     pictures = toys(8, seed=7)
     before, after = [], []
     for i in range(8):
         truth = pictures.ee[i] > 0
         mask = spoilt(truth)
-        masks, labels, _, boxes = redraw(
+        masks, labels, _, boxes = refinement(
             frame_of(pictures, i), ([mask], [int(pictures.categories[i, 0])], [0.5], [box_of(mask)])
         )
         assert (labels, boxes) == ([int(pictures.categories[i, 0])], [box_of(mask)])
@@ -356,12 +357,12 @@ def by_place(found: Instances, tools: bool) -> dict[tuple[int, Box], tuple[NDArr
 
 
 def test_a_refiner_beside_the_detector_changes_end_effectors_only(detector: Path, trained: Path) -> None:
-    plain, redrawn = Segmenter.load(detector, bfloat16=False), Segmenter.load(trained, bfloat16=False)
+    plain, refined = Segmenter.load(detector, bfloat16=False), Segmenter.load(trained, bfloat16=False)
     pictures = toys(8)
     tools = ends = changed = 0
     for i in range(8):
         frame = frame_of(pictures, i)
-        before, after = plain.instances(frame, EVERYTHING), redrawn.instances(frame, EVERYTHING)
+        before, after = plain.instances(frame, EVERYTHING), refined.instances(frame, EVERYTHING)
         assert after[2] == sorted(after[2], reverse=True)
         expected, found = by_place(before, tools=True), by_place(after, tools=True)
         assert found.keys() == expected.keys()
@@ -382,25 +383,25 @@ def test_where_nothing_or_no_end_effector_is_found_nothing_is_drawn(trained: Pat
     frame = frame_of(toys(1), 0)
     segmenter = Segmenter.load(trained, bfloat16=False)
     assert segmenter.instances(frame, 1.0) == ([], [], [], [])
-    redraw = Redraw.load(trained, CPU, bfloat16=False)
-    assert redraw is not None
+    refinement = MaskRefinement.load(trained, CPU, bfloat16=False)
+    assert refinement is not None
     tool: Instances = ([toys(1).tool[0] > 0], [TOOL], [0.7], [(0.0, 0.0, 9.0, 9.0)])
-    masks, *others = redraw(frame, tool)
+    masks, *others = refinement(frame, tool)
     assert tuple(others) == tool[1:]
     np.testing.assert_array_equal(masks[0], tool[0][0])
 
 
 def test_one_end_effector_drawn_twice_is_one(trained: Path) -> None:
     """Two detections that shared too little to be the same thing, until both are drawn where it is."""
-    redraw = Redraw.load(trained, CPU, bfloat16=False)
-    assert redraw is not None
+    refinement = MaskRefinement.load(trained, CPU, bfloat16=False)
+    assert refinement is not None
     pictures = toys(1)
     truth = pictures.ee[0] > 0
     x0, _, x1, _ = box_of(truth)
     left, right = truth.copy(), truth.copy()
     left[:, round(x0 + 0.55 * (x1 - x0)) :], right[:, : round(x0 + 0.45 * (x1 - x0))] = False, False
     label = int(pictures.categories[0, 0])
-    found = redraw(frame_of(pictures, 0), ([left, right], [label] * 2, [0.5, 0.4], [box_of(truth)] * 2))
+    found = refinement(frame_of(pictures, 0), ([left, right], [label] * 2, [0.5, 0.4], [box_of(truth)] * 2))
     assert found[1] == [label]
     assert mask_iou(found[0][0], truth) > mask_iou(left, truth) + 0.1
 
@@ -419,12 +420,12 @@ def noise(unknown: float = 0.0) -> tuple[RgbdFrame, Instances]:
 
 def test_the_mirrored_image_s_masks_are_the_mirrored_masks() -> None:
     """Of any refiner, though an untrained one draws something else in the mirror: the mean knows no left and right."""
-    redraw = Redraw(used(Refiner(TINY)), CPU, bfloat16=False)
+    refinement = MaskRefinement(used(Refiner(TINY)), CPU, bfloat16=False)
     frame, (before, labels, scores, [(x0, y0, x1, y1)]) = noise()
-    masks, _, [score], _ = redraw(frame, (before, labels, scores, [(x0, y0, x1, y1)]))
+    masks, _, [score], _ = refinement(frame, (before, labels, scores, [(x0, y0, x1, y1)]))
     mirrored = RgbdFrame(frame.rgb[:, ::-1].copy(), frame.depth[:, ::-1].copy(), frame.intrinsics)
     there = ([before[0][:, ::-1].copy()], labels, scores, [(80 - x1, y0, 80 - x0, y1)])
-    mirrored_masks, _, [mirrored_score], _ = redraw(mirrored, there)
+    mirrored_masks, _, [mirrored_score], _ = refinement(mirrored, there)
     assert mirrored_score == pytest.approx(score, abs=1e-3)
     assert 50 < masks[0].sum() < 1400
     assert mask_iou(mirrored_masks[0][:, ::-1], masks[0]) > 0.97
@@ -434,15 +435,15 @@ def test_the_mirrored_image_s_masks_are_the_mirrored_masks() -> None:
 
 @pytest.mark.parametrize("unknown", [np.nan, np.inf])
 def test_a_hole_in_depth_is_one_whatever_says_so(unknown: float) -> None:
-    redraw = Redraw(used(Refiner(TINY)), CPU, bfloat16=False)
-    expected, found = redraw(*noise(0.0)), redraw(*noise(unknown))
+    refinement = MaskRefinement(used(Refiner(TINY)), CPU, bfloat16=False)
+    expected, found = refinement(*noise(0.0)), refinement(*noise(unknown))
     assert found[2] == expected[2]
     np.testing.assert_array_equal(found[0][0], expected[0][0])
 
 
 def test_in_bfloat16_the_masks_are_the_same_but_for_their_borders(trained: Path) -> None:
     pictures = toys(2)
-    whole, half = (Redraw.load(trained, CPU, bfloat16=bfloat16) for bfloat16 in (False, True))
+    whole, half = (MaskRefinement.load(trained, CPU, bfloat16=bfloat16) for bfloat16 in (False, True))
     assert whole is not None
     assert half is not None
     for i in range(2):
@@ -454,7 +455,7 @@ def test_in_bfloat16_the_masks_are_the_same_but_for_their_borders(trained: Path)
 
 
 def test_without_a_refiner_masks_stay_as_the_detector_draws_them(detector: Path) -> None:
-    assert Redraw.load(detector, CPU, bfloat16=False) is None
+    assert MaskRefinement.load(detector, CPU, bfloat16=False) is None
     tensors, description = load_weights(detector, "segmentation")
     network = Detector(TINY_DETECTOR)
     load_detector(network, tensors, description)
@@ -468,7 +469,7 @@ def test_without_a_refiner_masks_stay_as_the_detector_draws_them(detector: Path)
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "expected_text"),
     [
         ("{", r"refinement\.json is not valid JSON"),
         ("[]", "description is damaged"),
@@ -478,10 +479,10 @@ def test_without_a_refiner_masks_stay_as_the_detector_draws_them(detector: Path)
         ('{"model": {"widths": [8, 12, 16, 32]}}', "do not fit"),
     ],
 )
-def test_a_damaged_refiner_is_named(text: str, says: str, trained: Path, tmp_path: Path) -> None:
+def test_a_damaged_refiner_is_named(text: str, expected_text: str, trained: Path, tmp_path: Path) -> None:
     shutil.copytree(trained, tmp_path, dirs_exist_ok=True)
     (tmp_path / "refinement.json").write_text(text)
-    with pytest.raises(AssetError, match=says):
+    with pytest.raises(AssetError, match=expected_text):
         Segmenter.load(tmp_path)
 
 
@@ -552,7 +553,7 @@ def test_a_run_needs_nothing_kept_aside(detector: Path, tmp_path: Path) -> None:
     write_toys(tmp_path / "000000", without_tools(toys(4), slice(0, 1)))
     out = train(training(tmp_path, tmp_path / "out", detector, max_steps=1))
     assert described(out)["validation"] == {}
-    assert Redraw.load(out, CPU, bfloat16=False) is not None
+    assert MaskRefinement.load(out, CPU, bfloat16=False) is not None
 
 
 def test_a_damaged_detector_is_named(few: Path, detector: Path, tmp_path: Path) -> None:

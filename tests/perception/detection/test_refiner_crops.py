@@ -91,14 +91,14 @@ def test_the_cells_of_an_upright_square_fill_its_box_about_what_was_found(
         assert within[2] >= x1 + room
         assert within[3] >= y1 + room
     assert (side > 23.9).all(), "the least thing still has surroundings"
-    torch.testing.assert_close(about.in_the_mirror().boxes(), covered)
+    torch.testing.assert_close(about.mirrored_copy().boxes(), covered)
 
 
 @given(squares(), st.sampled_from([0.0, 0.5, 1.0, 1.5]))
 def test_a_mirrored_square_shows_the_same_left_for_right(upright: Squares, half_turns: float) -> None:
     turned = Squares(upright.centre, upright.side, torch.tensor([math.pi * half_turns]), upright.mirrored)
     seen, pixels = look(images(), FIRST, turned, of_image(disc()))
-    there, mirrored_pixels = look(images(), FIRST, turned.in_the_mirror(), of_image(disc()))
+    there, mirrored_pixels = look(images(), FIRST, turned.mirrored_copy(), of_image(disc()))
     assert (mirrored_pixels == pixels.flip(3)).all()
     expected = seen.flip(3)
     expected[:, X] *= -1
@@ -225,7 +225,7 @@ def test_squares_of_several_images_are_seen_as_if_alone() -> None:
 def test_varied_squares_still_show_what_was_found() -> None:
     torch.manual_seed(0)
     found = torch.tensor([[100.0, 50.0, 160.0, 80.0]]).expand(2000, 4)
-    varied = Squares.about(found).varied()
+    varied = Squares.about(found).jittered()
     plain = Squares.about(found)
     larger = varied.side / plain.side
     assert ((larger > 0.77) & (larger < 1.29)).all()

@@ -1,4 +1,4 @@
-"""The second look: where it looks, what it is shown, and what becomes of what both looks found."""
+"""The zoom pass: where it looks, what it is shown, and what becomes of what both looks found."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from toolee_robot.perception.detection.instances import Box, Instances
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.detection.zoom_pass import (
     CERTAIN,
-    LEAST_MAGNIFICATION,
-    LEAST_TOOL,
     MAGNIFICATION,
+    MIN_MAGNIFICATION,
+    MIN_TOOL_SCORE,
     Crop,
     crop_about,
     crops,
@@ -73,7 +73,7 @@ def test_a_crop_shows_the_whole_box_larger_and_never_more_pixels_than_the_first_
     ):
         once = side * before / whole  # pixels of the first look
         assert seen <= MAGNIFICATION * once + 1
-        assert seen >= LEAST_MAGNIFICATION * once - MAGNIFICATION * before / whole - 1.5, "rounded outwards by a pixel"
+        assert seen >= MIN_MAGNIFICATION * once - MAGNIFICATION * before / whole - 1.5, "rounded outwards by a pixel"
 
 
 def test_a_small_tool_gets_the_full_magnification_and_a_large_one_no_second_look() -> None:
@@ -95,12 +95,12 @@ def test_only_tools_without_a_certain_end_effector_are_looked_at_again() -> None
         again = crops(instances(*found), IMAGE, IMAGE, PIXELS)
         return [any(c.x0 <= b[0] and b[2] <= c.x1 for c in again) for b in (left, right)]
 
-    tools = ((TOOL, 0.9, left), (TOOL, LEAST_TOOL, right))
+    tools = ((TOOL, 0.9, left), (TOOL, MIN_TOOL_SCORE, right))
     assert looked_at() == [False, False]
     assert looked_at(*tools) == [True, True]
     assert looked_at(*tools, (1, CERTAIN, on_left)) == [False, True]
     assert looked_at(*tools, (1, CERTAIN - 0.01, on_left)) == [True, True]
-    assert looked_at(tools[0], (TOOL, LEAST_TOOL - 0.01, right)) == [True, False]
+    assert looked_at(tools[0], (TOOL, MIN_TOOL_SCORE - 0.01, right)) == [True, False]
     assert looked_at((1, 0.2, on_left)) == [False, False], "no tool: nothing says where to look"
 
 
@@ -232,7 +232,7 @@ def bar(ee: Box = (60.0, 44.0, 70.0, 52.0)) -> RgbdFrame:
 
 
 def test_an_end_effector_too_small_for_the_first_look_is_found_at_its_place_by_the_second() -> None:
-    detector = ShortSighted(least_width=13)  # it is 10 px wide, in the second look about 16
+    detector = ShortSighted(least_width=13)  # it is 10 px wide, in the zoom pass about 16
     found = Segmenter(detector).detect(bar())
     assert [d.category for d in found] == [next(iter(Category))]
     truth = mask_of((60.0, 44.0, 70.0, 52.0))

@@ -37,7 +37,7 @@ from toolee_robot.perception.evaluation.shapes import ee_shape
 from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.perception.trust import Trust
-from toolee_robot.runtime.process_map import Crew
+from toolee_robot.runtime.process_map import ProcessMap
 from toolee_robot.tools import ee_radius
 
 pytestmark = pytest.mark.sim
@@ -223,7 +223,7 @@ def test_the_command_writes_the_report(folder: Path, tmp_path: Path, capsys: pyt
 
 
 @pytest.fixture
-def one_thread() -> Iterator[None]:
+def single_thread() -> Iterator[None]:
     """As a worker has: with another number of threads sums are rounded otherwise."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -231,7 +231,7 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
-@pytest.mark.usefixtures("one_thread")
+@pytest.mark.usefixtures("single_thread")
 def test_the_figures_are_the_same_for_any_number_of_workers(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     reports = []
     for workers in ("1", "2"):
@@ -260,20 +260,20 @@ def ask(state: list[int], item: int) -> tuple[int, int]:
     return state[0], item
 
 
-def test_a_crew_keeps_the_order_and_the_errors_and_takes_from_endless_items() -> None:
-    with Crew(begin, 1) as alone:
+def test_a_process_map_keeps_the_order_and_the_errors_and_takes_from_endless_items() -> None:
+    with ProcessMap(begin, 1) as alone:
         assert list(alone.map(ask, range(5))) == [(os.getpid(), k) for k in range(5)]
-    with Crew(begin, 2) as crew:
-        with closing(crew.map(ask, itertools.count(-1000))) as endless:
+    with ProcessMap(begin, 2) as processes:
+        with closing(processes.map(ask, itertools.count(-1000))) as endless:
             found = list(itertools.islice(endless, 20))
         assert [item for _, item in found] == list(range(-1000, -980))
         assert os.getpid() not in {pid for pid, _ in found}
         with pytest.raises(AssetError, match="item 100"):
-            list(crew.map(ask, range(90, 110)))
+            list(processes.map(ask, range(90, 110)))
         with pytest.raises(TooleeError, match="fewer --workers"):
-            list(crew.map(ask, [200]))
+            list(processes.map(ask, [200]))
     with pytest.raises(UserError, match="--workers"):
-        Crew(begin, 0)
+        ProcessMap(begin, 0)
 
 
 def test_targets_without_depth_are_left_out_and_counted(

@@ -13,7 +13,7 @@ from toolee_robot.frames import transform
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudConfig
 from toolee_robot.perception.pose.synthetic_clouds.cuts import Border, Cut
 from toolee_robot.perception.pose.synthetic_clouds.surface_samples import NOWHERE
-from toolee_robot.perception.pose.synthetic_clouds.torch_rng import Draws
+from toolee_robot.perception.pose.synthetic_clouds.torch_rng import TorchRng
 from toolee_robot.perception.synthesis import paper
 from toolee_robot.perception.synthesis.example import _Reach
 from toolee_robot.types import CameraIntrinsics
@@ -72,7 +72,7 @@ def test_shares_of_cuts() -> None:
     radius = torch.full((B,), 0.05)
     other = focus + torch.tensor([0.0, 0.1, 0.0])
     config = CloudConfig(other_cut_share=0.5, other_cut=(0.5, 1.6), circle_share=0.4)
-    cut = Cut.drawn(focus, radius, other, 2 * radius, config, torch.full((B,), 480.0), Draws(torch.device("cpu"), 0))
+    cut = Cut.drawn(focus, radius, other, 2 * radius, config, torch.full((B,), 480.0), TorchRng(torch.device("cpu"), 0))
     own = cut.radius == radius
     assert float(own.float().mean()) == pytest.approx(0.5, abs=0.03)
     assert float(cut.circle.float().mean()) == pytest.approx(0.2, abs=0.03)
@@ -86,7 +86,7 @@ def test_borders_cross_or_pass_the_end_effector_and_keep_the_middle() -> None:
     B, radius = 4000, 0.05
     g = torch.Generator().manual_seed(0)
     focus = torch.cat([1.2 * torch.rand((B, 2), generator=g) - 0.6, torch.ones((B, 1))], 1) * 0.8
-    border = Border.drawn(focus, torch.full((B,), radius), 0.25, Draws(torch.device("cpu"), 0))
+    border = Border.drawn(focus, torch.full((B,), radius), 0.25, TorchRng(torch.device("cpu"), 0))
     rays = (focus / focus[:, 2:])[:, None, None]
     ends = border.limit.isfinite()
     assert float(ends.float().mean()) == pytest.approx(0.25, abs=0.03)

@@ -132,7 +132,7 @@ def test_canonical_cloud_ignores_background_and_distance() -> None:
     assert float(head.min()) > 0.004
 
 
-def test_guessed_points_are_marked_and_do_not_move_the_centre() -> None:
+def test_completed_points_are_marked_and_do_not_move_the_centre() -> None:
     rng = np.random.default_rng(0)
     points = torch.as_tensor(rng.uniform(-0.02, 0.0, (200, 3)) + np.array([0.1, 0.0, 0.5]), dtype=torch.float32)[None]
     rim = torch.as_tensor(rng.uniform(0.005, 0.02, (100, 3)) + np.array([0.1, 0.0, 0.5]), dtype=torch.float32)[None]
@@ -141,13 +141,13 @@ def test_guessed_points_are_marked_and_do_not_move_the_centre() -> None:
     alone = canonicalize(points, everything, torch.tensor([0.05]), torch.Generator().manual_seed(0))
     real = torch.arange(100)[None] >= 10
     cloud = canonicalize(
-        points, everything, torch.tensor([0.05]), torch.Generator().manual_seed(0), guessed=(rim, real)
+        points, everything, torch.tensor([0.05]), torch.Generator().manual_seed(0), completed=(rim, real)
     )
     torch.testing.assert_close(cloud.centre, alone.centre)
     assert int(cloud.count[0]) == int(alone.count[0]) == 200
-    assert not bool(alone.guessed.any())
+    assert not bool(alone.completed.any())
     back = cloud.points[0] @ cloud.R[0] + cloud.centre[0]
-    guessed = cloud.guessed[0] > 0
+    guessed = cloud.completed[0] > 0
     assert float((back[~guessed, None] - points[0]).norm(dim=-1).min(1).values.max()) < 1e-5
     # Neither the ones that are not real nor the ones far away.
     offset = (back[guessed, None] - rim[0, 10:90]).norm(dim=-1).min(1)
@@ -173,9 +173,9 @@ def test_one_cloud_becomes_what_it_becomes_in_a_batch(seen: int, guesses: int | 
 
     radius = torch.tensor([0.04, 0.04])
     more = None if guessed is None else pair(guessed)
-    batch = canonicalize(*pair(points), radius, torch.Generator().manual_seed(1), guessed=more)
+    batch = canonicalize(*pair(points), radius, torch.Generator().manual_seed(1), completed=more)
     batch = with_rest(batch, *pair(handle), torch.Generator().manual_seed(2))
-    one = canonicalize_one(points, 0.04, torch.Generator().manual_seed(1), guessed=guessed)
+    one = canonicalize_one(points, 0.04, torch.Generator().manual_seed(1), completed=guessed)
     one = with_rest_one(one, handle, torch.Generator().manual_seed(2))
     for field in fields(CanonicalCloud):
         of_one, of_batch = getattr(one, field.name), getattr(batch, field.name)[:1]
@@ -188,7 +188,7 @@ def test_one_cloud_that_loses_everything_is_its_centre() -> None:
     cloud = canonicalize_one(points, 0.04, torch.Generator().manual_seed(0))
     assert int(cloud.count[0]) == 0
     assert not bool(cloud.points.any())
-    assert not bool(cloud.guessed.any())
+    assert not bool(cloud.completed.any())
 
 
 def test_padding_flags_are_obeyed() -> None:

@@ -19,23 +19,23 @@ from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, Clou
 from toolee_robot.perception.pose.synthetic_clouds.generator import CloudGenerator
 from toolee_robot.perception.pose.synthetic_clouds.surface_samples import (
     Float32,
-    ToolBank,
-    hand_bank,
+    SurfaceSamples,
     load_hands,
+    sample_hands,
+    sample_tools,
     save_hands,
-    tool_bank,
 )
 from toolee_robot.perception.pose.training.config import TrainConfig
 from toolee_robot.perception.pose.training.losses import augment, canonical_rotation, context, pose_loss
-from toolee_robot.perception.pose.training.recipe import Ours
+from toolee_robot.perception.pose.training.recipe import DefaultRecipe
 from toolee_robot.perception.pose.training.trainer import Trainer, train
-from toolee_robot.perception.training.distributed import Ranks
+from toolee_robot.perception.training.distributed import Distributed
 from toolee_robot.tools import ee_radius
 from toolee_robot.types import Category
 
 pytestmark = pytest.mark.sim
 
-CPU = Ranks(0, 1, torch.device("cpu"))
+CPU = Distributed(0, 1, torch.device("cpu"))
 
 TINY = NetworkConfig(width=32, layers=1, heads=2, neighbours=8, flow_width=64, flow_blocks=1)
 CLEAN = CloudConfig(
@@ -51,26 +51,26 @@ CLEAN = CloudConfig(
 
 
 @pytest.fixture(scope="module")
-def bank() -> ToolBank:
-    return tool_bank(held_out=False, seeds_per_kind=1, workers=1)
+def samples() -> SurfaceSamples:
+    return sample_tools(held_out=False, seeds_per_kind=1, workers=1)
 
 
 @pytest.fixture(scope="module")
 def hands() -> Float32:
-    return hand_bank(4)
+    return sample_hands(4)
 
 
 @pytest.fixture(scope="module")
-def clouds(bank: ToolBank, hands: Float32) -> CloudBatch:
-    return CloudGenerator(bank, hands, "cpu", 0).collect(32, 48)
+def clouds(samples: SurfaceSamples, hands: Float32) -> CloudBatch:
+    return CloudGenerator(samples, hands, "cpu", 0).collect(32, 48)
 
 
-def test_clean_clouds_lie_on_the_tools_surface(bank: ToolBank, hands: Float32) -> None:
-    batch = CloudGenerator(bank, hands, "cpu", 1, CLEAN).collect(12, 16)
+def test_clean_clouds_lie_on_the_tools_surface(samples: SurfaceSamples, hands: Float32) -> None:
+    batch = CloudGenerator(samples, hands, "cpu", 1, CLEAN).collect(12, 16)
     for i in range(len(batch)):
         # Back in the EE's frame every point is within the radius and near a surface sample.
         local = (batch.points[i] - batch.p[i]) @ batch.R[i]
-        surface = torch.as_tensor(bank.ee_points[int(batch.item[i])])
+        surface = torch.as_tensor(samples.ee_points[int(batch.item[i])])
         category = list(Category)[int(batch.category[i])]
         assert float(local.norm(dim=-1).max()) < ee_radius(category) + 0.004
         distance = torch.cdist(local, surface).min(1).values
@@ -78,37 +78,37 @@ def test_clean_clouds_lie_on_the_tools_surface(bank: ToolBank, hands: Float32) -
         assert float(distance.quantile(0.95)) < 0.004
 
 
-def test_the_confidence_is_fitted_on_clouds_of_every_category(bank: ToolBank, clouds: CloudBatch) -> None:
+def test_the_confidence_is_fitted_on_clouds_of_every_category(samples: SurfaceSamples, clouds: CloudBatch) -> None:
     """A claw's row follows that of its hammer's head: half of the rows, instead of half of the tools, had no claw."""
-    model = Ours(TINY).report(PoseNet(TINY), clouds, bank, "cpu")[1].confidence
+    model = DefaultRecipe(TINY).report(PoseNet(TINY), clouds, samples, "cpu")[1].confidence
     share = dict(zip(model.names, model.mean, strict=True))
     for category in Category:
         assert share[f"is_{category}"] > 0.05
 
 
-def test_the_rest_may_begin_beyond_the_cut(bank: ToolBank, hands: Float32) -> None:
+def test_the_rest_may_begin_beyond_the_cut(samples: SurfaceSamples, hands: Float32) -> None:
     gaps = []
     for share in (0.0, 1.0):
         config = replace(CLEAN, rest_gap_share=share, rest_gap=0.02, rest_error_share=0.0, rest_chunk_share=0.0)
-        batch = CloudGenerator(bank, hands, "cpu", 2, config).collect(24, 32)
+        batch = CloudGenerator(samples, hands, "cpu", 2, config).collect(24, 32)
         distance = torch.cdist(batch.rest, batch.points).amin((1, 2))[batch.rest_known]
         gaps.append(float(distance.median()))
     assert gaps[0] < 0.006
     assert gaps[0] + 0.004 < gaps[1] < 0.02
 
 
-def test_masks_may_be_cut_at_another_radius(bank: ToolBank, hands: Float32) -> None:
-    batch = CloudGenerator(bank, hands, "cpu", 1, replace(CLEAN, other_cut_share=1.0)).collect(24, 32)
+def test_masks_may_be_cut_at_another_radius(samples: SurfaceSamples, hands: Float32) -> None:
+    batch = CloudGenerator(samples, hands, "cpu", 1, replace(CLEAN, other_cut_share=1.0)).collect(24, 32)
     nominal = torch.tensor([ee_radius(list(Category)[int(c)]) for c in batch.category])
     reach = ((batch.points - batch.p[:, None]).norm(dim=-1).max(1).values) / nominal
     assert float(reach.min()) < 0.75
     assert float(reach.max()) > 1.2
 
 
-def test_the_image_may_end_near_the_end_effector(bank: ToolBank, hands: Float32) -> None:
+def test_the_image_may_end_near_the_end_effector(samples: SurfaceSamples, hands: Float32) -> None:
     """What lies beyond is not seen, and counts as hidden."""
     whole, ended = (
-        CloudGenerator(bank, hands, "cpu", 1, replace(CLEAN, border_share=share)).collect(48, 64)
+        CloudGenerator(samples, hands, "cpu", 1, replace(CLEAN, border_share=share)).collect(48, 64)
         for share in (0.0, 1.0)
     )
     assert float(whole.occlusion.max()) < 0.02
@@ -116,8 +116,10 @@ def test_the_image_may_end_near_the_end_effector(bank: ToolBank, hands: Float32)
     assert float(ended.visible.mean(dtype=torch.float32)) < 0.9 * float(whole.visible.mean(dtype=torch.float32))
 
 
-def test_clouds_of_the_papers_protocol_show_upright_tools_through_a_circle(bank: ToolBank, hands: Float32) -> None:
-    batch = CloudGenerator(bank, hands, "cpu", 1, CloudConfig.paper()).collect(24, 32)
+def test_clouds_of_the_papers_protocol_show_upright_tools_through_a_circle(
+    samples: SurfaceSamples, hands: Float32
+) -> None:
+    batch = CloudGenerator(samples, hands, "cpu", 1, CloudConfig.paper()).collect(24, 32)
     back = batch.R_canonical.mT
     points = torch.einsum("bij,bnj->bni", back, batch.points) + batch.centre[:, None]
     origin = torch.einsum("bij,bj->bi", back, batch.p) + batch.centre
@@ -127,7 +129,7 @@ def test_clouds_of_the_papers_protocol_show_upright_tools_through_a_circle(bank:
     assert float(pixels.quantile(0.99)) < 31.0
     assert float(pixels.amax(1).median()) > 26.0
     # The handle's axis in the camera's frame: never rolled, and tilted by the camera's pitch.
-    X_ee_tool = torch.as_tensor(bank.X_ee_tool)[batch.item]
+    X_ee_tool = torch.as_tensor(samples.X_ee_tool)[batch.item]
     up = (back @ batch.R @ X_ee_tool[:, :3, :3])[..., 2]
     assert float(up[:, 0].abs().max()) < 1e-4
     pitch = torch.rad2deg(torch.atan2(up[:, 2], -up[:, 1]))
@@ -135,44 +137,46 @@ def test_clouds_of_the_papers_protocol_show_upright_tools_through_a_circle(bank:
     assert 5 < float(pitch.max()) < 30.1
 
 
-def test_the_rest_of_the_tool_is_its_surface_beyond_the_end_effector(bank: ToolBank, hands: Float32) -> None:
+def test_the_rest_of_the_tool_is_its_surface_beyond_the_end_effector(samples: SurfaceSamples, hands: Float32) -> None:
     clean = replace(CLEAN, rest_error_share=0.0, rest_chunk_share=0.0, wrong_rest_share=0.0)
-    batch = CloudGenerator(bank, hands, "cpu", 1, clean).collect(12, 16)
+    batch = CloudGenerator(samples, hands, "cpu", 1, clean).collect(12, 16)
     assert int(batch.rest_known.sum()) >= 10
     for i in np.flatnonzero(batch.rest_known.numpy()):
         local = (batch.rest[i] - batch.p[i]) @ batch.R[i]
         item = int(batch.item[i])
-        surface = torch.as_tensor(np.concatenate([bank.rest[item], bank.ee_points[item]]))
+        surface = torch.as_tensor(np.concatenate([samples.rest[item], samples.ee_points[item]]))
         assert float(torch.cdist(local, surface).min(1).values.median()) < 0.004
         radius = ee_radius(list(Category)[int(batch.category[i])])
         assert float((local.norm(dim=-1) > radius - 0.008).float().mean()) > 0.95
 
 
-def test_what_the_sensor_loses_is_guessed_where_the_mask_says_that_it_is(bank: ToolBank, hands: Float32) -> None:
-    batch = CloudGenerator(bank, hands, "cpu", 1, replace(CLEAN, sensor_level=1.0)).collect(12, 16)
-    marked = batch.guessed > 0
+def test_what_the_sensor_loses_is_completed_where_the_mask_says_that_it_is(
+    samples: SurfaceSamples, hands: Float32
+) -> None:
+    batch = CloudGenerator(samples, hands, "cpu", 1, replace(CLEAN, sensor_level=1.0)).collect(12, 16)
+    marked = batch.completed > 0
     assert 0.05 < float(marked.float().mean()) < 0.6
     for i in range(len(batch)):
         local = (batch.points[i] - batch.p[i]) @ batch.R[i]
-        distance = torch.cdist(local[marked[i]], torch.as_tensor(bank.ee_points[int(batch.item[i])])).min(1).values
+        distance = torch.cdist(local[marked[i]], torch.as_tensor(samples.ee_points[int(batch.item[i])])).min(1).values
         assert float(distance.median()) < 0.004
-    alone = CloudGenerator(bank, hands, "cpu", 1, replace(CLEAN, guessed=False)).collect(12, 16)
-    assert not bool(alone.guessed.any())
+    alone = CloudGenerator(samples, hands, "cpu", 1, replace(CLEAN, guessed=False)).collect(12, 16)
+    assert not bool(alone.completed.any())
 
 
-def test_hard_clouds_are_noisy_occluded_and_partly_negative(clouds: CloudBatch, bank: ToolBank) -> None:
+def test_hard_clouds_are_noisy_occluded_and_partly_negative(clouds: CloudBatch, samples: SurfaceSamples) -> None:
     assert bool(torch.isfinite(clouds.points).all())
     assert int(clouds.visible.min()) >= MIN_POINTS
     positive = clouds.positive
     assert 0.6 < float(positive.float().mean()) < 1.0
     assert float(clouds.occlusion[positive].max()) <= 0.7
-    truth = torch.as_tensor(bank.category)[clouds.item]
+    truth = torch.as_tensor(samples.category)[clouds.item]
     assert bool((clouds.category == truth)[positive].all())
     torch.testing.assert_close(clouds.direction[:, :3].norm(dim=-1), torch.ones(len(clouds)))
 
 
-def test_augmentation_keeps_clouds_and_poses_together(bank: ToolBank, hands: Float32) -> None:
-    batch = CloudGenerator(bank, hands, "cpu", 2, CLEAN).collect(16, 24)
+def test_augmentation_keeps_clouds_and_poses_together(samples: SurfaceSamples, hands: Float32) -> None:
+    batch = CloudGenerator(samples, hands, "cpu", 2, CLEAN).collect(16, 24)
     turned = augment(batch, torch.Generator().manual_seed(0))
     R = turned.R
     torch.testing.assert_close(R @ R.mT, torch.eye(3).expand_as(R), atol=1e-5, rtol=0)
@@ -181,7 +185,7 @@ def test_augmentation_keeps_clouds_and_poses_together(bank: ToolBank, hands: Flo
     mirror_in_y = [i for i in range(len(batch)) if int(batch.category[i]) != list(Category).index(Category.WRENCH_HEAD)]
     for i in mirror_in_y:
         local = (turned.points[i] - turned.p[i]) @ R[i]
-        surface = torch.as_tensor(bank.ee_points[int(batch.item[i])])
+        surface = torch.as_tensor(samples.ee_points[int(batch.item[i])])
         assert float(torch.cdist(local, surface).min(1).values.median()) < 0.002
     canonical = canonical_rotation(R, turned.category)
     for i, category in enumerate(turned.category):
@@ -212,15 +216,15 @@ def small(minutes: float) -> TrainConfig:
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory, bank: ToolBank, hands: Float32) -> Path:
+def trained(tmp_path_factory: pytest.TempPathFactory, samples: SurfaceSamples, hands: Float32) -> Path:
     out = tmp_path_factory.mktemp("weights")
-    Trainer(out, small(0.03), (bank, bank), hands, Ours(TINY, draws=2), CPU).run()
+    Trainer(out, small(0.03), (samples, samples), hands, DefaultRecipe(TINY, draws=2), CPU).run()
     return out
 
 
 def test_training_writes_weights_that_load_to_the_same_network(
     trained: Path,
-    bank: ToolBank,
+    samples: SurfaceSamples,
     hands: Float32,
 ) -> None:
     card = json.loads((trained / "pose.json").read_text())
@@ -231,7 +235,7 @@ def test_training_writes_weights_that_load_to_the_same_network(
     # A second run finds its time used up, resumes and exports the same weights.
     (shard,) = trained.glob("pose-*.safetensors")
     before = shard.read_bytes()
-    trainer = Trainer(trained, small(0.03), (bank, bank), hands, Ours(TINY, draws=2), CPU)
+    trainer = Trainer(trained, small(0.03), (samples, samples), hands, DefaultRecipe(TINY, draws=2), CPU)
     trainer.run()
     assert shard.read_bytes() == before
     points = np.random.default_rng(0).uniform(-0.02, 0.02, (400, 3)) + np.array([0.0, 0.0, 0.5])
@@ -258,7 +262,7 @@ def test_estimates_are_complete_and_follow_the_hand(trained: Path) -> None:
     assert 0 <= alone.confidence <= 1
     assert alone.usable == (alone.reason == "ok")
     guessed = points[:100] + np.array([0.0, 0.004, 0.0])
-    with_rim = estimator.estimate(points, Category.SCREWDRIVER_HEAD, rest, guessed=guessed)
+    with_rim = estimator.estimate(points, Category.SCREWDRIVER_HEAD, rest, completed=guessed)
     assert not np.allclose(with_rim.X_camera_ee, alone.X_camera_ee)
     # Without any of these points it is as if they were not given.
     unseen = estimator.estimate(points, Category.SCREWDRIVER_HEAD, np.empty((0, 3)))
@@ -286,25 +290,27 @@ def test_too_few_points_are_refused_and_nan_does_not_count(trained: Path) -> Non
 
 def test_a_loss_that_is_not_finite_stops_the_training(
     tmp_path: Path,
-    bank: ToolBank,
+    samples: SurfaceSamples,
     hands: Float32,
 ) -> None:
-    trainer = Trainer(tmp_path, replace(small(1.0), lr=1e30), (bank, bank), hands, Ours(TINY, draws=2), place=CPU)
+    trainer = Trainer(
+        tmp_path, replace(small(1.0), lr=1e30), (samples, samples), hands, DefaultRecipe(TINY, draws=2), distributed=CPU
+    )
     with pytest.raises(TooleeError, match="not finite"):
         trainer.run()
     assert not list(tmp_path.glob("*.safetensors"))
 
 
 def test_a_training_starts_from_weights_of_its_architecture(
-    tmp_path: Path, trained: Path, bank: ToolBank, hands: Float32
+    tmp_path: Path, trained: Path, samples: SurfaceSamples, hands: Float32
 ) -> None:
     def trainer(process: str, width: int = TINY.width) -> Trainer[PoseNet]:
         config = replace(TINY, process=process, width=width)
-        return Trainer(tmp_path, small(1.0), (bank, bank), hands, Ours(config, draws=2), CPU)
+        return Trainer(tmp_path, small(1.0), (samples, samples), hands, DefaultRecipe(config, draws=2), CPU)
 
     begun = trainer("flow")
     begun.start_from(trained)
-    kept = Ours(TINY).load(trained).state_dict()
+    kept = DefaultRecipe(TINY).load(trained).state_dict()
     assert all(torch.equal(value, kept[name]) for name, value in begun.net.state_dict().items())
     assert all(torch.equal(value, kept[name]) for name, value in begun.export().state_dict().items())
     with pytest.raises(AssetError, match="architecture"):
@@ -312,15 +318,15 @@ def test_a_training_starts_from_weights_of_its_architecture(
 
 
 def test_a_training_may_keep_a_share_of_the_weights_it_started_from(
-    tmp_path: Path, trained: Path, bank: ToolBank, hands: Float32
+    tmp_path: Path, trained: Path, samples: SurfaceSamples, hands: Float32
 ) -> None:
     config = replace(small(1.0), init_share=0.25)
-    trainer = Trainer(tmp_path, config, (bank, bank), hands, Ours(TINY, draws=2), CPU)
+    trainer = Trainer(tmp_path, config, (samples, samples), hands, DefaultRecipe(TINY, draws=2), CPU)
     trainer.start_from(trained)
     with torch.no_grad():
         for name, _ in trainer.net.named_parameters():
             trainer.average[name].add_(1.0)
-    before = Ours(TINY).load(trained).state_dict()
+    before = DefaultRecipe(TINY).load(trained).state_dict()
     for name, value in trainer.export().named_parameters():
         torch.testing.assert_close(value, before[name] + 0.75, atol=2e-3, rtol=2e-3)
     with pytest.raises(UserError, match="--init"):
@@ -328,7 +334,7 @@ def test_a_training_may_keep_a_share_of_the_weights_it_started_from(
 
 
 def test_the_mirrored_view_is_the_view_of_the_mirror_image(trained: Path, clouds: CloudBatch) -> None:
-    net = Ours(TINY).load(trained)
+    net = DefaultRecipe(TINY).load(trained)
     few = clouds.select(torch.arange(8))
     x = torch.tensor([-1.0, 1.0, 1.0])
     direction = torch.cat([few.direction[:, :3] * x, few.direction[:, 3:]], 1)
@@ -351,7 +357,7 @@ def test_hand_samples_travel_in_a_file(tmp_path: Path) -> None:
     save_hands(tmp_path / "hands.npz")
     assert (tmp_path / "hands.npz").stat().st_size < 4e6
     loaded = load_hands(tmp_path / "hands.npz")
-    np.testing.assert_allclose(loaded[:4], hand_bank(64)[:4], atol=5e-4)
+    np.testing.assert_allclose(loaded[:4], sample_hands(64)[:4], atol=5e-4)
     with pytest.raises(AssetError, match="toolee train hands"):
         load_hands(tmp_path / "none.npz")
 

@@ -18,9 +18,9 @@ from toolee_robot.perception.pose.processes.flow import Euler, Process, Rectifie
 from toolee_robot.perception.pose.processes.variance_exploding import VarianceExploding
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudConfig
 from toolee_robot.perception.pose.synthetic_clouds.generator import CloudGenerator
-from toolee_robot.perception.pose.synthetic_clouds.surface_samples import hand_bank, tool_bank
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import sample_hands, sample_tools
 from toolee_robot.perception.pose.training.config import TrainConfig
-from toolee_robot.perception.pose.training.recipe import Ours
+from toolee_robot.perception.pose.training.recipe import DefaultRecipe
 from toolee_robot.perception.research import ablations
 from toolee_robot.perception.research.ablation_variants import POOLINGS, UncentredGenerator
 from toolee_robot.perception.research.tooleenet.rk45 import Rk45
@@ -94,9 +94,9 @@ def test_poolings_agree_on_one_tight_mode_and_clustering_survives_flips() -> Non
 
 
 def test_uncentred_clouds_are_the_same_clouds() -> None:
-    bank, hands = tool_bank(False, 1, 1), hand_bank(2)
-    centred = CloudGenerator(bank, hands, "cpu", 3, CloudConfig()).generate(24)
-    seen = UncentredGenerator(bank, hands, "cpu", 3, CloudConfig()).generate(24)
+    samples, hands = sample_tools(False, 1, 1), sample_hands(2)
+    centred = CloudGenerator(samples, hands, "cpu", 3, CloudConfig()).generate(24)
+    seen = UncentredGenerator(samples, hands, "cpu", 3, CloudConfig()).generate(24)
     back = (seen.points - seen.centre[:, None]) @ centred.R_canonical.mT
     torch.testing.assert_close(back, centred.points, atol=1e-4, rtol=0)
     torch.testing.assert_close(centred.R_canonical @ seen.R, centred.R, atol=1e-5, rtol=0)
@@ -107,16 +107,16 @@ def test_rows_train_resume_and_are_tabulated(tmp_path: Path, monkeypatch: pytest
     names = ("base", "flow", "no-direction")
     rows = {}
     for name in names:
-        method = ablations.ROWS[name].method
-        assert isinstance(method, Ours)
-        rows[name] = replace(ablations.ROWS[name], method=replace(method, config=tiny))
+        recipe = ablations.ROWS[name].recipe
+        assert isinstance(recipe, DefaultRecipe)
+        rows[name] = replace(ablations.ROWS[name], recipe=replace(recipe, config=tiny))
     monkeypatch.setattr(ablations, "ROWS", rows)
     monkeypatch.setattr(ablations, "KS", (2,))
     monkeypatch.setattr(ablations, "STEPS", (2,))
-    banks = tool_bank(False, 1, 1), tool_bank(True, 1, 1)
+    samples = sample_tools(False, 1, 1), sample_tools(True, 1, 1)
     config = TrainConfig(max_steps=2, batch=8, chunk=16, first_fill=16, capacity=32, validation=8, reuse=100)
     for name in names:
-        ablations.run_row(name, tmp_path, config, banks, hand_bank(2), "cpu")
+        ablations.run_row(name, tmp_path, config, samples, sample_hands(2), "cpu")
     text = ablations.write_table(tmp_path)
     table = json.loads((tmp_path / "ablations.json").read_text())
     assert [r["row"] for r in table if r["row"] in names] == sorted(names, key=list(rows).index)
@@ -125,7 +125,7 @@ def test_rows_train_resume_and_are_tabulated(tmp_path: Path, monkeypatch: pytest
     assert len(text.splitlines()) == 2 + len(table) + 2
     assert list((tmp_path / "flow").glob("ablation-*.safetensors"))
     before = (tmp_path / "flow" / "row.json").read_text()
-    ablations.run_row("flow", tmp_path, config, banks, hand_bank(2), "cpu")
+    ablations.run_row("flow", tmp_path, config, samples, sample_hands(2), "cpu")
     assert (tmp_path / "flow" / "row.json").read_text() == before
 
 

@@ -16,22 +16,27 @@ from toolee_robot.errors import TooleeError
 from toolee_robot.perception.pose.canonical import farthest_points_first
 from toolee_robot.perception.pose.processes.flow import Euler
 from toolee_robot.perception.pose.processes.variance_exploding import VarianceExploding
-from toolee_robot.perception.pose.synthetic_clouds.surface_samples import Float32, ToolBank, hand_bank, tool_bank
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import (
+    Float32,
+    SurfaceSamples,
+    sample_hands,
+    sample_tools,
+)
 from toolee_robot.perception.pose.training.config import TrainConfig
 from toolee_robot.perception.pose.training.trainer import Trainer
 from toolee_robot.perception.pose.weights import Calibration
-from toolee_robot.perception.research.tooleenet import COLUMNS, PaperEstimator, PaperMethod
+from toolee_robot.perception.research.tooleenet import COLUMNS, PaperEstimator, PaperRecipe
 from toolee_robot.perception.research.tooleenet.object_clouds import category_priors, first_ends, with_ee_truth
 from toolee_robot.perception.research.tooleenet.pointnet2 import Level, PointNet2, SharedMlp
 from toolee_robot.perception.research.tooleenet.pooling import mean_pose
 from toolee_robot.perception.research.tooleenet.representation import class_ambiguity, decode, encode
 from toolee_robot.perception.research.tooleenet.rk45 import Rk45, solve
-from toolee_robot.perception.training.distributed import Ranks
+from toolee_robot.perception.training.distributed import Distributed
 from toolee_robot.types import Category
 
 pytestmark = pytest.mark.sim
 
-CPU = Ranks(0, 1, torch.device("cpu"))
+CPU = Distributed(0, 1, torch.device("cpu"))
 
 MEAN, SPREAD = torch.tensor([0.5, -0.3, 0.1]), torch.tensor([0.2, 0.6, 1.0])
 SMALL = (
@@ -42,13 +47,13 @@ SMALL = (
 
 
 @pytest.fixture(scope="module")
-def bank() -> ToolBank:
-    return tool_bank(held_out=False, seeds_per_kind=1, workers=1)
+def samples() -> SurfaceSamples:
+    return sample_tools(held_out=False, seeds_per_kind=1, workers=1)
 
 
 @pytest.fixture(scope="module")
 def hands() -> Float32:
-    return hand_bank(2)
+    return sample_hands(2)
 
 
 @pytest.mark.parametrize("sampler", [Rk45(), Euler(200)])
@@ -141,7 +146,7 @@ def test_the_published_sizes() -> None:
     encoder = PointNet2()
     assert encoder.size == 1024
     assert sum(p.numel() for p in encoder.parameters()) == pytest.approx(1.0e6, rel=0.1)
-    net = PaperMethod().network(tool_bank(False, 1, 1))
+    net = PaperRecipe().network(sample_tools(False, 1, 1))
     assert sum(p.numel() for p in net.parameters()) == pytest.approx(2.5e6, rel=0.05)
 
 
@@ -170,37 +175,37 @@ def test_mean_pooling_keeps_the_axis_of_a_free_spin_and_fails_on_flips() -> None
     assert plain > np.deg2rad(10)
 
 
-def test_whole_tool_clouds_and_the_prior(bank: ToolBank, hands: Float32) -> None:
-    method = PaperMethod(COLUMNS["object-prior"])
-    clouds = method.clouds(bank, hands, torch.device("cpu"), 0).collect(12, 16)
+def test_whole_tool_clouds_and_the_prior(samples: SurfaceSamples, hands: Float32) -> None:
+    recipe = PaperRecipe(COLUMNS["object-prior"])
+    clouds = recipe.clouds(samples, hands, torch.device("cpu"), 0).collect(12, 16)
     assert clouds.points.shape[1:] == (1024, 3)
-    assert bool(torch.as_tensor(first_ends(bank) > 0)[clouds.item].all())
+    assert bool(torch.as_tensor(first_ends(samples) > 0)[clouds.item].all())
     extent = (clouds.points.amax(1) - clouds.points.amin(1)).norm(dim=-1)
     assert float(extent.median()) > 0.12
-    as_ee = with_ee_truth(clouds, bank)
-    X = torch.as_tensor(bank.X_ee_tool)[clouds.item]
+    as_ee = with_ee_truth(clouds, samples)
+    X = torch.as_tensor(samples.X_ee_tool)[clouds.item]
     torch.testing.assert_close(as_ee.R @ X[:, :3, :3], clouds.R, atol=1e-5, rtol=0)
     torch.testing.assert_close(as_ee.p + (as_ee.R @ X[:, :3, 3:])[..., 0], clouds.p, atol=1e-5, rtol=0)
-    priors = category_priors(bank)
+    priors = category_priors(samples)
     assert 0.1 < priors[0][2, 3] < 0.4  # a hammer's head is up the handle
 
 
 @pytest.mark.parametrize("column", ["object-prior", "ee-symmetry-prior", "symmetry-aware"])
 def test_every_column_trains_and_its_weights_load(
-    column: str, tmp_path: Path, bank: ToolBank, hands: Float32, monkeypatch: pytest.MonkeyPatch
+    column: str, tmp_path: Path, samples: SurfaceSamples, hands: Float32, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("toolee_robot.perception.research.tooleenet.pointnet2.LEVELS", SMALL)
     monkeypatch.setattr(PointNet2.__init__, "__defaults__", (SMALL,))
     config = TrainConfig(max_steps=3, batch=8, chunk=16, first_fill=16, capacity=32, validation=4, reuse=100, ema=0.5)
-    method = replace(PaperMethod(COLUMNS[column]), draws=2)
-    trainer = Trainer(tmp_path, config, (bank, bank), hands, method, CPU)
+    recipe = replace(PaperRecipe(COLUMNS[column]), draws=2)
+    trainer = Trainer(tmp_path, config, (samples, samples), hands, recipe, CPU)
     report = trainer.run()
     assert report["steps"] == 3
     assert "10deg_2cm" in report["K20"]["average"]
     assert (tmp_path / "checkpoint.pt").is_file()
     points = np.random.default_rng(0).uniform(-0.02, 0.02, (400, 3)) + np.array([0.0, 0.0, 0.5])
     loaded = PaperEstimator.load(tmp_path).estimate(points, Category.WRENCH_HEAD, seed=1)
-    before = method.estimator(trainer.export(), Calibration(), "cpu").estimate(points, Category.WRENCH_HEAD, seed=1)
+    before = recipe.estimator(trainer.export(), Calibration(), "cpu").estimate(points, Category.WRENCH_HEAD, seed=1)
     np.testing.assert_allclose(loaded.X_camera_ee, before.X_camera_ee, atol=1e-4)
     assert loaded.hypotheses.Xs_camera_ee.shape == (20, 4, 4)
     if column != "symmetry-aware":
@@ -208,16 +213,21 @@ def test_every_column_trains_and_its_weights_load(
 
 
 def test_the_norms_keep_their_statistics_for_the_last_part_of_a_training(
-    tmp_path: Path, bank: ToolBank, hands: Float32, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, samples: SurfaceSamples, hands: Float32, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Resumed, too."""
     monkeypatch.setattr(PointNet2.__init__, "__defaults__", (SMALL,))
     config = TrainConfig(max_steps=4, batch=8, chunk=16, first_fill=16, capacity=32, validation=4, reuse=100)
-    method = replace(PaperMethod(COLUMNS["ee"]), draws=2)
+    recipe = replace(PaperRecipe(COLUMNS["ee"]), draws=2)
 
     def statistics(max_steps: int, settle: float) -> dict[str, Tensor]:
         trainer = Trainer(
-            tmp_path, replace(config, max_steps=max_steps, settle=settle), (bank, bank), hands, method, CPU
+            tmp_path,
+            replace(config, max_steps=max_steps, freeze_batchnorm=settle),
+            (samples, samples),
+            hands,
+            recipe,
+            CPU,
         )
         trainer.run()
         assert trainer.step == max_steps

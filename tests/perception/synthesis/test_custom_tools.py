@@ -19,12 +19,12 @@ from tests.examples import examples
 from toolee_robot.cli.app import run
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import is_rigid, transform, transform_points
-from toolee_robot.perception.dataset.custom_tools import OwnTool
+from toolee_robot.perception.dataset.custom_tools import CustomTool
 from toolee_robot.perception.dataset.instances import read_ply
 from toolee_robot.perception.dataset.scene_reader import read_json
 from toolee_robot.perception.dataset.spec import catalogue_of
 from toolee_robot.perception.evaluation.shapes import ee_shape
-from toolee_robot.perception.synthesis.custom_tool_reader import read_own_tools
+from toolee_robot.perception.synthesis.custom_tool_reader import read_custom_tools
 from toolee_robot.types import Category
 
 pytestmark = pytest.mark.sim
@@ -123,7 +123,7 @@ def test_frames_handle_and_parts(made: Path) -> None:
     catalogue = catalogue_of(made / "test")
     for number in catalogue.numbers("test"):
         tool = catalogue.tool(number)
-        assert isinstance(tool, OwnTool)
+        assert isinstance(tool, CustomTool)
         face, other = tool.ees
         # The grip is 80 mm above the butt; x is the working face's normal; an EE's x points to the butt.
         np.testing.assert_allclose(face.X_tool_ee[:3, 3], [0.060, 0.0, LENGTH / 1e3 - 0.08], atol=1e-6)
@@ -150,11 +150,11 @@ def test_a_claw_is_told_from_handle_and_head(tmp_path: Path) -> None:
     grip = {"category": "hammer_grip", "position": [-40, 0, LENGTH], "z": [0, 0, 1], "x": [-1, 0, 0]}
     face = {"category": "hammer_head", "position": [60, 0, LENGTH], "z": [1, 0, 0]}
     bring(tmp_path / "claw", ees=[face, grip])
-    (brought,) = read_own_tools(tmp_path)
+    (brought,) = read_custom_tools(tmp_path)
     assert brought.record.categories == (Category.HAMMER_HEAD, Category.HAMMER_GRIP)
     (tmp_path / "tool.ply").write_bytes(brought.ply)
     vertices, faces = read_ply(tmp_path / "tool.ply")
-    tool = OwnTool.build(brought.record, 0, 1e-3 * vertices, faces)
+    tool = CustomTool.build(brought.record, 0, 1e-3 * vertices, faces)
     points, _, parts = tool.sample_surface(6000, np.random.default_rng(0))
     labels = np.array([part.label for part in tool.parts])[parts]
     assert points[labels == "claw"][:, 0].max() < -0.01
@@ -171,7 +171,7 @@ def test_any_frame_and_unit_give_the_same_tool(
     X = transform(Rotation.from_rotvec(turn), [3.0, -500.0, 20.0])
     X[:3] *= 0.001 / unit
     bring(folder / "mallet", X, scale=unit)
-    record = read_own_tools(folder)[0].record
+    record = read_custom_tools(folder)[0].record
     for X_tool_ee, x in zip(record.Xs_tool_ee, (0.060, -0.050), strict=True):
         assert is_rigid(np.reshape(X_tool_ee, (4, 4)), 1e-5)
         np.testing.assert_allclose(np.reshape(X_tool_ee, (4, 4))[:3, 3], [x, 0, LENGTH / 1e3 - 0.08], atol=1e-4)
@@ -184,7 +184,7 @@ def test_the_example_in_the_documentation_is_read(tmp_path: Path) -> None:
     (tmp_path / "hammer").mkdir()
     mesh.export(tmp_path / "hammer/hammer.stl")
     (tmp_path / "hammer/tool.yaml").write_text(text.split("```yaml\n")[1].split("```")[0])
-    (brought,) = read_own_tools(tmp_path)
+    (brought,) = read_custom_tools(tmp_path)
     assert brought.record.categories == (Category.HAMMER_HEAD, Category.HAMMER_GRIP)
     assert brought.record.handle_material == "rubber"
 
@@ -194,7 +194,7 @@ def ee(**change: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "expected_text"),
     [
         ({"scale": 1}, "with scale 1 the tool is 269 m long; scale: 0.001 would make it 0.27 m"),
         ({"scale": -1}, "scale: Input should be greater than 0"),
@@ -214,10 +214,10 @@ def ee(**change: Any) -> dict[str, Any]:
         ({"materials": {"handle": "cheese"}}, "materials.handle: .*choose one of steel_bright"),
     ],
 )
-def test_a_wrong_description_says_what_to_change(tmp_path: Path, change: dict[str, Any], says: str) -> None:
+def test_a_wrong_description_says_what_to_change(tmp_path: Path, change: dict[str, Any], expected_text: str) -> None:
     bring(tmp_path / "tool", **change)
-    with pytest.raises(ConfigError, match=says):
-        read_own_tools(tmp_path)
+    with pytest.raises(ConfigError, match=expected_text):
+        read_custom_tools(tmp_path)
 
 
 def empty(folder: Path) -> None:
@@ -239,7 +239,7 @@ def a_cloud(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "says"),
+    ("make", "expected_text"),
     [
         (lambda _: None, "there is no such folder"),
         (empty, "holds no folders"),
@@ -248,13 +248,13 @@ def a_cloud(folder: Path) -> None:
         (a_cloud, "no triangles"),
     ],
 )
-def test_a_wrong_folder_says_what_to_change(tmp_path: Path, make: Callable[[Path], None], says: str) -> None:
+def test_a_wrong_folder_says_what_to_change(tmp_path: Path, make: Callable[[Path], None], expected_text: str) -> None:
     make(tmp_path / "tools")
-    with pytest.raises(ConfigError, match=says):
-        read_own_tools(tmp_path / "tools")
+    with pytest.raises(ConfigError, match=expected_text):
+        read_custom_tools(tmp_path / "tools")
 
 
-def test_own_tools_cannot_be_trained_on(tools: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_custom_tools_cannot_be_trained_on(tools: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for asked in (["--config", "hard", "--test-share", "0.5"], ["--config", "paper-claws"]):
         options = [*asked, "--size", "4", "--tools", str(tools)]
         assert run(["dataset", "generate", *options, "--out", str(tmp_path / "out")]) == 2

@@ -15,7 +15,7 @@ from toolee_robot.perception.dataset.instances import object_of
 from toolee_robot.perception.dataset.records import CATEGORIES, FARTHEST, MAX_EES, NEAREST, SCENES, Example
 from toolee_robot.perception.dataset.scene_reader import load
 from toolee_robot.perception.dataset.scene_writer import write_scene
-from toolee_robot.perception.synthesis.example import Series, label, make_example, take_shot
+from toolee_robot.perception.synthesis.example import Series, label, make_example, render_example
 from toolee_robot.perception.synthesis.paper import CIRCLE, DEPTHS, FOCAL
 from toolee_robot.perception.synthesis.surfaces import Surfaces, draw
 from toolee_robot.render.renderer import pixel_rays
@@ -48,7 +48,7 @@ def test_examples_cover_scenes_and_show_tools(examples: list[Example]) -> None:
 def test_ee_masks_are_the_tools_pixels_within_the_sphere() -> None:
     checked = 0
     for index in range(4):
-        taken = take_shot(Series(5), index)
+        taken = render_example(Series(5), index)
         sample, depth = taken.sample, taken.shot.depth
         ee, tool, full, table = label(sample, taken.shot)
         points = back_project(depth.astype(np.float64), sample.intrinsics)
@@ -117,7 +117,7 @@ def test_the_papers_protocol() -> None:
     """Upright tool, no roll, one grasp, exact depth, a circle of pixels; held-out tools only in the test split."""
     grips = []
     for index in range(3):
-        taken = take_shot(Series(6, "test", "paper"), index)
+        taken = render_example(Series(6, "test", "paper"), index)
         sample, table = taken.sample, taken.labels[3]
         (placed,) = sample.tools
         assert GENERATED.split(number_of(placed.tool)) == "test"
@@ -145,7 +145,7 @@ def test_the_papers_protocol() -> None:
 def test_claw_hammers_face_the_camera_where_they_are_asked_to() -> None:
     turned = []
     for index in range(6):
-        sample = take_shot(Series(6, "train", "paper-claws"), index).sample
+        sample = render_example(Series(6, "train", "paper-claws"), index).sample
         (placed,) = sample.tools
         np.testing.assert_allclose(placed.X_world_tool[:3, 2], [0, 0, 1], atol=1e-12)
         head, claw = placed.tool.ees

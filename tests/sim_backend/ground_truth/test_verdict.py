@@ -76,38 +76,38 @@ def estimate(X_hand_ee: Array, usable: bool = True) -> InHandEstimate:
     return InHandEstimate(Category.HAMMER_HEAD, X_hand_ee, np.eye(6) * 1e-6, 0.9, 5, 5, usable, "ok")
 
 
-def test_a_blow_is_measured_at_first_contact(world: ThrownHead) -> None:
+def test_a_strike_is_measured_at_first_contact(world: ThrownHead) -> None:
     world.throw(speed=1.5, offset=0.005, tilt=np.deg2rad(6.0))
-    (blow,) = world.judge.blows
-    assert blow.hit
-    assert blow.offset_mm == pytest.approx(5.0, abs=0.3)
-    assert blow.tilt_deg == pytest.approx(6.0, abs=0.3)
-    assert blow.speed == pytest.approx(1.5, rel=0.01)
-    assert blow.energy == pytest.approx(0.5 * 0.6 * 1.5**2, rel=0.02)
-    assert blow.protrusion_before_mm == pytest.approx(20.0, abs=0.01)
-    assert blow.protrusion_mm == pytest.approx(world.nail.protrusion * 1e3)
-    assert 0.7 * blow.energy < blow.work < blow.energy
-    assert blow.work == pytest.approx(driving_work(SPEC, SPEC.protrusion, world.nail.protrusion))
-    assert blow.peak_force > 100.0
+    (strike,) = world.judge.strikes
+    assert strike.hit
+    assert strike.offset_mm == pytest.approx(5.0, abs=0.3)
+    assert strike.tilt_deg == pytest.approx(6.0, abs=0.3)
+    assert strike.speed == pytest.approx(1.5, rel=0.01)
+    assert strike.energy == pytest.approx(0.5 * 0.6 * 1.5**2, rel=0.02)
+    assert strike.protrusion_before_mm == pytest.approx(20.0, abs=0.01)
+    assert strike.protrusion_mm == pytest.approx(world.nail.protrusion * 1e3)
+    assert 0.7 * strike.energy < strike.work < strike.energy
+    assert strike.work == pytest.approx(driving_work(SPEC, SPEC.protrusion, world.nail.protrusion))
+    assert strike.peak_force > 100.0
 
 
-def test_every_blow_is_counted_once_and_the_first_numbers_stay(world: ThrownHead) -> None:
+def test_every_strike_is_counted_once_and_the_first_numbers_stay(world: ThrownHead) -> None:
     for _ in range(3):
         world.throw(speed=1.5)
-    first, second, third = world.judge.blows
+    first, second, third = world.judge.strikes
     assert first.protrusion_mm == pytest.approx(second.protrusion_before_mm, abs=1e-6)
     assert first.protrusion_mm > second.protrusion_mm > third.protrusion_mm
     assert world.judge.verdict().hits == 3
 
 
-def test_touching_slowly_is_no_blow(world: ThrownHead) -> None:
+def test_touching_slowly_is_no_strike(world: ThrownHead) -> None:
     world.throw(speed=0.03, duration=0.5)
-    assert world.judge.blows == ()
+    assert world.judge.strikes == ()
 
 
-def test_a_miss_is_a_blow_that_hit_nothing(world: ThrownHead) -> None:
+def test_a_miss_is_a_strike_that_hit_nothing(world: ThrownHead) -> None:
     world.throw(speed=1.5, offset=0.025)
-    (miss,) = world.judge.blows
+    (miss,) = world.judge.strikes
     assert not miss.hit
     assert miss.offset_mm == pytest.approx(25.0, abs=0.1)
     assert miss.protrusion_mm == pytest.approx(20.0)
@@ -137,7 +137,7 @@ def test_estimate_error_is_that_of_face_and_normal_and_free_of_spin(world: Throw
     assert error.angle_deg == pytest.approx(2.0)
 
 
-def test_verdict_judges_the_last_usable_estimate_before_the_first_blow(world: ThrownHead) -> None:
+def test_verdict_judges_the_last_usable_estimate_before_the_first_strike(world: ThrownHead) -> None:
     assert world.judge.verdict().pose_error_mm is None
     world.throw(speed=1.5)
     late = world.time

@@ -1,4 +1,4 @@
-"""How far a blow's energy drives a nail, by the balance with the wood's resistance."""
+"""How far a strike's energy drives a nail, by the balance with the wood's resistance."""
 
 from __future__ import annotations
 

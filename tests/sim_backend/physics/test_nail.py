@@ -42,7 +42,7 @@ class Bench:
             self.nail.before_step(settings.time_step)
             pb.stepSimulation(physicsClientId=self.client)
 
-    def blow(
+    def strike(
         self, mass: float, speed: float, *, offset: float = 0.0, tilt: float = 0.0, settings: StepSettings = IMPACT
     ) -> float:
         """A free head hits the nail; how far it drives it [m]. The head is taken away afterwards."""
@@ -81,8 +81,8 @@ def make_bench(spec: NailSpec) -> Iterator[Bench]:
 
 
 def fresh_blow(offset: float = 0.0, tilt: float = 0.0) -> float:
-    """One blow of 0.6 kg at 1.5 m/s on a new nail [m]."""
-    return next(make_bench(SPEC)).blow(0.6, 1.5, offset=offset, tilt=tilt)
+    """One strike of 0.6 kg at 1.5 m/s on a new nail [m]."""
+    return next(make_bench(SPEC)).strike(0.6, 1.5, offset=offset, tilt=tilt)
 
 
 def collision_energy(mass: float, speed: float) -> float:
@@ -94,7 +94,7 @@ def collision_energy(mass: float, speed: float) -> float:
 @pytest.mark.parametrize("speed", [1.0, 1.5, 2.0, 2.5])
 def test_drive_agrees_with_the_energy_balance(bench: Bench, mass: float, speed: float) -> None:
     """-1 to -11 % of the balance here: the integration brakes half a step too early, and never creates energy."""
-    driven = bench.blow(mass, speed)
+    driven = bench.strike(mass, speed)
     expected = driven_by(SPEC, SPEC.protrusion, collision_energy(mass, speed))
     assert -0.13 < driven / expected - 1 < 0.0
     assert driving_work(SPEC, SPEC.protrusion, SPEC.protrusion - driven) < 0.5 * mass * speed**2
@@ -104,7 +104,7 @@ def test_shorter_steps_come_closer_to_the_balance_and_the_default_step_fails() -
     expected = driven_by(SPEC, SPEC.protrusion, collision_energy(0.6, 1.5))
     errors = []
     for step in (1 / 240, 1 / 1000, 1 / 4000, 1 / 16000):
-        driven = next(make_bench(SPEC)).blow(0.6, 1.5, settings=StepSettings(step, 100, 0.0))
+        driven = next(make_bench(SPEC)).strike(0.6, 1.5, settings=StepSettings(step, 100, 0.0))
         errors.append(abs(driven / expected - 1))
     assert errors == sorted(errors, reverse=True)
     assert errors[0] > 0.25
@@ -112,31 +112,32 @@ def test_shorter_steps_come_closer_to_the_balance_and_the_default_step_fails() -
 
 
 def test_deep_nail_resists_more(bench: Bench) -> None:
-    drives = [bench.blow(0.6, 1.5) for _ in range(6)]
+    drives = [bench.strike(0.6, 1.5) for _ in range(6)]
     assert drives == sorted(drives, reverse=True)
     assert drives[-1] < 0.9 * drives[0]
 
 
 @pytest.mark.parametrize(("mass", "least", "most"), [(0.5, 7, 10), (0.8, 4, 7)])
-def test_default_nail_goes_flush_in_a_handful_of_blows(bench: Bench, mass: float, least: int, most: int) -> None:
-    blows = 0
-    while bench.nail.outcome is NailOutcome.STANDING and blows < 40:
-        bench.blow(mass, 1.5)
-        blows += 1
+def test_default_nail_goes_flush_in_a_handful_of_strikes(bench: Bench, mass: float, least: int, most: int) -> None:
+    strikes = 0
+    while bench.nail.outcome is NailOutcome.STANDING and strikes < 40:
+        bench.strike(mass, 1.5)
+        strikes += 1
     assert bench.nail.outcome is NailOutcome.FLUSH
-    assert least <= blows <= most
+    assert least <= strikes <= most
 
 
 def test_the_head_stops_at_the_wood(bench: Bench) -> None:
     for _ in range(12):
-        bench.blow(1.0, 2.0)
+        bench.strike(1.0, 2.0)
     assert -0.0005 < bench.nail.protrusion < 0.0005
     assert bench.nail.outcome is NailOutcome.FLUSH
     assert bench.nail.depth == pytest.approx(SPEC.length - bench.nail.protrusion)
 
 
-def test_a_pressing_hammer_does_not_move_a_nail_between_blows(bench: Bench) -> None:
-    """100 N for half a second, in the long steps of a motion, with the mass of an arm; and blows drive it as before."""
+def test_a_pressing_hammer_does_not_move_a_nail_between_strikes(bench: Bench) -> None:
+    """100 N for half a second, in the long steps of a motion, with the mass of an arm; and strikes drive it as
+    before."""
     shape = pb.createCollisionShape(
         pb.GEOM_CYLINDER, radius=FACE_RADIUS, height=HEAD_LENGTH, physicsClientId=bench.client
     )
@@ -149,17 +150,17 @@ def test_a_pressing_hammer_does_not_move_a_nail_between_blows(bench: Bench) -> N
     assert bench.nail.protrusion == pytest.approx(SPEC.protrusion, abs=1e-6)
     assert bench.nail.bend_angle < 1e-4
     pb.removeBody(hammer, physicsClientId=bench.client)
-    assert bench.blow(0.6, 1.5) == pytest.approx(fresh_blow(), rel=1e-3)
+    assert bench.strike(0.6, 1.5) == pytest.approx(fresh_blow(), rel=1e-3)
 
 
-def test_eccentric_blows_drive_less_and_a_miss_drives_nothing() -> None:
+def test_eccentric_strikes_drive_less_and_a_miss_drives_nothing() -> None:
     drives = [fresh_blow(offset=offset) for offset in (0.0, 0.004, 0.008, 0.012)]
     assert drives == sorted(drives, reverse=True)
     assert drives[-1] < 0.9 * drives[0]
     assert fresh_blow(offset=0.020) == pytest.approx(0.0, abs=1e-5)
 
 
-def test_tilted_blows_drive_less() -> None:
+def test_tilted_strikes_drive_less() -> None:
     drives = [fresh_blow(tilt=np.deg2rad(angle)) for angle in (0.0, 10.0, 20.0, 30.0)]
     assert drives == sorted(drives, reverse=True)
     assert drives[-1] < 0.9 * drives[0]
@@ -192,7 +193,7 @@ def test_side_load_bends_only_beyond_the_plastic_moment(bench: Bench) -> None:
 
 def test_reported_head_pose_is_the_bodys(bench: Bench) -> None:
     """head_pose composes the joints; pybullet's own link pose must agree, bent and driven."""
-    bench.blow(0.8, 2.0)
+    bench.strike(0.8, 2.0)
     push_sideways(bench, 1.6 * SPEC.plastic_moment / bench.nail.protrusion, 0.01)
     pose = pb.getLinkState(bench.nail.body, 2, computeForwardKinematics=True, physicsClientId=bench.client)
     R = np.reshape(pb.getMatrixFromQuaternion(pose[5]), (3, 3))

@@ -1,4 +1,4 @@
-"""Blows with the hammer in the hand: plausible drives, a wrist that gives way, a grip that keeps the tool."""
+"""Strikes with the hammer in the hand: plausible drives, a wrist that gives way, a grip that keeps the tool."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def held() -> Iterator[SimStation]:
         yield simulation
 
 
-def test_blows_drive_the_nail_by_the_hammers_energy_and_the_hand_keeps_it(held: SimStation) -> None:
+def test_strikes_drive_the_nail_by_the_hammers_energy_and_the_hand_keeps_it(held: SimStation) -> None:
     robot, station, world = RobotModel.load(), held.station, held.world
     simulated, cpu = -world.time, -time.process_time()
     for _ in range(2):
@@ -52,7 +52,7 @@ def test_blows_drive_the_nail_by_the_hammers_energy_and_the_hand_keeps_it(held: 
         station.arm.execute(plan.approach)
         wrist: list[float] = []
         held.observers.append(lambda sample, seen=wrist: seen.append(float(sample.q_hand[0])))  # type: ignore[misc]
-        guard = ContactGuard(CONFIG.strike.contact_force, after=0.5 * plan.contact_time)
+        guard = ContactGuard(CONFIG.strike.contact_force, ignore_before=0.5 * plan.contact_time)
         report = station.arm.execute(plan.strike, guard)
         station.clock.sleep(0.1)
         held.observers.clear()
@@ -61,12 +61,12 @@ def test_blows_drive_the_nail_by_the_hammers_energy_and_the_hand_keeps_it(held: 
         station.clock.sleep(0.3)
 
         assert report.outcome is MotionOutcome.CONTACT
-        blow = held.judge.blows[-1]
-        assert blow.hit
-        assert blow.speed == pytest.approx(SPEED, rel=0.1)
-        assert blow.offset_mm < 1.5
-        assert blow.tilt_deg < 1.0
-        free = driven_by(world.nail.spec, protrusion, blow.energy)
+        strike = held.judge.strikes[-1]
+        assert strike.hit
+        assert strike.speed == pytest.approx(SPEED, rel=0.1)
+        assert strike.offset_mm < 1.5
+        assert strike.tilt_deg < 1.0
+        free = driven_by(world.nail.spec, protrusion, strike.energy)
         # The hand behind the hammer adds to its own energy, the grip's compliance takes off: never a rigid weld's 3x.
         assert 0.6 * free < protrusion - world.nail.protrusion < 1.35 * free
         assert np.ptp(wrist) > 0.02  # the wrist gives way,
@@ -76,10 +76,10 @@ def test_blows_drive_the_nail_by_the_hammers_energy_and_the_hand_keeps_it(held: 
         assert station.hand.state().joints.q[0] == pytest.approx(q_hand[0], abs=0.01)  # and the wrist comes back
         assert station.hand.state().holding
     simulated, cpu = simulated + world.time, cpu + time.process_time()
-    assert simulated > cpu  # faster than real time, planning and blows included
+    assert simulated > cpu  # faster than real time, planning and strikes included
 
 
-def test_after_the_blows_the_nail_stays_where_it_is(held: SimStation) -> None:
+def test_after_the_strikes_the_nail_stays_where_it_is(held: SimStation) -> None:
     protrusion = held.world.nail.protrusion
     held.station.clock.sleep(0.5)
     assert held.world.nail.protrusion == pytest.approx(protrusion, abs=1e-5)

@@ -32,7 +32,9 @@ pytestmark = pytest.mark.sim
 
 CONFIG, SEED, TICK = StationConfig(), 101, 0.008
 PERIOD = 0.005  # [s] between ticks: faster than real, and time for the other thread
-SLOW = HostClock(pace=0.2)  # the world's time, at least: a tick with a hand full of contacts takes 11 ms, on two busy
+SLOW = HostClock(
+    real_time_factor=0.2
+)  # the world's time, at least: a tick with a hand full of contacts takes 11 ms, on two busy
 # cores several times as long
 # The palm faces the person, fingers down.
 X_BASE_HAND = frame_from_axes(z=np.array([0.0, -0.3, -1.0]), x=np.array([1.0, 0.0, 0.0]), p=[0.55, -0.35, 0.75])
@@ -53,7 +55,7 @@ class Loop(threading.Thread):
 
     def call(self, name: str, *arguments: Any, lasting: float = 0.0) -> Any:
         """As `RemoteWorld.call`: lasting is the world's time, which here goes on as fast as it is computed."""
-        return self.channel.call(name, *arguments, lasting=SLOW.wall(lasting))
+        return self.channel.call(name, *arguments, lasting=SLOW.to_wall_time(lasting))
 
     def run(self) -> None:
         service = WorldService(self._theirs, CONFIG, SEED, OPTIONS, HostClock())
@@ -110,7 +112,7 @@ def test_a_handover_through_the_pipe_is_the_direct_one(loop: Loop) -> None:
     np.testing.assert_allclose(frame.rgb.astype(float).mean(), expected.rgb.astype(float).mean(), atol=2.0)
     assert np.mean(np.abs(frame.rgb.astype(float) - expected.rgb)) < 5.0
     hand.open()
-    assert person.inside() is False or person.attending()
+    assert person.zone_occupied() is False or person.enabling_switch_held()
     assert person.request_handover("", 5.0)
     hand.close()
     assert hand.state().holding
@@ -124,7 +126,7 @@ def test_a_handover_through_the_pipe_is_the_direct_one(loop: Loop) -> None:
     X = judge.X_hand_ee(now.joints.stamp)  # the clock on the wall may be ahead of a world that is late
     assert np.linalg.norm(X[:3, 3] - X_direct[:3, 3]) < 0.004
     assert judge.verdict().hits == 0
-    assert judge.blows == ()
+    assert judge.strikes == ()
     with pytest.raises(TooleeError, match="saw nothing"):
         judge.X_hand_ee(began - 1e3)
 

@@ -116,7 +116,7 @@ def _perception(scene: BenchScene, repeats: int) -> Iterator[Latency]:
             cloud.rest,
             X_camera_hand,
             candidates=k,
-            guessed=cloud.guessed,
+            completed=cloud.completed,
         )
         target = _POSE_TARGET_MS if k == perception.pose.candidates else None
         yield measure(f"pose, K = {k}", pose, repeats=repeats, target_ms=target)

@@ -52,7 +52,7 @@ class BenchScene:
         return [handed_over(nominal, InHandOffset.draw(rng)) @ X_tool_ee for _ in range(n)]
 
     def plan(self, X_hand_ee: Array) -> StrikePlan | None:
-        """The plan of a blow, or None where there is none; the time is spent either way."""
+        """The plan of a strike, or None where there is none; the time is spent either way."""
         with suppress(PlanningError):
             world = CollisionWorld(self.robot, self._config, self.q_hand, X_hand_ee)
             X_base_nail = self._config.work.X_base_nail()

@@ -55,8 +55,8 @@ class BenchServo:
         from toolee_robot.hardware.ur.config import UrArmConfig
         from toolee_robot.hardware.ur.driver import UrArm
         from toolee_robot.hardware.ur.servo_benchmark import servo_benchmark
-        from toolee_robot.runtime.cpu_keepalive import CoresAwake
-        from toolee_robot.runtime.latency_monitor import Steadiness
+        from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
+        from toolee_robot.runtime.latency_monitor import LatencyMonitor
         from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
         from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
 
@@ -74,13 +74,13 @@ class BenchServo:
                 realtime=True,
             ),
             UrArm(config, ArmLimits(model=ArmModel(self.model))) as arm,
-            CoresAwake(),
-            Steadiness(_PAUSE) as steadiness,
+            CpuKeepalive(),
+            LatencyMonitor(_PAUSE) as latency,
             console.status(f"servoing at {arm.rate:.0f} Hz for {self.seconds:g} s"),
         ):
-            steadiness.begin()
+            latency.begin()
             figures, report = servo_benchmark(arm, self.seconds)
-            standstills = Standstills(steadiness.count, steadiness.longest)
+            stalls = Stalls(latency.count, latency.longest)
             trace = compare(report, *trace_memory.read(), arm.rate)
         met = {
             "period error p99 under 1 ms": figures.period_error_p99 * 1e3 < _PERIOD_TARGET_MS,
@@ -88,7 +88,7 @@ class BenchServo:
             "no drift": abs(figures.drift) < 0.5 / figures.rate,
             "tracking to 1e-6 rad plus the lag": trace.lag_error < 1e-6,
         }
-        console.print(_table(figures, trace, standstills, met))
+        console.print(_table(figures, trace, stalls, met))
         if self.json:
             record = {
                 "machine": asdict(describe_machine()),
@@ -96,7 +96,7 @@ class BenchServo:
                 "model": self.model,
                 "servo": asdict(figures),
                 "trace": asdict(trace),
-                "standstills": asdict(standstills),
+                "stalls": asdict(stalls),
                 "targets": met,
             }
             print(json_line(record), flush=True)
@@ -104,14 +104,14 @@ class BenchServo:
 
 
 @dataclass(frozen=True)
-class Standstills:
+class Stalls:
     """Of the machine itself, as a witness at a higher priority saw it: how many of more than 5 ms, the longest [s]."""
 
     count: int
     longest: float
 
 
-def _table(servo: ServoFigures, trace: TraceFigures, machine: Standstills, met: dict[str, bool]) -> Table:
+def _table(servo: ServoFigures, trace: TraceFigures, machine: Stalls, met: dict[str, bool]) -> Table:
     table = Table(show_header=False)
     rows = {
         "commands": f"{servo.cycles} at {servo.rate:.0f} Hz in {servo.seconds:.2f} s",

@@ -15,12 +15,12 @@ from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
 from toolee_robot.config import StationConfig, load_station
 from toolee_robot.errors import UserError
-from toolee_robot.runtime.clock import check_pace, is_loopback
+from toolee_robot.runtime.clock import check_real_time_factor, is_loopback
 from toolee_robot.types import ArmModel
 
-WORLD_PACE = {ArmModel.UR10: 0.25, ArmModel.UR10E: 0.1}
-"""A cycle has 32 and 20 ms then: twice and more what the world needs for it at worst, in a blow, so that two busy cores
-keep the servo's schedule within a real robot's bounds."""
+WORLD_REAL_TIME_FACTOR = {ArmModel.UR10: 0.25, ArmModel.UR10E: 0.1}
+"""A cycle has 32 and 20 ms then: twice and more what the world needs for it at worst, in a strike, so that two busy
+cores keep the servo's schedule within a real robot's bounds."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Hammer:
     """Of the UR controller, with --arm ur-rtde; with --world a loopback address, where a stand-in will serve."""
     world: Annotated[Literal["pybullet"] | None, tyro.conf.arg(metavar="pybullet", help_behavior_hint="")] = None
     """What is behind the UR controller: a stand-in is started, with the simulated station as its world."""
-    pace: Annotated[
+    real_time_factor: Annotated[
         float | None, tyro.conf.arg(metavar="0.05..1", help_behavior_hint="(default: UR10 0.25, UR10e 0.1)")
     ] = None
     """With --world: seconds of the station, its robot and its world for one of the wall's clock. 1 is real time, which
@@ -98,11 +98,13 @@ class Hammer:
         return report.exit_code
 
     def _address(self, model: ArmModel) -> tuple[str, float] | None:
-        """Host and pace of the stand-in that the arm is driven through; None for the simulated arm itself."""
+        """Host and real-time factor of the stand-in that the arm is driven through; None for the simulated arm
+        itself."""
         if self.arm == "sim":
-            if self.pace is not None:
+            if self.real_time_factor is not None:
                 raise UserError(
-                    "--pace without --arm ur-rtde: the simulated arm itself needs none, its time waits for it"
+                    "--real-time-factor without --arm ur-rtde: the simulated arm itself needs none, its time waits "
+                    "for it"
                 )
             if self.robot_host is not None:
                 raise UserError("--robot-host without --arm ur-rtde: the simulated arm has no address")
@@ -117,6 +119,6 @@ class Hammer:
             raise UserError("--arm ur-rtde needs --robot-host: a loopback address such as 127.0.0.2")
         if not is_loopback(self.robot_host):
             raise UserError(f"{self.robot_host!r} is not a loopback address: a stand-in serves this machine only")
-        pace = WORLD_PACE[model] if self.pace is None else self.pace
-        check_pace(pace, self.robot_host)
-        return self.robot_host, pace
+        real_time_factor = WORLD_REAL_TIME_FACTOR[model] if self.real_time_factor is None else self.real_time_factor
+        check_real_time_factor(real_time_factor, self.robot_host)
+        return self.robot_host, real_time_factor

@@ -15,7 +15,7 @@ from toolee_robot.control.records import StrikePlan
 from toolee_robot.frames import Array
 from toolee_robot.recording.pose_text import pose_text, sigma_text
 from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.tasks.common.outcome import Blow, HammerResult, Stage
+from toolee_robot.tasks.common.outcome import HammerResult, Stage, Strike
 from toolee_robot.types import Category, InHandEstimate, RgbdFrame, ToolEstimate
 
 _PHASES = {
@@ -34,7 +34,7 @@ _DOING = {
     Stage.GRIP: "closing the fingers, confirming the hold",
     Stage.VIEW: "bringing the tool before the camera",
     Stage.PERCEIVE: "finding the end effector and its pose",
-    Stage.PLAN: "planning the blow",
+    Stage.PLAN: "planning the strike",
     Stage.TOUCH: "measuring the nail with a slow touch",
     Stage.STRIKE: "striking",
     Stage.PARK: "putting the arm away",
@@ -42,10 +42,10 @@ _DOING = {
 
 
 class ConsoleObserver(TaskObserver):
-    """Writes the job to a rich console: stages, poses with their uncertainty, the nail after each blow."""
+    """Writes the job to a rich console: stages, poses with their uncertainty, the nail after each strike."""
 
     def __init__(self, console: Console, protrusion: float, flush: float) -> None:
-        """protrusion [m] of the nail before the first blow; flush [m], under which it is driven."""
+        """protrusion [m] of the nail before the first strike; flush [m], under which it is driven."""
         self._console = console
         self._start, self._flush = protrusion, flush
         self._last = protrusion
@@ -110,21 +110,22 @@ class ConsoleObserver(TaskObserver):
             + ("" if estimate.usable else f"  [red]{escape(estimate.reason)}[/red]")
         )
 
-    def blow(self, blow: Blow) -> None:
-        if blow.protrusion is None:
-            self._console.print(f"  blow {blow.number:>2}  [red]the nail could not be measured after it[/red]")
+    def strike(self, strike: Strike) -> None:
+        if strike.protrusion is None:
+            self._console.print(f"  strike {strike.number:>2}  [red]the nail could not be measured after it[/red]")
             return
-        gained = (self._last - blow.protrusion) * 1e3
-        self._last = blow.protrusion
-        left = max(blow.protrusion, 0.0) / max(self._start, 1e-9)
+        gained = (self._last - strike.protrusion) * 1e3
+        self._last = strike.protrusion
+        left = max(strike.protrusion, 0.0) / max(self._start, 1e-9)
         bar = "█" * round(20 * min(left, 1.0))
         self._console.print(
-            f"  blow {blow.number:>2}  {blow.protrusion * 1e3:5.1f} mm over the wood  [dim]({gained:+.1f})[/dim]  "
-            f"[blue]{bar:<20}[/blue] [dim]{blow.speed:.1f} m/s, {blow.peak_force:.0f} N[/dim]"
+            f"  strike {strike.number:>2}  {strike.protrusion * 1e3:5.1f} mm over the wood  "
+            f"[dim]({gained:+.1f})[/dim]  "
+            f"[blue]{bar:<20}[/blue] [dim]{strike.speed:.1f} m/s, {strike.peak_force:.0f} N[/dim]"
         )
         if self._task is not None:
-            driven = max(self._start - blow.protrusion, 0.0)
-            self._progress.update(self._task, completed=driven, protrusion=f"{blow.protrusion * 1e3:.1f} mm left")
+            driven = max(self._start - strike.protrusion, 0.0)
+            self._progress.update(self._task, completed=driven, protrusion=f"{strike.protrusion * 1e3:.1f} mm left")
 
     def planned(self, stamp: float, plan: StrikePlan) -> None:
         if not self._told_plan:

@@ -18,13 +18,13 @@ from toolee_robot.cli.hammering.console import ConsoleObserver
 from toolee_robot.cli.output import json_line
 from toolee_robot.config import StationConfig
 from toolee_robot.perception import ToolPerception
-from toolee_robot.recording.observer import Album, RecordingObserver
+from toolee_robot.recording.observer import PictureCollector, RecordingObserver
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.robots import ARM_JOINTS
-from toolee_robot.runtime.files import write_whole
-from toolee_robot.runtime.latency_monitor import EXCUSE, Steadiness
+from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
-from toolee_robot.sim_backend.ground_truth.verdict import BlowTruth, Verdict
+from toolee_robot.sim_backend.ground_truth.verdict import StrikeTruth, Verdict
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.stations.simulated import StandIn, open_backend
 from toolee_robot.tasks.common.observer import Observers
@@ -53,7 +53,7 @@ class HammerReport:
         f = self.figures
         seconds = ", ".join(f"{name} {s:.1f}" for name, s in f["stage_seconds"].items())
         rows = [
-            ("blows", str(f["blows"])),
+            ("strikes", str(f["strikes"])),
             ("nail over the wood", _figure(f["protrusion_mm"], "mm")),
             ("pose error *", f"{_figure(f['pose_error_mm'], 'mm')}, {_figure(f['pose_error_deg'], '°')}"),
             ("strike offset, tilt *", f"{_figure(f['strike_offset_mm'], 'mm')}, {_figure(f['strike_tilt_deg'], '°')}"),
@@ -88,10 +88,13 @@ class HammerJob:
         began = time.perf_counter()
         perception = None if self.perfect_perception else ToolPerception.load()
         work, flush = self.config.work, self.config.task.flush_protrusion
-        screen, album = ConsoleObserver(console, work.nail_protrusion, flush), Album(work.nail_protrusion, flush)
+        screen, collector = (
+            ConsoleObserver(console, work.nail_protrusion, flush),
+            PictureCollector(work.nail_protrusion, flush),
+        )
         metadata = {"seed": str(self.seed), "correction": str(self.correction)}
         with (
-            nullcontext() if self.stand_in is None else Steadiness() as machine,
+            nullcontext() if self.stand_in is None else LatencyMonitor() as machine,
             open_backend(self.config, self.seed, SimOptions(gui=self.gui), self.stand_in) as sim,
             RunRecorder(folder / "recording.mcap", metadata) as recorder,
         ):
@@ -110,7 +113,7 @@ class HammerJob:
                 self.config,
                 nominal_grasp(sim.tool, self.config),
                 correction=self.correction,
-                observer=Observers(screen, keeper, album),
+                observer=Observers(screen, keeper, collector),
             )
             if machine is not None:
                 machine.begin()
@@ -120,28 +123,31 @@ class HammerJob:
             except KeyboardInterrupt:
                 reason = "interrupted by a person; the arm was stopped"
                 result = task.result(Outcome.INTERRUPTED, reason)
-            standstill = None if machine is None else machine.longest
-            verdict, truths = sim.judge.verdict(result.estimates), sim.judge.blows
-        figures = self._figures(result, verdict, sim.tool, time.perf_counter() - began, standstill)
-        self._write(folder, figures, result, truths, album, sim.tool)
+            longest_stall = None if machine is None else machine.longest
+            verdict, truths = sim.judge.verdict(result.estimates), sim.judge.strikes
+        figures = self._figures(result, verdict, sim.tool, time.perf_counter() - began, longest_stall)
+        self._write(folder, figures, result, truths, collector, sim.tool)
         return HammerReport(figures)
 
     def _mode(self) -> str:
         words = ""
         if self.stand_in is not None:
-            words = f", {self.config.arm.model} over ur_rtde at {self.stand_in.host}, pace {self.stand_in.pace:g}"
+            words = (
+                f", {self.config.arm.model} over ur_rtde at {self.stand_in.host}, "
+                f"real-time factor {self.stand_in.real_time_factor:g}"
+            )
         if self.perfect_perception:
             return f"{words}, poses from the simulation's ground truth"
         return words if self.correction else f"{words}, no correction: the nominal in-hand pose is believed"
 
-    def _excused(self, result: HammerResult, standstill: float | None) -> bool:
-        """Whether the machine itself stood still for longer than the driver's bounds allow at this pace."""
-        if self.stand_in is None or standstill is None or result.outcome is not Outcome.DEVICE_FAULT:
+    def _machine_stalled(self, result: HammerResult, longest_stall: float | None) -> bool:
+        """Whether the machine itself stood still for longer than the driver's bounds allow at this real-time factor."""
+        if self.stand_in is None or longest_stall is None or result.outcome is not Outcome.DEVICE_FAULT:
             return False
-        return standstill * self.stand_in.pace > EXCUSE
+        return longest_stall * self.stand_in.real_time_factor > STALL_LIMIT
 
     def _figures(
-        self, result: HammerResult, verdict: Verdict, tool: Tool, seconds: float, standstill: float | None
+        self, result: HammerResult, verdict: Verdict, tool: Tool, seconds: float, longest_stall: float | None
     ) -> dict[str, Any]:
         success, outcome, reason = result.success, str(result.outcome), result.reason
         if success and verdict.nail_outcome != "flush":
@@ -150,17 +156,19 @@ class HammerJob:
             reason = (
                 f"the robot takes the nail for flush ({reason}), but it is {verdict.nail_outcome.replace('_', ' ')}"
             )
-        excused = self._excused(result, standstill)
-        if excused:
+        machine_stalled = self._machine_stalled(result, longest_stall)
+        if machine_stalled:
             reason += (
-                f". This machine itself stood still meanwhile, for up to {(standstill or 0.0) * 1e3:.0f} ms: the host "
-                "of a virtual machine takes its cores away. Try again, or with a slower --pace, which bears more"
+                f". This machine itself stood still meanwhile, for up to {(longest_stall or 0.0) * 1e3:.0f} ms: the "
+                "host "
+                "of a virtual machine takes its cores away. Try again, or with a smaller --real-time-factor, which "
+                "tolerates more"
             )
         return {
             "success": success,
             "outcome": outcome,
             "reason": reason,
-            "blows": len(result.blows),
+            "strikes": len(result.strikes),
             "protrusion_mm": _rounded(verdict.protrusion_mm),
             "measured_protrusion_mm": None if result.protrusion is None else _rounded(result.protrusion * 1e3),
             "nail": verdict.nail_outcome,
@@ -174,9 +182,9 @@ class HammerJob:
             "seed": self.seed,
             "tool": tool.name,
             "arm": "sim" if self.stand_in is None else "ur-rtde",
-            "pace": None if self.stand_in is None else self.stand_in.pace,
-            "machine_standstill_ms": None if standstill is None else _rounded(standstill * 1e3),
-            "machine_to_blame": excused,
+            "real_time_factor": None if self.stand_in is None else self.stand_in.real_time_factor,
+            "machine_stall_ms": None if longest_stall is None else _rounded(longest_stall * 1e3),
+            "machine_stalled": machine_stalled,
             "robot": str(self.config.arm.model),
             "correction": self.correction,
             "perfect_perception": self.perfect_perception,
@@ -187,15 +195,15 @@ class HammerJob:
         folder: Path,
         figures: dict[str, Any],
         result: HammerResult,
-        truths: tuple[BlowTruth, ...],
-        album: Album,
+        truths: tuple[StrikeTruth, ...],
+        collector: PictureCollector,
         tool: Tool,
     ) -> None:
         summary = {
             **figures,
             "version": toolee_robot.__version__,
-            "blow_log": [asdict(blow) for blow in result.blows],
-            "blow_truth": [asdict(truth) for truth in truths],
+            "strike_log": [asdict(strike) for strike in result.strikes],
+            "strike_truth": [asdict(truth) for truth in truths],
             "looks": [
                 {
                     "stamp": stamp,
@@ -209,14 +217,13 @@ class HammerJob:
             ],
             "station": asdict(self.config),
         }
-        write_whole(folder / "summary.json", (json_line(summary) + "\n").encode())
-        blows = f"{figures['blows']} blow{'' if figures['blows'] == 1 else 's'}"
-        title = (
-            f"{'Flush' if figures['success'] else str(figures['outcome']).replace('_', ' ').capitalize()} after {blows}"
-        )
-        picture = album.picture(title, f"{_words(tool)}, seed {self.seed}{self._mode()}")
+        write_atomic(folder / "summary.json", (json_line(summary) + "\n").encode())
+        strikes = f"{figures['strikes']} strike{'' if figures['strikes'] == 1 else 's'}"
+        outcome = "Flush" if figures["success"] else str(figures["outcome"]).replace("_", " ").capitalize()
+        title = f"{outcome} after {strikes}"
+        picture = collector.picture(title, f"{_words(tool)}, seed {self.seed}{self._mode()}")
         if picture is not None:
-            write_whole(folder / "picture.png", picture)
+            write_atomic(folder / "picture.png", picture)
 
 
 def _words(tool: Tool) -> str:

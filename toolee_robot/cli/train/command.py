@@ -1,4 +1,4 @@
-"""`toolee train`: the detector, what draws its masks again, the pose network, and how far they are to be trusted."""
+"""`toolee train`: the detector, the mask refiner, the pose network, and how far they are to be trusted."""
 
 from __future__ import annotations
 

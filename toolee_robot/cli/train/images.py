@@ -81,7 +81,7 @@ class Segmentation(_ImageCommand):
 
 @dataclass(frozen=True)
 class Refinement(_ImageCommand):
-    """Train the refiner, which draws again, near, the end effectors that the detector found.
+    """Train the refiner, which segments again, in enlarged crops, the end effectors that the detector found.
 
     Example: toolee train refinement --data data/refine/train --detector runs/segmentation --out runs/segmentation
 

@@ -13,7 +13,7 @@ import tyro
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
 from toolee_robot.errors import UserError
-from toolee_robot.runtime.files import write_whole
+from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_files import read_yaml
 
 CONFIG = "config.json"
@@ -89,7 +89,7 @@ def remember(out: Path, resume: bool, config: dict[str, Any], name: str = CONFIG
             )
     if is_first():
         make_folder(out)
-        write_whole(path, (json.dumps(config, indent=1, default=str) + "\n").encode())
+        write_atomic(path, (json.dumps(config, indent=1, default=str) + "\n").encode())
 
 
 def is_first() -> bool:

@@ -141,7 +141,7 @@ class Pose(TrainingCommand):
     """Held-out tools of each kind (default: 30)."""
     validation: Count = None
     """Held-out clouds (default: 4096)."""
-    settle: Number = None
+    freeze_batchnorm: Number = None
     """Share of the budget after which batch normalisation keeps its statistics (default: 0.25)."""
     calibrate_only: Flag = False
     """Validate and calibrate the weights that lie in --out, without training."""
@@ -149,9 +149,9 @@ class Pose(TrainingCommand):
     def run(self) -> int:
         from toolee_robot.perception.pose.synthetic_clouds.batch import PROTOCOLS
         from toolee_robot.perception.pose.training.config import TrainConfig
-        from toolee_robot.perception.pose.training.recipe import Ours
+        from toolee_robot.perception.pose.training.recipe import DefaultRecipe
         from toolee_robot.perception.pose.training.trainer import train
-        from toolee_robot.perception.research.tooleenet import PaperMethod, column_of
+        from toolee_robot.perception.research.tooleenet import PaperRecipe, column_of
 
         column = column_of(self.estimator, self.column)
         config: TrainConfig = TrainConfig(**options_of(self, self.config, {f.name for f in fields(TrainConfig)}))
@@ -161,6 +161,6 @@ class Pose(TrainingCommand):
         if not self.calibrate_only:
             remember(self.out, resumed, {**about, "rendered": [str(path) for path in self.rendered]})
         clouds = PROTOCOLS[self.protocol]()
-        method: Any = Ours(clouds_config=clouds) if column is None else PaperMethod(column, clouds)
+        method: Any = DefaultRecipe(clouds_config=clouds) if column is None else PaperRecipe(column, clouds)
         report = train(self.out, config, method, self.hands, self.calibrate_only, self.init, self.rendered)
         return self.end(resumed, report=report)

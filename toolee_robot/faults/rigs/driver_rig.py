@@ -45,7 +45,7 @@ class Happening:
 
 
 class Rig:
-    """An entered UrArm at the beginning of a blow's swing."""
+    """An entered UrArm at the beginning of a strike's swing."""
 
     def __init__(self, controller: ControllerProcess, arm: UrArm, swing: Swing) -> None:
         self.controller, self.arm, self.swing = controller, arm, swing
@@ -158,7 +158,7 @@ class Rig:
 
 @contextmanager
 def rig(model: ArmModel, host: str) -> Iterator[Rig]:
-    """A stand-in of this model on a loopback address, the driver connected to it, and a planned blow."""
+    """A stand-in of this model on a loopback address, the driver connected to it, and a planned strike."""
     swing = plan_swing(model)
     plant = partial(JointPlant, q=swing.plan.strike.q[0])
     with (

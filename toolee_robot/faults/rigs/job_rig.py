@@ -30,13 +30,13 @@ from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.sim_backend.world import Sample
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.tasks.common.outcome import Blow, HammerResult, Stage
+from toolee_robot.tasks.common.outcome import HammerResult, Stage, Strike
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tasks.hammering.task import Grasp, HammeringTask
 
 # Transfers are not what is examined: they may be fast.
 CONFIG = StationConfig(
-    task=TaskConfig(views=1, max_blows=1, handover_timeout=2.0),
+    task=TaskConfig(views=1, max_strikes=1, handover_timeout=2.0),
     arm=ArmLimits(transfer_velocity_scale=0.7, transfer_acceleration=5.0),
 )
 HOME = np.array(CONFIG.scene.home)
@@ -96,7 +96,7 @@ class Log(TaskObserver):
         self.reports: list[MotionReport] = []
         self.stages: list[tuple[str, Stage]] = []
         self.messages: list[str] = []
-        self.blows: list[Blow] = []
+        self.strikes: list[Strike] = []
         self.plan: StrikePlan | None = None
         self.last: HammerResult | None = None
         self.at, self.after = at or {}, after or {}
@@ -122,8 +122,8 @@ class Log(TaskObserver):
         self.reports.append(report)
         self.after.pop(name, _nothing)()
 
-    def blow(self, blow: Blow) -> None:
-        self.blows.append(blow)
+    def strike(self, strike: Strike) -> None:
+        self.strikes.append(strike)
 
     def ended(self, result: HammerResult) -> None:
         self.last = result

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
-from toolee_robot.motion.path_stop import brake_on_path
+from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.sim_backend.ur_controller.faults.client import Trace
 from toolee_robot.types import Trajectory
 
@@ -66,7 +66,7 @@ def stop_after(trace: Trace, trajectory: Trajectory, event: float) -> Stop:
 
 def braking_time(path: Trajectory, start: float, period: float, limits: ArmLimits) -> float:
     """[s] The least that a stop on the path takes from time `start` [s] on it, in whole cycles of `period` [s]."""
-    return period * len(list(brake_on_path(path, start, period, limits.stop_acceleration, limits.stop_jerk)))
+    return period * len(list(stop_on_path(path, start, period, limits.stop_acceleration, limits.stop_jerk)))
 
 
 def _projected(q: Array, trajectory: Trajectory) -> tuple[Array, Array]:

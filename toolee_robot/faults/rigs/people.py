@@ -6,15 +6,15 @@ from collections.abc import Callable
 
 
 class People:
-    """A `hal.Person` who answers as told, and remembers what was asked. is_inside: within the arm's reach. attends:
-    holds the enabling switch. on_release: what they do when they let go."""
+    """A `hal.Person` who answers as scripted, and remembers what was asked. is_inside: within the arm's reach.
+    holds_switch: holds the enabling switch. on_release: what they do when they let go."""
 
     def __init__(
         self, gives: bool = True, steps_back: bool = True, on_release: Callable[[], None] | None = None
     ) -> None:
         self.gives, self.steps_back = gives, steps_back
         self.takes, self.confirms = True, True
-        self.is_inside, self.attends = False, True
+        self.is_inside, self.holds_switch = False, True
         self.on_release = on_release
         self.asked: list[str] = []
 
@@ -26,11 +26,11 @@ class People:
         self.asked.append("swing")
         return self.confirms
 
-    def inside(self) -> bool:
+    def zone_occupied(self) -> bool:
         return self.is_inside
 
-    def attending(self) -> bool:
-        return self.attends
+    def enabling_switch_held(self) -> bool:
+        return self.holds_switch
 
     def step_in(self) -> None:
         self.is_inside = True

@@ -1,4 +1,4 @@
-"""Perception that tells the truth until it is told to tell something else."""
+"""Perception that answers with the truth, or as a script has it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from toolee_robot.types import Category, InHandEstimate, RgbdFrame, ToolEstimate
 Change = Callable[[InHandEstimate], InHandEstimate]
 
 
-class Told(PerfectPerception):
+class ScriptedPerception(PerfectPerception):
     """Perfect perception whose fused answers are changed, one of `changes` for each look, the last one for good.
 
     hands: where the hand was in the last frame of each look, as the camera saw it. sees: whether it finds anything.

@@ -1,4 +1,4 @@
-"""The swing that faults are injected into: a blow of the default station, planned as in a job."""
+"""The swing that faults are injected into: a strike of the default station, planned as in a job."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from toolee_robot.types import ArmModel, Category
 
 @dataclass(frozen=True)
 class Swing:
-    """config: of the station. world: what must not be hit. plan: of the blow."""
+    """config: of the station. world: what must not be hit. plan: of the strike."""
 
     config: StationConfig
     robot: RobotModel

@@ -94,5 +94,5 @@ def into_itself(swing: Swing, q: Array) -> Trajectory:
 
 
 def too_fast_for_a_handover(swing: Swing) -> Trajectory:
-    """The blow itself."""
+    """The strike itself."""
     return swing.plan.strike

@@ -95,21 +95,21 @@ def command_rows(rig: Rig) -> Iterator[Measurement]:
 
 
 def _supervised(rig: Rig) -> tuple[Supervisor, People]:
-    """A supervisor that lets blows begin, and the person it asks."""
+    """A supervisor that lets strikes begin, and the person it asks."""
     swing = rig.swing
     # A busy machine is not what these rows are about.
     bounds = replace(swing.config.supervisor, data_cycles=PATIENT.data_cycles, overruns=PATIENT.overruns)
     person = People()
     config = replace(swing.config, supervisor=bounds)
     supervisor = Supervisor(rig.arm, person, swing.robot, config, world=lambda: swing.world)
-    supervisor.mode = Mode.HAMMERING
+    supervisor.mode = Mode.UNATTENDED
     supervisor.permit_swings(1.0)
     return supervisor, person
 
 
 def _swing(supervisor: Supervisor, rig: Rig) -> Callable[[Trajectory, ContactGuard | None, MotionWatch], MotionReport]:
     plan, config = rig.swing.plan, rig.swing.config
-    guard = ContactGuard(config.strike.contact_force, after=0.5 * plan.contact_time)
+    guard = ContactGuard(config.strike.contact_force, ignore_before=0.5 * plan.contact_time)
     return lambda strike, _guard, _watch: supervisor.swing(strike, guard, plan.expected_contact)[0]
 
 
@@ -223,7 +223,7 @@ def _no_motion(rig: Rig, inside: bool, name: str) -> FaultRow:
     supervisor, person = _supervised(rig)
     person.is_inside = inside
     if not inside:
-        supervisor.mode = Mode.HAMMERING  # which takes the permission away
+        supervisor.mode = Mode.UNATTENDED  # which takes the permission away
     before = rig.controller.state()["tick"]
     got: object = None
     try:

@@ -20,13 +20,13 @@ from toolee_robot.faults.record import FaultRow
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, Log, at_rest, grip_kept
 from toolee_robot.faults.rigs.joint_watch import JointWatch
 from toolee_robot.faults.rigs.joints_path import Stop
-from toolee_robot.faults.rigs.scripted_perception import Told
+from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception
 from toolee_robot.faults.rows.arm import OFF_PATH
 from toolee_robot.faults.rows.job_fault import IN_STRIKE, JobFault, Scene
 from toolee_robot.faults.rows.job_faults import JOB_FAULTS
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome
-from toolee_robot.motion.path_stop import brake_on_path
+from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.sim_backend.devices.arm import RATE
 from toolee_robot.tasks.common.outcome import HammerResult, Stage
 from toolee_robot.tasks.hammering.task import HammeringTask
@@ -49,7 +49,7 @@ def job_rows(bench: Bench) -> Iterator[Measurement]:
 def job_row(fault: JobFault, bench: Bench) -> FaultRow:
     """Inject one fault into one job."""
     bench.reset()
-    scene = Scene(bench, Log(), Told(bench.sim.judge))
+    scene = Scene(bench, Log(), ScriptedPerception(bench.sim.judge))
     try:
         return _Row(fault, scene).measure()
     finally:
@@ -58,8 +58,8 @@ def job_row(fault: JobFault, bench: Bench) -> FaultRow:
 
 
 class _Row:
-    """One job with one fault in it. wrong: what was not as it must be. _strike: the blow that was watched; _hand: where
-    the palm was (3,) [m] when the tool was lost, at the latest when the blow had ended."""
+    """One job with one fault in it. wrong: what was not as it must be. _strike: the strike that was watched; _hand:
+    where the palm was (3,) [m] when the tool was lost, at the latest when the strike had ended."""
 
     _strike: Trajectory
     _hand: Array
@@ -69,14 +69,14 @@ class _Row:
         self._bench, self._log = scene.bench, scene.log
         self._world = scene.bench.sim.world
         self._watch = JointWatch(self._world, scene.bench.arm)
-        self._paced = ExitStack()
+        self._real_time = ExitStack()
         self.wrong: list[str] = []
 
     def measure(self) -> FaultRow:
         fault = self._fault
         self._prepare()
         task = self._task()
-        with self._paced:
+        with self._real_time:
             result = task.run()
         stands = at_rest(self._bench.sim)
         self._check_end(result, stands)
@@ -100,10 +100,12 @@ class _Row:
 
     def _task(self) -> HammeringTask:
         fault = self._fault
-        task = replace(CONFIG.task, max_blows=fault.blows, views_again=1, blows_between_looks=1, min_progress=5e-4)
+        task = replace(
+            CONFIG.task, max_strikes=fault.max_strikes, views_again=1, strikes_between_looks=1, min_progress=5e-4
+        )
         config = replace(CONFIG, task=task)
         if fault.sees:
-            return self._bench.seeing_task(self._log, config, self._scene.told)
+            return self._bench.seeing_task(self._log, config, self._scene.perception)
         return self._bench.blind_task(self._log, config)
 
     def _inject(self) -> None:
@@ -119,13 +121,13 @@ class _Row:
             self._inject()
         if self._fault.when == IN_STRIKE:
             # Hand and people are watched by threads, which live in real time.
-            self._paced.enter_context(self._bench.in_real_time())
+            self._real_time.enter_context(self._bench.in_real_time())
             self._watch.at(self._world.time + max(plan.contact_time - self._fault.before, 0.05), self._inject)
         self._strike = plan.strike
         self._watch.begin()
 
     def _after_strike(self) -> None:
-        self._paced.close()
+        self._real_time.close()
         self._watch.end()
         self._hand = self._world.X_base_hand()[:3, 3]
         if self._fault.when == "strike":
@@ -141,19 +143,19 @@ class _Row:
         fault, log = self._fault, self._log
         self._check(result.outcome is fault.outcome, f"{fault.outcome} expected, got {result.outcome}")
         self._check(not result.success, "a failure was recorded as success")
-        self._check(fault.says in result.reason, f"the reason does not say {fault.says!r}: {result.reason}")
+        self._check(fault.message in result.reason, f"the reason does not say {fault.message!r}: {result.reason}")
         self._check(log.last is result, "the end was not recorded")
         last = log.motions[-1] if log.motions else None
         self._check(last == fault.last, f"the last motion was {last!r}, not {fault.last!r}")
         strikes = log.motions.count("strike")
-        self._check(strikes == fault.strikes, f"{strikes} blows were swung, {fault.strikes} may be")
+        self._check(strikes == fault.swings, f"{strikes} strikes were swung, {fault.swings} may be")
         self._check(stands, "the arm does not stand")
         self._check(grip_kept(self._bench.sim) is fault.keeps, "the hand let go" if fault.keeps else "nothing dropped")
         again = any("looking again" in message for message in log.messages)
         self._check(again is fault.looks_again, "it did not look again" if fault.looks_again else "it looked again")
         if fault.meetings is not None:
-            got = tuple(blow.meeting for blow in result.blows)
-            self._check(got == fault.meetings, f"the blows met {', '.join(got)}, not {', '.join(fault.meetings)}")
+            got = tuple(strike.meeting for strike in result.strikes)
+            self._check(got == fault.meetings, f"the strikes met {', '.join(got)}, not {', '.join(fault.meetings)}")
         if fault.last == "retreat":
             self._check_retreat()
 
@@ -165,7 +167,7 @@ class _Row:
         self._check(after[2] - before[2] > HIGHER, f"the hand is {after[2] - before[2]:.3f} m higher only")
 
     def _check_braking(self) -> dict[str, Any]:
-        """What the joints did in the blow in which the fault came, as a `FaultRow` has it."""
+        """What the joints did in the strike in which the fault came, as a `FaultRow` has it."""
         fault, happened = self._fault, self._scene.happened
         if happened is None:
             self._check(fault.braking is None and fault.when != IN_STRIKE, "the fault did not come")
@@ -180,7 +182,7 @@ class _Row:
             self._check(off_path < OFF_PATH_BY_MOTORS, f"the joints left the path by {off_path:.4f} rad")
         measured: dict[str, Any] = {"speed": stop.speed, "off_path": off_path}
         if braking is not None:
-            self._check(stop.reached < strike.duration - 2 / RATE, "the blow went on to its end")
+            self._check(stop.reached < strike.duration - 2 / RATE, "the strike went on to its end")
         if braking is not None and braking.cycles is not None:
             allowed = self._allowed(strike, stop, braking.cycles)
             self._check(stop.standstill <= allowed, f"standstill after {stop.standstill:.3f} s, {allowed:.3f} allowed")
@@ -190,7 +192,7 @@ class _Row:
     @staticmethod
     def _allowed(strike: Trajectory, stop: Stop, cycles: float) -> float:
         limits, notice = CONFIG.arm, cycles / RATE
-        braking = brake_on_path(strike, stop.path_time + notice, 1 / RATE, limits.stop_acceleration, limits.stop_jerk)
+        braking = stop_on_path(strike, stop.path_time + notice, 1 / RATE, limits.stop_acceleration, limits.stop_jerk)
         return notice + (len(list(braking)) + 2) / RATE + SETTLING
 
     # -- the latch -----------------------------------------------------------------------------------------------------

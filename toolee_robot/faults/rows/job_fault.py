@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from toolee_robot.control.contact import Meeting
 from toolee_robot.faults.record import Phase
 from toolee_robot.faults.rigs.job_rig import Bench, Log
-from toolee_robot.faults.rigs.scripted_perception import Told
+from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 
 IN_STRIKE = "in mid-swing"
@@ -21,14 +21,14 @@ class Scene:
 
     bench: Bench
     log: Log
-    told: Told
+    perception: ScriptedPerception
     undo: list[Callable[[], None]] = field(default_factory=list)
     happened: float | None = None
 
 
 @dataclass(frozen=True)
 class Braking:
-    """A blow that must end before its end. cycles: of the arm, that noticing the fault may take; None where what
+    """A strike that must end before its end. cycles: of the arm, that noticing the fault may take; None where what
     notices it runs in real time, which the simulation's is not. arm_off: whether the joints themselves cannot be on the
     path, whatever they are told."""
 
@@ -41,12 +41,11 @@ class JobFault:
     """number, fault, phase, expected: as in `FaultRow`. inject: does it. when: the stage at whose beginning, or the
     motion after whose end; IN_STRIKE: in mid-swing, `before` [s] before the face meets the nail; None: before the job.
 
-    What must come of it. outcome and says, which the reason must contain. strikes: how many blows are swung, with that
-    which the fault disturbs. last: of the motions; None: no motion at all. keeps: the hand still holds the tool.
-    braking: of the blow in which it comes, None where that goes on to its end. job_latches, arm_latches: which of them
-    refuse to move until a reset; person: who must make the robot ready before that. looks_again: another look was
-    tried. meetings: of the blows. Then, sees: whether the job looks at all; blows: as many as it may make.
-    """
+    What must come of it. outcome and message, which the reason must contain. swings: how many strikes are swung, with
+    that which the fault disturbs. last: of the motions; None: no motion at all. keeps: the hand still holds the tool.
+    braking: of the strike in which it comes, None where that goes on to its end. job_latches, arm_latches: which of
+    them refuse to move until a reset; person: who must make the robot ready before that. looks_again: another look was
+    tried. meetings: of the strikes. Then, sees: whether the job looks at all; max_strikes: as many as it may make."""
 
     number: int
     fault: str
@@ -55,8 +54,8 @@ class JobFault:
     inject: Callable[[Scene], object]
     when: Stage | str | None
     outcome: Outcome
-    says: str
-    strikes: int
+    message: str
+    swings: int
     last: str | None
     keeps: bool = True
     braking: Braking | None = None
@@ -66,5 +65,5 @@ class JobFault:
     looks_again: bool = False
     meetings: tuple[Meeting, ...] | None = None
     sees: bool = False
-    blows: int = 1
+    max_strikes: int = 1
     before: float = 0.06

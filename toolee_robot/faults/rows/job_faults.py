@@ -20,8 +20,8 @@ REST, SWING = Phase.REST, Phase.SWING
 RUN_UP = "to the run-up"
 FAULT, LOST, UNKNOWN, NEAR = Outcome.DEVICE_FAULT, Outcome.TOOL_LOST, Outcome.POSE_UNKNOWN, Outcome.PERSON_NEAR
 STANDS = "arm stands, grip kept"
-NO_BLOW = "no blow, arm stands, grip kept"
-NO_NEXT = "no further blow, arm stands, grip kept"
+NO_STRIKE = "no strike, arm stands, grip kept"
+NO_NEXT = "no further strike, arm stands, grip kept"
 RETREATS = "aborts, retreats away from the person"
 LOOKS = "looks again, then gives up"
 RECORDS = "stops, records a failure"
@@ -83,13 +83,13 @@ def _tell(change: Change) -> Callable[[Scene], None]:
     """From now on perception answers so."""
 
     def tell(s: Scene) -> None:
-        s.told.changes[:] = [change]
+        s.perception.changes[:] = [change]
 
     return tell
 
 
 def _see_nothing(s: Scene) -> None:
-    s.told.sees = False
+    s.perception.sees = False
 
 
 def _lay_a_plate(s: Scene) -> None:
@@ -121,7 +121,7 @@ def _take_the_work_away(s: Scene) -> None:
 
 
 def _bend(joint: int, to: float) -> Callable[[Scene], None]:
-    """Its head sinks further than a blow can drive it, or is not where the face comes down."""
+    """Its head sinks further than a strike can drive it, or is not where the face comes down."""
 
     def bend(s: Scene) -> None:
         world = s.bench.sim.world
@@ -137,7 +137,7 @@ def _harden(s: Scene) -> None:
 
 def _stick(s: Scene) -> None:
     assert s.log.plan is not None
-    s.bench.arm.stick(int(np.abs(s.log.plan.strike.qd).max(axis=0).argmax()))
+    s.bench.arm.block_joint(int(np.abs(s.log.plan.strike.qd).max(axis=0).argmax()))
 
 
 HAND = (
@@ -149,9 +149,9 @@ HAND = (
         15, "hand falls silent", SWING, BRAKES_ONLY, lambda s: s.bench.sim_hand.cut_link(), IN_STRIKE,
         FAULT, "hand's newest state", 1, "strike", braking=Braking(None), before=0.3,
     ),
-    JobFault(18, "hand too hot", REST, NO_BLOW, _heat, RUN_UP, FAULT, "71 deg C", 0, RUN_UP),
-    JobFault(18, "hand too hot", SWING, NO_NEXT, _heat, IN_STRIKE, FAULT, "71 deg C", 1, RUN_UP, blows=2),
-    JobFault(18, "finger stalled", REST, NO_BLOW, _stall, RUN_UP, FAULT, "finger stalled", 0, RUN_UP),
+    JobFault(18, "hand too hot", REST, NO_STRIKE, _heat, RUN_UP, FAULT, "71 deg C", 0, RUN_UP),
+    JobFault(18, "hand too hot", SWING, NO_NEXT, _heat, IN_STRIKE, FAULT, "71 deg C", 1, RUN_UP, max_strikes=2),
+    JobFault(18, "finger stalled", REST, NO_STRIKE, _stall, RUN_UP, FAULT, "finger stalled", 0, RUN_UP),
     JobFault(18, "finger stalled", SWING, BRAKES_ONLY, _stall, IN_STRIKE, FAULT, "finger stalled", 1, "strike",
              braking=Braking(None), before=0.15),
     JobFault(21, "tool dropped", REST, RETREATS, lambda s: s.bench.drop(), RUN_UP, LOST, "lost the tool", 0, "retreat",
@@ -166,16 +166,17 @@ HAND = (
 CAMERA = tuple(
     replace(fault, sees=True)
     for fault in (
-        JobFault(22, "camera frozen", REST, NO_BLOW, _freeze, Stage.VIEW, FAULT, "no new frame", 0, "to a view"),
+        JobFault(22, "camera frozen", REST, NO_STRIKE, _freeze, Stage.VIEW, FAULT, "no new frame", 0, "to a view"),
         JobFault(22, "camera frozen", SWING, NO_NEXT, _freeze, IN_STRIKE, FAULT, "no new frame", 1, "to a view",
-                 blows=2),
-        JobFault(22, "camera repeats a frame", REST, NO_BLOW, _repeat, Stage.VIEW, FAULT, "repeats", 0, "to a view"),
+                 max_strikes=2),
+        JobFault(22, "camera repeats a frame", REST, NO_STRIKE, _repeat, Stage.VIEW, FAULT, "repeats", 0, "to a view"),
         JobFault(22, "camera repeats a frame", SWING, NO_NEXT, lambda s: s.bench.camera.repeat(), IN_STRIKE, FAULT,
-                 "repeats", 1, "to a view", blows=2),
+                 "repeats", 1, "to a view", max_strikes=2),
         *(
-            JobFault(23, name, phase, LOOKS, inject, when, outcome, says, strikes, "home", looks_again=True, blows=2)
+            JobFault(23, name, phase, LOOKS, inject, when, outcome, message, strikes, "home", looks_again=True,
+                     max_strikes=2)
             for phase, when, strikes in ((REST, Stage.VIEW, 0), (SWING, IN_STRIKE, 1))
-            for name, inject, outcome, says in (
+            for name, inject, outcome, message in (
                 ("camera has no depth", _blind, UNKNOWN, "lies where a held hammer cannot"),
                 ("no points on the tool", _see_nothing, UNKNOWN, "lies where a held hammer cannot"),
                 ("pose jumps by 130 mm", _tell(moved([0.13, 0.0, 0.0])), UNKNOWN, "where a held hammer can"),
@@ -183,37 +184,38 @@ CAMERA = tuple(
             )
         ),
         JobFault(23, "pose jumps by 20 mm", SWING, LOOKS, _tell(moved([0.0, 0.02, 0.0])), IN_STRIKE,
-                 Outcome.TOOL_SLIPPED, "grip it again", 1, "home", looks_again=True, blows=2),
+                 Outcome.TOOL_SLIPPED, "grip it again", 1, "home", looks_again=True, max_strikes=2),
     )
 )  # fmt: skip
 
 WORK = (
-    JobFault(25, "no contact by the expected depth", REST, "goes up, no blow", _take_the_work_away, Stage.TOUCH,
+    JobFault(25, "no contact by the expected depth", REST, "goes up, no strike", _take_the_work_away, Stage.TOUCH,
              Outcome.NAIL_MISSED, "met nothing", 0, "home", sees=True),
     JobFault(25, "no contact by the expected depth", SWING, "brakes as planned, goes up, looks again, gives up",
              _take_the_work_away, RUN_UP, Outcome.NAIL_MISSED, "met nothing", 2, "home", looks_again=True,
-             meetings=(Meeting.NONE, Meeting.NONE), sees=True, blows=3),
+             meetings=(Meeting.NONE, Meeting.NONE), sees=True, max_strikes=3),
     JobFault(25, "contact too early", SWING, "brakes on the path, goes up, looks again, gives up", _lay_a_plate,
              RUN_UP, Outcome.NAIL_MISSED, "before the nail", 2, "home", braking=Braking(2), looks_again=True,
-             meetings=(Meeting.EARLY, Meeting.EARLY), sees=True, blows=3),
-    JobFault(26, "no progress", REST, RECORDS, _harden, None, Outcome.STUCK, "two blows", 2, "home", blows=5),
+             meetings=(Meeting.EARLY, Meeting.EARLY), sees=True, max_strikes=3),
+    JobFault(26, "no progress", REST, RECORDS, _harden, None, Outcome.STUCK, "two strikes", 2, "home", max_strikes=5),
     JobFault(26, "nail sinks too far", SWING, RECORDS, _bend(SLIDE, 0.011), "strike", Outcome.BENT, "has bent away", 1,
-             "home", blows=5, sees=True),
+             "home", max_strikes=5, sees=True),
     JobFault(26, "nail bends aside", SWING, RECORDS, _bend(HINGE_X, np.deg2rad(80)), "strike", Outcome.BENT,
-             "met nothing", 1, "home", blows=5, sees=True),
-    JobFault(26, "too many blows", REST, RECORDS, _nothing, None, Outcome.OUT_OF_BLOWS, "after 1 blows", 1, "home"),
+             "met nothing", 1, "home", max_strikes=5, sees=True),
+    JobFault(26, "too many strikes", REST, RECORDS, _nothing, None, Outcome.OUT_OF_STRIKES, "after 1 strikes", 1,
+             "home"),
 )  # fmt: skip
 
 PEOPLE = (
-    JobFault(27, "nobody hands a tool over", REST, NO_BLOW, _decline("gives", "steps_back"), None, Outcome.NO_HANDOVER,
-             "nobody handed", 0, "to the handover"),
-    JobFault(27, "nobody steps back", REST, NO_BLOW, _decline("steps_back"), None, NEAR, "nobody confirmed", 0,
+    JobFault(27, "nobody hands a tool over", REST, NO_STRIKE, _decline("gives", "steps_back"), None,
+             Outcome.NO_HANDOVER, "nobody handed", 0, "to the handover"),
+    JobFault(27, "nobody steps back", REST, NO_STRIKE, _decline("steps_back"), None, NEAR, "nobody confirmed", 0,
              "to the handover"),
-    JobFault(27, "enabling switch not held", REST, "no motion", _decline("attends"), None, NEAR, "enabling switch", 0,
-             None),
-    JobFault(27, "nobody confirmed the swing", REST, NO_BLOW, _decline("confirms"), None, NEAR, "nobody confirmed", 0,
+    JobFault(27, "enabling switch not held", REST, "no motion", _decline("holds_switch"), None, NEAR,
+             "enabling switch", 0, None),
+    JobFault(27, "nobody confirmed the swing", REST, NO_STRIKE, _decline("confirms"), None, NEAR, "nobody confirmed", 0,
              RUN_UP),
-    JobFault(27, "a person is in reach", REST, NO_BLOW, lambda s: s.bench.people.step_in(), RUN_UP, NEAR,
+    JobFault(27, "a person is in reach", REST, NO_STRIKE, lambda s: s.bench.people.step_in(), RUN_UP, NEAR,
              "within the arm's reach", 0, RUN_UP),
     JobFault(27, "a person comes into reach", SWING, BRAKES, lambda s: s.bench.people.step_in(), IN_STRIKE, NEAR,
              "within the arm's reach", 1, "strike", braking=Braking(None), job_latches=True, before=0.3),
@@ -221,21 +223,21 @@ PEOPLE = (
 
 ARM = (
     *(
-        JobFault(number, name, SWING, BRAKES, inject, IN_STRIKE, FAULT, says, 1, "strike", braking=braking,
+        JobFault(number, name, SWING, BRAKES, inject, IN_STRIKE, FAULT, message, 1, "strike", braking=braking,
                  job_latches=True, arm_latches=True, person=person)
-        for number, name, inject, says, braking, person in (
+        for number, name, inject, message, braking, person in (
             (7, "a joint sticks", _stick, "where it was sent", Braking(8, arm_off=True), False),
             (9, "network link cut", lambda s: s.bench.arm.cut_link(), "network link", Braking(4), True),
-            (10, "commands go out late", lambda s: s.bench.arm.be_late(50), "went out late", Braking(5), False),
+            (10, "commands go out late", lambda s: s.bench.arm.delay_commands(50), "went out late", Braking(5), False),
             (12, "protective stop", lambda s: s.bench.arm.protective_stop(), "protective", Braking(1), True),
             (13, "emergency stop", lambda s: s.bench.arm.emergency_stop(), "emergency", Braking(1), True),
         )
     ),
     JobFault(9, "network link cut", REST, "no motion", _cut, None, FAULT, "network link", 0, None),
-    JobFault(12, "protective stop", REST, NO_BLOW + ", latches", lambda s: s.bench.arm.protective_stop(), RUN_UP, FAULT,
-             "protective stop", 0, RUN_UP, arm_latches=True, person=True),
-    JobFault(13, "emergency stop", REST, NO_BLOW + ", latches", lambda s: s.bench.arm.emergency_stop(), RUN_UP, FAULT,
-             "emergency stop", 0, RUN_UP, arm_latches=True, person=True),
+    JobFault(12, "protective stop", REST, NO_STRIKE + ", latches", lambda s: s.bench.arm.protective_stop(), RUN_UP,
+             FAULT, "protective stop", 0, RUN_UP, arm_latches=True, person=True),
+    JobFault(13, "emergency stop", REST, NO_STRIKE + ", latches", lambda s: s.bench.arm.emergency_stop(), RUN_UP,
+             FAULT, "emergency stop", 0, RUN_UP, arm_latches=True, person=True),
 )  # fmt: skip
 
 JOB_FAULTS = (*HAND, *CAMERA, *WORK, *PEOPLE, *ARM)

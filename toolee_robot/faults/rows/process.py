@@ -23,7 +23,7 @@ from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
 from toolee_robot.types import ArmModel
 
-BEAT = 0.02  # [s] between two heartbeats
+HEARTBEAT_PERIOD = 0.02  # [s] between two heartbeats
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ TASK_FAULTS = (
     TaskFault("task gets Ctrl-C", signal.SIGINT, 0.02),
     # The kernel says so before it does anything else: `hardware/ur/servo/owner_watch.py`.
     TaskFault("task killed (SIGKILL)", signal.SIGKILL, 0.002),
-    TaskFault("task stalls (SIGSTOP)", signal.SIGSTOP, HEARTBEAT + BEAT),
+    TaskFault("task stalls (SIGSTOP)", signal.SIGSTOP, HEARTBEAT + HEARTBEAT_PERIOD),
 )
 
 

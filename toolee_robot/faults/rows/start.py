@@ -34,8 +34,8 @@ class StartFault:
     fault: str
     hook: str
     arguments: Mapping[str, Any]
-    says: str
-    do: str
+    message: str
+    remedy: str
     e_series: bool = False
 
 
@@ -77,7 +77,9 @@ def start_row(fault: StartFault, model: ArmModel, controller: ControllerProcess)
     except NotReadyError as error:
         got = "NotReadyError"
         wrong += [
-            f"the refusal does not say {what!r}: {error}" for what in (fault.says, fault.do) if what not in str(error)
+            f"the refusal does not say {what!r}: {error}"
+            for what in (fault.message, fault.remedy)
+            if what not in str(error)
         ]
     after = controller.state()
     moved = float(np.abs(np.subtract(after["q_target"], before["q_target"])).max())
@@ -112,12 +114,12 @@ CALIBRATIONS = (
 
 def calibration_rows(bench: Bench) -> Iterator[Measurement]:
     """Each calibration that must keep the job from starting."""
-    for name, calibration, says in CALIBRATIONS:
-        run = partial(calibration_row, bench, name, calibration, says)
+    for name, calibration, message in CALIBRATIONS:
+        run = partial(calibration_row, bench, name, calibration, message)
         yield Measurement(24, name, Phase.START, ON, REFUSES, run)
 
 
-def calibration_row(bench: Bench, name: str, calibration: CalibrationConfig | None, says: str) -> FaultRow:
+def calibration_row(bench: Bench, name: str, calibration: CalibrationConfig | None, message: str) -> FaultRow:
     """A job with this calibration."""
     bench.reset()
     log, before = Log(), bench.sim.world.robot.arm_state()[0]
@@ -126,8 +128,8 @@ def calibration_row(bench: Bench, name: str, calibration: CalibrationConfig | No
     wrong = []
     if result.outcome is not Outcome.NOT_READY:
         wrong.append(f"{Outcome.NOT_READY} expected, got {result.outcome}")
-    if says not in result.reason:
-        wrong.append(f"the reason does not say {says!r}: {result.reason}")
+    if message not in result.reason:
+        wrong.append(f"the reason does not say {message!r}: {result.reason}")
     if log.motions or bench.people.asked or bench.hand.opened:
         wrong.append(f"it went on: {log.motions}, {bench.people.asked}")
     if moved > 1e-3 or not at_rest(bench.sim) or not grip_kept(bench.sim):

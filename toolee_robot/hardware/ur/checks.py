@@ -50,7 +50,7 @@ _MODE_REMEDY = {
     8: "wait until the update is done",
 }
 _SAFETY_REMEDY = {
-    2: "leave reduced mode (the installation's safety planes, inputs): a blow would be stopped in it",
+    2: "leave reduced mode (the installation's safety planes, inputs): a strike would be stopped in it",
     3: "find out why, then release it at the teach pendant; software never does",
     4: "move the arm back inside its limits by hand, from the teach pendant",
     5: "close the safeguard (the door, the light curtain) and reset it",
@@ -58,7 +58,7 @@ _SAFETY_REMEDY = {
     7: "release the emergency stop when the reason is gone, and confirm it at the teach pendant",
 }
 
-ABSURD = 100.0
+IMPLAUSIBLE = 100.0
 """No joint [rad, rad/s] and no TCP [m, rad] reads so much, and arithmetic with what is far more would overflow."""
 
 LOST = 0.3
@@ -80,7 +80,7 @@ def check(report: UrReport, expected: UrExpected) -> list[Finding]:
         why = "; ".join(p for p in report.problems if p.startswith("RTDE")) or "no data came"
         return [*findings, fail("RTDE", why, f"check that port {RTDE_PORT} is open on the robot (Settings, Security)")]
     offset = np.zeros(6) if state.tcp_offset is None else state.tcp_offset
-    if not all(np.all(np.abs(v) < ABSURD) for v in (state.q, state.qd, state.tcp_pose, offset)):
+    if not all(np.all(np.abs(v) < IMPLAUSIBLE) for v in (state.q, state.qd, state.tcp_pose, offset)):
         return [*findings, fail("RTDE", "joints or TCP are not finite, or absurd", "restart the controller")]
     findings += [
         _robot_mode(state),
@@ -140,13 +140,15 @@ def _identity(report: UrReport, expected: UrExpected) -> Iterator[Finding]:
 
 
 def _version(version: tuple[int, int, int, int]) -> Finding:
-    name, says = "controller version", ".".join(map(str, version))
+    name, message = "controller version", ".".join(map(str, version))
     major, minor = version[:2]
     if major not in (3, 5) or (major == 3 and minor < 4):
-        return fail(name, f"{says} is not supported", "use PolyScope 3.15 (CB3) or 5.11 to 5.22 (e-Series)")
+        return fail(name, f"{message} is not supported", "use PolyScope 3.15 (CB3) or 5.11 to 5.22 (e-Series)")
     if (major == 3 and minor < 15) or (major == 5 and not 11 <= minor < 23):
-        return warn(name, f"{says} was never tried", "3.15 and 5.11 to 5.22 are: test slowly first, or change version")
-    return ok(name, says)
+        return warn(
+            name, f"{message} was never tried", "3.15 and 5.11 to 5.22 are: test slowly first, or change version"
+        )
+    return ok(name, message)
 
 
 def _model(report: UrReport, version: tuple[int, int, int, int], expected: UrExpected) -> Finding:
@@ -166,20 +168,20 @@ def _model(report: UrReport, version: tuple[int, int, int, int], expected: UrExp
 
 
 def _robot_mode(state: UrState) -> Finding:
-    says = ROBOT_MODES.get(state.robot_mode, f"mode {state.robot_mode}")
+    message = ROBOT_MODES.get(state.robot_mode, f"mode {state.robot_mode}")
     if state.robot_mode == _RUNNING:
-        return ok("robot mode", says)
-    do = _MODE_REMEDY.get(state.robot_mode, "power the arm on and release the brakes, at the teach pendant")
-    return fail("robot mode", says, do)
+        return ok("robot mode", message)
+    remedy = _MODE_REMEDY.get(state.robot_mode, "power the arm on and release the brakes, at the teach pendant")
+    return fail("robot mode", message, remedy)
 
 
 def _safety(state: UrState) -> Finding:
-    says = SAFETY_MODES.get(state.safety_mode, f"mode {state.safety_mode}")
+    message = SAFETY_MODES.get(state.safety_mode, f"mode {state.safety_mode}")
     if state.safety_mode == _NORMAL and state.safety_status_bits & _NORMAL_BIT:
-        return ok("safety", says)
+        return ok("safety", message)
     if state.safety_mode == _NORMAL:
-        says = f"mode normal, but status bits {state.safety_status_bits:#x}"
-    return fail("safety", says, _SAFETY_REMEDY.get(state.safety_mode, "see the teach pendant's log"))
+        message = f"mode normal, but status bits {state.safety_status_bits:#x}"
+    return fail("safety", message, _SAFETY_REMEDY.get(state.safety_mode, "see the teach pendant's log"))
 
 
 def _remote_control(report: UrReport) -> Finding:
@@ -208,10 +210,10 @@ def _motion(state: UrState) -> Iterator[Finding]:
 
 
 def _slider(state: UrState) -> Finding:
-    says = f"{state.speed_slider:.0%}"
+    message = f"{state.speed_slider:.0%}"
     if not 0.995 <= state.speed_slider <= 1.005:
-        return fail("speed slider", says, "set it to 100 % on the teach pendant: motions are timed for it")
-    return ok("speed slider", says)
+        return fail("speed slider", message, "set it to 100 % on the teach pendant: motions are timed for it")
+    return ok("speed slider", message)
 
 
 def _data(quality: RtdeQuality) -> Iterator[Finding]:
@@ -224,14 +226,14 @@ def _data(quality: RtdeQuality) -> Iterator[Finding]:
     period = 1.0 / q.asked
     share = q.lost / (q.lost + q.samples)
     lost = f"{q.lost} of {q.lost + q.samples} readings lost"
-    says = f"99 % of the gaps under {q.gap_p99 * 1e3:.1f} ms, the longest {q.gap_max * 1e3:.1f} ms; {lost}"
+    message = f"99 % of the gaps under {q.gap_p99 * 1e3:.1f} ms, the longest {q.gap_max * 1e3:.1f} ms; {lost}"
     if q.backward or share > LOST:
-        says += f", {q.backward} timestamps do not advance" if q.backward else ""
-        yield fail("RTDE jitter", says, network)
+        message += f", {q.backward} timestamps do not advance" if q.backward else ""
+        yield fail("RTDE jitter", message, network)
     elif q.lost or q.gap_p99 > 1.5 * period + 1e-3:
-        yield warn("RTDE jitter", says, f"{network}; a gap of 3 cycles ({3e3 * period:.0f} ms) stops a motion")
+        yield warn("RTDE jitter", message, f"{network}; a gap of 3 cycles ({3e3 * period:.0f} ms) stops a motion")
     else:
-        yield ok("RTDE jitter", says)
+        yield ok("RTDE jitter", message)
     drift = f"the controller's clock runs at {q.clock_ratio:.4f} of this machine's"
     if not abs(q.clock_ratio - 1.0) <= CLOCK_WRONG:
         yield fail("clock", drift, "the controller does not run in real time: restart it, or the simulator is too slow")

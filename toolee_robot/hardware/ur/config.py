@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from toolee_robot.errors import ConfigError
-from toolee_robot.runtime.clock import HostClock, check_pace
+from toolee_robot.runtime.clock import HostClock, check_real_time_factor
 from toolee_robot.types import Payload
 
 
@@ -13,21 +13,20 @@ from toolee_robot.types import Payload
 class UrArmConfig:
     """host: the controller's address. The ports are fixed by the controller.
 
-    lookahead [s] (0.03 to 0.2) and gain (100 to 2000): of servoj; the smallest lookahead follows a blow best.
+    lookahead [s] (0.03 to 0.2) and gain (100 to 2000): of servoj; the smallest lookahead follows a strike best.
     lag: the most by which a measured position comes later than its command [s], network and servo included; it is taken
     off before a tracking error is judged. None: as `servo_lag` says.
     watchdog: the robot stops the program when it gets no command for 1/watchdog [Hz].
     connect_timeout: for the connection, once the servo process runs [s]. handshake_timeout: for anything that the
     control script has to acknowledge: payload, freedrive, the end [s]. link_timeout: at rest, no new data for so long
-    is a lost link [s]; the wheel itself gives up after 2.5 s and is then not to be trusted. hang_timeout: in motion, no
+    is a lost link [s]; ur_rtde itself gives up after 2.5 s and is then not to be trusted. hang_timeout: in motion, no
     sign of life of the servo process for so long is a crash [s]. heartbeat_timeout: the task's process shows no life
     for so long, and the arm brakes [s]. longest_motion [s].
     payload, tcp: what the robot's installation must say at the start, tcp as x, y, z [m] and rotation vector [rad] in
     the flange frame; None where it is not looked at: the driver sets its own, but what the pendant's programs run with
     is the installation's.
-    pace: of the station's clock, on which all these times are, but for link_timeout, which is the wall's as the wheel's
-    own is; other than 1 only for a stand-in on a loopback address that runs at the same pace.
-    """
+    real_time_factor: of the station's clock, on which all these times are, but for link_timeout, which is the wall's as
+    ur_rtde's own is; other than 1 only for a stand-in on a loopback address that runs at the same real-time factor."""
 
     host: str
     lookahead: float = 0.03
@@ -42,11 +41,11 @@ class UrArmConfig:
     longest_motion: float = 120.0
     payload: Payload | None = None
     tcp: tuple[float, float, float, float, float, float] | None = None
-    pace: float = 1.0
+    real_time_factor: float = 1.0
 
     def __post_init__(self) -> None:
-        """Raises ConfigError, or UserError for the pace."""
-        check_pace(self.pace, self.host)
+        """Raises ConfigError, or UserError for the real-time factor."""
+        check_real_time_factor(self.real_time_factor, self.host)
         if not 0.03 <= self.lookahead <= 0.2:
             raise ConfigError(f"lookahead {self.lookahead} s: servoj takes 0.03 to 0.2")
         if not 100 <= self.gain <= 2000:
@@ -63,7 +62,7 @@ class UrArmConfig:
     @property
     def clock(self) -> HostClock:
         """Of everything that this driver does."""
-        return HostClock(self.pace)
+        return HostClock(self.real_time_factor)
 
 
 def servo_lag(config: UrArmConfig, rate: float) -> float:

@@ -36,12 +36,12 @@ from toolee_robot.hardware.ur.config import UrArmConfig, servo_lag
 from toolee_robot.hardware.ur.probe import nominal_rate, probe
 from toolee_robot.hardware.ur.servo.client import ServoClient
 from toolee_robot.hardware.ur.servo.clock import Realtime
-from toolee_robot.hardware.ur.servo.messages import Cause, Freedrive, MotionOrder, Moved, SetPayload
+from toolee_robot.hardware.ur.servo.messages import Cause, Freedrive, MotionEnded, MotionRequest, SetPayload
 from toolee_robot.hardware.ur.servo.report import build_report, fault
 from toolee_robot.hardware.ur.servo.shared_memory import StateColumn, Word
 from toolee_robot.hardware.ur.status import advice, arm_status
 from toolee_robot.motion.trajectory_checks import check_payload, check_trajectory
-from toolee_robot.runtime.gc_pause import no_collection
+from toolee_robot.runtime.gc_pause import gc_paused
 from toolee_robot.types import JointState, Payload, Trajectory
 
 POSITION: Final = np.array([2.0, 2.0, 1.0, 2.0, 2.0, 2.0]) * np.pi  # [rad], either way; the elbow as modelled
@@ -134,7 +134,7 @@ class UrArm:
             check_trajectory(trajectory, q_commanded, -POSITION, POSITION, self._velocity)
             samples, knots = servo.memory.write_path(trajectory, self._rate)
             limits = self._limits
-            order = MotionOrder(
+            request = MotionRequest(
                 samples,
                 knots,
                 guard,
@@ -146,8 +146,8 @@ class UrArm:
             )
             servo.memory.words[Word.ROWS] = 0
             try:
-                with no_collection():
-                    cause = self._move(servo, order)
+                with gc_paused():
+                    cause = self._move(servo, request)
             except ServoCrashError as error:
                 raise self._latch(ServoCrashError(str(error), build_report(servo.memory, Cause.LINK))) from error
         report = build_report(servo.memory, cause)
@@ -160,7 +160,7 @@ class UrArm:
         when the controller does not report it back."""
         check_payload(payload, ARM_DATA[self._limits.model].payload)
         with self._exclusive():
-            self._ask(_payload_order(payload))
+            self._ask(_payload_request(payload))
             self._payload = payload
 
     @contextmanager
@@ -195,7 +195,7 @@ class UrArm:
             self._servo = servo = ServoClient(self._config, self._rate)
             self._fault = None
             if self._payload is not None:
-                self._ask(_payload_order(self._payload))
+                self._ask(_payload_request(self._payload))
 
     def _open(self) -> ServoClient:
         if self._servo is None:
@@ -236,16 +236,16 @@ class UrArm:
             self._fault = error
         return error
 
-    def _ask(self, order: SetPayload | Freedrive) -> None:
+    def _ask(self, request: SetPayload | Freedrive) -> None:
         try:
-            self._ready().ask(order)
+            self._ready().ask(request)
         except ServoCrashError as error:
             raise self._latch(error) from error
 
-    def _move(self, servo: ServoClient, order: MotionOrder) -> Cause:
-        """Order a motion and wait for its end, as long as the servo process gives signs of life."""
+    def _move(self, servo: ServoClient, request: MotionRequest) -> Cause:
+        """Request a motion and wait for its end, as long as the servo process gives signs of life."""
         try:
-            servo.send(order)
+            servo.send(request)
             return self._await(servo)
         except BaseException as error:
             # Ctrl-C, or anything else that hits this thread: the arm stands before it is raised.
@@ -258,7 +258,7 @@ class UrArm:
         cycles, since = -1, self._clock.now()
         while True:
             reply = servo.receive(_POLL)
-            if isinstance(reply, Moved):
+            if isinstance(reply, MotionEnded):
                 return reply.cause
             if reply is not None:
                 servo.kill()
@@ -278,5 +278,5 @@ def _status(state: Array) -> ArmStatus:
     return arm_status(int(state[StateColumn.SAFETY_BITS]), int(state[StateColumn.ROBOT_MODE]))
 
 
-def _payload_order(payload: Payload) -> SetPayload:
+def _payload_request(payload: Payload) -> SetPayload:
     return SetPayload(payload.mass, [float(c) for c in payload.center_of_mass])

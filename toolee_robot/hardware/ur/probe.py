@@ -125,7 +125,7 @@ def probe(host: str, timeout: float = 3.0, listen: float = 1.0, clock: HostClock
     """Ask, and listen to RTDE for `listen` [s]; for at most `timeout` [s] in all. Takes about 1.2 s on a robot that
     answers. clock: the robot's, on which all of these times are; the wall's if None."""
     clock = clock or HostClock()
-    timeout, listen = clock.wall(timeout), clock.wall(listen)
+    timeout, listen = clock.to_wall_time(timeout), clock.to_wall_time(listen)
     deadline = time.monotonic() + timeout
     ports: dict[int, PortState] = {}
     for port in (RTDE_PORT, DASHBOARD_PORT, *SCRIPT_PORTS):
@@ -245,7 +245,7 @@ def _quality(samples: list[RtdeSample], asked: float, clock: HostClock) -> RtdeQ
     if len(samples) < 10:
         return None
     stamps = np.array([_number(s.values["timestamp"]) for s in samples])
-    received = clock.pace * np.array([s.received for s in samples])
+    received = clock.real_time_factor * np.array([s.received for s in samples])
     steps, gaps = np.diff(stamps), np.diff(received)
     if not np.all(np.isfinite(stamps)):
         return None

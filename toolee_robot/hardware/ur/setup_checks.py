@@ -36,16 +36,18 @@ def check_payload(state: UrState, expected: UrExpected) -> Finding:
     name, is_, wanted = "payload", state.payload, expected.payload
     if is_ is None:
         return warn(name, "this PolyScope does not tell it", "compare payload and centre of gravity on the pendant")
-    says = _payload_text(is_)
+    message = _payload_text(is_)
     if wanted is None:
-        return ok(name, says)
+        return ok(name, message)
     off = float(np.linalg.norm(is_.center_of_mass - wanted.center_of_mass))
     # Where next to nothing hangs, its place does not matter.
     if not (abs(is_.mass - wanted.mass) <= MASS_TOLERANCE and (off <= COG_TOLERANCE or wanted.mass <= MASS_TOLERANCE)):
         return fail(
-            name, f"{says}, the configuration says {_payload_text(wanted)}", "set it in the installation's payload page"
+            name,
+            f"{message}, the configuration says {_payload_text(wanted)}",
+            "set it in the installation's payload page",
         )
-    return ok(name, says)
+    return ok(name, message)
 
 
 def _payload_text(payload: Payload) -> str:
@@ -62,8 +64,8 @@ def check_tcp(state: UrState, expected: UrExpected) -> Finding:
         return ok("TCP", _tcp_text(tcp))
     apart, turned = float(np.linalg.norm(tcp[:3] - wanted[:3])), angle_between(tcp[3:], wanted[3:])
     if not (apart <= TCP_TOLERANCE and turned <= TCP_ANGLE_TOLERANCE):
-        says = f"{_tcp_text(tcp)}, the configuration says {_tcp_text(wanted)}"
-        return fail("TCP", says, "set it in the installation's TCP page")
+        message = f"{_tcp_text(tcp)}, the configuration says {_tcp_text(wanted)}"
+        return fail("TCP", message, "set it in the installation's TCP page")
     return ok("TCP", _tcp_text(tcp))
 
 
@@ -80,18 +82,20 @@ def check_kinematics(report: UrReport, state: UrState, expected: UrExpected) -> 
     calibrated = expected.calibration is not None
     off = error(DhParameters.of(expected.model, expected.calibration))
     where = "at most" if report.kinematics is not None else "in this posture"
-    says = f"the {'calibrated' if calibrated else 'nominal'} {expected.model} is {off * 1e3:.1f} mm off the arm {where}"
+    message = (
+        f"the {'calibrated' if calibrated else 'nominal'} {expected.model} is {off * 1e3:.1f} mm off the arm {where}"
+    )
     if off <= FITS:
-        return ok(name, says)
+        return ok(name, message)
     if off <= FITS_NOMINALLY and not calibrated:
-        return warn(name, says, "set arm.calibration to this arm's own: `toolee doctor --json` prints it")
+        return warn(name, message, "set arm.calibration to this arm's own: `toolee doctor --json` prints it")
     fits = {model: error(DhParameters.of(model)) for model in ArmModel}
     best = min(fits, key=lambda model: fits[model])
     if fits[best] <= FITS_NOMINALLY and best is not expected.model:
-        return fail(name, f"{says}; {best} fits to {fits[best] * 1e3:.1f} mm", "set arm.model in the station file")
+        return fail(name, f"{message}; {best} fits to {fits[best] * 1e3:.1f} mm", "set arm.model in the station file")
     if calibrated:
-        return fail(name, says, "arm.calibration is of another arm: `toolee doctor --json` prints this one's")
-    return fail(name, says, "check model and TCP; a joint may have been replaced without a new calibration")
+        return fail(name, message, "arm.calibration is of another arm: `toolee doctor --json` prints this one's")
+    return fail(name, message, "check model and TCP; a joint may have been replaced without a new calibration")
 
 
 def _tcp_text(tcp: Array) -> str:

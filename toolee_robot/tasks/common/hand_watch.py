@@ -20,7 +20,7 @@ def check_held(hand: Hand) -> None:
     if not state.holding:
         raise GripError("the hand has lost the tool: pick it up and start again")
     if state.fault:
-        raise DeviceError(f"the hand reports a fault ({state.fault}): no further blow; look at the hand")
+        raise DeviceError(f"the hand reports a fault ({state.fault}): no further strike; look at the hand")
 
 
 class HandWatch:
@@ -29,7 +29,7 @@ class HandWatch:
     def __init__(self, hand: Hand, stop: Callable[[], None]) -> None:
         self.error: Exception | None = None
         self._hand = hand
-        self._watcher = Watcher(self._why_not, stop, "the hand cannot be asked", PERIOD)
+        self._watcher = Watcher(self._reason_to_stop, stop, "the hand cannot be asked", PERIOD)
 
     def __enter__(self) -> Self:
         self._watcher.__enter__()
@@ -42,7 +42,7 @@ class HandWatch:
         if self.error is None and self._watcher.reason:
             self.error = DeviceError(self._watcher.reason)
 
-    def _why_not(self) -> str:
+    def _reason_to_stop(self) -> str:
         try:
             check_held(self._hand)
         except DeviceError as error:

@@ -10,7 +10,7 @@ import numpy as np
 from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.contact import ContactVerdict
-from toolee_robot.control.modes import paced
+from toolee_robot.control.modes import slowed_to
 from toolee_robot.control.planning.strike import plan_straight
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
@@ -87,12 +87,12 @@ class Motions:
 
     def transfer(self, name: str, trajectory: Trajectory) -> None:
         """Move through free space, slowed to what the mode allows. Raises as `execute`."""
-        self.execute(name, paced(trajectory, self.world(), self.arm.mode.speed(self._config.supervisor)))
+        self.execute(name, slowed_to(trajectory, self.world(), self.arm.mode.speed(self._config.supervisor)))
 
     def swing(self, name: str, plan: StrikePlan) -> tuple[MotionReport, ContactVerdict]:
-        """The blow of a plan, as planned or not at all. Raises as `execute`."""
+        """The strike of a plan, as planned or not at all. Raises as `execute`."""
         self.check_hand()
-        guard = ContactGuard(self._config.strike.contact_force, after=0.5 * plan.contact_time)
+        guard = ContactGuard(self._config.strike.contact_force, ignore_before=0.5 * plan.contact_time)
         with self._watched(name) as hand:
             report, verdict = self.arm.swing(plan.strike, guard, plan.expected_contact)
         self._done(name, report, hand)
@@ -133,7 +133,8 @@ class Motions:
         return False
 
     def check_hand(self) -> None:
-        """Raises DeviceError when the hand complains or is too hot: no further blow then; GripError without a tool."""
+        """Raises DeviceError when the hand complains or is too hot: no further strike then; GripError without a
+        tool."""
         hand, most = self._station.hand, self._config.supervisor.max_hand_temperature
         check_held(hand)
         state = hand.state()
@@ -161,7 +162,7 @@ class Motions:
             if fault.report is not None and len(fault.report.stamps):
                 self.q = fault.report.q_commanded[-1]
                 with suppress(DeviceError):
-                    self._tell(name, fault.report)
+                    self._report(name, fault.report)
             raise
 
     def _wait_until_still(self) -> None:
@@ -175,7 +176,7 @@ class Motions:
         # The commanded position is what the arm holds and what the next motion must start from; a servo has a lag, but
         # none at rest.
         self.q = report.q_commanded[-1]
-        self._tell(name, report)
+        self._report(name, report)
         if hand is not None and hand.error is not None:
             raise hand.error
         if report.outcome is MotionOutcome.STOPPED:
@@ -183,6 +184,6 @@ class Motions:
         if self.held:
             check_held(self._station.hand)
 
-    def _tell(self, name: str, report: MotionReport) -> None:
+    def _report(self, name: str, report: MotionReport) -> None:
         # However old the hand's state is: one that has fallen silent must not keep a motion out of the record.
         self._observer.motion(name, report, self._station.hand.state(max_age=np.inf).joints.q)

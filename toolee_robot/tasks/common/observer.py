@@ -5,7 +5,7 @@ from __future__ import annotations
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
-from toolee_robot.tasks.common.outcome import Blow, HammerResult, Stage
+from toolee_robot.tasks.common.outcome import HammerResult, Stage, Strike
 from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
 
 
@@ -36,8 +36,8 @@ class TaskObserver:
     def contact(self, stamp: float, force: float, X_base_ee: Array) -> None:
         """The face met something: sensed force [N] and where the robot believes the EE is."""
 
-    def blow(self, blow: Blow) -> None:
-        """A blow is done and measured."""
+    def strike(self, strike: Strike) -> None:
+        """A strike is done and measured."""
 
     def ended(self, result: HammerResult) -> None:
         """The job is over; the arm stands still."""
@@ -81,9 +81,9 @@ class Observers(TaskObserver):
         for o in self._observers:
             o.contact(stamp, force, X_base_ee)
 
-    def blow(self, blow: Blow) -> None:
+    def strike(self, strike: Strike) -> None:
         for o in self._observers:
-            o.blow(blow)
+            o.strike(strike)
 
     def ended(self, result: HammerResult) -> None:
         for o in self._observers:

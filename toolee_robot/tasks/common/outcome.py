@@ -18,7 +18,7 @@ class Outcome(StrEnum):
     FLUSH = "flush"
     BENT = "bent"
     STUCK = "stuck"
-    OUT_OF_BLOWS = "out_of_blows"
+    OUT_OF_STRIKES = "out_of_strikes"
     NOT_READY = "not_ready"
     NO_HANDOVER = "no_handover"
     NO_GRIP = "no_grip"
@@ -32,7 +32,7 @@ class Outcome(StrEnum):
     INTERRUPTED = "interrupted"
 
 
-class Ended(Exception):
+class JobEnded(Exception):
     """The job is over, for a reason that has a name."""
 
     def __init__(self, outcome: Outcome, reason: str) -> None:
@@ -54,9 +54,9 @@ class Stage(StrEnum):
 
 
 @dataclass(frozen=True)
-class Blow:
-    """One blow as the robot knows it: stamp [s], planned face speed [m/s], peak sensed force [N], how it met the nail,
-    and the protrusion [m] of the head over the wood that the touch after it measured; None where it could not."""
+class Strike:
+    """One strike as the robot knows it: stamp [s], planned face speed [m/s], peak sensed force [N], how it met the
+    nail, and the protrusion [m] of the head over the wood that the touch after it measured; None where it could not."""
 
     number: int
     stamp: float
@@ -72,7 +72,7 @@ class HammerResult:
 
     outcome: Outcome
     reason: str
-    blows: tuple[Blow, ...]
+    strikes: tuple[Strike, ...]
     protrusion: float | None
     estimates: tuple[tuple[float, InHandEstimate], ...] = ()
     stage_seconds: dict[str, float] = field(default_factory=dict)

@@ -13,7 +13,7 @@ from toolee_robot.frames import transform
 from toolee_robot.hal import ContactGuard
 from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.tasks.common.outcome import Ended, Outcome
+from toolee_robot.tasks.common.outcome import JobEnded, Outcome
 
 TOLERANCE = 0.012
 """[m] A touch further than this from the expected height has not met the nail's head."""
@@ -25,10 +25,10 @@ MARGIN = 0.004
 """[m] over where the wood should be: from there on slowly."""
 TOUCH_TIME = 0.024
 """[s] over which a touch is felt: three readings of a CB3, 0.7 mm of way."""
-MAX_BLOW = 0.008
-"""[m] No blow of this arm drives a nail further: a head that sinks more has bent away."""
+MAX_DEPTH_PER_STRIKE = 0.008
+"""[m] No strike of this arm drives a nail further: a head that sinks more has bent away."""
 DOUBTED = 0.004
-"""[m] Further than a blow usually drives a nail: the wood is touched once more before that is believed."""
+"""[m] Further than a strike usually drives a nail: the wood is touched once more before that is believed."""
 ASIDE = 0.032
 """[m] from the nail to where the wood is touched: a face of up to 25 mm radius clears the nail's head."""
 
@@ -36,9 +36,8 @@ ASIDE = 0.032
 class NailGauge:
     """Touches nail and wood with the tool's face.
 
-    The tool slips a little with every blow, so only the difference of two touches tells; it also says where the face is
-    now, and `motions.X_hand_ee` is set by it.
-    """
+    The tool slips a little with every strike, so only the difference of two touches tells; it also says where the face
+    is now, and `motions.X_hand_ee` is set by it."""
 
     def __init__(self, motions: Motions, config: StationConfig, robot: RobotModel, observer: TaskObserver) -> None:
         self._motions = motions
@@ -58,7 +57,7 @@ class NailGauge:
         self._reference = known - measured
         if abs(self._reference) > 0.5 * TOLERANCE:
             off = f"{abs(self._reference) * 1e3:.1f} mm too {'high' if measured > known else 'low'}"
-            raise Ended(Outcome.NAIL_MISSED, f"the nail's head seems to stand {off}: set it as in config.work")
+            raise JobEnded(Outcome.NAIL_MISSED, f"the nail's head seems to stand {off}: set it as in config.work")
 
     def measure(self, expected: float, missed: Outcome = Outcome.NAIL_MISSED) -> float:
         """From CLEAR over the nail and back: how far its head stands out [m], about `expected` [m].
@@ -94,14 +93,16 @@ class NailGauge:
         motions, strike = self._motions, self._config.strike
         if not motions.wait_until_quiet(0.5 * strike.touch_force):
             motions.straight("up", UP, CLEAR)
-            raise Ended(missed, f"before the {what} was touched the arm felt a force: the tool leans against something")
+            raise JobEnded(
+                missed, f"before the {what} was touched the arm felt a force: the tool leans against something"
+            )
         down = plan_straight(self._robot, self._config, motions.world(), motions.q, -reach, UP, strike.touch_speed)
         report = motions.execute(
-            f"touch the {what}", down, ContactGuard(strike.touch_force, over=TOUCH_TIME), at_work=True
+            f"touch the {what}", down, ContactGuard(strike.touch_force, averaging_window=TOUCH_TIME), at_work=True
         )
         if report.contact is None:
             motions.straight("up", UP, reach)
-            raise Ended(missed, f"the face was lowered to where the {what} should be and met nothing")
+            raise JobEnded(missed, f"the face was lowered to where the {what} should be and met nothing")
         X_base_ee = self._robot.X_base_ee(report.contact.q, motions.q_hand, motions.X_hand_ee)
         self._observer.contact(report.contact.stamp, strike.touch_force, X_base_ee)
         return protrusion(X_base_ee, self._config.work.X_base_nail(0.0))

@@ -33,9 +33,9 @@ from toolee_robot.hal import Station
 from toolee_robot.tasks.common.look import Look, Perceiver
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.tasks.common.outcome import Ended, HammerResult, Outcome, Stage
+from toolee_robot.tasks.common.outcome import HammerResult, JobEnded, Outcome, Stage
 from toolee_robot.tasks.common.stages import Stages
-from toolee_robot.tasks.hammering.nail_driving import Drive
+from toolee_robot.tasks.hammering.nail_driving import NailDriving
 from toolee_robot.types import InHandEstimate
 
 SETTLE = 0.3
@@ -81,7 +81,7 @@ class HammeringTask:
         self._robot = RobotModel.of_station(config)
         self._motions = Motions(station, config, self._robot, self._observer, grasp.X_hand_ee)
         self._stages = Stages(self._observer)
-        self._drive = Drive(
+        self._nail_driving = NailDriving(
             self._motions,
             config,
             self._robot,
@@ -117,8 +117,8 @@ class HammeringTask:
         return HammerResult(
             outcome,
             reason,
-            tuple(self._drive.blows),
-            self._drive.protrusion,
+            tuple(self._nail_driving.strikes),
+            self._nail_driving.protrusion,
             tuple(self._estimates),
             dict(self._stages.seconds),
         )
@@ -129,8 +129,8 @@ class HammeringTask:
             self._motions.begin()
             self._take_tool()
             self._look(self._config.task.views)
-            return self._drive.run()
-        except Ended as end:
+            return self._nail_driving.run()
+        except JobEnded as end:
             return end.outcome, str(end)
         except PersonNearError as error:
             self._motions.stand_still()
@@ -152,11 +152,11 @@ class HammeringTask:
         """Refuse a station whose camera stands who knows where."""
         calibration = self._config.calibration
         if calibration is None:
-            raise Ended(Outcome.NOT_READY, "the station is not calibrated: calibrate it, and keep what comes of it")
+            raise JobEnded(Outcome.NOT_READY, "the station is not calibrated: calibrate it, and keep what comes of it")
         station = self._station
         problems = calibration.problems(station.robot_serial, station.camera_serial, date.today())
         if problems:
-            raise Ended(Outcome.NOT_READY, "the calibration does not hold: " + "; ".join(problems))
+            raise JobEnded(Outcome.NOT_READY, "the calibration does not hold: " + "; ".join(problems))
 
     def _take_tool(self) -> None:
         station, timeout = self._station, self._config.task.handover_timeout
@@ -172,14 +172,14 @@ class HammeringTask:
             if not station.person.request_handover(
                 "Put the hammer's handle into the open hand, face towards the fingertips.", timeout
             ):
-                raise Ended(Outcome.NO_HANDOVER, "nobody handed a tool over in time: run the job again")
+                raise JobEnded(Outcome.NO_HANDOVER, "nobody handed a tool over in time: run the job again")
         with self._stages(Stage.GRIP):
             station.hand.close()
             if not station.hand.state().holding:
-                raise Ended(Outcome.NO_GRIP, "the hand closed but holds nothing: hand the tool over again")
+                raise JobEnded(Outcome.NO_GRIP, "the hand closed but holds nothing: hand the tool over again")
             self._clear_person("Let go and step back.")
             if not station.hand.state().holding:
-                raise Ended(Outcome.NO_GRIP, "the tool left the hand as it was let go: hand it over again")
+                raise JobEnded(Outcome.NO_GRIP, "the tool left the hand as it was let go: hand it over again")
             self._motions.held = True
             grasp = self._grasp
             q_hand = self._motions.q_hand
@@ -192,14 +192,14 @@ class HammeringTask:
             self._person_clear = False
             prompt = "The hand still holds a tool: take hold of it, the hand opens."
             if not station.person.take_tool(prompt, self._config.task.handover_timeout):
-                raise Ended(Outcome.NOT_READY, "the hand still holds a tool, and nobody took it: take it out first")
+                raise JobEnded(Outcome.NOT_READY, "the hand still holds a tool, and nobody took it: take it out first")
         station.hand.open()
 
     def _clear_person(self, prompt: str) -> None:
         """Ask the person to step back; from then on the arm may move fast. Raises PersonNearError when they do not."""
         if not self._station.person.release(prompt, self._config.task.handover_timeout):
             raise PersonNearError("nobody confirmed to be out of reach: no motion")
-        self._motions.arm.mode = Mode.HAMMERING
+        self._motions.arm.mode = Mode.UNATTENDED
         self._person_clear = True
 
     def _check_reach(self) -> None:
@@ -213,7 +213,7 @@ class HammeringTask:
         except UnreachableError:
             raise
         except PlanningError as error:
-            self._observer.message(f"with the tool as it nominally lies in the hand no blow is possible: {error}")
+            self._observer.message(f"with the tool as it nominally lies in the hand no strike is possible: {error}")
 
     def _look(self, views: int) -> None:
         """Set the believed pose of the face in the hand from what the camera sees; as many other views if in doubt."""
@@ -246,14 +246,14 @@ class HammeringTask:
                     if self._estimates:
                         estimate = self._after_slip(self._estimates[-1][1], estimate)
                 break
-            except (PerceptionError, Ended) as error:
+            except (PerceptionError, JobEnded) as error:
                 # Not to be relied on, or not where it was: one more look, from elsewhere.
                 if attempt == 2:
                     raise
                 self._observer.message(f"{error}; looking again")
-        self._believe(estimate)
+        self._accept(estimate)
 
-    def _believe(self, estimate: InHandEstimate) -> None:
+    def _accept(self, estimate: InHandEstimate) -> None:
         self._estimates.append((self._station.clock.now(), estimate))
         self._motions.X_hand_ee = estimate.X_hand_ee
 
@@ -263,12 +263,12 @@ class HammeringTask:
         distance, angle = slip(before, now)
         self._observer.message(f"slip in the hand {distance * 1e3:.1f} mm, {np.rad2deg(angle):.1f} deg")
         if distance > task.abort_slip or angle > task.abort_slip_angle:
-            raise Ended(
+            raise JobEnded(
                 Outcome.TOOL_SLIPPED,
                 f"the tool slipped {distance * 1e3:.0f} mm and {np.rad2deg(angle):.0f} deg in the hand: grip it again",
             )
-        blows = max(self._drive.blows_since_look, 1)
-        return merge(before, now, blows * task.slip_per_blow, blows * task.slip_angle_per_blow)
+        strikes = max(self._nail_driving.strikes_since_look, 1)
+        return merge(before, now, strikes * task.slip_per_strike, strikes * task.slip_angle_per_strike)
 
     def _park(self, outcome: Outcome, reason: str) -> tuple[Outcome, str]:
         """Bring the arm home with the tool still in the hand. It stays where it stands when a device has failed, a tool

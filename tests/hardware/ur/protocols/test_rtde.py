@@ -150,7 +150,7 @@ def test_a_slow_or_chatty_controller_does_not_hold_us_up(
 
 
 @pytest.mark.parametrize(
-    ("chunks", "says"),
+    ("chunks", "expected_text"),
     [
         ((packet(b"V", b"\x00"),), "refuses RTDE protocol"),
         ((packet(b"V", b"\x01") + packet(b"v", b"\x01"),), "no RTDE server"),
@@ -167,8 +167,8 @@ def test_a_slow_or_chatty_controller_does_not_hold_us_up(
         ((b"\x00\x01\x02\x03",), "no RTDE server"),
     ],
 )
-def test_what_is_wrong_is_said(chunks: tuple[bytes, ...], says: str) -> None:
-    with pytest.raises(ProtocolError, match=says):
+def test_what_is_wrong_is_said(chunks: tuple[bytes, ...], expected_text: str) -> None:
+    with pytest.raises(ProtocolError, match=expected_text):
         _talk(chunks)
 
 

@@ -95,25 +95,25 @@ def test_the_end_of_a_thread_cuts_the_life_line_that_it_holds() -> None:
     held, ended = threading.Event(), threading.Event()
 
     def live() -> None:
-        memory.life.hold()
+        memory.owner.hold()
         held.set()
         ended.wait()
 
     task = threading.Thread(target=live)
     task.start()
     held.wait()
-    assert not memory.life.cut
+    assert memory.owner.owner_alive
     ended.set()
     task.join()
     wait_until_cut(memory)
-    assert memory.life.cut, "it stays"
+    assert not memory.owner.owner_alive, "it stays"
 
 
 _TASK = """
 import os, sys, time
 from toolee_robot.hardware.ur.servo.shared_memory import ServoMemory
 memory = ServoMemory(int(sys.argv[1]), 0.1)
-memory.life.hold()
+memory.owner.hold()
 if os.fork():
     print("lives", flush=True)
 time.sleep(60.0)
@@ -132,7 +132,7 @@ def test_a_killed_task_cuts_it_though_a_child_of_it_lives_on() -> None:
     try:
         assert task.stdout is not None
         assert task.stdout.readline() == b"lives\n"
-        assert not memory.life.cut
+        assert memory.owner.owner_alive
         task.kill()
         wait_until_cut(memory)
         assert not select.select([task.stdout], [], [], 0.0)[0], "the child holds it open"
@@ -144,7 +144,7 @@ def test_a_killed_task_cuts_it_though_a_child_of_it_lives_on() -> None:
 
 def wait_until_cut(memory: ServoMemory) -> None:
     deadline = time.monotonic() + 10.0
-    while not memory.life.cut:
+    while memory.owner.owner_alive:
         assert time.monotonic() < deadline
         time.sleep(1e-3)
 

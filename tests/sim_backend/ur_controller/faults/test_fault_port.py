@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from tests.examples import examples
 from tests.sim_backend.ur_controller.server.wire import RtdeSocket
-from tests.sim_backend.ur_controller.ur_rtde.client import Wheel, WheelDiedError, WheelHungError
+from tests.sim_backend.ur_controller.ur_rtde.client import UrRtde, UrRtdeDiedError, UrRtdeHungError
 from tests.sim_backend.ur_controller.ur_rtde.contract import wait_for
 from tests.sim_backend.ur_controller.ur_rtde.motions import speed_with_kicks
 from toolee_robot.errors import DeviceError, UserError
@@ -187,8 +187,8 @@ def test_registers_that_someone_else_owns(controller: ControllerProcess) -> None
     with RtdeSocket(HOST) as client:
         client.ask("V", b"\x00\x02")
         assert client.ask("I", b"input_int_register_0,") == b"\x00IN_USE"
-    with Wheel(HOST) as wheel, pytest.raises(RuntimeError, match="in use"):
-        wheel.open("control")
+    with UrRtde(HOST) as ur_rtde, pytest.raises(RuntimeError, match="in use"):
+        ur_rtde.open("control")
 
 
 def test_missing_variable(controller: ControllerProcess) -> None:
@@ -309,24 +309,24 @@ def test_trace_has_every_tick(controller: ControllerProcess) -> None:
 
 @pytest.mark.parametrize("reset", [False, True])
 def test_a_dropped_link_in_mid_motion_stops_the_arm_by_its_watchdog(controller: ControllerProcess, reset: bool) -> None:
-    with Wheel(HOST) as wheel:
-        wheel.open("control")
-        wheel.control("setWatchdog", 10.0)
-        wheel.run(speed_with_kicks, 0.3)
+    with UrRtde(HOST) as ur_rtde:
+        ur_rtde.open("control")
+        ur_rtde.control("setWatchdog", 10.0)
+        ur_rtde.run(speed_with_kicks, 0.3)
         before = controller.state()["tick"]
         controller.fault("drop", port="rtde", reset=reset)
-        with contextlib.suppress(WheelDiedError, WheelHungError, RuntimeError):  # whatever the wheel makes of it
-            wheel.call("control", "isConnected", timeout=1.0)
-        wheel.kill()
+        with contextlib.suppress(UrRtdeDiedError, UrRtdeHungError, RuntimeError):  # whatever ur_rtde makes of it
+            ur_rtde.call("control", "isConnected", timeout=1.0)
+        ur_rtde.kill()
     wait_for(lambda: controller.state()["program_state"] == "STOPPED")
     wait_for(lambda: np.abs(controller.state()["qd"]).max() == 0.0)
     trace = controller.trace(before)
     moving = np.flatnonzero(np.abs(trace.qd).max(axis=1) > 0.0)
     # 0.1 s of watchdog, and 0.1 s to brake from 0.5 rad/s; ticks, since the wall's clock is not ours alone.
     assert len(moving) <= round((0.1 + 0.5 / 5.0) / PERIOD) + 4
-    with Wheel(HOST) as wheel:
-        wheel.open("control")
-        assert wheel.control("isProgramRunning")
+    with UrRtde(HOST) as ur_rtde:
+        ur_rtde.open("control")
+        assert ur_rtde.control("isProgramRunning")
 
 
 @settings(examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])

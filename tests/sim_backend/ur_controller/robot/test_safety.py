@@ -75,7 +75,7 @@ def test_a_push_makes_a_protective_stop_and_ends_the_program() -> None:
     assert served.program.state is RuntimeState.STOPPED
 
 
-def test_a_short_blow_is_not_a_push() -> None:
+def test_a_short_strike_is_not_a_push() -> None:
     served = robot("UR10e")
     served.plant.external_force = np.array([0.0, 0.0, 600.0, 0.0, 0.0, 0.0])
     ticks(served, 0.002)

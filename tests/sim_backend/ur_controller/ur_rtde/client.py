@@ -1,4 +1,4 @@
-"""The unmodified ur_rtde wheel in a process of its own: its constructors hold the interpreter's lock, its calls may
+"""The unmodified ur_rtde in a process of its own: its constructors hold the interpreter's lock, its calls may
 block for minutes, and it may die of a dropped link. None of that may take the tests with it."""
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from typing import Any, Self
 TIMEOUT = 30.0  # [s] for a call that should take seconds, on a loaded machine
 
 
-class WheelDiedError(Exception):
-    """The process with the wheel has gone. code: its exit code, negative for a signal."""
+class UrRtdeDiedError(Exception):
+    """The process with ur_rtde has gone. code: its exit code, negative for a signal."""
 
     def __init__(self, code: int | None) -> None:
-        super().__init__(f"the wheel's process ended with {code}")
+        super().__init__(f"ur_rtde's process ended with {code}")
         self.code = code
 
 
-class WheelHungError(Exception):
+class UrRtdeHungError(Exception):
     """A call did not return in time."""
 
 
-class Wheel:
-    """Interfaces of the wheel to one robot: "control", "receive", "io", "dashboard"."""
+class UrRtde:
+    """Interfaces of ur_rtde to one robot: "control", "receive", "io", "dashboard"."""
 
     def __init__(self, host: str) -> None:
         context = multiprocessing.get_context("spawn")
@@ -35,7 +35,7 @@ class Wheel:
         theirs.close()
 
     def open(self, *interfaces: str) -> None:
-        """Construct interfaces; raises RuntimeError with the wheel's message."""
+        """Construct interfaces; raises RuntimeError with ur_rtde's message."""
         for name in interfaces:
             self._request(("open", name), TIMEOUT)
 
@@ -45,7 +45,7 @@ class Wheel:
             self._request(("close", name), TIMEOUT)
 
     def call(self, interface: str, method: str, *arguments: object, timeout: float = TIMEOUT) -> Any:
-        """A method of an interface; raises RuntimeError with the wheel's message."""
+        """A method of an interface; raises RuntimeError with ur_rtde's message."""
         return self._request(("call", interface, method, arguments), timeout)
 
     def control(self, method: str, *arguments: object) -> Any:
@@ -55,7 +55,7 @@ class Wheel:
         return self.call("receive", method, *arguments)
 
     def run(self, function: Callable[..., Any], *arguments: object, timeout: float = TIMEOUT) -> Any:
-        """function(interfaces, *arguments) in the wheel's process; function is importable by name."""
+        """function(interfaces, *arguments) in ur_rtde's process; function is importable by name."""
         return self._request(("run", function, arguments), timeout)
 
     def kill(self) -> None:
@@ -76,11 +76,11 @@ class Wheel:
         try:
             self._pipe.send(request)
             if not self._pipe.poll(timeout):
-                raise WheelHungError(f"{request[:3]} did not return within {timeout} s")
+                raise UrRtdeHungError(f"{request[:3]} did not return within {timeout} s")
             done, value = self._pipe.recv()
         except (EOFError, OSError) as error:
             self._process.join(5.0)
-            raise WheelDiedError(self._process.exitcode) from error
+            raise UrRtdeDiedError(self._process.exitcode) from error
         if not done:
             raise RuntimeError(value)
         return value

@@ -1,4 +1,4 @@
-"""The control script as the unmodified ur_rtde wheel uploads it, caught by a server that knows just enough."""
+"""The control script as the unmodified ur_rtde uploads it, caught by a server that knows just enough."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CLIENT = "import rtde_control, sys; rtde_control.RTDEControlInterface(sys.argv[1
 
 @lru_cache(maxsize=2)
 def control_script(model: ControllerModel, host: str) -> str:
-    """For a controller of this model; the wheel connects to `host`, a loopback address."""
+    """For a controller of this model; ur_rtde connects to `host`, a loopback address."""
     sockets = {port: socket.create_server((host, port)) for port in (DASHBOARD, UPLOAD, RTDE)}
     client = subprocess.Popen(
         [sys.executable, "-c", CLIENT, host, str(model.rate)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
@@ -62,7 +62,7 @@ class _Catcher:
                 return self._script.decode()
             if self._stream is not None:
                 self._publish(self._stream)
-        raise AssertionError("the wheel has not uploaded its script")
+        raise AssertionError("ur_rtde has not uploaded its script")
 
     def _accept(self, server: socket.socket, port: int) -> None:
         connection, _ = server.accept()

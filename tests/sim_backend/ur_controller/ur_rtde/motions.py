@@ -1,4 +1,4 @@
-"""Loops that run in the wheel's process (imports nothing but the standard library, so that it starts quickly)."""
+"""Loops that run in ur_rtde's process (imports nothing but the standard library, so that it starts quickly)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The unmodified ur_rtde wheel against the stand-in for a UR10 (CB3, 125 Hz)."""
+"""The unmodified ur_rtde against the stand-in for a UR10 (CB3, 125 Hz)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.sim_backend.ur_controller.ur_rtde.contract import Bench, WheelContract, open_bench
+from tests.sim_backend.ur_controller.ur_rtde.contract import Bench, UrRtdeContract, open_bench
 
 pytestmark = pytest.mark.realtime
 
@@ -17,5 +17,5 @@ def rig() -> Iterator[Bench]:
         yield bench
 
 
-class TestCb3(WheelContract):
+class TestCb3(UrRtdeContract):
     """Everything, at 125 Hz."""

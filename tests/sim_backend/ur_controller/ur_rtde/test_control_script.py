@@ -1,4 +1,4 @@
-"""The control script of the installed ur_rtde wheel, verbatim, on the interpreter: no client, the registers by hand."""
+"""The control script of the installed ur_rtde, verbatim, on the interpreter: no client, the registers by hand."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MOVEJ, MOVEL, SPEEDJ, SERVOJ, SPEED_STOP, SERVO_STOP, PAYLOAD, TCP, IK, PROTECTI
 
 
 class Remote(ScriptRobot):
-    """What the wheel does with the registers."""
+    """What ur_rtde does with the registers."""
 
     def __init__(self, model: ControllerModel) -> None:
         super().__init__(model)

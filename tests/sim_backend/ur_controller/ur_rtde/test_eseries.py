@@ -1,4 +1,4 @@
-"""The unmodified ur_rtde wheel against the stand-in for a UR10e (e-Series, 500 Hz)."""
+"""The unmodified ur_rtde against the stand-in for a UR10e (e-Series, 500 Hz)."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.sim_backend.ur_controller.ur_rtde.client import Wheel
-from tests.sim_backend.ur_controller.ur_rtde.contract import Bench, WheelContract, open_bench
+from tests.sim_backend.ur_controller.ur_rtde.client import UrRtde
+from tests.sim_backend.ur_controller.ur_rtde.contract import Bench, UrRtdeContract, open_bench
 
 pytestmark = pytest.mark.realtime
 
@@ -18,15 +18,15 @@ def rig() -> Iterator[Bench]:
         yield bench
 
 
-class TestESeries(WheelContract):
+class TestESeries(UrRtdeContract):
     def test_serial_number_and_remote_control(self, bench: Bench) -> None:
-        assert bench.wheel.call("dashboard", "getSerialNumber").isdigit()
-        assert bench.wheel.call("dashboard", "isInRemoteControl") is True
+        assert bench.ur_rtde.call("dashboard", "getSerialNumber").isdigit()
+        assert bench.ur_rtde.call("dashboard", "isInRemoteControl") is True
 
     def test_local_control_refuses_the_control_interface(self, bench: Bench) -> None:
         bench.controller.fault("remote", remote=False)
         try:
-            with Wheel(bench.controller.host) as second, pytest.raises(RuntimeError, match="enable remote control"):
+            with UrRtde(bench.controller.host) as second, pytest.raises(RuntimeError, match="enable remote control"):
                 second.open("control")
         finally:
             bench.controller.fault("remote", remote=True)

@@ -243,7 +243,7 @@ def test_nonsense_ends_in_a_typed_error(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("source", "says", "line"),
+    ("source", "expected_text", "line"),
     [
         ("def a():\n x = 1 +\nend", "expected a value", 3),
         ("def a():\n if True:\n  sync()\n end\n", "expected 'end'", 5),
@@ -260,14 +260,14 @@ def test_nonsense_ends_in_a_typed_error(text: str) -> None:
         ("", "does nothing", 0),
     ],
 )
-def test_what_does_not_parse_names_the_line(source: str, says: str, line: int) -> None:
-    with pytest.raises(ScriptError, match="(?s)" + says.replace("(", r"\(")) as caught:
+def test_what_does_not_parse_names_the_line(source: str, expected_text: str, line: int) -> None:
+    with pytest.raises(ScriptError, match="(?s)" + expected_text.replace("(", r"\(")) as caught:
         ScriptRobot().start(source)
     assert caught.value.line == line
 
 
 @pytest.mark.parametrize(
-    ("body", "says"),
+    ("body", "expected_text"),
     [
         ("x = 1 / 0", "division by zero"),
         ("x = True + 1", "expected two numbers, got a boolean and an integer"),
@@ -286,12 +286,12 @@ def test_what_does_not_parse_names_the_line(source: str, says: str, line: int) -
         ('rtde_set_watchdog("input_int_register_0", 10, "panic")', "panic"),
     ],
 )
-def test_what_fails_ends_the_program_and_says_where(body: str, says: str) -> None:
+def test_what_fails_ends_the_program_and_says_where(body: str, expected_text: str) -> None:
     robot = ScriptRobot()
     runtime = robot.run(f"def a():\n sync()\n {body}\n textmsg(9)\nend")
     assert runtime.error is not None
     assert runtime.error.line in (3, 4, 5, 6)
-    assert re.search(says, str(runtime.error))
+    assert re.search(expected_text, str(runtime.error))
     assert "9" not in robot.messages
 
 

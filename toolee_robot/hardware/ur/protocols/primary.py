@@ -27,7 +27,7 @@ PRIMARY_PORT = 30001
 _ROBOT_STATE, _KINEMATICS_INFO = 16, 5
 _HEADER = struct.Struct(">iB")
 _CONTENT = struct.Struct(">6I24dI")
-_ABSURD = 1e4  # [m, rad]; joints 2 to 4 are parallel, and a calibration may shift them by metres
+_IMPLAUSIBLE = 1e4  # [m, rad]; joints 2 to 4 are parallel, and a calibration may shift them by metres
 _LARGEST = 1 << 20  # [bytes] of a message; a robot state has some 1,500
 
 
@@ -76,6 +76,6 @@ def _parse(content: bytes) -> UrKinematics:
         raise ProtocolError(f"kinematics info of {len(content)} bytes where {_CONTENT.size} were due")
     values = _CONTENT.unpack_from(content)
     theta, a, d, alpha = np.array(values[6:30], float).reshape(4, 6)
-    if not all(np.all(np.abs(v) < _ABSURD) for v in (theta, a, d, alpha)):
+    if not all(np.all(np.abs(v) < _IMPLAUSIBLE) for v in (theta, a, d, alpha)):
         raise ProtocolError("the controller's kinematics are not finite, or absurd")
     return UrKinematics(tuple(values[:6]), DhParameters(d=d, a=a, alpha=alpha, theta=theta))

@@ -5,7 +5,7 @@
         reader.subscribe(["timestamp", "actual_q"], 125.0, deadline)
         sample = reader.read(deadline)
 
-Used before any motion, where the ur_rtde wheel's constructors, which hold the interpreter's lock and cannot be given
+Used before any motion, where ur_rtde's constructors, which hold the interpreter's lock and cannot be given
 a time limit, are of no use. Every call ends by its deadline (a value of `time.monotonic()`), whatever the other side
 sends: with `ProtocolError` for bytes that are no RTDE, with `NoAnswerError` for silence or a closed connection.
 

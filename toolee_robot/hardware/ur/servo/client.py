@@ -1,4 +1,4 @@
-"""The task's side of the servo process: start it, show it that the task lives, give it orders, and never wait for it
+"""The task's side of the servo process: start it, show it that the task lives, send it requests, and never wait for it
 longer than agreed."""
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from typing import Final
 from toolee_robot.errors import DeviceError, NotReadyError, ServoCrashError
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.servo.clock import Realtime
-from toolee_robot.hardware.ur.servo.messages import Close, Connect, Connected, Order, Refused, Reply
+from toolee_robot.hardware.ur.servo.messages import Close, Connect, Connected, Refused, Reply, Request
 from toolee_robot.hardware.ur.servo.shared_memory import ServoMemory, Word
 
-BEAT: Final = 0.01  # [s]
+HEARTBEAT_PERIOD: Final = 0.01  # [s]
 START_TIMEOUT: Final = 15.0
 """[s] of the wall. For Python and numpy in the new process: the host's matter, not the robot's."""
 MORE: Final = 1.0
@@ -85,20 +85,20 @@ class ServoClient:
         """Brake in the next cycle; any thread."""
         self.memory.words[Word.STOP] += 1
 
-    def ask(self, order: Order) -> Reply:
-        """A short order and its answer. Raises DeviceError when refused, ServoCrashError when there is no answer."""
-        self.send(order)
+    def ask(self, request: Request) -> Reply:
+        """A short request and its reply. Raises DeviceError when refused, ServoCrashError when there is no answer."""
+        self.send(request)
         # The payload is acknowledged, then read back.
-        reply = self.receive(self._clock.wall(2 * self._config.handshake_timeout) + MORE)
+        reply = self.receive(self._clock.to_wall_time(2 * self._config.handshake_timeout) + MORE)
         if reply is None:
             raise self.crash(hung=True)
         if isinstance(reply, Refused):
             raise (NotReadyError if reply.not_ready else DeviceError)(reply.message)
         return reply
 
-    def send(self, order: Order) -> None:
+    def send(self, request: Request) -> None:
         try:
-            self._pipe.send(order)
+            self._pipe.send(request)
         except OSError as error:
             raise self.crash() from error
 
@@ -133,7 +133,7 @@ class ServoClient:
         with suppress(DeviceError):
             self.send(Close())
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(self._clock.wall(self._config.handshake_timeout) + MORE)
+            self._process.wait(self._clock.to_wall_time(self._config.handshake_timeout) + MORE)
         self.kill()
 
     def kill(self) -> None:
@@ -154,7 +154,7 @@ class ServoClient:
                     else "the servo process did not start: the machine is overloaded"
                 )
             if started := int(self.memory.words[Word.CONNECTING]):
-                deadline = min(deadline, started * 1e-9 + self._clock.wall(self._config.connect_timeout) + MORE)
+                deadline = min(deadline, started * 1e-9 + self._clock.to_wall_time(self._config.connect_timeout) + MORE)
         if isinstance(reply, Refused):
             raise (NotReadyError if reply.not_ready else DeviceError)(reply.message)
         if not isinstance(reply, Connected):
@@ -163,10 +163,10 @@ class ServoClient:
 
     def _beat(self) -> None:
         try:
-            self.memory.life.hold()
+            self.memory.owner.hold()
         finally:
             self._beats.set()
-        while not self._ended.wait(self._clock.wall(BEAT)):
+        while not self._ended.wait(self._clock.to_wall_time(HEARTBEAT_PERIOD)):
             self.memory.words[Word.HEARTBEAT] += 1
 
 

@@ -63,7 +63,7 @@ class Schedule:
         A missed slot is skipped: commands sent in a burst would reach the robot in one of its cycles.
         """
         deadline, clock = self.deadline, self._clock
-        clock.sleep(deadline - clock.now() - SPIN * clock.pace)
+        clock.sleep(deadline - clock.now() - SPIN * clock.real_time_factor)
         while (now := clock.now()) < deadline:
             pass
         missed = int((now - deadline) / self._period)

@@ -1,4 +1,4 @@
-"""What the task's process orders from the servo process, and what it answers."""
+"""Messages between the task's process and the servo process: requests, and replies to them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Cause(IntEnum):
 
 
 @dataclass(frozen=True)
-class MotionOrder:
+class MotionRequest:
     """What the task sends with a path. samples, knots: as `ServoMemory.write_path` returned them. stop: the value of
     the task's stop counter when it was sent. acceleration, jerk: of braking. lag [s]: the most of the servo."""
 
@@ -43,7 +43,7 @@ class MotionOrder:
 
 @dataclass(frozen=True)
 class Connect:
-    """The first order. rate: the controller's [Hz]."""
+    """The first request. rate: the controller's [Hz]."""
 
     config: UrArmConfig
     rate: float
@@ -66,7 +66,7 @@ class Close:
     """End the robot's program and this process."""
 
 
-Order = Connect | MotionOrder | SetPayload | Freedrive | Close
+Request = Connect | MotionRequest | SetPayload | Freedrive | Close
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Connected:
 
 
 @dataclass(frozen=True)
-class Moved:
+class MotionEnded:
     cause: Cause
 
 
@@ -92,4 +92,4 @@ class Refused:
     not_ready: bool
 
 
-Reply = Connected | Moved | Done | Refused
+Reply = Connected | MotionEnded | Done | Refused

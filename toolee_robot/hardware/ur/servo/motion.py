@@ -11,10 +11,10 @@ import numpy as np
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmStatus
 from toolee_robot.hardware.ur.servo.clock import FOLLOW, Schedule
-from toolee_robot.hardware.ur.servo.messages import Cause, MotionOrder
+from toolee_robot.hardware.ur.servo.messages import Cause, MotionRequest
 from toolee_robot.hardware.ur.servo.rtde_link import UrLink
 from toolee_robot.hardware.ur.servo.shared_memory import Column, ServoMemory, StateColumn, Word
-from toolee_robot.motion.path_stop import brake_on_path
+from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.runtime.clock import HostClock
 
 STANDSTILL: Final = 2e-3  # [rad/s]
@@ -36,22 +36,22 @@ class Motion:
         self,
         link: UrLink,
         memory: ServoMemory,
-        order: MotionOrder,
+        request: MotionRequest,
         schedule: Schedule,
         alive: TaskLife,
         clock: HostClock,
     ) -> None:
-        self._link, self._memory, self._order, self._schedule, self._alive = link, memory, order, schedule, alive
+        self._link, self._memory, self._request, self._schedule, self._alive = link, memory, request, schedule, alive
         self._clock = clock
         self._period = 1.0 / link.rate
-        self._path = memory.path(order.knots)
+        self._path = memory.path(request.knots)
         self._cause, self._silent = Cause.NONE, False
         self._time, self._row, self._streak, self._brakes, self._still = 0.0, 0, 0, False, 0
         self._commands = self._reference()
-        self._lag_cycles = order.lag / self._period
-        self._window = int(self._lag_cycles + order.watch.data_cycles) + 8
+        self._lag_cycles = request.lag / self._period
+        self._window = int(self._lag_cycles + request.watch.data_cycles) + 8
         self._wrenches: list[Array] = []
-        over = 0.0 if order.guard is None else order.guard.over
+        over = 0.0 if request.guard is None else request.guard.averaging_window
         self._felt: deque[Array] = deque(maxlen=max(round(over / self._period), 1))
 
     def run(self) -> Cause:
@@ -81,14 +81,14 @@ class Motion:
 
     def _judge(self, lateness: float, missed: int) -> None:
         """Every reason to stop. The first one counts, unless a later one forbids to send at all."""
-        words, watch = self._memory.words, self._order.watch
+        words, watch = self._memory.words, self._request.watch
         late = missed + (lateness >= self._period / 2)
         words[Word.OVERRUNS] += late
         self._streak = self._streak + late if late else 0
         touches = self._touches()
         if not self._link.connected:
             self._end(Cause.LINK)
-        elif not self._link.sane or self._link.age > watch.data_cycles * self._period:
+        elif not self._link.plausible or self._link.age > watch.data_cycles * self._period:
             self._end(Cause.DATA)
         elif self._link.status is not ArmStatus.READY:
             self._end(Cause.STOPPED_BY_ROBOT)
@@ -103,7 +103,7 @@ class Motion:
             self._end(Cause.TRACKING)
         elif (lost := self._alive.lost()) is not Cause.NONE:
             self._end(lost)
-        elif words[Word.STOP] != self._order.stop:
+        elif words[Word.STOP] != self._request.stop:
             self._end(Cause.STOP)
         elif touches:
             words[Word.CONTACT_ROW] = self._row
@@ -123,32 +123,32 @@ class Motion:
             self._commands = iter(()) if hold else self._brake()
 
     def _reference(self) -> Iterator[Array]:
-        samples, reference = self._order.samples, self._memory.reference
+        samples, reference = self._request.samples, self._memory.reference
         for k in range(samples):
             self._time = min((k + 1) * self._period, self._path.duration)
             yield reference[k].copy()
 
     def _brake(self) -> Iterator[Array]:
-        order = self._order
-        for q, _ in brake_on_path(self._path, self._time, self._period, order.acceleration, order.jerk):
+        request = self._request
+        for q, _ in stop_on_path(self._path, self._time, self._period, request.acceleration, request.jerk):
             yield q
 
     def _touches(self) -> bool:
         """Whether the guard's force is in any of the new readings, averaged with those before it."""
-        guard, touches = self._order.guard, False
+        guard, touches = self._request.guard, False
         for wrench in self._wrenches:
             self._felt.append(wrench[:3])
             force = np.mean(self._felt, axis=0)
             full = len(self._felt) == self._felt.maxlen
             touches |= guard is not None and full and float(np.sqrt(force @ force)) > guard.force
-        return touches and guard is not None and self._time >= guard.after and not self._brakes
+        return touches and guard is not None and self._time >= guard.ignore_before and not self._brakes
 
     def _tracking_error(self) -> float:
         """[rad] How far the newest reading lies outside of what was commanded within the servo's lag before it."""
         reading = self._link.reading
         rows = self._memory.rows[max(self._row - self._window, 0) : self._row]
         sent = rows[:, Column.SENT]
-        i, j = np.searchsorted(sent, (reading[StateColumn.SEEN] - self._order.lag, reading[StateColumn.SEEN]))
+        i, j = np.searchsorted(sent, (reading[StateColumn.SEEN] - self._request.lag, reading[StateColumn.SEEN]))
         if j == 0:
             return 0.0
         commanded, q = rows[max(i - 1, 0) : j, Column.COMMANDED], reading[StateColumn.Q]
@@ -160,7 +160,7 @@ class Motion:
         if settled > SETTLE_TIME / self._period or self._cause is Cause.LINK:
             return True
         reading = self._link.reading
-        fresh = self._link.age < self._order.watch.data_cycles * self._period
+        fresh = self._link.age < self._request.watch.data_cycles * self._period
         still = fresh and bool(np.abs(reading[StateColumn.QD]).max() < STANDSTILL)
         self._still = self._still + 1 if still else 0
         return self._still >= SETTLE_CYCLES and settled >= SETTLE_CYCLES + self._lag_cycles

@@ -19,12 +19,12 @@ _PROCESS_SHARED = _ROBUST = 1
 _libc = ctypes.CDLL(None)
 
 
-class LifeLine:
+class OwnerWatch:
     """On the first SIZE bytes of memory that both processes map."""
 
     def __init__(self, memory: mmap.mmap) -> None:
         self._mutex = (ctypes.c_char * SIZE).from_buffer(memory)
-        self._cut = False
+        self._died = False
 
     def prepare(self) -> None:
         """The task's process, once, before the other one looks."""
@@ -35,15 +35,16 @@ class LifeLine:
         _call("pthread_mutex_init", self._mutex, attributes)
 
     def hold(self) -> None:
-        """The task's process: cut when the calling thread ends, however it ends. Until then its memory stays mapped."""
+        """The task's process: released when the calling thread ends, however it ends. Until then its memory stays
+        mapped."""
         _call("pthread_mutex_lock", self._mutex)
 
     @property
-    def cut(self) -> bool:
-        """The servo process: whether the thread that held it is gone. True once, it stays so, and the mutex is this
-        thread's: its memory stays mapped. A microsecond."""
-        self._cut = self._cut or _libc.pthread_mutex_trylock(self._mutex) == errno.EOWNERDEAD
-        return self._cut
+    def owner_alive(self) -> bool:
+        """The servo process: whether the thread that holds it lives. False once, it stays so, and the mutex is
+        this thread's: its memory stays mapped. A microsecond."""
+        self._died = self._died or _libc.pthread_mutex_trylock(self._mutex) == errno.EOWNERDEAD
+        return not self._died
 
 
 def _call(name: str, *arguments: object) -> None:

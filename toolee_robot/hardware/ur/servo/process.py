@@ -1,4 +1,4 @@
-"""The servo process: it alone talks to the robot, in cycles of the controller's rate, and obeys the task's process.
+"""The servo process: it alone talks to the robot, in cycles of the controller's rate, and handles the task's requests.
 
 Started by `ServoClient`. It may crash, hang or be killed at any time: the robot's watchdog stops the robot, and the
 task gets a typed error. When the task's process ends or stalls it is this one that brakes, along the path.
@@ -28,11 +28,11 @@ from toolee_robot.hardware.ur.servo.messages import (
     Connected,
     Done,
     Freedrive,
-    MotionOrder,
-    Moved,
-    Order,
+    MotionEnded,
+    MotionRequest,
     Refused,
     Reply,
+    Request,
     SetPayload,
 )
 from toolee_robot.hardware.ur.servo.motion import Motion
@@ -78,19 +78,19 @@ class ServoProcess:
             if self._terminated:
                 link.close()
             if self._poll.poll(0):
-                self._obey(schedule)
+                self._handle(schedule)
 
     def _judge(self) -> None:
         """What happens at rest latches as well: nothing moves before a reset."""
         link = self._link
-        if not link.connected or self._clock.wall(link.age) > self._config.link_timeout:
+        if not link.connected or self._clock.to_wall_time(link.age) > self._config.link_timeout:
             self._latch(Cause.LINK)
             os._exit(EXIT_LINK_LOST)
         elif link.status is not ArmStatus.READY:
             self._latch(Cause.STOPPED_BY_ROBOT)
         elif not link.playing:
             self._latch(Cause.PROGRAM_ENDED)
-        elif not link.sane:
+        elif not link.plausible:
             self._latch(Cause.DATA)
 
     def _latch(self, cause: Cause) -> None:
@@ -98,43 +98,47 @@ class ServoProcess:
             self._fault = cause
             self._memory.words[Word.CAUSE] = cause
 
-    def _obey(self, schedule: Schedule) -> None:
+    def _handle(self, schedule: Schedule) -> None:
         link = self._link
         try:
-            order: Order = self._pipe.recv()
+            request: Request = self._pipe.recv()
             reply: Reply
-            if isinstance(order, Close):
+            if isinstance(request, Close):
                 link.close()
             elif self._fault is not Cause.NONE:
-                reply = Moved(self._fault) if isinstance(order, MotionOrder) else Refused("the arm is latched", False)
-            elif isinstance(order, MotionOrder):
+                reply = (
+                    MotionEnded(self._fault)
+                    if isinstance(request, MotionRequest)
+                    else Refused("the arm is latched", False)
+                )
+            elif isinstance(request, MotionRequest):
                 self._await_data(schedule)
-                reply = Moved(self._move(order, schedule))
+                reply = MotionEnded(self._move(request, schedule))
             else:
-                reply = self._handshake(order)
+                reply = self._handshake(request)
             schedule.resume()
             self._pipe.send(reply)
         except (EOFError, OSError):
             # The task's process is gone; the arm stands.
             link.close()
 
-    def _move(self, order: MotionOrder, schedule: Schedule) -> Cause:
-        cause = Motion(self._link, self._memory, order, schedule, self, self._clock).run()
+    def _move(self, request: MotionRequest, schedule: Schedule) -> Cause:
+        cause = Motion(self._link, self._memory, request, schedule, self, self._clock).run()
         if cause is Cause.TASK_ENDED:
             self._link.close()
         if cause >= Cause.DATA:
             self._fault = cause
         if cause is Cause.LINK:
-            self._pipe.send(Moved(cause))
+            self._pipe.send(MotionEnded(cause))
             os._exit(EXIT_LINK_LOST)
         return cause
 
-    def _handshake(self, order: Order) -> Reply:
+    def _handshake(self, request: Request) -> Reply:
         try:
-            if isinstance(order, SetPayload):
-                self._link.set_payload(order.mass, order.center_of_mass)
-            elif isinstance(order, Freedrive):
-                if order.on:
+            if isinstance(request, SetPayload):
+                self._link.set_payload(request.mass, request.center_of_mass)
+            elif isinstance(request, Freedrive):
+                if request.on:
                     self._link.start_freedrive()
                 else:
                     self._link.end_freedrive()
@@ -149,7 +153,7 @@ class ServoProcess:
         if beat != self._beat:
             self._beat, self._since = beat, now
         hung_up = any(events & (select.POLLHUP | select.POLLERR) for _, events in self._poll.poll(0))
-        if self._terminated or self._memory.life.cut or hung_up:
+        if self._terminated or not self._memory.owner.owner_alive or hung_up:
             return Cause.TASK_ENDED
         return Cause.TASK_STALLED if now - self._since > self._config.heartbeat_timeout else Cause.NONE
 
@@ -177,28 +181,28 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     sys.excepthook = _die
-    faulthandler.enable()  # the wheel's crashes say where they were
+    faulthandler.enable()  # ur_rtde's crashes say where they were
     pipe = Connection(int(sys.argv[1]))
     memory = ServoMemory(int(sys.argv[2]), float(sys.argv[3]))
-    order: Any = pipe.recv()
-    if not isinstance(order, Connect):
-        raise TypeError(f"the first order must be Connect, not {order!r}")
+    request: Any = pipe.recv()
+    if not isinstance(request, Connect):
+        raise TypeError(f"the first request must be Connect, not {request!r}")
     realtime = become_realtime()
     memory.words[Word.CONNECTING] = time.monotonic_ns()
     try:
-        link = UrLink(order.config, order.rate)
+        link = UrLink(request.config, request.rate)
     except DeviceError as error:
         pipe.send(Refused(str(error), isinstance(error, NotReadyError)))
-        # The wheel's objects are left to the kernel.
+        # ur_rtde's objects are left to the kernel.
         os._exit(0)
-    process = ServoProcess(pipe, memory, link, order.config)
+    process = ServoProcess(pipe, memory, link, request.config)
     memory.write_state(link.reading)
     pipe.send(Connected(realtime))
     process.run()
 
 
 def _die(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """What an error that nobody expected comes to. Not the interpreter's own end: the wheel's destructors may hang, or
+    """What an error that nobody expected comes to. Not the interpreter's own end: ur_rtde's destructors may hang, or
     connect again."""
     traceback.print_exception(kind, error, trace)
     os._exit(1)

@@ -1,7 +1,7 @@
-"""The ur_rtde wheel's control interface, in the servo process, and the stream of the robot's state beside it: nothing
-else in the project touches the wheel.
+"""ur_rtde's control interface, in the servo process, and the stream of the robot's state beside it: nothing
+else in the project touches ur_rtde.
 
-What the wheel returns is not believed: its calls answer True long after the link is gone. Only the advance of the
+What ur_rtde returns is not believed: its calls answer True long after the link is gone. Only the advance of the
 controller's timestamp says that a reading is new. Calls that shake hands with the control script can block for minutes,
 so each runs under a timer whose signal ends this process: nothing here is worth waiting for, and the robot's watchdog
 stops the robot.
@@ -23,7 +23,7 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import ArmStatus
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.protocols.rtde import RTDE_PORT
-from toolee_robot.hardware.ur.servo.rtde_sockets import WheelSockets
+from toolee_robot.hardware.ur.servo.rtde_sockets import UrRtdeSockets
 from toolee_robot.hardware.ur.servo.shared_memory import StateColumn
 from toolee_robot.hardware.ur.servo.state_stream import StateStream
 from toolee_robot.hardware.ur.status import RUNTIME_PLAYING, advice, arm_status
@@ -49,22 +49,24 @@ def bounded(seconds: float) -> Iterator[None]:
 
 class UrLink:
     """rate [Hz]: the controller's. reading: (StateColumn.COUNT,), the newest; its commanded position is what went out
-    last, or, while nothing is servoed, where the controller holds the arm. refused: True for good once the wheel did
+    last, or, while nothing is servoed, where the controller holds the arm. refused: True for good once ur_rtde did
     not send a position, since it believes that the robot's program has ended, whatever the receiving end says. status,
     playing: what the robot says of its safety and of its program. servoing: the control script's servo thread runs, and
     holds the last position sent."""
 
     def __init__(self, config: UrArmConfig, rate: float) -> None:
         """Connect; nothing moves. Raises NotReadyError while the robot's safety system or mode forbids motion, and
-        DeviceError for what the wheel throws."""
+        DeviceError for what ur_rtde throws."""
         self._config, self.rate, self._clock = config, rate, config.clock
         self.reading: Array = np.zeros(StateColumn.COUNT)
         self.refused, self._lost = False, False
         self._wrenches: list[Array] = []
         self.status, self.playing, self.servoing = ArmStatus.NOT_READY, False, False
-        with bounded(self._clock.wall(config.connect_timeout)):
+        with bounded(self._clock.to_wall_time(config.connect_timeout)):
             try:
-                self._stream = StateStream(config.host, rate, self._clock.wall(config.connect_timeout), self._clock)
+                self._stream = StateStream(
+                    config.host, rate, self._clock.to_wall_time(config.connect_timeout), self._clock
+                )
                 self._show_newest()
                 if self.status is not ArmStatus.READY:
                     raise NotReadyError(advice(self.status))
@@ -73,11 +75,11 @@ class UrLink:
                 self._control.setTcp([0.0] * 6)
                 while not self.playing:
                     self.read()
-                    self._expect_sane()
+                    self._expect_plausible()
                     time.sleep(1e-3)
                 self._control.setWatchdog(config.watchdog)
                 self._catch_up()
-                self._sockets = WheelSockets(RTDE_PORT)
+                self._sockets = UrRtdeSockets(RTDE_PORT)
             except (RuntimeError, ValueError, IndexError, MemoryError) as error:  # whatever C++ may throw
                 raise DeviceError(_explain(str(error), config.host)) from error
 
@@ -87,9 +89,9 @@ class UrLink:
         return not (self._lost or self._stream.lost) and bool(self._control.isConnected() and self._sockets.same)
 
     @property
-    def sane(self) -> bool:
+    def plausible(self) -> bool:
         """False for good once data made no sense; they are never taken in."""
-        return self._stream.sane
+        return self._stream.plausible
 
     @property
     def age(self) -> float:
@@ -138,13 +140,13 @@ class UrLink:
 
     def kick(self) -> None:
         """Feed the robot's watchdog. Not in a cycle that has sent a position: of two commands that reach the robot in
-        one of its cycles it takes the later. Not without a program: the wheel may wait 3 s for it to get ready."""
+        one of its cycles it takes the later. Not without a program: ur_rtde may wait 3 s for it to get ready."""
         with self._while_connected():
             self._control.kickWatchdog()
 
     def set_payload(self, mass: float, center_of_mass: list[float]) -> None:
         """[kg], [m] in the flange. Raises DeviceError unless the controller reports it back, where its version can."""
-        with bounded(self._clock.wall(self._config.handshake_timeout)):
+        with bounded(self._clock.to_wall_time(self._config.handshake_timeout)):
             accepted = self._control.setPayload(mass, center_of_mass)
         if not accepted:
             raise DeviceError("the robot did not take the payload: its program does not run; reset the arm")
@@ -153,7 +155,7 @@ class UrLink:
             self.kick()
             self._clock.sleep(1.0 / self.rate)
             self.read()
-            self._expect_sane()
+            self._expect_plausible()
             reported = self._stream.newest.payload
             if reported is None or np.abs(np.subtract(reported, [mass, *center_of_mass])).max() < PAYLOAD_TOLERANCE:
                 return
@@ -164,7 +166,7 @@ class UrLink:
                 )
 
     def start_freedrive(self) -> None:
-        with bounded(self._clock.wall(self._config.handshake_timeout)):
+        with bounded(self._clock.to_wall_time(self._config.handshake_timeout)):
             if self.servoing:
                 self._control.servoStop()
                 self.servoing = False
@@ -173,7 +175,7 @@ class UrLink:
 
     def end_freedrive(self) -> None:
         """Returns when the controller holds the arm at one place: let go of in mid-motion, it brakes first."""
-        with bounded(self._clock.wall(self._config.handshake_timeout)):
+        with bounded(self._clock.to_wall_time(self._config.handshake_timeout)):
             self._control.endTeachMode()
             self._catch_up()
             held = 0
@@ -184,21 +186,21 @@ class UrLink:
                 if self.read():
                     moved = np.abs(self.reading[StateColumn.COMMANDED] - before).max()
                     held = held + 1 if moved <= START_TOLERANCE else 0
-                self._expect_sane()
+                self._expect_plausible()
 
     def close(self) -> None:
         """End the robot's program, at rest, and the connections; whatever does not end by itself ends the process."""
-        with bounded(self._clock.wall(self._config.handshake_timeout)):
+        with bounded(self._clock.to_wall_time(self._config.handshake_timeout)):
             if self.connected and self.playing and self.status is ArmStatus.READY:
                 if self.servoing:
                     self._control.servoStop()
                 self._control.stopScript()
-        # The wheel's own clean-up may hang, reconnect or crash; the kernel's does not.
+        # ur_rtde's own clean-up may hang, reconnect or crash; the kernel's does not.
         os._exit(0)
 
     @contextmanager
     def _while_connected(self) -> Iterator[None]:
-        """A command that finds the connection gone makes the wheel try for another one, which it cannot have."""
+        """A command that finds the connection gone makes ur_rtde try for another one, which it cannot have."""
         try:
             yield
         except RuntimeError:
@@ -209,10 +211,10 @@ class UrLink:
         for _ in range(_CATCH_UP):
             if not self.read():
                 break
-        self._expect_sane()
+        self._expect_plausible()
 
-    def _expect_sane(self) -> None:
-        if not self.sane:
+    def _expect_plausible(self) -> None:
+        if not self.plausible:
             raise DeviceError("the robot's data make no sense (joints, forces or time): restart its controller")
 
 

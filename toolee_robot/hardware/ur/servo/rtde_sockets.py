@@ -1,4 +1,4 @@
-"""The wheel's connections to the robot, as the kernel knows them.
+"""ur_rtde's connections to the robot, as the kernel knows them.
 
 Its control interface connects again by itself when it has lost the robot, and says nothing of it: within a few
 milliseconds it ends the robot's program, which the robot's watchdog would have ended with the arm held where it was
@@ -23,7 +23,7 @@ from pathlib import Path
 _OPEN_FILES = 1
 
 
-class WheelSockets:
+class UrRtdeSockets:
     """The sockets of this process that are connected to this TCP port of a peer at the time of construction.
 
     From then on they send at once what they are given, and this process can open no file and no socket any more:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from toolee_robot.errors import DeviceError, LimitError
 from toolee_robot.frames import Array
-from toolee_robot.hardware.ur.servo.owner_watch import SIZE as LIFE_LINE_SIZE
-from toolee_robot.hardware.ur.servo.owner_watch import LifeLine
+from toolee_robot.hardware.ur.servo.owner_watch import SIZE as OWNER_WATCH_SIZE
+from toolee_robot.hardware.ur.servo.owner_watch import OwnerWatch
 from toolee_robot.types import Trajectory
 
 FASTEST: Final = 500.0  # [Hz]
@@ -86,12 +86,12 @@ class ServoMemory:
             "knots": (knots, 19),
             "rows": (samples + int(AFTERWARDS * FASTEST), Column.COUNT),
         }
-        words = LIFE_LINE_SIZE + 8 * len(Word)
+        words = OWNER_WATCH_SIZE + 8 * len(Word)
         size = words + sum(8 * int(np.prod(shape)) for shape in shapes.values())
         os.ftruncate(fd, size)
         self._map = mmap.mmap(fd, size)
-        self.life = LifeLine(self._map)
-        self.words: NDArray[np.int64] = np.frombuffer(self._map, np.int64, len(Word), LIFE_LINE_SIZE)
+        self.owner = OwnerWatch(self._map)
+        self.words: NDArray[np.int64] = np.frombuffer(self._map, np.int64, len(Word), OWNER_WATCH_SIZE)
         offset, views = words, {}
         for name, shape in shapes.items():
             count = int(np.prod(shape))
@@ -106,7 +106,7 @@ class ServoMemory:
     def create(cls, longest: float) -> ServoMemory:
         """The task's, before it starts the servo process."""
         memory = cls(os.memfd_create("toolee-servo", os.MFD_CLOEXEC), longest)
-        memory.life.prepare()
+        memory.owner.prepare()
         return memory
 
     def close(self) -> None:

@@ -1,7 +1,7 @@
 """Every reading of the robot's state, none left out.
 
-The wheel's receiver keeps the newest of what has come and drops the rest: of two readings that a busy network delivers
-at once it shows one, and a blow, or a reading that makes no sense, may be in the other. So the state comes over a
+ur_rtde's receiver keeps the newest of what has come and drops the rest: of two readings that a busy network delivers
+at once it shows one, and a strike, or a reading that makes no sense, may be in the other. So the state comes over a
 connection of our own, which only reads, and on which readings wait in the order in which they were sent.
 """
 
@@ -30,9 +30,9 @@ _ALWAYS = (
 )
 _WHERE_KNOWN = ("payload", "payload_cog")  # since 3.11 and 5.5.1
 
-_ABSURD = 100.0
+_IMPLAUSIBLE = 100.0
 """[rad], [rad/s] No joint of a robot reads so much, nor what is not a number."""
-_ABSURD_WRENCH = 1e4
+_IMPLAUSIBLE_WRENCH = 1e4
 """[N, Nm]"""
 
 # The controller's base is our base_link turned by pi about z: forces and torques change sign in x and y.
@@ -65,7 +65,7 @@ class StateStream:
         NotReadyError for a controller that does not report what is needed."""
         deadline = time.monotonic() + timeout
         self._clock = clock
-        self.lost, self.sane = False, True
+        self.lost, self.plausible = False, True
         self._reader = RtdeReader.connect(host, deadline)
         if self._reader.subscribe(_ALWAYS + _WHERE_KNOWN, rate, deadline):
             self._reader.close()
@@ -74,17 +74,17 @@ class StateStream:
                 raise NotReadyError(f"the controller does not report {', '.join(unknown)}: update PolyScope")
         first = self._reader.read(deadline)
         self.newest, self.seen = _reading(first), clock.now()
-        self.arrived = first.received * clock.pace
+        self.arrived = first.received * clock.real_time_factor
 
     def take(self) -> list[Reading]:
         """Those that have come since, the oldest first; none of them once the stream is lost or not sane. Never
         waits."""
-        if self.lost or not self.sane:
+        if self.lost or not self.plausible:
             return []
         try:
             return list(self._advance(self._reader.arrived()))
         except ProtocolError:
-            self.sane = False
+            self.plausible = False
         except NoAnswerError:
             self.lost = True
         return []
@@ -97,7 +97,7 @@ class StateStream:
             if reading.timestamp < self.newest.timestamp:
                 raise ProtocolError("the robot's time goes back")
             self.newest, self.seen = reading, self._clock.now()
-            self.arrived = sample.received * self._clock.pace
+            self.arrived = sample.received * self._clock.real_time_factor
             yield reading
 
 
@@ -109,9 +109,9 @@ def _reading(sample: RtdeSample) -> Reading:
     # NaN fails every comparison.
     if timestamp.shape != (1,) or not abs(timestamp[0]) < np.inf:
         raise ProtocolError("the robot's time is no number")
-    if not all(joints.shape == (6,) and np.all(np.abs(joints) < _ABSURD) for joints in (q, qd, target)):
+    if not all(joints.shape == (6,) and np.all(np.abs(joints) < _IMPLAUSIBLE) for joints in (q, qd, target)):
         raise ProtocolError("the robot's joints are no joints")
-    if not (wrench.shape == (6,) and np.all(np.abs(wrench) < _ABSURD_WRENCH)):
+    if not (wrench.shape == (6,) and np.all(np.abs(wrench) < _IMPLAUSIBLE_WRENCH)):
         raise ProtocolError("the robot's forces are no forces")
     safety, mode, runtime = (int(_numbers(values[name])[0]) for name in _ALWAYS[-3:])
     payload = None
