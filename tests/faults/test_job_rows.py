@@ -19,7 +19,7 @@ from toolee_robot.sim_backend.arm import SimArm
 from toolee_robot.tasks.hammering import HammeringTask
 from toolee_robot.tasks.motions import Motions
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=30)
 
 _QUICK = {
     ("hand does not open in time", Phase.REST),

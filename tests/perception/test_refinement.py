@@ -42,7 +42,7 @@ from toolee_robot.perception.train_segmentation import SegmentationTraining
 from toolee_robot.perception.train_segmentation import train as train_detector
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=30)
 
 CPU = torch.device("cpu")
 TIMES = 8

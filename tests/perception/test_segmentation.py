@@ -31,7 +31,7 @@ from toolee_robot.perception.segmentation_model import (
 from toolee_robot.perception.train_segmentation import SegmentationTraining, train
 from toolee_robot.types import CameraIntrinsics, Category, RgbdFrame
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=30)
 
 TINY = DetectorConfig(
     widths=(16, 24, 32, 48),

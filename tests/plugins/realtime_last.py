@@ -22,8 +22,9 @@ class RealtimeLast(LoadFileScheduling):
     Args:
         config: of the controlling process.
         log: xdist's debug log.
-        tiers: a file that the workers have written when they have collected: JSON, `{tier: [node id, ...]}`. (What a
-            worker tells of its collection is the node ids, without markers.)
+        tiers: a file that the workers have written when they have collected: JSON, `{tier: {node id: seconds}}`, with
+            what the marker says of how long the test's file takes. (What a worker tells of its collection is the node
+            ids, without markers.)
     """
 
     def __init__(self, config: pytest.Config, log: Producer | None, tiers: Path) -> None:
@@ -62,12 +63,16 @@ class RealtimeLast(LoadFileScheduling):
         return crashed_in
 
     def _fill_queues(self) -> None:
-        tiers: dict[str, list[str]] = json.loads(self._tiers.read_text())
+        tiers: dict[str, dict[str, float]] = json.loads(self._tiers.read_text())
         self._bound = frozenset(tiers["realtime"])
-        slow = self._files(tiers["sim"])
-        files = self._files(nodeid for tier, nodeids in tiers.items() if tier != "realtime" for nodeid in nodeids)
+        seconds = {
+            nodeid: cost for tier, costs in tiers.items() if tier != "realtime" for nodeid, cost in costs.items()
+        }
         # The longest first, so that all workers end at about the same time.
-        self.workqueue.update(sorted(files.items(), key=lambda file: (-len(slow.get(file[0], ())), -len(file[1]))))
+        files = self._files(seconds).items()
+        self.workqueue.update(
+            sorted(files, key=lambda file: (-max(seconds[nodeid] for nodeid in file[1]), -len(file[1])))
+        )
         self._realtime = self._files(tiers["realtime"])
         if len(self.nodes) == 1:
             self.workqueue.update(self._realtime)

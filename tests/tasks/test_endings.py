@@ -25,7 +25,7 @@ from toolee_robot.tasks.observer import TaskObserver
 from toolee_robot.tasks.outcome import Outcome, Stage
 from toolee_robot.types import RgbdFrame, ToolEstimate
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=80)
 
 
 @pytest.fixture(scope="module")
