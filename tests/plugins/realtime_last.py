@@ -65,14 +65,13 @@ class RealtimeLast(LoadFileScheduling):
     def _fill_queues(self) -> None:
         tiers: dict[str, dict[str, float]] = json.loads(self._tiers.read_text())
         self._bound = frozenset(tiers["realtime"])
-        seconds = {
-            nodeid: cost for tier, costs in tiers.items() if tier != "realtime" for nodeid, cost in costs.items()
-        }
-        # The longest first, so that all workers end at about the same time.
-        files = self._files(seconds).items()
-        self.workqueue.update(
-            sorted(files, key=lambda file: (-max(seconds[nodeid] for nodeid in file[1]), -len(file[1])))
-        )
+        seconds = {**tiers["unit"], **tiers["sim"]}
+
+        def order(file: tuple[str, dict[str, bool]]) -> tuple[float, int]:
+            """The longest first, so that all workers end at about the same time."""
+            return -max(seconds[nodeid] for nodeid in file[1]), -len(file[1])
+
+        self.workqueue.update(sorted(self._files(seconds).items(), key=order))
         self._realtime = self._files(tiers["realtime"])
         if len(self.nodes) == 1:
             self.workqueue.update(self._realtime)
