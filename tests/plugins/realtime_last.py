@@ -27,6 +27,9 @@ class RealtimeLast(LoadFileScheduling):
             ids, without markers.)
     """
 
+    collection: list[str] | None
+    workqueue: OrderedDict[str, dict[str, bool]]
+
     def __init__(self, config: pytest.Config, log: Producer | None, tiers: Path) -> None:
         super().__init__(config, log)
         self._tiers = tiers
