@@ -29,7 +29,7 @@ from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.perception.weight_files import WEIGHTS_DIR
 from toolee_robot.types import Category, Detection, RgbdFrame, ToolEstimate
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=100)
 
 FRAMES = DatasetSpec("hard", 60, seed=7411, test_share=1.0, scene_size=20)
 SURE = 0.5
