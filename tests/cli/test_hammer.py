@@ -15,7 +15,7 @@ import cv2
 import pytest
 from mcap.reader import make_reader
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=150)
 
 _FIGURES = {
     "success",

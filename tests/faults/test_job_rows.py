@@ -19,7 +19,7 @@ from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.hammering.task import HammeringTask
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=30)
 
 _QUICK = {
     ("hand does not open in time", Phase.REST),

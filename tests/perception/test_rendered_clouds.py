@@ -37,7 +37,7 @@ from toolee_robot.perception.training.distributed import Distributed
 from toolee_robot.tools import ee_radius
 from toolee_robot.types import Category, Detection, RgbdFrame
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=20)
 
 FRAMES = 4
 

@@ -29,7 +29,7 @@ from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.perception.weight_files import WEIGHTS_DIR
 from toolee_robot.types import Category, Detection, RgbdFrame, ToolEstimate
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=100)
 
 FRAMES = DatasetSpec("hard", 60, seed=7411, test_share=1.0, scene_size=20)
 SURE = 0.5
@@ -135,7 +135,7 @@ def test_end_effectors_are_detected(scores: Scores) -> None:
     """Measured: 68 of 70, mean mask IoU 0.904, AP50 0.964, 5 false alarms."""
     assert 68 <= scores.targets <= 72, "a rounding may add or remove one: these are other frames than those measured"
     assert scores.found >= 66 / 70
-    assert scores.mask_iou >= 0.897
+    assert scores.mask_iou >= 0.9
     assert scores.AP50 >= 0.94
     assert scores.false_alarms <= 7
 

@@ -22,9 +22,13 @@ class RealtimeLast(LoadFileScheduling):
     Args:
         config: of the controlling process.
         log: xdist's debug log.
-        tiers: a file that the workers have written when they have collected: JSON, `{tier: [node id, ...]}`. (What a
-            worker tells of its collection is the node ids, without markers.)
+        tiers: a file that the workers have written when they have collected: JSON, `{tier: {node id: seconds}}`, with
+            what the marker says of how long the test's file takes. (What a worker tells of its collection is the node
+            ids, without markers.)
     """
+
+    collection: list[str] | None
+    workqueue: OrderedDict[str, dict[str, bool]]
 
     def __init__(self, config: pytest.Config, log: Producer | None, tiers: Path) -> None:
         super().__init__(config, log)
@@ -62,12 +66,15 @@ class RealtimeLast(LoadFileScheduling):
         return crashed_in
 
     def _fill_queues(self) -> None:
-        tiers: dict[str, list[str]] = json.loads(self._tiers.read_text())
+        tiers: dict[str, dict[str, float]] = json.loads(self._tiers.read_text())
         self._bound = frozenset(tiers["realtime"])
-        slow = self._files(tiers["sim"])
-        files = self._files(nodeid for tier, nodeids in tiers.items() if tier != "realtime" for nodeid in nodeids)
-        # The longest first, so that all workers end at about the same time.
-        self.workqueue.update(sorted(files.items(), key=lambda file: (-len(slow.get(file[0], ())), -len(file[1]))))
+        seconds = {**tiers["unit"], **tiers["sim"]}
+
+        def order(file: tuple[str, dict[str, bool]]) -> tuple[float, int]:
+            """The longest first, so that all workers end at about the same time."""
+            return -max(seconds[nodeid] for nodeid in file[1]), -len(file[1])
+
+        self.workqueue.update(sorted(self._files(seconds).items(), key=order))
         self._realtime = self._files(tiers["realtime"])
         if len(self.nodes) == 1:
             self.workqueue.update(self._realtime)

@@ -100,9 +100,10 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     given: dict[str, Any] = getattr(session.config, "workerinput", {})
     if _LIST not in given:
         return
-    tiers: dict[str, list[str]] = {tier: [] for tier in TIERS}
+    tiers: dict[str, dict[str, float]] = {tier: {} for tier in TIERS}
     for item in session.items:
-        tiers[next(tier for tier in reversed(TIERS) if item.get_closest_marker(tier))].append(item.nodeid)
+        (marker,) = (marker for tier in TIERS if (marker := item.get_closest_marker(tier)))
+        tiers[marker.name][item.nodeid] = marker.kwargs.get("seconds", 0.0)
     path = Path(given[_LIST])
     own = path.with_suffix(f".{given['workerid']}")
     own.write_text(json.dumps(tiers))

@@ -25,7 +25,7 @@ from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
 from toolee_robot.types import RgbdFrame, ToolEstimate
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=80)
 
 
 @pytest.fixture(scope="module")

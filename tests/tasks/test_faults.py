@@ -16,7 +16,7 @@ from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, Log, at_rest, grip_k
 from toolee_robot.frames import Array
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome, Stage
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=30)
 
 
 def stands(bench: Bench, result: HammerResult, outcome: Outcome, expected_text: str) -> None:

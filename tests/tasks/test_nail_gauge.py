@@ -13,7 +13,7 @@ from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome
 from toolee_robot.types import Trajectory
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=20)
 
 
 def knock_at_the_wood(bench: Bench, monkeypatch: pytest.MonkeyPatch, force: float, seconds: float) -> None:

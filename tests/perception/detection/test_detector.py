@@ -26,7 +26,7 @@ from toolee_robot.perception.detection.training_data import DeviceImages, augmen
 from toolee_robot.perception.evaluation.segmentation import coco_task, report
 from toolee_robot.types import CameraIntrinsics, Category, RgbdFrame
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=30)
 
 TINY = DetectorConfig(
     widths=(16, 24, 32, 48),

@@ -43,7 +43,7 @@ from toolee_robot.perception.evaluation.segmentation import frame_of
 from toolee_robot.perception.weight_files import load_weights, save_weights
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=30)
 
 CPU = torch.device("cpu")
 TIMES = 8

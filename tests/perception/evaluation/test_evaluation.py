@@ -40,7 +40,7 @@ from toolee_robot.perception.trust import Trust
 from toolee_robot.runtime.process_map import ProcessMap
 from toolee_robot.tools import ee_radius
 
-pytestmark = pytest.mark.sim
+pytestmark = pytest.mark.sim(seconds=40)
 
 FRAMES = 4
 
