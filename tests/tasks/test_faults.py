@@ -139,7 +139,7 @@ def test_a_camera_without_depth_is_looked_through_again_and_then_no_more(bench: 
 # -- work ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("stays", [True, False])
+@pytest.mark.parametrize("stays", [pytest.param(True, marks=pytest.mark.nightly), False])
 def test_a_strike_that_meets_something_too_early_is_looked_at_again_once(bench: Bench, stays: bool) -> None:
     """A plate lies over the nail: the arm brakes on it, goes up, looks again, and strikes once more."""
     config: StationConfig = replace(CONFIG, task=replace(CONFIG.task, max_strikes=2))

@@ -231,6 +231,7 @@ def single_thread() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("single_thread")
 def test_the_figures_are_the_same_for_any_number_of_workers(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     reports = []
