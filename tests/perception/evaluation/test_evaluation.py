@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import base64
+import copy
 import itertools
 import json
-import os
 import re
 import shutil
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -20,8 +19,9 @@ import torch
 from PIL import Image
 
 from toolee_robot.cli.app import run
-from toolee_robot.errors import AssetError, TooleeError, UserError
+from toolee_robot.errors import AssetError
 from toolee_robot.frames import transform
+from toolee_robot.perception.dataset.scene_reader import SegmentationSet, load
 from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.spec import DatasetSpec
 from toolee_robot.perception.detection.segmenter import Segmenter
@@ -32,12 +32,11 @@ from toolee_robot.perception.evaluation.html import Page
 from toolee_robot.perception.evaluation.report import page, pictures
 from toolee_robot.perception.evaluation.run import Evaluation
 from toolee_robot.perception.evaluation.samplers import sampler_table
-from toolee_robot.perception.evaluation.segmentation import STATISTICS, coco_task, statistics
+from toolee_robot.perception.evaluation.segmentation import STATISTICS, CocoTask, coco_task, statistics
 from toolee_robot.perception.evaluation.shapes import ee_shape
 from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.perception.trust import Trust
-from toolee_robot.runtime.process_map import ProcessMap
 from toolee_robot.tools import ee_radius
 
 pytestmark = pytest.mark.sim(seconds=40)
@@ -51,6 +50,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (root / "test").mkdir()
     write_scene(root / "test" / "000000", examples_of(DatasetSpec("hard", 8, 5, 0.5), "test", 0, FRAMES))
     return root
+
+
+@pytest.fixture(scope="module")
+def images(folder: Path) -> SegmentationSet:
+    return load(folder / "test")
+
+
+@pytest.fixture(scope="module")
+def task(images: SegmentationSet) -> CocoTask:
+    """What the shipped detector finds in the frames, and what is there."""
+    pytest.importorskip("faster_coco_eval")
+    return coco_task(Segmenter.load(), images, targets=images.table.targets)
 
 
 @pytest.fixture(scope="module")
@@ -248,35 +259,6 @@ def test_the_figures_are_the_same_for_any_number_of_workers(folder: Path, capsys
     assert reports[0] == reports[1]
 
 
-def begin() -> list[int]:
-    return [os.getpid()]
-
-
-def ask(state: list[int], item: int) -> tuple[int, int]:
-    state.append(item)
-    if item == 100:
-        raise AssetError("item 100 is broken")
-    if item == 200:
-        os._exit(9)
-    return state[0], item
-
-
-def test_a_process_map_keeps_the_order_and_the_errors_and_takes_from_endless_items() -> None:
-    with ProcessMap(begin, 1) as alone:
-        assert list(alone.map(ask, range(5))) == [(os.getpid(), k) for k in range(5)]
-    with ProcessMap(begin, 2) as processes:
-        with closing(processes.map(ask, itertools.count(-1000))) as endless:
-            found = list(itertools.islice(endless, 20))
-        assert [item for _, item in found] == list(range(-1000, -980))
-        assert os.getpid() not in {pid for pid, _ in found}
-        with pytest.raises(AssetError, match="item 100"):
-            list(processes.map(ask, range(90, 110)))
-        with pytest.raises(TooleeError, match="fewer --workers"):
-            list(processes.map(ask, [200]))
-    with pytest.raises(UserError, match="--workers"):
-        ProcessMap(begin, 0)
-
-
 def test_targets_without_depth_are_left_out_and_counted(
     folder: Path, examples: Examples, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -304,18 +286,15 @@ def test_the_segmentation_command(folder: Path, tmp_path: Path, capsys: pytest.C
     check_self_contained((tmp_path / "report.html").read_text())
 
 
-def test_coco_figures_are_pycocotools_own(folder: Path) -> None:
-    pytest.importorskip("faster_coco_eval")
+def test_coco_figures_are_pycocotools_own(task: CocoTask) -> None:
     pycocotools = pytest.importorskip("pycocotools.coco")
     from pycocotools.cocoeval import COCOeval
 
-    from toolee_robot.perception.dataset.scene_reader import load
     from toolee_robot.perception.detection.detector import CLASSES
 
-    task = coco_task(Segmenter.load(), load(folder / "test"))
     ours = statistics(task)
     truth = pycocotools.COCO()
-    truth.dataset = task.truth
+    truth.dataset = copy.deepcopy(task.truth)  # it writes into it
     truth.createIndex()
     found = truth.loadRes([dict(r) for r in task.results])
     for label, name in enumerate(CLASSES):
@@ -331,14 +310,9 @@ def test_coco_figures_are_pycocotools_own(folder: Path) -> None:
             assert ours[name][key] == (None if value is None else pytest.approx(value, abs=1e-6)), (name, key)
 
 
-def test_what_is_no_target_is_neither_found_nor_missed(folder: Path) -> None:
-    pytest.importorskip("faster_coco_eval")
-    from toolee_robot.perception.dataset.scene_reader import load
-
-    images = load(folder / "test")
+def test_what_is_no_target_is_neither_found_nor_missed(images: SegmentationSet, task: CocoTask) -> None:
     targets = images.table.targets
     assert targets.any()
-    task = coco_task(Segmenter.load(), images, targets=targets)
     whole, asked = statistics(task), statistics(task.of_targets())
     assert whole["tool"] == asked["tool"]
     count = sum(asked[name]["instances"] for name in ("hammer_head", "hammer_grip", "screwdriver_head", "wrench_head"))
