@@ -57,7 +57,7 @@ def test_the_simulated_station_is_ready(capsys: pytest.CaptureFixture[str], tmp_
     assert not (tmp_path / "runs").exists(), "a look leaves nothing behind"
 
 
-@pytest.mark.realtime
+@pytest.mark.sim
 def test_a_robot_that_is_set_up_is_ready_for_slow_motions(
     robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -90,7 +90,7 @@ def test_a_robot_that_is_not_ready_is_exit_1_with_what_to_do(
     assert "Not ready:" in said
 
 
-@pytest.mark.realtime
+@pytest.mark.sim
 def test_a_rehearsal_sees_every_device_behind_the_stand_in(capsys: pytest.CaptureFixture[str]) -> None:
     code, record, said = _doctor(capsys, "--arm", "ur-rtde", "--robot-host", "127.0.0.49", "--world", "pybullet")
     assert code == 0, said

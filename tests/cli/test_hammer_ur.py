@@ -91,7 +91,7 @@ def test_the_nail_is_driven_through_the_real_driver(tmp_path: Path) -> None:
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("sign", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)])
 def test_an_interrupt_stops_the_arm_and_ends_client_and_server_in_order(tmp_path: Path, sign: signal.Signals) -> None:
     """Ctrl-C in a terminal, or the end of a service, reaches every process of the job."""
     process = _start(tmp_path, "127.0.0.35")

@@ -10,8 +10,6 @@ from toolee_robot.faults.rows.start import HAND, START_FAULTS, StartFault, start
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
-pytestmark = pytest.mark.realtime
-
 
 @pytest.fixture(scope="module")
 def controller() -> Iterator[ControllerProcess]:
@@ -19,6 +17,7 @@ def controller() -> Iterator[ControllerProcess]:
         yield controller
 
 
+@pytest.mark.sim
 @pytest.mark.parametrize("name", ["wrong payload", "wrong TCP", "local control"])
 def test_the_driver_refuses_to_start(controller: ControllerProcess, name: str) -> None:
     (fault,) = (f for f in START_FAULTS if f.fault == name)
@@ -27,6 +26,7 @@ def test_the_driver_refuses_to_start(controller: ControllerProcess, name: str) -
     assert row.off_path == 0.0
 
 
+@pytest.mark.realtime
 def test_a_robot_that_is_as_configured_is_no_handled_fault(controller: ControllerProcess) -> None:
     right = {"mass": HAND.mass, "cog": HAND.center_of_mass.tolist()}
     row = start_row(StartFault("none", "payload", right, "kg", "payload page"), ArmModel.UR10E, controller)

@@ -21,8 +21,6 @@ from toolee_robot.motion.trajectory_checks import START_TOLERANCE
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel, Payload
 
-pytestmark = pytest.mark.realtime
-
 HOST, NOBODY, SILENT = "127.0.0.25", "127.0.0.26", "127.0.0.27"
 PORTS = (29999, 30001, 30002, 30003, 30004)
 
@@ -38,6 +36,7 @@ def test_where_no_robot_is_the_arm_is_not_ready() -> None:
         pass
 
 
+@pytest.mark.sim
 def test_a_robot_that_is_silent_ends_the_servo_process_in_time() -> None:
     with ExitStack() as stack:
         for port in PORTS:
@@ -52,11 +51,13 @@ def test_a_robot_that_is_silent_ends_the_servo_process_in_time() -> None:
         assert time.monotonic() - began < 1.0 + 8.0  # starting a process on a busy machine
 
 
+@pytest.mark.sim
 def test_another_model_than_configured_is_refused(controller: ControllerProcess) -> None:
     with pytest.raises(NotReadyError, match="UR10"), UrArm(patient(controller.host), ArmLimits()):
         pass
 
 
+@pytest.mark.sim
 def test_a_robot_in_protective_stop_is_refused(controller: ControllerProcess) -> None:
     controller.fault("protective_stop")
     with (
@@ -67,6 +68,7 @@ def test_a_robot_in_protective_stop_is_refused(controller: ControllerProcess) ->
     controller.fault("reset")
 
 
+@pytest.mark.realtime
 def test_payload_and_freedrive_reach_the_robot_and_nobody_else_does(controller: ControllerProcess) -> None:
     limits = ArmLimits(model=ArmModel.UR10E)
     with UrArm(patient(controller.host), limits) as arm:

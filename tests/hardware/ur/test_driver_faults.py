@@ -23,7 +23,6 @@ from toolee_robot.errors import (
     MotionFaultError,
     NotReadyError,
     OverrunError,
-    ProtectiveStopError,
     ServoCrashError,
     StaleDataError,
 )
@@ -105,15 +104,6 @@ def test_stop_from_another_thread(arm: UrArm, controller: ControllerProcess) -> 
     stop, error = happens(arm, controller, arm.stop)
     assert error is None
     braked(stop, LIMITS)
-
-
-def test_protective_stop(arm: UrArm, controller: ControllerProcess) -> None:
-    stop, error = happens(arm, controller, lambda: controller.fault("protective_stop"))
-    assert isinstance(error, ProtectiveStopError)
-    assert stop.time < 0.3 + SLACK
-    expect_latch(arm)
-    with pytest.raises(NotReadyError, match="protective"):
-        arm.reset()
 
 
 def test_emergency_stop(arm: UrArm, controller: ControllerProcess) -> None:
