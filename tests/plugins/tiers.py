@@ -71,12 +71,13 @@ def _has_examples(item: pytest.Item) -> bool:
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """One for each core, and one for the tests marked `realtime`. A choice of tests runs in this process."""
+    """One for each core, one more since tests also wait, and one for those marked `realtime`. A choice of tests runs in
+    this process."""
     files = any(".py" in str(argument) for argument in config.args)
     options = any(getattr(config.option, name, None) for name in ("keyword", "lf", "hardware"))
     if files or options or config.getoption("-m") == "realtime":
         return 0
-    return len(os.sched_getaffinity(0)) + 1
+    return len(os.sched_getaffinity(0)) + 2
 
 
 @pytest.hookimpl(optionalhook=True)
