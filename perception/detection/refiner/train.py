@@ -95,6 +95,7 @@ def train(config: RefinementTraining) -> Path:
 
 
 class _Run(ImageTrainingRun):
+    config: RefinementTraining
     name = tag = WEIGHTS_NAME
     checkpoint, log_name = CHECKPOINT, "refinement_log.jsonl"
 
