@@ -65,6 +65,7 @@ def train(config: SegmentationTraining, images: SegmentationImages | None = None
 
 
 class _Run(ImageTrainingRun):
+    config: SegmentationTraining
     name = WEIGHTS_NAME
 
     def __init__(

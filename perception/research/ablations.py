@@ -1,24 +1,20 @@
 """Train one network for each design decision, on the same clouds and budget, and write the table of the results.
 
-    python -m toolee_robot.perception.research.ablations --out runs/ablations --max-steps 30000
-    python -m toolee_robot.perception.research.ablations --out runs/ablations --minutes 10 --rows base,flow \\
-        --device cuda:1
+    toolee train ablations --out runs/ablations --max-steps 30000
+    toolee train ablations --out runs/ablations --minutes 10 --rows base,flow --device cuda:1
 
-Several processes may share --out, each with its own --rows and --device: every row has its folder (weights, log,
-checkpoint, row.json), and each process rewrites ablations.json and ablations.md from all rows that are there. The same
-command again resumes. --table-only just writes the table.
+Several processes may share a folder, each with its own rows and device: every row has its folder (weights, log,
+checkpoint, row.json), and each process rewrites ablations.json and ablations.md from all rows that are there.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from toolee_robot.errors import TooleeError, UserError
 from toolee_robot.perception.pose.cloud_estimator import CANDIDATES, CloudEstimator, PoseResult
 from toolee_robot.perception.pose.estimator import PoseEstimator
 from toolee_robot.perception.pose.network import NetworkConfig
@@ -78,14 +74,14 @@ ROWS: dict[str, Row] = {
 }
 
 
-def run_row(name: str, out: Path, config: TrainConfig, samples: Any, hands: Any, device: str) -> None:
+def run_row(name: str, out: Path, config: TrainConfig, samples: Any, hands: Any) -> None:
     """Train a row (or resume it), judge it, write its row.json. Raises TooleeError when the loss is not finite."""
     row = ROWS[name]
-    with init_distributed(device) as distributed:
+    with init_distributed(config.device) as distributed:
         trainer: Trainer[Any] = Trainer(out / name, config, samples, hands, row.recipe, distributed)
         report = trainer.run()
         held_out = trainer.judged()
-        estimator = row.recipe.estimator(trainer.export(), Calibration(), str(trainer.device))
+        estimator = row.recipe.estimator(trainer.export(), Calibration(), str(distributed.device))
         K = estimator.candidates
         record: dict[str, Any] = {
             "what": row.what,
@@ -124,6 +120,25 @@ def without_training(estimator: CloudEstimator, held_out: CloudBatch) -> list[di
     return rows
 
 
+def run_rows(names: Sequence[str], out: Path, config: TrainConfig, hands_file: Path | None) -> None:
+    """Train these rows, one after the other, and rewrite the table after each.
+
+    Args:
+        names: Some of `ROWS`.
+        out: Folder of the table, with a folder for each row.
+        config: The budget of each row.
+        hands_file: Hand samples; None: made here.
+
+    Raises:
+        TooleeError: A loss is not finite.
+    """
+    samples = sample_tools(False, config.train_seeds), sample_tools(True, config.test_seeds)
+    hands = load_hands(hands_file)
+    for name in names:
+        run_row(name, out, config, samples, hands)
+        write_table(out)
+
+
 def write_table(out: Path) -> str:
     """ablations.json and ablations.md from the rows that are there; returns the latter."""
     rows: list[dict[str, Any]] = []
@@ -153,54 +168,3 @@ def _markdown(rows: list[dict[str, Any]]) -> str:
         lines.append(f"| {' | '.join([r['what'], r['change'], *budget, *shares, *medians, *each])} |")
     note = "Held-out tools, generated clouds. Columns by category: share within 5° 1 cm; medians: mean over categories."
     return "\n".join([*lines, "", note]) + "\n"
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """The command; returns the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--rows", default=",".join(ROWS), help=f"some of {', '.join(ROWS)}")
-    parser.add_argument("--minutes", type=float, default=10.0, help="training time of each row")
-    parser.add_argument("--max-steps", type=int, help="training steps of each row, instead of minutes")
-    parser.add_argument("--batch", type=int, default=TrainConfig.batch)
-    parser.add_argument("--train-seeds", type=int, default=TrainConfig.train_seeds)
-    parser.add_argument("--test-seeds", type=int, default=TrainConfig.test_seeds)
-    parser.add_argument("--validation", type=int, default=TrainConfig.validation, help="held-out clouds")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--hands", type=Path, help="hand samples written by `toolee train hands`")
-    parser.add_argument("--device", default="auto", help="cpu, cuda or cuda:N")
-    parser.add_argument("--table-only", action="store_true")
-    options = parser.parse_args(arguments)
-    try:
-        names = [name for name in options.rows.split(",") if name]
-        unknown = [name for name in names if name not in ROWS]
-        if unknown:
-            raise UserError(f"--rows {','.join(unknown)}: choose from {', '.join(ROWS)}")
-        options.out.mkdir(parents=True, exist_ok=True)
-        if not options.table_only:
-            small = max(32, min(TrainConfig.chunk, 4 * options.batch))
-            config = TrainConfig(
-                minutes=None if options.max_steps else options.minutes,
-                max_steps=options.max_steps,
-                batch=options.batch,
-                chunk=small,
-                first_fill=min(TrainConfig.first_fill, 32 * options.batch),
-                train_seeds=options.train_seeds,
-                test_seeds=options.test_seeds,
-                validation=options.validation,
-                seed=options.seed,
-            )
-            samples = sample_tools(False, config.train_seeds), sample_tools(True, config.test_seeds)
-            hands = load_hands(options.hands)
-            for name in names:
-                run_row(name, options.out, config, samples, hands, options.device)
-                write_table(options.out)
-        print(write_table(options.out))
-    except TooleeError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2 if isinstance(error, UserError) else 1
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

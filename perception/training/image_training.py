@@ -1,75 +1,17 @@
-"""The training loop of every network: options, the budget, the average of the weights, log and checkpoints."""
+"""Trainings on the images of a data set, of which there may come more meanwhile."""
 
 from __future__ import annotations
 
-import json
-import math
-import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
-from torch import Tensor, nn
 
-from toolee_robot.errors import TooleeError, UserError
-from toolee_robot.perception.training.distributed import Distributed
-from toolee_robot.perception.training.tensorboard_log import Scalars
+from toolee_robot.perception.training.loop import TrainingRun
+from toolee_robot.perception.training.options import TrainingOptions
 from toolee_robot.perception.weight_files import save_weights
-from toolee_robot.runtime.files import written_whole
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainingOptions:
-    """The options that every training has.
-
-    Attributes:
-        minutes: Wall-clock budget of the optimisation; with `max_steps` too, whichever ends first. None:
-            `USUAL_MINUTES`, or, with `max_steps`, no limit.
-        max_steps: Budget in steps.
-        session_minutes: How much of the budget this process does (None: all that is left); the next one resumes.
-        batch: Examples a step, of each rank.
-        lr: Learning rate after the warm-up, from which it falls over the budget as a cosine.
-        warmup_steps: Over which the learning rate rises.
-        weight_decay: Of AdamW.
-        clip_norm: Largest norm of the gradient.
-        ema: Decay of the average of the weights, which is what is exported.
-        seed: Of weights, order and augmentation.
-        device: cpu, cuda, cuda:1; "auto": a GPU if there is one, under torchrun each process its own.
-        checkpoint_minutes: Between checkpoints.
-        log_every: Steps between looks at the clock and the loss, each of which waits for the GPU.
-        compile: Whether the network is compiled on a GPU.
-    """
-
-    USUAL_MINUTES: ClassVar[float] = 12.0
-
-    minutes: float | None = None
-    max_steps: int | None = None
-    session_minutes: float | None = None
-    batch: int = 32
-    lr: float = 1e-3
-    warmup_steps: int = 200
-    weight_decay: float = 0.05
-    clip_norm: float = 10.0
-    ema: float = 0.999
-    seed: int = 0
-    device: str = "auto"
-    checkpoint_minutes: float = 2.0
-    log_every: int = 20
-    compile: bool = True
-
-    def __post_init__(self) -> None:
-        if self.minutes is not None and self.minutes <= 0:
-            raise UserError("minutes must be positive")
-        if not (self.batch > 0 and self.lr > 0 and 0 < self.ema < 1):
-            raise UserError("batch and lr must be positive, ema between 0 and 1")
-
-    def progress(self, minutes: float, steps: int) -> float:
-        """How much of the budget is used after so many minutes and steps, 1 at its end."""
-        by_steps = steps / self.max_steps if self.max_steps else 0.0
-        limit = self.minutes if self.minutes is not None else None if self.max_steps else self.USUAL_MINUTES
-        return by_steps if limit is None else max(by_steps, minutes / limit)
 
 
 @dataclass(frozen=True)
@@ -90,184 +32,6 @@ class ImageTraining(TrainingOptions):
 
     def to_json(self) -> dict[str, Any]:
         return {**asdict(self), "data": self.data.name, "out": self.out.name, "init": self.init is not None}
-
-
-class TrainingRun(ABC):
-    """The state of one run: network, average, optimiser, clock, log. It goes on where a checkpoint in its folder says.
-
-    Attributes:
-        name: Of the weights.
-        checkpoint: Name of the checkpoint's file in the output folder.
-        log_name: Name of the log's file there, a JSON object a line.
-        tag: Of the curves.
-        log_seconds: Least time between entries of the log.
-        averages_buffers: Whether the running statistics are averaged as the weights are, or the newest are taken.
-    """
-
-    name: str
-    checkpoint: str = "checkpoint.pt"
-    log_name: str = "log.jsonl"
-    tag: str = "train"
-    log_seconds: float = 0.0
-    averages_buffers: bool = True
-
-    def __init__(
-        self, options: TrainingOptions, out: Path, distributed: Distributed, network: nn.Module, module: nn.Module
-    ) -> None:
-        """module: the network, or what holds it and makes its losses."""
-        self.distributed, self.network, self.module, self.out = distributed, network, module, out
-        self._options = options
-        self.average = {k: v.detach().clone() for k, v in network.state_dict().items()}
-        weights = {k for k, _ in network.named_parameters()}
-        self._lerped = [
-            k for k, v in self.average.items() if v.is_floating_point() and (self.averages_buffers or k in weights)
-        ]
-        self.optimizer = self.make_optimizer()
-        self.step, self.elapsed = 0, 0.0
-        self.log: list[dict[str, Any]] = []
-        self.scalars = Scalars(out)
-        self.checkpoint_path = out / self.checkpoint
-        self.resumed = self.checkpoint_path.is_file()
-        out.mkdir(parents=True, exist_ok=True)
-
-    @abstractmethod
-    def losses(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """Of the next batch: the losses, to be added, and what else is to be logged."""
-
-    @abstractmethod
-    def write(self) -> None:
-        """Write the averaged weights with their description into the output folder."""
-
-    def make_optimizer(self) -> torch.optim.Optimizer:
-        """AdamW; what has one dimension does not decay."""
-        parameters = list(self.network.parameters())
-        decayed = {"params": [p for p in parameters if p.ndim > 1], "weight_decay": self._options.weight_decay}
-        plain = {"params": [p for p in parameters if p.ndim <= 1], "weight_decay": 0.0}
-        return torch.optim.AdamW([decayed, plain], lr=self._options.lr)
-
-    def schedule(self, progress: float) -> float:
-        """Factor on the learning rate after the warm-up; progress: how much of the budget is used."""
-        return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
-
-    def reseed(self) -> None:
-        """After a resumption: other examples than the first process began with."""
-        torch.manual_seed(self._options.seed + 1000 * self.distributed.rank + 1_000_003 * self.step)
-
-    def prepare(self) -> nn.Module:
-        """What is left to do before the first step; the module that the ranks share."""
-        return self.module
-
-    def grow(self) -> dict[str, float]:
-        """Take in the examples that have come; what is to be logged of them."""
-        return {}
-
-    @property
-    def progress(self) -> float:
-        """How much of the budget is used, 1 at its end."""
-        return self._options.progress(self.elapsed / 60, self.step)
-
-    def loop(self) -> None:
-        """Train until the budget or the session is used up. Raises TooleeError when the loss stops being finite."""
-        options, distributed = self._options, self.distributed
-        if self.resumed:
-            self._restore()
-        self.module = distributed.wrap_ddp(self.prepare())
-        parameters = sum(p.numel() for p in self.network.parameters())
-        begun = "resumed" if self.resumed else "start"
-        self.record({"event": begun, "device": distributed.device_name, "parameters": parameters})
-        self.module.train()
-        session = math.inf if options.session_minutes is None else 60 * options.session_minutes
-        end = self.elapsed + session
-        began = time.monotonic() - self.elapsed
-        last_checkpoint, last_log, last_step = self.elapsed, self.elapsed, self.step
-        while self.progress < 1.0 and self.elapsed < end:
-            rate = options.lr * min(1.0, (self.step + 1) / options.warmup_steps) * self.schedule(self.progress)
-            for group in self.optimizer.param_groups:
-                group["lr"] = rate
-            values, norm = self._optimise()
-            self.step += 1
-            if self.step % options.log_every and self.step != options.max_steps:
-                continue
-            # The ranks must end with the same step.
-            self.elapsed = distributed.broadcast(time.monotonic() - began)
-            entry = {name: float(value) for name, value in values.items()} | {"gradient_norm": float(norm)}
-            self._stop_unless_finite(entry)
-            more = self.grow()
-            if self.elapsed - last_log >= self.log_seconds:
-                seconds = max(self.elapsed - last_log, 1e-9)
-                per_second = (self.step - last_step) * options.batch * distributed.world / seconds
-                self.record({**entry, "lr": rate, "examples_per_second": per_second, **more})
-                last_log, last_step = self.elapsed, self.step
-            if self.elapsed - last_checkpoint > 60 * options.checkpoint_minutes:
-                last_checkpoint = self.elapsed
-                self._checkpoint()
-        self._checkpoint()
-
-    def record(self, values: dict[str, Any]) -> None:
-        """One line on the terminal, in the log and in the curves; the losses, which are no "event", are also kept."""
-        if not self.distributed.first:
-            return
-        entry = {"step": self.step, "minutes": round(self.elapsed / 60, 4), **_rounded(values)}
-        line = json.dumps(entry)
-        print(f"{self.name}: {line}", flush=True)
-        with (self.out / self.log_name).open("a") as file:
-            file.write(line + "\n")
-        self.scalars.add(self.step, values, self.tag)
-        if "event" not in values:
-            self.log.append(entry)
-
-    def averaged(self) -> dict[str, Tensor]:
-        """The averaged weights, as they are exported."""
-        return {k: v for k, v in self.average.items() if not k.endswith("num_batches_tracked")}
-
-    def _optimise(self) -> tuple[dict[str, Tensor], Tensor]:
-        losses, more = self.losses()
-        total = sum(losses.values(), torch.zeros((), device=self.distributed.device))
-        self.optimizer.zero_grad(set_to_none=True)
-        torch.autograd.backward(total)
-        norm = nn.utils.clip_grad_norm_(self.network.parameters(), self._options.clip_norm)
-        self.optimizer.step()
-        self._update_average()
-        return {"loss": total.detach(), **{k: v.detach() for k, v in (losses | more).items()}}, norm
-
-    @torch.no_grad()
-    def _update_average(self) -> None:
-        decay = min(self._options.ema, (1 + self.step) / (10 + self.step))
-        state = self.network.state_dict()
-        torch._foreach_lerp_([self.average[k] for k in self._lerped], [state[k] for k in self._lerped], 1 - decay)
-        for name in self.average.keys() - set(self._lerped):
-            self.average[name].copy_(state[name])
-
-    def _stop_unless_finite(self, values: dict[str, float]) -> None:
-        bad = [name for name, value in values.items() if not math.isfinite(value)]
-        if bad:
-            raise TooleeError(
-                f"the training of {self.name} stopped at step {self.step}: {', '.join(bad)} not finite. The last good "
-                f"state is {self.checkpoint_path}; lower lr or clip_norm, and the same command goes on from there"
-            )
-
-    def _checkpoint(self) -> None:
-        if not self.distributed.first:
-            return
-        state = {
-            "model": self.network.state_dict(),
-            "average": self.average,
-            "optimizer": self.optimizer.state_dict(),
-            "step": self.step,
-            "elapsed": self.elapsed,
-            "log": self.log,
-        }
-        with written_whole(self.checkpoint_path) as scratch:
-            torch.save(state, scratch)
-        self.write()
-
-    def _restore(self) -> None:
-        state = torch.load(self.checkpoint_path, map_location=self.distributed.device, weights_only=True)
-        self.network.load_state_dict(state["model"])
-        self.average = state["average"]
-        self.optimizer.load_state_dict(state["optimizer"])
-        self.step, self.elapsed, self.log = state["step"], state["elapsed"], state["log"]
-        self.reseed()
 
 
 class ImageTrainingRun(TrainingRun):
@@ -305,8 +69,3 @@ class ImageTrainingRun(TrainingRun):
         }
         save_weights(self.out, self.name, self.averaged(), description)
         print(f"{self.name}: wrote {self.out / self.name}*.safetensors after {self.step} steps", flush=True)
-
-
-def _rounded(values: dict[str, Any]) -> dict[str, Any]:
-    """Five significant digits are enough for a log."""
-    return {k: float(f"{v:.5g}") if isinstance(v, float) else v for k, v in values.items()}

@@ -9,9 +9,10 @@ import numpy as np
 import pybullet as pb
 import pytest
 
+from tests.tasks.bench import Log, is_home, soon
 from toolee_robot.control import Meeting, RobotModel
 from toolee_robot.errors import PerceptionError, UserError
-from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, Log, at_rest, grip_kept, is_home
+from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
 from toolee_robot.faults.rigs.people import People
 from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception, moved, unsure
 from toolee_robot.frames import Array, transform
@@ -104,7 +105,7 @@ def test_a_dead_arm_link_at_the_start(bench: Bench) -> None:
 
 
 def test_the_arms_link_is_cut_in_mid_swing(bench: Bench) -> None:
-    log = Log(after={"to the run-up": bench.soon(bench.arm.cut_link, 0.2)})
+    log = Log(after={"to the run-up": soon(bench, bench.arm.cut_link, 0.2)})
     result = bench.blind_task(log).run()
     assert result.outcome is Outcome.DEVICE_FAULT
     assert "network link" in result.reason
@@ -117,7 +118,7 @@ def test_the_arms_link_is_cut_in_mid_swing(bench: Bench) -> None:
 
 
 def test_the_hands_link_is_cut_on_the_way(bench: Bench) -> None:
-    log = Log(at={Stage.TOUCH: bench.soon(bench.sim_hand.cut_link, 0.5)})
+    log = Log(at={Stage.TOUCH: soon(bench, bench.sim_hand.cut_link, 0.5)})
     result = bench.blind_task(log).run()
     assert result.outcome is Outcome.DEVICE_FAULT
     assert "hand's newest state" in result.reason
@@ -137,7 +138,7 @@ def test_the_camera_freezes(bench: Bench) -> None:
 
 
 def test_a_stop_from_outside_ends_the_job(bench: Bench) -> None:
-    log = Log(at={Stage.TOUCH: bench.soon(bench.arm.stop, 0.5)})
+    log = Log(at={Stage.TOUCH: soon(bench, bench.arm.stop, 0.5)})
     result = bench.blind_task(log).run()
     assert result.outcome is Outcome.DEVICE_FAULT
     assert "'to the touch'" in result.reason
@@ -153,7 +154,7 @@ def test_a_stop_from_outside_ends_the_job(bench: Bench) -> None:
 def test_the_tool_is_lost_in_a_motion(bench: Bench, where: Stage | str, motion: str) -> None:
     """The arm retreats from where the tool may lie, and from the person's place, and no further."""
     ends: list[Array] = []
-    act = bench.soon(bench.drop, 0.3)
+    act = soon(bench, bench.drop, 0.3)
     log = Log(at={where: act}) if isinstance(where, Stage) else Log(after={where: act})
     log.after[motion] = lambda: ends.append(bench.sim.world.X_base_hand()[:3, 3])
     result = bench.blind_task(log).run()
@@ -370,7 +371,7 @@ def test_an_interrupt_or_a_bug_in_mid_motion_stops_the_arm_and_escapes(
     def fail() -> None:
         raise error
 
-    log = Log(at={Stage.TOUCH: bench.soon(fail, 0.5)})
+    log = Log(at={Stage.TOUCH: soon(bench, fail, 0.5)})
     with pytest.raises(error):
         bench.blind_task(log).run()
     assert log.last is None

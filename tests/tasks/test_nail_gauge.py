@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from toolee_robot.faults.rigs.job_rig import Bench, Log
+from tests.tasks.bench import Log
+from toolee_robot.faults.rigs.job_rig import Bench
 from toolee_robot.hal import ArmState, ContactGuard, MotionReport, MotionWatch
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome

@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from tests.tasks.bench import Log, soon
 from toolee_robot.control import CollisionWorld, Mode, RobotModel, StrikePlan, plan_strike
 from toolee_robot.control.planning.strike import plan_straight
 from toolee_robot.errors import (
@@ -25,7 +26,11 @@ from toolee_robot.errors import (
     StaleDataError,
     TrackingError,
 )
-from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, Log, at_rest, grip_kept
+from toolee_robot.faults.record import Phase
+from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
+from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception
+from toolee_robot.faults.rows.job_fault import Scene
+from toolee_robot.faults.rows.job_faults import JOB_FAULTS
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
 from toolee_robot.sim_backend.devices.arm import RATE
@@ -47,6 +52,12 @@ class Swing:
     plan: StrikePlan
     motions: Motions
     log: Log
+
+    @property
+    def scene(self) -> Scene:
+        """What a row of the fault matrix may touch."""
+        self.log.plan = self.plan
+        return Scene(self.bench, self.log, ScriptedPerception(self.bench.sim.judge))
 
     def run(self) -> MotionReport:
         return self.motions.swing("strike", self.plan)[0]
@@ -112,42 +123,42 @@ def test_the_strike_itself_meets_the_nail(swing: Swing) -> None:
     assert at_rest(swing.bench.sim)
 
 
-def _stick(swing: Swing) -> None:
-    swing.bench.arm.block_joint(int(np.abs(swing.plan.strike.qd).max(axis=0).argmax()))
-
-
-FAULTS: dict[str, tuple[Callable[[Swing], None], type[MotionFaultError], float]] = {
-    # How it comes about, what it is called, and how many cycles at most until the braking begins.
-    "protective stop": (lambda s: s.bench.arm.protective_stop(), ProtectiveStopError, 1),
-    "emergency stop": (lambda s: s.bench.arm.emergency_stop(), EmergencyStopError, 1),
-    "lost link": (lambda s: s.bench.arm.cut_link(), LinkLostError, 4),
-    "stuck joint": (_stick, TrackingError, 8),
-    "late clock": (lambda s: s.bench.arm.delay_commands(50), OverrunError, 5),
+FAULTS = {fault.fault: fault for fault in JOB_FAULTS if fault.arm_latches and fault.phase is Phase.SWING}
+"""The arm's rows of the fault matrix, here under a swing alone."""
+ERRORS: dict[int, type[MotionFaultError]] = {
+    7: TrackingError,
+    9: LinkLostError,
+    10: OverrunError,
+    12: ProtectiveStopError,
+    13: EmergencyStopError,
 }
+"""What each is called, by the rows' numbers."""
 
 
 @pytest.mark.sim
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_in_mid_swing(swing: Swing, name: str) -> None:
-    cause, error, cycles = FAULTS[name]
-    bench, happened = swing.bench, []
+    fault, bench, happened = FAULTS[name], swing.bench, []
+    assert fault.braking is not None
+    assert fault.braking.cycles is not None
+    noticed, sticks = (fault.braking.cycles + 1) / RATE, fault.braking.arm_off
 
     def act() -> None:
         happened.append(bench.sim.world.time)
-        cause(swing)
+        fault.inject(swing.scene)
 
-    bench.soon(act, 0.2)()
-    report = swing.fails(error)
+    soon(bench, act, 0.2)()
+    report = swing.fails(ERRORS[fault.number])
     # Where the commands stop changing.
     moving = np.abs(np.diff(report.q_commanded, axis=0)).max(axis=1) > 1e-9
     stood = report.stamps[1:][moving][-1] - happened[0]
-    assert stood <= BRAKING + (cycles + 1) / RATE
-    assert report.stamps[-1] - happened[0] <= BRAKING + (cycles + 1) / RATE + SETTLING or name == "stuck joint"
+    assert stood <= BRAKING + noticed
+    assert report.stamps[-1] - happened[0] <= BRAKING + noticed + SETTLING or sticks
     # A joint that stops dead shakes the hammer, which feels like a contact: the arm brakes at once, and then finds out.
-    assert report.contact is None or name == "stuck joint"
-    if name == "late clock":
+    assert report.contact is None or sticks
+    if fault.number == 10:
         assert report.overruns > CONFIG.supervisor.overruns
-    if name != "stuck joint":
+    if not sticks:
         assert at_rest(bench.sim)
     assert bench.sim.world.nail.protrusion == pytest.approx(CONFIG.work.nail_protrusion, abs=1e-4)
 
@@ -156,19 +167,18 @@ def test_a_fault_in_mid_swing(swing: Swing, name: str) -> None:
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_at_rest_and_the_way_out(swing: Swing, name: str) -> None:
     """Nothing moves; after a person has made it ready and confirmed the reset it does, slowly at first."""
-    cause, error, _ = FAULTS[name]
-    bench, supervisor = swing.bench, swing.motions.arm
+    fault, bench, supervisor = FAULTS[name], swing.bench, swing.motions.arm
     before = bench.sim.world.robot.arm_state()[0]
-    cause(swing)
+    fault.inject(swing.scene)
     bench.sim.world.advance(0.3)
-    if name in ("stuck joint", "late clock"):  # which only a motion tells
-        swing.fails(error)
+    if fault.number in (7, 10):  # which only a motion tells
+        swing.fails(ERRORS[fault.number])
     else:
         with pytest.raises(Exception, match=r"robot is in|newest state"):
             swing.run()
         np.testing.assert_allclose(bench.sim.world.robot.arm_state()[0], before, atol=1e-3)
     bench.arm.make_ready()
-    if name in ("protective stop", "emergency stop"):
+    if fault.number in (12, 13):
         with pytest.raises(LatchedError):
             swing.run()
     bench.arm.restore_link()
@@ -184,7 +194,7 @@ def test_a_fault_at_rest_and_the_way_out(swing: Swing, name: str) -> None:
 def test_somebody_steps_in(swing: Swing) -> None:
     """A thread of its own asks for it every 10 ms: how many cycles later it is heard depends on the machine, hence a
     strike that never gets to the nail is all that is asked here."""
-    swing.bench.soon(swing.bench.people.step_in, 0.05)()
+    soon(swing.bench, swing.bench.people.step_in, 0.05)()
     with swing.bench.in_real_time(), pytest.raises(PersonNearError, match="was stopped") as caught:
         swing.run()
     assert caught.value.report is not None
@@ -227,7 +237,7 @@ def test_the_hand_is_watched_all_the_way(swing: Swing, motion: str, name: str) -
     if motion == "transfer":
         path = plan_straight(swing.robot, CONFIG, motions.world(), motions.q, 0.15, (0.0, 0.0, 1.0), 0.15)
         move = partial(motions.execute, "to a view", path)
-    bench.soon(lambda: cause(bench), 0.05)()
+    soon(bench, lambda: cause(bench), 0.05)()
     with bench.in_real_time(), pytest.raises(error, match=expected_text):
         move()
     report = swing.log.reports[-1]

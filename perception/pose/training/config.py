@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from toolee_robot.perception.training.image_training import TrainingOptions
+from toolee_robot.perception.training.options import TrainingOptions
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,7 +31,7 @@ from toolee_robot.perception.pose.training.recipe import DefaultRecipe, Net, Tra
 from toolee_robot.perception.pose.training.replay_buffer import ReplayBuffer
 from toolee_robot.perception.pose.weights import Calibration
 from toolee_robot.perception.training.distributed import Distributed, init_distributed
-from toolee_robot.perception.training.image_training import TrainingRun
+from toolee_robot.perception.training.loop import TrainingRun
 
 
 class Trainer(TrainingRun, Generic[Net]):

@@ -12,6 +12,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from toolee_robot.cli.app import run
 from toolee_robot.perception.pose.network import NetworkConfig
 from toolee_robot.perception.pose.processes.edm import Edm
 from toolee_robot.perception.pose.processes.flow import Euler, Process, RectifiedFlow
@@ -114,9 +115,11 @@ def test_rows_train_resume_and_are_tabulated(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(ablations, "KS", (2,))
     monkeypatch.setattr(ablations, "STEPS", (2,))
     samples = sample_tools(False, 1, 1), sample_tools(True, 1, 1)
-    config = TrainConfig(max_steps=2, batch=8, chunk=16, first_fill=16, capacity=32, validation=8, reuse=100)
+    config = TrainConfig(
+        device="cpu", max_steps=2, batch=8, chunk=16, first_fill=16, capacity=32, validation=8, reuse=100
+    )
     for name in names:
-        ablations.run_row(name, tmp_path, config, samples, sample_hands(2), "cpu")
+        ablations.run_row(name, tmp_path, config, samples, sample_hands(2))
     text = ablations.write_table(tmp_path)
     table = json.loads((tmp_path / "ablations.json").read_text())
     assert [r["row"] for r in table if r["row"] in names] == sorted(names, key=list(rows).index)
@@ -125,10 +128,10 @@ def test_rows_train_resume_and_are_tabulated(tmp_path: Path, monkeypatch: pytest
     assert len(text.splitlines()) == 2 + len(table) + 2
     assert list((tmp_path / "flow").glob("ablation-*.safetensors"))
     before = (tmp_path / "flow" / "row.json").read_text()
-    ablations.run_row("flow", tmp_path, config, samples, sample_hands(2), "cpu")
+    ablations.run_row("flow", tmp_path, config, samples, sample_hands(2))
     assert (tmp_path / "flow" / "row.json").read_text() == before
 
 
 def test_unknown_rows_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert ablations.main(["--out", str(tmp_path), "--rows", "base,nothing"]) == 2
+    assert run(["train", "ablations", "--out", str(tmp_path), "--rows", "base,nothing"]) == 2
     assert "choose from base" in capsys.readouterr().err

@@ -13,6 +13,7 @@ from rich.console import Console
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
 from toolee_robot.cli.progress import progress_bars
+from toolee_robot.cli.train.ablations import Ablations
 from toolee_robot.cli.train.images import Refinement, Segmentation
 from toolee_robot.cli.train.options import File
 from toolee_robot.cli.train.pose import Clouds, Hands, Pose
@@ -70,6 +71,7 @@ _Action = (
     | Annotated[Clouds, tyro.conf.subcommand("clouds")]
     | Annotated[Hands, tyro.conf.subcommand("hands")]
     | Annotated[Pose, tyro.conf.subcommand("pose")]
+    | Annotated[Ablations, tyro.conf.subcommand("ablations")]
     | Annotated[Trust, tyro.conf.subcommand("trust")]
 )
 

@@ -47,8 +47,8 @@ class _ImageCommand(TrainingCommand, _Data):
         if not self.data.is_dir():
             raise UserError(f"--data {self.data} is not a folder: make it with `toolee dataset generate`")
         names = {f.name for f in fields(kind)} - {"data", "out", "model", "init", *own}
-        options: dict[str, Any] = options_of(self, self.config, names)
-        training = kind(self.data, self.out, init=self.init, **options, **own)
+        options: dict[str, Any] = options_of(self, self.config, names) | own
+        training = kind(self.data, self.out, init=self.init, **options)
         resumed = (self.out / checkpoint).is_file()
         about = {name: getattr(training, name) for name in sorted(names)}
         about |= {name: None if path is None else str(path) for name, path in own.items()}

@@ -27,10 +27,9 @@ from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.hand import SimHand
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.physics.bullet import pb
-from toolee_robot.sim_backend.world import Sample
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.tasks.common.outcome import HammerResult, Stage, Strike
+from toolee_robot.tasks.common.outcome import HammerResult, Stage
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tasks.hammering.task import Grasp, HammeringTask
 
@@ -93,21 +92,13 @@ class Log(TaskObserver):
         self, at: dict[Stage, Callable[[], None]] | None = None, after: dict[str, Callable[[], None]] | None = None
     ) -> None:
         self.motions: list[str] = []
-        self.reports: list[MotionReport] = []
-        self.stages: list[tuple[str, Stage]] = []
         self.messages: list[str] = []
-        self.strikes: list[Strike] = []
         self.plan: StrikePlan | None = None
         self.last: HammerResult | None = None
         self.at, self.after = at or {}, after or {}
 
     def stage_started(self, stage: Stage) -> None:
-        self.stages.append(("begin", stage))
         self.at.pop(stage, _nothing)()
-
-    def stage_ended(self, stage: Stage, seconds: float) -> None:
-        assert seconds >= 0.0
-        self.stages.append(("end", stage))
 
     def message(self, text: str) -> None:
         self.messages.append(text)
@@ -119,11 +110,7 @@ class Log(TaskObserver):
         assert len(report.stamps) > 0
         assert hand_joints.shape == (len(SHADOW_HAND.joints),)
         self.motions.append(name)
-        self.reports.append(report)
         self.after.pop(name, _nothing)()
-
-    def strike(self, strike: Strike) -> None:
-        self.strikes.append(strike)
 
     def ended(self, result: HammerResult) -> None:
         self.last = result
@@ -192,21 +179,6 @@ class Bench:
         perceiver = perceiver or PerfectPerception(self.sim.judge)
         return HammeringTask(self.station, perceiver, config, nominal_grasp(self.sim.tool, config), observer=log)
 
-    def soon(self, act: Callable[[], None], delay: float = 0.25) -> Callable[[], None]:
-        """A function after whose call `act` happens once, `delay` [s] later, in the midst of whatever moves then."""
-
-        def arm_it() -> None:
-            due = self.sim.world.time + delay
-
-            def watch(sample: Sample) -> None:
-                if sample.stamp >= due:
-                    self.sim.world.observers.remove(watch)
-                    act()
-
-            self.sim.world.observers.append(watch)
-
-        return arm_it
-
     @contextmanager
     def in_real_time(self) -> Iterator[None]:
         """Inside, no simulated step takes less time than it simulates: a thread notices things as soon as it would at
@@ -251,10 +223,6 @@ def at_rest(sim: SimStation) -> bool:
     sim.world.advance(0.2)
     later, qd = robot.arm_state()
     return bool(still and np.abs(qd).max() < 5e-3 and np.abs(later - q).max() < 2e-3)
-
-
-def is_home(sim: SimStation) -> bool:
-    return bool(np.abs(sim.world.robot.arm_state()[0] - HOME).max() < 5e-3)
 
 
 def grip_kept(sim: SimStation) -> bool:
