@@ -36,7 +36,7 @@ _VALIDATED = 2048
 _AT_ONCE = 256
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RefinementTraining(ImageTraining):
     """A training of the refiner; the budget begins with the first scenes. batch: detections a rank. detector: folder of
     its weights, the shipped ones if None."""
