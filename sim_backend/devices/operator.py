@@ -29,7 +29,7 @@ def handed_over(X_hand_nominal: Array, offset: InHandOffset) -> Array:
 class SimPerson:
     """A `hal.Person` who is always prompt. comes: whether they have a tool to give.
 
-    visible_arm: shoulder and hand (3,) in `base` while the person holds the tool, else None. confirms, attends: whether
+    visible_arm: elbow and hand (3,) in `base` while the person holds the tool, else None. confirms, attends: whether
     they confirm a swing, and hold the enabling switch; stays: whether they stay in reach when asked to step back.
     intended_X_hand_tool: where they mean to put the tool in the hand, before the hand closes: ground truth.
     """
