@@ -17,7 +17,6 @@ from safetensors.torch import load_file, save_file
 from toolee_robot.errors import AssetError
 
 WEIGHTS_DIR = Path(__file__).resolve().parent / "weights"
-_TRAINED_BY = {"segmentation": "detection.train", "refinement": "detection.refiner.train"}
 SHARD_BYTES = 15 * 1024 * 1024
 """Largest shard [byte]: small files travel, and are reviewed and stored, more easily."""
 

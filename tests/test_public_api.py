@@ -38,7 +38,7 @@ def test_the_public_names_are_these() -> None:
     for name in NAMES:
         assert getattr(toolee_robot, name).__name__ == name
     with pytest.raises(AttributeError, match="no attribute 'SimStation'"):
-        _ = toolee_robot.SimStation  # type: ignore[attr-defined]
+        _ = toolee_robot.SimStation
 
 
 def python(code: str, *args: str) -> str:

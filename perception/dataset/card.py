@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from toolee_robot.perception.dataset.catalogue import Catalogue
+from toolee_robot.perception.dataset.holdout import BACKDROPS, ROOMS, TEXTURES
 from toolee_robot.perception.dataset.records import CATEGORIES, MIN_POINTS
 from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec
-from toolee_robot.perception.synthesis.surfaces import BACKDROPS, ROOMS, TEXTURES
 
 EDGES: dict[str, list[float]] = {
     "depth_m": [round(0.3 + 0.05 * k, 2) for k in range(19)],

@@ -12,9 +12,9 @@ import numpy as np
 
 from toolee_robot.errors import UserError
 from toolee_robot.perception.dataset.custom_tools import CustomTool, CustomToolRecord
+from toolee_robot.perception.dataset.holdout import draw
 from toolee_robot.perception.dataset.instances import read_ply, tool_path
 from toolee_robot.perception.dataset.records import INSTANCES
-from toolee_robot.perception.synthesis.surfaces import draw
 from toolee_robot.render import Mesh
 from toolee_robot.tools import TOOL_SPECS, Family, Tool, ToolKind, ToolShape, kinds_of, make_tool, tool_name
 from toolee_robot.tools.catalog import split as split_of

@@ -10,8 +10,8 @@ from collections.abc import Callable, Generator, Iterator
 from typing import Any
 
 from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.perception.dataset.parallel import ONE_THREAD
 from toolee_robot.perception.dataset.spec import SceneJob
-from toolee_robot.perception.synthesis.generate import ONE_THREAD
 from toolee_robot.runtime.clock import is_loopback
 
 _PATIENCE = 5.0

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, random_rotation, rotation_z, transform
-from toolee_robot.perception.synthesis.surfaces import ROOMS, Surfaces, room_rng
+from toolee_robot.perception.dataset.holdout import ROOMS
+from toolee_robot.perception.synthesis.surfaces import Surfaces, room_rng
 from toolee_robot.render import Body, Material, Mesh
 from toolee_robot.render.mesh import box, cylinder, plane, sphere, tube
 from toolee_robot.render.palette import any_color, linear

@@ -6,24 +6,21 @@ A run that was killed goes on where it stopped when it is started again.
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import shutil
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Generator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
-from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.errors import UserError
 from toolee_robot.perception.dataset.catalogue import GENERATED
 from toolee_robot.perception.dataset.custom_tools import CustomMesh
 from toolee_robot.perception.dataset.encoding.checksums import SUMS
 from toolee_robot.perception.dataset.index_files import Summary, finish, is_finished
 from toolee_robot.perception.dataset.instances import tool_path
 from toolee_robot.perception.dataset.models import write_models
+from toolee_robot.perception.dataset.parallel import on_processes
 from toolee_robot.perception.dataset.scene_reader import read_json
 from toolee_robot.perception.dataset.scene_writer import json_by_line, write_scene
 from toolee_robot.perception.dataset.spec import DESCRIPTION, SPLITS, DatasetSpec, SceneJob
@@ -32,9 +29,7 @@ from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.perception.synthesis.tool_cache import ToolCache
 from toolee_robot.render.device import checked
 from toolee_robot.runtime.files import write_atomic
-from toolee_robot.runtime.process_pool import WorkerPool
 
-T = TypeVar("T")
 Progress = Callable[[int, int], None]
 """Called with the examples that are there and those wanted."""
 CLUSTERS = ("local", "ray")
@@ -137,52 +132,3 @@ def make_scene_folder(spec: DatasetSpec, out: Path, job: SceneJob) -> SceneJob:
     write_scene(job.folder(out), examples, partial(write_models, out, catalogue), catalogue)
     forget_tools()
     return job
-
-
-def on_processes(make: Callable[[SceneJob], T], jobs: list[SceneJob], workers: int) -> Generator[T]:
-    """make(job) for every job on so many processes, as they are done.
-
-    Processes of their own, even a single one: it computes with one thread whatever this one was started with."""
-    if not jobs:
-        return
-    cores = multiprocessing.get_context("spawn").Queue()
-    for k in range(workers):
-        cores.put(k)
-    with _environment(ONE_THREAD), WorkerPool(min(workers, len(jobs)), _prepare, (cores,)) as pool:
-        futures = {pool.submit(make, job) for job in jobs}
-        try:
-            for future in as_completed(futures):
-                futures.discard(future)
-                yield future.result()
-        except BrokenProcessPool as error:
-            raise TooleeError(
-                "a worker process died (out of memory?): run the same command again, with fewer --workers; it resumes"
-            ) from error
-
-
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Embree and BLAS would each start a thread per core, and the workers fight over them."""
-
-
-@contextlib.contextmanager
-def _environment(variables: dict[str, str]) -> Iterator[None]:
-    """These environment variables, for the processes started inside."""
-    before = {name: os.environ.get(name) for name in variables}
-    os.environ.update(variables)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name)
-            else:
-                os.environ[name] = value
-
-
-def _prepare(cores: multiprocessing.Queue[int]) -> None:
-    """Pin this worker to a core."""
-    number = cores.get()
-    if hasattr(os, "sched_setaffinity"):
-        own = sorted(os.sched_getaffinity(0))
-        with contextlib.suppress(OSError):  # some containers forbid it: then the workers are only slower
-            os.sched_setaffinity(0, {own[number % len(own)]})

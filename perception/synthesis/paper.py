@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import transform, transform_points
+from toolee_robot.perception.dataset.paper_camera import CIRCLE, FOCAL, FULL_HEIGHT, FULL_WIDTH
 from toolee_robot.perception.dataset.records import HEIGHT, SCENES, WIDTH
 from toolee_robot.perception.synthesis.bodies import Grasp, HandStyle, hand_bodies, tool_bodies
 from toolee_robot.perception.synthesis.clutter import walls
@@ -20,9 +21,6 @@ from toolee_robot.render.palette import linear
 from toolee_robot.robots import SHADOW_HAND, wrap_fingers
 from toolee_robot.types import CameraIntrinsics, Category
 
-FULL_WIDTH, FULL_HEIGHT, FOCAL = 960, 540, 480.0
-CIRCLE = 30.0
-"""Radius [px] of the EE about its origin: 2.6 to 6.1 cm at 0.42 to 0.98 m."""
 DEPTHS = (0.42, 0.98)
 _MARGIN = 60.0
 _SHIFT = 0.05

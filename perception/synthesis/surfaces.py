@@ -8,20 +8,14 @@ from functools import lru_cache
 
 import numpy as np
 
+from toolee_robot.perception.dataset.holdout import BACKDROPS, ROOMS, TEXTURES, draw
 from toolee_robot.render import Material, Pattern
 from toolee_robot.render.lab import Surroundings, laboratory
 from toolee_robot.render.palette import any_color, finish, linear
 
-TEXTURES, ROOMS, BACKDROPS = 1000, 1000, 1000
 _TEXTURE, _ROOM, _BACKDROP = 101, 102, 103
 _FINISHES = ("plastic", "wood", "steel_bright", "rubber", "concrete", "skin")
 _SCALE = 0.03
-
-
-def draw(rng: np.random.Generator, split: str, count: int) -> int:
-    """A number under `count` (a multiple of 5) that belongs to the split: every fifth one is held out."""
-    five = 5 * int(rng.integers(count // 5))
-    return five + 4 if split == "test" else five + int(rng.integers(4))
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Protocol
 
 import numpy as np
 
@@ -13,7 +14,6 @@ from toolee_robot.frames import Array, frame_from_axes, transform
 from toolee_robot.render.mesh import Mesh, box, cylinder, sphere
 from toolee_robot.render.palette import skin_tone
 from toolee_robot.robots import arm_meshes, hand_model
-from toolee_robot.sim_backend.devices.operator import SimPerson
 from toolee_robot.sim_backend.physics.wood import NailSpec
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody
 from toolee_robot.sim_backend.world import SimWorld
@@ -53,7 +53,19 @@ class SceneState:
     person_arm: tuple[Array, Array] | None
 
 
-def scene_state(world: SimWorld, person: SimPerson) -> SceneState:
+class VisiblePerson(Protocol):
+    """The person of the simulated world, as far as a camera sees them.
+
+    Attributes:
+        center: Middle of the body (3,) in `base` [m].
+        visible_arm: Shoulder and hand (3,) in `base` [m] while the person holds the tool, else None.
+    """
+
+    center: Array
+    visible_arm: tuple[Array, Array] | None
+
+
+def scene_state(world: SimWorld, person: VisiblePerson) -> SceneState:
     """As it is now."""
     links = {name: world.robot.link_pose(index) for name, index in world.robot.link_index.items()}
     return SceneState(links, world.X_base_tool(), world.nail.head_pose(), person.center.copy(), person.visible_arm)

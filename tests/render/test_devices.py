@@ -16,7 +16,7 @@ from toolee_robot.render import Body, Light, Material, Mesh, Pattern, Scene, cas
 from toolee_robot.render.device import checked
 from toolee_robot.render.mesh import box, cylinder, plane, sphere
 from toolee_robot.render.rays.bvh import BvhTracer
-from toolee_robot.render.rays.tracing import Tracer
+from toolee_robot.render.rays.tracer import Tracer
 from toolee_robot.render.renderer import Shot
 from toolee_robot.render.scene import Backdrop, Patch, Rendering
 from toolee_robot.render.sensors.color_camera import Photo, photograph

@@ -15,7 +15,7 @@ from toolee_robot.render.device import DeviceArray, checked, put
 from toolee_robot.render.mesh import FloatArray, Mesh
 from toolee_robot.render.rays.bvh import BvhTracer
 from toolee_robot.render.rays.embree import EmbreeTracer
-from toolee_robot.render.rays.tracing import Tracer, in_camera
+from toolee_robot.render.rays.tracer import Tracer, in_camera
 from toolee_robot.render.sensors.filters import gaussian, white
 
 Meshes = list[tuple[Mesh, Array]]

@@ -18,7 +18,8 @@ from toolee_robot.render.device import DeviceArray, empty, launch, put, rows_of
 from toolee_robot.render.kernels import light as kernels
 from toolee_robot.render.kernels.texture import Surface
 from toolee_robot.render.noise import noise_table
-from toolee_robot.render.rays.tracing import Found, tracer_of
+from toolee_robot.render.rays.backends import tracer_of
+from toolee_robot.render.rays.tracer import Found
 from toolee_robot.render.scene import Light, Scene
 from toolee_robot.render.surroundings import sky_maps
 

@@ -16,12 +16,12 @@ from toolee_robot.frames import Array, is_rigid
 from toolee_robot.perception.dataset.clouds import MAX_POINTS, back_projected, read_clouds
 from toolee_robot.perception.dataset.encoding import rle
 from toolee_robot.perception.dataset.instances import object_of, read_ply, tool_path
+from toolee_robot.perception.dataset.paper_camera import CIRCLE
 from toolee_robot.perception.dataset.records import CATEGORIES, HEIGHT, SCENES, WIDTH
 from toolee_robot.perception.dataset.scene_reader import pose_of, read_image, read_json
 from toolee_robot.perception.dataset.scene_writer import COCO_CATEGORIES, bbox
 from toolee_robot.perception.dataset.spec import DatasetSpec, SceneJob
 from toolee_robot.perception.dataset.validation.pose_check import ENOUGH, SURFACE, is_thin, pose_fault
-from toolee_robot.perception.synthesis.paper import CIRCLE
 from toolee_robot.tools import ee_radius
 from toolee_robot.types import CameraIntrinsics
 

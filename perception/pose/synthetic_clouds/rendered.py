@@ -1,8 +1,8 @@
 """Clouds of rendered images, kept: what a depth camera and a detector's masks really leave of an end effector.
 
-The clouds of `clouds.py` are new each time, but of tools that stand alone before a plane, under masks that are wrong at
-random. These are of whole scenes, under true masks and under those of a detector that never saw the images. Or they are
-of whole tools, for the column of the paper's Table I that estimates the tool's pose.
+The clouds of `generator.py` are new each time, but of tools that stand alone before a plane, under masks that are wrong
+at random. These are of whole scenes, under true masks and under those of a detector that never saw the images. Or they
+are of whole tools, for the column of the paper's Table I that estimates the tool's pose.
 `toolee_robot.perception.rendered_clouds` makes them.
 """
 

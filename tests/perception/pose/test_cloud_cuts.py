@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from tests.examples import examples
 from toolee_robot.frames import transform
+from toolee_robot.perception.dataset import paper_camera
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudConfig
 from toolee_robot.perception.pose.synthetic_clouds.cuts import Border, Cut
 from toolee_robot.perception.pose.synthetic_clouds.surface_samples import NOWHERE
@@ -60,10 +61,10 @@ def test_a_tool_with_one_end_loses_nothing_to_another(seed: int) -> None:
 def test_the_papers_protocol_is_the_data_sets() -> None:
     config = CloudConfig.paper()
     assert config.distance == paper.DEPTHS
-    assert config.focal == (paper.FOCAL, paper.FOCAL)
-    assert config.circle == paper.CIRCLE
-    half = np.array([paper.FULL_WIDTH, paper.FULL_HEIGHT]) / 2 - 60
-    np.testing.assert_allclose(config.field, half / paper.FOCAL)
+    assert config.focal == (paper_camera.FOCAL, paper_camera.FOCAL)
+    assert config.circle == paper_camera.CIRCLE
+    half = np.array([paper_camera.FULL_WIDTH, paper_camera.FULL_HEIGHT]) / 2 - 60
+    np.testing.assert_allclose(config.field, half / paper_camera.FOCAL)
 
 
 def test_shares_of_cuts() -> None:

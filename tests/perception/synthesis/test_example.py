@@ -11,13 +11,15 @@ import pytest
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, is_rigid
 from toolee_robot.perception.dataset.catalogue import GENERATED, number_of
+from toolee_robot.perception.dataset.holdout import draw
 from toolee_robot.perception.dataset.instances import object_of
+from toolee_robot.perception.dataset.paper_camera import CIRCLE, FOCAL
 from toolee_robot.perception.dataset.records import CATEGORIES, FARTHEST, MAX_EES, NEAREST, SCENES, Example
 from toolee_robot.perception.dataset.scene_reader import load
 from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.synthesis.example import Series, label, make_example, render_example
-from toolee_robot.perception.synthesis.paper import CIRCLE, DEPTHS, FOCAL
-from toolee_robot.perception.synthesis.surfaces import Surfaces, draw
+from toolee_robot.perception.synthesis.paper import DEPTHS
+from toolee_robot.perception.synthesis.surfaces import Surfaces
 from toolee_robot.render.renderer import pixel_rays
 from toolee_robot.tools import ee_radius, split
 from toolee_robot.types import CameraIntrinsics, Category

@@ -18,7 +18,7 @@ from toolee_robot.frames import Array
 from toolee_robot.render.device import DeviceArray, empty, launch, put, rows_of
 from toolee_robot.render.kernels import bvh as kernels
 from toolee_robot.render.mesh import FloatArray, IntArray, Mesh
-from toolee_robot.render.rays.tracing import Found, in_camera
+from toolee_robot.render.rays.tracer import Found, in_camera
 
 _KIND = "sah"
 """Built on the processor: a whole scene took 5 ms where a GPU took 0.8, but its rays then a third of the time."""

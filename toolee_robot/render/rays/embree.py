@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from toolee_robot.frames import Array
 from toolee_robot.render.device import DeviceArray, put
 from toolee_robot.render.mesh import FloatArray, Mesh
-from toolee_robot.render.rays.tracing import Found, in_camera
+from toolee_robot.render.rays.tracer import Found, in_camera
 
 _BATCH = 512
 """Packets that are filled and shot together; they stay in the processor's cache."""

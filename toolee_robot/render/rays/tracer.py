@@ -1,8 +1,7 @@
-"""Rays against triangles: by embree on the processor, by Warp's own trees on a GPU."""
+"""What a tracer of rays is, and what rays hit."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -32,17 +31,6 @@ class Tracer(Protocol):
     def blocked(self, origins: DeviceArray, directions: DeviceArray, reach: DeviceArray) -> DeviceArray:
         """(N,) uint8, 1 where anything is met between origins (3, N) and origins + reach (N,) * directions (3, N).
         Undefined where reach is negative."""
-
-
-def tracer_of(meshes: Sequence[tuple[Mesh, Array]], device: str) -> Tracer:
-    """meshes: each with its X_camera_body (4x4)."""
-    if device == "cpu":
-        from toolee_robot.render.rays.embree import EmbreeTracer
-
-        return EmbreeTracer(meshes)
-    from toolee_robot.render.rays.bvh import BvhTracer
-
-    return BvhTracer(meshes, device)
 
 
 def in_camera(mesh: Mesh, X_camera_body: Array) -> FloatArray:
