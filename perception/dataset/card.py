@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.perception.dataset.catalogue import Catalogue
-from toolee_robot.perception.dataset.records import CATEGORIES, MIN_POINTS
+from toolee_robot.perception.dataset.records import MIN_POINTS
 from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec
 from toolee_robot.perception.synthesis.surfaces import BACKDROPS, ROOMS, TEXTURES
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import transform, transform_points
 from toolee_robot.perception.dataset.records import HEIGHT, SCENES, WIDTH
 from toolee_robot.perception.synthesis.bodies import Grasp, HandStyle, hand_bodies, tool_bodies
@@ -18,7 +19,7 @@ from toolee_robot.render import Material, Scene
 from toolee_robot.render.lab import environment, lamps
 from toolee_robot.render.palette import linear
 from toolee_robot.robots import SHADOW_HAND, wrap_fingers
-from toolee_robot.types import CameraIntrinsics, Category
+from toolee_robot.types import CameraIntrinsics
 
 FULL_WIDTH, FULL_HEIGHT, FOCAL = 960, 540, 480.0
 CIRCLE = 30.0
