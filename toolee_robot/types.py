@@ -8,31 +8,9 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
-
-
-class Category(StrEnum):
-    """The four end effectors (EE). Frames at contact: see `toolee_robot.tools`."""
-
-    HAMMER_HEAD = "hammer_head"
-    HAMMER_GRIP = "hammer_grip"
-    SCREWDRIVER_HEAD = "screwdriver_head"
-    WRENCH_HEAD = "wrench_head"
-
-    @property
-    def symmetry(self) -> SymmetryGroup:
-        """The group that decides the metric and the pooling of this category."""
-        return _SYMMETRY[self]
-
-
-_SYMMETRY = {
-    Category.HAMMER_HEAD: SymmetryGroup(SymmetryKind.CINF, (0.0, 0.0, 1.0)),
-    Category.HAMMER_GRIP: SymmetryGroup(SymmetryKind.NONE),
-    Category.SCREWDRIVER_HEAD: SymmetryGroup(SymmetryKind.CINF, (0.0, 0.0, 1.0)),
-    Category.WRENCH_HEAD: SymmetryGroup(SymmetryKind.C2, (1.0, 0.0, 0.0)),
-}
 
 
 class ArmModel(StrEnum):
@@ -101,6 +79,16 @@ class RgbdFrame:
         size = (self.intrinsics.height, self.intrinsics.width)
         if self.rgb.shape[:2] != size:
             raise UserError(f"image is {self.rgb.shape[:2]} but the intrinsics are for {size} (height, width)")
+
+
+@dataclass(frozen=True, eq=False)
+class HoldingHand:
+    """The hand that holds a tool before the camera: what is known of the tool's pose without looking at it."""
+
+    X_camera_hand: Array
+    """Pose of the hand in the camera's frame, 4x4."""
+    R_hand_tool: Array
+    """Axes of the tool in the hand as it nominally holds one, 3x3: `HandModel.grasp.R_hand_tool`."""
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,12 @@ from rich.table import Table
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
+from toolee_robot.config import HandConfig
+from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import UserError
 from toolee_robot.recording.pose_text import pose_text, sigma_text
 from toolee_robot.runtime.files import write_atomic
-from toolee_robot.types import ToolEstimate
+from toolee_robot.types import HoldingHand, ToolEstimate
 
 _File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
 
@@ -45,6 +47,8 @@ class Estimate:
     """Pinhole intrinsics [px] of the colour image, undistorted."""
     hand_pose: _File = None
     """X_camera_hand, 16 numbers row by row [m] (text, .json, .npy): fixes the spin a symmetric tool does not show."""
+    hand: str = HandConfig().model
+    """Which hand --hand-pose is of."""
     bop: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Instead of one frame: a BOP scene folder with rgb/, depth/ and scene_camera.json."""
     picture: Annotated[Path | None, tyro.conf.arg(metavar="OUT.png", help_behavior_hint="")] = None
@@ -71,10 +75,14 @@ class Estimate:
         from toolee_robot.perception.io import read_frame, read_pose
 
         frame = read_frame(self.rgb, self.depth, self.intrinsics, self.depth_scale)
-        X_camera_hand = None if self.hand_pose is None else read_pose(self.hand_pose)
+        hand = None
+        if self.hand_pose is not None:
+            from toolee_robot.robots import hand_model
+
+            hand = HoldingHand(read_pose(self.hand_pose), hand_model(self.hand).grasp.R_hand_tool)
         perception = ToolPerception.load()
         start = time.perf_counter()
-        estimates = perception.estimate(frame, X_camera_hand)
+        estimates = perception.estimate(frame, hand)
         elapsed_ms = (time.perf_counter() - start) * 1e3
         if self.picture is not None:
             from toolee_robot.recording.picture import draw
@@ -146,7 +154,7 @@ def _verdict(console: Console, estimates: list[ToolEstimate]) -> int:
     said = Console(stderr=True, highlight=False) if not console.stderr else console
     if not estimates:
         said.print(
-            "[bold red]no tool found:[/bold red] none of hammer head, claw, screwdriver tip or wrench jaw is in view; "
+            f"[bold red]no tool found:[/bold red] none of {', '.join(c.spec.label for c in CATEGORIES)} is in view; "
             "bring the end effector nearer (0.4 to 1.1 m) and into the image"
         )
     else:
@@ -165,7 +173,7 @@ def _table(estimates: list[ToolEstimate], title: str) -> Table:
     table.add_column("usable")
     for e in estimates:
         table.add_row(
-            e.category.replace("_", " "),
+            e.category.spec.label,
             pose_text(e.X_camera_ee).replace("  ", "\n"),  # position over rotation: it fits 80 columns
             sigma_text(e.covariance, e.X_camera_ee).replace("  ", "\n"),
             f"{e.trust:.2f}",

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from toolee_robot.errors import AssetError, UserError
+from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, frame_from_axes, inverse
 from toolee_robot.robots.meshes import link_mesh
 from toolee_robot.robots.tree import Tree
@@ -79,6 +79,11 @@ class NominalGrasp:
     """Centre of a handle of radius 0 [m]."""
     p_per_radius: tuple[float, float, float]
     """How the centre moves with the radius [m/m]: away from what the handle touches."""
+
+    @property
+    def R_hand_tool(self) -> Array:
+        """Axes of the tool in the hand, 3x3."""
+        return self.X_hand_tool(0.0)[:3, :3]
 
     def X_hand_tool(self, handle_radius: float) -> Array:
         """Nominal pose of the tool in the hand.
@@ -220,9 +225,3 @@ class HandModel:
             if mesh is not None:
                 found[link.name] = mesh
         return found
-
-
-def check_posture(hand: HandModel, q_hand: Array) -> None:
-    """Raises UserError when q_hand is not (n,), a number for each of the hand's joints."""
-    if q_hand.shape != (len(hand.joints),):
-        raise UserError(f"q_hand {q_hand.shape} must be ({len(hand.joints)},): the {hand.label}'s joints, wrist first")
