@@ -120,7 +120,7 @@ class Trainer(TrainingRun, Generic[Net]):
         except RuntimeError as error:
             raise AssetError(f"{weights} holds a network of another architecture: {error}") from error
         self._take_average(state)
-        self._init = dict(self.average)
+        self._init = {name: value.clone() for name, value in self.average.items()}  # the average changes in place
         self.record({"event": "begun from other weights"})
 
     def calibrate(self) -> dict[str, Any]:
