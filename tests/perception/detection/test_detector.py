@@ -39,6 +39,9 @@ TINY = DetectorConfig(
 )
 
 
+PICTURES = 4
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _one_thread() -> Iterator[None]:
     """Tiny networks: threads cost more than they save, and much more on a busy machine."""
@@ -154,13 +157,13 @@ def test_of_two_masks_of_one_thing_the_better_stays() -> None:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A tiny detector, overfit on eight toy pictures."""
+    """A tiny detector, overfit on a few toy pictures."""
     out = tmp_path_factory.mktemp("run")
     torch.manual_seed(0)
     config = SegmentationTraining(
-        Path("toy"), out, max_steps=120, batch=4, lr=3e-3, warmup_steps=10, ema=0.9, augmentation=0, model=TINY
+        Path("toy"), out, max_steps=100, batch=2, lr=4e-3, warmup_steps=10, ema=0.9, augmentation=0, model=TINY
     )
-    return train(config, toy_scenes(8))
+    return train(config, toy_scenes(PICTURES))
 
 
 def log_of(folder: Path) -> list[dict[str, float]]:
@@ -174,11 +177,11 @@ def test_training_lowers_the_loss_and_logs_it(trained: Path) -> None:
     assert log[-1]["loss"] < 0.75 * log[0]["loss"]
     description = json.loads((trained / "segmentation.json").read_text())
     assert description["classes"] == list(CLASSES)
-    assert description["steps"] == 120
+    assert description["steps"] == 100
 
 
 def test_overfit_detector_finds_the_tools_of_its_pictures(trained: Path) -> None:
-    scenes = toy_scenes(8)
+    scenes = toy_scenes(PICTURES)
     found = report(coco_task(Segmenter.load(trained), scenes))
     assert found["average"]["AP50"] > 0.8, found
     detections = Segmenter.load(trained).detect(frame_of(scenes))
@@ -237,7 +240,7 @@ def test_a_run_starts_from_exported_weights(tmp_path: Path, trained: Path) -> No
     config = SegmentationTraining(
         Path("toy"), tmp_path, max_steps=2, batch=4, lr=1e-6, log_every=1, model=TINY, augmentation=0, init=trained
     )
-    train(config, toy_scenes(8))
+    train(config, toy_scenes(PICTURES))
     first = log_of(trained)[0]["loss"]
     continued = log_of(tmp_path)[0]["loss"]
     assert continued < 0.75 * first
