@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import importlib
 import re
 from pathlib import Path
@@ -10,9 +11,10 @@ from pathlib import Path
 import pytest
 import tyro
 
-from scripts.site_reference import PAGES
+from scripts.site_reference import PAGES, field_docs, records
 from tests.documents.blocks import DOCUMENTS, ROOT, blocks, commands
 from toolee_robot.cli import app
+from toolee_robot.config import StationConfig
 
 
 def exit_code(words: list[str]) -> int | str | None:
@@ -63,6 +65,11 @@ def test_every_file_that_a_document_names_exists() -> None:
 
 def test_the_readme_is_one_screen() -> None:
     assert len((ROOT / "README.md").read_text().split()) <= 450
+
+
+def test_every_field_of_the_station_file_has_a_description() -> None:
+    for record in records(StationConfig):
+        assert set(field_docs(record)) == {field.name for field in dataclasses.fields(record)}, record.__name__
 
 
 def test_the_reference_names_every_topic_that_is_recorded() -> None:
