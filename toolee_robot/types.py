@@ -26,13 +26,17 @@ Six = tuple[float, float, float, float, float, float]
 @dataclass(frozen=True)
 class DhCalibration:
     """How an arm's own Denavit-Hartenberg parameters differ from its model's, as the factory measured them: the
-    entries of the same names in the controller's calibration.conf, base to wrist 3. theta, alpha [rad], a, d [m]."""
+    entries of the same names in the controller's calibration.conf, base to wrist 3."""
 
     __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012  (read by pydantic, not a field)
     delta_theta: Six
+    """Of the joint angles theta [rad]."""
     delta_a: Six
+    """Of the lengths a [m]."""
     delta_d: Six
+    """Of the offsets d [m]."""
     delta_alpha: Six
+    """Of the twists alpha [rad]."""
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class Doctor:
     world: Annotated[Literal["pybullet"] | None, tyro.conf.arg(metavar="pybullet", help_behavior_hint="")] = None
     """A rehearsal: a controller stand-in is started at that loopback address, the simulated station behind it."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """A station: any subset of the fields of toolee_robot/config.py."""
+    """A station: any subset of the fields in docs/reference/station_file.md."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
     """Where recordings would go."""
     json: Flag = False

@@ -40,7 +40,7 @@ class EvaluatePose:
 
     Example: toolee evaluate pose data/hard --weights ours=runs/pose paper=runs/paper --hammers 200 --no-tool 1000
 
-    Writes report.json, pictures and one self-contained report.html. docs/benchmark.md defines every figure.
+    Writes report.json, pictures and one self-contained report.html. docs/results/protocol.md defines every figure.
     """
 
     data: _Dir

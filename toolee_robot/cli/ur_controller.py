@@ -22,7 +22,7 @@ class UrController:
     Example: toolee ur-controller --model UR10e --host 127.0.0.3
 
     Serves RTDE (30004), the dashboard (29999), the script ports (30001 to 30003), and a fault port; runs the control
-    script that clients upload. Behind it are ideal joints. Only loopback addresses. See docs/ur_controller.md.
+    script that clients upload. Behind it are ideal joints. Only loopback addresses; docs/reference/ur_controller.md.
     """
 
     model: Literal["UR10", "UR10e"] = "UR10"

@@ -5,5 +5,5 @@
 
 Arm and network faults are injected into the controller stand-in under the real driver, faults of commands into the
 supervisor in front of it, faults of hand, camera, person and nail into the simulated station under the real task. The
-numbers are those of the list in docs/real_robot.md.
+numbers are those of the list in docs/concepts/safety.md.
 """

@@ -16,7 +16,7 @@ class Phase(StrEnum):
 
 @dataclass(frozen=True)
 class FaultRow:
-    """number: in the list of docs/real_robot.md. fault: what was injected. on: the arm it was injected under.
+    """number: in the list of docs/concepts/safety.md. fault: what was injected. on: the arm it was injected under.
     expected: the reaction it must get. got: the one it got.
 
     reaction: from the fault to the first tick in which the joints leave the uninterrupted motion [s]. standstill: from

@@ -55,7 +55,7 @@ class Hammer:
     robot: Annotated[Literal["UR10", "UR10e"] | None, tyro.conf.arg(metavar="UR10|UR10e", help_behavior_hint="")] = None
     """Which arm, instead of the configuration's."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """A station: any subset of the fields of toolee_robot/config.py."""
+    """A station: any subset of the fields in docs/reference/station_file.md."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
     """Where the run's folder goes: summary.json, recording.mcap, picture.png."""
     gui: Flag = False

@@ -1,0 +1,188 @@
+"""Reference pages that are generated when the site is built, so that they cannot fall behind the code.
+
+A hook of mkdocs: `<!-- generated: NAME -->` in a page is replaced with what `PAGES[NAME]` writes.
+`python scripts/site_reference.py NAME` prints one of them.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import inspect
+import io
+import os
+import re
+import sys
+import textwrap
+from collections.abc import Callable, Iterator
+from dataclasses import MISSING, Field, fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+from toolee_robot import errors
+from toolee_robot.config import StationConfig
+
+MARKER = re.compile(r"^<!-- generated: ([a-z-]+) -->$", re.MULTILINE)
+COMMAND_WIDTH = 80
+ROOT = Path(__file__).parents[1]
+ROOMS = ("toolee_robot", "control", "perception", "sim_backend")
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Called by mkdocs with a page's source."""
+    return MARKER.sub(lambda match: PAGES[match[1]](), markdown)
+
+
+# -- station file --------------------------------------------------------------------------------------------------
+
+
+def station_file() -> str:
+    """A table of fields for each section of the station file."""
+    return "\n\n".join(_section(StationConfig, ""))
+
+
+def records(config: type[Any]) -> Iterator[type[Any]]:
+    """The dataclass `config` and all that its fields hold."""
+    yield config
+    for field in fields(config):
+        if (kind := _record(config, field)) is not None:
+            yield from records(kind)
+
+
+def _section(config: type[Any], name: str) -> Iterator[str]:
+    nested = [(field.name, kind) for field in fields(config) if (kind := _record(config, field)) is not None]
+    plain = [field for field in fields(config) if _record(config, field) is None]
+    if name:
+        rows = "\n".join(_row(config, field) for field in plain)
+        yield f"## `{name}`\n\n{_summary(config)}\n\n| field | type | default | meaning |\n|---|---|---|---|\n{rows}"
+    for child, kind in nested:
+        yield from _section(kind, f"{name}.{child}" if name else child)
+
+
+def _record(config: type[Any], field: Field[Any]) -> type[Any] | None:
+    """The dataclass that a field holds, if it holds one."""
+    hint = get_type_hints(config)[field.name]
+    return next((kind for kind in (hint, *get_args(hint)) if isinstance(kind, type) and is_dataclass(kind)), None)
+
+
+def _row(config: type[Any], field: Field[Any]) -> str:
+    kind = str(field.type).replace("|", "\\|").replace("Annotated[", "").replace("'", "")
+    meaning = field_docs(config).get(field.name, "")
+    return f"| `{field.name}` | {_kind(config, field, kind)} | {_default(field)} | {meaning} |"
+
+
+def _kind(config: type[Any], field: Field[Any], text: str) -> str:
+    hint = get_type_hints(config)[field.name]
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return ", ".join(f"`{member.value}`" for member in hint)
+    words = {"Positive": "number > 0", "NotNegative": "number >= 0", "Count": "whole number >= 1"}
+    if text.startswith("tuple["):
+        parts = text.removeprefix("tuple[").removesuffix("]").split(", ")
+        return f"list of {len(parts)} numbers" + (" > 0" if parts[0] == "Positive" else "")
+    if match := re.match(r"float, Field\((.*)\)\]", text):
+        bounds = match[1].replace("gt=", "> ").replace("lt=", "< ").replace("ge=", ">= ").replace("le=", "<= ")
+        return f"number {bounds}"
+    names = {"float": "number", "int": "whole number", "str": "text", "bool": "yes or no", "None": "null"}
+    return " or ".join(words.get(part, names.get(part, part)) for part in text.replace("\\", "").split(" | "))
+
+
+def _default(field: Field[Any]) -> str:
+    if field.default is MISSING:
+        return "*required*"
+    value = field.default.value if isinstance(field.default, Enum) else field.default
+    if isinstance(value, tuple):
+        return f"`[{', '.join(f'{number:g}' for number in value)}]`"
+    return f"`{value:.4g}`" if isinstance(value, float) else "`null`" if value is None else f"`{str(value).lower()}`"
+
+
+def field_docs(record: type[Any]) -> dict[str, str]:
+    """Description of each field of a dataclass that has one: the docstring after it."""
+    body = ast.parse(textwrap.dedent(inspect.getsource(record))).body[0]
+    assert isinstance(body, ast.ClassDef)
+    docs = {}
+    for statement, following in zip(body.body, [*body.body[1:], None], strict=True):
+        if not (isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name)):
+            continue
+        if isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant):
+            docs[statement.target.id] = " ".join(str(following.value.value).split())
+    return docs
+
+
+def _summary(record: type[Any]) -> str:
+    return inspect.getdoc(record) or ""
+
+
+# -- command line --------------------------------------------------------------------------------------------------
+
+
+def command_line() -> str:
+    """The help of `toolee` and of each of its commands."""
+    return "\n\n".join(_command(()))
+
+
+def _command(path: tuple[str, ...]) -> Iterator[str]:
+    text = command_help(path)
+    head, _, tail = text.partition("\n\n options\n")
+    usage, *prose = head.split("\n\n")
+    if path:
+        options = "\n".join(tail.split("\n\n subcommands\n")[0].splitlines()[1:])
+        title = f"{'#' * (1 + len(path))} toolee {' '.join(path)}"
+        yield "\n\n".join([title, *map(_paragraph, prose), f"```text\n{usage}\n\n{options}\n```"])
+    children = re.search(r"\{([a-z,-]+)\}$", " ".join(usage.split()))
+    for child in children[1].split(",") if children else ():
+        yield from _command((*path, child))
+
+
+def _paragraph(text: str) -> str:
+    return f"```bash\n{text.removeprefix('Example: ')}\n```" if text.startswith("Example: ") else text
+
+
+def command_help(path: tuple[str, ...]) -> str:
+    """What `toolee PATH --help` prints, without colours, COMMAND_WIDTH columns wide."""
+    from toolee_robot.cli import main
+
+    out = io.StringIO()
+    os.environ.update(COLUMNS=str(COMMAND_WIDTH), NO_COLOR="1", TERM="dumb")
+    with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
+        main([*path, "--help"])
+    return "\n".join(line.rstrip() for line in out.getvalue().strip().splitlines())
+
+
+# -- errors --------------------------------------------------------------------------------------------------------
+
+
+def error_table() -> str:
+    """Every error, indented under the one that it is a kind of, and the codes that say more than its class."""
+    rows = "\n".join(_error(errors.TooleeError, 0, _specific_codes()))
+    return f"| error | code | meaning |\n|---|---|---|\n{rows}"
+
+
+def _error(kind: type[errors.TooleeError], depth: int, specific: dict[str, set[str]]) -> Iterator[str]:
+    meaning = " ".join((inspect.getdoc(kind) or "").split("\n\n")[0].split())
+    codes = ", ".join(f"`{code}`" for code in (kind.code, *sorted(specific.get(kind.__name__, ()))))
+    yield f"| {'&emsp;' * depth}`{kind.__name__}` | {codes} | {meaning} |"
+    for child in kind.__subclasses__():
+        if child.__module__ == errors.__name__ and child.__bases__[0] is kind:
+            yield from _error(child, depth + 1, specific)
+
+
+def _specific_codes() -> dict[str, set[str]]:
+    """Error class -> codes that the package's code gives it by `code="..."`."""
+    found: dict[str, set[str]] = {}
+    for path in (path for room in ROOMS for path in (ROOT / room).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                codes = [k.value.value for k in node.keywords if k.arg == "code" and isinstance(k.value, ast.Constant)]
+                found.setdefault(node.func.id, set()).update(map(str, codes))
+    return found
+
+
+PAGES: dict[str, Callable[[], str]] = {
+    "station-file": station_file,
+    "command-line": command_line,
+    "errors": error_table,
+}
+
+if __name__ == "__main__":
+    print(PAGES[sys.argv[1]]())

@@ -1,0 +1,173 @@
+"""The examples that the guides are built around run, and do what the guides say."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from examples.estimate_poses import print_poses
+from examples.new_hammer import drive_nail
+from examples.recorded_camera import RecordedCamera
+from examples.serial_hand import SerialHand
+from examples.turn_screw import TurnScrew
+from tests.documents.hand_device import HandDevice
+from tests.robots.three_finger import THREE_FINGER_HAND
+from toolee_robot import Category, StationConfig, ToolPerception
+from toolee_robot.config import WorkConfig
+from toolee_robot.errors import DeviceError, StaleDataError
+from toolee_robot.frames import Array, angle_between, transform
+from toolee_robot.hal import Hand, RgbdCamera
+from toolee_robot.perception.io import bop_images
+from toolee_robot.robots import hand_model
+from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.tools import ToolKind, make_tool, test_seeds
+
+pytestmark = pytest.mark.sim(seconds=60)
+
+
+@pytest.fixture(scope="module")
+def perception() -> ToolPerception:
+    return ToolPerception.load()
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A BOP scene of four images."""
+    from toolee_robot.cli.app import run
+
+    out = tmp_path_factory.mktemp("data") / "hard"
+    command = f"dataset generate --config hard --size 4 --seed 6 --test-share 1 --out {out}"
+    assert run(command.split()) == 0
+    return out / "test" / "000000"
+
+
+class _Clock:
+    """Time that passes only when somebody sleeps."""
+
+    def __init__(self) -> None:
+        self.time = 5.0
+
+    def now(self) -> float:
+        return self.time
+
+    def sleep(self, duration: float) -> None:
+        self.time += duration
+
+
+def test_estimate_poses_prints_a_line_for_each_estimate(
+    scene: Path, perception: ToolPerception, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = {image.im_id: perception.estimate(image.read()) for image in bop_images(scene)}
+    im_id, estimates = max(found.items(), key=lambda item: sum(e.usable for e in item[1]))
+    frame = next(image.read() for image in bop_images(scene) if image.im_id == im_id)
+    usable = print_poses(frame, perception)
+    assert usable == sum(e.usable for e in estimates) > 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in lines] == [e.category for e in estimates]
+
+
+def test_the_recorded_camera_gives_each_frame_once_and_never_an_old_one(scene: Path) -> None:
+    clock = _Clock()
+    recorded = [image.read() for image in bop_images(scene)]
+    camera = RecordedCamera(scene, clock)
+    assert isinstance(camera, RgbdCamera)
+    with pytest.raises(DeviceError):
+        camera.read()
+    with camera:
+        assert camera.intrinsics == recorded[0].intrinsics
+        for expected in recorded:
+            clock.sleep(0.1)
+            frame = camera.read()
+            assert frame.stamp == clock.now()
+            np.testing.assert_array_equal(frame.rgb, expected.rgb)
+            np.testing.assert_array_equal(frame.depth, expected.depth)
+        before = clock.now()
+        with pytest.raises(StaleDataError):
+            camera.read(max_age=0.5)
+        assert clock.now() == before + 0.5
+
+
+class _WallClock:
+    def now(self) -> float:
+        import time
+
+        return time.monotonic()
+
+    def sleep(self, duration: float) -> None:
+        import time
+
+        time.sleep(duration)
+
+
+@pytest.fixture
+def device() -> Iterator[HandDevice]:
+    with HandDevice() as device:
+        yield device
+
+
+@pytest.fixture
+def hand(device: HandDevice) -> Iterator[SerialHand]:
+    with SerialHand(device.port, THREE_FINGER_HAND, _WallClock()) as hand:
+        yield hand
+        device.silent = False
+
+
+def test_the_serial_hand_closes_on_a_handle_and_opens_again(device: HandDevice, hand: SerialHand) -> None:
+    assert isinstance(hand, Hand)
+    device.handle = 1.0
+    hand.close()
+    state = hand.state()
+    assert state.holding
+    assert set(state.contact_forces) == {finger.name for finger in THREE_FINGER_HAND.fingers}
+    np.testing.assert_allclose(state.joints.q, np.minimum(THREE_FINGER_HAND.posture("closed"), 1.0), atol=2e-3)
+    device.handle = None
+    hand.open()
+    assert not hand.state().holding
+    np.testing.assert_allclose(hand.state().joints.q, THREE_FINGER_HAND.posture("open"), atol=2e-3)
+
+
+def test_the_serial_hand_that_never_arrives_times_out_and_keeps_its_grip(device: HandDevice, hand: SerialHand) -> None:
+    device.jammed = True
+    with pytest.raises(DeviceError, match="keeps what it holds"):
+        hand.close(timeout=0.2)
+    assert device.asked[-1] == "hold"
+
+
+def test_the_serial_hand_that_falls_silent_has_no_state(device: HandDevice, hand: SerialHand) -> None:
+    first = hand.state()
+    device.silent = True
+    assert hand.state(max_age=10.0) is not None
+    assert hand.state(max_age=10.0).joints.stamp >= first.joints.stamp
+    with pytest.raises(StaleDataError):
+        hand.state(max_age=0.05)
+
+
+def test_the_task_turns_a_screwdriver_about_its_tip_on_the_screw(perception: ToolPerception) -> None:
+    config = StationConfig(work=WorkConfig(nail_xy=(0.60, 0.10)))  # nearer to the arm than for strikes
+    tool = make_tool(ToolKind.PHILLIPS_SCREWDRIVER, test_seeds(1)[0])
+    X_tool_ee = tool.ee(Category.SCREWDRIVER_HEAD).X_tool_ee
+    X_hand_ee = hand_model(config.hand.model).grasp.X_hand_tool(tool.handle.grip_radius) @ X_tool_ee
+    X_base_screw = transform(p=[0.02, -0.025, 0.0]) @ config.work.X_base_nail(0.0)
+    with SimStation.build(config, 0, SimOptions(tool=tool)) as simulation:
+        tips: list[Array] = []
+        simulation.observers.append(lambda _: tips.append(simulation.world.X_base_tool() @ X_tool_ee))
+        TurnScrew(simulation.station, perception, config, X_hand_ee).run(X_base_screw, np.pi / 2)
+    tip = np.array(tips)
+    on_screw = tip[np.linalg.norm(tip[:, :3, 3] - X_base_screw[:3, 3], axis=1) < 0.005]
+    assert len(on_screw) > 50
+    assert all(angle_between(X[:3, 2], X_base_screw[:3, 2]) < np.deg2rad(3.0) for X in on_screw)
+    x_axes = np.einsum("ji,nj->ni", X_base_screw[:3, :3], on_screw[:, :3, 0])
+    turned = np.unwrap(np.arctan2(x_axes[:, 1], x_axes[:, 0]))
+    assert turned[-1] - turned[0] == pytest.approx(np.pi / 2, abs=np.deg2rad(2.0))
+
+
+def test_a_hammer_known_from_its_data_sheet_drives_a_nail(perception: ToolPerception) -> None:
+    config = StationConfig(work=WorkConfig(nail_protrusion=0.003))
+    hammer = make_tool(ToolKind.BALL_PEEN_HAMMER, 9)
+    with SimStation.build(config, 0, SimOptions(tool=hammer)) as simulation:
+        result = drive_nail(simulation.station, perception, config)
+        assert result.success, result.reason
+        assert simulation.judge.verdict(result.estimates).nail_outcome == "flush"
