@@ -12,7 +12,6 @@ from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.perception.pose.canonical import MIN_POINTS, REST_MIN, REST_REACH
 from toolee_robot.perception.pose.depth_completion import complete_depth, surface_step
-from toolee_robot.tools.model import ee_radius
 from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
 
 NEAREST, FARTHEST = 0.05, 20.0
@@ -126,7 +125,7 @@ def ee_cloud(frame: RgbdFrame, detection: Detection) -> EeCloud:
 
     Of a thin tool nearly every pixel is at an edge: what cleaning would leave without an estimate stays as it is.
     """
-    radius = TRIM_RADII * ee_radius(detection.category)
+    radius = TRIM_RADII * detection.category.spec.radius
     measured = detection.mask & np.isfinite(frame.depth) & (frame.depth > 0)
     points = back_project(frame.depth, measured, frame.intrinsics)
     if len(points) < MIN_POINTS:

@@ -15,13 +15,14 @@ from typing import Protocol
 
 import numpy as np
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.cloud import check_depth_unit, ee_cloud
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.pose import CloudEstimator, PoseEstimator, fuse_in_hand
 from toolee_robot.perception.trust import Trust
-from toolee_robot.types import Category, Detection, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import Detection, InHandEstimate, RgbdFrame, ToolEstimate
 
 
 class EeDetector(Protocol):

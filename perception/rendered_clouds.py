@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.cloud import EeCloud
@@ -26,7 +27,6 @@ from toolee_robot.perception.pose.canonical import MIN_POINTS
 from toolee_robot.perception.pose.synthetic_clouds.rendered import MAX_COMPLETED, MAX_POINTS, MAX_REST, RenderedClouds
 from toolee_robot.perception.research.tooleenet import Column
 from toolee_robot.runtime.process_map import ProcessMap
-from toolee_robot.types import Category
 
 NOTHING_THERE = 0.1
 """A mask that overlaps every EE of its category by less (IoU) is a negative; between this and what counts as found it
@@ -69,7 +69,7 @@ def of_part(detector: EeDetector | None, part: Part) -> RenderedClouds:
         asked = case.overlap < NOTHING_THERE if instance is None else instance.target
         if asked and case.cloud.usable:
             tells = 0
-            if instance is not None and instance.category is Category.HAMMER_HEAD:
+            if instance is not None and instance.category.spec.spin_cues:
                 tells = spin_points(instance, case)
             rows.append(_cloud(case, instance, rng, tells))
     return RenderedClouds.cat(rows)
@@ -113,7 +113,7 @@ def _cloud(case: Case, instance: Instance | None, rng: np.random.Generator, tell
         X_camera_target=np.array([np.eye(4) if instance is None else instance.X_camera_ee], np.float32),
         of_tool=np.array([False]),
         p_camera_hand=np.array([np.full(3, np.nan) if hand is None else hand[:3, 3]], np.float32),
-        category=np.array([list(Category).index(case.category)]),
+        category=np.array([CATEGORIES.index(case.category)]),
         positive=np.array([instance is not None]),
         visible=np.array([len(cloud.points)]),
         tells_spin=np.array([tells_spin]),

@@ -15,6 +15,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array
 from toolee_robot.perception import weight_files
@@ -23,7 +24,6 @@ from toolee_robot.perception.detection.refiner.network import WEIGHTS_NAME as RE
 from toolee_robot.perception.pose import weights
 from toolee_robot.perception.pose.cloud_estimator import PoseResult
 from toolee_robot.perception.pose.confidence import ConfidenceModel
-from toolee_robot.types import Category
 
 NAME = "trust"
 FEATURES = (

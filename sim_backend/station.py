@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 
 from toolee_robot.config import SIMULATED, StationConfig
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
 from toolee_robot.hal import Station
@@ -22,7 +23,6 @@ from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.sim_backend.visuals.scene import SceneVisuals, scene_state
 from toolee_robot.sim_backend.world import Sample, SimWorld
 from toolee_robot.tools import NAIL_DRIVERS, SWUNG_MASS, Tool, make_tool, split
-from toolee_robot.types import Category
 
 MAX_MOMENT = 1.7  # [Nm] of its weight about the grip's centre: what the wrist can swing
 MIN_REACH = 0.15  # [m] from the grip's centre to the face, along the handle: room for the hand

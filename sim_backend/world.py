@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolee_robot.config import StationConfig
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.frames import Array, cross
 from toolee_robot.robots import load_robot
@@ -25,7 +26,6 @@ from toolee_robot.sim_backend.physics.nail import Nail
 from toolee_robot.sim_backend.physics.robot_body import RobotBody
 from toolee_robot.sim_backend.physics.wood import NailSpec
 from toolee_robot.tools import Tool
-from toolee_robot.types import Category
 
 QUANTUM = IMPACT.time_step  # [s]
 NORMAL = StepSettings(time_step=4 * QUANTUM, iterations=50, contact_erp=0.2)

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.strategies import rotations
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, rotation_angle
 from toolee_robot.symmetry import SymmetryGroup
-from toolee_robot.types import Category
 
 _groups = st.sampled_from([c.symmetry for c in Category])
 

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
-from toolee_robot.types import CameraIntrinsics, Category, InHandEstimate, RgbdFrame, Trajectory
+from toolee_robot.types import CameraIntrinsics, InHandEstimate, RgbdFrame, Trajectory
 
 _K = CameraIntrinsics(300.0, 300.0, 4.0, 3.0, 8, 6)
 

@@ -18,12 +18,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from toolee_robot.config import StationConfig, load_station
+    from toolee_robot.end_effectors import Category
     from toolee_robot.errors import TooleeError
     from toolee_robot.perception.pipeline import ToolPerception
     from toolee_robot.recording.recorder import RunRecorder
     from toolee_robot.tasks.hammering.grasp import nominal_grasp
     from toolee_robot.tasks.hammering.task import HammeringTask
-    from toolee_robot.types import CameraIntrinsics, Category, RgbdFrame
+    from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 __version__ = "0.1.0"
 
@@ -42,7 +43,7 @@ __all__ = [
 
 _MODULES = {
     "CameraIntrinsics": "toolee_robot.types",
-    "Category": "toolee_robot.types",
+    "Category": "toolee_robot.end_effectors",
     "HammeringTask": "toolee_robot.tasks.hammering.task",
     "RgbdFrame": "toolee_robot.types",
     "RunRecorder": "toolee_robot.recording.recorder",

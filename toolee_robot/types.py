@@ -8,31 +8,9 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
-
-
-class Category(StrEnum):
-    """The four end effectors (EE). Frames at contact: see `toolee_robot.tools`."""
-
-    HAMMER_HEAD = "hammer_head"
-    HAMMER_GRIP = "hammer_grip"
-    SCREWDRIVER_HEAD = "screwdriver_head"
-    WRENCH_HEAD = "wrench_head"
-
-    @property
-    def symmetry(self) -> SymmetryGroup:
-        """The group that decides the metric and the pooling of this category."""
-        return _SYMMETRY[self]
-
-
-_SYMMETRY = {
-    Category.HAMMER_HEAD: SymmetryGroup(SymmetryKind.CINF, (0.0, 0.0, 1.0)),
-    Category.HAMMER_GRIP: SymmetryGroup(SymmetryKind.NONE),
-    Category.SCREWDRIVER_HEAD: SymmetryGroup(SymmetryKind.CINF, (0.0, 0.0, 1.0)),
-    Category.WRENCH_HEAD: SymmetryGroup(SymmetryKind.C2, (1.0, 0.0, 0.0)),
-}
 
 
 class ArmModel(StrEnum):

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.dataset.holdout import BACKDROPS, ROOMS, TEXTURES
-from toolee_robot.perception.dataset.records import CATEGORIES, MIN_POINTS
+from toolee_robot.perception.dataset.records import MIN_POINTS
 from toolee_robot.perception.dataset.spec import SPLITS, DatasetSpec
 
 EDGES: dict[str, list[float]] = {

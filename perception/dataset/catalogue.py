@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.perception.dataset.custom_tools import CustomTool, CustomToolRecord
 from toolee_robot.perception.dataset.holdout import draw
@@ -18,7 +19,6 @@ from toolee_robot.perception.dataset.records import INSTANCES
 from toolee_robot.render import Mesh
 from toolee_robot.tools import TOOL_SPECS, Family, Tool, ToolKind, ToolShape, kinds_of, make_tool, tool_name
 from toolee_robot.tools.catalog import split as split_of
-from toolee_robot.types import Category
 
 _KINDS = tuple(TOOL_SPECS)
 _CUSTOM = len(_KINDS) * INSTANCES

@@ -9,9 +9,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, inverse, transform_points
-from toolee_robot.tools import EndEffector, Handle, Material, Part, ToolShape, ee_radius, materials
-from toolee_robot.types import Category
+from toolee_robot.tools import EndEffector, Handle, Material, Part, ToolShape, materials
 
 MATERIALS: dict[str, Material] = {m.name: m for m in vars(materials).values() if isinstance(m, Material)}
 """What a handle or a head may be made of."""
@@ -123,7 +123,7 @@ def _owners(points: Array, ees: tuple[EndEffector, ...], handle: Handle) -> NDAr
     owner = np.full(len(points), 1)
     for ee in (ee for ee in ees if ee.category is Category.HAMMER_GRIP):
         local = transform_points(inverse(ee.X_tool_ee), points)
-        near = np.linalg.norm(local, axis=1) < ee_radius(ee.category)
+        near = np.linalg.norm(local, axis=1) < ee.category.spec.radius
         side = np.sign(ee.X_tool_ee[0, 3])
         owner[near & (side * points[:, 0] > handle.radii_at(handle.z_max)[0])] = 2
     x, y = (np.interp(points[:, 2], handle.z, radii) for radii in (handle.radii_x, handle.radii_y))

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import pdist
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.symmetry import SymmetryKind
-from toolee_robot.tools import ToolShape, ee_radius
-from toolee_robot.types import Category
+from toolee_robot.tools import ToolShape
 
 MODELS, TOOLS = "models", "tools"
 _EES = 4
@@ -47,9 +47,9 @@ def tool_path(root: Path, name: str) -> Path:
 
 
 def ee_mesh(tool: ToolShape, ee: int) -> trimesh.Trimesh:
-    """The part of the tool's surface within `ee_radius` of the EE's origin, in the EE's frame [mm]."""
+    """The part of the tool's surface within `EndEffectorSpec.radius` of the EE's origin, in the EE's frame [mm]."""
     end = tool.ees[ee]
-    radius = ee_radius(end.category)
+    radius = end.category.spec.radius
     X = inverse(end.X_tool_ee)
     vertices = np.asarray(tool.mesh.vertices) @ X[:3, :3].T + X[:3, 3]
     triangles = vertices[np.asarray(tool.mesh.faces)]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.dataset.instances import (
     MODELS,
@@ -22,7 +23,6 @@ from toolee_robot.perception.dataset.instances import (
 )
 from toolee_robot.perception.dataset.scene_writer import json_by_line
 from toolee_robot.runtime.files import write_atomic
-from toolee_robot.types import Category
 
 
 def write_models(root: Path, catalogue: Catalogue, obj_ids: Iterable[int]) -> None:

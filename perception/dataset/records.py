@@ -7,14 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.types import CameraIntrinsics, Category, RgbdFrame
+from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 HEIGHT, WIDTH = 424, 512
 """Every image of the data set has this size [px]."""
 MAX_EES = 8
 """EE ids are 1..MAX_EES."""
-CATEGORIES = tuple(Category)
-"""Class index k + 1 is CATEGORIES[k]; 0 is no EE."""
 MIN_POINTS = 50
 """An EE with fewer visible pixels counts as not labelled: neither to be found nor a false alarm."""
 NEAREST, FARTHEST = 0.4, 1.1
@@ -87,7 +85,7 @@ class EeTable:
 @dataclass(frozen=True, eq=False)
 class Example:
     """rgb (H, W, 3) uint8. depth_mm (H, W) uint16, the noisy sensor's, 0 where unknown. ee (H, W) uint8: id of the EE
-    whose sphere (`toolee_robot.tools.ee_radius`) holds the tool's pixel (the nearer one where two overlap), 0 for
+    whose sphere (`EndEffectorSpec.radius`) holds the tool's pixel (the nearer one where two overlap), 0 for
     none. tool (H, W) uint8: id of the tool, 0 for none. scene: index in `SCENES`. full (H, W) uint8: bit k - 1 is set
     where EE k would be seen if nothing but its tool were there."""
 

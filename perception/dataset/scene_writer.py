@@ -28,13 +28,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue
 from toolee_robot.perception.dataset.clouds import CloudWriter
 from toolee_robot.perception.dataset.encoding import png, rle
 from toolee_robot.perception.dataset.encoding.checksums import write_sums
 from toolee_robot.perception.dataset.instances import object_of
 from toolee_robot.perception.dataset.records import (
-    CATEGORIES,
     HEIGHT,
     MIN_POINTS,
     POSES,

@@ -20,6 +20,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from torchvision.models.resnet import BasicBlock
 from torchvision.ops import batched_nms, roi_align
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError
 from toolee_robot.perception.detection.boxes import (
     ANCHOR_RATIOS,
@@ -33,7 +34,6 @@ from toolee_robot.perception.detection.inputs import CHANNELS, RgbdBatch, mirror
 from toolee_robot.perception.detection.mask_head import MaskHead, features_size, mask_boxes
 from toolee_robot.perception.precision import fold_normalisation
 from toolee_robot.perception.weight_files import load_into, load_weights
-from toolee_robot.types import Category
 
 CLASSES: tuple[str, ...] = ("background", *(c.value for c in Category), "tool")
 """Class index -> name. Index 5 is the whole visible tool."""

@@ -6,8 +6,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.perception.detection.detector import CLASSES, TOOL
-from toolee_robot.types import Category, Detection
+from toolee_robot.types import Detection
 
 MIN_TOOL_OVERLAP = 0.5
 """Share of an EE's mask that a tool's mask must cover for the EE to belong to that tool."""

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import AssetError, PerceptionError
 from toolee_robot.frames import Array
 from toolee_robot.perception.evaluation import metrics
@@ -22,9 +23,6 @@ from toolee_robot.perception.research.tooleenet.estimator import NAME as PAPER
 from toolee_robot.perception.research.tooleenet.representation import class_ambiguity
 from toolee_robot.perception.trust import Trust
 from toolee_robot.symmetry import SymmetryKind
-from toolee_robot.types import Category
-
-CATEGORIES = tuple(Category)
 
 
 @dataclass(frozen=True, eq=False)

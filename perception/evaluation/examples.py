@@ -9,17 +9,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array
 from toolee_robot.perception.cloud import EeCloud, back_project, ee_cloud, without_flying_pixels
 from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.dataset.instances import object_of
-from toolee_robot.perception.dataset.records import CATEGORIES, MIN_POINTS, SCENES, EeTable
+from toolee_robot.perception.dataset.records import MIN_POINTS, SCENES, EeTable
 from toolee_robot.perception.dataset.scene_reader import load_scenes, read_json, scene_folders
 from toolee_robot.perception.dataset.spec import catalogue_of
 from toolee_robot.perception.detection.instances import mask_iou
 from toolee_robot.perception.pipeline import EeDetector
-from toolee_robot.types import CameraIntrinsics, Category, Detection, RgbdFrame
+from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
 
 SPLITS = ("test", "train")
 MATCH_IOU = 0.5

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.stats import binomtest
 
-from toolee_robot.perception.evaluation.estimates import CATEGORIES, Estimates
+from toolee_robot.end_effectors import CATEGORIES
+from toolee_robot.perception.evaluation.estimates import Estimates
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,7 +33,7 @@ def accuracy_curves(estimates: dict[str, Estimates], title: str) -> bytes:
                 continue
             axes[0, column].plot(degrees, _share_under(np.rad2deg(own.angle), degrees), color=colour, label=label)
             axes[1, column].plot(millimetres, _share_under(1e3 * own.position, millimetres), color=colour, label=label)
-        axes[0, column].set_title(f"{CATEGORIES[i].replace('_', ' ')}", fontsize=10, color=_INK)
+        axes[0, column].set_title(CATEGORIES[i].spec.label, fontsize=10, color=_INK)
         axes[0, column].set_xlabel("rotation threshold [deg]")
         axes[1, column].set_xlabel("position threshold [mm]")
     for row in axes:

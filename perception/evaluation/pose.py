@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.perception.evaluation import metrics
-from toolee_robot.perception.evaluation.estimates import CATEGORIES, Estimates, Ranked
+from toolee_robot.perception.evaluation.estimates import Estimates, Ranked
 from toolee_robot.perception.evaluation.examples import Instance
 from toolee_robot.perception.evaluation.shapes import ee_shape
 from toolee_robot.perception.pose.confidence import RIGHT
-from toolee_robot.types import Category
 
 GROUPS = ("held-out", "seen")
 IOU = 0.1
@@ -75,8 +75,10 @@ def _bop(e: Estimates) -> dict[str, float]:
 
 
 def _symmetry(e: Estimates) -> dict[str, Any]:
-    """Share of views whose S is the class's constant, and of hammer heads whose spin is rightly called observable."""
-    hammers = e.rows(e.made & (e.category == CATEGORIES.index(Category.HAMMER_HEAD)))
+    """Share of views whose S is the class's constant, and of those that may show the spin, such as a hammer head's,
+    whose spin is rightly called observable."""
+    cued = [i for i, category in enumerate(CATEGORIES) if category.spec.spin_cues]
+    hammers = e.rows(e.made & np.isin(e.category, cued))
     right = (hammers.spin_observable > 0.5) == hammers.spin_told
     each = [
         float(right[hammers.spin_told == observable].mean())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from toolee_robot.end_effectors import label_of
 from toolee_robot.perception.evaluation import figures
 from toolee_robot.perception.evaluation.html import Page
 from toolee_robot.perception.evaluation.metrics import THRESHOLDS
@@ -120,7 +121,7 @@ def _accuracy(out: Page, found: dict[str, Any]) -> None:
             row = t["accuracy"][category]
             cells = [(_share(row[k]), len(block) > 1 and row[k] == best[k] > 0) for k in THRESHOLDS]
             rule = [_share(t["paper_rule"][category][k]) for k in _PAPER]
-            rows.append([category.replace("_", " "), label, row["instances"], *cells, *rule])
+            rows.append([label_of(category), label, row["instances"], *cells, *rule])
     out.table(head, rows, starts, left=2)
 
 
@@ -135,7 +136,7 @@ def _quality(out: Page, found: dict[str, Any]) -> None:
             numbers = [_number(e[k]) for k in ("median_mm", "p95_mm", "median_deg", "p95_deg")]
             spins = [_number(e[k]) for k in ("spin_median_deg", "spin_with_hand_median_deg")]
             recalls = [_share(bop[k]) for k in ("AR_MSSD", "AR_MSPD", "AR")]
-            rows.append([category.replace("_", " "), label, _share(e["estimated"]), *numbers, *spins, *recalls])
+            rows.append([label_of(category), label, _share(e["estimated"]), *numbers, *spins, *recalls])
     out.table(head, rows, left=2)
 
 
@@ -162,7 +163,7 @@ def _confidence(out: Page, found: dict[str, Any]) -> None:
     head = ["category", "estimator", "kept", "share", "centre median mm", "95 % mm", "normal median °", "95 % °"]
     keys = ("centre_median_mm", "centre_p95_mm", "normal_median_deg", "normal_p95_deg")
     kept_rows = [
-        [category.replace("_", " "), label, name.replace("_percent", " %").replace("_", " "), _share(k["share"])]
+        [label_of(category), label, name.replace("_percent", " %").replace("_", " "), _share(k["share"])]
         + [_number(k[key]) for key in keys]
         for label, t in found.items()
         if t["confidence"] is not None
@@ -178,7 +179,7 @@ def _ranked(out: Page, report: dict[str, Any]) -> None:
     out.section("Score-ranked AP")
     head = ["category", "estimator", "masks", *(_NAMES[k] for k in THRESHOLDS)]
     rows = [
-        [category.replace("_", " "), label, _MASKS[masks], *(_share(row[k]) for k in THRESHOLDS)]
+        [label_of(category), label, _MASKS[masks], *(_share(row[k]) for k in THRESHOLDS)]
         for label, record in report["estimators"].items()
         for masks in _MASKS
         if masks in record

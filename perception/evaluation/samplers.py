@@ -12,8 +12,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.perception.evaluation import metrics
-from toolee_robot.perception.evaluation.estimates import CATEGORIES, estimate_case
+from toolee_robot.perception.evaluation.estimates import estimate_case
 from toolee_robot.perception.evaluation.examples import Examples
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
 from toolee_robot.perception.pose.processes.flow import Euler, Field, Process, Sampler

@@ -13,9 +13,7 @@ from toolee_robot.frames import Array, inverse, transform_points
 from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.dataset.instances import ee_mesh
 from toolee_robot.perception.evaluation.examples import Case, Instance
-from toolee_robot.perception.pose.synthetic_clouds.surface_samples import ASYMMETRIC
 from toolee_robot.perception.pose.training.losses import SPIN_PIXELS
-from toolee_robot.types import Category
 
 _VERTICES = 400
 
@@ -40,9 +38,9 @@ def ee_shape(catalogue: Catalogue, tool: int, ee: int) -> EeShape:
 
 
 def spin_is_observable(instance: Instance, case: Case) -> bool:
-    """Whether the view holds what tells the spin about a hammer's axis, by the rule that training labels with: enough
-    points of the handle or the claw in the cloud, or the rest of the tool in sight off the axis."""
-    if instance.category is not Category.HAMMER_HEAD:
+    """Whether the view holds what tells the spin about a free axis, by the rule that training labels with: enough
+    points of such parts in the cloud, or the rest of the tool in sight off the axis."""
+    if not instance.category.spec.spin_cues:
         return False
     z = instance.X_camera_ee[:3, 2]
     if case.cloud.direction is not None and float(np.linalg.norm(np.cross(case.cloud.direction, z))) > 0.3:
@@ -51,8 +49,8 @@ def spin_is_observable(instance: Instance, case: Case) -> bool:
 
 
 def spin_points(instance: Instance, case: Case) -> int:
-    """How many points of the cloud are of what tells the spin about a hammer's axis: handle or claw."""
-    tree, tells = _labelled_surface(instance.catalogue, instance.tool)
+    """How many points of the cloud are of parts that tell the spin about a free axis, `EndEffectorSpec.spin_cues`."""
+    tree, tells = _labelled_surface(instance.catalogue, instance.tool, instance.category.spec.spin_cues)
     X_tool_ee = instance.catalogue.tool(instance.tool).ees[instance.ee].X_tool_ee
     X_tool_camera = X_tool_ee @ inverse(instance.X_camera_ee)
     nearest = tree.query(transform_points(X_tool_camera, case.cloud.points))[1]
@@ -60,8 +58,8 @@ def spin_points(instance: Instance, case: Case) -> int:
 
 
 @lru_cache(maxsize=512)
-def _labelled_surface(catalogue: Catalogue, number: int) -> tuple[cKDTree, Array]:
+def _labelled_surface(catalogue: Catalogue, number: int, cues: tuple[str, ...]) -> tuple[cKDTree, Array]:
     tool = catalogue.tool(number)
     points, _, parts = tool.sample_surface(6000, np.random.default_rng(0))
-    tells = np.array([part.label in ASYMMETRIC for part in tool.parts])[parts]
+    tells = np.array([part.label in cues for part in tool.parts])[parts]
     return cKDTree(points), tells

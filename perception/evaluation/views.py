@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.perception.dataset.records import EeTable
@@ -18,7 +19,7 @@ from toolee_robot.perception.synthesis.example import Series, expose, label, ren
 from toolee_robot.perception.synthesis.hard import ARM, HAND, hard_scene
 from toolee_robot.perception.synthesis.placement import PlacedTool, Pool, SceneSample
 from toolee_robot.render.renderer import Shot
-from toolee_robot.types import Category, RgbdFrame
+from toolee_robot.types import RgbdFrame
 
 VIEWS = 5
 _TURN, _SHIFT = np.deg2rad(60.0), 0.05

@@ -12,16 +12,16 @@ from functools import cache
 import numpy as np
 import torch
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, PATCHES, POINTS, CanonicalCloud
 from toolee_robot.perception.pose.canonical_single import canonicalize_one, with_rest_one
 from toolee_robot.perception.pose.network import DIRECTION_DIM
 from toolee_robot.perception.pose.processes.flow import Process, Sampler
-from toolee_robot.perception.pose.spin import fix_spin, nominal_R_tool_ee, with_spin_variance
+from toolee_robot.perception.pose.spin import fix_spin, with_spin_variance
 from toolee_robot.symmetry import SymmetryKind
-from toolee_robot.tools.model import ee_radius
-from toolee_robot.types import Category, PoseHypotheses
+from toolee_robot.types import PoseHypotheses
 
 CANDIDATES = 20
 """As the paper draws; 32 measured no better."""
@@ -72,7 +72,7 @@ class CloudEstimator(ABC):
 
     def radius(self, category: Category) -> float:
         """Radius [m] of the sphere that holds what the cloud shows."""
-        return ee_radius(category)
+        return category.spec.radius
 
     @torch.inference_mode()
     def estimate(
@@ -170,7 +170,7 @@ def _nominal_R_hand_ee(category: Category) -> Array:
     """3x3, of an EE in the hand that holds its tool as the project's hand does."""
     from toolee_robot.robots import SHADOW_HAND
 
-    R: Array = SHADOW_HAND.grasp.X_hand_tool(0.015)[:3, :3] @ nominal_R_tool_ee(category)
+    R: Array = SHADOW_HAND.grasp.X_hand_tool(0.015)[:3, :3] @ category.spec.R_tool_ee
     return R
 
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array
 from toolee_robot.perception.pose.canonical import MIN_POINTS
 from toolee_robot.perception.pose.pooling import Pooled
-from toolee_robot.types import Category
 
 RIGHT = (10.0, 0.02)
 """[deg], [m] A pose within these, modulo its category's symmetry, is right: what confidence and trust are fitted to,

@@ -15,18 +15,19 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception.pose import confidence
 from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
 from toolee_robot.perception.pose.cuda_graph import CudaGraphRunner
-from toolee_robot.perception.pose.network import CATEGORIES, CONTEXT_DIM, REGRESSED, SAMPLER, PoseNet, Seen
+from toolee_robot.perception.pose.network import CONTEXT_DIM, REGRESSED, SAMPLER, PoseNet, Seen
 from toolee_robot.perception.pose.pooling import Pooled, pairwise_angles, pool
 from toolee_robot.perception.pose.processes.flow import Euler, Sampler
 from toolee_robot.perception.pose.representation import DIM, T_SCALE, decode, mirrored
 from toolee_robot.perception.pose.weights import Calibration, load
 from toolee_robot.perception.precision import prefers_bfloat16, single_thread
-from toolee_robot.types import Category, PoseHypotheses
+from toolee_robot.types import PoseHypotheses
 
 
 class PoseEstimator(CloudEstimator):

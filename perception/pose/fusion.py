@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE, align, pairwise_angles
 from toolee_robot.perception.pose.spin import with_spin_variance
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
-from toolee_robot.types import Category, InHandEstimate
+from toolee_robot.types import InHandEstimate
 
 FLOOR_POSITION = 0.0010
 """[m] systematic error that no number of frames removes, each axis."""

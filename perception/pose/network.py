@@ -16,14 +16,13 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.perception.pose.canonical import PATCHES, REST_PATCHES, CanonicalCloud
 from toolee_robot.perception.pose.processes.flow import Euler, Process
 from toolee_robot.perception.pose.processes.registry import PROCESSES
 from toolee_robot.perception.pose.representation import DIM
 from toolee_robot.perception.precision import in_bfloat16
-from toolee_robot.types import Category
 
-CATEGORIES = tuple(Category)
 SAMPLER = Euler(3)
 REGRESSED = ("mean", "log_sigma", "valid")
 """What `PoseNet.regress` gives."""

@@ -15,23 +15,6 @@ from toolee_robot.frames import Array
 from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE, align
 from toolee_robot.perception.pose.rotations import rotation_matrix, twist_angles
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
-from toolee_robot.types import Category
-
-# Columns: the EE's axes in the tool's frame (tool z from the butt to the head, tool x to the working side).
-_R_TOOL_EE: dict[Category, Array] = {
-    # z = tool x (the face's normal), x = -tool z (toward the butt).
-    Category.HAMMER_HEAD: np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
-    # z = tool z (away from the handle), x = -tool x (toward the open tips).
-    Category.HAMMER_GRIP: np.array([[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]),
-    Category.SCREWDRIVER_HEAD: np.eye(3),
-    # z = tool y (the nut's axis), x = -tool z (toward the handle's end).
-    Category.WRENCH_HEAD: np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]]),
-}
-
-
-def nominal_R_tool_ee(category: Category) -> Array:
-    """3x3 rotation of the EE's frame in the tool's, nominal for the category (single tools are bent or tilted)."""
-    return _R_TOOL_EE[category].copy()
 
 
 def fix_spin(

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError
 from toolee_robot.perception import weight_files
 from toolee_robot.perception.pose.confidence import FEATURES, ConfidenceModel
 from toolee_robot.perception.pose.network import NetworkConfig, PoseNet
 from toolee_robot.perception.pose.pooling import SigmaScale
-from toolee_robot.types import Category
 
 NAME = "pose"
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from toolee_robot.end_effectors import label_of
 from toolee_robot.perception.pose.cloud_estimator import CANDIDATES, CloudEstimator, PoseResult
 from toolee_robot.perception.pose.estimator import PoseEstimator
 from toolee_robot.perception.pose.network import NetworkConfig
@@ -156,7 +157,7 @@ def write_table(out: Path) -> str:
 
 def _markdown(rows: list[dict[str, Any]]) -> str:
     categories = list(dict.fromkeys(c for r in rows for c in r["metrics"] if c != "average"))
-    names = [c.replace("_", " ") for c in categories]
+    names = [label_of(c) for c in categories]
     head = ["decision", "change", "steps", "min", "5° 2 cm", "5° 1 cm", "10° 2 cm", "mm", "°", *names]
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for r in rows:

@@ -13,13 +13,13 @@ import trimesh
 from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array, angle_between, frame_from_axes, inverse, transform_points
 from toolee_robot.perception.dataset.custom_tools import MATERIALS, CustomMesh, CustomToolRecord, cut_at_parts
 from toolee_robot.perception.dataset.instances import ply_bytes
 from toolee_robot.runtime.yaml_files import read_record
 from toolee_robot.symmetry import SymmetryKind
-from toolee_robot.types import Category
 
 DESCRIPTION = "tool.yaml"
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -191,7 +191,7 @@ def _tool_frame(category: Category, X_mesh_ee: Array, butt: Array, end: Array) -
     """X_mesh_tool: the grip's centre, z from butt to end, x to the working side (a wrench's y: the nut's axis)."""
     z = (end - butt) / np.linalg.norm(end - butt)
     side = X_mesh_ee[:3, 2]
-    x = np.cross(side, z) if category is Category.WRENCH_HEAD else side
+    x = np.cross(side, z) if category.spec.R_tool_ee[1, 2] else side
     if np.linalg.norm(np.cross(x, z)) < 0.1:
         x = X_mesh_ee[:3, 0]
     return frame_from_axes(z=z, x=x, p=butt + z * min(_GRIP, 0.5 * float(np.linalg.norm(end - butt))))

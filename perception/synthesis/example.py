@@ -14,7 +14,7 @@ from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, number_of
 from toolee_robot.perception.dataset.encoding.masks import pixels_of
 from toolee_robot.perception.dataset.instances import object_id
-from toolee_robot.perception.dataset.records import CATEGORIES, HEIGHT, MAX_EES, WIDTH, EeTable, Example
+from toolee_robot.perception.dataset.records import HEIGHT, MAX_EES, WIDTH, EeTable, Example
 from toolee_robot.perception.dataset.spec import CONFIGS, SPLITS, DatasetSpec
 from toolee_robot.perception.synthesis.hard import hard_scene
 from toolee_robot.perception.synthesis.paper import paper_scene
@@ -23,7 +23,6 @@ from toolee_robot.perception.synthesis.station import station_scene
 from toolee_robot.render.renderer import Shot
 from toolee_robot.render.sensors.color_camera import Photo, photograph
 from toolee_robot.render.sensors.depth_camera import measure_depth
-from toolee_robot.tools import ee_radius
 from toolee_robot.types import CameraIntrinsics
 
 EMPTY_SHARE, STATION_SHARE = 0.10, 0.30
@@ -147,7 +146,7 @@ def label(sample: SceneSample, shot: Shot) -> Labels:
         X_camera_tool = X_camera_world @ placed.X_world_tool
         ees = placed.tool.ees[: MAX_EES + 1 - next_id]
         Xs_camera_ee = [X_camera_tool @ ee.X_tool_ee for ee in ees]
-        reach = _Reach(Xs_camera_ee, np.array([ee_radius(ee.category) for ee in ees]), sample.circle)
+        reach = _Reach(Xs_camera_ee, np.array([ee.category.spec.radius for ee in ees]), sample.circle)
         of_tool = shown == placed.body_id
         rows, columns, own = reach.within(depth, tool_rows[of_tool], tool_columns[of_tool], sample.intrinsics)
         ee_ids[rows, columns] = next_id + own
@@ -155,7 +154,7 @@ def label(sample: SceneSample, shot: Shot) -> Labels:
         alone = _alone(shot, placed.body_id, reach, sample.intrinsics, full, next_id)
         for k, ee in enumerate(ees):
             row = next_id - 1 + k
-            table.category[row] = CATEGORIES.index(ee.category) + 1
+            table.category[row] = ee.category.spec.class_id
             table.tool[row] = placed.body_id
             table.obj_id[row] = object_id(number_of(placed.tool), k)
             table.X_camera_ee[row] = Xs_camera_ee[k]

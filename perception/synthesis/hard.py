@@ -41,7 +41,7 @@ from toolee_robot.perception.synthesis.surfaces import Surfaces
 from toolee_robot.render import Body, Scene
 from toolee_robot.render.lab import environment, lamps
 from toolee_robot.render.mesh import box, cylinder
-from toolee_robot.tools import ToolShape, ee_radius
+from toolee_robot.tools import ToolShape
 from toolee_robot.types import CameraIntrinsics
 
 ROOM, HAND, ARM, OBJECT = 100, 101, 102, 103
@@ -186,7 +186,7 @@ def _occluders(
             continue
         sight = (item.X_world_tool @ ee.X_tool_ee)[:3, 3] - X_world_camera[:3, 3]
         share = rng.uniform(0.45, 0.93)
-        reach = share * ee_radius(ee.category)  # of the EE as it looks at the occluder's distance
+        reach = share * ee.category.spec.radius  # of the EE as it looks at the occluder's distance
         R = frame_from_axes(z=sight, x=np.cross(sight, rng.normal(size=3)), p=np.zeros(3))[:3, :3]
         if rng.random() < 0.3:
             p = R[:, 0] * rng.uniform(0.2, 1.3) * reach

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import transform, transform_points
 from toolee_robot.perception.dataset.paper_camera import CIRCLE, FOCAL, FULL_HEIGHT, FULL_WIDTH
 from toolee_robot.perception.dataset.records import HEIGHT, SCENES, WIDTH
@@ -19,7 +20,7 @@ from toolee_robot.render import Material, Scene
 from toolee_robot.render.lab import environment, lamps
 from toolee_robot.render.palette import linear
 from toolee_robot.robots import SHADOW_HAND, wrap_fingers
-from toolee_robot.types import CameraIntrinsics, Category
+from toolee_robot.types import CameraIntrinsics
 
 DEPTHS = (0.42, 0.98)
 _MARGIN = 60.0

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import (
     Array,
     frame_from_axes,
@@ -23,7 +24,7 @@ from toolee_robot.perception.synthesis.bodies import Grasp, random_grasp
 from toolee_robot.perception.synthesis.surfaces import Surfaces
 from toolee_robot.render import Scene
 from toolee_robot.tools import ToolShape
-from toolee_robot.types import CameraIntrinsics, Category
+from toolee_robot.types import CameraIntrinsics
 
 _GRASP_RADII = (0.006, 0.009, 0.012, 0.0145, 0.017, 0.021)
 _GRASPS_EACH = 2
@@ -88,7 +89,7 @@ class PlacedTool:
 @dataclass(frozen=True, eq=False)
 class SceneSample:
     """A scene to be rendered, and what is in it. kind: index in `records.SCENES`. circle: an EE is what its tool shows
-    within this many pixels of the EE's origin, instead of within `ee_radius`; None for the latter."""
+    within this many pixels of the EE's origin, instead of within `EndEffectorSpec.radius`; None for the latter."""
 
     scene: Scene
     intrinsics: CameraIntrinsics

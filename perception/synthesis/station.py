@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH
 from toolee_robot.perception.synthesis.bodies import (
@@ -30,7 +31,7 @@ from toolee_robot.render.mesh import box, cylinder, sphere
 from toolee_robot.render.palette import any_color, finish, skin_tone
 from toolee_robot.robots.description import arm_tree
 from toolee_robot.tools import ToolShape
-from toolee_robot.types import CameraIntrinsics, Category
+from toolee_robot.types import CameraIntrinsics
 
 _CAMERA = np.array([0.95, -0.62, 0.85])
 _TARGET = np.array([0.60, -0.15, 0.72])

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.perception.dataset.catalogue import Catalogue, StoredTool
 from toolee_robot.perception.synthesis.bodies import tool_meshes
 from toolee_robot.render import Mesh
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.tools import EndEffector, Handle, Material, Part, ToolShape
-from toolee_robot.types import Category
 
 TOOL_CACHE = ".tools.part"
 """The files' folder in a data set's; what ends so is cleared away when a run begins or ends."""

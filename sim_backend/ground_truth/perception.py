@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.sim_backend.ground_truth.verdict import Truth
-from toolee_robot.types import Category, Detection, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import Detection, InHandEstimate, RgbdFrame, ToolEstimate
 
 _SIGMA = 1e-4
 """Claimed standard deviation [m, rad]: none, but covariances must be positive."""

@@ -14,12 +14,13 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import TooleeError
 from toolee_robot.frames import Array, angle_between, inverse, transform
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.sim_backend.physics.nail import SLIDE, Nail
 from toolee_robot.sim_backend.physics.wood import driving_work
-from toolee_robot.types import Category, InHandEstimate
+from toolee_robot.types import InHandEstimate
 
 HISTORY_PERIOD = 1 / 240  # [s] between recorded poses
 STRIKE_SPEED = 0.15  # [m/s] of approach above which a contact is a strike, not a touch

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from toolee_robot.cli.app import run
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import is_rigid
 from toolee_robot.perception import ToolPerception
-from toolee_robot.perception.dataset.records import CATEGORIES, Example
+from toolee_robot.perception.dataset.records import Example
 from toolee_robot.perception.synthesis.example import Series, make_example, render_example
-from toolee_robot.types import Category
 
 pytestmark = pytest.mark.sim
 

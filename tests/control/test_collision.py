@@ -10,11 +10,11 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, ToolEnvelope
 from toolee_robot.control.collision import FAR
 from toolee_robot.control.collision_shapes import TOOL_JOINT, Body, box_body
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import CollisionError
 from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.tools import Family, kinds_of, make_tool
 from toolee_robot.tools import test_seeds as seeds_of_test_tools
-from toolee_robot.types import Category
 
 
 def exact(world: CollisionWorld, q: Array) -> dict[tuple[str, str], float]:

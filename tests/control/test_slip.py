@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.config import WorkConfig
 from toolee_robot.control import merge, protrusion, slip
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, transform
-from toolee_robot.types import Category, InHandEstimate
+from toolee_robot.types import InHandEstimate
 
 SURE = np.eye(6) * 1e-6
 VAGUE = np.diag([2e-3**2] * 3 + [0.04**2] * 3)

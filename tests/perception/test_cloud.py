@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.perception.cloud import (
     back_project,
@@ -16,7 +17,7 @@ from toolee_robot.perception.cloud import (
     without_flying_pixels,
 )
 from toolee_robot.perception.pose.canonical import MIN_POINTS
-from toolee_robot.types import CameraIntrinsics, Category, Detection, RgbdFrame
+from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
 
 CAMERA = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, PerceptionError, UserError
 from toolee_robot.frames import transform
 from toolee_robot.perception import ToolPerception
@@ -16,7 +17,7 @@ from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.pose.confidence import FEATURES, ConfidenceModel
 from toolee_robot.perception.pose.network import NetworkConfig, PoseNet
 from toolee_robot.perception.pose.weights import Calibration
-from toolee_robot.types import CameraIntrinsics, Category, Detection, RgbdFrame, ToolEstimate
+from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame, ToolEstimate
 
 CAMERA = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)
 

@@ -13,6 +13,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from toolee_robot.cli.app import run
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.frames import Array, transform_points
 from toolee_robot.perception.dataset.scene_writer import write_scene
@@ -23,7 +24,7 @@ from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.pose.canonical import REST_MIN, CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import PoseResult
 from toolee_robot.perception.pose.network import NetworkConfig
-from toolee_robot.perception.pose.synthetic_clouds.batch import CATEGORY_SHARE, CloudBatch, CloudConfig
+from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.synthetic_clouds.rendered import RenderedClouds, RenderedSource
 from toolee_robot.perception.pose.synthetic_clouds.source import CloudSource, Mixture
 from toolee_robot.perception.pose.synthetic_clouds.surface_samples import sample_hands, sample_tools
@@ -34,8 +35,7 @@ from toolee_robot.perception.rendered_clouds import of_part, tools_of_part
 from toolee_robot.perception.research.tooleenet import PaperEstimator
 from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.perception.training.distributed import Distributed
-from toolee_robot.tools import ee_radius
-from toolee_robot.types import Category, Detection, RgbdFrame
+from toolee_robot.types import Detection, RgbdFrame
 
 pytestmark = pytest.mark.sim(seconds=20)
 
@@ -61,7 +61,7 @@ def test_both_kinds_of_masks_give_clouds_about_their_ends(clouds: RenderedClouds
     for i in np.flatnonzero(clouds.positive):
         points = clouds.points[starts[i, 0] : starts[i, 0] + clouds.counts[i, 0]]
         local = (points - clouds.X_camera_target[i, :3, 3]) @ clouds.X_camera_target[i, :3, :3]
-        radius = ee_radius(list(Category)[clouds.category[i]])
+        radius = list(Category)[clouds.category[i]].spec.radius
         assert np.median(np.linalg.norm(local, axis=1)) < radius + 0.01
         found += 1
     poses = clouds.X_camera_target[clouds.positive]
@@ -118,7 +118,7 @@ def test_a_batch_s_truth_is_the_kept_one_in_the_canonical_frame(clouds: Rendered
         assert apart.min() < 1e-5
         # In the EE's own frame the points are about its origin.
         local = (batch.points[i] - batch.p[i]) @ batch.R[i]
-        assert local.norm(dim=-1).median() < ee_radius(list(Category)[int(batch.category[i])]) + 0.01
+        assert local.norm(dim=-1).median() < list(Category)[int(batch.category[i])].spec.radius + 0.01
         if batch.rest_known[i]:
             to_rest = torch.nn.functional.normalize(batch.rest[i].median(0).values, dim=0)
             assert (batch.direction[i, :3] * to_rest).sum() > 0.7, "the direction is that to the rest of the tool"
@@ -153,7 +153,7 @@ def test_categories_are_drawn_by_their_shares_and_negatives_by_theirs(clouds: Re
     assert float((~batch.positive).float().mean()) == pytest.approx(0.2, abs=0.04)
     of = batch.category[batch.positive]
     for k, category in enumerate(Category):
-        assert float((of == k).float().mean()) == pytest.approx(CATEGORY_SHARE[category], abs=0.05)
+        assert float((of == k).float().mean()) == pytest.approx(category.spec.training_share, abs=0.05)
 
 
 def _one(clouds: RenderedClouds, i: int) -> RenderedClouds:

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.perception import ToolPerception
 from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.spec import DatasetSpec
@@ -27,7 +28,7 @@ from toolee_robot.perception.evaluation.estimates import Ranked
 from toolee_robot.perception.evaluation.examples import collect
 from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.perception.weight_files import WEIGHTS_DIR
-from toolee_robot.types import Category, Detection, RgbdFrame, ToolEstimate
+from toolee_robot.types import Detection, RgbdFrame, ToolEstimate
 
 pytestmark = pytest.mark.sim(seconds=100)
 

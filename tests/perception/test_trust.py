@@ -10,12 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception import weight_files
 from toolee_robot.perception.fit_trust import TrustSamples, fit
 from toolee_robot.perception.pose.cloud_estimator import PoseResult
 from toolee_robot.perception.trust import Trust, features
-from toolee_robot.types import Category, PoseHypotheses
+from toolee_robot.types import PoseHypotheses
 
 unit = st.floats(0.0, 1.0)
 HEAD = Category.HAMMER_HEAD

@@ -7,16 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import transform
 from toolee_robot.recording.picture import NailCurve, draw
-from toolee_robot.types import (
-    CameraIntrinsics,
-    Category,
-    Detection,
-    PoseHypotheses,
-    RgbdFrame,
-    ToolEstimate,
-)
+from toolee_robot.types import CameraIntrinsics, Detection, PoseHypotheses, RgbdFrame, ToolEstimate
 
 _K = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)
 _BLUE = (40, 60, 200)

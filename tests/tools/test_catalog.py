@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.tools import (
     TOOL_SPECS,
@@ -14,7 +15,6 @@ from toolee_robot.tools import (
     test_seeds,
     train_seeds,
 )
-from toolee_robot.types import Category
 
 
 @pytest.mark.parametrize("kind", list(ToolKind))

@@ -7,9 +7,9 @@ import pytest
 import trimesh
 
 from tests.tools.rays import cast, first
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, inverse, is_rigid, transform_points
-from toolee_robot.tools import EndEffector, Family, Tool, ToolKind, ee_radius, kinds_of, make_tool
-from toolee_robot.types import Category
+from toolee_robot.tools import EndEffector, Family, Tool, ToolKind, kinds_of, make_tool
 
 SEEDS = range(6)
 
@@ -178,5 +178,5 @@ def test_ee_spheres_reach_the_ee_and_not_the_grip() -> None:
         tool = make_tool(kind, 0)
         for ee in tool.ees:
             points, _, _ = tool.sample_surface(3000, np.random.default_rng(0))
-            near = np.linalg.norm(points - ee.X_tool_ee[:3, 3], axis=1) < ee_radius(ee.category)
+            near = np.linalg.norm(points - ee.X_tool_ee[:3, 3], axis=1) < ee.category.spec.radius
             assert 0.01 < near.mean() < 0.8

@@ -15,6 +15,7 @@ from rich.table import Table
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
+from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import UserError
 from toolee_robot.recording.pose_text import pose_text, sigma_text
 from toolee_robot.runtime.files import write_atomic
@@ -146,7 +147,7 @@ def _verdict(console: Console, estimates: list[ToolEstimate]) -> int:
     said = Console(stderr=True, highlight=False) if not console.stderr else console
     if not estimates:
         said.print(
-            "[bold red]no tool found:[/bold red] none of hammer head, claw, screwdriver tip or wrench jaw is in view; "
+            f"[bold red]no tool found:[/bold red] none of {', '.join(c.spec.label for c in CATEGORIES)} is in view; "
             "bring the end effector nearer (0.4 to 1.1 m) and into the image"
         )
     else:
@@ -165,7 +166,7 @@ def _table(estimates: list[ToolEstimate], title: str) -> Table:
     table.add_column("usable")
     for e in estimates:
         table.add_row(
-            e.category.replace("_", " "),
+            e.category.spec.label,
             pose_text(e.X_camera_ee).replace("  ", "\n"),  # position over rotation: it fits 80 columns
             sigma_text(e.covariance, e.X_camera_ee).replace("  ", "\n"),
             f"{e.trust:.2f}",

@@ -7,6 +7,8 @@ from typing import Any
 
 from rich.table import Table
 
+from toolee_robot.end_effectors import label_of
+
 _SHOWN = ("5deg2cm", "10deg5cm", "5deg1cm", "5deg5mm")
 """What the terminal shows; the report has all thresholds."""
 
@@ -26,7 +28,7 @@ def pose_tables(report: dict[str, Any]) -> Iterator[Table]:
     for masks in ("truth", "predicted"):
         for group in ("held-out", "seen"):
             rows = [
-                [category.replace("_", " "), label, str(row["instances"]), *(f"{row[k]:.3f}" for k in _SHOWN)]
+                [label_of(category), label, str(row["instances"]), *(f"{row[k]:.3f}" for k in _SHOWN)]
                 for label, record in report["estimators"].items()
                 for category, row in _accuracy(record, masks, group).items()
             ]
@@ -65,7 +67,7 @@ def segmentation_rows(found: dict[str, Any]) -> list[list[str]]:
     from toolee_robot.perception.evaluation.segmentation import STATISTICS
 
     return [
-        [name.replace("_", " "), str(row.get("instances", ""))]
+        [label_of(name), str(row.get("instances", ""))]
         + ["–" if row[k] is None else f"{100 * row[k]:.1f}" for k in STATISTICS]
         for name, row in found.items()
         if isinstance(row, dict)

@@ -8,11 +8,11 @@ import numpy as np
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover, plan_strike, plan_views
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PlanningError
 from toolee_robot.findings import Finding, ok, warn
 from toolee_robot.frames import Array
 from toolee_robot.tools import NAIL_DRIVERS, SWUNG_MASS, Tool, ToolKind, make_tool
-from toolee_robot.types import Category
 
 SLOWER = 0.9
 """A strike slower than this share of what is wanted is worth a line."""

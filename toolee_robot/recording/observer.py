@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from toolee_robot.control.records import StrikePlan
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, MotionReport
 from toolee_robot.recording.picture import NailCurve, draw
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, Stage, Strike
-from toolee_robot.types import Category, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
 
 
 class RecordingObserver(TaskObserver):

@@ -15,18 +15,13 @@ from matplotlib.gridspec import SubplotSpec
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, transform, transform_points
 from toolee_robot.recording.pose_text import sigma_text
-from toolee_robot.types import CameraIntrinsics, Category, RgbdFrame, ToolEstimate
+from toolee_robot.types import CameraIntrinsics, RgbdFrame, ToolEstimate
 
 _INK, _MUTED, _GRID = "#1f2933", "#6b7785", "#e3e8ee"
 _AXES = ("#e5383b", "#2a9d3f", "#1d6fd8")  # x, y, z
-_CATEGORY = {
-    Category.HAMMER_HEAD: "#ff9f1c",
-    Category.HAMMER_GRIP: "#c77dff",
-    Category.SCREWDRIVER_HEAD: "#2ec4b6",
-    Category.WRENCH_HEAD: "#f15bb5",
-}
 _AXIS_LENGTH = 0.03
 """Length of the drawn EE axes [m]."""
 _AZIMUTH = -68.0
@@ -91,7 +86,7 @@ def _overlay(rgb: NDArray[np.uint8], estimates: Sequence[ToolEstimate]) -> NDArr
     """The image with the masks tinted in their category's colour."""
     image = rgb.astype(np.float32)
     for e in estimates:
-        colour = np.array([int(_CATEGORY[e.category][i : i + 2], 16) for i in (1, 3, 5)], dtype=np.float32)
+        colour = np.array([int(e.category.spec.color[i : i + 2], 16) for i in (1, 3, 5)], dtype=np.float32)
         image[e.detection.mask] = 0.5 * image[e.detection.mask] + 0.5 * colour
     return image.astype(np.uint8)
 
@@ -101,9 +96,9 @@ def _draw_estimate(ax: Any, frame: RgbdFrame, e: ToolEstimate, *, weight: float)
     contours, _ = cv2.findContours(e.detection.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     for c in contours:
         closed = np.vstack([c[:, 0], c[:1, 0]])
-        ax.plot(closed[:, 0], closed[:, 1], color=_CATEGORY[e.category], lw=0.7 * weight)
+        ax.plot(closed[:, 0], closed[:, 1], color=e.category.spec.color, lw=0.7 * weight)
     x0, y0, x1, y1 = e.detection.box
-    ax.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=_CATEGORY[e.category], lw=0.8 * weight))
+    ax.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=e.category.spec.color, lw=0.8 * weight))
     if not e.usable:
         return
     tips = e.X_camera_ee[:3, 3] + _AXIS_LENGTH * np.vstack([np.zeros(3), e.X_camera_ee[:3, :3].T])

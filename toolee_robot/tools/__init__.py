@@ -4,14 +4,7 @@
     hammer = make_tool(ToolKind.CLAW_HAMMER, test_seeds(1)[0])
     hammer.ee(Category.HAMMER_HEAD).X_tool_ee
 
-EE frames coincide with the frame of the object worked on, at contact, up to the category's symmetry group:
-
-- hammer_head: origin at the centre of the striking face; z the face's outward normal; x towards the handle's butt.
-- hammer_grip (the claw): origin in the middle of the slot, at half of its length and of the tines' thickness; z away
-  from the handle (into the wood when pulling a nail); x along the slot towards the open tips.
-- screwdriver_head: origin at the tip; z along the shaft, out of the tip.
-- wrench_head: origin on the centre line of the jaw flats, half-way between the throat and the end of the shorter
-  flat, at half the thickness; z the nut's axis; x towards the handle's far end. In a ring or socket: the nut's centre.
+The kinds of tools are records in `catalog`; the frames of their ends are those of `toolee_robot.end_effectors`.
 """
 
 from toolee_robot.tools.catalog import (
@@ -35,7 +28,6 @@ from toolee_robot.tools.model import (
     Tool,
     ToolKind,
     ToolShape,
-    ee_radius,
     tool_name,
 )
 
@@ -53,7 +45,6 @@ __all__ = [
     "ToolKind",
     "ToolShape",
     "ToolSpec",
-    "ee_radius",
     "kinds_of",
     "make_tool",
     "split",

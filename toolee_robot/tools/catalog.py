@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.tools.hammers import (
     BALL_PEEN_HAMMER,
@@ -27,7 +28,6 @@ from toolee_robot.tools.hammers import (
 from toolee_robot.tools.model import Family, Tool, ToolKind
 from toolee_robot.tools.screwdrivers import make_screwdriver, nut_tip, phillips_tip, slotted_tip
 from toolee_robot.tools.wrenches import make_wrench
-from toolee_robot.types import Category
 
 SWUNG_MASS = (0.4, 1.05)
 """Mass [kg] of the hammers that one hand swings."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, frame_from_axes, transform
 from toolee_robot.tools.assembly import assemble
 from toolee_robot.tools.handles import hammer_handle
@@ -25,7 +26,6 @@ from toolee_robot.tools.solids import (
     stack,
     superellipse,
 )
-from toolee_robot.types import Category
 
 
 @dataclass(frozen=True, eq=False)

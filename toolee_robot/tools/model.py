@@ -16,12 +16,12 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.tools.mass import mass_properties
 from toolee_robot.tools.materials import Material
 from toolee_robot.tools.solids import Convex, hull, signed_volume, to_trimesh, without
-from toolee_robot.types import Category
 
 
 class Family(StrEnum):
@@ -50,22 +50,9 @@ class ToolKind(StrEnum):
     SOCKET_WRENCH = "socket_wrench"
 
 
-_EE_RADIUS = {
-    Category.HAMMER_HEAD: 0.050,
-    Category.HAMMER_GRIP: 0.040,
-    Category.SCREWDRIVER_HEAD: 0.050,
-    Category.WRENCH_HEAD: 0.060,
-}
-
-
 def tool_name(kind: ToolKind, seed: int) -> str:
     """The name of a generated tool."""
     return f"{kind}-{seed:04d}"
-
-
-def ee_radius(category: Category) -> float:
-    """Radius [m] of the sphere about the EE's origin that, cut with the tool, is the EE's mask."""
-    return _EE_RADIUS[category]
 
 
 @dataclass(frozen=True, eq=False)

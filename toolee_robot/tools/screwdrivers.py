@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import transform
 from toolee_robot.tools.assembly import assemble
 from toolee_robot.tools.materials import (
@@ -33,7 +34,6 @@ from toolee_robot.tools.solids import (
     stack,
     superellipse,
 )
-from toolee_robot.types import Category
 
 TipShape = Callable[[np.random.Generator, float, float, Material], tuple[Piece, float]]
 """Draws a tip: random numbers, the shaft's radius [m], where the tip ends along the tool's z [m], its material; returns

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, frame_from_axes, transform
 from toolee_robot.tools.assembly import assemble
 from toolee_robot.tools.materials import PLASTIC, RUBBER, RUBBER_COLORED, STEEL_BRIGHT, STEEL_DARK, Material, varied
@@ -21,7 +22,6 @@ from toolee_robot.tools.solids import (
     superellipse,
 )
 from toolee_robot.tools.wrench_heads import WrenchHead, adjustable_head, open_head, ring_head
-from toolee_robot.types import Category
 
 
 def make_wrench(kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageColor, ImageDraw, ImageFont
 
-from toolee_robot.perception.dataset.records import CATEGORIES, EeTable, FloatArray
+from toolee_robot.end_effectors import CATEGORIES
+from toolee_robot.perception.dataset.records import EeTable, FloatArray
 from toolee_robot.perception.dataset.scene_reader import load_scenes, scene_folders
 from toolee_robot.types import CameraIntrinsics
 
-COLORS = ((230, 60, 60), (240, 180, 0), (0, 180, 90), (60, 140, 255))
-"""RGB of the categories, in their order."""
 _AXIS = 0.04
 _SCALE = 2
 """Labels are drawn on an enlarged image: at its own size they hide it."""
@@ -36,7 +35,8 @@ def annotated(
     image[edge] = 255
     for row in np.flatnonzero(table.category):
         mask = ee == row + 1
-        image[mask] = 0.5 * image[mask] + 0.5 * np.asarray(COLORS[table.category[row] - 1], np.float32)
+        tint = ImageColor.getrgb(CATEGORIES[table.category[row] - 1].spec.color)
+        image[mask] = 0.5 * image[mask] + 0.5 * np.asarray(tint, np.float32)
     canvas = Image.fromarray(image.astype(np.uint8)).resize(
         (K.width * _SCALE, K.height * _SCALE), Image.Resampling.BICUBIC
     )
@@ -49,7 +49,7 @@ def annotated(
             continue
         for axis, color in enumerate(("#ff3030", "#30ff30", "#4080ff")):
             draw.line([tuple(ends[0]), tuple(ends[axis + 1])], fill=color, width=4)
-        name = str(CATEGORIES[table.category[row] - 1]).replace("_", " ")
+        name = CATEGORIES[table.category[row] - 1].spec.label
         hidden = f"{100 * table.occlusion[row]:.0f} % hidden" if targets[row] else "no target"
         _text(draw, ends[0] + [8, 8], f"{name}, {hidden}", font, canvas.size)
     if title:

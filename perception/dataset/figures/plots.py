@@ -8,9 +8,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from toolee_robot.perception.dataset.figures.pictures import COLORS
+from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.perception.dataset.figures.shape_distances import MEASURES, VIEWS, ShapeDistances
-from toolee_robot.perception.dataset.records import CATEGORIES
 
 _NAMES = {
     "depth_m": "depth of the EE [m]",
@@ -36,8 +35,8 @@ def distributions(card: dict[str, Any]) -> Figure:
         bottom = np.zeros(len(width))
         train = [_counts(card, "train", c, name) for c in map(str, CATEGORIES)]
         total = max(sum(h.sum() for h in train), 1.0)
-        for c, h, color in zip(CATEGORIES, train, COLORS, strict=True):
-            ax.bar(at[:-1], h / total, width, bottom, align="edge", color=_rgb(color), label=str(c).replace("_", " "))
+        for c, h in zip(CATEGORIES, train, strict=True):
+            ax.bar(at[:-1], h / total, width, bottom, align="edge", color=c.spec.color, label=c.spec.label)
             bottom += h / total
         test = np.sum([_counts(card, "test", c, name) for c in map(str, CATEGORIES)], axis=0)
         if test.sum():
@@ -62,9 +61,11 @@ def _counts_chart(ax: Any, card: dict[str, Any]) -> None:
     y = np.arange(len(CATEGORIES))
     for split, offset, alpha in (("train", 0.2, 1.0), ("test", -0.2, 0.5)):
         about = [card["splits"][split]["categories"][str(c)] for c in CATEGORIES]
-        bars = ax.barh(y + offset, [a["targets"] for a in about], 0.38, color=[_rgb(c) for c in COLORS], alpha=alpha)
+        bars = ax.barh(
+            y + offset, [a["targets"] for a in about], 0.38, color=[c.spec.color for c in CATEGORIES], alpha=alpha
+        )
         ax.bar_label(bars, [f" {split}: {a['targets']}, {len(a['instances'])} tools" for a in about], fontsize=8)
-    ax.set_yticks(y, [str(c).replace("_", "\n") for c in CATEGORIES])
+    ax.set_yticks(y, [c.spec.label.replace(" ", "\n") for c in CATEGORIES])
     ax.margins(x=0.6)
     ax.set_xlabel("targets (and instances)")
 
@@ -104,7 +105,3 @@ def _patch(color: str) -> Any:
     from matplotlib.patches import Patch
 
     return Patch(facecolor=color, edgecolor="black")
-
-
-def _rgb(color: tuple[int, int, int]) -> tuple[float, float, float]:
-    return color[0] / 255, color[1] / 255, color[2] / 255

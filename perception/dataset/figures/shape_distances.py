@@ -15,9 +15,9 @@ import trimesh
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.frames import Array
 from toolee_robot.perception.dataset.instances import MODELS, model_path, read_ply, tool_path
-from toolee_robot.perception.dataset.records import CATEGORIES
 from toolee_robot.perception.dataset.scene_reader import read_json
 
 POINTS = 512

@@ -11,18 +11,18 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.frames import Array, is_rigid
 from toolee_robot.perception.dataset.clouds import MAX_POINTS, back_projected, read_clouds
 from toolee_robot.perception.dataset.encoding import rle
 from toolee_robot.perception.dataset.instances import object_of, read_ply, tool_path
 from toolee_robot.perception.dataset.paper_camera import CIRCLE
-from toolee_robot.perception.dataset.records import CATEGORIES, HEIGHT, SCENES, WIDTH
+from toolee_robot.perception.dataset.records import HEIGHT, SCENES, WIDTH
 from toolee_robot.perception.dataset.scene_reader import pose_of, read_image, read_json
 from toolee_robot.perception.dataset.scene_writer import COCO_CATEGORIES, bbox
 from toolee_robot.perception.dataset.spec import DatasetSpec, SceneJob
 from toolee_robot.perception.dataset.validation.pose_check import ENOUGH, SURFACE, is_thin, pose_fault
-from toolee_robot.tools import ee_radius
 from toolee_robot.types import CameraIntrinsics
 
 Problem = tuple[str, str]
@@ -129,7 +129,7 @@ class _Checker:
         except (UserError, AssetError, IndexError) as error:
             yield file, f"{where}: obj_id {entry['obj_id']} is no end effector ({error})"
             return
-        if entry["category_id"] != CATEGORIES.index(end.category) + 1:
+        if entry["category_id"] != end.category.spec.class_id:
             yield file, f"{where}: category_id {entry['category_id']}, but object {entry['obj_id']} is a {end.category}"
         if entry["instance"] != name:
             yield file, f"{where}: instance {entry['instance']}, but {entry['obj_id']} is of {name}"
@@ -194,7 +194,7 @@ class _Checker:
             aside = points[:, :2] / points[:, 2:] - origin[:2] / origin[2]
             within = np.linalg.norm(aside, axis=1) * K.fx < CIRCLE + 1.0
         else:
-            radius = ee_radius(CATEGORIES[entry["category_id"] - 1])
+            radius = CATEGORIES[entry["category_id"] - 1].spec.radius
             within = np.linalg.norm(points - origin, axis=1) < radius + SURFACE
         fault = pose_fault(points, within, X, surface, K, is_thin(visible))
         if fault is not None:

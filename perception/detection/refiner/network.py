@@ -16,10 +16,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.perception.detection.refiner.crops import CHANNELS
 from toolee_robot.perception.precision import fold_normalisation
 from toolee_robot.perception.weight_files import load_into
-from toolee_robot.types import Category
 
 WEIGHTS_NAME = "refinement"
 _CATEGORIES = len(Category)

@@ -8,15 +8,6 @@ import torch
 from torch import Tensor
 
 from toolee_robot.perception.pose.canonical import PATCHES, POINTS, CanonicalCloud
-from toolee_robot.types import Category
-
-CATEGORY_SHARE = {
-    Category.HAMMER_HEAD: 0.25,
-    Category.HAMMER_GRIP: 0.28,
-    Category.SCREWDRIVER_HEAD: 0.15,
-    Category.WRENCH_HEAD: 0.32,
-}
-"""How often a training shows each."""
 
 
 @dataclass(frozen=True)

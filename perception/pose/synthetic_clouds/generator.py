@@ -12,10 +12,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, CanonicalCloud, canonicalize, with_rest
 from toolee_robot.perception.pose.depth_completion import complete_depth
 from toolee_robot.perception.pose.synthetic_clouds import point_splatting
-from toolee_robot.perception.pose.synthetic_clouds.batch import CATEGORY_SHARE, CloudBatch, CloudConfig
+from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.synthetic_clouds.cuts import Border, Cut
 from toolee_robot.perception.pose.synthetic_clouds.masks import cleaned, imperfect, pick
 from toolee_robot.perception.pose.synthetic_clouds.point_splatting import GRID, Window, ZBuffer
@@ -35,8 +36,6 @@ from toolee_robot.perception.pose.synthetic_clouds.surface_samples import (
     random_grasps,
 )
 from toolee_robot.perception.pose.synthetic_clouds.torch_rng import TorchRng
-from toolee_robot.tools.model import ee_radius
-from toolee_robot.types import Category
 
 _MAX_COMPLETED = 512
 WHOLE_TOOL = 1
@@ -93,10 +92,10 @@ class CloudGenerator(CloudSource):
         self._other_end, self._other_category = put(samples.other_end), put(samples.other_category)
         self._hands, self._handle = put(hands), put(samples.handle)
         categories = list(Category)
-        radii = [self.config.radius or ee_radius(c) for c in categories]
+        radii = [self.config.radius or c.spec.radius for c in categories]
         self._radius = put(np.array(radii, np.float32))
         counts = np.bincount(samples.category, minlength=len(categories))
-        share = np.array([CATEGORY_SHARE[c] for c in categories])
+        share = np.array([c.spec.training_share for c in categories])
         self._weights = share[samples.category] / counts[samples.category]
         self._weights /= self._weights.sum()
 

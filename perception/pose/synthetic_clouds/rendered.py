@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.pose.canonical import (
     MIN_KEPT,
@@ -26,13 +27,11 @@ from toolee_robot.perception.pose.canonical import (
     masked_median,
     with_rest,
 )
-from toolee_robot.perception.pose.synthetic_clouds.batch import CATEGORY_SHARE, CloudBatch, CloudConfig
+from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.synthetic_clouds.scene import DIRECTION_SIGMA, direction_token
 from toolee_robot.perception.pose.synthetic_clouds.source import CloudSource
 from toolee_robot.perception.pose.synthetic_clouds.torch_rng import TorchRng
 from toolee_robot.runtime.files import written_whole
-from toolee_robot.tools.model import ee_radius
-from toolee_robot.types import Category
 
 MAX_POINTS, MAX_COMPLETED, MAX_REST = 1024, 512, 1024
 """More points of a cloud are not kept: the network takes 512 of them, and 256 of the rest."""
@@ -133,7 +132,7 @@ class RenderedSource(CloudSource):
         self._X, self._p_hand = put(clouds.X_camera_target), put(clouds.p_camera_hand)
         self._category, self._positive = put(clouds.category), put(clouds.positive)
         self._visible, self._tells, self._occlusion = put(clouds.visible), put(clouds.tells_spin), put(clouds.occlusion)
-        self._radius = put(np.array([config.radius or ee_radius(c) for c in Category], np.float32))
+        self._radius = put(np.array([config.radius or c.spec.radius for c in Category], np.float32))
         self._weights = put(_weights(clouds, config.negative_share))
 
     def reseed(self, seed: int) -> None:
@@ -198,7 +197,7 @@ def _weights(clouds: RenderedClouds, negative_share: float) -> NDArray[np.float3
     weights = np.zeros(len(clouds), np.float32)
     kinds = [(~clouds.positive, negative_share)]
     for k, category in enumerate(Category):
-        kinds.append((clouds.positive & (clouds.category == k), (1 - negative_share) * CATEGORY_SHARE[category]))
+        kinds.append((clouds.positive & (clouds.category == k), (1 - negative_share) * category.spec.training_share))
     for rows, share in kinds:
         weights[rows] = share / max(int(rows.sum()), 1)
     if not weights.any():

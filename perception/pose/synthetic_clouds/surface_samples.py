@@ -18,17 +18,13 @@ from toolee_robot.frames import Array, inverse
 from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.runtime.process_pool import WorkerPool
 from toolee_robot.tools.catalog import TOOL_SPECS, make_tool, test_seeds, train_seeds
-from toolee_robot.tools.model import ToolKind, ee_radius
-from toolee_robot.types import Category
+from toolee_robot.tools.model import ToolKind
 
 EE_SAMPLES = 8192
 REST_SAMPLES = 4096
 HAND_SAMPLES = 6144
 REGION = 1.15
 """Samples count as the EE's up to this factor of its radius; only those are dense."""
-
-# What breaks the rotational symmetry of a hammer's face when it is seen.
-ASYMMETRIC = ("handle", "shaft", "grip", "claw")
 
 NOWHERE = 1e3
 """[m] Where the other end of a tool is that has only one."""
@@ -74,7 +70,6 @@ def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
     tool = make_tool(kind, seed)
     rng = np.random.default_rng([seed, TOOL_SPECS[kind].number, 7])
     points, normals, parts = tool.sample_surface(60_000, rng)
-    asymmetric = np.array([part.label in ASYMMETRIC for part in tool.parts])[parts]
     shininess = np.array([part.material.metallic * (1 - part.material.roughness) for part in tool.parts])[parts]
     rows: list[_Row] = []
     for ee in tool.ees:
@@ -82,11 +77,11 @@ def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
         other = next((e for e in tool.ees if e is not ee), None)
         p = points @ X_ee_tool[:3, :3].T + X_ee_tool[:3, 3]
         n = normals @ X_ee_tool[:3, :3].T
-        near = np.linalg.norm(p, axis=1) < REGION * ee_radius(ee.category)
+        near = np.linalg.norm(p, axis=1) < REGION * ee.category.spec.radius
         ee_pick = rng.choice(np.flatnonzero(near), EE_SAMPLES, replace=bool(near.sum() < EE_SAMPLES))
         rest = np.flatnonzero(~near)
         rest_pick = rng.choice(rest, REST_SAMPLES, replace=bool(len(rest) < REST_SAMPLES))
-        tells = asymmetric[ee_pick] & (ee.category == Category.HAMMER_HEAD)
+        tells = np.array([part.label in ee.category.spec.spin_cues for part in tool.parts])[parts[ee_pick]]
         radius = tool.handle.grip_radius
         rows.append(
             (
@@ -95,9 +90,9 @@ def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
                 tells,
                 p[rest_pick].astype(np.float32),
                 X_ee_tool.astype(np.float32),
-                list(Category).index(ee.category),
+                ee.category.spec.class_id - 1,
                 (X_ee_tool @ other.X_tool_ee)[:3, 3].astype(np.float32) if other else np.full(3, NOWHERE, np.float32),
-                list(Category).index((other or ee).category),
+                (other or ee).category.spec.class_id - 1,
                 np.array([tool.handle.z_min, tool.handle.z_max, radius], np.float32),
                 float(shininess[ee_pick].mean()),
                 f"{tool.name}/{ee.category}",

@@ -8,16 +8,21 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.perception.pose.estimator import context_input
-from toolee_robot.perception.pose.network import CATEGORIES, Seen
+from toolee_robot.perception.pose.network import Seen
 from toolee_robot.perception.pose.processes.flow import Process
 from toolee_robot.perception.pose.representation import AMBIGUOUS, AXIS_X, AXIS_Z, DIM, POSITION, decode, encode
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch
-from toolee_robot.types import Category
+from toolee_robot.symmetry import SymmetryKind
 
-HEAD, SCREW, WRENCH = (
-    CATEGORIES.index(c) for c in (Category.HAMMER_HEAD, Category.SCREWDRIVER_HEAD, Category.WRENCH_HEAD)
-)
+_FREE = [i for i, c in enumerate(CATEGORIES) if c.symmetry.kind is SymmetryKind.CINF]
+CUED = [i for i in _FREE if CATEGORIES[i].spec.spin_cues]
+"""Rows of the categories whose free spin some views show."""
+UNCUED = [i for i in _FREE if not CATEGORIES[i].spec.spin_cues]
+"""Rows of those whose free spin no view shows."""
+TWOFOLD = [i for i, c in enumerate(CATEGORIES) if c.symmetry.kind is SymmetryKind.C2]
+"""Rows of those that half a turn about x does not change."""
 SPIN_PIXELS = 25
 """So many pixels of what breaks the symmetry (a hammer's handle, its claw) tell the spin."""
 
@@ -61,14 +66,14 @@ def canonical_rotation(R: Tensor, category: Tensor) -> Tensor:
 
     Wrenches (C2 about x): z toward the camera. Screwdrivers (free spin, never observable): x toward the camera.
     """
-    flip = (category == WRENCH) & (R[:, 2, 2] > 0)
+    flip = _among(category, TWOFOLD) & (R[:, 2, 2] > 0)
     R = torch.where(flip[:, None, None], R * R.new_tensor([1.0, -1.0, -1.0]), R)
     z = R[:, :, 2]
     x = z * z[:, 2:] - z.new_tensor([0.0, 0.0, 1.0])
     norm = x.norm(dim=-1, keepdim=True)
     x = torch.where(norm > 1e-3, x / norm.clamp_min(1e-3), R[:, :, 0])
     facing = torch.stack([x, torch.cross(z, x, dim=-1), z], dim=-1)
-    return torch.where((category == SCREW)[:, None, None], facing, R)
+    return torch.where(_among(category, UNCUED)[:, None, None], facing, R)
 
 
 def ambiguity(batch: CloudBatch) -> Tensor:
@@ -76,8 +81,8 @@ def ambiguity(batch: CloudBatch) -> Tensor:
     z = batch.R[:, :, 2]
     sine = torch.cross(batch.direction[:, :3], z, dim=-1).norm(dim=-1)
     observable = (batch.spin_pixels >= SPIN_PIXELS) | ((batch.direction[:, 3] > 0) & (sine > 0.3))
-    about_z = (batch.category == SCREW) | ((batch.category == HEAD) & ~observable)
-    about_x = batch.category == WRENCH
+    about_z = _among(batch.category, UNCUED) | (_among(batch.category, CUED) & ~observable)
+    about_x = _among(batch.category, TWOFOLD)
     return torch.stack([about_x, torch.zeros_like(about_x), about_z], -1).float()
 
 
@@ -109,7 +114,7 @@ def pose_loss(
     flow = (error.mean((1, 2)) * positive).sum() / count
 
     mean = regression["mean"]
-    spin_told = 1 - S[:, 2] * (batch.category == HEAD).float()
+    spin_told = 1 - S[:, 2] * _among(batch.category, CUED).float()
     direct = (mean[:, AXIS_Z] - target[:, AXIS_Z]).square().sum(-1)
     direct = direct + spin_told * (mean[:, AXIS_X] - target[:, AXIS_X]).square().sum(-1)
     direct = direct + F.smooth_l1_loss(mean[:, POSITION], target[:, POSITION], reduction="none", beta=0.2).sum(-1)
@@ -133,6 +138,14 @@ def pose_loss(
     loss = flow + 0.5 * direct + 0.05 * likelihood + 0.1 * valid
     parts = {"loss": loss, "flow": flow, "direct": direct, "likelihood": likelihood, "valid": valid}
     return loss, {k: v.detach() for k, v in parts.items()}
+
+
+def _among(category: Tensor, rows: list[int]) -> Tensor:
+    """Which of the categories (B,) are in those rows, (B,) bool."""
+    found = torch.zeros_like(category, dtype=torch.bool)
+    for row in rows:
+        found = found | (category == row)
+    return found
 
 
 def _angle(a: Tensor, b: Tensor) -> Tensor:

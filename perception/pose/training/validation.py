@@ -13,13 +13,13 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception.pose import confidence
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
 from toolee_robot.perception.pose.pooling import SigmaScale, align, pairwise_angles
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch
 from toolee_robot.perception.pose.weights import Calibration
-from toolee_robot.types import Category
 
 
 class Evaluated:
@@ -42,7 +42,7 @@ class Evaluated:
                 for r, X in zip(results, self.Xs_true, strict=True)
             ]
         )
-        self.category = np.array([list(Category).index(r.category) for r in results])
+        self.category = np.array([CATEGORIES.index(r.category) for r in results])
         self.features = np.stack([r.features for r in results])
 
     def within(self, degrees: float, metres: float) -> Array:
@@ -55,7 +55,7 @@ def evaluate(estimator: CloudEstimator, batch: CloudBatch, candidates: int, seed
     """Estimate every cloud of the batch, 256 at a time, on the estimator's device."""
     generator = torch.Generator().manual_seed(seed)
     results: list[PoseResult] = []
-    categories = list(Category)
+    categories = CATEGORIES
     with torch.inference_mode():
         for start in range(0, len(batch), 256):
             part = batch.select(torch.arange(start, min(start + 256, len(batch)), device=batch.points.device))

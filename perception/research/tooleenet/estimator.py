@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.frames import Array
 from toolee_robot.perception import weight_files
@@ -22,7 +23,7 @@ from toolee_robot.perception.research.tooleenet.pointnet2 import ORDERED
 from toolee_robot.perception.research.tooleenet.pooling import mean_pose
 from toolee_robot.perception.research.tooleenet.representation import class_ambiguity, decode
 from toolee_robot.perception.research.tooleenet.rk45 import Rk45
-from toolee_robot.types import Category, PoseHypotheses
+from toolee_robot.types import PoseHypotheses
 
 NAME = "pose_paper"
 POINTS = 1024
@@ -108,7 +109,7 @@ class PaperEstimator(CloudEstimator):
         return [self._result(c, R[b], p[b], S[b].mean(0), points[b]) for b, c in enumerate(categories)]
 
     def _result(self, category: Category, R: Array, p: Array, ambiguous: Array, points: Array) -> PoseResult:
-        group, index = category.symmetry, list(Category).index(category)
+        group, index = category.symmetry, CATEGORIES.index(category)
         Xs = np.tile(np.eye(4), (len(R), 1, 1))
         Xs[:, :3, :3], Xs[:, :3, 3] = R, p
         if self.column.of_tool:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.perception.research.tooleenet.pointnet2 import PointNet2
-from toolee_robot.types import Category
 
 _TIME = 128
 

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, CloudConfig
 from toolee_robot.perception.pose.synthetic_clouds.cuts import Border, Cut
@@ -16,7 +17,6 @@ from toolee_robot.perception.pose.synthetic_clouds.scene import Placement, rigid
 from toolee_robot.perception.pose.synthetic_clouds.surface_samples import Float32, SurfaceSamples
 from toolee_robot.perception.research.tooleenet.estimator import OBJECT_RADIUS
 from toolee_robot.perception.research.tooleenet.pooling import mean_pose
-from toolee_robot.types import Category
 
 
 class ObjectCloudGenerator(CloudGenerator):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.symmetry import SymmetryKind
-from toolee_robot.types import Category
 
 
 def class_ambiguity() -> Tensor:

@@ -13,6 +13,7 @@ import torch
 from torchvision.ops import nms
 
 from tests.perception.toy_scenes import ArrayImages, toy_scenes
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, TooleeError
 from toolee_robot.perception.detection.boxes import decode, encode, greedy_suppression, pairwise_iou
 from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector, DetectorConfig
@@ -24,7 +25,7 @@ from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.detection.train import SegmentationTraining, train
 from toolee_robot.perception.detection.training_data import DeviceImages, augment
 from toolee_robot.perception.evaluation.segmentation import coco_task, report
-from toolee_robot.types import CameraIntrinsics, Category, RgbdFrame
+from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 pytestmark = pytest.mark.sim(seconds=30)
 

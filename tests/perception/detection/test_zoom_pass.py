@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.perception.detection.detector import TOOL, Detector, DetectorConfig, RawDetections, working_size
 from toolee_robot.perception.detection.inputs import RgbdBatch
 from toolee_robot.perception.detection.instances import Box, Instances
@@ -25,7 +26,7 @@ from toolee_robot.perception.detection.zoom_pass import (
     merge,
     placed,
 )
-from toolee_robot.types import CameraIntrinsics, Category, RgbdFrame
+from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 IMAGE = (96, 128)
 PIXELS = 96 * 128

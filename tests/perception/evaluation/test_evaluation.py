@@ -37,7 +37,6 @@ from toolee_robot.perception.evaluation.shapes import ee_shape
 from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.perception.trust import Trust
-from toolee_robot.tools import ee_radius
 
 pytestmark = pytest.mark.sim(seconds=40)
 
@@ -80,9 +79,9 @@ def test_clouds_lie_on_the_ends_that_they_are_said_to_show(examples: Examples) -
         if case.cloud.usable:
             X = instance.X_camera_ee
             local = (case.cloud.points - X[:3, 3]) @ X[:3, :3]
-            assert np.median(np.linalg.norm(local, axis=1)) < ee_radius(instance.category) + 0.01
+            assert np.median(np.linalg.norm(local, axis=1)) < instance.category.spec.radius + 0.01
             shape = ee_shape(instance.catalogue, instance.tool, instance.ee)
-            assert 0.02 < shape.diameter < 2.1 * ee_radius(instance.category)
+            assert 0.02 < shape.diameter < 2.1 * instance.category.spec.radius
     for case in examples.cases["predicted"]:
         if case.instance is not None:
             assert examples.instances[case.instance].category is case.category

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.examples import examples
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import transform
 from toolee_robot.perception.evaluation import metrics
-from toolee_robot.types import Category
 
 CUBE = 0.02 * (np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), -1).reshape(-1, 3) - 0.5)
 K = np.array([[400.0, 0, 256], [0, 400.0, 212], [0, 0, 1]])

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, angle_between, transform
 from toolee_robot.perception.pose.fusion import FLOOR_ANGLE, FLOOR_POSITION, fuse_in_hand
 from toolee_robot.perception.pose.pooling import FREE_SPIN_VARIANCE
-from toolee_robot.types import Category, InHandEstimate
+from toolee_robot.types import InHandEstimate
 
 SIGMA_P, SIGMA_R = 0.003, np.deg2rad(4.0)
 

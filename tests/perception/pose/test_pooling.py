@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.examples import examples
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, transform
 from toolee_robot.perception.pose.pooling import (
     FREE_SPIN_VARIANCE,
@@ -18,10 +19,9 @@ from toolee_robot.perception.pose.pooling import (
     pool,
 )
 from toolee_robot.perception.pose.rotations import rotation_matrix, rotation_vectors, rotations_about, twist_angles
-from toolee_robot.perception.pose.spin import fix_spin, nominal_R_tool_ee, with_spin_variance
+from toolee_robot.perception.pose.spin import fix_spin, with_spin_variance
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 from toolee_robot.tools import ToolKind, make_tool, train_seeds
-from toolee_robot.types import Category
 
 seeds = st.integers(0, 2**31)
 GROUPS = [
@@ -197,9 +197,9 @@ def test_spin_variance_is_set_without_touching_the_rest() -> None:
 def test_nominal_ee_orientations_are_those_of_the_tools(kind: ToolKind) -> None:
     tool = make_tool(kind, train_seeds(1)[0])
     ee = tool.ees[0]
-    error = ee.category.symmetry.rotation_error(nominal_R_tool_ee(ee.category), ee.X_tool_ee[:3, :3])
+    error = ee.category.symmetry.rotation_error(ee.category.spec.R_tool_ee, ee.X_tool_ee[:3, :3])
     assert error < np.deg2rad(25)
     if kind is ToolKind.CLAW_HAMMER:
         claw = tool.ee(Category.HAMMER_GRIP)
-        spread = claw.category.symmetry.rotation_error(nominal_R_tool_ee(claw.category), claw.X_tool_ee[:3, :3])
+        spread = claw.category.symmetry.rotation_error(claw.category.spec.R_tool_ee, claw.X_tool_ee[:3, :3])
         assert spread < np.deg2rad(50)

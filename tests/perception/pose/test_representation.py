@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.examples import examples
+from toolee_robot.end_effectors import Category
 from toolee_robot.perception.pose import canonical
 from toolee_robot.perception.pose.canonical import (
     PATCHES,
@@ -26,7 +27,6 @@ from toolee_robot.perception.pose.canonical import (
 from toolee_robot.perception.pose.canonical_single import canonicalize_one, with_rest_one
 from toolee_robot.perception.pose.representation import DIM, decode, encode, mirrored
 from toolee_robot.symmetry import SymmetryKind
-from toolee_robot.types import Category
 
 seeds = st.integers(0, 2**31)
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, PerceptionError, TooleeError, UserError
 from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.pose.canonical import MIN_POINTS
@@ -30,8 +31,6 @@ from toolee_robot.perception.pose.training.losses import augment, canonical_rota
 from toolee_robot.perception.pose.training.recipe import DefaultRecipe
 from toolee_robot.perception.pose.training.trainer import Trainer, train
 from toolee_robot.perception.training.distributed import Distributed
-from toolee_robot.tools import ee_radius
-from toolee_robot.types import Category
 
 pytestmark = pytest.mark.sim
 
@@ -72,7 +71,7 @@ def test_clean_clouds_lie_on_the_tools_surface(samples: SurfaceSamples, hands: F
         local = (batch.points[i] - batch.p[i]) @ batch.R[i]
         surface = torch.as_tensor(samples.ee_points[int(batch.item[i])])
         category = list(Category)[int(batch.category[i])]
-        assert float(local.norm(dim=-1).max()) < ee_radius(category) + 0.004
+        assert float(local.norm(dim=-1).max()) < category.spec.radius + 0.004
         distance = torch.cdist(local, surface).min(1).values
         assert float(distance.median()) < 0.0015
         assert float(distance.quantile(0.95)) < 0.004
@@ -99,7 +98,7 @@ def test_the_rest_may_begin_beyond_the_cut(samples: SurfaceSamples, hands: Float
 
 def test_masks_may_be_cut_at_another_radius(samples: SurfaceSamples, hands: Float32) -> None:
     batch = CloudGenerator(samples, hands, "cpu", 1, replace(CLEAN, other_cut_share=1.0)).collect(24, 32)
-    nominal = torch.tensor([ee_radius(list(Category)[int(c)]) for c in batch.category])
+    nominal = torch.tensor([list(Category)[int(c)].spec.radius for c in batch.category])
     reach = ((batch.points - batch.p[:, None]).norm(dim=-1).max(1).values) / nominal
     assert float(reach.min()) < 0.75
     assert float(reach.max()) > 1.2
@@ -146,7 +145,7 @@ def test_the_rest_of_the_tool_is_its_surface_beyond_the_end_effector(samples: Su
         item = int(batch.item[i])
         surface = torch.as_tensor(np.concatenate([samples.rest[item], samples.ee_points[item]]))
         assert float(torch.cdist(local, surface).min(1).values.median()) < 0.004
-        radius = ee_radius(list(Category)[int(batch.category[i])])
+        radius = list(Category)[int(batch.category[i])].spec.radius
         assert float((local.norm(dim=-1) > radius - 0.008).float().mean()) > 0.95
 
 

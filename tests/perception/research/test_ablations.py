@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from toolee_robot.cli.app import run
+from toolee_robot.end_effectors import Category
 from toolee_robot.perception.pose.network import NetworkConfig
 from toolee_robot.perception.pose.processes.edm import Edm
 from toolee_robot.perception.pose.processes.flow import Euler, Process, RectifiedFlow
@@ -25,7 +26,6 @@ from toolee_robot.perception.pose.training.recipe import DefaultRecipe
 from toolee_robot.perception.research import ablations
 from toolee_robot.perception.research.ablation_variants import POOLINGS, UncentredGenerator
 from toolee_robot.perception.research.tooleenet.rk45 import Rk45
-from toolee_robot.types import Category
 
 pytestmark = pytest.mark.sim
 

@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import TooleeError
 from toolee_robot.perception.pose.canonical import farthest_points_first
 from toolee_robot.perception.pose.processes.flow import Euler
@@ -32,7 +33,6 @@ from toolee_robot.perception.research.tooleenet.pooling import mean_pose
 from toolee_robot.perception.research.tooleenet.representation import class_ambiguity, decode, encode
 from toolee_robot.perception.research.tooleenet.rk45 import Rk45, solve
 from toolee_robot.perception.training.distributed import Distributed
-from toolee_robot.types import Category
 
 pytestmark = pytest.mark.sim
 

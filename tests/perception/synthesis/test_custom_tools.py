@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.examples import examples
 from toolee_robot.cli.app import run
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import is_rigid, transform, transform_points
 from toolee_robot.perception.dataset.custom_tools import CustomTool
@@ -25,7 +26,6 @@ from toolee_robot.perception.dataset.scene_reader import read_json
 from toolee_robot.perception.dataset.spec import catalogue_of
 from toolee_robot.perception.evaluation.shapes import ee_shape
 from toolee_robot.perception.synthesis.custom_tool_reader import read_custom_tools
-from toolee_robot.types import Category
 
 pytestmark = pytest.mark.sim
 

@@ -8,21 +8,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, is_rigid
 from toolee_robot.perception.dataset.catalogue import GENERATED, number_of
 from toolee_robot.perception.dataset.holdout import draw
 from toolee_robot.perception.dataset.instances import object_of
 from toolee_robot.perception.dataset.paper_camera import CIRCLE, FOCAL
-from toolee_robot.perception.dataset.records import CATEGORIES, FARTHEST, MAX_EES, NEAREST, SCENES, Example
+from toolee_robot.perception.dataset.records import FARTHEST, MAX_EES, NEAREST, SCENES, Example
 from toolee_robot.perception.dataset.scene_reader import load
 from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.synthesis.example import Series, label, make_example, render_example
 from toolee_robot.perception.synthesis.paper import DEPTHS
 from toolee_robot.perception.synthesis.surfaces import Surfaces
 from toolee_robot.render.renderer import pixel_rays
-from toolee_robot.tools import ee_radius, split
-from toolee_robot.types import CameraIntrinsics, Category
+from toolee_robot.tools import split
+from toolee_robot.types import CameraIntrinsics
 
 pytestmark = pytest.mark.sim
 
@@ -65,7 +66,7 @@ def test_ee_masks_are_the_tools_pixels_within_the_sphere() -> None:
             assert table.visible[row] <= table.unoccluded[row]
             assert np.all(tool[mask] == table.tool[row])
             distance = np.linalg.norm(points - table.X_camera_ee[row, :3, 3], axis=-1)
-            radius = ee_radius(CATEGORIES[table.category[row] - 1])
+            radius = CATEGORIES[table.category[row] - 1].spec.radius
             assert np.all(distance[mask] < radius + 1e-4)
             near_some_ee |= (distance < radius - 1e-4) & (tool == table.tool[row])
             checked += bool(mask.any())
@@ -79,7 +80,7 @@ def test_noisy_depth_stays_on_the_labelled_tool(examples: list[Example]) -> None
         for row in np.flatnonzero(e.table.visible > 400):
             seen = (e.ee == row + 1) & (e.depth_mm > 0)
             distance = np.linalg.norm(points[seen] - e.table.X_camera_ee[row, :3, 3], axis=1)
-            radius = ee_radius(CATEGORIES[e.table.category[row] - 1])
+            radius = CATEGORIES[e.table.category[row] - 1].spec.radius
             assert np.median(distance) < radius + 0.005
 
 

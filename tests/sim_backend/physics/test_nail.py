@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.sim_backend.physics.energy_balance import driven_by
 from toolee_robot.config import WorkConfig
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array, inverse, is_rigid, transform
 from toolee_robot.sim_backend.physics.bodies import ToolBody
@@ -20,7 +21,6 @@ from toolee_robot.sim_backend.physics.nail import LUMPED_MASS, Nail, NailOutcome
 from toolee_robot.sim_backend.physics.wood import NailSpec, driving_work, resistance, tip_force
 from toolee_robot.tools import ToolKind, make_tool
 from toolee_robot.tools import test_seeds as held_out_seeds
-from toolee_robot.types import Category
 
 pytestmark = pytest.mark.sim
 

@@ -16,8 +16,8 @@ from rich.table import Table
 from toolee_robot.cli.host_info import Latency, Machine, describe_machine, measure
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import TooleeError, UserError
-from toolee_robot.types import Category
 
 if TYPE_CHECKING:
     from toolee_robot.cli.bench.scene import BenchScene

@@ -12,11 +12,12 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from toolee_robot.control.records import StrikePlan
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array
 from toolee_robot.recording.pose_text import pose_text, sigma_text
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, Stage, Strike
-from toolee_robot.types import Category, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
 
 _PHASES = {
     Stage.HANDOVER: "Handover",
@@ -102,7 +103,7 @@ class ConsoleObserver(TaskObserver):
 
     def in_hand(self, stamp: float, estimate: InHandEstimate) -> None:
         colour = "cyan" if estimate.usable else "red"
-        name = str(estimate.category).replace("_", " ")
+        name = estimate.category.spec.label
         sigma = sigma_text(estimate.covariance, estimate.X_hand_ee)
         self._console.print(
             f"  [bold {colour}]{name} in the hand[/bold {colour}]  {pose_text(estimate.X_hand_ee)}\n"

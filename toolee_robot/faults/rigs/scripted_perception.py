@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.ground_truth.verdict import Truth
-from toolee_robot.types import Category, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
 
 Change = Callable[[InHandEstimate], InHandEstimate]
 

@@ -12,9 +12,10 @@ from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.station import draw_hammer
-from toolee_robot.types import ArmModel, Category
+from toolee_robot.types import ArmModel
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,12 @@ import numpy as np
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.end_effectors import Category
 from toolee_robot.errors import DeviceError, PerceptionError, StaleDataError, UserError
 from toolee_robot.frames import Array, angle_between, inverse
 from toolee_robot.hal import Station
 from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.types import Category, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
 
 MAX_DISPLACEMENT = 0.10
 """[m] A face further than this from where a nominal grasp has it is not believed: no hand holds a tool like that."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from toolee_robot.config import StationConfig
+from toolee_robot.end_effectors import Category
 from toolee_robot.robots import hand_model
 from toolee_robot.tasks.hammering.task import Grasp
 from toolee_robot.tools import Tool
-from toolee_robot.types import Category
 
 
 def nominal_grasp(tool: Tool, config: StationConfig) -> Grasp:
