@@ -1,7 +1,7 @@
 """Seeing the tool: an RGB-D frame in, the 6D poses of the end effectors in it out.
 
     from toolee_robot.perception import ToolPerception
-    estimates = ToolPerception.load().estimate(frame, X_camera_hand=None)
+    estimates = ToolPerception.load().estimate(frame)
 
 The ways in: `pipeline` (the whole), `detection` (colour and depth -> masks), `cloud` (masks and depth -> points),
 `pose` (points -> pose, fusion), `io` (files -> frames), `dataset` and `synthesis` (data), `evaluation`.

@@ -1,7 +1,7 @@
 """From a frame to the poses of the end effectors in it, and from several frames to the pose in the hand.
 
 perception = ToolPerception.load()
-estimates = perception.estimate(frame, X_camera_hand)      # one frame
+estimates = perception.estimate(frame, HoldingHand(X_camera_hand, R_hand_tool))  # one frame
 in_hand = perception.fuse([estimates_1, estimates_2], [X_camera_hand_1, X_camera_hand_2])
 """
 
@@ -15,14 +15,14 @@ from typing import Protocol
 
 import numpy as np
 
-from toolee_robot.end_effectors import Category
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.cloud import check_depth_unit, ee_cloud
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.pose import CloudEstimator, PoseEstimator, fuse_in_hand
 from toolee_robot.perception.trust import Trust
-from toolee_robot.types import Detection, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 
 class EeDetector(Protocol):
@@ -56,18 +56,18 @@ class ToolPerception:
         return cls(detector, pose, Trust.load(weights_dir, weights_dir))
 
     def estimate(
-        self, frame: RgbdFrame, X_camera_hand: Array | None = None, categories: Sequence[Category] = tuple(Category)
+        self, frame: RgbdFrame, hand: HoldingHand | None = None, categories: Sequence[Category] = CATEGORIES
     ) -> list[ToolEstimate]:
         """The pose of every detected EE of `categories`, the most trustworthy first; an empty list if there is none.
 
-        X_camera_hand: 4x4 pose of the hand that holds the tool; it fixes the spin of symmetric EEs. A detection
+        hand: the hand that holds the tool; it fixes the spin of symmetric EEs. A detection
         without enough depth is listed as not usable, with the reason, and a pose that is all NaN.
         Raises UserError when the depth is not in metres.
         """
-        return self.estimate_timed(frame, X_camera_hand, categories)[0]
+        return self.estimate_timed(frame, hand, categories)[0]
 
     def estimate_timed(
-        self, frame: RgbdFrame, X_camera_hand: Array | None = None, categories: Sequence[Category] = tuple(Category)
+        self, frame: RgbdFrame, hand: HoldingHand | None = None, categories: Sequence[Category] = CATEGORIES
     ) -> tuple[list[ToolEstimate], StageTimes]:
         """`estimate`, and how long its stages took."""
         check_depth_unit(frame.depth)
@@ -86,7 +86,7 @@ class ToolPerception:
             start = time.perf_counter()
             try:
                 result = self.pose.estimate(
-                    cloud.points, detection.category, cloud.rest, X_camera_hand, completed=cloud.completed
+                    cloud.points, detection.category, cloud.rest, hand, completed=cloud.completed
                 )
             except PerceptionError as error:
                 estimates.append(_without_pose(detection, str(error)))

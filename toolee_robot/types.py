@@ -81,6 +81,16 @@ class RgbdFrame:
             raise UserError(f"image is {self.rgb.shape[:2]} but the intrinsics are for {size} (height, width)")
 
 
+@dataclass(frozen=True, eq=False)
+class HoldingHand:
+    """The hand that holds a tool before the camera: what is known of the tool's pose without looking at it."""
+
+    X_camera_hand: Array
+    """Pose of the hand in the camera's frame, 4x4."""
+    R_hand_tool: Array
+    """Axes of the tool in the hand as it nominally holds one, 3x3: `HandModel.grasp.R_hand_tool`."""
+
+
 @dataclass(frozen=True)
 class Detection:
     """One EE found in an image.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 HEIGHT, WIDTH = 424, 512
@@ -17,6 +18,8 @@ MIN_POINTS = 50
 """An EE with fewer visible pixels counts as not labelled: neither to be found nor a false alarm."""
 NEAREST, FARTHEST = 0.4, 1.1
 """Depths [m] at which EEs are placed."""
+SHOWN_HAND = SHADOW_HAND
+"""The hand that holds the tools, or its mirror image; `X_camera_hand` is its frame."""
 MAX_OCCLUSION = 0.7
 """An EE of which more is hidden is no target."""
 INSTANCES = 150

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import AssetError, PerceptionError
 from toolee_robot.frames import Array
+from toolee_robot.perception.dataset.records import SHOWN_HAND
 from toolee_robot.perception.evaluation import metrics
 from toolee_robot.perception.evaluation.examples import Case, Examples, Instance
 from toolee_robot.perception.evaluation.shapes import ee_shape, spin_is_observable
@@ -23,6 +24,7 @@ from toolee_robot.perception.research.tooleenet.estimator import NAME as PAPER
 from toolee_robot.perception.research.tooleenet.representation import class_ambiguity
 from toolee_robot.perception.trust import Trust
 from toolee_robot.symmetry import SymmetryKind
+from toolee_robot.types import HoldingHand
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +198,7 @@ def _row(
     spin = spin_fixed = float("nan")
     if group.kind is SymmetryKind.CINF and instance.X_camera_hand is not None:
         spin = metrics.paper_rule_angle(X[:3, :3], X_true[:3, :3], np.zeros(3))
-        fixed = with_hand(result, instance.X_camera_hand).X_camera_ee
+        fixed = with_hand(result, HoldingHand(instance.X_camera_hand, SHOWN_HAND.grasp.R_hand_tool)).X_camera_ee
         spin_fixed = metrics.paper_rule_angle(fixed[:3, :3], X_true[:3, :3], np.zeros(3))
     said = np.asarray(result.ambiguous) > 0.5
     return (

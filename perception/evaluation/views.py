@@ -12,14 +12,14 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.perception.dataset.records import EeTable
+from toolee_robot.perception.dataset.records import SHOWN_HAND, EeTable
 from toolee_robot.perception.evaluation import metrics
 from toolee_robot.perception.pipeline import ToolPerception
 from toolee_robot.perception.synthesis.example import Series, expose, label, render_example
 from toolee_robot.perception.synthesis.hard import ARM, HAND, hard_scene
 from toolee_robot.perception.synthesis.placement import PlacedTool, Pool, SceneSample
 from toolee_robot.render.renderer import Shot
-from toolee_robot.types import RgbdFrame
+from toolee_robot.types import HoldingHand, RgbdFrame
 
 VIEWS = 5
 _TURN, _SHIFT = np.deg2rad(60.0), 0.05
@@ -88,7 +88,7 @@ class Fused:
 def fuse(perception: ToolPerception, hammer: HeldHammer) -> Fused:
     """Look at all frames as a job would."""
     looks = [
-        perception.estimate(frame, X, [Category.HAMMER_HEAD])
+        perception.estimate(frame, HoldingHand(X, SHOWN_HAND.grasp.R_hand_tool), [Category.HAMMER_HEAD])
         for frame, X in zip(hammer.frames, hammer.Xs_camera_hand, strict=True)
     ]
     errors, usable = [], False

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 import torch
@@ -21,7 +20,7 @@ from toolee_robot.perception.pose.network import DIRECTION_DIM
 from toolee_robot.perception.pose.processes.flow import Process, Sampler
 from toolee_robot.perception.pose.spin import fix_spin, with_spin_variance
 from toolee_robot.symmetry import SymmetryKind
-from toolee_robot.types import PoseHypotheses
+from toolee_robot.types import HoldingHand, PoseHypotheses
 
 CANDIDATES = 20
 """As the paper draws; 32 measured no better."""
@@ -80,18 +79,18 @@ class CloudEstimator(ABC):
         points: Array,
         category: Category,
         rest: Array | None = None,
-        X_camera_hand: Array | None = None,
+        hand: HoldingHand | None = None,
         seed: int = 0,
         candidates: int | None = None,
         completed: Array | None = None,
     ) -> PoseResult:
         """The pose of the EE whose visible points (N, 3) [m] are given in the camera's frame (OpenCV axes).
 
-        rest: (M, 3) [m], the visible points of the rest of the tool, camera frame. completed: (G, 3) [m], likewise,
-        those of the EE's mask whose depth is completed from their neighbours' (`depth_completion.py`). X_camera_hand:
-        4x4, the hand that holds the tool; tells where the rest is if that is not seen, and the spin about a symmetric
-        EE's axis. The same input and seed give the same result. Raises PerceptionError with fewer than 25 finite
-        points."""
+        rest: (M, 3) [m], the visible points of the rest of the tool, camera frame. completed: (G, 3) [m], likewise, those
+        of the EE's mask whose depth is completed from their neighbours' (`depth_completion.py`). hand: the one that
+        holds the tool; tells where the rest is if that is not seen, and the spin about a symmetric EE's axis.
+        The same input and seed give the same result. Raises PerceptionError with fewer than 25 finite points.
+        """
         points = _finite(points)
         if len(points) < MIN_POINTS:
             raise PerceptionError(
@@ -111,16 +110,16 @@ class CloudEstimator(ABC):
         if rest is not None:
             rest = _finite(rest)
             cloud = with_rest_one(cloud, _thinned(rest, generator), generator)
-        from_hand = not bool(cloud.rest_known[0]) and X_camera_hand is not None
+        from_hand = not bool(cloud.rest_known[0]) and hand is not None
         goal = None
         if bool(cloud.rest_known[0]) and rest is not None:
             goal = np.median(rest, axis=0)
-        elif X_camera_hand is not None:
-            goal = X_camera_hand[:3, 3]
+        elif hand is not None:
+            goal = hand.X_camera_hand[:3, 3]
         direction = direction_input(cloud, None if goal is None else goal - cloud.centre[0].double().numpy(), from_hand)
         result = self.infer(cloud, [category], direction, np.array([kept]), generator, candidates or self.candidates)[0]
-        if X_camera_hand is not None:
-            result = with_hand(result, X_camera_hand)
+        if hand is not None:
+            result = with_hand(result, hand)
         return result
 
     @abstractmethod
@@ -150,28 +149,20 @@ def _thinned(points: Array, generator: torch.Generator) -> Array:
     return points
 
 
-def with_hand(result: PoseResult, X_camera_hand: Array, spin_sigma: float = HAND_SPIN_SIGMA) -> PoseResult:
-    """The result with the spin about a symmetric EE's axis fixed by the hand's pose (4x4); see `spin.py`."""
+def with_hand(result: PoseResult, hand: HoldingHand, spin_sigma: float = HAND_SPIN_SIGMA) -> PoseResult:
+    """The result with the spin about a symmetric EE's axis fixed by the hand that holds the tool; see `spin.py`."""
     group = result.category.symmetry
     R = result.X_camera_ee[:3, :3]
     axis = R @ np.asarray(group.axis)
     variance = float(axis @ result.covariance[3:, 3:] @ axis)
-    R_camera_ee = X_camera_hand[:3, :3] @ _nominal_R_hand_ee(result.category)
+    R_hand_ee = hand.R_hand_tool @ result.category.spec.R_tool_ee
+    R_camera_ee = hand.X_camera_hand[:3, :3] @ R_hand_ee
     R_fixed, fixed_variance = fix_spin(R, R_camera_ee, group, variance, spin_sigma**2)
     covariance = result.covariance
     if group.kind is SymmetryKind.CINF:
         covariance = with_spin_variance(covariance, axis, fixed_variance)
     X = transform(R_fixed, result.X_camera_ee[:3, 3])
     return replace(result, X_camera_ee=X, covariance=covariance)
-
-
-@cache
-def _nominal_R_hand_ee(category: Category) -> Array:
-    """3x3, of an EE in the hand that holds its tool as the project's hand does."""
-    from toolee_robot.robots import SHADOW_HAND
-
-    R: Array = SHADOW_HAND.grasp.X_hand_tool(0.015)[:3, :3] @ category.spec.R_tool_ee
-    return R
 
 
 def direction_input(cloud: CanonicalCloud, direction: Array | None, from_hand: bool = False) -> torch.Tensor:

@@ -1,7 +1,7 @@
 """The project's estimator: one cloud in, one pose with a covariance and a confidence out.
 
 estimator = PoseEstimator.load()
-result = estimator.estimate(points, Category.HAMMER_HEAD, rest, X_camera_hand)
+result = estimator.estimate(points, Category.HAMMER_HEAD, rest, hand)
 """
 
 from __future__ import annotations

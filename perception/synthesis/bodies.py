@@ -10,15 +10,14 @@ import numpy as np
 
 from toolee_robot.frames import Array, frame_from_axes
 from toolee_robot.perception.dataset.catalogue import StoredTool
+from toolee_robot.perception.dataset.records import SHOWN_HAND
 from toolee_robot.render import Body, Material, Mesh
 from toolee_robot.render.palette import any_color, finish, skin_tone
 from toolee_robot.render.robot_look import LookPart, arm_link_parts
-from toolee_robot.robots import SHADOW_HAND, arm_link_poses, arm_meshes, wrap_fingers
+from toolee_robot.robots import arm_link_poses, arm_meshes, wrap_fingers
 from toolee_robot.robots.description import robot_tree
 from toolee_robot.tools import ToolShape, make_tool
 
-HAND = SHADOW_HAND
-"""The hand that the images show."""
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 
@@ -95,23 +94,23 @@ def random_grasp(radius: float, rng: np.random.Generator) -> Grasp:
         spin += np.pi
     tilt = rng.normal(0.0, 0.12, 2)
     axis = np.array([1.0, tilt[0], tilt[1]])
-    X = HAND.grasp.X_hand_tool(radius)
+    X = SHOWN_HAND.grasp.X_hand_tool(radius)
     reference = np.array([0.0, -np.sin(spin), np.cos(spin)])
     X = frame_from_axes(z=axis * (1.0 if rng.random() < 0.9 else -1.0), x=reference, p=X[:3, 3] + p)
-    q = _closed(wrap_fingers(HAND, X, radius))
+    q = _closed(wrap_fingers(SHOWN_HAND, X, radius))
     if rng.random() < 0.08:
         # The open hand, the tool lying in it: as during the handover.
-        q = HAND.posture("open" if rng.random() < 0.5 else "preshape")
-    q[len(HAND.wrist) :] += rng.normal(0.0, 0.04, len(HAND.finger_joints))
-    q[HAND.wrist_index] = rng.uniform(*np.transpose([joint.shown for joint in HAND.wrist]))
+        q = SHOWN_HAND.posture("open" if rng.random() < 0.5 else "preshape")
+    q[len(SHOWN_HAND.wrist) :] += rng.normal(0.0, 0.04, len(SHOWN_HAND.finger_joints))
+    q[SHOWN_HAND.wrist_index] = rng.uniform(*np.transpose([joint.shown for joint in SHOWN_HAND.wrist]))
     return Grasp(X, q, radius)
 
 
 def _closed(q_hand: Array) -> Array:
     """Fingers that a slanting handle kept from closing (they began inside of it) bend as far as the others do."""
     q = q_hand.copy()
-    together = [joints for joints in HAND.wrapping_order if len(joints) == len(HAND.fingers) - 1]
-    rows = np.array([HAND.index(joints) for joints in together]).T
+    together = [joints for joints in SHOWN_HAND.wrapping_order if len(joints) == len(SHOWN_HAND.fingers) - 1]
+    rows = np.array([SHOWN_HAND.index(joints) for joints in together]).T
     blocked = q[rows[:, 0]] < 0.3
     if blocked.any() and not blocked.all():
         q[rows[blocked]] = np.median(q[rows[~blocked]], axis=0)
@@ -155,7 +154,7 @@ def tuple_of(grey: float) -> tuple[float, float, float]:
 
 @lru_cache(maxsize=2)
 def _hand_render_meshes(mirrored: bool) -> dict[str, Mesh]:
-    right = {name: Mesh.build(m.vertices, m.faces, crease_deg=50.0) for name, m in HAND.meshes.items()}
+    right = {name: Mesh.build(m.vertices, m.faces, crease_deg=50.0) for name, m in SHOWN_HAND.meshes.items()}
     return {name: mesh.mirrored() for name, mesh in right.items()} if mirrored else right
 
 
@@ -163,14 +162,14 @@ def hand_bodies(grasp: Grasp, style: HandStyle, X_world_hand: Array, body_id: in
     """Hand (and forearm) at the pose of its palm; for a mirrored style, `X_world_hand` is the left palm's."""
     bodies = []
     meshes = _hand_render_meshes(style.mirrored)
-    for name, X in HAND.link_poses(grasp.q_hand).items():
-        if name not in meshes or (name == HAND.forearm[0] and not forearm):
+    for name, X in SHOWN_HAND.link_poses(grasp.q_hand).items():
+        if name not in meshes or (name == SHOWN_HAND.forearm[0] and not forearm):
             continue
         X_hand_link = _MIRROR @ X @ _MIRROR if style.mirrored else X
         material = style.palm
-        if name in HAND.tips:
+        if name in SHOWN_HAND.tips:
             material = style.tips
-        elif name in HAND.forearm:
+        elif name in SHOWN_HAND.forearm:
             material = style.sleeve
         bodies.append(Body(meshes[name], X_world_hand @ X_hand_link, material, body_id))
     return bodies
@@ -187,7 +186,7 @@ def X_hand_tool_of(grasp: Grasp, mirrored: bool) -> Array:
 
 def X_base_hand_of(q_arm: Array, q_hand: Array) -> Array:
     """Pose of the palm in the arm's base at q_arm (6,), q_hand (n,) [rad]."""
-    return robot_tree().link_poses(np.concatenate([q_arm, q_hand]))[HAND.frame]
+    return robot_tree().link_poses(np.concatenate([q_arm, q_hand]))[SHOWN_HAND.frame]
 
 
 @lru_cache(maxsize=1)

@@ -12,14 +12,14 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import transform, transform_points
 from toolee_robot.perception.dataset.paper_camera import CIRCLE, FOCAL, FULL_HEIGHT, FULL_WIDTH
-from toolee_robot.perception.dataset.records import HEIGHT, SCENES, WIDTH
+from toolee_robot.perception.dataset.records import HEIGHT, SCENES, SHOWN_HAND, WIDTH
 from toolee_robot.perception.synthesis.bodies import Grasp, HandStyle, hand_bodies, tool_bodies
 from toolee_robot.perception.synthesis.clutter import walls
 from toolee_robot.perception.synthesis.placement import PlacedTool, Pool, SceneSample, X_world_hand_of, look, ray
 from toolee_robot.render import Material, Scene
 from toolee_robot.render.lab import environment, lamps
 from toolee_robot.render.palette import linear
-from toolee_robot.robots import SHADOW_HAND, wrap_fingers
+from toolee_robot.robots import wrap_fingers
 from toolee_robot.types import CameraIntrinsics
 
 DEPTHS = (0.42, 0.98)
@@ -48,8 +48,8 @@ def paper_scene(rng: np.random.Generator, pool: Pool, claws: bool = False) -> Sc
     X_world_tool = transform(R, p - R @ ee.X_tool_ee[:3, 3])
 
     radius = tool.handle.grip_radius
-    X_hand_tool = SHADOW_HAND.grasp.X_hand_tool(radius)
-    grasp = Grasp(X_hand_tool, wrap_fingers(SHADOW_HAND, X_hand_tool, radius), radius)
+    X_hand_tool = SHOWN_HAND.grasp.X_hand_tool(radius)
+    grasp = Grasp(X_hand_tool, wrap_fingers(SHOWN_HAND, X_hand_tool, radius), radius)
     along = float(np.clip(rng.uniform(-_SHIFT, _SHIFT), tool.handle.z_min + 0.03, max(tool.handle.z_max, 0.0)))
     X_world_hand = X_world_hand_of(X_world_tool @ transform(p=(0.0, 0.0, along)), X_hand_tool)
 

@@ -10,7 +10,7 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.sim_backend.ground_truth.verdict import Truth
-from toolee_robot.types import Detection, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 _SIGMA = 1e-4
 """Claimed standard deviation [m, rad]: none, but covariances must be positive."""
@@ -22,11 +22,11 @@ class PerfectPerception:
     def __init__(self, judge: Truth) -> None:
         self._judge = judge
 
-    def estimate(self, frame: RgbdFrame, X_camera_hand: Array | None = None) -> list[ToolEstimate]:
+    def estimate(self, frame: RgbdFrame, hand: HoldingHand | None = None) -> list[ToolEstimate]:
         """One estimate: the true face, seen or not. The hand's pose is needed: truth is told in the hand."""
-        if X_camera_hand is None:
-            raise PerceptionError("perfect perception is told in the hand's frame: give X_camera_hand")
-        X = X_camera_hand @ self._judge.X_hand_ee(frame.stamp)
+        if hand is None:
+            raise PerceptionError("perfect perception is told in the hand's frame: give the hand")
+        X = hand.X_camera_hand @ self._judge.X_hand_ee(frame.stamp)
         uv = frame.intrinsics.matrix @ X[:3, 3]
         u, v = uv[:2] / uv[2]
         mask = np.zeros(frame.depth.shape, dtype=np.bool_)

@@ -18,8 +18,9 @@ from toolee_robot.cli.output import json_line
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import UserError
 from toolee_robot.recording.pose_text import pose_text, sigma_text
+from toolee_robot.robots import SHADOW_HAND, hand_model
 from toolee_robot.runtime.files import write_atomic
-from toolee_robot.types import ToolEstimate
+from toolee_robot.types import HoldingHand, ToolEstimate
 
 _File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
 
@@ -46,6 +47,8 @@ class Estimate:
     """Pinhole intrinsics [px] of the colour image, undistorted."""
     hand_pose: _File = None
     """X_camera_hand, 16 numbers row by row [m] (text, .json, .npy): fixes the spin a symmetric tool does not show."""
+    hand: str = SHADOW_HAND.name
+    """Which hand --hand-pose is of."""
     bop: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Instead of one frame: a BOP scene folder with rgb/, depth/ and scene_camera.json."""
     picture: Annotated[Path | None, tyro.conf.arg(metavar="OUT.png", help_behavior_hint="")] = None
@@ -72,10 +75,11 @@ class Estimate:
         from toolee_robot.perception.io import read_frame, read_pose
 
         frame = read_frame(self.rgb, self.depth, self.intrinsics, self.depth_scale)
-        X_camera_hand = None if self.hand_pose is None else read_pose(self.hand_pose)
+        R_hand_tool = hand_model(self.hand).grasp.R_hand_tool
+        hand = None if self.hand_pose is None else HoldingHand(read_pose(self.hand_pose), R_hand_tool)
         perception = ToolPerception.load()
         start = time.perf_counter()
-        estimates = perception.estimate(frame, X_camera_hand)
+        estimates = perception.estimate(frame, hand)
         elapsed_ms = (time.perf_counter() - start) * 1e3
         if self.picture is not None:
             from toolee_robot.recording.picture import draw

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from tests.examples import examples
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, transform
+from toolee_robot.perception.pose.cloud_estimator import PoseResult, with_hand
 from toolee_robot.perception.pose.pooling import (
     FREE_SPIN_VARIANCE,
     SigmaScale,
@@ -20,8 +21,10 @@ from toolee_robot.perception.pose.pooling import (
 )
 from toolee_robot.perception.pose.rotations import rotation_matrix, rotation_vectors, rotations_about, twist_angles
 from toolee_robot.perception.pose.spin import fix_spin, with_spin_variance
+from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 from toolee_robot.tools import ToolKind, make_tool, train_seeds
+from toolee_robot.types import HoldingHand, PoseHypotheses
 
 seeds = st.integers(0, 2**31)
 GROUPS = [
@@ -162,6 +165,22 @@ def test_the_fix_replaces_the_twist_only(seed: int) -> None:
     # Nothing of the prior's twist is left to replace, and its variance is taken over.
     assert abs(twist_angles((fixed.T @ R_prior)[None], np.array([0.0, 0.0, 1.0]))[0]) < 1e-6
     assert variance == pytest.approx(np.deg2rad(10) ** 2, rel=0.02)
+
+
+@pytest.mark.parametrize("turn", [0.0, 90.0, 200.0])
+def test_a_free_spin_is_the_one_of_the_hand_s_own_grasp(turn: float) -> None:
+    """Of another hand that holds the same tool turned about its face's normal, which is the tool's x axis."""
+    R_camera_hand = Rotation.random(rng=np.random.default_rng(3)).as_matrix()
+    R_hand_tool = SHADOW_HAND.grasp.R_hand_tool @ Rotation.from_euler("x", turn, degrees=True).as_matrix()
+    R_true = R_camera_hand @ R_hand_tool @ Category.HAMMER_HEAD.spec.R_tool_ee
+    seen = transform(R_true @ Rotation.from_euler("z", 77, degrees=True).as_matrix(), [0.0, 0.0, 0.6])
+    hypotheses = PoseHypotheses(seen[None], np.zeros((0, 3)), 0.001, 0.01, 0.0)
+    free = PoseResult(
+        Category.HAMMER_HEAD, seen, FREE_SPIN_VARIANCE * np.eye(6), 1.0, True, "ok", hypotheses, (1.0,),
+        np.zeros(0), np.zeros(3),
+    )  # fmt: skip
+    held = with_hand(free, HoldingHand(transform(R_camera_hand, [0.1, 0.0, 0.6]), R_hand_tool))
+    np.testing.assert_allclose(held.X_camera_ee[:3, :3], R_true, atol=1e-9)
 
 
 def test_a_well_seen_spin_outweighs_the_hand() -> None:

@@ -31,6 +31,7 @@ from toolee_robot.perception.pose.training.losses import augment, canonical_rota
 from toolee_robot.perception.pose.training.recipe import DefaultRecipe
 from toolee_robot.perception.pose.training.trainer import Trainer, train
 from toolee_robot.perception.training.distributed import Distributed
+from toolee_robot.types import HoldingHand
 
 pytestmark = pytest.mark.sim
 
@@ -254,7 +255,7 @@ def test_estimates_are_complete_and_follow_the_hand(trained: Path) -> None:
     rest = points + np.linspace(0.03, 0.2, 400)[:, None] * [0.0, 1.0, 0.0]
     rest[:3] = np.nan
     alone = estimator.estimate(points, Category.SCREWDRIVER_HEAD, rest)
-    held = estimator.estimate(points, Category.SCREWDRIVER_HEAD, rest, X_camera_hand)
+    held = estimator.estimate(points, Category.SCREWDRIVER_HEAD, rest, HoldingHand(X_camera_hand, np.eye(3)))
     np.testing.assert_allclose(held.X_camera_ee[:3, 2], alone.X_camera_ee[:3, 2], atol=1e-9)
     assert alone.hypotheses.Xs_camera_ee.shape == (20, 4, 4)
     assert np.linalg.eigvalsh(alone.covariance).min() > 0

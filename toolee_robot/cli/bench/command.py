@@ -18,6 +18,7 @@ from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import TooleeError, UserError
+from toolee_robot.types import HoldingHand
 
 if TYPE_CHECKING:
     from toolee_robot.cli.bench.scene import BenchScene
@@ -95,7 +96,8 @@ def _perception(scene: BenchScene, repeats: int) -> Iterator[Latency]:
     from toolee_robot.perception import ToolPerception
     from toolee_robot.perception.cloud import ee_cloud
 
-    frame, X_camera_hand = scene.frame, scene.X_camera_hand
+    frame = scene.frame
+    hand = HoldingHand(scene.X_camera_hand, scene.robot.description.hand.grasp.R_hand_tool)
     perception = ToolPerception.load()
     yield measure(
         f"segmentation ({frame.intrinsics.width}x{frame.intrinsics.height})",
@@ -114,7 +116,7 @@ def _perception(scene: BenchScene, repeats: int) -> Iterator[Latency]:
             cloud.points,
             detection.category,
             cloud.rest,
-            X_camera_hand,
+            hand,
             candidates=k,
             completed=cloud.completed,
         )
@@ -122,7 +124,7 @@ def _perception(scene: BenchScene, repeats: int) -> Iterator[Latency]:
         yield measure(f"pose, K = {k}", pose, repeats=repeats, target_ms=target)
     yield measure(
         f"perception in all (end effectors: {len(detections)})",
-        lambda: perception.estimate(frame, X_camera_hand),
+        lambda: perception.estimate(frame, hand),
         repeats=repeats,
         target_ms=_PERCEPTION_TARGET_MS,
     )

@@ -9,7 +9,7 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.ground_truth.verdict import Truth
-from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 Change = Callable[[InHandEstimate], InHandEstimate]
 
@@ -26,9 +26,9 @@ class ScriptedPerception(PerfectPerception):
         self.hands: list[Array] = []
         self.sees = True
 
-    def estimate(self, frame: RgbdFrame, X_camera_hand: Array | None = None) -> list[ToolEstimate]:
+    def estimate(self, frame: RgbdFrame, hand: HoldingHand | None = None) -> list[ToolEstimate]:
         """See `PerfectPerception`."""
-        return super().estimate(frame, X_camera_hand) if self.sees else []
+        return super().estimate(frame, hand) if self.sees else []
 
     def fuse(
         self,

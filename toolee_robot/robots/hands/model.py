@@ -80,6 +80,11 @@ class NominalGrasp:
     p_per_radius: tuple[float, float, float]
     """How the centre moves with the radius [m/m]: away from what the handle touches."""
 
+    @property
+    def R_hand_tool(self) -> Array:
+        """Axes of the tool in the hand, 3x3."""
+        return self.X_hand_tool(0.0)[:3, :3]
+
     def X_hand_tool(self, handle_radius: float) -> Array:
         """Nominal pose of the tool in the hand.
 

@@ -14,7 +14,7 @@ from toolee_robot.errors import DeviceError, PerceptionError, StaleDataError, Us
 from toolee_robot.frames import Array, angle_between, inverse
 from toolee_robot.hal import Station
 from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 MAX_DISPLACEMENT = 0.10
 """[m] A face further than this from where a nominal grasp has it is not believed: no hand holds a tool like that."""
@@ -26,7 +26,7 @@ MIN_DEPTH = 0.3
 class Perceiver(Protocol):
     """What a task needs of perception; `toolee_robot.perception.ToolPerception` is one."""
 
-    def estimate(self, frame: RgbdFrame, X_camera_hand: Array | None = None) -> list[ToolEstimate]: ...
+    def estimate(self, frame: RgbdFrame, hand: HoldingHand | None = None) -> list[ToolEstimate]: ...
 
     def fuse(
         self,
@@ -51,6 +51,7 @@ class Look:
         self._station = station
         self._X_camera_base = inverse(config.camera.X_base_camera)
         self._robot = robot
+        self._R_hand_tool = robot.description.hand.grasp.R_hand_tool
         self._perceiver = perceiver
         self._observer = observer
         self._nominal = X_hand_ee_nominal
@@ -70,7 +71,7 @@ class Look:
         q_hand = self._station.hand.state().joints.q
         X_camera_hand = self._X_camera_base @ self._robot.fk(q_arm, q_hand)[1]
         try:
-            estimates = self._perceiver.estimate(frame, X_camera_hand)
+            estimates = self._perceiver.estimate(frame, HoldingHand(X_camera_hand, self._R_hand_tool))
         except UserError as error:  # it is the camera that made this frame
             raise DeviceError(f"the camera's frame is of no use: {error}") from error
         self._observer.frame(frame, estimates, X_camera_hand)
