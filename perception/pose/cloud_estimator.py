@@ -86,9 +86,9 @@ class CloudEstimator(ABC):
     ) -> PoseResult:
         """The pose of the EE whose visible points (N, 3) [m] are given in the camera's frame (OpenCV axes).
 
-        rest: (M, 3) [m], the visible points of the rest of the tool, camera frame. completed: (G, 3) [m], likewise, those
-        of the EE's mask whose depth is completed from their neighbours' (`depth_completion.py`). hand: the one that
-        holds the tool; tells where the rest is if that is not seen, and the spin about a symmetric EE's axis.
+        rest: (M, 3) [m], the visible points of the rest of the tool, camera frame. completed: (G, 3) [m], likewise,
+        those of the EE's mask whose depth is completed from their neighbours' (`depth_completion.py`). hand: the one
+        that holds the tool; tells where the rest is if that is not seen, and the spin about a symmetric EE's axis.
         The same input and seed give the same result. Raises PerceptionError with fewer than 25 finite points.
         """
         points = _finite(points)

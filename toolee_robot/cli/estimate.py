@@ -15,10 +15,10 @@ from rich.table import Table
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
+from toolee_robot.config import HandConfig
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import UserError
 from toolee_robot.recording.pose_text import pose_text, sigma_text
-from toolee_robot.robots import SHADOW_HAND, hand_model
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.types import HoldingHand, ToolEstimate
 
@@ -47,7 +47,7 @@ class Estimate:
     """Pinhole intrinsics [px] of the colour image, undistorted."""
     hand_pose: _File = None
     """X_camera_hand, 16 numbers row by row [m] (text, .json, .npy): fixes the spin a symmetric tool does not show."""
-    hand: str = SHADOW_HAND.name
+    hand: str = HandConfig().model
     """Which hand --hand-pose is of."""
     bop: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
     """Instead of one frame: a BOP scene folder with rgb/, depth/ and scene_camera.json."""
@@ -75,8 +75,11 @@ class Estimate:
         from toolee_robot.perception.io import read_frame, read_pose
 
         frame = read_frame(self.rgb, self.depth, self.intrinsics, self.depth_scale)
-        R_hand_tool = hand_model(self.hand).grasp.R_hand_tool
-        hand = None if self.hand_pose is None else HoldingHand(read_pose(self.hand_pose), R_hand_tool)
+        hand = None
+        if self.hand_pose is not None:
+            from toolee_robot.robots import hand_model
+
+            hand = HoldingHand(read_pose(self.hand_pose), hand_model(self.hand).grasp.R_hand_tool)
         perception = ToolPerception.load()
         start = time.perf_counter()
         estimates = perception.estimate(frame, hand)
