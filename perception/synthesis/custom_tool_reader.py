@@ -47,7 +47,7 @@ _Material = Annotated[str, AfterValidator(_known)]
 
 @dataclass(frozen=True)
 class EeConfig:
-    """position, z, x: of the category's frame (`toolee_robot.tools`), in the mesh's frame and unit. x may be left out
+    """position, z, x: of the category's frame (`EndEffectorSpec.frame`), in the mesh's frame and unit. x may be left out
     where the category's symmetry leaves it open."""
 
     __pydantic_config__ = _STRICT
@@ -168,7 +168,7 @@ def _ee_frame(k: int, ee: EeConfig, scale: float, butt: Array, surface: Array) -
     where = f"ees.{k} ({ee.category})"
     free = ee.category.symmetry.kind is SymmetryKind.CINF
     if ee.x is None and not free:
-        raise ValueError(f"{where}: needs x, for its turn about z is not free; toolee_robot.tools says where x points")
+        raise ValueError(f"{where}: needs x, for its turn about z is not free. Its frame: {ee.category.spec.frame}")
     if not np.any(z) or (ee.x is not None and not np.any(ee.x)):
         raise ValueError(f"{where}: an axis is zero")
     x = butt - p if ee.x is None else np.asarray(ee.x)

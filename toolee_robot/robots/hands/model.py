@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from toolee_robot.errors import AssetError, UserError
+from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, frame_from_axes, inverse
 from toolee_robot.robots.meshes import link_mesh
 from toolee_robot.robots.tree import Tree
@@ -225,9 +225,3 @@ class HandModel:
             if mesh is not None:
                 found[link.name] = mesh
         return found
-
-
-def check_posture(hand: HandModel, q_hand: Array) -> None:
-    """Raises UserError when q_hand is not (n,), a number for each of the hand's joints."""
-    if q_hand.shape != (len(hand.joints),):
-        raise UserError(f"q_hand {q_hand.shape} must be ({len(hand.joints)},): the {hand.label}'s joints, wrist first")
