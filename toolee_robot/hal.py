@@ -141,10 +141,10 @@ class Arm(Device, Protocol):
 
 @dataclass(frozen=True)
 class HandState:
-    """joints: the hand's joints in the order of `joint_names` (wrist included).
+    """joints: the hand's joints (n,) in the order of `joint_names`, wrist first: those of its `robots.HandModel`.
 
-    contact_forces: finger -> force [N] on its pads (0 where nothing is touched); names are "thumb", "index",
-    "middle", "ring", "little", and "palm" where it can be felt. holding: the hand's own judgement that something is
+    contact_forces: finger -> force [N] on its pads (0 where nothing is touched); the fingers' names are the model's,
+    and "palm" where it can be felt. holding: the hand's own judgement that something is
     held. assisted: the hold is the simulation's assisted grip, not friction alone. temperature: of the hottest part
     [deg C], None where the hand cannot tell. fault: what the hand complains of (stalled, over current, ...), in words;
     empty if nothing.

@@ -47,8 +47,8 @@ _Material = Annotated[str, AfterValidator(_known)]
 
 @dataclass(frozen=True)
 class EeConfig:
-    """position, z, x: of the category's frame (`EndEffectorSpec.frame`), in the mesh's frame and unit. x may be left out
-    where the category's symmetry leaves it open."""
+    """position, z, x: of the category's frame (`EndEffectorSpec.frame`), in the mesh's frame and unit. x may be left
+    out where the category's symmetry leaves it open."""
 
     __pydantic_config__ = _STRICT
     category: Category
