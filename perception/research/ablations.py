@@ -21,7 +21,7 @@ from toolee_robot.perception.pose.estimator import PoseEstimator
 from toolee_robot.perception.pose.network import NetworkConfig
 from toolee_robot.perception.pose.processes.flow import Euler
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, CloudConfig
-from toolee_robot.perception.pose.synthetic_clouds.surface_samples import load_hands, sample_tools
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import sample_tools
 from toolee_robot.perception.pose.training import validation
 from toolee_robot.perception.pose.training.config import TrainConfig
 from toolee_robot.perception.pose.training.recipe import DefaultRecipe, TrainingRecipe
