@@ -22,6 +22,8 @@ from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
 from toolee_robot.types import Trajectory
 
+pytestmark = pytest.mark.sim
+
 HAND = THREE_FINGER_HAND
 CONFIG = StationConfig(hand=HandConfig(HAND.name))
 
