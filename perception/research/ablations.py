@@ -21,7 +21,7 @@ from toolee_robot.perception.pose.estimator import PoseEstimator
 from toolee_robot.perception.pose.network import NetworkConfig
 from toolee_robot.perception.pose.processes.flow import Euler
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, CloudConfig
-from toolee_robot.perception.pose.synthetic_clouds.surface_samples import load_hands, sample_tools
+from toolee_robot.perception.pose.synthetic_clouds.surface_samples import sample_hands, sample_tools
 from toolee_robot.perception.pose.training import validation
 from toolee_robot.perception.pose.training.config import TrainConfig
 from toolee_robot.perception.pose.training.recipe import DefaultRecipe, TrainingRecipe
@@ -121,20 +121,19 @@ def without_training(estimator: CloudEstimator, held_out: CloudBatch) -> list[di
     return rows
 
 
-def run_rows(names: Sequence[str], out: Path, config: TrainConfig, hands_file: Path | None) -> None:
+def run_rows(names: Sequence[str], out: Path, config: TrainConfig) -> None:
     """Train these rows, one after the other, and rewrite the table after each.
 
     Args:
         names: Some of `ROWS`.
         out: Folder of the table, with a folder for each row.
         config: The budget of each row.
-        hands_file: Hand samples; None: made here.
 
     Raises:
         TooleeError: A loss is not finite.
     """
     samples = sample_tools(False, config.train_seeds), sample_tools(True, config.test_seeds)
-    hands = load_hands(hands_file)
+    hands = sample_hands()
     for name in names:
         run_row(name, out, config, samples, hands)
         write_table(out)

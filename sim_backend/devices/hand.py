@@ -217,6 +217,6 @@ class SimHand:
             world.tool.body,
             inverse(world.tool.X_tool_inertial),
             p_hand_grip,
-            GripLimits.from_contact(fingers, self._friction, radius),
+            GripLimits.from_contact(fingers, self._friction, radius, self._model.grip_width),
             NORMAL.time_step,
         )

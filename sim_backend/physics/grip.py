@@ -34,7 +34,6 @@ DAMPING = 60.0  # [N s/m], at most
 ANGULAR_STIFFNESS = 500.0  # [Nm/rad], at most
 ANGULAR_DAMPING = 0.5  # [Nm s/rad], at most
 STABILITY_NUMBER = 1.0  # at most, of each motion; explicit steps are stable below 4 / 3 (GripGains.stable)
-HAND_WIDTH = 0.075  # [m] across the four fingers
 TENDON_LOSS = 0.4  # of the tilting torque, while the fingers close again
 TILT_SLIP = 0.015  # of a tilt beyond the bound that stays
 RELEASE_SLIP = 0.030  # [m]
@@ -52,10 +51,10 @@ class GripLimits:
     tilting: float
 
     @classmethod
-    def from_contact(cls, normal_force: float, friction: float, handle_radius: float) -> GripLimits:
-        """From the sum of the finger forces [N]."""
+    def from_contact(cls, normal_force: float, friction: float, handle_radius: float, width: float) -> GripLimits:
+        """From the sum of the finger forces [N]; width: of the hand along the handle, `HandModel.grip_width` [m]."""
         n = normal_force
-        return cls(friction * n, n, friction * n * handle_radius, (1 + friction) * n * HAND_WIDTH / 4)
+        return cls(friction * n, n, friction * n * handle_radius, (1 + friction) * n * width / 4)
 
 
 @dataclass(frozen=True)

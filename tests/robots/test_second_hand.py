@@ -16,11 +16,16 @@ from toolee_robot.errors import AssetError, ConfigError
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.robots import HANDS, SHADOW_HAND, load_robot, wrap_fingers
 from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.tasks.common.outcome import Outcome
+from toolee_robot.tasks.hammering.grasp import nominal_grasp
+from toolee_robot.tasks.hammering.task import HammeringTask
 from toolee_robot.types import Trajectory
+
+pytestmark = pytest.mark.sim
 
 HAND = THREE_FINGER_HAND
 CONFIG = StationConfig(hand=HandConfig(HAND.name))
-X_BEHIND = transform(p=[0.0, 0.0, 0.2])
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -109,6 +114,16 @@ def test_it_closes_on_a_hammer_and_holds_it_by_contact(handover: Trajectory) -> 
         assert station.arm.state().wrench[2] == pytest.approx(-9.81 * simulation.tool.mass, abs=1.0)
         station.hand.open()
         assert not station.hand.state().holding
+
+
+@pytest.mark.nightly
+def test_a_whole_job_drives_the_nail_with_it() -> None:
+    with SimStation.build(CONFIG, 100) as simulation:
+        perception = PerfectPerception(simulation.judge)
+        grasp = nominal_grasp(simulation.tool, CONFIG)
+        result = HammeringTask(simulation.station, perception, CONFIG, grasp).run()
+        assert result.outcome is Outcome.FLUSH, result.reason
+        assert simulation.judge.verdict(result.estimates).misses == 0
 
 
 def test_a_model_file_with_other_joints_is_refused(tmp_path: Path) -> None:

@@ -44,4 +44,5 @@ THREE_FINGER_HAND = HandModel(
     grasp=NominalGrasp(z=(1.0, 0.0, 0.0), x=(0.0, 0.0, 1.0), p=(0.0, -0.015, 0.081), p_per_radius=(0.0, -1.0, -1.0)),
     holding_links=3,
     finger_force=20.0,
+    grip_width=0.07,
 )

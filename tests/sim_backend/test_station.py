@@ -303,6 +303,6 @@ def test_unusable_options_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_grip_limits_grow_with_the_fingers_force() -> None:
-    weak, strong = (GripLimits.from_contact(n, 0.8, 0.015) for n in (40.0, 80.0))
+    weak, strong = (GripLimits.from_contact(n, 0.8, 0.015, 0.075) for n in (40.0, 80.0))
     assert strong.along == pytest.approx(2 * weak.along) == pytest.approx(0.8 * 80)
     assert strong.about == pytest.approx(0.8 * 80 * 0.015)

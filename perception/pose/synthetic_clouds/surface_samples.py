@@ -1,19 +1,14 @@
-"""Dense surface samples of tools and hands, the raw material of the training clouds. numpy only, several processes.
-
-`save_hands` writes the hands' samples to a small file, so that a training need not make them.
-"""
+"""Dense surface samples of tools and hands, the raw material of the training clouds. numpy only, several processes."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.runtime.process_pool import WorkerPool
@@ -157,25 +152,6 @@ def sample_hands(count: int = 64, seed: int = 0) -> Float32:
         )
         hands[i] = cloud[rng.choice(len(cloud), HAND_SAMPLES, replace=len(cloud) < HAND_SAMPLES)]
     return hands
-
-
-def save_hands(path: Path) -> None:
-    """Write `sample_hands()` for machines without the hand's model; float16, about 2 MB."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(path, hands=sample_hands().astype(np.float16))
-
-
-def load_hands(path: Path | None) -> Float32:
-    """Hands from `save_hands`'s file, or made here if path is None. Raises AssetError."""
-    if path is None:
-        return sample_hands()
-    try:
-        with np.load(path) as data:
-            return np.asarray(data["hands"], np.float32)
-    except (OSError, KeyError, ValueError) as error:
-        raise AssetError(
-            f"cannot read the hand samples {path}: {error}; write them with `toolee train hands --out FILE`"
-        ) from error
 
 
 def random_grasps(handle: Float32, rng: np.random.Generator, shift: float = 0.05, nominal: bool = False) -> Float32:

@@ -21,7 +21,7 @@ from toolee_robot.perception.pose.synthetic_clouds.source import CloudSource, Mi
 from toolee_robot.perception.pose.synthetic_clouds.surface_samples import (
     Float32,
     SurfaceSamples,
-    load_hands,
+    sample_hands,
     sample_tools,
 )
 from toolee_robot.perception.pose.training import validation
@@ -199,7 +199,6 @@ def train(
     out: Path,
     config: TrainConfig,
     recipe: TrainingRecipe[Any] | None = None,
-    hands_file: Path | None = None,
     calibrate_only: bool = False,
     init: Path | None = None,
     rendered: Sequence[Path] = (),
@@ -218,7 +217,7 @@ def train(
         kept.check_kind(recipe.of_tool)  # before the work
     begun = time.monotonic()
     samples = sample_tools(False, config.train_seeds), sample_tools(True, config.test_seeds)
-    hands = load_hands(hands_file)
+    hands = sample_hands()
     print(
         f"{[len(b.category) for b in samples]} EEs and {len(hands)} hands sampled in {time.monotonic() - begun:.0f} s"
     )

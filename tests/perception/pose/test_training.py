@@ -21,10 +21,8 @@ from toolee_robot.perception.pose.synthetic_clouds.generator import CloudGenerat
 from toolee_robot.perception.pose.synthetic_clouds.surface_samples import (
     Float32,
     SurfaceSamples,
-    load_hands,
     sample_hands,
     sample_tools,
-    save_hands,
 )
 from toolee_robot.perception.pose.training.config import TrainConfig
 from toolee_robot.perception.pose.training.losses import augment, canonical_rotation, context, pose_loss
@@ -351,15 +349,6 @@ def test_missing_or_broken_weights_say_what_to_do(tmp_path: Path) -> None:
     (tmp_path / "pose.json").write_text("{}")
     with pytest.raises(AssetError, match="pose"):
         PoseEstimator.load(tmp_path)
-
-
-def test_hand_samples_travel_in_a_file(tmp_path: Path) -> None:
-    save_hands(tmp_path / "hands.npz")
-    assert (tmp_path / "hands.npz").stat().st_size < 4e6
-    loaded = load_hands(tmp_path / "hands.npz")
-    np.testing.assert_allclose(loaded[:4], sample_hands(64)[:4], atol=5e-4)
-    with pytest.raises(AssetError, match="toolee train hands"):
-        load_hands(tmp_path / "none.npz")
 
 
 def test_confidence_is_calibrated_on_what_it_was_fitted_to() -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.train.options import Count, File, Number, OutDir, make_folder
+from toolee_robot.cli.train.options import Count, Number, OutDir, make_folder
 from toolee_robot.errors import UserError
 
 _MINUTES = 10.0
@@ -37,8 +37,6 @@ class Ablations:
     """Of weights, clouds and order (default: 0)."""
     device: Annotated[str, tyro.conf.arg(metavar="NAME")] = "auto"
     """cpu, cuda, cuda:1; auto: a GPU if there is one."""
-    hands: File = None
-    """Hand samples, for machines without the hand's model: `toolee train hands`."""
     train_seeds: Count = None
     """Tools of each kind to learn from (default: 480)."""
     test_seeds: Count = None
@@ -71,6 +69,6 @@ class Ablations:
                 first_fill=min(TrainConfig.first_fill, 32 * batch),
                 **given,
             )
-            run_rows(names, self.out, config, self.hands)
+            run_rows(names, self.out, config)
         print(write_table(self.out))
         return 0

@@ -16,7 +16,7 @@ from toolee_robot.cli.progress import progress_bars
 from toolee_robot.cli.train.ablations import Ablations
 from toolee_robot.cli.train.images import Refinement, Segmentation
 from toolee_robot.cli.train.options import File
-from toolee_robot.cli.train.pose import Clouds, Hands, Pose
+from toolee_robot.cli.train.pose import Clouds, Pose
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,6 @@ _Action = (
     Annotated[Segmentation, tyro.conf.subcommand("segmentation")]
     | Annotated[Refinement, tyro.conf.subcommand("refinement")]
     | Annotated[Clouds, tyro.conf.subcommand("clouds")]
-    | Annotated[Hands, tyro.conf.subcommand("hands")]
     | Annotated[Pose, tyro.conf.subcommand("pose")]
     | Annotated[Ablations, tyro.conf.subcommand("ablations")]
     | Annotated[Trust, tyro.conf.subcommand("trust")]

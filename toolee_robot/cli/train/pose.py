@@ -16,7 +16,6 @@ from toolee_robot.cli.progress import progress_bars
 from toolee_robot.cli.train.options import (
     CHECKPOINT,
     Count,
-    File,
     Folder,
     Number,
     TrainingCommand,
@@ -90,24 +89,6 @@ class Clouds:
 
 
 @dataclass(frozen=True)
-class Hands:
-    """Keep samples of the hand's surface in a file, for a training on a machine without the hand's model.
-
-    Example: toolee train hands --out hands.npz
-    """
-
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
-    """Where they go, for `toolee train pose --hands FILE`."""
-
-    def run(self) -> int:
-        from toolee_robot.perception.pose.synthetic_clouds.surface_samples import save_hands
-
-        make_folder(self.out.parent)
-        save_hands(self.out)
-        return 0
-
-
-@dataclass(frozen=True)
 class Pose(TrainingCommand):
     """Train the pose network on clouds that are made as they are needed.
 
@@ -127,8 +108,6 @@ class Pose(TrainingCommand):
     """Of the paper's Table I, for --estimator paper (default: symmetry-aware)."""
     protocol: Literal["hard", "paper"] = "hard"
     """Which data set's views the clouds are like."""
-    hands: File = None
-    """Hand samples, for machines without the hand's model: `toolee train hands`."""
     rendered: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = ()
     """Clouds of rendered images to mix in, made by `toolee train clouds`."""
     rendered_share: Number = None
@@ -162,5 +141,5 @@ class Pose(TrainingCommand):
             remember(self.out, resumed, {**about, "rendered": [str(path) for path in self.rendered]})
         clouds = PROTOCOLS[self.protocol]()
         method: Any = DefaultRecipe(clouds_config=clouds) if column is None else PaperRecipe(column, clouds)
-        report = train(self.out, config, method, self.hands, self.calibrate_only, self.init, self.rendered)
+        report = train(self.out, config, method, self.calibrate_only, self.init, self.rendered)
         return self.end(resumed, report=report)

@@ -138,6 +138,8 @@ class HandModel:
     """Links of the other fingers that must touch, besides the opposing one, for a hold."""
     finger_force: float
     """Most that one finger presses with [N]."""
+    grip_width: float
+    """Width across the fingers that hold, along the handle [m]."""
     mesh_cell: float = 0.0042
     """Meshes are thinned to this size for rendering and planning [m]."""
     root_mesh_cell: float = 0.018

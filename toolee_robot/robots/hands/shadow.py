@@ -82,4 +82,5 @@ SHADOW_HAND = HandModel(
     ),
     holding_links=3,
     finger_force=25.0,  # a tendon-driven finger's
+    grip_width=0.075,
 )
