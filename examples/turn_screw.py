@@ -10,6 +10,7 @@ from toolee_robot.frames import Array, inverse
 from toolee_robot.hal import Station
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.types import HoldingHand
 
 
 class TurnScrew:
@@ -49,5 +50,6 @@ class TurnScrew:
             m.transfer("to a view", view.transfer)
             self.station.clock.sleep(0.3)  # until arm and tool have stopped swinging
             hands.append(inverse(self.config.camera.X_base_camera) @ self.robot.fk(m.q, m.q_hand)[1])
-            seen.append(self.perception.estimate(self.station.camera.read(), hands[-1]))
+            holding = HoldingHand(hands[-1], self.robot.description.hand.grasp.R_hand_tool)
+            seen.append(self.perception.estimate(self.station.camera.read(), holding))
         return self.perception.fuse(seen, hands, Category.SCREWDRIVER_HEAD).X_hand_ee

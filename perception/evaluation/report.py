@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from toolee_robot.end_effectors import label_of
+from toolee_robot.end_effectors import CATEGORIES, label_of
 from toolee_robot.perception.evaluation import figures
 from toolee_robot.perception.evaluation.html import Page
 from toolee_robot.perception.evaluation.metrics import THRESHOLDS
@@ -212,7 +212,9 @@ def segmentation_page(found: dict[str, Any], rows: list[list[str]], columns: Seq
     out = Page("TOOLEE benchmark: segmentation", subtitle)
     average = found["average"]
     names = {"AP": "AP", "AP50": "AP50", "AP75": "AP75"}
-    out.cards([(_share(average[k]), f"{text}, average of the four categories") for k, text in names.items()])
+    out.cards(
+        [(_share(average[k]), f"{text}, average of the {len(CATEGORIES)} categories") for k, text in names.items()]
+    )
     out.section("COCO mask AP")
     out.table(["class", "instances", *columns], rows)
     out.paragraph(
