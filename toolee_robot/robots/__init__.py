@@ -11,13 +11,13 @@ A hand is a record: `HandModel`, in `toolee_robot.robots.hands`. Nothing here im
 
 from toolee_robot.robots.description import (
     ARM_JOINTS,
-    FLANGE_FRAME,
     RobotDescription,
     arm_link_poses,
     arm_meshes,
     load_robot,
 )
 from toolee_robot.robots.hands import HANDS, PALM, SHADOW_HAND, HandModel, NominalGrasp, hand_model
+from toolee_robot.robots.tree import FLANGE_FRAME
 from toolee_robot.robots.wrap import wrap_fingers
 
 __all__ = [

@@ -18,12 +18,11 @@ from toolee_robot.robots.assets import UR10_URDF, cache_folder
 from toolee_robot.robots.dh import joint_origins
 from toolee_robot.robots.hands import SHADOW_HAND, HandModel, hand_model
 from toolee_robot.robots.meshes import link_mesh
-from toolee_robot.robots.tree import Shape, Tree
+from toolee_robot.robots.tree import FLANGE_FRAME, Shape, Tree
 from toolee_robot.robots.urdf import read_ur10, write_urdf
 from toolee_robot.types import ArmModel, DhCalibration, Payload
 
 BASE_FRAME = "base_link"
-FLANGE_FRAME = "tool0"
 ARM_JOINTS = (
     "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
 )  # fmt: skip

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from toolee_robot.frames import Array
 
+FLANGE_FRAME = "tool0"
+"""Name of the arm's last link, which carries the hand."""
+
 
 def _rotations(axes: Array, angles: Array) -> Array:
     """Rodrigues' formula, (n, 3, 3) of axes (n, 3) and angles (n,); scipy's Rotation costs ten times as much."""

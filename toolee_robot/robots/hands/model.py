@@ -18,7 +18,7 @@ import trimesh
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, frame_from_axes, inverse
 from toolee_robot.robots.meshes import link_mesh
-from toolee_robot.robots.tree import Tree
+from toolee_robot.robots.tree import FLANGE_FRAME, Tree
 
 PALM = "palm"
 """What a link of the hand belongs to that is neither a finger's nor the forearm's."""
@@ -142,7 +142,7 @@ class HandModel:
     """Width across the fingers that hold, along the handle [m]."""
     mesh_cell: float = 0.0042
     """Meshes are thinned to this size for rendering and planning [m]."""
-    root_mesh_cell: float = 0.018
+    root_mesh_cell: float = 0.0042
     """Likewise the root link's."""
 
     def __post_init__(self) -> None:
@@ -191,26 +191,19 @@ class HandModel:
         """Links of the finger tips."""
         return frozenset(finger.phalanges[-1].link for finger in self.fingers)
 
-    def mounted_on(self, flange: str) -> Tree:
-        """The hand's links, rooted in its mount.
-
-        Args:
-            flange: Name of the link that carries it.
+    @cached_property
+    def tree(self) -> Tree:
+        """The hand's links, rooted in its mount on the flange.
 
         Raises:
             AssetError: The model file cannot be read, or has other joints or no link for the hand frame.
         """
-        tree = self.read(self.source, flange, self.X_flange_root)
+        tree = self.read(self.source, FLANGE_FRAME, self.X_flange_root)
         if tree.joints != self.joints:
             raise AssetError(f"{self.source}: its joints are {tree.joints}, the {self.label}'s are {self.joints}")
         if self.frame not in tree.by_name:
             raise AssetError(f"{self.source} has no link {self.frame!r}, the hand frame")
         return tree
-
-    @cached_property
-    def tree(self) -> Tree:
-        """The links of the hand alone, mounted on the flange."""
-        return self.mounted_on("tool0")
 
     def link_poses(self, q_hand: Array) -> dict[str, Array]:
         """X_hand_link (4x4) of every link, forearm included, at q_hand (n,) [rad] in the order of `joints`."""

@@ -83,4 +83,5 @@ SHADOW_HAND = HandModel(
     holding_links=3,
     finger_force=25.0,  # a tendon-driven finger's
     grip_width=0.075,
+    root_mesh_cell=0.018,
 )
