@@ -13,6 +13,7 @@ from examples.new_hammer import drive_nail
 from examples.recorded_camera import RecordedCamera
 from examples.serial_hand import SerialHand
 from examples.turn_screw import TurnScrew
+from tests.documents.blocks import blocks
 from tests.documents.hand_device import HandDevice
 from tests.robots.three_finger import THREE_FINGER_HAND
 from toolee_robot import Category, StationConfig, ToolPerception
@@ -67,6 +68,16 @@ def test_estimate_poses_prints_a_line_for_each_estimate(
     assert usable == sum(e.usable for e in estimates) > 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(":")[0] for line in lines] == [e.category for e in estimates]
+
+
+def test_the_lines_of_the_readme_run(
+    scene: Path, perception: ToolPerception, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = next(text for path, text in blocks("python") if path.name == "README.md")
+    frames = [image.read() for image in bop_images(scene)]
+    frame = next(frame for frame in frames if any(e.usable for e in perception.estimate(frame)))
+    exec(code, {"frame": frame})
+    assert any(category in capsys.readouterr().out for category in Category)
 
 
 def test_the_recorded_camera_gives_each_frame_once_and_never_an_old_one(scene: Path) -> None:
