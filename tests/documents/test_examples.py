@@ -17,7 +17,7 @@ from tests.documents.blocks import blocks
 from tests.documents.hand_device import HandDevice
 from tests.robots.three_finger import THREE_FINGER_HAND
 from toolee_robot import Category, StationConfig, ToolPerception
-from toolee_robot.config import WorkConfig
+from toolee_robot.config import TaskConfig, WorkConfig
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.frames import Array, angle_between, transform
 from toolee_robot.hal import Hand, RgbdCamera
@@ -176,7 +176,7 @@ def test_the_task_turns_a_screwdriver_about_its_tip_on_the_screw(perception: Too
 
 
 def test_a_hammer_known_from_its_data_sheet_drives_a_nail(perception: ToolPerception) -> None:
-    config = StationConfig(work=WorkConfig(nail_protrusion=0.003))
+    config = StationConfig(work=WorkConfig(nail_protrusion=0.0015), task=TaskConfig(views=3))  # few strikes, few views
     hammer = make_tool(ToolKind.BALL_PEEN_HAMMER, 9)
     with SimStation.build(config, 0, SimOptions(tool=hammer)) as simulation:
         result = drive_nail(simulation.station, perception, config)
