@@ -46,10 +46,10 @@ class TurnScrew:
     def look(self, views: int = 3) -> Array:
         """X_hand_ee as the camera sees it. Raises PerceptionError when it does not see the tip."""
         m, seen, hands = self.motions, [], []
+        R_hand_tool = self.robot.description.hand.grasp.R_hand_tool
         for view in plan_views(self.robot, self.config, m.world(), m.q, m.q_hand, m.X_hand_ee, count=views).views:
             m.transfer("to a view", view.transfer)
             self.station.clock.sleep(0.3)  # until arm and tool have stopped swinging
             hands.append(inverse(self.config.camera.X_base_camera) @ self.robot.fk(m.q, m.q_hand)[1])
-            holding = HoldingHand(hands[-1], self.robot.description.hand.grasp.R_hand_tool)
-            seen.append(self.perception.estimate(self.station.camera.read(), holding))
+            seen.append(self.perception.estimate(self.station.camera.read(), HoldingHand(hands[-1], R_hand_tool)))
         return self.perception.fuse(seen, hands, Category.SCREWDRIVER_HEAD).X_hand_ee

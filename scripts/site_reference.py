@@ -161,7 +161,7 @@ def error_table() -> str:
 def _error(kind: type[errors.TooleeError], depth: int, specific: dict[str, set[str]]) -> Iterator[str]:
     meaning = " ".join((inspect.getdoc(kind) or "").split("\n\n")[0].split())
     codes = ", ".join(f"`{code}`" for code in (kind.code, *sorted(specific.get(kind.__name__, ()))))
-    yield f"| {'&emsp;' * depth}`{kind.__name__}` | {codes} | {meaning} |"
+    yield f"| {'&nbsp;' * 4 * depth}`{kind.__name__}` | {codes} | {meaning} |"
     for child in kind.__subclasses__():
         if child.__module__ == errors.__name__ and child.__bases__[0] is kind:
             yield from _error(child, depth + 1, specific)

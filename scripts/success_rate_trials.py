@@ -1,7 +1,7 @@
 """Success rate of the simulated hammering job over many seeds, with and without the in-hand correction.
 Example: `python scripts/success_rate_trials.py --first-seed 100 --trials 20 --jobs 2 --out trials.json`
 `toolee hammer`'s own options come last: `... --no-baseline -- --arm ur-rtde --robot-host 127.0.0.2 --world pybullet`.
-Through the driver a job is done again, and counted, that ended because this machine itself stood still for too long."""
+Through the driver a job is done again, and counted, that ended because this machine itself stalled for too long."""
 
 import json
 import subprocess
@@ -58,7 +58,7 @@ def main(options: tyro.conf.Positional[tuple[str, ...]] = (), first_seed: int = 
             runs.append(run)
             out.write_text(json.dumps(records, indent=1) + "\n")
             ending = "flush" if run["success"] else f"failed: {run['reason']}"
-            tries = "" if run["tries"] == 1 else f", try {run['tries']}: the machine had stood still"
+            tries = "" if run["tries"] == 1 else f", try {run['tries']}: the machine had stalled"
             print(f"{mode}, seed {run['seed']}: {ending}{tries}", file=sys.stderr, flush=True)
         ci = binomtest(wins := sum(bool(run["success"]) for run in runs), trials).proportion_ci(method="wilson")
         medians = (f"{np.nanmedian(np.array([run.get(name) for run in runs], dtype=float)):.1f}" for name in names)

@@ -15,7 +15,7 @@ pytest_plugins = ("tests.plugins.tiers",)
 FINE = ("tests/cli/test_bench_servo.py",)
 """Whose own bounds are a millisecond: a stall that the others tolerate breaks them."""
 CYCLE = 0.002
-"""[s] At 500 Hz: a machine that stood still for so long has missed one itself."""
+"""[s] At 500 Hz: a machine that stalled for so long has missed one itself."""
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # one of several processes: torch would take all cores in each of them
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -89,7 +89,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.line(report.longreprtext)
     for report in again:
         stall = dict(report.user_properties).get("standstill", 0.0)
-        terminalreporter.line(f"RUN AGAIN: {report.nodeid}, the machine stood still for {1e3 * stall:.0f} ms")
+        terminalreporter.line(f"RUN AGAIN: {report.nodeid}, the machine stalled for {1e3 * stall:.0f} ms")
 
 
 def pytest_report_header(config: pytest.Config) -> str | None:

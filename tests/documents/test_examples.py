@@ -13,10 +13,11 @@ from examples.new_hammer import drive_nail
 from examples.recorded_camera import RecordedCamera
 from examples.serial_hand import SerialHand
 from examples.turn_screw import TurnScrew
+from tests.documents.blocks import blocks
 from tests.documents.hand_device import HandDevice
 from tests.robots.three_finger import THREE_FINGER_HAND
 from toolee_robot import Category, StationConfig, ToolPerception
-from toolee_robot.config import WorkConfig
+from toolee_robot.config import TaskConfig, WorkConfig
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.frames import Array, angle_between, transform
 from toolee_robot.hal import Hand, RgbdCamera
@@ -67,6 +68,16 @@ def test_estimate_poses_prints_a_line_for_each_estimate(
     assert usable == sum(e.usable for e in estimates) > 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(":")[0] for line in lines] == [e.category for e in estimates]
+
+
+def test_the_lines_of_the_readme_run(
+    scene: Path, perception: ToolPerception, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = next(text for path, text in blocks("python") if path.name == "README.md")
+    frames = [image.read() for image in bop_images(scene)]
+    frame = next(frame for frame in frames if any(e.usable for e in perception.estimate(frame)))
+    exec(code, {"frame": frame})
+    assert any(category in capsys.readouterr().out for category in Category)
 
 
 def test_the_recorded_camera_gives_each_frame_once_and_never_an_old_one(scene: Path) -> None:
@@ -165,7 +176,7 @@ def test_the_task_turns_a_screwdriver_about_its_tip_on_the_screw(perception: Too
 
 
 def test_a_hammer_known_from_its_data_sheet_drives_a_nail(perception: ToolPerception) -> None:
-    config = StationConfig(work=WorkConfig(nail_protrusion=0.003))
+    config = StationConfig(work=WorkConfig(nail_protrusion=0.0015), task=TaskConfig(views=3))  # few strikes, few views
     hammer = make_tool(ToolKind.BALL_PEEN_HAMMER, 9)
     with SimStation.build(config, 0, SimOptions(tool=hammer)) as simulation:
         result = drive_nail(simulation.station, perception, config)

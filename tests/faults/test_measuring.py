@@ -1,4 +1,4 @@
-"""A row that failed while the machine stood still is measured again, and says so; any other failure counts."""
+"""A row that failed while the machine stalled is measured again, and says so; any other failure counts."""
 
 from __future__ import annotations
 

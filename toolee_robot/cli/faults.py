@@ -69,7 +69,7 @@ class Faults:
         again = sum(row.again > 0 for row in rows)
         if again:
             console.print(
-                f"{again} of them not at the first try: the machine itself had stood still for over "
+                f"{again} of them not at the first try: the machine itself had stalled for over "
                 f"{STALL_LIMIT * 1e3:.0f} ms, as a witness saw, or the moment for the fault was missed."
             )
         if self.json:

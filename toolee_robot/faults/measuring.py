@@ -25,7 +25,7 @@ class Measurement:
     run: Callable[[], FaultRow]
 
     def row(self, machine: LatencyMonitor) -> FaultRow:
-        """Measured; and again, up to ATTEMPTS times in all, where it is not handled and the machine itself stood still
+        """Measured; and again, up to ATTEMPTS times in all, where it is not handled and the machine itself stalled
         meanwhile or the moment for the fault was missed. What could not be measured is not handled."""
         again = 0
         while True:

@@ -24,7 +24,7 @@ class FaultRow:
     limits force, and two cycles. speed: of the fastest joint when it came [rad/s].
     off_path: the most that the joints left the path afterwards [rad]. None where nothing moved or nothing is timed.
     latched: whether the next motion was refused until a person's reset. handled: all of it as it must be; why: if not.
-    again: how often it was measured before, to no avail, while the machine itself stood still or the moment was missed.
+    again: how often it was measured before, to no avail, while the machine itself stalled or the moment was missed.
     """
 
     number: int

@@ -1,4 +1,4 @@
-"""Whether the machine itself stands still at times: the host of a virtual machine takes its cores away without a word,
+"""Whether the machine itself stalls at times: the host of a virtual machine takes its cores away without a word,
 and no real-time priority helps against that. What is bound to the clock tells by it the machine's faults from its own.
 """
 
@@ -26,7 +26,7 @@ the machine."""
 STALL: Final = 0.005  # [s] from which on they are counted
 STALL_LIMIT: Final = 0.02
 """[s] Under the least bound of the driver that a standing machine breaks: a UR10's on its data's age, 24 ms (three
-readings of 125 Hz). What failed while the machine stood still for longer is tried again, and said to have been."""
+readings of 125 Hz). What failed while the machine stalled for longer is tried again, and said to have been."""
 
 
 class LatencyMonitor:

@@ -22,7 +22,7 @@ def encode(mask: NDArray[np.bool_]) -> dict[str, object]:
 
 
 def decode(rle: dict[str, object]) -> NDArray[np.bool_]:
-    """The mask (H, W) of an `encode`d one. Raises UserError on what is none."""
+    """The mask (H, W) of an `encode`d one. Raises UserError on anything else."""
     try:
         height, width = (int(n) for n in rle["size"])  # type: ignore[attr-defined]
         counts = _expanded(str(rle["counts"]))

@@ -137,7 +137,7 @@ class _Checker:
             yield file, f"{where}: {entry['instance']} belongs to the {split} split"
         X_ee, X_tool = pose_of(entry).astype(np.float64), pose_of(entry, "t2c").astype(np.float64)
         if not (is_rigid(X_ee, 1e-4) and is_rigid(X_tool, 1e-4)):
-            yield file, f"{where}: a rotation is none"
+            yield file, f"{where}: a rotation matrix is not a rotation"
         elif not np.allclose(X_tool @ end.X_tool_ee, X_ee, atol=1e-4):
             yield file, f"{where}: the EE's pose does not fit its tool's"
         listed = self._data["instances"].get(entry["instance"], {}).get("objects", {})

@@ -210,7 +210,7 @@ def test_exported_weights_give_the_average_s_output(trained: Path) -> None:
 
 def test_detections_follow_the_image_s_size(trained: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A picture with more pixels than the network's is scaled down, and masks and boxes come back at its size."""
-    # A second look enlarges the two pictures each in its own way, and this network has learnt one size only.
+    # A zoom pass enlarges the two pictures each in its own way, and this network has learnt one size only.
     monkeypatch.setattr("toolee_robot.perception.detection.segmenter.crops", lambda *_: [])
     frame = frame_of(toy_scenes(1))
     segmenter = Segmenter.load(trained)

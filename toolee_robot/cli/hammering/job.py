@@ -141,7 +141,7 @@ class HammerJob:
         return words if self.correction else f"{words}, no correction: the nominal in-hand pose is believed"
 
     def _machine_stalled(self, result: HammerResult, longest_stall: float | None) -> bool:
-        """Whether the machine itself stood still for longer than the driver's bounds allow at this real-time factor."""
+        """Whether the machine itself stalled for longer than the driver's bounds allow at this real-time factor."""
         if self.stand_in is None or longest_stall is None or result.outcome is not Outcome.DEVICE_FAULT:
             return False
         return longest_stall * self.stand_in.real_time_factor > STALL_LIMIT
@@ -159,7 +159,7 @@ class HammerJob:
         machine_stalled = self._machine_stalled(result, longest_stall)
         if machine_stalled:
             reason += (
-                f". This machine itself stood still meanwhile, for up to {(longest_stall or 0.0) * 1e3:.0f} ms: the "
+                f". This machine itself stalled meanwhile, for up to {(longest_stall or 0.0) * 1e3:.0f} ms: the "
                 "host "
                 "of a virtual machine takes its cores away. Try again, or with a smaller --real-time-factor, which "
                 "tolerates more"

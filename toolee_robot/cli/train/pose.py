@@ -81,7 +81,7 @@ class Clouds:
         clouds.save(self.out)
         shown = int(clouds.positive.sum())
         kind = "whole tools" if clouds.of_tool.any() else "end effectors"
-        negatives = f" and {len(clouds) - shown} of what is none" if column is None else ""
+        negatives = f" and {len(clouds) - shown} of other things" if column is None else ""
         console.print(f"{shown} clouds of {kind}{negatives} in {self.out}")
         if self.json:
             print(json_line({"out": str(self.out), "positive": shown, "negative": len(clouds) - shown}), flush=True)

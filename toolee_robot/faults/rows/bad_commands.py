@@ -68,7 +68,7 @@ def acceleration_step(swing: Swing, q: Array) -> Trajectory:
 
 
 def jerk_step(swing: Swing, q: Array) -> Trajectory:
-    """To and fro between the acceleration limits, which they never exceed."""
+    """Back and forth between the acceleration limits, which they never exceed."""
     most = 0.8 * swing.config.arm.acceleration
     return _integrated(q, np.concatenate([np.zeros(4), np.tile([most, most, -most, -most], 6), np.zeros(4)]))
 

@@ -56,7 +56,7 @@ class _Library:
     """Embree's functions and one device. width: rays in a packet, the widest that this processor has."""
 
     def __init__(self) -> None:
-        # The package's own module leads to the library that it is linked to, wherever the wheel has put it. The
+        # The package's own module leads to the library that it is linked to, wherever the package is installed. The
         # interpreter's lock is kept: a packet takes about a microsecond.
         c = ctypes.PyDLL(rtcore_scene.__file__)
         pointer, uint, size = ctypes.c_void_p, ctypes.c_uint, ctypes.c_size_t

@@ -72,7 +72,7 @@ end"""
     direction = way[-1] / np.linalg.norm(way[-1])
     assert np.abs(way - np.outer(way @ direction, direction)).max() < 1e-9
     speed = np.diff(way @ direction) * model.rate
-    assert speed.max() <= 0.2 + 1e-6  # the turn of 0.3 rad is longer than the way of 0.11 m, and sets the pace
+    assert speed.max() <= 0.2 + 1e-6  # the turn of 0.3 rad is longer than the way of 0.11 m, and sets the duration
     assert np.abs(np.diff(speed)).max() * model.rate <= 1.0 + 1e-6
 
 
