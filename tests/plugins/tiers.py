@@ -70,6 +70,7 @@ def _has_examples(item: pytest.Item) -> bool:
 # -- processes --------------------------------------------------------------------------------------------------------
 
 
+@pytest.hookimpl(optionalhook=True, tryfirst=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """One for each core, one more since tests also wait, and one for those marked `realtime`. A choice of tests runs in
     this process."""
