@@ -78,7 +78,7 @@ def pytest_unconfigure() -> None:
 @pytest.hookimpl(tryfirst=True)  # before a worker sends it
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     if report.outcome == "rerun" and report.nodeid in _MACHINE.stalls:  # type: ignore[comparison-overlap]
-        report.user_properties.append(("standstill", _MACHINE.stalls[report.nodeid]))
+        report.user_properties.append(("stall", _MACHINE.stalls[report.nodeid]))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -88,7 +88,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.section(report.nodeid)
         terminalreporter.line(report.longreprtext)
     for report in again:
-        stall = dict(report.user_properties).get("standstill", 0.0)
+        stall = dict(report.user_properties).get("stall", 0.0)
         terminalreporter.line(f"RUN AGAIN: {report.nodeid}, the machine stalled for {1e3 * stall:.0f} ms")
 
 

@@ -62,6 +62,7 @@ def test_segmentation_resumes_and_keeps_its_configuration(
     assert "another seed" in capsys.readouterr().err
 
 
+@pytest.mark.nightly
 def test_refinement_resumes_beside_the_detector_and_keeps_its_configuration(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

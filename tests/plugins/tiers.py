@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from tests.plugins.realtime_last import RealtimeLast
 
 TIERS = ("unit", "sim", "realtime")
+_MOST_CORES = 8
+"""That get a process each, of about 1 GB; more would wait for the longest file."""
 _FOLDER = pytest.StashKey[tempfile.TemporaryDirectory[str]]()
 _LIST = "tiers"
 """Of a worker's input: the path of the file in which it says what tier each test is of."""
@@ -70,14 +72,15 @@ def _has_examples(item: pytest.Item) -> bool:
 # -- processes --------------------------------------------------------------------------------------------------------
 
 
+@pytest.hookimpl(optionalhook=True, tryfirst=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """One for each core, one more since tests also wait, and one for those marked `realtime`. A choice of tests runs in
     this process."""
-    files = any(".py" in str(argument) for argument in config.args)
+    files = any(Path(str(argument).partition("::")[0]).suffix == ".py" for argument in config.args)
     options = any(getattr(config.option, name, None) for name in ("keyword", "lf", "hardware"))
     if files or options or config.getoption("-m") == "realtime":
         return 0
-    return len(os.sched_getaffinity(0)) + 2
+    return min(len(os.sched_getaffinity(0)), _MOST_CORES) + 2
 
 
 @pytest.hookimpl(optionalhook=True)

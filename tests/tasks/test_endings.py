@@ -104,6 +104,7 @@ def test_a_dead_arm_link_at_the_start(bench: Bench) -> None:
     assert (log.motions, bench.people.asked, bench.hand.opened) == ([], [], 0)
 
 
+@pytest.mark.nightly
 def test_the_arms_link_is_cut_in_mid_swing(bench: Bench) -> None:
     log = Log(after={"to the run-up": soon(bench, bench.arm.cut_link, 0.2)})
     result = bench.blind_task(log).run()
@@ -150,7 +151,10 @@ def test_a_stop_from_outside_ends_the_job(bench: Bench) -> None:
 # -- the tool in the hand ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("where", "motion"), [(Stage.TOUCH, "to the touch"), ("to the run-up", "strike")])
+@pytest.mark.parametrize(
+    ("where", "motion"),
+    [(Stage.TOUCH, "to the touch"), pytest.param("to the run-up", "strike", marks=pytest.mark.nightly)],
+)
 def test_the_tool_is_lost_in_a_motion(bench: Bench, where: Stage | str, motion: str) -> None:
     """The arm retreats from where the tool may lie, and from the person's place, and no further."""
     ends: list[Array] = []

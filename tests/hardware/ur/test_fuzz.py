@@ -217,7 +217,7 @@ def _few(count: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
 
 
 @both
-@_few(4)
+@_few(3)
 @given(rule=st.one_of(_streams, _orders), skip=st.integers(0, 3), moment=st.floats(0.0, 0.3))
 def test_any_corruption_in_mid_motion(
     arm: UrArm, proxy: CorruptingProxy, controller: ControllerProcess, rule: Rule, skip: int, moment: float
@@ -226,7 +226,7 @@ def test_any_corruption_in_mid_motion(
     _swing_while_struck(arm, proxy, controller, replace(rule, skip=skip), moment)
 
 
-@_few(3)
+@_few(2)
 @given(rule=st.one_of(_handshakes, _dashboard), skip=st.integers(0, 40))
 def test_any_corruption_while_connecting(
     arm: UrArm, proxy: CorruptingProxy, controller: ControllerProcess, rule: Rule, skip: int
@@ -242,7 +242,7 @@ def test_any_corruption_while_connecting(
     assert controller.state()["tick"] > 0
 
 
-@_few(6)
+@_few(5)
 @given(
     rule=st.one_of(_handshakes, _dashboard, st.sampled_from([*NO_MEASUREMENT.values(), *OTHERS])),
     skip=st.integers(0, 12),
