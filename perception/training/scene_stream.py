@@ -76,4 +76,4 @@ def _outcome(decoded: Future[SegmentationImages]) -> SegmentationImages | Toolee
     except TooleeError as error:
         return error
     except BrokenProcessPool:
-        return TooleeError("a process that decodes images was killed, perhaps for want of memory: use --resume")
+        return TooleeError("a process that decodes images was killed (out of memory?): the same command goes on")
