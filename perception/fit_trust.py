@@ -99,7 +99,9 @@ def fit(tools: list[TrustSamples], empty: list[TrustSamples]) -> tuple[Trust, di
     x = np.concatenate([each.x for each in (*tools, *empty)])
     right = np.concatenate([each.right for each in (*tools, *empty)])
     if right.sum() < 50 or not empty:
-        raise UserError("too few poses are right, or no frame is without a tool: take more images")
+        raise UserError(
+            "too few poses are right, or no frame is without a tool: take more images", code="user.too_few_images"
+        )
     model = confidence.fit(x, right, PRECISION, _RIDGE, FEATURES)
     loudest = np.array([_max_probability(model, each) for each in empty])
     needed = float(np.quantile(loudest, TRUE_NEGATIVE_RATE, method="higher")) + 1e-6

@@ -55,7 +55,9 @@ def rendered_clouds(
             progress(done + 1, len(todo))
     clouds = RenderedClouds.cat(found)
     if not clouds.positive.any():
-        raise UserError(f"no image of {data} shows an end effector well enough: take more images")
+        raise UserError(
+            f"no image of {data} shows an end effector well enough: take more images", code="user.too_few_images"
+        )
     return clouds
 
 

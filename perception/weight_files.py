@@ -56,21 +56,28 @@ def load_weights(directory: Path | None, name: str) -> tuple[dict[str, torch.Ten
     except OSError as error:
         raise AssetError(
             f"weight description {path} is missing: reinstall the package, or train with "
-            f"`toolee train {name}` and pass its output folder"
+            f"`toolee train {name}` and pass its output folder",
+            code="asset.missing",
         ) from error
     except ValueError as error:
-        raise AssetError(f"weight description {path} is not valid JSON: fetch the file again ({error})") from error
+        raise AssetError(
+            f"weight description {path} is not valid JSON: fetch the file again ({error})", code="asset.unreadable"
+        ) from error
     shards = sorted(directory.glob(f"{name}-*-of-*.safetensors"))
     count = int(shards[0].stem.rsplit("-of-", 1)[1]) if shards else 1
     tensors: dict[str, torch.Tensor] = {}
     for i in range(count):
         shard = directory / f"{name}-{i + 1:05d}-of-{count:05d}.safetensors"
         if not shard.is_file():
-            raise AssetError(f"weight file {shard} is missing: reinstall the package or fetch the file again")
+            raise AssetError(
+                f"weight file {shard} is missing: reinstall the package or fetch the file again", code="asset.missing"
+            )
         try:
             tensors.update(load_file(shard))
         except (SafetensorError, OSError) as error:
-            raise AssetError(f"weight file {shard} is unreadable: fetch the file again ({error})") from error
+            raise AssetError(
+                f"weight file {shard} is unreadable: fetch the file again ({error})", code="asset.unreadable"
+            ) from error
     return {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}, description
 
 
@@ -79,10 +86,15 @@ def load_into(network: torch.nn.Module, tensors: dict[str, torch.Tensor], what: 
     try:
         missing, unexpected = network.load_state_dict(tensors, strict=False)
     except RuntimeError as error:
-        raise AssetError(f"the {what}'s weights do not fit its architecture, fetch them again: {error}") from error
+        raise AssetError(
+            f"the {what}'s weights do not fit its architecture, fetch them again: {error}", code="asset.architecture"
+        ) from error
     missing = [name for name in missing if not name.endswith("num_batches_tracked")]
     if missing or unexpected:
-        raise AssetError(f"the {what}'s weights are incomplete, fetch them again: {(missing + unexpected)[:5]}")
+        raise AssetError(
+            f"the {what}'s weights are incomplete, fetch them again: {(missing + unexpected)[:5]}",
+            code="asset.incomplete",
+        )
 
 
 def _half(name: str, value: torch.Tensor) -> torch.Tensor:
@@ -91,5 +103,7 @@ def _half(name: str, value: torch.Tensor) -> torch.Tensor:
         return value
     half = value.half()
     if not torch.isfinite(half).all():
-        raise AssetError(f"weight {name} is not finite in half precision: the training run diverged")
+        raise AssetError(
+            f"weight {name} is not finite in half precision: the training run diverged", code="asset.not_finite"
+        )
     return half

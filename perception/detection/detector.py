@@ -278,7 +278,10 @@ def working_size(height: int, width: int, pixels: int) -> tuple[int, int]:
 def load_detector(detector: Detector, tensors: dict[str, Tensor], description: dict[str, Any]) -> None:
     """Put weights that a training run exported into `detector`. Raises AssetError if they do not fit."""
     if list(description.get("classes", [])) != list(CLASSES):
-        raise AssetError(f"the detector knows {description.get('classes')}, not {list(CLASSES)}: train it again")
+        raise AssetError(
+            f"the detector knows {description.get('classes')}, not {list(CLASSES)}: train it again",
+            code="asset.classes",
+        )
     load_into(detector, tensors, "detector")
 
 
@@ -289,7 +292,9 @@ def trained_detector(weights_dir: Path | None) -> Detector:
     try:
         detector = Detector(DetectorConfig.from_json(description["model"]))
     except (KeyError, TypeError, ValueError) as error:
-        raise AssetError(f"the detector's description is damaged, fetch it again: {error!r}") from error
+        raise AssetError(
+            f"the detector's description is damaged, fetch it again: {error!r}", code="asset.unreadable"
+        ) from error
     load_detector(detector, tensors, description)
     return detector
 

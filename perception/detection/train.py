@@ -55,7 +55,8 @@ def train(config: SegmentationTraining, images: SegmentationImages | None = None
             first = [images] if images is not None else stream.take(config.patience) if stream else []
             if not first:
                 raise UserError(
-                    f"{config.data} holds no scene for rank {distributed.rank}: generate the data set first"
+                    f"{config.data} holds no scene for rank {distributed.rank}: generate the data set first",
+                    code="user.data_empty",
                 )
             _Run(config, distributed, first, stream).loop()
         finally:

@@ -86,7 +86,8 @@ def load_estimator(folder: Path | None, device: str = "cpu") -> CloudEstimator:
     if (folder / f"{PAPER}.json").is_file():
         return PaperEstimator.load(folder, device)
     raise AssetError(
-        f"{folder} holds neither pose.json nor {PAPER}.json: give the folder of a `toolee train pose` run (its --out)"
+        f"{folder} holds neither pose.json nor {PAPER}.json: give the folder of a `toolee train pose` run (its --out)",
+        code="asset.missing",
     )
 
 

@@ -239,7 +239,10 @@ def _splits(folder: Path) -> list[list[Path]]:
     if not any(splits):
         splits = [scene_folders(folder)]
     if not any(splits):
-        raise AssetError(f"no BOP scene in {folder}: give the folder of a data set made by `toolee dataset generate`")
+        raise AssetError(
+            f"no BOP scene in {folder}: give the folder of a data set made by `toolee dataset generate`",
+            code="asset.no_scene",
+        )
     return splits
 
 

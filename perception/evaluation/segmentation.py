@@ -68,7 +68,9 @@ def evaluate(
     segmenter = Segmenter.load(weights, device)
     scenes = scene_folders(dataset_dir)
     if not scenes:
-        raise AssetError(f"no BOP scene in {dataset_dir}: give the folder train or test of a data set")
+        raise AssetError(
+            f"no BOP scene in {dataset_dir}: give the folder train or test of a data set", code="asset.no_scene"
+        )
     task = _of_scenes(segmenter, scenes[:1], limit)
     for scene in scenes[1:]:
         left = None if limit is None else limit - len(task.times)
@@ -177,7 +179,9 @@ def _coco_library() -> tuple[Any, Any, Any]:
         from faster_coco_eval import COCO, COCOeval_faster
         from faster_coco_eval.core import mask
     except ImportError as error:
-        raise UserError("evaluation needs faster-coco-eval: python -m pip install -e '.[test]'") from error
+        raise UserError(
+            "evaluation needs faster-coco-eval: python -m pip install -e '.[test]'", code="user.missing_package"
+        ) from error
     return COCO, COCOeval_faster, mask
 
 

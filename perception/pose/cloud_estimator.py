@@ -95,7 +95,8 @@ class CloudEstimator(ABC):
         if len(points) < MIN_POINTS:
             raise PerceptionError(
                 f"only {len(points)} points of the {category} have depth, {MIN_POINTS} are needed: "
-                "move the camera closer, or turn the tool into view"
+                "move the camera closer, or turn the tool into view",
+                code="perception.too_few_points",
             )
         generator = torch.Generator().manual_seed(seed)
         visible = len(points)
@@ -104,7 +105,8 @@ class CloudEstimator(ABC):
         cloud = canonicalize_one(points, self.radius(category), generator, self.points, self.ordered, more)
         if int(cloud.count[0]) < MIN_KEPT:
             raise PerceptionError(
-                f"the mask of the {category} covers no compact surface: {len(points)} scattered points"
+                f"the mask of the {category} covers no compact surface: {len(points)} scattered points",
+                code="perception.scattered_points",
             )
         kept = round(int(cloud.count[0]) / len(points) * visible)
         if rest is not None:

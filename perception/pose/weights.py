@@ -48,5 +48,7 @@ def load(folder: Path | None = None, name: str = NAME) -> tuple[PoseNet, Calibra
         scales = {Category(c): SigmaScale(**s) for c, s in card["sigma_scale"].items()}
         calibration = Calibration(scales, ConfidenceModel.from_dict(card["confidence"]))
     except (ValueError, KeyError, TypeError, RuntimeError) as error:
-        raise AssetError(f"the pose weights in {folder or weight_files.WEIGHTS_DIR} are unreadable: {error}") from error
+        raise AssetError(
+            f"the pose weights in {folder or weight_files.WEIGHTS_DIR} are unreadable: {error}", code="asset.unreadable"
+        ) from error
     return net.requires_grad_(False).eval(), calibration

@@ -170,7 +170,8 @@ class TrainingRun(ABC):
         if bad:
             raise TooleeError(
                 f"the training of {self.name} stopped at step {self.step}: {', '.join(bad)} not finite. The last good "
-                f"state is {self.checkpoint_path}; lower lr or clip_norm, and the same command goes on from there"
+                f"state is {self.checkpoint_path}; lower lr or clip_norm, and the same command goes on from there",
+                code="toolee.training_diverged",
             )
 
     def _checkpoint(self) -> None:

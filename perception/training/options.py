@@ -49,9 +49,9 @@ class TrainingOptions:
 
     def __post_init__(self) -> None:
         if self.minutes is not None and self.minutes <= 0:
-            raise UserError("minutes must be positive")
+            raise UserError("minutes must be positive", code="user.minutes")
         if not (self.batch > 0 and self.lr > 0 and 0 < self.ema < 1):
-            raise UserError("batch and lr must be positive, ema between 0 and 1")
+            raise UserError("batch and lr must be positive, ema between 0 and 1", code="user.training_options")
 
     def progress(self, minutes: float, steps: int) -> float:
         """How much of the budget is used after so many minutes and steps, 1 at its end."""

@@ -37,7 +37,9 @@ class MaskRefinement:
         try:
             refiner = Refiner(RefinerConfig.from_json(description["model"]))
         except (KeyError, TypeError, ValueError) as error:
-            raise AssetError(f"the refiner's description is damaged, fetch it again: {error!r}") from error
+            raise AssetError(
+                f"the refiner's description is damaged, fetch it again: {error!r}", code="asset.unreadable"
+            ) from error
         load_refiner(refiner, tensors)
         return cls(refiner, device, bfloat16)
 

@@ -53,7 +53,7 @@ class RefinementTraining(ImageTraining):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.batch < 2:
-            raise UserError("batch must be positive and, for batch normalisation, 2 or more")
+            raise UserError("batch must be positive and, for batch normalisation, 2 or more", code="user.batch")
 
     def to_json(self) -> dict[str, Any]:
         return {**super().to_json(), "detector": self.detector is not None}
@@ -106,7 +106,10 @@ class _Run(ImageTrainingRun):
         while not self.data.ready and time.monotonic() - waited < config.patience:
             self._extend(1.0)
         if not self.data.ready:
-            raise UserError(f"{config.data} shows rank {distributed.rank} no end effector: generate the data set first")
+            raise UserError(
+                f"{config.data} shows rank {distributed.rank} no end effector: generate the data set first",
+                code="user.data_empty",
+            )
         refiner = Refiner(config.model)
         if config.init is not None:
             load_refiner(refiner, load_weights(config.init, WEIGHTS_NAME)[0])

@@ -77,7 +77,8 @@ class RenderedClouds:
             wanted, given = ("whole tools", "end effectors") if of_tool else ("end effectors", "whole tools")
             raise UserError(
                 f"--rendered: this training takes clouds of {wanted}, some of these are of {given}: make them with "
-                "`toolee train clouds` and the --estimator and --column of the training"
+                "`toolee train clouds` and the --estimator and --column of the training",
+                code="user.rendered_kind",
             )
 
     def save(self, path: Path) -> None:
@@ -93,7 +94,9 @@ class RenderedClouds:
             with np.load(path) as data:
                 return cls(*(data[f.name] for f in fields(cls)))
         except (OSError, ValueError, KeyError) as error:
-            raise AssetError(f"{path} holds no clouds: make them with `toolee train clouds` ({error})") from error
+            raise AssetError(
+                f"{path} holds no clouds: make them with `toolee train clouds` ({error})", code="asset.unreadable"
+            ) from error
 
 
 def _none() -> RenderedClouds:
@@ -201,5 +204,5 @@ def _weights(clouds: RenderedClouds, negative_share: float) -> NDArray[np.float3
     for rows, share in kinds:
         weights[rows] = share / max(int(rows.sum()), 1)
     if not weights.any():
-        raise AssetError("the file of rendered clouds is empty: take more images")
+        raise AssetError("the file of rendered clouds is empty: take more images", code="asset.incomplete")
     return weights

@@ -34,7 +34,7 @@ class Mixture(CloudSource):
 
     def __init__(self, first: CloudSource, second: CloudSource, share: float) -> None:
         if not 0.0 <= share <= 1.0:
-            raise UserError(f"a share of {share} of the clouds: give one from 0 to 1")
+            raise UserError(f"a share of {share} of the clouds: give one from 0 to 1", code="user.share")
         self._first, self._second, self._share = first, second, share
 
     def generate(self, n: int) -> CloudBatch:

@@ -118,7 +118,9 @@ class Trainer(TrainingRun, Generic[Net]):
         try:
             self.net.load_state_dict(state)
         except RuntimeError as error:
-            raise AssetError(f"{weights} holds a network of another architecture: {error}") from error
+            raise AssetError(
+                f"{weights} holds a network of another architecture: {error}", code="asset.architecture"
+            ) from error
         self._take_average(state)
         self._init = {name: value.clone() for name, value in self.average.items()}  # the average changes in place
         self.record({"event": "begun from other weights"})
@@ -210,7 +212,7 @@ def train(
     files of `RenderedClouds` to mix in."""
     recipe = recipe or DefaultRecipe()
     if config.init_share and init is None and not calibrate_only:
-        raise UserError("init_share: say whose share that is, with --init FOLDER")
+        raise UserError("init_share: say whose share that is, with --init FOLDER", code="user.init_share")
     kept = None
     if rendered:
         kept = RenderedClouds.cat([RenderedClouds.load(path) for path in rendered])

@@ -64,7 +64,7 @@ def column_of(estimator: str, name: str | None) -> Column | None:
     """What a command asks for by --estimator and --column; None: not the paper's. Raises UserError where there is no
     such column."""
     if name is not None and (estimator != "paper" or name not in COLUMNS):
-        raise UserError(f"--column {name}: with --estimator paper one of {', '.join(COLUMNS)}")
+        raise UserError(f"--column {name}: with --estimator paper one of {', '.join(COLUMNS)}", code="user.column")
     return COLUMNS[name or "symmetry-aware"] if estimator == "paper" else None
 
 
@@ -145,5 +145,7 @@ def load(folder: Path) -> tuple[PaperNet, Column]:
         net = PaperNet(column.dim)
         net.load_state_dict(tensors)
     except (KeyError, TypeError, RuntimeError) as error:
-        raise AssetError(f"the weights of the paper's estimator in {folder} are unreadable: {error}") from error
+        raise AssetError(
+            f"the weights of the paper's estimator in {folder} are unreadable: {error}", code="asset.unreadable"
+        ) from error
     return net.requires_grad_(False).eval(), column

@@ -84,4 +84,7 @@ def solve(
         k0 = torch.where(accepted.view(wide), ks[-1], k0)
         factor = (0.9 * norm.clamp_min(1e-10) ** -0.2).clamp(0.2, 10.0)
         h = h * torch.where(accepted, factor, factor.clamp_max(1.0))
-    raise TooleeError(f"RK45 needed over {most_steps} steps: the network's field is not smooth, train it longer")
+    raise TooleeError(
+        f"RK45 needed over {most_steps} steps: the network's field is not smooth, train it longer",
+        code="toolee.stiff_ode",
+    )
