@@ -1,7 +1,7 @@
 """The default pose estimator: from one cloud to one pose with a covariance and a confidence.
 
-    estimator = PoseEstimator.load()
-    result = estimator.estimate(points, Category.HAMMER_HEAD, rest, hand)
+estimator = PoseEstimator.load()
+result = estimator.estimate(points, Category.HAMMER_HEAD, rest, hand)
 """
 
 from __future__ import annotations
