@@ -17,14 +17,22 @@ from safetensors.torch import load_file, save_file
 from toolee_robot.errors import AssetError
 
 WEIGHTS_DIR = Path(__file__).resolve().parent / "weights"
+"""Folder of the shipped weights."""
 SHARD_BYTES = 15 * 1024 * 1024
-"""Largest shard [byte]: small files travel, and are reviewed and stored, more easily."""
+"""Largest shard [byte]: small files are easier to store, review and transfer."""
 
 
 def save_weights(directory: Path, name: str, tensors: dict[str, torch.Tensor], description: dict[str, Any]) -> None:
-    """Write `tensors` in half precision (integers as they are) as shards of `name`, and `description` as JSON.
+    """Write weights and their description; older shards of the same name are removed.
 
-    Older shards of the same name are removed. Raises AssetError on a tensor that is not finite in half precision.
+    Args:
+        directory: Output folder.
+        name: Name of the files.
+        tensors: The weights; floating ones are written in half precision.
+        description: Written as JSON.
+
+    Raises:
+        AssetError: A tensor is not finite in half precision.
     """
     half = {key: _half(key, value) for key, value in tensors.items()}
     shards: list[dict[str, torch.Tensor]] = [{}]
@@ -45,9 +53,17 @@ def save_weights(directory: Path, name: str, tensors: dict[str, torch.Tensor], d
 
 
 def load_weights(directory: Path | None, name: str) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """Tensors (floating ones as float32) and description of `name` in `directory` (the shipped one if None).
+    """Read weights and their description.
 
-    Raises AssetError that names the file that is missing or unreadable.
+    Args:
+        directory: Folder of weights; None: the shipped ones.
+        name: Name of the files.
+
+    Returns:
+        Tensors (floating ones as float32) and description.
+
+    Raises:
+        AssetError: A file is missing or unreadable; the message names it.
     """
     directory = WEIGHTS_DIR if directory is None else directory
     path = directory / f"{name}.json"
@@ -82,7 +98,16 @@ def load_weights(directory: Path | None, name: str) -> tuple[dict[str, torch.Ten
 
 
 def load_into(network: torch.nn.Module, tensors: dict[str, torch.Tensor], what: str) -> None:
-    """Put weights into a network, called `what` in errors. Raises AssetError if they do not fit it."""
+    """Load weights into a network.
+
+    Args:
+        network: The network, changed in place.
+        tensors: The weights.
+        what: Name of the network in messages.
+
+    Raises:
+        AssetError: The weights do not fit the network.
+    """
     try:
         missing, unexpected = network.load_state_dict(tensors, strict=False)
     except RuntimeError as error:

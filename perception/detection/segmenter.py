@@ -10,12 +10,11 @@ import cv2
 import numpy as np
 import torch
 
+from toolee_robot.perception.detection.config import DetectorConfig, working_size
 from toolee_robot.perception.detection.detector import (
     Detector,
-    DetectorConfig,
     RawDetections,
     trained_detector,
-    working_size,
 )
 from toolee_robot.perception.detection.inputs import RgbdBatch, encode_rgbd
 from toolee_robot.perception.detection.instances import Instances, associate, without_duplicates

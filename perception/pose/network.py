@@ -18,6 +18,7 @@ from torch import Tensor, nn
 
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.perception.pose.canonical import PATCHES, REST_PATCHES, CanonicalCloud
+from toolee_robot.perception.pose.patches import Patches, mirror_x
 from toolee_robot.perception.pose.processes.flow import Euler, Process
 from toolee_robot.perception.pose.processes.registry import PROCESSES
 from toolee_robot.perception.pose.representation import DIM
@@ -28,9 +29,10 @@ SAMPLER = Euler(3)
 REGRESSED = ("mean", "log_sigma", "valid")
 """Names of the outputs of `PoseNet.regress`."""
 DIRECTION_DIM = 5
-"""Unit direction (3), then two flags: direction given; given toward the hand instead of the visible rest of the tool."""
+"""Unit direction (3), then two flags: direction given; given toward the hand instead of the visible
+rest of the tool."""
 CONTEXT_DIM = 2
-"""log10 of the number of visible points - 2.5, and the cloud's distance [m] - 0.7: the sensor's noise depends on both."""
+"""log10 of the number of visible points - 2.5; distance of the cloud [m] - 0.7: the sensor's noise depends on both."""
 
 
 @dataclass(frozen=True)
@@ -96,13 +98,10 @@ class Seen(NamedTuple):
 
     def with_mirror(self) -> Seen:
         """A batch of 2 B: the input, then its mirror image in x."""
-        other = self._replace(points=_in_x(self.points), rest=_in_x(self.rest), direction=_in_x(self.direction))
+        other = self._replace(
+            points=mirror_x(self.points), rest=mirror_x(self.rest), direction=mirror_x(self.direction)
+        )
         return Seen(*(torch.cat(pair) for pair in zip(self, other, strict=True)))
-
-
-def _in_x(x: Tensor) -> Tensor:
-    """Mirror vectors (..., 3) in x."""
-    return torch.cat([-x[..., :1], x[..., 1:]], -1)
 
 
 class PoseNet(nn.Module):
@@ -161,7 +160,7 @@ class PoseNet(nn.Module):
         return torch.cat([tokens[:, 0], tokens[:, 3:].mean(1)], dim=-1)
 
     def encoder_in_bfloat16(self) -> None:
-        """Convert the encoder's products to bfloat16 (`in_bfloat16`); heads, normalisations and sums stay in float32."""
+        """Compute the encoder's products in bfloat16 (`in_bfloat16`); heads, norms and sums stay in float32."""
         for part in (self.ee, self.rest, self.direction, self.context, self.blocks):
             in_bfloat16(part)
 
@@ -196,77 +195,6 @@ class PoseNet(nn.Module):
         """
         feature = self.encode(seen)
         return self.flow(u, t, self.flow.condition(feature)), self.regress(feature)
-
-
-class Patches(nn.Module):
-    """A small PointNet on the neighbourhood of each of a cloud's first points.
-
-    Args:
-        width: Width of the tokens.
-        count: Number of patches: the first so many points are their centres.
-        neighbours: Points per patch.
-        ball: Radius of a patch [m]; farther neighbours are replaced by the centre.
-        scale: Scale [m] of the centres' coordinates.
-        marked: Whether each point comes with a mark (1 channel).
-    """
-
-    def __init__(
-        self, width: int, count: int, neighbours: int, ball: float, scale: float, marked: bool = False
-    ) -> None:
-        super().__init__()
-        self._count, self._neighbours, self._ball, self._scale = count, neighbours, ball, scale
-        self.inner = nn.Sequential(nn.Linear(3 + marked, width // 4), nn.SiLU(), nn.Linear(width // 4, width // 2))
-        self.outer = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
-        self.place = nn.Sequential(nn.Linear(3, width // 2), nn.SiLU(), nn.Linear(width // 2, width))
-
-    def forward(self, points: Tensor, marks: Tensor | None = None, mirror: bool = False) -> Tensor:
-        """Tokens of a cloud's patches.
-
-        Args:
-            points: (B, N, 3) [m], the patches' centres first.
-            marks: (B, N), where the points are marked.
-            mirror: Whether to add the mirror image in x; its neighbourhoods are the same.
-
-        Returns:
-            (B, count, width); with `mirror` (2 B, count, width).
-        """
-        centres = points[:, : self._count]
-        patches = self._patches(centres, points, marks)
-        if mirror:
-            centres, patches = (torch.cat([x, _in_x(x)]) for x in (centres, patches))
-        h = self.inner(patches)
-        # In training max(dim): under torch.compile in bfloat16 the gradient of amax, which is faster, was not finite.
-        pooled = h.max(2)[0] if self.training else h.amax(2)
-        tokens: Tensor = self.outer(torch.cat([pooled, _mean(h)], dim=-1)) + self.place(centres / self._scale)
-        return tokens
-
-    @torch.no_grad()
-    def _patches(self, centres: Tensor, points: Tensor, marks: Tensor | None) -> Tensor:
-        """(B, count, neighbours, 3 or 4): neighbours relative to the centre in units of the ball's radius, the mark
-        last.
-        """
-        # Summed per coordinate: a reduction over an axis of three takes 2.5 times as long.
-        x, y, z = ((centres[:, :, None, k] - points[:, None, :, k]).square() for k in range(3))
-        squared = x + y + z
-        near, index = squared.topk(self._neighbours, dim=-1, largest=False, sorted=False)
-        rows = index.flatten(1)[..., None].expand(-1, -1, 3)
-        patches = points.gather(1, rows).view(*index.shape, 3) - centres[:, :, None]
-        # A neighbour outside of the ball is replaced by the centre itself.
-        inside = near < self._ball**2
-        patches = torch.where(inside[..., None], patches, 0.0) / self._ball
-        if marks is None:
-            return patches
-        own = marks[:, : self._count, None]
-        mark = torch.where(inside, marks.gather(1, index.flatten(1)).view(index.shape), own)
-        return torch.cat([patches, mark[..., None]], -1)
-
-
-def _mean(h: Tensor) -> Tensor:
-    """Mean of h (B, count, neighbours, width) over the neighbours. On a CPU in bfloat16 a product is 2.5 times as fast."""
-    if h.device.type != "cpu" or h.dtype is not torch.bfloat16:
-        return h.mean(2)
-    share = h.new_full((1, h.shape[2]), 1.0 / h.shape[2])
-    return (share @ h)[:, :, 0]
 
 
 class Block(nn.Module):

@@ -1,4 +1,4 @@
-"""The pose network's weights (float16) with its calibration in `pose.json`; see `toolee_robot.perception.weight_files`."""
+"""Weights (float16) and calibration of the pose network; see `toolee_robot.perception.weight_files`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The refiner over what the detector found in one image."""
+"""Mask refinement: the refiner applied to the detections of one image."""
 
 from __future__ import annotations
 
@@ -19,7 +19,13 @@ from toolee_robot.types import RgbdFrame
 
 
 class MaskRefinement:
-    """A trained refiner, ready. Thread-safe once loaded."""
+    """A trained refiner, ready for inference. Thread-safe once loaded.
+
+    Args:
+        refiner: The trained network; its batch normalisation is fused in place.
+        device: torch device that runs it.
+        bfloat16: Whether a CPU computes in bfloat16.
+    """
 
     def __init__(self, refiner: Refiner, device: torch.device, bfloat16: bool) -> None:
         self._device, self._bfloat16 = device, bfloat16
@@ -29,8 +35,19 @@ class MaskRefinement:
 
     @classmethod
     def load(cls, weights_dir: Path | None, device: torch.device, bfloat16: bool) -> MaskRefinement | None:
-        """What lies beside the detector's weights in `weights_dir` (the shipped one if None); None where a detector was
-        trained and no refiner yet. Raises AssetError that names the unreadable file."""
+        """Load the refiner beside a detector's weights.
+
+        Args:
+            weights_dir: Folder of weights; None: the shipped ones.
+            device: torch device that runs it.
+            bfloat16: Whether a CPU computes in bfloat16.
+
+        Returns:
+            The refiner; None where the folder has none.
+
+        Raises:
+            AssetError: A file is unreadable or damaged; the message names it.
+        """
         if not ((weights_dir or WEIGHTS_DIR) / f"{WEIGHTS_NAME}.json").is_file():
             return None
         tensors, description = load_weights(weights_dir, WEIGHTS_NAME)
@@ -45,8 +62,16 @@ class MaskRefinement:
 
     @torch.inference_mode()
     def __call__(self, frame: RgbdFrame, instances: Instances) -> Instances:
-        """The instances, end effectors with new masks, each thing once, best first. Their scores are geometric means of
-        the detector's and of the IoU that the refiner expects."""
+        """Refine the masks of end effectors.
+
+        Args:
+            frame: The frame.
+            instances: The detector's instances in it.
+
+        Returns:
+            The instances, best score first, duplicates removed; EEs with new masks and with the geometric mean of the
+            detector's score and the refiner's predicted IoU.
+        """
         masks, labels, scores, boxes = instances
         ees = [i for i, label in enumerate(labels) if label != TOOL]
         if not ees:
@@ -71,7 +96,7 @@ class MaskRefinement:
     def _outputs(
         self, frame: RgbdFrame, masks: torch.Tensor, squares: Squares, category: torch.Tensor, score: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Mask logits and quality logits: means over each square and its mirror image."""
+        """Mask logits and quality logits: the means over each square and its mirror image."""
         d = self._device
         K = frame.intrinsics
         depth = np.nan_to_num(frame.depth, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)

@@ -94,6 +94,23 @@ class Border:
         return (rays[..., :2] * self.normal[:, None, None]).sum(-1) < self.limit[:, None, None]
 
 
+@dataclass(frozen=True)
+class Target:
+    """What a mask is said to show. focus (B, 3) [m, camera frame] and radius (B,) [m] of its sphere; cut: what it
+    really shows; border: where the image ends; claimed (B,): the category; positive (B,): rightly so; admissible (B,):
+    whether, if not, it is a negative that makes sense; on_hand (B,): the mask lies on the hand instead of on the tool.
+    """
+
+    focus: Tensor
+    radius: Tensor
+    cut: Cut
+    border: Border
+    claimed: Tensor
+    positive: Tensor
+    admissible: Tensor
+    on_hand: Tensor
+
+
 def _projected(points: Tensor) -> Tensor:
     """(..., 2) of points (..., 3), camera frame: where their rays are at z = 1."""
     return points[..., :2] / points[..., 2:].clamp_min(0.05)

@@ -6,8 +6,6 @@ out by an imperfect mask. A share are negatives: clouds of hands, of other parts
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -17,7 +15,7 @@ from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, Canonic
 from toolee_robot.perception.pose.depth_completion import complete_depth
 from toolee_robot.perception.pose.synthetic_clouds import point_splatting
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, CloudConfig
-from toolee_robot.perception.pose.synthetic_clouds.cuts import Border, Cut
+from toolee_robot.perception.pose.synthetic_clouds.cuts import Border, Cut, Target
 from toolee_robot.perception.pose.synthetic_clouds.masks import cleaned, imperfect, pick
 from toolee_robot.perception.pose.synthetic_clouds.point_splatting import GRID, Window, ZBuffer
 from toolee_robot.perception.pose.synthetic_clouds.scene import (
@@ -40,23 +38,6 @@ from toolee_robot.perception.pose.synthetic_clouds.torch_rng import TorchRng
 _MAX_COMPLETED = 512
 WHOLE_TOOL = 1
 """[px] Reach of splats in a window that holds a whole tool: wider ones would swell what is thin at this scale."""
-
-
-@dataclass(frozen=True)
-class Target:
-    """What a mask is said to show. focus (B, 3) [m, camera frame] and radius (B,) [m] of its sphere; cut: what it
-    really shows; border: where the image ends; claimed (B,): the category; positive (B,): rightly so; admissible (B,):
-    whether, if not, it is a negative that makes sense; on_hand (B,): the mask lies on the hand instead of on the tool.
-    """
-
-    focus: Tensor
-    radius: Tensor
-    cut: Cut
-    border: Border
-    claimed: Tensor
-    positive: Tensor
-    admissible: Tensor
-    on_hand: Tensor
 
 
 class CloudGenerator(CloudSource):

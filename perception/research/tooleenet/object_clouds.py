@@ -11,8 +11,8 @@ from torch import Tensor
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, CloudConfig
-from toolee_robot.perception.pose.synthetic_clouds.cuts import Border, Cut
-from toolee_robot.perception.pose.synthetic_clouds.generator import WHOLE_TOOL, CloudGenerator, Target
+from toolee_robot.perception.pose.synthetic_clouds.cuts import Border, Cut, Target
+from toolee_robot.perception.pose.synthetic_clouds.generator import WHOLE_TOOL, CloudGenerator
 from toolee_robot.perception.pose.synthetic_clouds.scene import Placement, rigid_inverse
 from toolee_robot.perception.pose.synthetic_clouds.surface_samples import Float32, SurfaceSamples
 from toolee_robot.perception.research.tooleenet.estimator import OBJECT_RADIUS

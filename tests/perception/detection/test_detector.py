@@ -16,7 +16,8 @@ from tests.perception.toy_scenes import ArrayImages, toy_scenes
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, TooleeError
 from toolee_robot.perception.detection.boxes import decode, encode, greedy_suppression, pairwise_iou
-from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector, DetectorConfig
+from toolee_robot.perception.detection.config import DetectorConfig
+from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector
 from toolee_robot.perception.detection.inputs import CHANNELS, encode_rgbd
 from toolee_robot.perception.detection.instances import associate, without_duplicates
 from toolee_robot.perception.detection.losses import instances_from_maps

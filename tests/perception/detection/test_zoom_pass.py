@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from toolee_robot.end_effectors import Category
-from toolee_robot.perception.detection.detector import TOOL, Detector, DetectorConfig, RawDetections, working_size
+from toolee_robot.perception.detection.config import DetectorConfig, working_size
+from toolee_robot.perception.detection.detector import TOOL, Detector, RawDetections
 from toolee_robot.perception.detection.inputs import RgbdBatch
 from toolee_robot.perception.detection.instances import Box, Instances
 from toolee_robot.perception.detection.segmenter import Segmenter
