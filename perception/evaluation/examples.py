@@ -1,4 +1,4 @@
-"""The end effectors of a data set as the evaluation asks for them: true poses, and clouds under true or found masks."""
+"""The end effectors of a data set for the evaluation: true poses, and clouds under true or predicted masks."""
 
 from __future__ import annotations
 
@@ -24,15 +24,28 @@ from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
 
 SPLITS = ("test", "train")
 MATCH_IOU = 0.5
-"""A found mask is that of the EE which it overlaps by this much."""
+"""Least IoU of a predicted mask with the EE that it is matched to."""
 
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """One EE in one image. image: its number in this evaluation. tool: number in the catalogue; ee: which of its ends.
-    X_camera_ee: 4x4; X_camera_hand: 4x4 of the right hand that holds the tool, or None. visible [px]; occlusion in
-    [0, 1]. target: whether it is asked for; one with under 50 points is neither found nor missed. first_end: no earlier
-    end of its tool is of its category. too_few_points: a target but for these 50 points."""
+    """One EE in one image.
+
+    Attributes:
+        image: Number of the image in this evaluation.
+        category: Its category.
+        catalogue: Tools of the data set.
+        tool: Number of its tool in the catalogue.
+        ee: Index of the end of its tool.
+        X_camera_ee: True pose, 4x4.
+        X_camera_hand: Pose of the right hand that holds the tool, 4x4, or None.
+        intrinsics: The camera.
+        visible: Visible pixels [px].
+        occlusion: In [0, 1].
+        target: Whether its pose is asked for; one with under 50 points is neither found nor missed.
+        first_end: Whether no earlier end of its tool has its category.
+        too_few_points: Whether it would be a target but for these 50 points.
+    """
 
     image: int
     category: Category
@@ -56,9 +69,18 @@ class Instance:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One mask, and the cloud under it. instance: index of what it shows, None for a false alarm. score: the
-    detector's; tool_score: its tool's. tool_points: (N, 3) [m] of the whole tool. overlap: the largest IoU of the mask
-    with an EE of its category, whether that counts as found or not."""
+    """One mask with the cloud under it.
+
+    Attributes:
+        instance: Index of the instance that it shows; None for a false alarm.
+        image: Number of the image.
+        category: Claimed category.
+        score: Detector's score; 1 for true masks.
+        cloud: The EE's cloud.
+        tool_points: Points of the whole tool, (N, 3) [m], camera frame.
+        tool_score: Detector's score of the tool.
+        overlap: Largest IoU of the mask with an EE of its category, matched or not.
+    """
 
     instance: int | None
     image: int
@@ -72,8 +94,14 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Examples:
-    """What a data set holds. cases: by kind of mask, "truth" and, if a detector was given, "predicted". empty: frames
-    without any tool; images: how many there are in all."""
+    """The contents of a data set.
+
+    Attributes:
+        instances: All instances.
+        cases: By kind of mask: "truth" and, with a detector, "predicted".
+        empty: Frames without any tool.
+        images: Number of images.
+    """
 
     instances: list[Instance]
     cases: dict[str, list[Case]]
@@ -81,7 +109,7 @@ class Examples:
     images: int
 
     def of(self, masks: str) -> dict[int, Case]:
-        """The best case of each instance."""
+        """The best case of each instance, by its index, for one kind of mask."""
         best: dict[int, Case] = {}
         for case in self.cases[masks]:
             if case.instance is not None and case.score > best.get(case.instance, _NOTHING).score:
@@ -91,7 +119,13 @@ class Examples:
 
 @dataclass(frozen=True)
 class Part:
-    """The first `count` images of a scene's folder."""
+    """The first images of a scene's folder.
+
+    Attributes:
+        scene: The folder.
+        catalogue: Tools of the data set.
+        count: Number of images.
+    """
 
     scene: Path
     catalogue: Catalogue
@@ -99,8 +133,18 @@ class Part:
 
 
 def parts(folder: Path, limit: int | None = None) -> list[Part]:
-    """What there is to read of a data set (or one split's folder), at most `limit` images of a split. Raises
-    AssetError."""
+    """The parts of a data set, or of one split's folder.
+
+    Args:
+        folder: Folder of the data set or split.
+        limit: Largest number of images per split; None: all.
+
+    Returns:
+        One part per scene.
+
+    Raises:
+        AssetError: There is no data set.
+    """
     catalogue = catalogue_of(folder)
     found = []
     for scenes in _splits(folder):
@@ -116,7 +160,18 @@ def parts(folder: Path, limit: int | None = None) -> list[Part]:
 
 
 def read_part(part: Part, detector: EeDetector | None) -> Examples:
-    """One part's examples, numbered from 0. Raises AssetError."""
+    """Read the examples of a part, numbered from 0.
+
+    Args:
+        part: The part.
+        detector: Gives the predicted masks; None: true masks only.
+
+    Returns:
+        The examples.
+
+    Raises:
+        AssetError: A file is missing or damaged.
+    """
     cases: dict[str, list[Case]] = {"truth": []}
     if detector is not None:
         cases["predicted"] = []
@@ -131,7 +186,7 @@ def read_part(part: Part, detector: EeDetector | None) -> Examples:
 
 
 def joined(examples: Iterable[Examples]) -> Examples:
-    """All of them in one, numbered on."""
+    """Join examples, numbered consecutively."""
     instances: list[Instance] = []
     cases: dict[str, list[Case]] = {}
     empty: list[RgbdFrame] = []
@@ -150,9 +205,19 @@ def joined(examples: Iterable[Examples]) -> Examples:
 
 
 def collect(folder: Path, detector: EeDetector | None = None, limit: int | None = None) -> Examples:
-    """Read a data set (or one split's folder), at most `limit` images of a split. Raises AssetError.
+    """Read a data set or one split's folder. One scene is in memory at a time; only clouds and frames without tools are
+    kept.
 
-    One scene is in memory at a time; of its images only the clouds stay, and the frames without tools.
+    Args:
+        folder: Folder of the data set or split.
+        detector: Gives the predicted masks; None: true masks only.
+        limit: Largest number of images per split; None: all.
+
+    Returns:
+        The examples.
+
+    Raises:
+        AssetError: A file is missing or damaged.
     """
     return joined(read_part(part, detector) for part in parts(folder, limit))
 
@@ -160,7 +225,17 @@ def collect(folder: Path, detector: EeDetector | None = None, limit: int | None 
 def instances_of(
     image: int, table: EeTable, intrinsics: CameraIntrinsics, catalogue: Catalogue
 ) -> Iterator[tuple[int, Instance]]:
-    """The EEs of one image, each with its id in the id maps."""
+    """The EEs of one image.
+
+    Args:
+        image: Number of the image.
+        table: Its record.
+        intrinsics: Its camera.
+        catalogue: Tools of the data set.
+
+    Yields:
+        The id in the id maps, and the instance.
+    """
     for row in np.flatnonzero(table.category):
         same_tool = np.flatnonzero(table.tool == table.tool[row])
         X_hand = table.X_camera_hand[row].astype(np.float64)
@@ -234,7 +309,7 @@ def _case(instance: int | None, image: int, frame: RgbdFrame, detection: Detecti
 
 
 def _splits(folder: Path) -> list[list[Path]]:
-    """The scenes of each split of a data set, or of the one split whose folder this is."""
+    """The scenes of each split of a data set, or of the one split whose folder is given."""
     splits = [scene_folders(folder / name) for name in SPLITS]
     if not any(splits):
         splits = [scene_folders(folder)]

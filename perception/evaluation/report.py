@@ -21,13 +21,13 @@ _PAPER = ("5deg2cm", "5deg5cm", "10deg5cm")
 _DEFINITIONS = {
     "n° m cm": "share of instances whose rotation error, modulo the category's symmetry group, and position error are "
     "both under the threshold; an instance without an estimate counts as over it",
-    "paper's rule": "the same with the paper's rotation error: axes that the prediction itself calls ambiguous are "
-    "left out. Only for comparison with its tables",
+    "paper's rule": "the same with the paper's rotation error, which ignores axes that the prediction itself calls "
+    "ambiguous; only for comparison with its tables",
     "AR MSSD, MSPD": "BOP's average recall of the maximum symmetry-aware surface distance (0.05 to 0.5 of the EE's "
     "diameter) and projection distance (5 to 50 px at a width of 640)",
     "ranked AP": "area under the precision-recall curve of detections ranked by trust, right "
     "if their box overlaps the EE's (IoU over 0.1) and the pose is under the threshold (NOCS)",
-    "held-out, seen": "tools that training never showed, and tools that it did, both in new images",
+    "held-out, seen": "tools that were not, and that were, in the training data; both in new images",
     "usable": "the estimate's confidence is over the threshold that was fixed after training",
     "calibration error": "mean gap between confidence and share within 10 deg and 2 cm over ten bins",
     "risk, coverage": "share of failures among the estimates kept; share of estimates kept",
@@ -35,7 +35,7 @@ _DEFINITIONS = {
 
 
 def pictures(evaluation: Evaluation) -> dict[str, bytes]:
-    """File name -> PNG."""
+    """The pictures of an evaluation: file name to PNG."""
     made: dict[str, bytes] = {}
     estimators = evaluation.report["estimators"]
     for masks, text in _MASKS.items():
@@ -64,7 +64,16 @@ def pictures(evaluation: Evaluation) -> dict[str, bytes]:
 
 
 def page(evaluation: Evaluation, images: dict[str, bytes], subtitle: str) -> str:
-    """The HTML report."""
+    """The HTML report.
+
+    Args:
+        evaluation: The evaluation.
+        images: Its pictures, file name to PNG.
+        subtitle: Line below the title.
+
+    Returns:
+        The page.
+    """
     report = evaluation.report
     data = report["data"]
     out = Page("TOOLEE benchmark: 6D pose of tool end effectors", subtitle)
@@ -159,7 +168,7 @@ def _confidence(out: Page, found: dict[str, Any]) -> None:
             [label, _share(c["expected_calibration_error"]), _share(c["usable_share"]), *right, *failures, *symmetry]
         )
     out.table(head, rows)
-    out.heading("What the confidence keeps: the EE's origin and its axis (a hammer's face: centre and normal)")
+    out.heading("Errors of confident estimates: the EE's origin and axis (a hammer's face: centre and normal)")
     head = ["category", "estimator", "kept", "share", "centre median mm", "95 % mm", "normal median °", "95 % °"]
     keys = ("centre_median_mm", "centre_p95_mm", "normal_median_deg", "normal_p95_deg")
     kept_rows = [
@@ -187,8 +196,8 @@ def _ranked(out: Page, report: dict[str, Any]) -> None:
     ]
     out.table(head, rows, left=3)
     out.section("Usable poses")
-    out.paragraph("What comes of acting on every pose that claims to be usable, false alarms among them.")
-    head = ["estimator", "masks", "poses", "within 10° 2 cm", "wrong ones an image", "end effectors with a right one"]
+    out.paragraph("Results of acting on every usable pose, false alarms included.")
+    head = ["estimator", "masks", "poses", "within 10° 2 cm", "wrong ones per image", "end effectors with a right one"]
     rows = [
         [label, _MASKS[masks], u["poses"]]
         + [_share(u[k]) for k in ("right_10deg2cm", "wrong_per_image", "found_10deg2cm")]
@@ -201,14 +210,33 @@ def _ranked(out: Page, report: dict[str, Any]) -> None:
 
 
 def sampler_page(rows: list[dict[str, Any]], images: dict[str, bytes], subtitle: str) -> str:
-    """The HTML report of the samplers alone."""
+    """The HTML report of the samplers alone.
+
+    Args:
+        rows: Result of `samplers.sampler_table`.
+        images: Pictures, file name to PNG.
+        subtitle: Line below the title.
+
+    Returns:
+        The page.
+    """
     out = Page("TOOLEE benchmark: samplers", subtitle)
     _samplers(out, rows, images)
     return out.text()
 
 
 def segmentation_page(found: dict[str, Any], rows: list[list[str]], columns: Sequence[str], subtitle: str) -> str:
-    """The HTML report of the segmentation: `segmentation_evaluation`'s result, and its rows as text."""
+    """The HTML report of the segmentation.
+
+    Args:
+        found: Result of `segmentation.report`.
+        rows: Its rows as text.
+        columns: Headings of the statistics.
+        subtitle: Line below the title.
+
+    Returns:
+        The page.
+    """
     out = Page("TOOLEE benchmark: segmentation", subtitle)
     average = found["average"]
     names = {"AP": "AP", "AP50": "AP50", "AP75": "AP75"}
@@ -252,8 +280,8 @@ def _extras(out: Page, report: dict[str, Any], images: dict[str, bytes]) -> None
         n = report["no_tool"]
         out.section("Frames without a tool")
         out.paragraph(
-            f"{n['with_a_usable_pose']} of {n['frames']} cluttered frames without a tool gave a pose that claims to be "
-            f"usable; {n['with_a_detection']} gave a detection."
+            f"{n['with_a_usable_pose']} of {n['frames']} cluttered frames without a tool gave a usable pose; "
+            f"{n['with_a_detection']} gave a detection."
         )
     out.section("Latency")
     rows = []

@@ -1,5 +1,4 @@
-"""The table of samplers: accuracy against network evaluations and time, RK45 beside the fixed steps, on one network and
-the same clouds in one run."""
+"""The table of samplers: accuracy against network evaluations and time, on one network and the same clouds."""
 
 from __future__ import annotations
 
@@ -22,11 +21,18 @@ from toolee_robot.perception.research.tooleenet.rk45 import Rk45
 
 STEPS = (1, 2, 3, 5, 10, 20)
 REFERENCE = "RK45"
+"""Name of the reference sampler."""
 
 
 @dataclass
 class Measured:
-    """A sampler that counts its network evaluations and its time [s], one entry a call."""
+    """A sampler that records its network evaluations and its time.
+
+    Attributes:
+        sampler: The sampler.
+        evaluations: Network evaluations of each call.
+        seconds: Time of each call [s].
+    """
 
     sampler: Sampler
     evaluations: list[int] = field(default_factory=list)
@@ -53,9 +59,16 @@ class Measured:
 def sampler_table(
     estimator: CloudEstimator, examples: Examples, limit: int, progress: Callable[[int, int], None]
 ) -> list[dict[str, Any]]:
-    """One row a sampler: over the first `limit` clouds under true masks, held-out tools first, one cloud at a time.
+    """Evaluate the samplers one cloud at a time, all from the same noise.
 
-    Seeds are equal, so that every sampler starts from the same noise. "average": of the categories' shares.
+    Args:
+        estimator: The estimator whose network is sampled.
+        examples: The data set.
+        limit: Number of clouds under true masks, held-out tools first.
+        progress: Called with the finished number of estimates and their total.
+
+    Returns:
+        One row per sampler; "average" is the mean of the categories' shares.
     """
     chosen = [c for c in examples.cases["truth"] if c.instance is not None and c.cloud.usable]
     chosen.sort(key=lambda c: not examples.instances[c.instance or 0].held_out)

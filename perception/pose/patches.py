@@ -70,7 +70,7 @@ class Patches(nn.Module):
 
 
 def _mean(h: Tensor) -> Tensor:
-    """Mean of h (B, count, neighbours, width) over the neighbours; on a CPU in bfloat16 as a product, which is faster."""
+    """Mean of h (B, count, neighbours, width) over the neighbours; in bfloat16 on a CPU as a product (faster)."""
     if h.device.type != "cpu" or h.dtype is not torch.bfloat16:
         return h.mean(2)
     share = h.new_full((1, h.shape[2]), 1.0 / h.shape[2])

@@ -12,6 +12,7 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
+from tests.errors import raises
 from toolee_robot.cli.app import run
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, UserError
@@ -191,7 +192,7 @@ def test_a_mixture_takes_its_share_of_each() -> None:
     assert (first.asked, second.asked) == (150, 50)
     mixture.reseed(7)
     assert first.asked != second.asked, "two sources of one kind must not give the same"
-    with pytest.raises(UserError, match="give one from 0 to 1"):
+    with raises(UserError, code="user.share"):
         Mixture(first, second, 1.5)
 
 
@@ -202,7 +203,7 @@ def test_they_come_back_from_their_file_and_another_file_is_refused(clouds: Rend
     for f in fields(clouds):
         np.testing.assert_array_equal(getattr(again, f.name), getattr(clouds, f.name))
     (tmp_path / "other.npz").write_bytes(b"no clouds")
-    with pytest.raises(AssetError, match="toolee train clouds"):
+    with raises(AssetError, code="asset.unreadable"):
         RenderedClouds.load(tmp_path / "other.npz")
 
 

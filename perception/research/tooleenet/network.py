@@ -12,8 +12,16 @@ _TIME = 128
 
 
 class PaperNet(nn.Module):
-    """Scores of pose vectors of `dim` 9 or 12; `X_tool_ee` (4, 4, 4): each category's prior, for the column that
-    estimates the tool's pose."""
+    """Score network over pose vectors.
+
+    Args:
+        dim: Length of the pose vector, 9 or 12.
+        encoder: Encoder of the clouds; None: a new PointNet++.
+
+    Attributes:
+        X_tool_ee: Mean X_tool_ee of each category, (4, 4, 4), for the column that estimates the tool's pose.
+        frequencies: Random Fourier features of the time, (64,).
+    """
 
     X_tool_ee: Tensor
     frequencies: Tensor
@@ -45,5 +53,5 @@ class PaperNet(nn.Module):
         return torch.cat([head(common) for head in self.heads], dim=-1)
 
     def forward(self, points: Tensor, u: Tensor, t: Tensor) -> Tensor:
-        """What training needs in one call."""
+        """Encoding and score in one call, for training."""
         return self.score(self.encode(points), u, t)

@@ -18,6 +18,7 @@ import pytest
 import torch
 from PIL import Image
 
+from tests.errors import raises
 from toolee_robot.cli.app import run
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import transform
@@ -90,9 +91,9 @@ def test_clouds_lie_on_the_ends_that_they_are_said_to_show(examples: Examples) -
 
 
 def test_a_folder_without_data_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(AssetError, match="dataset generate"):
+    with raises(AssetError, code="asset.no_scene"):
         collect(tmp_path)
-    with pytest.raises(AssetError, match="toolee train pose"):
+    with raises(AssetError, code="asset.missing"):
         load_estimator(tmp_path)
 
 
