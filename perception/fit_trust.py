@@ -22,8 +22,9 @@ from toolee_robot.perception import weight_files
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.evaluation import views
 from toolee_robot.perception.evaluation.estimates import Ranked, estimate_case
-from toolee_robot.perception.evaluation.examples import Examples, Part, parts, read_part
+from toolee_robot.perception.evaluation.examples import Part, parts, read_part
 from toolee_robot.perception.evaluation.pose import right_poses
+from toolee_robot.perception.evaluation.records import Examples
 from toolee_robot.perception.pipeline import ToolPerception
 from toolee_robot.perception.pose import PoseEstimator, confidence
 from toolee_robot.perception.trust import FEATURES, Trust, features

@@ -21,7 +21,8 @@ from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.cloud import EeCloud
 from toolee_robot.perception.detection.segmenter import Segmenter
-from toolee_robot.perception.evaluation.examples import Case, Instance, Part, parts, read_part
+from toolee_robot.perception.evaluation.examples import Part, parts, read_part
+from toolee_robot.perception.evaluation.records import Case, Instance
 from toolee_robot.perception.evaluation.shapes import spin_points
 from toolee_robot.perception.pipeline import EeDetector
 from toolee_robot.perception.pose.canonical import MIN_POINTS

@@ -15,7 +15,7 @@ from toolee_robot.errors import AssetError, PerceptionError
 from toolee_robot.frames import Array
 from toolee_robot.perception.dataset.records import SHOWN_HAND
 from toolee_robot.perception.evaluation import metrics
-from toolee_robot.perception.evaluation.examples import Case, Examples, Instance
+from toolee_robot.perception.evaluation.records import Case, Examples, Instance
 from toolee_robot.perception.evaluation.shapes import ee_shape, spin_is_observable
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult, with_hand
 from toolee_robot.perception.pose.estimator import PoseEstimator

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.perception.evaluation import metrics
 from toolee_robot.perception.evaluation.estimates import Estimates, Ranked
-from toolee_robot.perception.evaluation.examples import Instance
+from toolee_robot.perception.evaluation.records import Instance
 from toolee_robot.perception.evaluation.shapes import ee_shape
 from toolee_robot.perception.pose.confidence import RIGHT
 

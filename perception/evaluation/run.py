@@ -24,7 +24,8 @@ from toolee_robot.perception.evaluation.estimates import (
     questions,
     summary,
 )
-from toolee_robot.perception.evaluation.examples import Examples, Instance, Part, joined, parts, read_part
+from toolee_robot.perception.evaluation.examples import Part, joined, parts, read_part
+from toolee_robot.perception.evaluation.records import Examples, Instance
 from toolee_robot.perception.evaluation.samplers import sampler_table
 from toolee_robot.perception.pipeline import EeDetector, ToolPerception
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator

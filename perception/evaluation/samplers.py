@@ -14,7 +14,7 @@ from torch import Tensor
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.perception.evaluation import metrics
 from toolee_robot.perception.evaluation.estimates import estimate_case
-from toolee_robot.perception.evaluation.examples import Examples
+from toolee_robot.perception.evaluation.records import Examples
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
 from toolee_robot.perception.pose.processes.flow import Euler, Field, Process, Sampler
 from toolee_robot.perception.research.tooleenet.rk45 import Rk45

@@ -12,7 +12,7 @@ from scipy.spatial.distance import pdist
 from toolee_robot.frames import Array, inverse, transform_points
 from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.dataset.instances import ee_mesh
-from toolee_robot.perception.evaluation.examples import Case, Instance
+from toolee_robot.perception.evaluation.records import Case, Instance
 from toolee_robot.perception.pose.training.losses import SPIN_PIXELS
 
 _VERTICES = 400

@@ -28,8 +28,9 @@ from toolee_robot.perception.dataset.spec import DatasetSpec
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.evaluation import metrics, pose, views
 from toolee_robot.perception.evaluation.estimates import Ranked, answer, load_estimator, questions, summary
-from toolee_robot.perception.evaluation.examples import Examples, collect
+from toolee_robot.perception.evaluation.examples import collect
 from toolee_robot.perception.evaluation.html import Page
+from toolee_robot.perception.evaluation.records import Examples
 from toolee_robot.perception.evaluation.report import page, pictures
 from toolee_robot.perception.evaluation.run import Evaluation
 from toolee_robot.perception.evaluation.samplers import sampler_table
