@@ -32,7 +32,16 @@ def encode(boxes: Tensor, anchors: Tensor, weights: tuple[float, ...] = (1.0, 1.
 
 
 def decode(deltas: Tensor, anchors: Tensor, weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)) -> Tensor:
-    """Decode boxes (..., 4) from deltas (..., 4); the inverse of `encode`."""
+    """Decode boxes; the inverse of `encode`.
+
+    Args:
+        deltas: (..., 4).
+        anchors: (..., 4).
+        weights: Factors on the deltas, as for `encode`.
+
+    Returns:
+        Boxes (..., 4).
+    """
     deltas = deltas / deltas.new_tensor(weights)
     size = anchors[..., 2:] - anchors[..., :2]
     centre = (anchors[..., 2:] + anchors[..., :2]) / 2 + deltas[..., :2] * size

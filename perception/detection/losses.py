@@ -97,7 +97,15 @@ class DetectorLoss(nn.Module):
         self._rpn_losses = torch.compile(_rpn_losses, dynamic=False)
 
     def forward(self, batch: RgbdBatch, instances: Instances) -> dict[str, Tensor]:
-        """Losses by name, scalars."""
+        """The losses of a batch.
+
+        Args:
+            batch: The images.
+            instances: Their targets.
+
+        Returns:
+            Scalars by name: "objectness", "proposal", "class", "box", "mask", "dice", "quality".
+        """
         detector = self.detector
         height, width = batch.pixels.shape[-2:]
         pyramid = detector.backbone(batch.pixels)

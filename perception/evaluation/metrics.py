@@ -165,14 +165,31 @@ def calibration_error(confidence: Array, success: NDArray[np.bool_], bins: int =
 
 
 def reliability(confidence: Array, success: NDArray[np.bool_], bins: int = 10) -> list[tuple[float, float, int]]:
-    """Mean confidence, share of successes and size of each bin that is not empty; arguments as `calibration_error`."""
+    """Reliability over equal bins of the confidence.
+
+    Args:
+        confidence: (N,) in [0, 1].
+        success: (N,) bool.
+        bins: Number of bins.
+
+    Returns:
+        Mean confidence, share of successes and size of each bin that is not empty.
+    """
     which = np.clip((confidence * bins).astype(int), 0, bins - 1)
     rows = [which == b for b in range(bins)]
     return [(float(confidence[r].mean()), float(success[r].mean()), int(r.sum())) for r in rows if r.any()]
 
 
 def risk_coverage(confidence: Array, success: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Coverage and risk (share of failures) when only the most confident estimates are kept, from one to all."""
+    """Risk over coverage when only the most confident estimates are kept.
+
+    Args:
+        confidence: (N,) in [0, 1].
+        success: (N,) bool.
+
+    Returns:
+        Coverage (N,) and risk (N,), the share of failures, for one kept estimate to all.
+    """
     failed = ~success[np.argsort(-confidence, kind="stable")]
     n = np.arange(1, len(failed) + 1)
     return n / max(len(failed), 1), np.cumsum(failed) / n

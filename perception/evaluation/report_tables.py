@@ -20,7 +20,12 @@ _PAPER = ("5deg2cm", "5deg5cm", "10deg5cm")
 
 
 def accuracy_table(out: Page, found: dict[str, Any]) -> None:
-    """The paper's Table I: for each category one row per estimator, the best of each column marked."""
+    """Add the paper's Table I: for each category one row per estimator, the best of each column marked.
+
+    Args:
+        out: The page.
+        found: Label of an estimator to its result of `pose.tables` for one group.
+    """
     head = ["category", "estimator", "instances", *(NAMES[k] for k in THRESHOLDS)]
     head += [f"paper's rule {NAMES[k]}" for k in _PAPER]
     rows: list[list[Any]] = []
@@ -41,7 +46,7 @@ def accuracy_table(out: Page, found: dict[str, Any]) -> None:
 
 
 def error_table(out: Page, found: dict[str, Any]) -> None:
-    """Add errors and BOP recall, for each category one row per estimator."""
+    """Add errors and BOP recall, for each category one row per estimator; arguments as `accuracy_table`."""
     out.heading("Errors and BOP recall")
     head = ["category", "estimator", "estimated", "median mm", "95 % mm", "median °", "95 % °"]
     head += ["spin °", "spin with hand °", "AR MSSD", "AR MSPD", "AR"]
@@ -57,7 +62,9 @@ def error_table(out: Page, found: dict[str, Any]) -> None:
 
 
 def confidence_tables(out: Page, found: dict[str, Any]) -> None:
-    """Add calibration and usefulness of the confidence, symmetry, and the errors of confident estimates."""
+    """Add calibration and usefulness of the confidence, symmetry, and errors of confident estimates; arguments as
+    `accuracy_table`.
+    """
     out.heading("Confidence and symmetry")
     head = ["estimator", "calibration error", "usable", "right at 10° 2 cm", "right at 5° 1 cm"]
     head += ["failures 10° 2 cm", "worst 10 % refused", "failures 5° 1 cm", "worst 10 % refused"]
@@ -100,7 +107,12 @@ def confidence_tables(out: Page, found: dict[str, Any]) -> None:
 
 
 def ranking_tables(out: Page, report: dict[str, Any]) -> None:
-    """Add AP of the ranked poses, and the usable poses."""
+    """Add AP of the ranked poses, and the usable poses.
+
+    Args:
+        out: The page.
+        report: Contents of report.json.
+    """
     out.section("Score-ranked AP")
     head = ["category", "estimator", "masks", *(NAMES[k] for k in THRESHOLDS)]
     rows = [

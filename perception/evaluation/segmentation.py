@@ -222,7 +222,15 @@ def _coco_library() -> tuple[Any, Any, Any]:
 
 
 def true_instances(images: SegmentationImages, index: int) -> list[tuple[int, NDArray[np.bool_], int]]:
-    """(label, mask, id of the EE or 0) of every instance of one image with at least one visible pixel."""
+    """The true instances of one image.
+
+    Args:
+        images: The images.
+        index: Number of the image.
+
+    Returns:
+        Label, mask (H, W), and id of the EE (0 for a tool) of every instance with at least one visible pixel.
+    """
     found = []
     for ee_id, label in enumerate(images.categories[index].tolist(), 1):
         mask = images.ee[index] == ee_id

@@ -54,8 +54,14 @@ def ee_shape(catalogue: Catalogue, tool: int, ee: int) -> EeShape:
 
 
 def spin_is_observable(instance: Instance, case: Case) -> bool:
-    """Whether a view shows the spin about a free axis, by the rule that labels training clouds: enough points of
-    symmetry-breaking parts in the cloud, or the rest of the tool seen off the axis.
+    """Whether a view shows the spin about a free axis, by the rule that labels training clouds.
+
+    Args:
+        instance: The EE with its true pose.
+        case: A mask of it, with its cloud.
+
+    Returns:
+        True if enough points of symmetry-breaking parts are in the cloud, or the rest of the tool is seen off the axis.
     """
     if not instance.category.spec.spin_cues:
         return False
@@ -66,7 +72,15 @@ def spin_is_observable(instance: Instance, case: Case) -> bool:
 
 
 def spin_points(instance: Instance, case: Case) -> int:
-    """Number of points of the cloud on parts that show the spin, `EndEffectorSpec.spin_cues`."""
+    """Number of points on parts that show the spin, `EndEffectorSpec.spin_cues`.
+
+    Args:
+        instance: The EE with its true pose.
+        case: A mask of it, with its cloud.
+
+    Returns:
+        The number of such points of the cloud.
+    """
     tree, tells = _labelled_surface(instance.catalogue, instance.tool, instance.category.spec.spin_cues)
     X_tool_ee = instance.catalogue.tool(instance.tool).ees[instance.ee].X_tool_ee
     X_tool_camera = X_tool_ee @ inverse(instance.X_camera_ee)

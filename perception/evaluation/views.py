@@ -93,7 +93,16 @@ def empty_frame(seed: int, index: int, split: str = "test") -> RgbdFrame:
 
 
 def taken_frame(sample: SceneSample, shot: Shot, rng: np.random.Generator) -> RgbdFrame:
-    """The frame with the noise of a random camera and depth sensor."""
+    """Take a frame with the noise of a random camera and depth sensor.
+
+    Args:
+        sample: The scene.
+        shot: Its rendering.
+        rng: Random numbers.
+
+    Returns:
+        The frame.
+    """
     exposure, automatic = float(rng.uniform(0.75, 1.35)), float(rng.uniform(0.3, 1.0))
     depth, rgb = expose(shot, sample.intrinsics, exposure, automatic, rng)
     return RgbdFrame(rgb, depth, sample.intrinsics)
@@ -115,7 +124,15 @@ class Fused:
 
 
 def fuse(perception: ToolPerception, hammer: HeldHammer) -> Fused:
-    """Estimate the poses in all frames of a hammer and fuse them, as a job would."""
+    """Estimate the poses in all frames of a hammer and fuse them, as a job would.
+
+    Args:
+        perception: The pipeline.
+        hammer: The frames with the truth.
+
+    Returns:
+        The errors.
+    """
     looks = [
         perception.estimate(frame, HoldingHand(X, SHOWN_HAND.grasp.R_hand_tool), [Category.HAMMER_HEAD])
         for frame, X in zip(hammer.frames, hammer.Xs_camera_hand, strict=True)
@@ -148,7 +165,15 @@ def fused(each: Sequence[Fused]) -> dict[str, Any]:
 
 
 def claims(perception: ToolPerception, frame: RgbdFrame) -> tuple[bool, bool]:
-    """Whether a frame gives a detection, and whether it gives a usable pose."""
+    """Run the pipeline on a frame without a tool.
+
+    Args:
+        perception: The pipeline.
+        frame: The frame.
+
+    Returns:
+        Whether there is a detection, and whether there is a usable pose.
+    """
     estimates = perception.estimate(frame)
     return bool(estimates), any(e.usable for e in estimates)
 

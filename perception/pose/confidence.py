@@ -115,7 +115,18 @@ class ConfidenceModel:
 
     @staticmethod
     def from_dict(data: dict[str, Any], names: tuple[str, ...] = FEATURES) -> ConfidenceModel:
-        """Read a model. Raises ValueError when it was fitted on features other than `names`."""
+        """Read a model.
+
+        Args:
+            data: JSON object of `to_dict`.
+            names: Names of the features that the model must have.
+
+        Returns:
+            The model.
+
+        Raises:
+            ValueError: It was fitted on other features.
+        """
         if tuple(data["features"]) != names:
             raise ValueError("the confidence model was fitted on other features; train again")
         mean, std, weights = (tuple(map(float, data[k])) for k in ("mean", "std", "weights"))

@@ -91,7 +91,17 @@ class Seen(NamedTuple):
 
     @staticmethod
     def of(cloud: CanonicalCloud, category: Tensor, direction: Tensor, context: Tensor) -> Seen:
-        """The input for canonical clouds and their tokens, on the category's device."""
+        """The input of a batch.
+
+        Args:
+            cloud: The canonical clouds.
+            category: Index of each category, (B,); the input is on its device.
+            direction: Direction tokens, (B, 5).
+            context: Context tokens, (B, 2).
+
+        Returns:
+            The input.
+        """
         to = category.device
         points, completed, tokens = cloud.points.to(to), cloud.completed.to(to), (direction.to(to), context.to(to))
         return Seen(points, completed, cloud.rest.to(to), cloud.rest_known.to(to), category, *tokens)
@@ -198,7 +208,12 @@ class PoseNet(nn.Module):
 
 
 class Block(nn.Module):
-    """Pre-norm transformer block."""
+    """Pre-norm transformer block.
+
+    Args:
+        width: Width of the tokens.
+        heads: Attention heads.
+    """
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()

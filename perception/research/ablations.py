@@ -116,7 +116,15 @@ def run_row(name: str, out: Path, config: TrainConfig, samples: Any, hands: Any)
 
 
 def without_training(estimator: CloudEstimator, held_out: CloudBatch) -> list[dict[str, Any]]:
-    """Evaluate the decisions that need no training on the base's network: number of candidates, steps, pooling."""
+    """Evaluate the decisions that need no training on the base's network: number of candidates, steps, pooling.
+
+    Args:
+        estimator: The base's estimator.
+        held_out: Held-out clouds.
+
+    Returns:
+        One row per setting, with its metrics.
+    """
     assert isinstance(estimator, PoseEstimator)
     rows = []
     for k in KS:

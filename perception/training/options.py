@@ -54,7 +54,15 @@ class TrainingOptions:
             raise UserError("batch and lr must be positive, ema between 0 and 1", code="user.training_options")
 
     def progress(self, minutes: float, steps: int) -> float:
-        """Share of the budget that is used after this time [min] and this number of steps, 1 at its end."""
+        """Share of the budget that is used.
+
+        Args:
+            minutes: Time used [min].
+            steps: Steps done.
+
+        Returns:
+            The share, 1 at the end of the budget.
+        """
         by_steps = steps / self.max_steps if self.max_steps else 0.0
         limit = self.minutes if self.minutes is not None else None if self.max_steps else self.USUAL_MINUTES
         return by_steps if limit is None else max(by_steps, minutes / limit)

@@ -132,5 +132,13 @@ def _conv(n_in: int, n_out: int, stride: int = 1) -> list[nn.Module]:
 
 
 def load_refiner(refiner: Refiner, tensors: dict[str, Tensor]) -> None:
-    """Load exported weights into a refiner. Raises AssetError if they do not fit."""
+    """Load exported weights into a refiner.
+
+    Args:
+        refiner: The network, changed in place.
+        tensors: The weights.
+
+    Raises:
+        AssetError: The weights do not fit.
+    """
     load_into(refiner, tensors, "refiner")

@@ -42,6 +42,8 @@ class RefinementTraining(ImageTraining):
     Attributes:
         detector: Folder of the detector's weights; None: the shipped ones.
         model: Architecture of the refiner.
+
+    The other fields are those of `ImageTraining` and `TrainingOptions`, with defaults for this network.
     """
 
     USUAL_MINUTES: ClassVar[float] = 15.0
@@ -60,6 +62,7 @@ class RefinementTraining(ImageTraining):
             raise UserError("batch must be positive and, for batch normalisation, 2 or more", code="user.batch")
 
     def to_json(self) -> dict[str, Any]:
+        """See `ImageTraining`."""
         return {**super().to_json(), "detector": self.detector is not None}
 
 

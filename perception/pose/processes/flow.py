@@ -64,7 +64,16 @@ class Process(Protocol):
         ...
 
     def velocity(self, field: Field, u: Tensor, t: Tensor) -> Tensor:
-        """du / dtau at u (B, K, D) and t (B, K), from the network's output."""
+        """du / dtau from the network's output.
+
+        Args:
+            field: The network.
+            u: (B, K, D).
+            t: (B, K).
+
+        Returns:
+            (B, K, D).
+        """
         ...
 
     def tau(self, t: Tensor) -> Tensor:
@@ -76,7 +85,7 @@ class Process(Protocol):
         ...
 
     def finish(self, field: Field, u: Tensor) -> Tensor:
-        """Data from u at t = end."""
+        """Data (B, K, D) from u (B, K, D) at t = end, with the network `field`."""
         ...
 
 

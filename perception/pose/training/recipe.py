@@ -75,19 +75,53 @@ class TrainingRecipe(Protocol, Generic[Net]):
         ...
 
     def prepare(self, batch: CloudBatch, generator: torch.Generator) -> CloudBatch:
-        """A batch as it is shown in training, augmented where the recipe does so."""
+        """A batch as it is shown in training, augmented where the recipe does so.
+
+        Args:
+            batch: The clouds.
+            generator: Random numbers, on the clouds' device.
+
+        Returns:
+            The clouds.
+        """
         ...
 
     def loss(self, net: nn.Module, batch: CloudBatch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss and its parts by name; `net`: the network, possibly compiled."""
+        """The loss of a batch.
+
+        Args:
+            net: The network, possibly compiled.
+            batch: The clouds.
+            generator: Random numbers, on the clouds' device.
+
+        Returns:
+            The loss, and its parts by name.
+        """
         ...
 
     def estimator(self, net: Net, calibration: Calibration, device: str) -> CloudEstimator:
-        """The estimator with the trained network."""
+        """The estimator with the trained network.
+
+        Args:
+            net: The network.
+            calibration: Its calibration.
+            device: torch device.
+
+        Returns:
+            The estimator.
+        """
         ...
 
     def with_ee_truth(self, batch: CloudBatch, samples: SurfaceSamples) -> CloudBatch:
-        """Held-out clouds with the EE's pose as their truth."""
+        """Held-out clouds with the EE's pose as truth, whatever the network estimates.
+
+        Args:
+            batch: The clouds.
+            samples: Surface samples of their tools.
+
+        Returns:
+            The clouds.
+        """
         ...
 
     def report(
@@ -107,7 +141,14 @@ class TrainingRecipe(Protocol, Generic[Net]):
         ...
 
     def save(self, folder: Path, net: Net, calibration: Calibration, report: dict[str, Any]) -> None:
-        """Write the weights with their description."""
+        """Write the weights with their description.
+
+        Args:
+            folder: Output folder.
+            net: The trained network.
+            calibration: Its calibration.
+            report: Record of the training.
+        """
         ...
 
     def load(self, folder: Path) -> Net:

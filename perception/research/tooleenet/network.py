@@ -46,12 +46,30 @@ class PaperNet(nn.Module):
         return feature
 
     def score(self, feature: Tensor, u: Tensor, t: Tensor) -> Tensor:
-        """The score times sigma(t), (B, K, dim), at u (B, K, dim), t (B, K)."""
+        """The score times sigma(t).
+
+        Args:
+            feature: Encoded clouds, (B, 1024).
+            u: Pose vectors, (B, K, dim).
+            t: Times, (B, K).
+
+        Returns:
+            (B, K, dim).
+        """
         phase = 2 * torch.pi * t[..., None] * self.frequencies
         time = self.time(torch.cat([phase.sin(), phase.cos()], dim=-1).to(u.dtype))
         common = torch.cat([feature[:, None].expand(-1, u.shape[1], -1), time, self.pose(u)], dim=-1)
         return torch.cat([head(common) for head in self.heads], dim=-1)
 
     def forward(self, points: Tensor, u: Tensor, t: Tensor) -> Tensor:
-        """Encoding and score in one call, for training."""
+        """Encoding and score in one call, for training.
+
+        Args:
+            points: Clouds (B, N, 3) [m], camera frame.
+            u: Noised pose vectors, (B, K, dim).
+            t: Times, (B, K).
+
+        Returns:
+            The score times sigma(t), (B, K, dim).
+        """
         return self.score(self.encode(points), u, t)
