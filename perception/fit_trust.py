@@ -75,7 +75,7 @@ class TrustSamples:
     images: int
 
 
-def look(seed: int, networks: Networks, part: Part | int) -> TrustSamples:
+def collect(seed: int, networks: Networks, part: Part | int) -> TrustSamples:
     """Samples from a part of a data set, or from a rendered frame without a tool.
 
     Args:
@@ -87,17 +87,17 @@ def look(seed: int, networks: Networks, part: Part | int) -> TrustSamples:
         The samples.
     """
     if isinstance(part, Part):
-        return _look_at_tools(networks, read_part(part, networks.detector))
+        return _tool_samples(networks, read_part(part, networks.detector))
     rows = []
     sure = networks.pose.calibration.confidence.threshold
     for e in ToolPerception(networks.detector, networks.pose).estimate(views.empty_frame(seed, part, "train")):
         if np.isfinite(e.X_camera_ee).all():
             d = e.detection
             rows.append((features(e.confidence, d.score, d.tool_score, d.category), 0.0, e.confidence >= sure))
-    return _looked(rows, 1)
+    return _samples(rows, 1)
 
 
-def _look_at_tools(networks: Networks, examples: Examples) -> TrustSamples:
+def _tool_samples(networks: Networks, examples: Examples) -> TrustSamples:
     found = []
     for number, case in enumerate(examples.cases["predicted"]):
         instance = None if case.instance is None else examples.instances[case.instance]
@@ -109,10 +109,10 @@ def _look_at_tools(networks: Networks, examples: Examples) -> TrustSamples:
             found.append((ranked, features(result.confidence, case.score, case.tool_score, case.category)))
     right, counted = right_poses(examples.instances, [ranked for ranked, _ in found])
     judged = zip(found, right.tolist(), counted.tolist(), strict=True)
-    return _looked([(x, float(ok), ranked.usable) for (ranked, x), ok, counts in judged if counts], examples.images)
+    return _samples([(x, float(ok), ranked.usable) for (ranked, x), ok, counts in judged if counts], examples.images)
 
 
-def _looked(rows: list[tuple[Array, float, bool]], images: int) -> TrustSamples:
+def _samples(rows: list[tuple[Array, float, bool]], images: int) -> TrustSamples:
     x = np.array([row[0] for row in rows]).reshape(-1, len(FEATURES))
     right, usable = (np.array([row[k] for row in rows], dtype=np.float64) for k in (1, 2))
     return TrustSamples(x, right, usable, images)
@@ -189,7 +189,7 @@ def fit_trust(
     todo = [*parts(data), *range(frames)]
     found = []
     with ProcessMap(partial(Networks.load, folder), workers) as processes:
-        for each in processes.map(partial(look, seed), todo):
+        for each in processes.map(partial(collect, seed), todo):
             found.append(each)
             progress(len(found), len(todo))
     count = len(todo) - frames

@@ -64,7 +64,7 @@ def rendered_clouds(
     todo = parts(data, limit)
     found = []
     begin = partial(Segmenter.load, weights, device) if column is None else _no_detector
-    read = of_part if column is None or not column.of_tool else tools_of_part
+    read = clouds_of_part if column is None or not column.of_tool else tool_clouds_of_part
     with ProcessMap(begin, workers) as processes:
         for done, part in enumerate(processes.map(read, todo)):
             found.append(part)
@@ -77,7 +77,7 @@ def rendered_clouds(
     return clouds
 
 
-def of_part(detector: EeDetector | None, part: Part) -> RenderedClouds:
+def clouds_of_part(detector: EeDetector | None, part: Part) -> RenderedClouds:
     """The clouds of a part of a data set under true masks and, with a detector, under predicted ones."""
     examples = read_part(part, detector)
     rng = _rng(part)
@@ -93,7 +93,7 @@ def of_part(detector: EeDetector | None, part: Part) -> RenderedClouds:
     return RenderedClouds.cat(rows)
 
 
-def tools_of_part(_detector: EeDetector | None, part: Part) -> RenderedClouds:
+def tool_clouds_of_part(_detector: EeDetector | None, part: Part) -> RenderedClouds:
     """The clouds of whole tools of a part, under true masks, once per category of their ends."""
     examples = read_part(part, None)
     rng = _rng(part)

@@ -1,6 +1,6 @@
 """Targets, matching, sampling and losses of the detector, batched over padded instances.
 
-Instances come as id maps: in `Instances.maps[:, 0]` a pixel holds the id of the end effector seen there, in
+InstanceTargets come as id maps: in `InstanceTargets.maps[:, 0]` a pixel holds the id of the end effector seen there, in
 `maps[:, 1]` that of the tool (0: none). Ids start at 1.
 """
 
@@ -18,7 +18,7 @@ from toolee_robot.perception.detection.inputs import RgbdBatch
 from toolee_robot.perception.detection.mask_head import MASK_SIZE, mask_boxes
 
 EE_PIXELS, TOOL_PIXELS = 45, 90
-"""Instances with fewer visible pixels [px of the network's input], EEs and tools, are ignored: neither target nor
+"""InstanceTargets with fewer visible pixels [px of the network's input], EEs and tools, are ignored: neither target nor
 background.
 """
 ROIS_PER_IMAGE, POSITIVE_ROIS = 64, 20
@@ -26,7 +26,7 @@ RPN_SAMPLES, RPN_POSITIVES = 256, 96
 
 
 @dataclass(frozen=True)
-class Instances:
+class InstanceTargets:
     """Targets of a batch, padded to G instances per image.
 
     Attributes:
@@ -46,7 +46,7 @@ class Instances:
     ids: Tensor
 
 
-def instances_from_maps(maps: Tensor, categories: Tensor, tools: int) -> Instances:
+def instances_from_maps(maps: Tensor, categories: Tensor, tools: int) -> InstanceTargets:
     """Targets from id maps.
 
     Args:
@@ -77,7 +77,7 @@ def instances_from_maps(maps: Tensor, categories: Tensor, tools: int) -> Instanc
     least = torch.where(plane == 0, EE_PIXELS, TOOL_PIXELS)
     box = torch.stack(boxes, 1) * (labels > 0)[..., None]
     ids, plane = ids.expand(n, -1), plane.expand(n, -1)
-    return Instances(box, labels, (labels > 0) & (count < least), maps, plane, ids)
+    return InstanceTargets(box, labels, (labels > 0) & (count < least), maps, plane, ids)
 
 
 class DetectorLoss(nn.Module):
@@ -96,7 +96,7 @@ class DetectorLoss(nn.Module):
         """Compile the proposal losses for the GPU: they run over all anchors of all images."""
         self._rpn_losses = torch.compile(_rpn_losses, dynamic=False)
 
-    def forward(self, batch: RgbdBatch, instances: Instances) -> dict[str, Tensor]:
+    def forward(self, batch: RgbdBatch, instances: InstanceTargets) -> dict[str, Tensor]:
         """The losses of a batch.
 
         Args:
@@ -155,7 +155,7 @@ class _Rois:
     mask_index: Tensor
 
 
-def _rpn_losses(scores: Tensor, deltas: Tensor, anchors: Tensor, instances: Instances) -> dict[str, Tensor]:
+def _rpn_losses(scores: Tensor, deltas: Tensor, anchors: Tensor, instances: InstanceTargets) -> dict[str, Tensor]:
     with torch.no_grad():
         present, ignored = instances.labels > 0, instances.ignored
         iou = pairwise_iou(anchors[None], instances.boxes) * present[:, None]
@@ -187,7 +187,7 @@ def _rpn_losses(scores: Tensor, deltas: Tensor, anchors: Tensor, instances: Inst
 
 
 @torch.no_grad()
-def _sample_rois(boxes: Tensor, valid: Tensor, instances: Instances, height: int, width: int) -> _Rois:
+def _sample_rois(boxes: Tensor, valid: Tensor, instances: InstanceTargets, height: int, width: int) -> _Rois:
     """Proposals, the truth and jittered copies of it, sampled to a fixed number of regions an image."""
     n, device = len(boxes), boxes.device
     truth = instances.boxes
@@ -260,7 +260,7 @@ def _mask_losses(logits: Tensor, quality: Tensor, truth: Tensor) -> dict[str, Te
 
 
 @torch.no_grad()
-def _mask_targets(instances: Instances, rois: Tensor, instance: Tensor, sub: int = 2) -> Tensor:
+def _mask_targets(instances: InstanceTargets, rois: Tensor, instance: Tensor, sub: int = 2) -> Tensor:
     """Coverage of MASK_SIZE x MASK_SIZE cells of the `mask_boxes` of rois (R, 5) by `instance` (R,), read from the
     maps.
     """

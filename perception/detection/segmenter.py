@@ -110,17 +110,17 @@ class Segmenter:
         height, width = frame.depth.shape
         threshold = self.config.score_threshold if score_threshold is None else score_threshold
         size = working_size(height, width, self.config.working_pixels)
-        first = self._look(frame, size, threshold)
+        first = self._detect_at(frame, size, threshold)
         zoomed = crops(first, (height, width), size, self.config.working_pixels)
         if not zoomed:
             return first
         second = []
         for crop in zoomed:
-            seen = self._look(cut(frame, crop), crop.size, max(threshold, MIN_PROBABILITY))
+            seen = self._detect_at(cut(frame, crop), crop.size, max(threshold, MIN_PROBABILITY))
             second.append(placed(seen, crop, (height, width)))
         return without_duplicates(*merge(first, second, zoomed, (height, width)))
 
-    def _look(self, frame: RgbdFrame, size: tuple[int, int], threshold: float) -> Instances:
+    def _detect_at(self, frame: RgbdFrame, size: tuple[int, int], threshold: float) -> Instances:
         """The network's detections in a frame that it sees at `size` (height, width)."""
         batch, scale = self._prepare(frame, size)
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self._bfloat16):

@@ -174,7 +174,7 @@ def placed(seen: Instances, crop: Crop, image: tuple[int, int]) -> Instances:
     return _columns(kept)
 
 
-def merge(first: Instances, second: Sequence[Instances], again: Sequence[Crop], image: tuple[int, int]) -> Instances:
+def merge(first: Instances, second: Sequence[Instances], zoomed: Sequence[Crop], image: tuple[int, int]) -> Instances:
     """Merge the instances of both passes; a thing may still be in the result twice.
 
     A thing detected in both passes has the mean of the scores and the second pass's mask (a tool, of which a crop may
@@ -185,14 +185,14 @@ def merge(first: Instances, second: Sequence[Instances], again: Sequence[Crop], 
     Args:
         first: Instances of the whole image.
         second: `placed` instances of each crop.
-        again: The crops.
+        zoomed: The crops.
         image: Size (height, width) [px] of the image.
 
     Returns:
         The merged instances.
     """
     # Crops of neighbours share pixels: a thing seen in both counts once.
-    together = _columns([instance for look in second for instance in zip(*look, strict=True)])
+    together = _columns([instance for seen in second for instance in zip(*seen, strict=True)])
     later = list(zip(*without_duplicates(*together), strict=True))
     merged: list[_Instance] = []
     for mask, label, score, box in zip(*first, strict=True):
@@ -203,7 +203,7 @@ def merge(first: Instances, second: Sequence[Instances], again: Sequence[Crop], 
             if label != TOOL or other_score > score:
                 mask, box = other_mask, other_box
             score = (score + other_score) / 2
-        elif label != TOOL and any(crop.holds(box, image) for crop in again):
+        elif label != TOOL and any(crop.holds(box, image) for crop in zoomed):
             score /= 2
         merged.append((mask, label, score, box))
     merged += [(mask, label, score / 2, box) for mask, label, score, box in later if label != TOOL]

@@ -32,7 +32,7 @@ from toolee_robot.perception.pose.synthetic_clouds.surface_samples import sample
 from toolee_robot.perception.pose.training.config import TrainConfig
 from toolee_robot.perception.pose.training.recipe import DefaultRecipe
 from toolee_robot.perception.pose.training.trainer import Trainer
-from toolee_robot.perception.rendered_clouds import of_part, tools_of_part
+from toolee_robot.perception.rendered_clouds import clouds_of_part, tool_clouds_of_part
 from toolee_robot.perception.research.tooleenet import PaperEstimator
 from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.perception.training.distributed import Distributed
@@ -53,7 +53,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def clouds(folder: Path) -> RenderedClouds:
-    return of_part(Segmenter.load(), parts(folder)[0])
+    return clouds_of_part(Segmenter.load(), parts(folder)[0])
 
 
 def test_both_kinds_of_masks_give_clouds_about_their_ends(clouds: RenderedClouds) -> None:
@@ -92,7 +92,7 @@ def test_only_what_shows_none_of_its_category_is_a_negative(folder: Path) -> Non
     others = [c for c in Category if c is not one.category]
 
     def negatives(*detections: Detection) -> int:
-        clouds = of_part(ScriptedDetector(list(detections)), part)
+        clouds = clouds_of_part(ScriptedDetector(list(detections)), part)
         return int((~clouds.positive).sum())
 
     assert negatives(one) == 0
@@ -240,7 +240,7 @@ def test_a_training_learns_from_them(clouds: RenderedClouds, tmp_path: Path) -> 
 
 def test_whole_tools_come_with_the_pose_of_their_tool(folder: Path) -> None:
     (part, *_) = parts(folder)
-    whole = tools_of_part(None, part)
+    whole = tool_clouds_of_part(None, part)
     examples = read_part(part, None)
     shown = [i for i in examples.instances if i.target and i.first_end]
     assert len(whole) == len(shown) > 0

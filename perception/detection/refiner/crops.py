@@ -15,7 +15,7 @@ from torch import Tensor
 CELLS = 96
 """Cells per side of a square."""
 CHANNELS = 8
-"""Channels of a square; see `look`."""
+"""Channels of a square; see `sample_squares`."""
 
 _MARGIN = 1.7
 _MIN_SIDE = 24.0
@@ -102,7 +102,7 @@ class Images:
 
 
 @torch.no_grad()
-def look(images: Images, index: Tensor, squares: Squares, mask_at: MaskAt) -> tuple[Tensor, Tensor]:
+def sample_squares(images: Images, index: Tensor, squares: Squares, mask_at: MaskAt) -> tuple[Tensor, Tensor]:
     """Sample squares from images.
 
     Channels: colour in 0..255 (3); x, y, z from the square's centre and the depth under the mask, in units of 5 cm, x

@@ -11,7 +11,7 @@ from toolee_robot.errors import AssetError
 from toolee_robot.perception.detection.detector import TOOL
 from toolee_robot.perception.detection.instances import Instances, without_duplicates
 from toolee_robot.perception.detection.mask_head import paste_one
-from toolee_robot.perception.detection.refiner.crops import Images, Squares, look
+from toolee_robot.perception.detection.refiner.crops import Images, Squares, sample_squares
 from toolee_robot.perception.detection.refiner.network import WEIGHTS_NAME, Refiner, RefinerConfig, load_refiner
 from toolee_robot.perception.precision import in_bfloat16
 from toolee_robot.perception.weight_files import WEIGHTS_DIR, load_weights
@@ -107,7 +107,10 @@ class MaskRefinement:
         )
         first = torch.zeros(len(masks), dtype=torch.long, device=d)
         which = torch.arange(len(masks), device=d)[:, None, None]
-        both = [look(images, first, s, lambda u, v: masks[which, v, u])[0] for s in (squares, squares.mirrored_copy())]
+        both = [
+            sample_squares(images, first, s, lambda u, v: masks[which, v, u])[0]
+            for s in (squares, squares.mirrored_copy())
+        ]
         seen = torch.cat(both).contiguous(memory_format=torch.channels_last)
         with torch.autocast(d.type, torch.bfloat16, enabled=self._bfloat16):
             logits, quality = self._refiner(seen, category.repeat(2), score.repeat(2))

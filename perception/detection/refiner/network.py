@@ -69,7 +69,7 @@ class Refiner(nn.Module):
         """Predict masks.
 
         Args:
-            squares: (N, CHANNELS, CELLS, CELLS), as `crops.look` makes them.
+            squares: (N, CHANNELS, CELLS, CELLS), as `crops.sample_squares` makes them.
             category: Index of each category, (N,).
             score: The detector's scores in [0, 1], (N,).
 

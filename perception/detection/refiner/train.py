@@ -79,18 +79,18 @@ def losses(logits: Tensor, quality: Tensor, examples: Examples) -> dict[str, Ten
         the actual one, 0 for false alarms; for the log "iou": mean IoU of the masks to be learnt, and "iou_before": of
         the detector's masks.
     """
-    drawn = examples.drawn.float()
+    learnt = examples.learnt.float()
     bce, dice, iou = outline_losses(logits, examples.truth.float())
-    iou = iou * drawn
+    iou = iou * learnt
     with torch.no_grad():
         before = mask_overlap(examples.squares[:, -1] > 0, examples.truth)
     expected = F.binary_cross_entropy_with_logits(quality, iou, reduction="none")
     return {
-        "mask": weighted_mean(bce, drawn),
-        "dice": weighted_mean(0.5 * dice, drawn),
+        "mask": weighted_mean(bce, learnt),
+        "dice": weighted_mean(0.5 * dice, learnt),
         "quality": weighted_mean(0.3 * expected, examples.counts),
-        "iou": weighted_mean(iou, drawn),
-        "iou_before": weighted_mean(before, drawn),
+        "iou": weighted_mean(iou, learnt),
+        "iou_before": weighted_mean(before, learnt),
     }
 
 

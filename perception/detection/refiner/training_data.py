@@ -14,16 +14,16 @@ from toolee_robot.perception.detection.boxes import clip
 from toolee_robot.perception.detection.config import working_size
 from toolee_robot.perception.detection.detector import TOOL, Detector
 from toolee_robot.perception.detection.inputs import encode_rgbd
-from toolee_robot.perception.detection.refiner.crops import Images, MaskAt, Squares, look
+from toolee_robot.perception.detection.refiner.crops import Images, MaskAt, Squares, sample_squares
 from toolee_robot.perception.detection.training_data import recolour
 from toolee_robot.perception.detection.zoom_pass import MAGNIFICATION
 from toolee_robot.perception.training.labelled_images import DeviceStore, SegmentationImages
 
 MIN_SCORE = 0.02
 """Least score of a detection that is an example: `segmenter.EVERYTHING`, what an evaluation ranks."""
-DRAWN = 0.25
+MIN_LEARNT_IOU = 0.25
 """Least IoU with the true mask at which a detection's mask is learnt; of others only the quality is."""
-DRAWN_SHARE = 0.75
+LEARNT_SHARE = 0.75
 """Share of a batch whose masks are learnt."""
 VALIDATION = 50
 """Every so many-th image is kept for validation."""
@@ -89,11 +89,11 @@ class Examples:
     """A batch of examples.
 
     Attributes:
-        squares: (N, CHANNELS, CELLS, CELLS); see `crops.look`.
+        squares: (N, CHANNELS, CELLS, CELLS); see `crops.sample_squares`.
         category: Index of the category, (N,).
         score: The detector's scores, (N,).
         truth: True masks, (N, CELLS, CELLS) bool.
-        drawn: Whether the mask is learnt, (N,) bool.
+        learnt: Whether the mask is learnt, (N,) bool.
         counts: Whether the quality is learnt, (N,) bool.
     """
 
@@ -101,7 +101,7 @@ class Examples:
     category: Tensor
     score: Tensor
     truth: Tensor
-    drawn: Tensor
+    learnt: Tensor
     counts: Tensor
 
 
@@ -117,7 +117,7 @@ class RefinementData:
         self._detector = detector.fuse().to(device).to(memory_format=torch.channels_last)
         self._store = DeviceStore(device, tools=False)
         self.detections: Detections | None = None
-        self.validation = self._drawn = self._judged = torch.empty(0, dtype=torch.long, device=device)
+        self.validation = self._learnt = self._judged = torch.empty(0, dtype=torch.long, device=device)
 
     def extend(self, more: SegmentationImages) -> None:
         """Add more images, all of one size, and run the detector on them."""
@@ -130,16 +130,16 @@ class RefinementData:
             for zoom in _ZOOMS:
                 some = rows[zooms == zoom]
                 if len(some):
-                    found.append(self._look(first + some, categories[some], zoom))
+                    found.append(self._detections_in(first + some, categories[some], zoom))
         self.detections = Detections.cat(found)
-        aside, drawn = is_validation(self.detections.image), self.detections.truth > 0
-        self._drawn, self._judged = (torch.nonzero(rows & ~aside)[:, 0] for rows in (drawn, ~drawn))
-        self.validation = torch.nonzero(aside & drawn & self.detections.counts)[:, 0]
+        aside, learnt = is_validation(self.detections.image), self.detections.truth > 0
+        self._learnt, self._judged = (torch.nonzero(rows & ~aside)[:, 0] for rows in (learnt, ~learnt))
+        self.validation = torch.nonzero(aside & learnt & self.detections.counts)[:, 0]
 
     @property
     def ready(self) -> bool:
         """Whether there is an example to learn from."""
-        return len(self._drawn) > 0
+        return len(self._learnt) > 0
 
     def __len__(self) -> int:
         """Number of images."""
@@ -147,10 +147,10 @@ class RefinementData:
 
     def batch(self, count: int) -> Examples:
         """Random training examples, augmented."""
-        drawn = round(DRAWN_SHARE * count) if len(self._judged) else count
+        learnt = round(LEARNT_SHARE * count) if len(self._judged) else count
         picks = [
             rows[torch.randint(len(rows), (n,), device=rows.device)]
-            for rows, n in ((self._drawn, drawn), (self._judged, count - drawn))
+            for rows, n in ((self._learnt, learnt), (self._judged, count - learnt))
             if n
         ]
         assert self.detections is not None
@@ -174,7 +174,7 @@ class RefinementData:
     def _examples(self, detections: Detections, squares: Squares, score: Tensor) -> Examples:
         images, index = torch.unique(detections.image, return_inverse=True)
         shown = Images(self._store.rgb[images], self._store.depth(images), self._store.focal[images])
-        seen, pixels = look(shown, index, squares, detections.mask_at())
+        seen, pixels = sample_squares(shown, index, squares, detections.mask_at())
         truth = (
             self._ids(detections.image, pixels)
             == torch.where(detections.truth > 0, detections.truth, 255)[:, None, None]
@@ -186,7 +186,7 @@ class RefinementData:
         column, row = pixels.clamp(min=0).unbind(1)
         return torch.where(pixels[:, 0] >= 0, self._store.maps[image[:, None, None], 0, row, column], 0)
 
-    def _look(self, image: Tensor, categories: Tensor, zoom: float) -> Detections:
+    def _detections_in(self, image: Tensor, categories: Tensor, zoom: float) -> Detections:
         """Run the detector on images.
 
         Args:
@@ -237,14 +237,14 @@ class RefinementData:
         zero = torch.zeros(len(detections), dtype=torch.long, device=detections.image.device)
         blank = torch.zeros((1, *self._store.maps.shape[2:]), device=zero.device)
         images = Images(blank[..., None].expand(-1, -1, -1, 3), blank, zero[:1] + 1.0)
-        seen, pixels = look(images, zero, Squares.about(detections.boxes), detections.mask_at())
+        seen, pixels = sample_squares(images, zero, Squares.about(detections.boxes), detections.mask_at())
         mask, ids = seen[:, -1] > 0, self._ids(detections.image, pixels)
         ious = []
         for ee in range(1, categories.shape[1] + 1):
             there = (ids == ee) & (categories[:, ee - 1] == detections.category + 1)[:, None, None]
             ious.append((there & mask).sum((1, 2)) / (there | mask).sum((1, 2)).clamp(min=1))
         best, which = torch.stack(ious, 1).max(1)
-        truth = torch.where(best >= DRAWN, which + 1, 0).to(torch.uint8)
+        truth = torch.where(best >= MIN_LEARNT_IOU, which + 1, 0).to(torch.uint8)
         shown = (self._store.maps[detections.image, 0] == truth[:, None, None]).sum((1, 2))
         return replace(detections, truth=truth, counts=(truth == 0) | (shown >= MIN_POINTS))
 

@@ -25,6 +25,8 @@ class TrainConfig(TrainingOptions):
         rendered_share: Share of rendered clouds, where some are given.
         init_share: Share of the initial weights in the final ones, where the training starts from weights (Wortsman et
             al., "Robust fine-tuning of zero-shot models", CVPR 2022).
+
+    The other fields are those of `TrainingOptions`, with defaults for this network.
     """
 
     USUAL_MINUTES: ClassVar[float] = 9.0

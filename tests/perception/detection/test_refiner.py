@@ -29,7 +29,7 @@ from toolee_robot.perception.detection.refiner.mask_refinement import MaskRefine
 from toolee_robot.perception.detection.refiner.network import Refiner, RefinerConfig, load_refiner
 from toolee_robot.perception.detection.refiner.train import CHECKPOINT, RefinementTraining, losses, train
 from toolee_robot.perception.detection.refiner.training_data import (
-    DRAWN,
+    MIN_LEARNT_IOU,
     VALIDATION,
     Detections,
     Examples,
@@ -224,8 +224,8 @@ def test_finds_are_matched_with_the_end_effectors_of_their_kind(finds: Refinemen
         image = int(found.image[i])
         right = int(found.category[i]) + 1 == pictures.categories[image, 0]
         iou = mask_iou(mask, pictures.ee[image] > 0) if right else 0.0
-        if abs(iou - DRAWN) > 0.03:  # cells are coarser than pixels
-            assert int(found.truth[i]) == int(iou > DRAWN)
+        if abs(iou - MIN_LEARNT_IOU) > 0.03:  # cells are coarser than pixels
+            assert int(found.truth[i]) == int(iou > MIN_LEARNT_IOU)
             matched += int(found.truth[i])
     assert matched >= 4
 
@@ -244,10 +244,10 @@ def test_examples_show_their_end_effector(finds: RefinementData) -> None:
     torch.manual_seed(3)
     assert finds.ready
     examples = finds.batch(64)
-    assert examples.drawn.sum() == 48
+    assert examples.learnt.sum() == 48
     assert torch.isfinite(examples.squares).all()
-    assert not examples.truth[~examples.drawn].any()
-    drawn, truth = examples.squares[examples.drawn], examples.truth[examples.drawn]
+    assert not examples.truth[~examples.learnt].any()
+    drawn, truth = examples.squares[examples.learnt], examples.truth[examples.learnt]
     assert truth.flatten(1).any(1).all()
     known = drawn[:, 6] > 0
     # The bar with its end lies 30 cm before everything else.
