@@ -190,7 +190,7 @@ def ee_cloud(frame: RgbdFrame, detection: Detection) -> EeCloud:
     if len(points) < MIN_POINTS:
         seen = int(np.count_nonzero(detection.mask))
         return EeCloud.refused(
-            f"only {len(points)} of {seen} mask pixels have depth, {MIN_POINTS} are needed: look from nearer"
+            f"only {len(points)} of {seen} mask pixels have depth, {MIN_POINTS} are needed: move the camera closer"
         )
     clean = without_flying_pixels(frame.depth, detection.mask)
     cleaned = trim(back_project(frame.depth, clean, frame.intrinsics), radius)

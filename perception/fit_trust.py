@@ -37,7 +37,9 @@ TRUE_NEGATIVE_RATE = 0.993
 for other frames.
 """
 _RIDGE = 3.0
-_HIGHEST = 0.95  # threshold
+"""Ridge penalty of the fit."""
+_HIGHEST = 0.95
+"""Upper bound of the threshold."""
 
 
 @dataclass(frozen=True, eq=False)

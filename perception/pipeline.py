@@ -202,7 +202,7 @@ class ToolPerception:
             detail = f" ({'; '.join(sorted(reasons))})" if reasons else ""
             raise PerceptionError(
                 f"none of {len(estimates_per_frame)} frames shows the {category}{detail}: move it into the camera's "
-                "view, nearer and unhidden",
+                "view, closer and unoccluded",
                 code="perception.not_seen",
             )
         chosen = _same_end(candidates)

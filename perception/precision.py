@@ -25,7 +25,7 @@ def prefers_bfloat16(device: torch.device) -> bool:
 
 @cache
 def _matrix_units() -> bool:
-    # Older releases of torch cannot tell.
+    # Older releases of torch have no such query.
     capabilities: dict[str, object] = getattr(torch.cpu, "get_capabilities", dict)()
     return bool(capabilities.get("amx_bf16", False))
 

@@ -188,7 +188,7 @@ def _rpn_losses(scores: Tensor, deltas: Tensor, anchors: Tensor, instances: Inst
 
 @torch.no_grad()
 def _sample_rois(boxes: Tensor, valid: Tensor, instances: InstanceTargets, height: int, width: int) -> _Rois:
-    """Proposals, the truth and jittered copies of it, sampled to a fixed number of regions an image."""
+    """Sample a fixed number of regions per image from the proposals, the true boxes and jittered copies of them."""
     n, device = len(boxes), boxes.device
     truth = instances.boxes
     present = (instances.labels > 0) & ~instances.ignored

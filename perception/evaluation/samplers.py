@@ -109,7 +109,7 @@ def _row(name: str, measured: Measured, angle: Any, position: Any, category: Any
         "sampler": name,
         "clouds": len(angle),
         "evaluations": float(np.mean(measured.evaluations)),
-        # The first calls warm caches up.
+        # The first calls warm the caches.
         "median_ms": 1e3 * float(np.median(measured.seconds[3:] or measured.seconds)),
         "average": {k: float(np.mean([e[k] for e in each])) for k in metrics.THRESHOLDS},
         "median_mm": 1e3 * float(np.median(position[made])) if made.any() else None,

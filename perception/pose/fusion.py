@@ -85,7 +85,7 @@ def fuse_in_hand(
     pairs = [(e, X) for e, X in zip(estimates, Xs_camera_hand, strict=True) if np.isfinite(e.X_camera_ee).all()]
     if not pairs:
         raise PerceptionError(
-            f"no frame shows the {category} well enough: move it nearer to the camera, unhidden",
+            f"no frame shows the {category} well enough: move it closer to the camera, unoccluded",
             code="perception.not_seen",
         )
     trusted = [pair for pair in pairs if pair[0].usable] or pairs

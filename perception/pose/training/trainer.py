@@ -141,7 +141,7 @@ class Trainer(TrainingRun, Generic[Net]):
         Returns the report.
         """
         self._take_average(self.recipe.load(self.out).state_dict())
-        self._init = {}  # these are in the weights already
+        self._init = {}  # already mixed into the weights
         described = json.loads((self.out / f"{self.name}.json").read_text())["report"]
         self.step, self.elapsed = int(described["steps"]), 60.0 * float(described["minutes"])
         return self.finish(self.judged(), described["train"])
@@ -203,7 +203,7 @@ class Trainer(TrainingRun, Generic[Net]):
         compiled: nn.Module = torch.compile(self.net)  # type: ignore[assignment]
         batch = self._generator.collect(self.config.batch, self.config.chunk)
         try:
-            for frozen in (True, False):  # each is compiled for itself
+            for frozen in (True, False):  # each is compiled separately
                 freeze_batchnorm(self.net, frozen)
                 self.recipe.loss(compiled, batch, self._g)[0].backward()  # type: ignore[no-untyped-call]
         except Exception as error:  # noqa: BLE001 - the compiler's errors have no common root; eager always works
@@ -250,7 +250,7 @@ def train(
     kept = None
     if rendered:
         kept = RenderedClouds.cat([RenderedClouds.load(path) for path in rendered])
-        kept.check_kind(recipe.of_tool)  # before the work
+        kept.check_kind(recipe.of_tool)  # before the long sampling
     begun = time.monotonic()
     samples = sample_tools(False, config.train_seeds), sample_tools(True, config.test_seeds)
     hands = sample_hands()
