@@ -1,4 +1,4 @@
-"""Clouds of known surfaces, and depth that is wrong."""
+"""Clouds of known surfaces, and depth in the wrong unit."""
 
 from __future__ import annotations
 

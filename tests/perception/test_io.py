@@ -1,4 +1,4 @@
-"""Files in, frames out; every mistake a person can make is named."""
+"""Frames from files: every format is read, every mistake is refused with its own code."""
 
 from __future__ import annotations
 

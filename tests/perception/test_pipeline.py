@@ -1,4 +1,4 @@
-"""The front door: stages in order, reasons instead of silence, fusion of the right end effector."""
+"""The pipeline: order of the stages, reasons for unusable estimates, fusion of the right end effector."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def test_an_expected_pose_rules_out_the_opposite_end(perception: ToolPerception)
     np.testing.assert_allclose(fused.X_hand_ee[:3, 2], [0, 0, 1], atol=1e-6)
 
 
-def test_fusing_frames_without_the_tool_says_so(perception: ToolPerception) -> None:
+def test_fusing_frames_without_the_tool_is_refused(perception: ToolPerception) -> None:
     with raises(PerceptionError, code="perception.not_seen"):
         perception.fuse([[], []], [np.eye(4)] * 2)
 

@@ -1,4 +1,4 @@
-"""Clouds of rendered images: they agree with the truth that goes with them, and a training takes them."""
+"""Clouds of rendered images: they agree with their truth, and trainings use them."""
 
 from __future__ import annotations
 
@@ -196,7 +196,7 @@ def test_a_mixture_takes_its_share_of_each() -> None:
         Mixture(first, second, 1.5)
 
 
-def test_they_come_back_from_their_file_and_another_file_is_refused(clouds: RenderedClouds, tmp_path: Path) -> None:
+def test_clouds_come_back_from_their_file_and_another_file_is_refused(clouds: RenderedClouds, tmp_path: Path) -> None:
     clouds.save(tmp_path / "deep" / "clouds.npz")
     again = RenderedClouds.load(tmp_path / "deep" / "clouds.npz")
     assert len(again) == len(clouds)

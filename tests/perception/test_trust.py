@@ -1,4 +1,4 @@
-"""How far a pose under a detector's mask is trusted: the model, its file, and its fit."""
+"""The trust model: its probabilities, its file, and its fit."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_the_fit_learns_from_the_scores_and_keeps_empty_frames_quiet() -> None:
     assert trust.judge(0.85, 0.85, result(0.9))[1]
 
 
-def test_too_little_to_fit_on_is_said() -> None:
+def test_too_little_to_fit_on_is_refused() -> None:
     with raises(UserError, code="user.too_few_images"):
         fit(_drawn(20, False, 1), _drawn(20, True, 2))
     with raises(UserError, code="user.too_few_images"):

@@ -1,4 +1,4 @@
-"""The detector: its pieces against plain definitions, and the whole on toy pictures: trained, exported, reloaded."""
+"""The detector: its parts against plain definitions, and the whole on toy pictures: trained, exported, reloaded."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The second stage of masks on toy pictures: the refiner trained, exported, reloaded, and what it does to
-detections."""
+"""The mask refiner on toy pictures: trained, exported, reloaded, and its effect on detections."""
 
 from __future__ import annotations
 
@@ -130,8 +129,8 @@ def trained(detector: Path, data: Path, tmp_path_factory: pytest.TempPathFactory
 
 
 @pytest.fixture(scope="module")
-def finds(detector: Path) -> RefinementData:
-    """What the detector finds in the pictures."""
+def refinement_data(detector: Path) -> RefinementData:
+    """The detector's detections in the pictures."""
     tensors, description = load_weights(detector, "segmentation")
     network = Detector(TINY_DETECTOR)
     load_detector(network, tensors, description)
@@ -141,7 +140,7 @@ def finds(detector: Path) -> RefinementData:
 
 
 def masks_of(found: Detections) -> NDArray[np.bool_]:
-    """In the image, of every find."""
+    """Mask in the image of every detection."""
     row, column = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
     return found.mask_at()(column.expand(len(found), -1, -1), row.expand(len(found), -1, -1)).numpy()
 
@@ -198,7 +197,7 @@ def test_weights_of_another_refiner_do_not_fit() -> None:
     assert "another" in str(refused.value)
 
 
-def test_a_find_s_mask_is_the_one_that_the_detector_draws() -> None:
+def test_a_detection_s_training_mask_is_the_detector_s() -> None:
     """In training as `paste_one` draws it in use."""
     torch.manual_seed(2)
     coarse = nn.functional.pad(torch.rand((3, 1, 5, 5)), (1, 1, 1, 1))
@@ -215,10 +214,10 @@ def test_a_find_s_mask_is_the_one_that_the_detector_draws() -> None:
         assert mask_iou(pasted, mask) > 0.99
 
 
-def test_finds_are_matched_with_the_end_effectors_of_their_kind(finds: RefinementData) -> None:
-    assert len(finds) == 32
-    assert finds.detections is not None
-    pictures, found = toys(8), finds.detections.of(finds.detections.image < 8)
+def test_detections_are_matched_with_end_effectors_of_their_category(refinement_data: RefinementData) -> None:
+    assert len(refinement_data) == 32
+    assert refinement_data.detections is not None
+    pictures, found = toys(8), refinement_data.detections.of(refinement_data.detections.image < 8)
     matched = 0
     for i, mask in enumerate(masks_of(found)):
         image = int(found.image[i])
@@ -239,11 +238,11 @@ def test_both_sizes_are_as_frequent_among_the_pictures_kept_aside(monkeypatch: p
         assert count.tolist() == [len(some) // 2] * 2
 
 
-def test_examples_show_their_end_effector(finds: RefinementData) -> None:
+def test_examples_show_their_end_effector(refinement_data: RefinementData) -> None:
     """What the squares hold and what is to be learnt there lie in the same place, however a square is varied."""
     torch.manual_seed(3)
-    assert finds.ready
-    examples = finds.batch(64)
+    assert refinement_data.ready
+    examples = refinement_data.batch(64)
     assert examples.learnt.sum() == 48
     assert torch.isfinite(examples.squares).all()
     assert not examples.truth[~examples.learnt].any()
@@ -259,11 +258,11 @@ def test_examples_show_their_end_effector(finds: RefinementData) -> None:
     assert (apart.abs().amax(1) > 2 * spread.amin(1)).float().mean() > 0.8
 
 
-def test_pictures_kept_aside_are_judged_as_in_the_whole_image(finds: RefinementData) -> None:
-    assert finds.detections is not None
-    pictures, found = toys(32), finds.detections.of(finds.validation)
+def test_pictures_kept_aside_are_judged_as_in_the_whole_image(refinement_data: RefinementData) -> None:
+    assert refinement_data.detections is not None
+    pictures, found = toys(32), refinement_data.detections.of(refinement_data.validation)
     assert set(found.image.tolist()) <= {0, 8, 16, 24}
-    examples = finds.plain(finds.validation)
+    examples = refinement_data.plain(refinement_data.validation)
     # What is drawn is the hint itself.
     values = losses(20 * examples.squares[:, -1] - 10, torch.zeros(len(found)), examples)
     ious = [mask_iou(m, pictures.ee[i] > 0) for m, i in zip(masks_of(found), found.image.tolist(), strict=True)]
@@ -271,8 +270,8 @@ def test_pictures_kept_aside_are_judged_as_in_the_whole_image(finds: RefinementD
     assert values["iou"] == values["iou_before"]
 
 
-def test_losses_ask_for_the_mask_of_what_is_there_and_the_iou_of_every_find() -> None:
-    """A find, a false alarm, and one of an end effector of which too little is seen to be judged by."""
+def test_losses_are_of_the_masks_of_true_detections_and_of_the_iou_of_all() -> None:
+    """A true detection, a false alarm, and one of an end effector too little visible to count."""
     truth = torch.zeros((3, CELLS, CELLS), dtype=torch.bool)
     truth[0, 20:60, 20:60] = truth[2, :4, :4] = True
     hint, drawn = torch.zeros_like(truth), torch.tensor([True, False, True])
@@ -291,7 +290,7 @@ def test_losses_ask_for_the_mask_of_what_is_there_and_the_iou_of_every_find() ->
     good = values(perfect, [1.0, 0.0, 0.5])
     assert good == pytest.approx({"mask": 0, "dice": 0, "quality": 0, "iou": 1, "iou_before": 1 / 6}, abs=1e-4)
     assert values(perfect, [1.0, 0.9, 0.5])["quality"] > 0.1, "a false alarm was trusted"
-    assert values(perfect, [0.1, 0.0, 0.5])["quality"] > 0.1, "a find was not"
+    assert values(perfect, [0.1, 0.0, 0.5])["quality"] > 0.1, "a true detection was not"
     assert values(perfect, [1.0, 0.0, 0.0])["quality"] == good["quality"]
     half = perfect.clone()
     half[0, 40:60] = -20.0
@@ -383,7 +382,7 @@ def test_a_refiner_beside_the_detector_changes_end_effectors_only(detector: Path
     assert changed == ends >= 8
 
 
-def test_where_nothing_or_no_end_effector_is_found_nothing_is_drawn(trained: Path) -> None:
+def test_without_end_effectors_nothing_is_refined(trained: Path) -> None:
     frame = frame_of(toys(1), 0)
     segmenter = Segmenter.load(trained, bfloat16=False)
     assert segmenter.instances(frame, 1.0) == ([], [], [], [])
@@ -395,7 +394,7 @@ def test_where_nothing_or_no_end_effector_is_found_nothing_is_drawn(trained: Pat
     np.testing.assert_array_equal(masks[0], tool[0][0])
 
 
-def test_one_end_effector_drawn_twice_is_one(trained: Path) -> None:
+def test_one_end_effector_segmented_twice_is_one(trained: Path) -> None:
     """Two detections that shared too little to be the same thing, until both are drawn where it is."""
     refinement = MaskRefinement.load(trained, CPU, bfloat16=False)
     assert refinement is not None
@@ -438,7 +437,7 @@ def test_the_mirrored_image_s_masks_are_the_mirrored_masks() -> None:
 
 
 @pytest.mark.parametrize("unknown", [np.nan, np.inf])
-def test_a_hole_in_depth_is_one_whatever_says_so(unknown: float) -> None:
+def test_unknown_depth_is_the_same_as_zero_nan_or_infinity(unknown: float) -> None:
     refinement = MaskRefinement(used(Refiner(TINY)), CPU, bfloat16=False)
     expected, found = refinement(*noise(0.0)), refinement(*noise(unknown))
     assert found[2] == expected[2]
@@ -458,7 +457,7 @@ def test_in_bfloat16_the_masks_are_the_same_but_for_their_borders(trained: Path)
         assert seen[2] == pytest.approx(expected[2], abs=0.05)
 
 
-def test_without_a_refiner_masks_stay_as_the_detector_draws_them(detector: Path) -> None:
+def test_without_a_refiner_masks_are_the_detector_s(detector: Path) -> None:
     assert MaskRefinement.load(detector, CPU, bfloat16=False) is None
     tensors, description = load_weights(detector, "segmentation")
     network = Detector(TINY_DETECTOR)
@@ -542,7 +541,7 @@ def test_a_loss_that_is_not_finite_stops_the_run_and_keeps_what_was_learnt(
         ({"ema": 1.0}, "user.training_options"),
     ],
 )
-def test_senseless_settings_are_the_user_s_error(options: dict[str, float], code: str) -> None:
+def test_unusable_settings_are_the_user_s_error(options: dict[str, float], code: str) -> None:
     with raises(UserError, code=code):
         training(Path("data"), Path("out"), Path("detector"), **options)
 

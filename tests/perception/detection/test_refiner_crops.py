@@ -1,4 +1,4 @@
-"""Squares about detections: where their cells lie in the image, and what is seen there in colour and metres."""
+"""Square crops around detections: positions of their cells in the image, colour and metric coordinates."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ def test_what_lies_beyond_the_image_is_no_pixel_and_unknown() -> None:
     assert (seen[:, MASK][inside] == 1).all()
 
 
-def test_a_hole_in_depth_is_told_and_lies_at_the_thing_s_depth() -> None:
+def test_unknown_depth_is_flagged_and_set_to_the_detection_s_depth() -> None:
     depth = torch.full((HEIGHT, WIDTH), 0.7)
     depth[20:30, 30:40] = 0.0
     seen, pixels = sample_squares(plane(depth, 400.0), FIRST, MIDDLE, everywhere)
@@ -222,7 +222,7 @@ def test_squares_of_several_images_are_seen_as_if_alone() -> None:
         assert (pixels[part] == seen_pixels).all()
 
 
-def test_varied_squares_still_show_what_was_found() -> None:
+def test_jittered_squares_still_show_their_detection() -> None:
     torch.manual_seed(0)
     found = torch.tensor([[100.0, 50.0, 160.0, 80.0]]).expand(2000, 4)
     varied = Squares.about(found).jittered()

@@ -114,7 +114,7 @@ def test_perfect_detections_rank_perfectly_and_confident_mistakes_cost(examples:
     assert (missed["average"]["2deg2mm"] or 0) < 1.0
 
 
-def test_what_comes_of_acting_on_usable_poses(examples: Examples) -> None:
+def test_results_of_acting_on_usable_poses(examples: Examples) -> None:
     right = [Ranked(i.image, i.category, 0.9, i.X_camera_ee, True) for i in examples.instances if i.target]
     far = [replace(r, X_camera_ee=r.X_camera_ee @ transform(p=(0.0, 0.0, 0.5))) for r in right]
     unsure = [replace(r, usable=False) for r in far]

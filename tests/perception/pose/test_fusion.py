@@ -1,4 +1,4 @@
-"""Fusion of several frames in the hand's frame."""
+"""Fusion of several frames in the hand frame."""
 
 from __future__ import annotations
 

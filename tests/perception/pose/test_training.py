@@ -1,4 +1,4 @@
-"""The network, its training clouds and its training, at the smallest size that still shows the behaviour."""
+"""The pose network, its training clouds and its training, at the smallest size that still shows the behaviour."""
 
 from __future__ import annotations
 
