@@ -1,10 +1,11 @@
-"""Seeing the tool: an RGB-D frame in, the 6D poses of the end effectors in it out.
+"""Perception: from an RGB-D frame to the 6D poses of the end effectors in it.
 
     from toolee_robot.perception import ToolPerception
     estimates = ToolPerception.load().estimate(frame)
 
-The ways in: `pipeline` (the whole), `detection` (colour and depth -> masks), `cloud` (masks and depth -> points),
-`pose` (points -> pose, fusion), `io` (files -> frames), `dataset` and `synthesis` (data), `evaluation`.
+`pipeline` joins the stages: `detection` (colour and depth to instance masks), `cloud` (mask and depth to points),
+`pose` (points to pose, fusion over frames) and `trust` (the probability that a pose is right). `io` reads frames from
+files, `dataset` and `synthesis` are the training data, `training` and `evaluation` what their names say.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ _HOME = {"Segmenter": "detection.segmenter", "StageTimes": "pipeline", "ToolPerc
 
 
 def __getattr__(name: str) -> Any:
-    """Loaded on first use: training and data generation import this package without the inference's libraries."""
+    """Import a public name on first use: training and data generation import this package without inference's
+    libraries.
+    """
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

@@ -1,4 +1,4 @@
-"""From a mask and a depth image to the clean partial cloud of an end effector, in the camera frame."""
+"""From a mask and a depth image to the cleaned partial cloud of an end effector, in the camera frame."""
 
 from __future__ import annotations
 
@@ -15,19 +15,24 @@ from toolee_robot.perception.pose.depth_completion import complete_depth, surfac
 from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
 
 NEAREST, FARTHEST = 0.05, 20.0
-"""Depths [m] outside are not a tool in a hand before a depth camera."""
+"""Range of plausible depths [m] of a tool in a hand in front of a depth camera."""
 TRIM_RADII = 1.8
-"""The visible points' median lies off the EE's origin, on its near side, so the cut is wider than the EE's area."""
+"""Radius of the cut in radii of the EE: above 1 because the median of the visible points lies on the EE's near side,
+off its origin.
+"""
 NEAR_QUANTILE = 0.2
-"""At least this share of a mask's depth is taken to be the tool, the rest may be background."""
+"""At least this share of a mask's depths is assumed to be the tool; the rest may be background."""
 
 
 @dataclass(frozen=True)
 class EeCloud:
-    """points (N, 3) [m], camera frame, or the reason why there are none.
+    """The clouds of one detection, or the reason why there are none.
 
-    rest: (M, 3) [m], camera frame, the visible points of the rest of the tool. completed: (G, 3) [m], camera frame, the
-    mask's pixels without a depth, at the one of their neighbours.
+    Attributes:
+        points: Measured points of the EE, (N, 3) [m], camera frame; empty when not usable.
+        rest: Visible points of the rest of the tool, (M, 3) [m], camera frame.
+        completed: Points of mask pixels without measured depth, at the completed depth, (G, 3) [m], camera frame.
+        reason: "ok", or why there is no cloud.
     """
 
     points: Array
@@ -37,13 +42,15 @@ class EeCloud:
 
     @classmethod
     def refused(cls, reason: str) -> EeCloud:
-        """No cloud."""
+        """An empty cloud with the reason why it is not usable."""
         nothing = np.empty((0, 3))
         return cls(nothing, nothing, nothing, reason)
 
     @property
     def direction(self) -> Array | None:
-        """Unit vector (3,), camera frame, from the points' centroid to the rest of the tool; None where unseen."""
+        """Unit vector (3,), camera frame, from the points' centroid to the rest of the tool; None where the rest is not
+        seen.
+        """
         if not self.usable or len(self.rest) < REST_MIN:
             return None
         to_rest = np.median(self.rest, axis=0) - self.points.mean(axis=0)
@@ -52,28 +59,52 @@ class EeCloud:
 
     @property
     def usable(self) -> bool:
+        """Whether there is a cloud to estimate a pose from."""
         return self.reason == "ok"
 
 
 def check_depth_unit(depth: NDArray[np.floating]) -> None:
-    """Raise UserError when the depth cannot be in metres. Frames without any depth pass: they give no cloud."""
+    """Check that a depth image can be in metres; one without any known depth passes.
+
+    Args:
+        depth: Depth (H, W) [m]; 0, NaN or infinite where unknown.
+
+    Raises:
+        UserError: Depths are negative, or their median is outside of 0.01 to 20 m.
+    """
     known = depth[np.isfinite(depth) & (depth != 0)]
     if known.size == 0:
         return
     if (known < 0).any():
-        raise UserError("depth holds negative values: it must be the distance along the optical axis in metres")
+        raise UserError(
+            "depth holds negative values: it must be the distance along the optical axis in metres",
+            code="user.depth_negative",
+        )
     median = float(np.median(known[:: max(1, known.size // 20000)]))
     if median > FARTHEST:
-        raise UserError(f"median depth is {median:.0f} m: it looks like millimetres, pass --depth-scale 0.001")
+        raise UserError(
+            f"median depth is {median:.0f} m: it looks like millimetres, pass --depth-scale 0.001",
+            code="user.depth_unit",
+        )
     if median < 0.01:
         raise UserError(
             f"median depth is {1000 * median:.3g} mm: the depth scale is too small, pass the metres of one unit "
-            "(--depth-scale 1 for metres, 0.001 for millimetres)"
+            "(--depth-scale 1 for metres, 0.001 for millimetres)",
+            code="user.depth_unit",
         )
 
 
 def back_project(depth: NDArray[np.floating], mask: NDArray[np.bool_], intrinsics: CameraIntrinsics) -> Array:
-    """Points (N, 3) [m], camera frame, of the mask's pixels whose depth (H, W) [m] is finite and positive."""
+    """Back-project the pixels of a mask with the pinhole model.
+
+    Args:
+        depth: Depth (H, W) [m] along the optical axis.
+        mask: Pixels (H, W) to take; those without a finite positive depth are skipped.
+        intrinsics: Pinhole intrinsics [px].
+
+    Returns:
+        Points (N, 3) [m], camera frame.
+    """
     v, u = np.nonzero(mask)
     z = depth[v, u].astype(np.float64)
     good = np.isfinite(z) & (z > 0)
@@ -84,8 +115,17 @@ def back_project(depth: NDArray[np.floating], mask: NDArray[np.bool_], intrinsic
 
 
 def without_flying_pixels(depth: NDArray[np.floating], mask: NDArray[np.bool_], least: int = 2) -> NDArray[np.bool_]:
-    """The mask less pixels that hang between surfaces: fewer than `least` of the eight neighbours, anywhere in the
-    image, have a depth within `surface_step` of theirs."""
+    """Remove pixels that lie between two surfaces (flying pixels, mixed depth at edges).
+
+    Args:
+        depth: Depth (H, W) [m].
+        mask: Pixels (H, W) to clean.
+        least: A pixel is kept if at least so many of its eight neighbours, inside or outside of the mask, have a depth
+            within `surface_step` of its own.
+
+    Returns:
+        The cleaned mask (H, W).
+    """
     rows, columns = np.nonzero(mask)
     if rows.size == 0:
         return mask
@@ -106,8 +146,18 @@ def without_flying_pixels(depth: NDArray[np.floating], mask: NDArray[np.bool_], 
 
 
 def trim(points: Array, radius: float) -> Array:
-    """Points within `radius` [m] of the EE: centred first on the near part of the depths (a thin tool's mask is mostly
-    the background behind it), then on the median, then cut."""
+    """Remove points that are farther than a radius from the end effector.
+
+    The centre starts at the near part of the depths (the mask of a thin tool is mostly the background behind it) and
+    moves to the median of the points around it.
+
+    Args:
+        points: Points (N, 3) [m], camera frame.
+        radius: Radius [m] of the sphere to keep.
+
+    Returns:
+        The points inside of the sphere, (K, 3) [m].
+    """
     if len(points) == 0:
         return points
     near = points[points[:, 2] <= np.quantile(points[:, 2], NEAR_QUANTILE) + 0.5 * radius]
@@ -121,9 +171,18 @@ def trim(points: Array, radius: float) -> Array:
 
 
 def ee_cloud(frame: RgbdFrame, detection: Detection) -> EeCloud:
-    """The EE's cleaned cloud, or the reason why there is none.
+    """Extract the cleaned cloud of a detected end effector.
 
-    Of a thin tool nearly every pixel is at an edge: what cleaning would leave without an estimate stays as it is.
+    Nearly every pixel of a thin tool is at an edge: where cleaning would leave too few points, the uncleaned ones are
+    used.
+
+    Args:
+        frame: The frame in which the EE was detected.
+        detection: The EE's mask, and the mask of its tool where seen.
+
+    Returns:
+        The EE's cloud, the rest of the tool and the completed points; not usable, with the reason, when fewer than
+        `MIN_POINTS` mask pixels have depth.
     """
     radius = TRIM_RADII * detection.category.spec.radius
     measured = detection.mask & np.isfinite(frame.depth) & (frame.depth > 0)
@@ -131,7 +190,7 @@ def ee_cloud(frame: RgbdFrame, detection: Detection) -> EeCloud:
     if len(points) < MIN_POINTS:
         seen = int(np.count_nonzero(detection.mask))
         return EeCloud.refused(
-            f"only {len(points)} of {seen} mask pixels have depth, {MIN_POINTS} are needed: look from nearer"
+            f"only {len(points)} of {seen} mask pixels have depth, {MIN_POINTS} are needed: move the camera closer"
         )
     clean = without_flying_pixels(frame.depth, detection.mask)
     cleaned = trim(back_project(frame.depth, clean, frame.intrinsics), radius)
@@ -144,7 +203,16 @@ def ee_cloud(frame: RgbdFrame, detection: Detection) -> EeCloud:
 
 
 def completed_points(frame: RgbdFrame, mask: NDArray[np.bool_], measured: NDArray[np.bool_]) -> Array:
-    """Points (G, 3) [m], camera frame, of the mask's pixels that are not measured, at the depth of their neighbours."""
+    """Points of the mask's pixels without a measured depth, at the depth completed from their neighbours.
+
+    Args:
+        frame: The frame of the mask.
+        mask: The EE's mask (H, W).
+        measured: Pixels (H, W) with a measured depth.
+
+    Returns:
+        Points (G, 3) [m], camera frame.
+    """
     rows, columns = np.nonzero(mask)
     top, left, bottom, right = rows.min(), columns.min(), rows.max() + 1, columns.max() + 1
     window = np.s_[top:bottom, left:right]
@@ -159,9 +227,17 @@ def completed_points(frame: RgbdFrame, mask: NDArray[np.bool_], measured: NDArra
 
 
 def rest_of_tool(frame: RgbdFrame, detection: Detection, centroid: Array) -> Array:
-    """Points (M, 3) [m], camera frame, of the detection's tool but not of its EE; none where no tool was found.
+    """Visible points of the detection's tool that do not belong to its end effector.
 
-    centroid: (3,) of the EE's points; what is farther than any tool reaches is left out."""
+    Args:
+        frame: The frame of the detection.
+        detection: The EE with its tool's mask.
+        centroid: Centre (3,) [m] of the EE's points, camera frame; points farther from it than `REST_REACH` are
+            discarded.
+
+    Returns:
+        Points (M, 3) [m], camera frame; empty where no tool was detected.
+    """
     if detection.tool_mask is None:
         return np.empty((0, 3))
     rest = without_flying_pixels(frame.depth, detection.tool_mask & ~detection.mask)

@@ -1,10 +1,10 @@
-"""Fit how far a pose under a detector's mask is to be trusted, on frames with tools and on rendered ones without.
+"""Fit the trust model of a detector with a pose estimator, on frames with tools and on rendered ones without.
 
     report = fit_trust(Path("data/hard-trust/train"), workers=2)  # or: toolee train trust --data data/hard-trust/train
 
-Take data that neither network was trained on, and that nothing is reported on. Which poses are right `right_poses`
-says, as in the report of `toolee evaluate pose`. The threshold is the lowest above which PRECISION of the poses are
-right and at which QUIET of the frames without a tool give none.
+Use data on which neither network was trained and on which nothing is reported. Which poses are right is decided by
+`right_poses`, as in the report of `toolee evaluate pose`. The threshold is the lowest above which PRECISION of the
+poses are right and at which TRUE_NEGATIVE_RATE of the frames without a tool give none.
 """
 
 from __future__ import annotations
@@ -22,37 +22,54 @@ from toolee_robot.perception import weight_files
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.evaluation import views
 from toolee_robot.perception.evaluation.estimates import Ranked, estimate_case
-from toolee_robot.perception.evaluation.examples import Examples, Part, parts, read_part
+from toolee_robot.perception.evaluation.examples import Part, parts, read_part
 from toolee_robot.perception.evaluation.pose import right_poses
+from toolee_robot.perception.evaluation.records import Examples
 from toolee_robot.perception.pipeline import ToolPerception
 from toolee_robot.perception.pose import PoseEstimator, confidence
 from toolee_robot.perception.trust import FEATURES, Trust, features
 from toolee_robot.runtime.process_map import ProcessMap
 
 PRECISION = 0.95
+"""Wanted share of right poses among the usable ones."""
 TRUE_NEGATIVE_RATE = 0.993
-"""A little over the 99 % that are wanted: other frames than those of the fit are a little louder."""
+"""Wanted share of frames without a tool that give no usable pose; above the 99 % that are required, to leave a margin
+for other frames.
+"""
 _RIDGE = 3.0
-_HIGHEST = 0.95  # threshold
+"""Ridge penalty of the fit."""
+_HIGHEST = 0.95
+"""Upper bound of the threshold."""
 
 
 @dataclass(frozen=True, eq=False)
 class Networks:
-    """What each process holds."""
+    """The networks that each process loads.
+
+    Attributes:
+        detector: Detector with refinement.
+        pose: Pose estimator.
+    """
 
     detector: Segmenter
     pose: PoseEstimator
 
     @staticmethod
     def load(folder: Path | None) -> Networks:
-        """Raises AssetError when weights are missing."""
+        """The networks of a folder (None: the shipped ones). Raises AssetError when weights are missing."""
         return Networks(Segmenter.load(folder), PoseEstimator.load(folder))
 
 
 @dataclass(frozen=True, eq=False)
 class TrustSamples:
-    """What was found, one row a pose: features (N, F) of the model; right (N,); usable (N,): as the pose's own
-    confidence has it; images: how many were looked at."""
+    """Training samples of the trust model, one row per pose.
+
+    Attributes:
+        x: Features (N, F) of the model.
+        right: 1 where the pose is right, (N,).
+        usable: 1 where the pose's own confidence calls it usable, (N,).
+        images: Number of images they come from.
+    """
 
     x: Array
     right: Array
@@ -60,46 +77,68 @@ class TrustSamples:
     images: int
 
 
-def look(seed: int, networks: Networks, part: Part | int) -> TrustSamples:
-    """At a part of a data set, or at a frame without a tool, rendered by seed and number."""
+def collect(seed: int, networks: Networks, part: Part | int) -> TrustSamples:
+    """Samples from a part of a data set, or from a rendered frame without a tool.
+
+    Args:
+        seed: Seed of rendered frames.
+        networks: Detector and pose estimator.
+        part: The part of the data set, or the number of the frame to render.
+
+    Returns:
+        The samples.
+    """
     if isinstance(part, Part):
-        return _look_at_tools(networks, read_part(part, networks.detector))
+        return _tool_samples(networks, read_part(part, networks.detector))
     rows = []
     sure = networks.pose.calibration.confidence.threshold
     for e in ToolPerception(networks.detector, networks.pose).estimate(views.empty_frame(seed, part, "train")):
         if np.isfinite(e.X_camera_ee).all():
             d = e.detection
             rows.append((features(e.confidence, d.score, d.tool_score, d.category), 0.0, e.confidence >= sure))
-    return _looked(rows, 1)
+    return _samples(rows, 1)
 
 
-def _look_at_tools(networks: Networks, examples: Examples) -> TrustSamples:
+def _tool_samples(networks: Networks, examples: Examples) -> TrustSamples:
     found = []
     for number, case in enumerate(examples.cases["predicted"]):
         instance = None if case.instance is None else examples.instances[case.instance]
         result, _ = estimate_case(networks.pose, case, number)
         if result is not None and (instance is None or instance.target):
-            # What is being fitted is not known yet: the odds multiplied rank the poses.
+            # The unfitted model (odds multiplied) ranks the poses.
             score, _, _ = Trust().judge(case.score, case.tool_score, result)
             ranked = Ranked(case.image, case.category, score, result.X_camera_ee, result.usable)
             found.append((ranked, features(result.confidence, case.score, case.tool_score, case.category)))
     right, counted = right_poses(examples.instances, [ranked for ranked, _ in found])
     judged = zip(found, right.tolist(), counted.tolist(), strict=True)
-    return _looked([(x, float(ok), ranked.usable) for (ranked, x), ok, counts in judged if counts], examples.images)
+    return _samples([(x, float(ok), ranked.usable) for (ranked, x), ok, counts in judged if counts], examples.images)
 
 
-def _looked(rows: list[tuple[Array, float, bool]], images: int) -> TrustSamples:
+def _samples(rows: list[tuple[Array, float, bool]], images: int) -> TrustSamples:
     x = np.array([row[0] for row in rows]).reshape(-1, len(FEATURES))
     right, usable = (np.array([row[k] for row in rows], dtype=np.float64) for k in (1, 2))
     return TrustSamples(x, right, usable, images)
 
 
 def fit(tools: list[TrustSamples], empty: list[TrustSamples]) -> tuple[Trust, dict[str, float]]:
-    """The model, and what it does on what it was fitted on. Raises UserError where there is too little to fit on."""
+    """Fit the trust model.
+
+    Args:
+        tools: Samples from images with tools.
+        empty: Samples from frames without a tool, one record per frame.
+
+    Returns:
+        The model, and its figures on the samples of the fit.
+
+    Raises:
+        UserError: There are fewer than 50 right poses, or no frame without a tool.
+    """
     x = np.concatenate([each.x for each in (*tools, *empty)])
     right = np.concatenate([each.right for each in (*tools, *empty)])
     if right.sum() < 50 or not empty:
-        raise UserError("too few poses are right, or no frame is without a tool: take more images")
+        raise UserError(
+            "too few poses are right, or no frame is without a tool: take more images", code="user.too_few_images"
+        )
     model = confidence.fit(x, right, PRECISION, _RIDGE, FEATURES)
     loudest = np.array([_max_probability(model, each) for each in empty])
     needed = float(np.quantile(loudest, TRUE_NEGATIVE_RATE, method="higher")) + 1e-6
@@ -118,9 +157,10 @@ def fit(tools: list[TrustSamples], empty: list[TrustSamples]) -> tuple[Trust, di
     return Trust(model), report
 
 
-def _max_probability(model: confidence.ConfidenceModel, each: TrustSamples) -> float:
-    claims = model.probability(each.x)[each.usable > 0]
-    return float(claims.max()) if len(claims) else 0.0
+def _max_probability(model: confidence.ConfidenceModel, samples: TrustSamples) -> float:
+    """Largest probability of a pose that is usable by its own confidence; 0 without one."""
+    p = model.probability(samples.x)[samples.usable > 0]
+    return float(p.max()) if len(p) else 0.0
 
 
 def fit_trust(
@@ -131,13 +171,27 @@ def fit_trust(
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> dict[str, float]:
-    """Look at a data set (or one split of it) and at `frames` rendered frames without a tool, fit, and write trust.json
-    into `folder`, which holds the weights of both networks (those that ship if None). Returns the report: shares on
-    what it was fitted on. Raises AssetError when data or weights are missing, UserError when they are too few."""
+    """Collect samples, fit the trust model, and write trust.json.
+
+    Args:
+        data: Folder of a data set or split.
+        folder: Folder that holds the weights of both networks and gets trust.json; None: the shipped ones.
+        frames: Number of rendered frames without a tool.
+        seed: Seed of these frames.
+        workers: Number of processes.
+        progress: Called with the number of finished parts and their total.
+
+    Returns:
+        Figures on the samples of the fit.
+
+    Raises:
+        AssetError: Data or weights are missing.
+        UserError: There are too few images.
+    """
     todo = [*parts(data), *range(frames)]
     found = []
     with ProcessMap(partial(Networks.load, folder), workers) as processes:
-        for each in processes.map(partial(look, seed), todo):
+        for each in processes.map(partial(collect, seed), todo):
             found.append(each)
             progress(len(found), len(todo))
     count = len(todo) - frames

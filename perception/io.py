@@ -1,6 +1,6 @@
-"""Files to frames: images, depth in any unit, intrinsics, hand poses, and scene folders in the BOP layout.
+"""Read frames from files: images, intrinsics, hand poses, and scene folders in the BOP layout.
 
-Everything a person can get wrong here is a `UserError` that names the file and says what to do.
+Every mistake in the input is a `UserError` that names the file and says what to do.
 """
 
 from __future__ import annotations
@@ -10,91 +10,91 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, is_rigid
-from toolee_robot.perception.cloud import check_depth_unit
+from toolee_robot.perception.image_files import IMAGE_SUFFIXES, read_depth, read_rgb
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
-
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
-
-
-def read_rgb(path: Path) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 RGB from an image or a .npy file; grey is repeated, alpha dropped, 16 bits halved."""
-    data = _read_array(path, "rgb")
-    if data.dtype == np.uint16:
-        data = (data >> 8).astype(np.uint8)
-    if data.dtype != np.uint8:
-        raise UserError(f"rgb {path} holds {data.dtype}: it must be 8-bit colour, 0 to 255")
-    if data.ndim == 2:
-        data = np.repeat(data[:, :, None], 3, axis=2)
-    if data.ndim != 3 or data.shape[2] not in (3, 4):
-        raise UserError(f"rgb {path} has shape {data.shape}: it must be (height, width, 3)")
-    return np.ascontiguousarray(data[:, :, :3])
-
-
-def read_depth(path: Path, scale: float = 1.0) -> NDArray[np.float32]:
-    """Depth (H, W) [m] from a 16-bit or float image or a .npy file; `scale` is the metres of one unit of the file.
-
-    NaN, infinite and zero pixels become 0: unknown. Raises UserError for negative or all-unknown depth and when the
-    result cannot be metres.
-    """
-    if not (np.isfinite(scale) and scale > 0):
-        raise UserError(f"--depth-scale is {scale}: give the metres of one unit, 0.001 for millimetres, 1 for metres")
-    data = _read_array(path, "depth")
-    if data.ndim == 3 and data.shape[2] == 1:
-        data = data[:, :, 0]
-    if data.ndim != 2:
-        raise UserError(f"depth {path} has shape {data.shape}: it must have one channel; is it a picture of depth?")
-    if data.dtype == np.uint8:
-        raise UserError(f"depth {path} has 8 bits, too few for a distance: save it with 16 bits or as float")
-    if not (np.issubdtype(data.dtype, np.integer) or np.issubdtype(data.dtype, np.floating)):
-        raise UserError(f"depth {path} holds {data.dtype}: save numbers, as 16-bit integers or float")
-    depth = data.astype(np.float64) * scale
-    depth[~np.isfinite(depth)] = 0.0
-    if not depth.any():
-        raise UserError(f"depth {path} holds no known distance, every pixel is 0, NaN or infinite: record it again")
-    try:
-        check_depth_unit(depth)
-    except UserError as error:
-        raise UserError(f"{path}: {error}") from None
-    return depth.astype(np.float32)
 
 
 def parse_intrinsics(text: str, width: int, height: int) -> CameraIntrinsics:
-    """Intrinsics [px] from "fx,fy,cx,cy", checked against the image's size."""
+    """Parse intrinsics from "fx,fy,cx,cy" [px] and check them against the image size.
+
+    Args:
+        text: Four comma-separated numbers [px].
+        width: Image width [px].
+        height: Image height [px].
+
+    Returns:
+        The camera's intrinsics.
+
+    Raises:
+        UserError: The text is not four numbers, or they cannot be a camera's; see `make_intrinsics`.
+    """
     try:
         values = [float(v) for v in text.replace(" ", "").split(",")]
     except ValueError as error:
-        raise UserError(f"--intrinsics {text!r}: give four numbers, fx,fy,cx,cy, in pixels") from error
+        raise UserError(
+            f"--intrinsics {text!r}: give four numbers, fx,fy,cx,cy, in pixels", code="user.intrinsics"
+        ) from error
     if len(values) != 4:
-        raise UserError(f"--intrinsics {text!r} has {len(values)} numbers: give four, fx,fy,cx,cy, in pixels")
+        raise UserError(
+            f"--intrinsics {text!r} has {len(values)} numbers: give four, fx,fy,cx,cy, in pixels",
+            code="user.intrinsics",
+        )
     fx, fy, cx, cy = values
     return make_intrinsics(fx, fy, cx, cy, width, height)
 
 
 def make_intrinsics(fx: float, fy: float, cx: float, cy: float, width: int, height: int) -> CameraIntrinsics:
-    """Checked intrinsics: finite, positive focal lengths, the centre in the image."""
+    """Checked pinhole intrinsics.
+
+    Args:
+        fx: Focal length in x [px], at least 10.
+        fy: Focal length in y [px], positive.
+        cx: Principal point in x [px], inside of the image.
+        cy: Principal point in y [px], inside of the image.
+        width: Image width [px].
+        height: Image height [px].
+
+    Returns:
+        The camera's intrinsics.
+
+    Raises:
+        UserError: A value is not finite or outside of these bounds.
+    """
     if not np.all(np.isfinite([fx, fy, cx, cy])):
-        raise UserError(f"intrinsics {fx},{fy},{cx},{cy} are not finite: give four numbers in pixels")
+        raise UserError(
+            f"intrinsics {fx},{fy},{cx},{cy} are not finite: give four numbers in pixels", code="user.intrinsics"
+        )
     if fx <= 0 or fy <= 0:
-        raise UserError(f"focal lengths must be positive pixels, got fx {fx}, fy {fy}")
+        raise UserError(f"focal lengths must be positive pixels, got fx {fx}, fy {fy}", code="user.intrinsics")
     if fx < 10:
-        raise UserError(f"fx = {fx} px is no camera's focal length: give pixels, not millimetres")
+        raise UserError(
+            f"fx = {fx} px is no camera's focal length: give pixels, not millimetres", code="user.intrinsics"
+        )
     if not (0 <= cx <= width and 0 <= cy <= height):
         raise UserError(
-            f"the image centre {cx},{cy} lies outside of the {width}x{height} image: wrong order or camera?"
+            f"the image centre {cx},{cy} lies outside of the {width}x{height} image: wrong order or camera?",
+            code="user.intrinsics",
         )
     return CameraIntrinsics(fx, fy, cx, cy, width, height)
 
 
 def read_pose(path: Path) -> Array:
-    """4x4 rigid transform from .npy, .json (16 numbers, nested or not) or text with 16 (or 12, 3x4) numbers [m].
+    """Read a rigid transform from a file.
 
-    Rotations off orthonormal by up to 1e-3 (rounding in a text file) are made orthonormal.
+    Args:
+        path: .npy, .json (16 numbers, nested or flat) or a text file with 16 (4x4) or 12 (3x4) numbers, row-major,
+            translation [m]. Rotations that are orthonormal within 1e-3 (rounding in a text file) are orthonormalised.
+
+    Returns:
+        The transform, 4x4.
+
+    Raises:
+        UserError: The file is unreadable, not a rigid transform, or its translation is over 20 m.
     """
     try:
         if path.suffix == ".npy":
@@ -106,19 +106,30 @@ def read_pose(path: Path) -> Array:
             values = [float(v) for v in path.read_text().replace(",", " ").replace("[", " ").replace("]", " ").split()]
         flat = np.asarray(values, dtype=np.float64).reshape(-1)
     except OSError as error:
-        raise UserError(f"cannot read the pose file {path}: {error.strerror or error}") from error
+        raise UserError(
+            f"cannot read the pose file {path}: {error.strerror or error}", code="user.pose_unreadable"
+        ) from error
     except (ValueError, TypeError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is not a pose: give 16 numbers, a row-major 4x4 matrix in metres ({error})") from error
+        raise UserError(
+            f"{path} is not a pose: give 16 numbers, a row-major 4x4 matrix in metres ({error})",
+            code="user.pose_unreadable",
+        ) from error
     if flat.size == 12:
         flat = np.concatenate([flat, [0.0, 0.0, 0.0, 1.0]])
     if flat.size != 16:
-        raise UserError(f"{path} holds {flat.size} numbers: give 16, a row-major 4x4 matrix in metres")
+        raise UserError(
+            f"{path} holds {flat.size} numbers: give 16, a row-major 4x4 matrix in metres", code="user.pose_size"
+        )
     X = flat.reshape(4, 4)
     if not is_rigid(X, 1e-3):
-        raise UserError(f"{path} is not a rigid transform (rotation not orthonormal, or last row not 0 0 0 1):\n{X}")
+        raise UserError(
+            f"{path} is not a rigid transform (rotation not orthonormal, or last row not 0 0 0 1):\n{X}",
+            code="user.pose_not_rigid",
+        )
     if np.linalg.norm(X[:3, 3]) > 20:
         raise UserError(
-            f"{path}: the hand is {np.linalg.norm(X[:3, 3]):.0f} m from the camera: give metres, not millimetres"
+            f"{path}: the hand is {np.linalg.norm(X[:3, 3]):.0f} m from the camera: give metres, not millimetres",
+            code="user.pose_unit",
         )
     U, _, Vt = np.linalg.svd(X[:3, :3])
     X[:3, :3] = U @ Vt
@@ -126,7 +137,20 @@ def read_pose(path: Path) -> Array:
 
 
 def read_frame(rgb: Path, depth: Path, intrinsics: str, depth_scale: float = 1.0) -> RgbdFrame:
-    """A frame from files: an image, the depth registered to it, and "fx,fy,cx,cy" [px]."""
+    """Read a frame from image files.
+
+    Args:
+        rgb: Colour image; see `read_rgb`.
+        depth: Depth image registered to the colour image; see `read_depth`.
+        intrinsics: "fx,fy,cx,cy" [px].
+        depth_scale: Metres per unit of the depth file.
+
+    Returns:
+        The frame.
+
+    Raises:
+        UserError: A file or value is unusable, or the two images differ in size.
+    """
     image = read_rgb(rgb)
     height, width = image.shape[:2]
     return _frame(rgb, image, depth, read_depth(depth, depth_scale), parse_intrinsics(intrinsics, width, height))
@@ -134,7 +158,15 @@ def read_frame(rgb: Path, depth: Path, intrinsics: str, depth_scale: float = 1.0
 
 @dataclass(frozen=True)
 class BopImage:
-    """One image of a scene folder, not read yet. scale: metres of one unit of its depth file."""
+    """One image of a BOP scene folder, to be read on demand.
+
+    Attributes:
+        im_id: Image id, as in scene_camera.json and the file names.
+        rgb: Colour image file.
+        depth: Depth image file.
+        K: Camera matrix, 9 numbers, row-major [px].
+        scale: Metres per unit of the depth file.
+    """
 
     im_id: int
     rgb: Path
@@ -143,6 +175,7 @@ class BopImage:
     scale: float
 
     def read(self) -> RgbdFrame:
+        """Read the frame. Raises UserError for unusable files; see `read_frame`."""
         image = read_rgb(self.rgb)
         height, width = image.shape[:2]
         fx, _, cx, _, fy, cy = self.K[:6]
@@ -151,28 +184,43 @@ class BopImage:
 
 
 def bop_images(directory: Path) -> list[BopImage]:
-    """The images of a BOP scene folder (rgb/, depth/, scene_camera.json), by image id.
+    """The images of a BOP scene folder (rgb/, depth/, scene_camera.json), ordered by image id.
 
-    scene_camera.json: {"0": {"cam_K": [9 numbers], "depth_scale": millimetres of one unit}, ...}. Raises UserError
-    when the folder is no scene, and for each file that scene_camera.json or rgb/ names and that is missing.
+    Args:
+        directory: The scene folder. scene_camera.json maps an image id to {"cam_K": 9 numbers [px], "depth_scale":
+            millimetres per unit of the depth file}.
+
+    Returns:
+        The images, not read yet.
+
+    Raises:
+        UserError: The folder is not a BOP scene, or a file that scene_camera.json or rgb/ names is missing.
     """
     path = directory / "scene_camera.json"
     if not directory.is_dir():
-        raise UserError(f"{directory} is not a folder: give a BOP scene folder with rgb/, depth/ and scene_camera.json")
+        raise UserError(
+            f"{directory} is not a folder: give a BOP scene folder with rgb/, depth/ and scene_camera.json",
+            code="user.bop_folder",
+        )
     try:
         cameras = json.loads(path.read_text())
     except OSError as error:
-        raise UserError(f"cannot read {path}: a BOP scene folder has rgb/, depth/ and scene_camera.json") from error
+        raise UserError(
+            f"cannot read {path}: a BOP scene folder has rgb/, depth/ and scene_camera.json", code="user.bop_camera"
+        ) from error
     except ValueError as error:
-        raise UserError(f"{path} is not valid JSON: {error}") from error
+        raise UserError(f"{path} is not valid JSON: {error}", code="user.bop_camera") from error
     if not isinstance(cameras, dict) or not cameras:
-        raise UserError(f"{path} names no images: it must map image ids to cam_K and depth_scale")
+        raise UserError(
+            f"{path} names no images: it must map image ids to cam_K and depth_scale", code="user.bop_camera"
+        )
     rgbs, depths = _by_id(directory / "rgb"), _by_id(directory / "depth")
     images = [_bop_image(path, key, entry, rgbs, depths) for key, entry in cameras.items()]
     unnamed = sorted(set(rgbs) - {image.im_id for image in images})
     if unnamed:
         raise UserError(
-            f"{path} lacks image {unnamed[0]}, which {rgbs[unnamed[0]]} shows: add its cam_K and depth_scale"
+            f"{path} lacks image {unnamed[0]}, which {rgbs[unnamed[0]]} shows: add its cam_K and depth_scale",
+            code="user.bop_camera",
         )
     return sorted(images, key=lambda image: image.im_id)
 
@@ -183,18 +231,25 @@ def _bop_image(path: Path, key: str, entry: Any, rgbs: dict[int, Path], depths: 
         K = tuple(float(v) for v in entry["cam_K"])
         scale = float(entry.get("depth_scale", 1.0)) / 1000.0
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise UserError(f'{path}, image "{key}": needs "cam_K" (9 numbers) and "depth_scale" ({error!r})') from error
+        raise UserError(
+            f'{path}, image "{key}": needs "cam_K" (9 numbers) and "depth_scale" ({error!r})', code="user.bop_camera"
+        ) from error
     if len(K) != 9:
-        raise UserError(f'{path}, image "{key}": cam_K has {len(K)} numbers, not 9')
+        raise UserError(f'{path}, image "{key}": cam_K has {len(K)} numbers, not 9', code="user.bop_camera")
     for kind, files in (("rgb", rgbs), ("depth", depths)):
         if im_id not in files:
-            raise UserError(f"{path} names image {im_id}, but {path.parent / kind} has no {im_id:06d} image")
+            raise UserError(
+                f"{path} names image {im_id}, but {path.parent / kind} has no {im_id:06d} image",
+                code="user.bop_image_missing",
+            )
     return BopImage(im_id, rgbs[im_id], depths[im_id], K, scale)
 
 
 def _by_id(directory: Path) -> dict[int, Path]:
     if not directory.is_dir():
-        raise UserError(f"{directory} is missing: a BOP scene folder has rgb/, depth/ and scene_camera.json")
+        raise UserError(
+            f"{directory} is missing: a BOP scene folder has rgb/, depth/ and scene_camera.json", code="user.bop_folder"
+        )
     files = [p for p in sorted(directory.iterdir()) if p.suffix.lower() in (*IMAGE_SUFFIXES, ".npy")]
     return {int(p.stem): p for p in files if p.stem.isdigit()}
 
@@ -205,26 +260,7 @@ def _frame(
     if depth.shape != image.shape[:2]:
         raise UserError(
             f"{path} is {depth.shape[1]}x{depth.shape[0]} but {rgb} is {image.shape[1]}x{image.shape[0]}: "
-            "register the depth to the colour image"
+            "register the depth to the colour image",
+            code="user.depth_not_registered",
         )
     return RgbdFrame(image, depth, intrinsics)
-
-
-def _read_array(path: Path, what: str) -> NDArray[Any]:
-    """The file's pixels, RGB order, bit depth kept."""
-    if not path.is_file():
-        raise UserError(f"{what} file {path} does not exist")
-    if path.suffix.lower() == ".npy":
-        try:
-            return np.asarray(np.load(path, allow_pickle=False))
-        except (OSError, ValueError) as error:
-            raise UserError(f"{what} file {path} is not a readable .npy array: {error}") from error
-    try:
-        data = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
-    except (OSError, cv2.error) as error:
-        raise UserError(f"cannot read the {what} file {path}: {error}") from error
-    if data is None:
-        raise UserError(f"{what} file {path} is not a readable image: use {', '.join(IMAGE_SUFFIXES)} or .npy")
-    if data.ndim == 3 and data.shape[2] >= 3:
-        data = data[:, :, [2, 1, 0, *range(3, data.shape[2])]]
-    return np.asarray(data)

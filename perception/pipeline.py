@@ -1,8 +1,9 @@
-"""From a frame to the poses of the end effectors in it, and from several frames to the pose in the hand.
+"""The perception pipeline: from one frame to the poses of the end effectors in it, from several to the pose in the
+hand.
 
-perception = ToolPerception.load()
-estimates = perception.estimate(frame, HoldingHand(X_camera_hand, R_hand_tool))  # one frame
-in_hand = perception.fuse([estimates_1, estimates_2], [X_camera_hand_1, X_camera_hand_2])
+    perception = ToolPerception.load()
+    estimates = perception.estimate(frame, HoldingHand(X_camera_hand, R_hand_tool))  # one frame
+    in_hand = perception.fuse([estimates_1, estimates_2], [X_camera_hand_1, X_camera_hand_2])
 """
 
 from __future__ import annotations
@@ -26,14 +27,22 @@ from toolee_robot.types import Detection, HoldingHand, InHandEstimate, RgbdFrame
 
 
 class EeDetector(Protocol):
-    """What finds end effectors in an RGB-D image; `Segmenter` does."""
+    """A detector of end effectors in RGB-D images; `Segmenter` is one."""
 
-    def detect(self, frame: RgbdFrame) -> list[Detection]: ...
+    def detect(self, frame: RgbdFrame) -> list[Detection]:
+        """The end effectors in a frame, with their masks and scores."""
+        ...
 
 
 @dataclass(frozen=True)
 class StageTimes:
-    """Wall-clock time of one frame's stages [ms]; cloud and pose over all of its detections."""
+    """Wall-clock time of the stages of one frame.
+
+    Attributes:
+        segmentation_ms: Detection and instance segmentation [ms].
+        cloud_ms: Making the clouds of all detections [ms].
+        pose_ms: Estimating the poses of all detections [ms].
+    """
 
     segmentation_ms: float
     cloud_ms: float
@@ -41,35 +50,74 @@ class StageTimes:
 
 
 class ToolPerception:
-    """Detector, cloud and pose estimator in one. Calls keep no state: the same frame gives the same estimates."""
+    """Detector, cloud extraction and pose estimator in one.
+
+    Stateless: the same frame gives the same estimates.
+
+    Args:
+        detector: Finds the end effectors and their masks.
+        pose: Estimates a pose from a cloud.
+        trust: The trust model fitted for this detector with this estimator; None: unfitted, the odds of both
+            multiplied.
+    """
 
     def __init__(self, detector: EeDetector, pose: CloudEstimator, trust: Trust | None = None) -> None:
-        """trust: as fitted for the two; None: nothing was."""
         self.detector = detector
         self.pose = pose
         self.trust = trust or Trust()
 
     @classmethod
     def load(cls, weights_dir: Path | None = None, device: str = "cpu") -> ToolPerception:
-        """With the shipped weights, or those in a folder. Raises AssetError that names a missing file."""
+        """The pipeline with trained weights.
+
+        Args:
+            weights_dir: Folder of weights; None: the shipped ones.
+            device: torch device, e.g. "cpu" or "cuda".
+
+        Returns:
+            Detector, pose estimator and trust model, loaded.
+
+        Raises:
+            AssetError: A weight file is missing or damaged; the message names it.
+        """
         detector, pose = Segmenter.load(weights_dir, device), PoseEstimator.load(weights_dir, device)
         return cls(detector, pose, Trust.load(weights_dir, weights_dir))
 
     def estimate(
         self, frame: RgbdFrame, hand: HoldingHand | None = None, categories: Sequence[Category] = CATEGORIES
     ) -> list[ToolEstimate]:
-        """The pose of every detected EE of `categories`, the most trustworthy first; an empty list if there is none.
+        """Estimate the pose of every detected end effector of the given categories.
 
-        hand: the hand that holds the tool; it fixes the spin of symmetric EEs. A detection
-        without enough depth is listed as not usable, with the reason, and a pose that is all NaN.
-        Raises UserError when the depth is not in metres.
+        Args:
+            frame: Colour image with registered depth [m].
+            hand: The hand that holds the tool; fixes the spin of symmetric end effectors.
+            categories: Categories to estimate; detections of others are skipped.
+
+        Returns:
+            One estimate per detection, the most trusted first; empty when nothing is detected. A detection without
+            enough depth is listed as not usable, with the reason and a pose of NaN.
+
+        Raises:
+            UserError: The depth is not in metres.
         """
         return self.estimate_timed(frame, hand, categories)[0]
 
     def estimate_timed(
         self, frame: RgbdFrame, hand: HoldingHand | None = None, categories: Sequence[Category] = CATEGORIES
     ) -> tuple[list[ToolEstimate], StageTimes]:
-        """`estimate`, and how long its stages took."""
+        """Like `estimate`, and measure the stages.
+
+        Args:
+            frame: See `estimate`.
+            hand: See `estimate`.
+            categories: See `estimate`.
+
+        Returns:
+            The estimates, and the time that each stage took.
+
+        Raises:
+            UserError: The depth is not in metres.
+        """
         check_depth_unit(frame.depth)
         start = time.perf_counter()
         detections = [d for d in self.detector.detect(frame) if d.category in categories]
@@ -116,13 +164,24 @@ class ToolPerception:
         category: Category | None = None,
         X_hand_ee_expected: Array | None = None,
     ) -> InHandEstimate:
-        """One EE's pose in the hand from several frames' estimates.
+        """Fuse estimates from several frames into one end effector's pose in the hand.
 
-        Xs_camera_hand[i]: 4x4, the hand when frame i was exposed. category: the EE wanted (the one seen with the most
-        confidence over all frames if None). A frame may show several EEs of a category (a club hammer's two faces, a
-        second tool): the one that most frames agree on counts. X_hand_ee_expected: 4x4, a rough guess that tells two
-        like ends apart; poses more than 90 deg (modulo the symmetry) or 25 cm off it are left out.
-        Raises PerceptionError when no frame has a pose of it.
+        A frame may show several end effectors of a category (both faces of a club hammer, a second tool); the one on
+        which most frames agree is taken.
+
+        Args:
+            estimates_per_frame: The estimates of each frame, as `estimate` returns them.
+            Xs_camera_hand: Pose of the hand in the camera frame, 4x4, at the exposure of each frame.
+            category: The end effector wanted; None: the category with the largest summed confidence over all frames.
+            X_hand_ee_expected: Rough guess of the result, 4x4, which tells two alike ends of a tool apart: poses more
+                than 90 deg (modulo the symmetry) or 25 cm from it are discarded.
+
+        Returns:
+            The fused pose in the hand frame with its covariance; see `fuse_in_hand`.
+
+        Raises:
+            PerceptionError: No frame has a pose of the end effector.
+            ValueError: The numbers of frames and of hand poses differ.
         """
         if len(estimates_per_frame) != len(Xs_camera_hand):
             raise ValueError(f"{len(estimates_per_frame)} frames but {len(Xs_camera_hand)} hand poses")
@@ -143,7 +202,8 @@ class ToolPerception:
             detail = f" ({'; '.join(sorted(reasons))})" if reasons else ""
             raise PerceptionError(
                 f"none of {len(estimates_per_frame)} frames shows the {category}{detail}: move it into the camera's "
-                "view, nearer and unhidden"
+                "view, closer and unoccluded",
+                code="perception.not_seen",
             )
         chosen = _same_end(candidates)
         hands = [Xs_camera_hand[c.frame] for c in chosen]
@@ -153,7 +213,13 @@ class ToolPerception:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """An estimate of frame number `frame`, with its pose in the hand, 4x4."""
+    """An estimate with its pose in the hand.
+
+    Attributes:
+        frame: Index of the frame it comes from.
+        estimate: The estimate in the camera frame.
+        X_hand_ee: Pose in the hand frame, 4x4.
+    """
 
     frame: int
     estimate: ToolEstimate
@@ -161,12 +227,18 @@ class _Candidate:
 
 
 def _near(X: Array, X_expected: Array, category: Category) -> bool:
+    """Whether a pose is within 90 deg (modulo the symmetry) and 25 cm of the expected one."""
     angle = category.symmetry.rotation_error(X[:3, :3], X_expected[:3, :3])
     return bool(angle < np.pi / 2 and np.linalg.norm(X[:3, 3] - X_expected[:3, 3]) < 0.25)
 
 
 def _same_end(candidates: list[_Candidate], radius: float = 0.02) -> list[_Candidate]:
-    """One candidate a frame, of the end that has the most trust over all frames: those nearest to its place."""
+    """One candidate per frame, all of the same end: the nearest to the position with the most support over all frames.
+
+    Args:
+        candidates: All candidates of one category, from all frames.
+        radius: Candidates within this distance [m] of a position support it.
+    """
 
     def nearest(center: _Candidate) -> list[_Candidate]:
         best: dict[int, _Candidate] = {}

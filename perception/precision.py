@@ -1,5 +1,6 @@
-"""How the networks compute on a processor: in bfloat16 where it has matrix units for that (Intel's AMX, servers from
-2023 on), which halves the time of an image; in float32 elsewhere. Both networks are trained in bfloat16."""
+"""Precision of inference on a CPU: bfloat16 where it has matrix units for it (Intel AMX, servers since 2023), which
+halves the time per image; float32 elsewhere. Both networks are trained in bfloat16.
+"""
 
 from __future__ import annotations
 
@@ -14,23 +15,23 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 _PACKS: Final = hasattr(torch.ops.mkldnn, "_linear_pointwise")
-"""Whether this release of torch has the operator that its own compiler calls for products with packed weights."""
+"""Whether this release of torch has the operator for products with packed weights that its own compiler uses."""
 
 
 def prefers_bfloat16(device: torch.device) -> bool:
-    """Whether the device is a processor with matrix units for bfloat16. Without them it was not tried."""
+    """Whether a device is a CPU with matrix units for bfloat16. CPUs without them use float32."""
     return device.type == "cpu" and _matrix_units()
 
 
 @cache
 def _matrix_units() -> bool:
-    # Older releases of torch cannot tell.
+    # Older releases of torch have no such query.
     capabilities: dict[str, object] = getattr(torch.cpu, "get_capabilities", dict)()
     return bool(capabilities.get("amx_bf16", False))
 
 
 def fold_normalisation(network: nn.Module) -> None:
-    """Fold each batch normalisation that follows a convolution in a sequence into that, in place, for inference."""
+    """Fold each batch normalisation that follows a convolution in a sequence into it, in place, for inference."""
     for module in list(network.modules()):
         if isinstance(module, nn.Sequential):
             for i in range(len(module) - 1):
@@ -40,8 +41,9 @@ def fold_normalisation(network: nn.Module) -> None:
 
 
 def in_bfloat16(network: nn.Module) -> None:
-    """Have its products computed in bfloat16, in place, for inference on a processor: under `torch.autocast` alone each
-    call would convert their weights."""
+    """Convert a network's products to bfloat16, in place, for inference on a CPU: `torch.autocast` alone would convert
+    the weights in each call.
+    """
     for module in list(network.modules()):
         if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
             module.to(torch.bfloat16)
@@ -51,10 +53,13 @@ def in_bfloat16(network: nn.Module) -> None:
 
 
 class Bfloat16Linear(nn.Module):
-    """A linear layer in bfloat16, whatever the type of its input.
+    """A linear layer in bfloat16, for inputs of any floating type.
 
-    Its weights lie as oneDNN's product takes them. `nn.Linear` has them put so in each call, for a few hundred rows a
-    quarter of its time; the results are the same.
+    Its weights are stored in oneDNN's packed layout. `nn.Linear` packs them in each call, a quarter of its time for a
+    few hundred rows; the results are the same.
+
+    Args:
+        layer: The layer whose weights it takes.
     """
 
     def __init__(self, layer: nn.Linear) -> None:
@@ -75,8 +80,9 @@ class Bfloat16Linear(nn.Module):
 
 @contextmanager
 def single_thread() -> Iterator[None]:
-    """With one of torch's threads: for what takes so little that others gain nothing, and make it wait where they are
-    busy elsewhere."""
+    """Run the block with a single torch thread: for work too small to gain from others, which may have to wait for busy
+    cores.
+    """
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

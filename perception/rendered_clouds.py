@@ -1,9 +1,10 @@
-"""Clouds for the training of a pose network from a data set's images, under true masks and under a detector's.
+"""Training clouds of a pose network from a data set's images, under true masks and under a detector's.
 
     clouds = rendered_clouds(Path("data/hard/train"), workers=2)  # or: toolee train clouds data/hard/train --out FILE
 
-Take images that the detector was not trained on: on those it was its masks are better than they will ever be again. The
-paper trains its estimator under true masks alone, of end effectors or, for one column of its Table I, of whole tools.
+Use images on which the detector was not trained, because on its training images its masks are better than on new ones.
+The paper trains its estimator under true masks alone, of end effectors or, for one column of its Table I, of whole
+tools.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.cloud import EeCloud
 from toolee_robot.perception.detection.segmenter import Segmenter
-from toolee_robot.perception.evaluation.examples import Case, Instance, Part, parts, read_part
+from toolee_robot.perception.evaluation.examples import Part, parts, read_part
+from toolee_robot.perception.evaluation.records import Case, Instance
 from toolee_robot.perception.evaluation.shapes import spin_points
 from toolee_robot.perception.pipeline import EeDetector
 from toolee_robot.perception.pose.canonical import MIN_POINTS
@@ -29,8 +31,7 @@ from toolee_robot.perception.research.tooleenet import Column
 from toolee_robot.runtime.process_map import ProcessMap
 
 NOTHING_THERE = 0.1
-"""A mask that overlaps every EE of its category by less (IoU) is a negative; between this and what counts as found it
-is left out."""
+"""A mask that overlaps every EE of its category by less (IoU) is a negative; between this and a match it is dropped."""
 
 
 def rendered_clouds(
@@ -42,25 +43,42 @@ def rendered_clouds(
     progress: Callable[[int, int], None] = lambda _done, _all: None,
     column: Column | None = None,
 ) -> RenderedClouds:
-    """Of a data set, or one split of it, at most `limit` images of a split. weights: folder of the detector's (the
-    shipped one's if None). column: for that column of the paper's Table I, without a detector. Raises AssetError when
-    data or weights are missing, UserError where nothing is seen."""
+    """Make the clouds of a data set, or of one split.
+
+    Args:
+        data: Folder of the data set or split.
+        weights: Folder of the detector's weights; None: the shipped ones.
+        device: torch device that runs the detector.
+        workers: Number of processes.
+        limit: Largest number of images per split.
+        progress: Called with the number of finished scenes and their total.
+        column: Column of the paper's Table I whose estimator is trained: true masks only, no detector.
+
+    Returns:
+        The clouds with their truth.
+
+    Raises:
+        AssetError: Data or weights are missing.
+        UserError: No image shows an end effector well enough.
+    """
     todo = parts(data, limit)
     found = []
     begin = partial(Segmenter.load, weights, device) if column is None else _no_detector
-    read = of_part if column is None or not column.of_tool else tools_of_part
+    read = clouds_of_part if column is None or not column.of_tool else tool_clouds_of_part
     with ProcessMap(begin, workers) as processes:
         for done, part in enumerate(processes.map(read, todo)):
             found.append(part)
             progress(done + 1, len(todo))
     clouds = RenderedClouds.cat(found)
     if not clouds.positive.any():
-        raise UserError(f"no image of {data} shows an end effector well enough: take more images")
+        raise UserError(
+            f"no image of {data} shows an end effector well enough: take more images", code="user.too_few_images"
+        )
     return clouds
 
 
-def of_part(detector: EeDetector | None, part: Part) -> RenderedClouds:
-    """The clouds of a part of a data set, under both kinds of masks, or without a detector under true ones."""
+def clouds_of_part(detector: EeDetector | None, part: Part) -> RenderedClouds:
+    """The clouds of a part of a data set under true masks and, with a detector, under predicted ones."""
     examples = read_part(part, detector)
     rng = _rng(part)
     rows = []
@@ -75,15 +93,15 @@ def of_part(detector: EeDetector | None, part: Part) -> RenderedClouds:
     return RenderedClouds.cat(rows)
 
 
-def tools_of_part(_detector: EeDetector | None, part: Part) -> RenderedClouds:
-    """The whole tools of a part, under true masks, once for each category of their ends."""
+def tool_clouds_of_part(_detector: EeDetector | None, part: Part) -> RenderedClouds:
+    """The clouds of whole tools of a part, under true masks, once per category of their ends."""
     examples = read_part(part, None)
     rng = _rng(part)
     nothing = np.empty((0, 3))
     rows = []
     for number, case in examples.of("truth").items():
         instance = examples.instances[number]
-        # Of like ends the first alone: a tool's pose cannot tell which of them is meant.
+        # Only the first of alike ends: the tool's pose does not show which of them is meant.
         if instance.first_end and len(case.tool_points) >= MIN_POINTS:
             row = _cloud(replace(case, cloud=EeCloud(case.tool_points, nothing, nothing)), instance, rng)
             ee = instance.catalogue.tool(instance.tool).ees[instance.ee]
@@ -93,7 +111,7 @@ def tools_of_part(_detector: EeDetector | None, part: Part) -> RenderedClouds:
 
 
 def _no_detector() -> None:
-    """The state of a process map that needs none."""
+    """Worker state of a process map that needs no detector."""
 
 
 def _rng(part: Part) -> np.random.Generator:

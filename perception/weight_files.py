@@ -17,14 +17,22 @@ from safetensors.torch import load_file, save_file
 from toolee_robot.errors import AssetError
 
 WEIGHTS_DIR = Path(__file__).resolve().parent / "weights"
+"""Folder of the shipped weights."""
 SHARD_BYTES = 15 * 1024 * 1024
-"""Largest shard [byte]: small files travel, and are reviewed and stored, more easily."""
+"""Largest shard [byte]: small files are easier to store, review and transfer."""
 
 
 def save_weights(directory: Path, name: str, tensors: dict[str, torch.Tensor], description: dict[str, Any]) -> None:
-    """Write `tensors` in half precision (integers as they are) as shards of `name`, and `description` as JSON.
+    """Write weights and their description; older shards of the same name are removed.
 
-    Older shards of the same name are removed. Raises AssetError on a tensor that is not finite in half precision.
+    Args:
+        directory: Output folder.
+        name: Name of the files.
+        tensors: The weights; floating ones are written in half precision.
+        description: Written as JSON.
+
+    Raises:
+        AssetError: A tensor is not finite in half precision.
     """
     half = {key: _half(key, value) for key, value in tensors.items()}
     shards: list[dict[str, torch.Tensor]] = [{}]
@@ -45,9 +53,17 @@ def save_weights(directory: Path, name: str, tensors: dict[str, torch.Tensor], d
 
 
 def load_weights(directory: Path | None, name: str) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """Tensors (floating ones as float32) and description of `name` in `directory` (the shipped one if None).
+    """Read weights and their description.
 
-    Raises AssetError that names the file that is missing or unreadable.
+    Args:
+        directory: Folder of weights; None: the shipped ones.
+        name: Name of the files.
+
+    Returns:
+        Tensors (floating ones as float32) and description.
+
+    Raises:
+        AssetError: A file is missing or unreadable; the message names it.
     """
     directory = WEIGHTS_DIR if directory is None else directory
     path = directory / f"{name}.json"
@@ -56,33 +72,54 @@ def load_weights(directory: Path | None, name: str) -> tuple[dict[str, torch.Ten
     except OSError as error:
         raise AssetError(
             f"weight description {path} is missing: reinstall the package, or train with "
-            f"`toolee train {name}` and pass its output folder"
+            f"`toolee train {name}` and pass its output folder",
+            code="asset.missing",
         ) from error
     except ValueError as error:
-        raise AssetError(f"weight description {path} is not valid JSON: fetch the file again ({error})") from error
+        raise AssetError(
+            f"weight description {path} is not valid JSON: fetch the file again ({error})", code="asset.unreadable"
+        ) from error
     shards = sorted(directory.glob(f"{name}-*-of-*.safetensors"))
     count = int(shards[0].stem.rsplit("-of-", 1)[1]) if shards else 1
     tensors: dict[str, torch.Tensor] = {}
     for i in range(count):
         shard = directory / f"{name}-{i + 1:05d}-of-{count:05d}.safetensors"
         if not shard.is_file():
-            raise AssetError(f"weight file {shard} is missing: reinstall the package or fetch the file again")
+            raise AssetError(
+                f"weight file {shard} is missing: reinstall the package or fetch the file again", code="asset.missing"
+            )
         try:
             tensors.update(load_file(shard))
         except (SafetensorError, OSError) as error:
-            raise AssetError(f"weight file {shard} is unreadable: fetch the file again ({error})") from error
+            raise AssetError(
+                f"weight file {shard} is unreadable: fetch the file again ({error})", code="asset.unreadable"
+            ) from error
     return {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}, description
 
 
 def load_into(network: torch.nn.Module, tensors: dict[str, torch.Tensor], what: str) -> None:
-    """Put weights into a network, called `what` in errors. Raises AssetError if they do not fit it."""
+    """Load weights into a network.
+
+    Args:
+        network: The network, changed in place.
+        tensors: The weights.
+        what: Name of the network in messages.
+
+    Raises:
+        AssetError: The weights do not fit the network.
+    """
     try:
         missing, unexpected = network.load_state_dict(tensors, strict=False)
     except RuntimeError as error:
-        raise AssetError(f"the {what}'s weights do not fit its architecture, fetch them again: {error}") from error
+        raise AssetError(
+            f"the {what}'s weights do not fit its architecture, fetch them again: {error}", code="asset.architecture"
+        ) from error
     missing = [name for name in missing if not name.endswith("num_batches_tracked")]
     if missing or unexpected:
-        raise AssetError(f"the {what}'s weights are incomplete, fetch them again: {(missing + unexpected)[:5]}")
+        raise AssetError(
+            f"the {what}'s weights are incomplete, fetch them again: {(missing + unexpected)[:5]}",
+            code="asset.incomplete",
+        )
 
 
 def _half(name: str, value: torch.Tensor) -> torch.Tensor:
@@ -91,5 +128,7 @@ def _half(name: str, value: torch.Tensor) -> torch.Tensor:
         return value
     half = value.half()
     if not torch.isfinite(half).all():
-        raise AssetError(f"weight {name} is not finite in half precision: the training run diverged")
+        raise AssetError(
+            f"weight {name} is not finite in half precision: the training run diverged", code="asset.not_finite"
+        )
     return half

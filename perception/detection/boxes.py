@@ -1,4 +1,4 @@
-"""Boxes in whole batches: coding against anchors, overlap, suppression. x0, y0, x1, y1 [px]."""
+"""Batched box operations: coding against anchors, overlap, suppression. Boxes are x0, y0, x1, y1 [px]."""
 
 from __future__ import annotations
 
@@ -15,7 +15,16 @@ _LOG_LIMIT = math.log(1000.0 / 16.0)
 
 
 def encode(boxes: Tensor, anchors: Tensor, weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)) -> Tensor:
-    """Deltas (..., 4) that turn `anchors` into `boxes`."""
+    """Encode boxes relative to anchors (Ren et al., Faster R-CNN, 2015).
+
+    Args:
+        boxes: (..., 4).
+        anchors: (..., 4).
+        weights: Factors on the deltas (dx, dy, dw, dh).
+
+    Returns:
+        Deltas (..., 4).
+    """
     size_a, size_b = (anchors[..., 2:] - anchors[..., :2]).clamp(min=1e-3), (boxes[..., 2:] - boxes[..., :2])
     shift = (boxes[..., 2:] + boxes[..., :2] - anchors[..., 2:] - anchors[..., :2]) / 2 / size_a
     scale = torch.log(size_b.clamp(min=1e-3) / size_a)
@@ -23,7 +32,16 @@ def encode(boxes: Tensor, anchors: Tensor, weights: tuple[float, ...] = (1.0, 1.
 
 
 def decode(deltas: Tensor, anchors: Tensor, weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)) -> Tensor:
-    """Boxes (..., 4) from deltas; the inverse of `encode`."""
+    """Decode boxes; the inverse of `encode`.
+
+    Args:
+        deltas: (..., 4).
+        anchors: (..., 4).
+        weights: Factors on the deltas, as for `encode`.
+
+    Returns:
+        Boxes (..., 4).
+    """
     deltas = deltas / deltas.new_tensor(weights)
     size = anchors[..., 2:] - anchors[..., :2]
     centre = (anchors[..., 2:] + anchors[..., :2]) / 2 + deltas[..., :2] * size
@@ -32,14 +50,25 @@ def decode(deltas: Tensor, anchors: Tensor, weights: tuple[float, ...] = (1.0, 1
 
 
 def clip(boxes: Tensor, height: int, width: int) -> Tensor:
-    """Boxes cut at the image's border. A training that diverges makes corners that are no numbers: they become 0, for
-    an operator that reads features at such a place kills the process before the loss can be checked."""
+    """Clip boxes to the image.
+
+    Not-a-number corners, which a diverging training produces, become 0: an operator that reads features there would
+    kill the process before the loss can be checked.
+
+    Args:
+        boxes: (..., 4).
+        height: Image height [px].
+        width: Image width [px].
+
+    Returns:
+        Boxes (..., 4).
+    """
     limit = boxes.new_tensor([width, height, width, height])
     return torch.minimum(boxes.nan_to_num(0.0, 0.0, 0.0).clamp(min=0.0), limit)
 
 
 def mirror_boxes(boxes: Tensor, width: int) -> Tensor:
-    """The boxes (N, 4) as a mirror image of `width` [px] shows them, left for right."""
+    """Boxes (N, 4) in the mirror image, left to right, of an image of `width` [px]."""
     x0, y0, x1, y1 = boxes.unbind(1)
     return torch.stack([width - x1, y0, width - x0, y1], 1)
 
@@ -53,10 +82,18 @@ def pairwise_iou(a: Tensor, b: Tensor) -> Tensor:
 
 
 def greedy_suppression(boxes: Tensor, threshold: float, iterations: int = 8) -> Tensor:
-    """Which of boxes (B, N, 4), sorted by falling score, survive greedy non-maximum suppression, (B, N) bool.
+    """Batched greedy non-maximum suppression.
 
     Fixed-point iteration (Zheng et al. 2021, cluster NMS): exact once it has run as often as the longest chain of
-    suppressions, batched and free of host synchronisation.
+    suppressions; batched and free of host synchronisation.
+
+    Args:
+        boxes: (B, N, 4), sorted by falling score.
+        threshold: IoU above which the worse box is suppressed.
+        iterations: Number of iterations.
+
+    Returns:
+        Which boxes survive, (B, N) bool.
     """
     n = boxes.shape[1]
     above = torch.ones((n, n), dtype=torch.bool, device=boxes.device).triu(1)
@@ -69,8 +106,17 @@ def greedy_suppression(boxes: Tensor, threshold: float, iterations: int = 8) -> 
 
 @lru_cache(maxsize=8)
 def anchor_boxes(sizes: tuple[tuple[float, float], ...], height: int, width: int, device: torch.device) -> list[Tensor]:
-    """Per pyramid level, of which `sizes` has the square roots of the anchors' areas [px]: the anchors (A_l, 4) of an
-    input of this size."""
+    """Anchor boxes of an input.
+
+    Args:
+        sizes: Square roots of the anchors' areas [px], per pyramid level (strides 8 to 64).
+        height: Input height [px].
+        width: Input width [px].
+        device: torch device of the result.
+
+    Returns:
+        Per level, anchors (A_l, 4).
+    """
     levels = []
     for stride, scales in zip(_STRIDES, sizes, strict=True):
         ratio = torch.tensor(ANCHOR_RATIOS).repeat(len(scales))

@@ -1,4 +1,4 @@
-"""What the detector sees: colour, and what depth says of the size of things and of what stands out."""
+"""Input of the detector: colour, metric pixel size, relief and known depth."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from torch import Tensor
 STRIDE = 32
 """Heights and widths of the network's input are multiples of this."""
 CHANNELS = 6
+"""Channels of the input; see `encode_rgbd`."""
 
 _RELIEF_CELL, _RELIEF_CELLS, _RELIEF_SCALE = 8, 9, 0.05
 _NOMINAL_MM_PER_PIXEL = 1.5
@@ -20,8 +21,10 @@ _NOMINAL_MM_PER_PIXEL = 1.5
 class RgbdBatch:
     """B images as the network takes them, height and width multiples of STRIDE.
 
-    pixels (B, CHANNELS, H, W): see `encode_rgbd`. depth (B, H, W): [m] along the optical axis, 0 where unknown.
-    focal (B,): focal length [px] of these images.
+    Attributes:
+        pixels: (B, CHANNELS, H, W); see `encode_rgbd`.
+        depth: (B, H, W) [m] along the optical axis, 0 where unknown.
+        focal: Focal length of these images, (B,) [px].
     """
 
     pixels: Tensor
@@ -30,11 +33,19 @@ class RgbdBatch:
 
 
 def encode_rgbd(rgb: Tensor, depth: Tensor, focal: Tensor) -> RgbdBatch:
-    """Images rgb (B, 3, H, W) in 0..255, depth (B, H, W) [m] (0: unknown) and focal (B,) [px], padded to STRIDE.
+    """Encode images for the network, padded to multiples of STRIDE.
 
-    Beside colour: the logarithm of a pixel's size in millimetres, by which a network that only knows pixels can tell
-    a length; how far the pixel lies behind (+) or before (-) its surroundings, about 70 px wide, in units of 5 cm, no
-    more than 3; and whether its depth is known. Where it is not, all three are 0.
+    Channels: normalised colour (3); log of a pixel's size in millimetres, from which the network can tell lengths;
+    relief: how far the pixel lies behind (+) or in front of (-) its surroundings, about 70 px wide, in units of 5 cm,
+    clipped to 3; whether the depth is known. The depth channels are 0 where it is not.
+
+    Args:
+        rgb: (B, 3, H, W) in 0..255.
+        depth: (B, H, W) [m], 0 where unknown.
+        focal: (B,) [px].
+
+    Returns:
+        The network's input.
     """
     height, width = depth.shape[-2:]
     pad = (0, -width % STRIDE, 0, -height % STRIDE)
@@ -48,15 +59,20 @@ def encode_rgbd(rgb: Tensor, depth: Tensor, focal: Tensor) -> RgbdBatch:
 
 
 def mirror(batch: RgbdBatch, images: Tensor) -> RgbdBatch:
-    """Those of the batch's images that `images` (N,) names, left for right, their padding now at the left.
+    """Mirror images left to right. No channel has a direction, so it equals encoding the mirrored image.
 
-    No channel has a direction: they are as if the mirrored image had been encoded.
+    Args:
+        batch: The input.
+        images: Indices (N,) of the images to mirror.
+
+    Returns:
+        The mirrored images, their padding at the left.
     """
     return RgbdBatch(batch.pixels[images].flip(3), batch.depth[images].flip(2), batch.focal[images])
 
 
 def _surroundings(depth: Tensor, known: Tensor) -> Tensor:
-    """Mean of the known depths about each pixel."""
+    """Mean of the known depths around each pixel."""
     cells = F.avg_pool2d(torch.cat([depth, known], 1), _RELIEF_CELL)
     sums = F.avg_pool2d(cells, _RELIEF_CELLS, 1, _RELIEF_CELLS // 2)
     return F.interpolate(
@@ -65,5 +81,5 @@ def _surroundings(depth: Tensor, known: Tensor) -> Tensor:
 
 
 def _normalise(images: Tensor) -> Tensor:
-    """uint8 or float RGB in 0..255 to the network's range (fixed mean and deviation)."""
+    """Normalise uint8 or float RGB in 0..255 by a fixed mean and deviation."""
     return (images.float() - 110.0) / 60.0

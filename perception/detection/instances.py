@@ -1,5 +1,4 @@
-"""What the detector found in one image: masks with classes and scores, each thing once, end effectors with their
-tools."""
+"""Instances of one image: duplicates removed, end effectors associated with their tools."""
 
 from __future__ import annotations
 
@@ -14,7 +13,7 @@ MIN_TOOL_OVERLAP = 0.5
 """Share of an EE's mask that a tool's mask must cover for the EE to belong to that tool."""
 
 MAX_COVERED = 0.6
-"""Share of an instance's mask that a better one of the same class may cover."""
+"""Largest share of an instance's mask that a better one of the same class may cover."""
 
 Box = tuple[float, float, float, float]
 Instances = tuple[list[NDArray[np.bool_]], list[int], list[float], list[Box]]
@@ -24,8 +23,19 @@ Instances = tuple[list[NDArray[np.bool_]], list[int], list[float], list[Box]]
 def without_duplicates(
     masks: list[NDArray[np.bool_]], labels: list[int], scores: list[float], boxes: list[Box]
 ) -> Instances:
-    """The instances, best score first, without those of which a better one of the same class covers most: the boxes of
-    a slanting, thin thing found twice hardly overlap."""
+    """Remove instances that a better one of the same class mostly covers.
+
+    By masks, because the boxes of a slanting, thin object detected twice hardly overlap.
+
+    Args:
+        masks: Masks (H, W).
+        labels: Class indices.
+        scores: Scores in [0, 1].
+        boxes: Boxes [px].
+
+    Returns:
+        The remaining instances, best score first.
+    """
     kept: list[int] = []
     for i in sorted(range(len(masks)), key=lambda i: -scores[i]):
         same = [k for k in kept if labels[k] == labels[i]]
@@ -40,7 +50,18 @@ def associate(
     scores: list[float],
     boxes: list[Box],
 ) -> list[Detection]:
-    """EE detections, best first, each with the mask of the tool that covers most of it."""
+    """Associate end effectors with their tools.
+
+    Args:
+        masks: Masks (H, W).
+        labels: Class indices; `TOOL` for tools.
+        scores: Scores in [0, 1].
+        boxes: Boxes [px].
+
+    Returns:
+        The end effectors, best score first, each with the tool whose mask covers most of it, if at least
+        `MIN_TOOL_OVERLAP`.
+    """
     tools = [(m, score) for m, label, score in zip(masks, labels, scores, strict=True) if label == TOOL]
     found = []
     for mask, label, score, box in zip(masks, labels, scores, boxes, strict=True):
@@ -56,6 +77,6 @@ def associate(
 
 
 def mask_iou(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
-    """Intersection over union of two masks (H, W); 0 of two empty ones."""
+    """Intersection over union of two masks (H, W); 0 if both are empty."""
     union = int(np.count_nonzero(a | b))
     return int(np.count_nonzero(a & b)) / union if union else 0.0

@@ -1,6 +1,6 @@
 """Targets, matching, sampling and losses of the detector, batched over padded instances.
 
-Instances come as id maps: in `Instances.maps[:, 0]` a pixel holds the id of the end effector seen there, in
+InstanceTargets come as id maps: in `InstanceTargets.maps[:, 0]` a pixel holds the id of the end effector seen there, in
 `maps[:, 1]` that of the tool (0: none). Ids start at 1.
 """
 
@@ -18,16 +18,25 @@ from toolee_robot.perception.detection.inputs import RgbdBatch
 from toolee_robot.perception.detection.mask_head import MASK_SIZE, mask_boxes
 
 EE_PIXELS, TOOL_PIXELS = 45, 90
-"""Fewer visible pixels [of the network's input] and an instance is neither a target nor background."""
+"""InstanceTargets with fewer visible pixels [px of the network's input], EEs and tools, are ignored: neither target nor
+background.
+"""
 ROIS_PER_IMAGE, POSITIVE_ROIS = 64, 20
 RPN_SAMPLES, RPN_POSITIVES = 256, 96
 
 
 @dataclass(frozen=True)
-class Instances:
-    """A batch's targets, padded to G instances. boxes (B, G, 4), labels (B, G) in 1..5 (0: padding),
-    ignored (B, G): too little is seen, counts for nothing. maps (B, 2, H, W) uint8; plane, ids (B, G): the
-    instance's pixels are `maps[b, plane] == ids`."""
+class InstanceTargets:
+    """Targets of a batch, padded to G instances per image.
+
+    Attributes:
+        boxes: (B, G, 4) [px].
+        labels: Class indices 1..5, 0 for padding, (B, G).
+        ignored: Too little is visible: neither target nor background, (B, G) bool.
+        maps: Id maps (B, 2, H, W) uint8: EEs, then tools.
+        plane: Which of the two maps holds the instance, (B, G).
+        ids: Its id there, (B, G): its pixels are `maps[b, plane] == ids`.
+    """
 
     boxes: Tensor
     labels: Tensor
@@ -37,8 +46,17 @@ class Instances:
     ids: Tensor
 
 
-def instances_from_maps(maps: Tensor, categories: Tensor, tools: int) -> Instances:
-    """Instances of id maps (B, 2, H, W); categories (B, E) int: class index of EE id 1..E (0: no such EE)."""
+def instances_from_maps(maps: Tensor, categories: Tensor, tools: int) -> InstanceTargets:
+    """Targets from id maps.
+
+    Args:
+        maps: (B, 2, H, W): ids of EEs, then of tools.
+        categories: Class index of EE ids 1..E, 0 where there is no such EE, (B, E).
+        tools: Largest id of a tool.
+
+    Returns:
+        The targets.
+    """
     n, _, height, width = maps.shape
     ees = categories.shape[1]
     device = maps.device
@@ -59,11 +77,15 @@ def instances_from_maps(maps: Tensor, categories: Tensor, tools: int) -> Instanc
     least = torch.where(plane == 0, EE_PIXELS, TOOL_PIXELS)
     box = torch.stack(boxes, 1) * (labels > 0)[..., None]
     ids, plane = ids.expand(n, -1), plane.expand(n, -1)
-    return Instances(box, labels, (labels > 0) & (count < least), maps, plane, ids)
+    return InstanceTargets(box, labels, (labels > 0) & (count < least), maps, plane, ids)
 
 
 class DetectorLoss(nn.Module):
-    """The detector with its losses: `forward` is one training step's graph, so that DDP can wrap it."""
+    """The detector with its losses: `forward` is one training step's graph, so that DDP can wrap it.
+
+    Args:
+        detector: The network that is trained.
+    """
 
     def __init__(self, detector: Detector) -> None:
         super().__init__()
@@ -71,11 +93,19 @@ class DetectorLoss(nn.Module):
         self._rpn_losses = _rpn_losses
 
     def compile_proposal_losses(self) -> None:
-        """Fuse them for the GPU: they go over all anchors of all images."""
+        """Compile the proposal losses for the GPU: they run over all anchors of all images."""
         self._rpn_losses = torch.compile(_rpn_losses, dynamic=False)
 
-    def forward(self, batch: RgbdBatch, instances: Instances) -> dict[str, Tensor]:
-        """Losses by name."""
+    def forward(self, batch: RgbdBatch, instances: InstanceTargets) -> dict[str, Tensor]:
+        """The losses of a batch.
+
+        Args:
+            batch: The images.
+            instances: Their targets.
+
+        Returns:
+            Scalars by name: "objectness", "proposal", "class", "box", "mask", "dice", "quality".
+        """
         detector = self.detector
         height, width = batch.pixels.shape[-2:]
         pyramid = detector.backbone(batch.pixels)
@@ -102,7 +132,18 @@ class DetectorLoss(nn.Module):
 
 @dataclass(frozen=True)
 class _Rois:
-    """R = B * ROIS_PER_IMAGE sampled regions. mask_index: the ones where positives stand, B * POSITIVE_ROIS."""
+    """R = B * ROIS_PER_IMAGE sampled regions.
+
+    Attributes:
+        image: Image index, (R, 1).
+        boxes: (R, 4) [px].
+        labels: Class index, 0 for background, (R,).
+        targets: True boxes, (R, 4) [px].
+        instance: Index of the matched instance, (R,).
+        used: 1 where the region counts, (R,).
+        positive: 1 where it shows an instance, (R,).
+        mask_index: Rows of the positives' places, (B * POSITIVE_ROIS,).
+    """
 
     image: Tensor
     boxes: Tensor
@@ -114,12 +155,12 @@ class _Rois:
     mask_index: Tensor
 
 
-def _rpn_losses(scores: Tensor, deltas: Tensor, anchors: Tensor, instances: Instances) -> dict[str, Tensor]:
+def _rpn_losses(scores: Tensor, deltas: Tensor, anchors: Tensor, instances: InstanceTargets) -> dict[str, Tensor]:
     with torch.no_grad():
         present, ignored = instances.labels > 0, instances.ignored
         iou = pairwise_iou(anchors[None], instances.boxes) * present[:, None]
         best, match = iou.max(2)
-        # Every instance keeps its best anchors, however badly they fit.
+        # Every instance keeps its best anchors, whatever their IoU.
         top = iou.max(1, keepdim=True)[0]
         forced = ((iou >= top - 1e-4) & (top > 0.1)).any(2)
         skip = torch.gather(ignored, 1, match) & (best > 0.3)
@@ -146,8 +187,8 @@ def _rpn_losses(scores: Tensor, deltas: Tensor, anchors: Tensor, instances: Inst
 
 
 @torch.no_grad()
-def _sample_rois(boxes: Tensor, valid: Tensor, instances: Instances, height: int, width: int) -> _Rois:
-    """Proposals, the truth and jittered copies of it, sampled to a fixed number of regions an image."""
+def _sample_rois(boxes: Tensor, valid: Tensor, instances: InstanceTargets, height: int, width: int) -> _Rois:
+    """Sample a fixed number of regions per image from the proposals, the true boxes and jittered copies of them."""
     n, device = len(boxes), boxes.device
     truth = instances.boxes
     present = (instances.labels > 0) & ~instances.ignored
@@ -187,8 +228,15 @@ def _sample_rois(boxes: Tensor, valid: Tensor, instances: Instances, height: int
 
 
 def outline_losses(logits: Tensor, truth: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Of each mask (R, S, S) with its true coverage in [0, 1]: cross entropy (R,), one less its Dice coefficient, and,
-    without a gradient, its IoU."""
+    """Losses of masks.
+
+    Args:
+        logits: (R, S, S).
+        truth: True coverage in [0, 1], (R, S, S).
+
+    Returns:
+        Cross entropy (R,), 1 - Dice coefficient (R,), and the IoU (R,) without gradient.
+    """
     bce = F.binary_cross_entropy_with_logits(logits, truth, reduction="none").mean((1, 2))
     p = logits.sigmoid()
     dice = 1 - (2 * (p * truth).sum((1, 2)) + 1) / (p.sum((1, 2)) + truth.sum((1, 2)) + 1)
@@ -198,22 +246,24 @@ def outline_losses(logits: Tensor, truth: Tensor) -> tuple[Tensor, Tensor, Tenso
 
 
 def mask_overlap(a: Tensor, b: Tensor) -> Tensor:
-    """Intersection over union (R,) of masks (R, S, S) bool; 0 of two empty ones."""
+    """Intersection over union (R,) of masks (R, S, S) bool; 0 if both are empty."""
     return (a & b).sum((1, 2)) / (a | b).sum((1, 2)).clamp(min=1)
 
 
 def _mask_losses(logits: Tensor, quality: Tensor, truth: Tensor) -> dict[str, Tensor]:
-    """Of each mask (R, S, S): cross entropy; Dice, for which a small instance counts as much as a large one; and
-    cross entropy of the IoU that the head expects of it, quality (R,), with the IoU that it has."""
+    """Losses of masks (R, S, S): cross entropy; Dice, in which small instances weigh as much as large ones; cross
+    entropy of the predicted IoU, quality (R,), with the actual one.
+    """
     bce, dice, iou = outline_losses(logits, truth)
     expected = F.binary_cross_entropy_with_logits(quality, iou, reduction="none")
     return {"mask": bce, "dice": 0.5 * dice, "quality": 0.2 * expected}
 
 
 @torch.no_grad()
-def _mask_targets(instances: Instances, rois: Tensor, instance: Tensor, sub: int = 2) -> Tensor:
-    """Share of each of MASK_SIZE x MASK_SIZE cells of the `mask_boxes` of rois (R, 5) that `instance` (R,) covers,
-    read straight from the maps."""
+def _mask_targets(instances: InstanceTargets, rois: Tensor, instance: Tensor, sub: int = 2) -> Tensor:
+    """Coverage of MASK_SIZE x MASK_SIZE cells of the `mask_boxes` of rois (R, 5) by `instance` (R,), read from the
+    maps.
+    """
     image, boxes = rois[:, 0].long(), mask_boxes(rois[:, 1:])
     plane, ids = instances.plane[image, instance], instances.ids[image, instance]
     height, width = instances.maps.shape[-2:]
@@ -228,6 +278,6 @@ def _mask_targets(instances: Instances, rois: Tensor, instance: Tensor, sub: int
 
 
 def weighted_mean(values: Tensor, weights: Tensor) -> Tensor:
-    """Mean of values (R,) by weights (R,) of any type; 0 where no row has any."""
+    """Mean of values (R,) weighted by weights (R,) of any type; 0 where all weights are 0."""
     weights = weights.float()
     return (values * weights).sum() / weights.sum().clamp(min=1)

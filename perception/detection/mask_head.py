@@ -1,7 +1,7 @@
-"""The detector's mask head: the pyramid's features of a region, and the region itself, near, in colour and metres.
+"""The detector's mask head: pyramid features of a region together with its colour and metric coordinates.
 
-An end effector's mask ends where the tool leaves a sphere of some centimetres: nothing that a colour image shows. So
-the head sees, beside the features, every pixel's place in metres relative to the region's centre.
+An end effector's mask ends where the tool leaves a sphere of some centimetres, which a colour image does not show. So
+the head also sees every pixel's position in metres relative to the region's centre.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from torchvision.ops import roi_align
 from toolee_robot.perception.detection.inputs import RgbdBatch
 
 MASK_SIZE = 56
-"""Masks are MASK_SIZE x MASK_SIZE cells."""
+"""Cells per side of a mask."""
 MASK_MARGIN = 1.25
-"""Masks cover a box this much larger, about the same centre, than the detection's: what the box misses is not lost."""
+"""Masks cover the detection's box enlarged by this factor, so that parts outside of the box are not lost."""
 
 _CONTEXT = 14
 _METRES = 0.05
@@ -28,16 +28,29 @@ _NEAR_QUANTILE = 0.3
 
 
 def mask_boxes(boxes: Tensor) -> Tensor:
-    """The boxes (N, 4) that the masks of detections with `boxes` (N, 4) cover; they may reach beyond the image."""
+    """The boxes that masks cover.
+
+    Args:
+        boxes: Boxes of detections, (N, 4).
+
+    Returns:
+        Boxes (N, 4) of their masks; they may reach beyond the image.
+    """
     centre, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) * (MASK_MARGIN / 2)
     return torch.cat([centre - half, centre + half], 1)
 
 
 class MaskHead(nn.Module):
-    """Masks, and how good they will be (Mask Scoring R-CNN, Huang et al. 2019, without its second network)."""
+    """Predicts masks and their quality (Mask Scoring R-CNN, Huang et al. 2019, without its second network).
+
+    Args:
+        channels: Channels of the features.
+        layers: Layers at the features' resolution.
+        width: Channels at the masks' resolution.
+        classes: Number of classes.
+    """
 
     def __init__(self, channels: int, layers: int, width: int, classes: int) -> None:
-        """channels: of the features; layers: at their resolution; width: channels at the masks'."""
         super().__init__()
         half = width // 2
         self.detail = nn.Sequential(*_conv(7, half), *_conv(half, half))
@@ -54,9 +67,16 @@ class MaskHead(nn.Module):
         self.quality = nn.Sequential(nn.Linear(2 * width, 128), nn.ReLU(), nn.Linear(128, classes))
 
     def forward(self, features: Tensor, batch: RgbdBatch, rois: Tensor, labels: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits (R, MASK_SIZE, MASK_SIZE) of the masks and (R,) of their IoU with the truth.
+        """Predict masks.
 
-        features (R, C, 14, 14) of the regions rois (R, 5): image index, `mask_boxes`; labels (R,): their classes.
+        Args:
+            features: Features of the regions, (R, C, 14, 14).
+            batch: The images.
+            rois: Regions (R, 5): image index, `mask_boxes`.
+            labels: Their classes, (R,).
+
+        Returns:
+            Logits (R, MASK_SIZE, MASK_SIZE) of the masks, and (R,) of their IoU with the truth.
         """
         detail = self.detail(_near(batch, rois))
         x = self.context(features + self.descend(detail))
@@ -71,7 +91,7 @@ class MaskHead(nn.Module):
 
 
 class _Refinement(nn.Module):
-    """What outlines still lack, from features of a mask that are drawn already: an hourglass of two scales, added."""
+    """A residual hourglass of two scales that refines the outlines."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -91,8 +111,17 @@ class _Refinement(nn.Module):
 
 
 def paste_one(patch: NDArray[np.float32], box: NDArray[np.float64], height: int, width: int) -> NDArray[np.bool_]:
-    """Bilinear resampling of a mask's probabilities (S, S) from its box, which may reach beyond the image, to the
-    image's pixel centres, over 0.5."""
+    """Resample a mask bilinearly into the image.
+
+    Args:
+        patch: Probabilities (S, S).
+        box: Box (4,) [px] that they cover; it may reach beyond the image.
+        height: Image height [px].
+        width: Image width [px].
+
+    Returns:
+        Mask (H, W): probability over 0.5 at the pixel centres.
+    """
     x0, y0, x1, y1 = (float(v) for v in box)
     mask = np.zeros((height, width), dtype=np.bool_)
     c0, c1 = max(int(np.floor(x0)), 0), min(int(np.ceil(x1)), width)
@@ -109,7 +138,7 @@ def paste_one(patch: NDArray[np.float32], box: NDArray[np.float64], height: int,
 
 
 def features_size() -> int:
-    """Cells a side of the features that `MaskHead` takes."""
+    """Cells per side of the features that `MaskHead` takes."""
     return _CONTEXT
 
 
@@ -123,9 +152,10 @@ def _conv(n_in: int, n_out: int, stride: int = 1) -> list[nn.Module]:
 
 @torch.no_grad()
 def _near(batch: RgbdBatch, rois: Tensor) -> Tensor:
-    """(R, 7, MASK_SIZE, MASK_SIZE): colour; x, y, z from the region's centre and nearer side in units of 5 cm; known.
+    """Colour and metric coordinates of regions, (R, 7, MASK_SIZE, MASK_SIZE).
 
-    The reference in z is a low quantile of the region's depths: most of a thin tool's box is background.
+    Channels: colour (3); x, y, z from the region's centre and nearer side in units of 5 cm; whether the depth is known.
+    The reference in z is a low quantile of the region's depths, because most of a thin tool's box is background.
     """
     colour = roi_align(batch.pixels[:, :3], rois, MASK_SIZE, 1.0, 1, aligned=True)
     image = rois[:, 0].long()

@@ -1,4 +1,4 @@
-"""The tool's end effectors found in an RGB-D image: instance masks by a Mask R-CNN."""
+"""The segmenter: a trained Mask R-CNN with zoom pass and mask refinement, from an RGB-D frame to instance masks."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ import cv2
 import numpy as np
 import torch
 
+from toolee_robot.perception.detection.config import DetectorConfig, working_size
 from toolee_robot.perception.detection.detector import (
     Detector,
-    DetectorConfig,
     RawDetections,
     trained_detector,
-    working_size,
 )
 from toolee_robot.perception.detection.inputs import RgbdBatch, encode_rgbd
 from toolee_robot.perception.detection.instances import Instances, associate, without_duplicates
@@ -26,11 +25,21 @@ from toolee_robot.perception.precision import in_bfloat16, prefers_bfloat16
 from toolee_robot.types import Detection, RgbdFrame
 
 EVERYTHING = 0.02
-"""Score threshold for evaluation: AP ranks the weak detections too."""
+"""Score threshold for evaluation: average precision also ranks the weak detections."""
 
 
 class Segmenter:
-    """A trained detector, ready for images of any size. Thread-safe once loaded: inference keeps no state."""
+    """A trained detector for images of any size. Thread-safe once loaded: inference keeps no state.
+
+    Args:
+        detector: The trained network; its batch normalisation is fused in place.
+        device: torch device that runs it.
+        bfloat16: Whether a CPU computes in bfloat16; None: where it is faster, see `prefers_bfloat16`.
+        refinement: Refines the end effectors' masks; None: they stay as the detector's mask head predicts them.
+
+    Attributes:
+        config: Architecture and inference settings of the detector.
+    """
 
     def __init__(
         self,
@@ -39,8 +48,6 @@ class Segmenter:
         bfloat16: bool | None = None,
         refinement: MaskRefinement | None = None,
     ) -> None:
-        """bfloat16: whether a processor computes in it; where it pays if None. refinement: refines the end effectors'
-        masks once more; without it they stay as the detector draws them."""
         self._device = torch.device(device)
         self._bfloat16 = prefers_bfloat16(self._device) if bfloat16 is None else bfloat16
         self._refinement = refinement
@@ -53,42 +60,68 @@ class Segmenter:
     def load(
         cls, weights_dir: Path | None = None, device: torch.device | str = "cpu", bfloat16: bool | None = None
     ) -> Segmenter:
-        """The shipped detector, or the one a training run left in `weights_dir`, with the refiner beside it if there is
-        one. bfloat16: as for the constructor.
+        """Load the shipped detector, or the one that a training left in a folder, with the refiner beside it where
+        there is one.
 
-        Raises AssetError that names the missing or unreadable file.
+        Args:
+            weights_dir: Folder of weights; None: the shipped ones.
+            device: torch device that runs them.
+            bfloat16: See `Segmenter`.
+
+        Returns:
+            The segmenter, ready.
+
+        Raises:
+            AssetError: A weight file is missing or unreadable; the message names it.
         """
         device = torch.device(device)
         bfloat16 = prefers_bfloat16(device) if bfloat16 is None else bfloat16
         return cls(trained_detector(weights_dir), device, bfloat16, MaskRefinement.load(weights_dir, device, bfloat16))
 
     def detect(self, frame: RgbdFrame) -> list[Detection]:
-        """End effectors in an image, best score first, each with its tool's mask where seen."""
+        """Detect the end effectors in a frame.
+
+        Args:
+            frame: Colour image with registered depth [m], any size.
+
+        Returns:
+            Detections, best score first, each with the mask of its tool where that is seen.
+        """
         return associate(*self.instances(frame))
 
     def instances(self, frame: RgbdFrame, score_threshold: float | None = None) -> Instances:
-        """Every instance, whole tools among them, of which the class is at least as probable as `score_threshold` (the
-        configured one if None). Tools without a certain EE are looked at twice: see `segmentation_look`. What is found
-        is then drawn once more, near: see `segmentation_refiner`."""
-        found = self._found(frame, score_threshold)
-        return found if self._refinement is None else self._refinement(frame, found)
+        """Detect and segment every instance, whole tools included.
 
-    def _found(self, frame: RgbdFrame, score_threshold: float | None) -> Instances:
+        Tools without a confidently detected EE are seen again, enlarged (`zoom_pass`); the EEs' masks are then refined
+        (`refiner`).
+
+        Args:
+            frame: Colour image with registered depth [m], any size.
+            score_threshold: Least class probability; None: the configured one.
+
+        Returns:
+            Masks, labels, scores and boxes in the frame's own size.
+        """
+        instances = self._both_passes(frame, score_threshold)
+        return instances if self._refinement is None else self._refinement(frame, instances)
+
+    def _both_passes(self, frame: RgbdFrame, score_threshold: float | None) -> Instances:
+        """Instances of the first pass, merged with those of the zoom pass."""
         height, width = frame.depth.shape
         threshold = self.config.score_threshold if score_threshold is None else score_threshold
         size = working_size(height, width, self.config.working_pixels)
-        first = self._look(frame, size, threshold)
-        again = crops(first, (height, width), size, self.config.working_pixels)
-        if not again:
+        first = self._detect_at(frame, size, threshold)
+        zoomed = crops(first, (height, width), size, self.config.working_pixels)
+        if not zoomed:
             return first
         second = []
-        for crop in again:
-            seen = self._look(cut(frame, crop), crop.size, max(threshold, MIN_PROBABILITY))
+        for crop in zoomed:
+            seen = self._detect_at(cut(frame, crop), crop.size, max(threshold, MIN_PROBABILITY))
             second.append(placed(seen, crop, (height, width)))
-        return without_duplicates(*merge(first, second, again, (height, width)))
+        return without_duplicates(*merge(first, second, zoomed, (height, width)))
 
-    def _look(self, frame: RgbdFrame, size: tuple[int, int], threshold: float) -> Instances:
-        """What the network finds in an image that it sees at `size` (height, width)."""
+    def _detect_at(self, frame: RgbdFrame, size: tuple[int, int], threshold: float) -> Instances:
+        """The network's detections in a frame that it sees at `size` (height, width)."""
         batch, scale = self._prepare(frame, size)
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self._bfloat16):
             raw = self._detector.detect(batch, threshold)[0]
@@ -114,7 +147,17 @@ class Segmenter:
 
 
 def paste(raw: RawDetections, scale: tuple[float, float], height: int, width: int) -> Instances:
-    """Full-size masks (H, W), labels, scores and boxes [px of the image] from the network's output."""
+    """Resample the network's masks into the full image.
+
+    Args:
+        raw: Detections of one image, in the network's input.
+        scale: Factors (x, y) from the input's pixels to the image's.
+        height: Image height [px].
+        width: Image width [px].
+
+    Returns:
+        Masks (H, W), labels, scores and boxes [px] in the image; instances whose mask is empty are dropped.
+    """
     masks, labels, scores, boxes = [], [], [], []
     factors = np.array([*scale, *scale])
     limits = np.array([width, height, width, height], dtype=np.float64)

@@ -2,9 +2,10 @@
 
     toolee train segmentation --data data/train --out runs/segmentation --minutes 12
 
-The whole data set is held on the device as bytes (each rank its share); scenes that appear while it trains are taken
-in, so generation may still run. Targets and augmentation are made on the device. The learning rate follows the clock:
-a run ends annealed whatever the machine's speed. Every checkpoint writes the averaged weights in half precision.
+The whole data set is held on the device as bytes (each rank its share); scenes that appear during the training are
+included, so that generation may still run. Targets and augmentation are computed on the device. The learning rate
+follows the clock: a run ends annealed whatever the machine's speed. Every checkpoint writes the averaged weights in
+half precision.
 """
 
 from __future__ import annotations
@@ -17,13 +18,12 @@ import torch
 from torch import Tensor
 
 from toolee_robot.errors import UserError
+from toolee_robot.perception.detection.config import DetectorConfig, working_size
 from toolee_robot.perception.detection.detector import (
     CLASSES,
     WEIGHTS_NAME,
     Detector,
-    DetectorConfig,
     load_detector,
-    working_size,
 )
 from toolee_robot.perception.detection.losses import DetectorLoss, instances_from_maps
 from toolee_robot.perception.detection.training_data import DeviceImages, augment
@@ -36,16 +36,30 @@ from toolee_robot.perception.weight_files import load_weights
 
 @dataclass(frozen=True)
 class SegmentationTraining(ImageTraining):
-    """A training of the detector. batch: images a rank; the budget leaves loading out."""
+    """A training of the detector. The budget excludes the loading of the data.
+
+    Attributes:
+        augmentation: Strength of the augmentation; 0: none, 1: full.
+        model: Architecture of the detector.
+    """
 
     augmentation: float = 1.0
     model: DetectorConfig = field(default_factory=DetectorConfig)
 
 
 def train(config: SegmentationTraining, images: SegmentationImages | None = None) -> Path:
-    """Run the training and return the folder with the exported weights, their configuration and log.
+    """Run the training.
 
-    images: the data, if not to be read from `config.data`. Raises TooleeError when a loss is not finite.
+    Args:
+        config: Its settings.
+        images: The data; None: read from `config.data`.
+
+    Returns:
+        The folder with the exported weights, their description and the log.
+
+    Raises:
+        UserError: There is no scene to train on.
+        TooleeError: A loss is not finite.
     """
     with init_distributed(config.device) as distributed:
         torch.manual_seed(config.seed + 1000 * distributed.rank)
@@ -55,7 +69,8 @@ def train(config: SegmentationTraining, images: SegmentationImages | None = None
             first = [images] if images is not None else stream.take(config.patience) if stream else []
             if not first:
                 raise UserError(
-                    f"{config.data} holds no scene for rank {distributed.rank}: generate the data set first"
+                    f"{config.data} holds no scene for rank {distributed.rank}: generate the data set first",
+                    code="user.data_empty",
                 )
             _Run(config, distributed, first, stream).loop()
         finally:
@@ -85,8 +100,8 @@ class _Run(ImageTrainingRun):
         loss = DetectorLoss(detector)
         self.augment = augment
         if config.compile and distributed.device.type == "cuda":
-            # 747 images a second on each of two GPUs; 667 on one without. Targets stay as they are: compiled, argmax
-            # took the last of equal values instead of the first, and a training learnt from wrong boxes.
+            # About 10 % faster. The targets are not compiled: compiled, argmax takes the last of equal values instead
+            # of the first, which gives wrong boxes.
             detector.backbone.compile(dynamic=False)
             loss.compile_proposal_losses()
             self.augment = torch.compile(augment, dynamic=False)

@@ -15,8 +15,15 @@ from toolee_robot.perception.training.labelled_images import DeviceStore, Segmen
 
 @dataclass(frozen=True)
 class ImageSample:
-    """B images on the device. rgb (B, H, W, 3) uint8; depth (B, H, W) float32 [m], 0 where unknown; focal (B,) [px];
-    maps (B, 2, H, W) uint8: ids of EE and tool; categories (B, E) uint8."""
+    """B images on the device.
+
+    Attributes:
+        rgb: (B, H, W, 3) uint8.
+        depth: (B, H, W) float32 [m], 0 where unknown.
+        focal: Focal length, (B,) [px].
+        maps: Ids of EE and tool, (B, 2, H, W) uint8.
+        categories: Class index of EE ids 1..E, (B, E) uint8.
+    """
 
     rgb: Tensor
     depth: Tensor
@@ -26,7 +33,15 @@ class ImageSample:
 
 
 class DeviceImages:
-    """A data set, or one rank's part of it, as bytes on the device, sampled in shuffled epochs. It may grow."""
+    """A data set, or one rank's part of it, as bytes on the device, sampled in shuffled epochs. It may grow.
+
+    Args:
+        images: The first images.
+        device: torch device that holds them.
+
+    Attributes:
+        tools: Largest id of a tool.
+    """
 
     def __init__(self, images: SegmentationImages, device: torch.device) -> None:
         self._store = DeviceStore(device, tools=True)
@@ -39,7 +54,7 @@ class DeviceImages:
         return len(self._store)
 
     def extend(self, more: SegmentationImages) -> None:
-        """Take in more images; they are drawn from the next epoch on."""
+        """Add more images; they are sampled from the next epoch on."""
         first = len(self._store)
         self._store.extend(more)
         most = max(self._categories.shape[1], more.categories.shape[1])
@@ -48,7 +63,7 @@ class DeviceImages:
         self.tools = max(self.tools, int(more.tool.max(initial=0)))
 
     def sample(self, count: int) -> ImageSample:
-        """The next `count` images."""
+        """The next `count` images of the epoch."""
         store = self._store
         while len(self._order) < count:
             fresh = torch.randperm(len(store), device=store.device)
@@ -60,13 +75,20 @@ class DeviceImages:
 
 @torch.no_grad()
 def augment(sample: ImageSample, size: tuple[int, int], strength: float = 1.0) -> tuple[RgbdBatch, Tensor]:
-    """Warped and recoloured images, as the network takes them, and their maps (B, 2, H', W') uint8.
+    """Augment images and encode them for the network.
 
-    The images are resampled to `size` (height, width), then padded to multiples of STRIDE.
+    Geometry: mirror, scale 0.74 to 1.9 (as if by another lens: depths are unchanged), shift, roll (any angle for a
+    third). Mirrored tools are as good for masks. Colour: gain and offset per channel, contrast, saturation, grey,
+    channel order, gamma; blur, noise, occluding rectangles. Depth: the focal length is off by about 1.5 % (standard
+    deviation).
 
-    Geometry: mirror, scale 0.74 to 1.9 (as if by another lens: depths stay), shift, roll (any angle for a third).
-    Mirrored tools are as good for masks. Colour: gain and offset a channel, contrast, saturation, grey, channel order,
-    gamma; blur, noise, rectangles that hide. Depth: the focal length is off by 3 %. strength 0 only resamples.
+    Args:
+        sample: The images.
+        size: Size (height, width) [px] to which they are resampled, before padding to multiples of STRIDE.
+        strength: Strength of the augmentation; 0 only resamples.
+
+    Returns:
+        The network's input and the id maps (B, 2, H', W') uint8.
     """
     n = len(sample.rgb)
     device = sample.rgb.device
@@ -89,7 +111,7 @@ def _uniform(n: int, low: float, high: float, device: torch.device) -> Tensor:
 
 
 def _warp(sample: ImageSample, size: tuple[int, int], strength: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Images (B, 3, H', W'), depth (B, H', W'), how much larger things got (B,), and maps (B, 2, H', W')."""
+    """Images (B, 3, H', W'), depth (B, H', W'), magnification (B,) and maps (B, 2, H', W')."""
     images = sample.rgb.permute(0, 3, 1, 2).float()
     n, _, height, width = images.shape
     device = images.device
@@ -112,18 +134,26 @@ def _warp(sample: ImageSample, size: tuple[int, int], strength: float) -> tuple[
     )
     grid = F.affine_grid(theta, [n, 1, *size], align_corners=False)
     warped = F.grid_sample(images, grid, mode="bilinear", padding_mode="reflection", align_corners=False)
-    # Reflected copies must not be unlabelled tools: their pixels become plain.
+    # Reflected copies would be unlabelled tools: their pixels get a plain colour.
     outside = (grid.abs() > 1.0).any(-1)[:, None]
     fill = _uniform(n, 0, 255, device).expand(-1, 3, -1, -1)
     warped = torch.where(outside, fill, warped)
-    # Depths between those of two neighbours would be of nothing.
+    # Nearest neighbour: interpolated depths between two surfaces belong to neither.
     exact = torch.cat([sample.maps.float(), sample.depth[:, None]], 1)
     exact = F.grid_sample(exact, grid, mode="nearest", padding_mode="zeros", align_corners=False)
     return warped, exact[:, 2], scale, exact[:, :2].to(torch.uint8)
 
 
 def recolour(images: Tensor, strength: float) -> Tensor:
-    """Images (B, 3, H, W) in 0..255, each with other gains, contrast, saturation, order of channels and gamma."""
+    """Vary the colours of each image: gains, contrast, saturation, order of the channels and gamma.
+
+    Args:
+        images: (B, 3, H, W) in 0..255.
+        strength: Strength of the changes; 0: none.
+
+    Returns:
+        The images, (B, 3, H, W) in 0..255.
+    """
     n, device = len(images), images.device
     grey = images.mean(1, keepdim=True)
     saturation = 1 + _uniform(n, -0.6, 0.6, device) * strength
@@ -142,7 +172,7 @@ def recolour(images: Tensor, strength: float) -> Tensor:
 
 
 def _blur(images: Tensor, strength: float) -> Tensor:
-    """The first quarter blurred: the batch's order is random."""
+    """Blur the first quarter of the batch, whose order is random."""
     count = round(0.25 * strength * len(images))
     if count == 0:
         return images
@@ -160,8 +190,7 @@ def _blur(images: Tensor, strength: float) -> Tensor:
 def _hide(
     images: Tensor, depth: Tensor, maps: Tensor, strength: float, count: int = 2
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Rectangles of one colour in front of the scene; what they hide is not seen and so no target. Every second has no
-    depth."""
+    """Put plain rectangles in front of the scene, half of them without depth; what they hide is no target."""
     n, _, height, width = images.shape
     device = images.device
     y = torch.arange(height, device=device)[None, :, None]

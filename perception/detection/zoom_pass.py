@@ -1,8 +1,8 @@
-"""The detector's zoom pass: tools whose end effector it is not sure of, seen larger, each in a crop of its own.
+"""The zoom pass: tools whose end effector is missing or doubtful are detected again in an enlarged crop.
 
-An EE is often 20 px wide. Where it is missed or doubtful the whole tool is mostly found, and says where to look. What
-both looks found is one thing; what only one of them saw is half as credible. Also the masks are better: the same
-network draws a larger thing more finely, as long as it is no larger than what it was trained on.
+An EE is often only 20 px wide. Where it is missed, its whole tool is mostly detected and shows where to look. A thing
+detected in both passes keeps one instance; one detected in only one of them has half its score. Masks improve as well:
+the network segments enlarged things more finely, up to the sizes it was trained on.
 Boxes are x0, y0, x1, y1 [px] of the image; sizes are (height, width) [px].
 """
 
@@ -21,37 +21,44 @@ from toolee_robot.perception.detection.instances import MIN_TOOL_OVERLAP, Box, I
 from toolee_robot.types import RgbdFrame
 
 MIN_TOOL_SCORE = 0.3
-"""Score from which a tool is worth a zoom pass."""
+"""Least score of a tool for a zoom pass."""
 
 CERTAIN = 0.9
-"""A tool with an EE of this score is not looked at again."""
+"""A tool with an EE of at least this score needs no zoom pass."""
 
 MAGNIFICATION = 1.6
-"""How much larger the zoom pass sees things than the first. At 1.8 and 2 it gains less, though in training things
-were enlarged by up to 1.9."""
+"""Magnification relative to the first pass. 1.8 and 2 gain less, although training images are enlarged by up to 1.9."""
 
 MIN_MAGNIFICATION = 1.25
-"""A tool that fills the image can hardly be enlarged: below this a zoom pass shows nothing new."""
+"""Least magnification for a zoom pass: a tool that fills the image can hardly be enlarged."""
 
 MIN_PROBABILITY = 0.1
-"""Class probability from which the zoom pass's detections count: each costs a mask, a tenth of a look, and those below
-hardly change a score."""
+"""Least class probability in a crop: each detection costs a mask (a tenth of a pass), and weaker ones hardly change a
+score.
+"""
 
 SAME = 0.5
-"""IoU of two masks of one class from which they are of one thing."""
+"""Masks of one class with at least this IoU are of one thing."""
 
 _MARGIN, _MIN_MARGIN = 0.1, 6.0
-"""About a tool's box: a share of its longer side, and at least so many pixels."""
+"""Margin around a tool's box: a share of its longer side, and at least so many pixels."""
 _EDGE = 1.5
-"""A box that comes so near to a crop's border [px] may be of a thing that goes on beyond it."""
+"""A box this near [px] to a crop's border may be of a thing that continues beyond it."""
 
 _Instance = tuple[NDArray[np.bool_], int, float, Box]
 
 
 @dataclass(frozen=True)
 class Crop:
-    """The part x0 <= x < x1, y0 <= y < y1 [px] of an image, and the size (height, width) at which the network sees
-    it."""
+    """A part of an image, seen enlarged.
+
+    Attributes:
+        x0: First column [px].
+        y0: First row [px].
+        x1: Column after the last [px].
+        y1: Row after the last [px].
+        size: Size (height, width) [px] at which the network sees it.
+    """
 
     x0: int
     y0: int
@@ -60,8 +67,15 @@ class Crop:
     size: tuple[int, int]
 
     def holds(self, box: Box, image: tuple[int, int]) -> bool:
-        """Whether a thing with this box is whole in the crop: clear of those of its borders that are not the image's,
-        of (height, width)."""
+        """Whether a thing lies entirely inside of the crop.
+
+        Args:
+            box: Its box in the image [px].
+            image: Size (height, width) [px] of the image.
+
+        Returns:
+            True if the box is clear of those borders of the crop that are not the image's.
+        """
         return (
             (self.x0 == 0 or box[0] >= self.x0 + _EDGE)
             and (self.y0 == 0 or box[1] >= self.y0 + _EDGE)
@@ -71,9 +85,16 @@ class Crop:
 
 
 def crops(first: Instances, image: tuple[int, int], working: tuple[int, int], pixels: int) -> list[Crop]:
-    """A crop about every tool of a first look whose EE is missed or doubtful.
+    """The crops around the tools whose EE is missing or doubtful.
 
-    image: its size; working: the size at which the first look saw it; pixels: what no crop may exceed.
+    Args:
+        first: Instances of the first pass.
+        image: Size (height, width) [px] of the image.
+        working: Size at which the first pass saw it.
+        pixels: Largest area of a crop as the network sees it [px].
+
+    Returns:
+        One crop per such tool that can be enlarged enough.
     """
     masks, labels, scores, boxes = first
     certain = [m for m, label, score in zip(masks, labels, scores, strict=True) if label != TOOL and score >= CERTAIN]
@@ -90,8 +111,18 @@ def crops(first: Instances, image: tuple[int, int], working: tuple[int, int], pi
 
 
 def crop_about(box: Box, image: tuple[int, int], working: tuple[int, int], pixels: int) -> Crop | None:
-    """The crop that shows `box` with a margin, inside the image, `MAGNIFICATION` times as large as the first look did,
-    or less, so that it has at most `pixels`. None where that is under `MIN_MAGNIFICATION`. Arguments as `crops`."""
+    """The crop around one box, with a margin, inside of the image.
+
+    Args:
+        box: Box [px] to show.
+        image: See `crops`.
+        working: See `crops`.
+        pixels: See `crops`.
+
+    Returns:
+        The crop, enlarged by `MAGNIFICATION` or by less to keep within `pixels`; None where that is under
+        `MIN_MAGNIFICATION`.
+    """
     margin = max(_MIN_MARGIN, _MARGIN * max(box[2] - box[0], box[3] - box[1]))
     y0, y1, height = _span(box[1] - margin, box[3] + margin, image[0], MAGNIFICATION * working[0] / image[0])
     x0, x1, width = _span(box[0] - margin, box[2] + margin, image[1], MAGNIFICATION * working[1] / image[1])
@@ -102,8 +133,10 @@ def crop_about(box: Box, image: tuple[int, int], working: tuple[int, int], pixel
 
 
 def _span(low: float, high: float, limit: int, scale: float) -> tuple[int, int, int]:
-    """Start and end of the part of an axis of `limit` pixels that holds low to high, and how many the network sees of
-    it. The network pads to a multiple of STRIDE: rather the scene than padding, where there is more of it."""
+    """Start and end of the part of an axis of `limit` pixels that holds low to high, and its size for the network.
+
+    The network pads to a multiple of STRIDE, so that the part is widened to one where the image allows.
+    """
     first, last = max(math.floor(low), 0), min(math.ceil(high), limit)
     size = math.ceil((last - first) * scale / STRIDE) * STRIDE
     side = min(math.ceil(size / scale), limit)
@@ -112,7 +145,7 @@ def _span(low: float, high: float, limit: int, scale: float) -> tuple[int, int, 
 
 
 def cut(frame: RgbdFrame, crop: Crop) -> RgbdFrame:
-    """That part of a frame, with the intrinsics of a camera which sees only it."""
+    """Cut a crop out of a frame, with the intrinsics of a camera that sees only that part."""
     part = (slice(crop.y0, crop.y1), slice(crop.x0, crop.x1))
     K = frame.intrinsics
     width, height = crop.x1 - crop.x0, crop.y1 - crop.y0
@@ -121,7 +154,16 @@ def cut(frame: RgbdFrame, crop: Crop) -> RgbdFrame:
 
 
 def placed(seen: Instances, crop: Crop, image: tuple[int, int]) -> Instances:
-    """Instances of a crop as those of the image of size (height, width), without what the crop cuts off."""
+    """Instances of a crop in the coordinates of the image.
+
+    Args:
+        seen: Instances in the crop.
+        crop: The crop.
+        image: Size (height, width) [px] of the image.
+
+    Returns:
+        The instances in the image, without those that the crop cuts off.
+    """
     kept: list[_Instance] = []
     for mask, label, score, (x0, y0, x1, y1) in zip(*seen, strict=True):
         box = (x0 + crop.x0, y0 + crop.y0, x1 + crop.x0, y1 + crop.y0)
@@ -132,16 +174,25 @@ def placed(seen: Instances, crop: Crop, image: tuple[int, int]) -> Instances:
     return _columns(kept)
 
 
-def merge(first: Instances, second: Sequence[Instances], again: Sequence[Crop], image: tuple[int, int]) -> Instances:
-    """Both looks in one: a list of instances, in which one thing may still be twice.
+def merge(first: Instances, second: Sequence[Instances], zoomed: Sequence[Crop], image: tuple[int, int]) -> Instances:
+    """Merge the instances of both passes; a thing may still be in the result twice.
 
-    first: of the whole image, of size (height, width); second: `placed`, one for each crop of `again`. What both saw
-    has the mean of their scores, and the mask of the second; a tool, of which a crop may show less, that of the better
-    score. An EE that one look saw and the other should have has half of its score. What no crop holds stays as it is,
-    and so does a tool thin the zoom pass misses; a tool that only it sees is left out.
+    A thing detected in both passes has the mean of the scores and the second pass's mask (a tool, of which a crop may
+    show less, the mask of the better score). An EE detected in only one pass where the other covers it has half of its
+    score. Things outside of every crop, and tools that the zoom pass misses, stay unchanged; tools detected only in the
+    zoom pass are dropped.
+
+    Args:
+        first: Instances of the whole image.
+        second: `placed` instances of each crop.
+        zoomed: The crops.
+        image: Size (height, width) [px] of the image.
+
+    Returns:
+        The merged instances.
     """
     # Crops of neighbours share pixels: a thing seen in both counts once.
-    together = _columns([instance for look in second for instance in zip(*look, strict=True)])
+    together = _columns([instance for seen in second for instance in zip(*seen, strict=True)])
     later = list(zip(*without_duplicates(*together), strict=True))
     merged: list[_Instance] = []
     for mask, label, score, box in zip(*first, strict=True):
@@ -152,7 +203,7 @@ def merge(first: Instances, second: Sequence[Instances], again: Sequence[Crop], 
             if label != TOOL or other_score > score:
                 mask, box = other_mask, other_box
             score = (score + other_score) / 2
-        elif label != TOOL and any(crop.holds(box, image) for crop in again):
+        elif label != TOOL and any(crop.holds(box, image) for crop in zoomed):
             score /= 2
         merged.append((mask, label, score, box))
     merged += [(mask, label, score / 2, box) for mask, label, score, box in later if label != TOOL]

@@ -1,4 +1,4 @@
-"""How good the perception is, measured: the metrics, the tables, the pictures and the report.
+"""Evaluation of the perception: metrics, tables, pictures and the report.
 
-`toolee evaluate pose|segmentation|samplers DIR` is the way in; docs/results/protocol.md defines every figure.
+`toolee evaluate pose|segmentation|samplers DIR` runs it; docs/results/protocol.md defines every figure.
 """

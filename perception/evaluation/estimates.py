@@ -1,4 +1,4 @@
-"""One estimator over all clouds of a data set: what it says, beside the truth."""
+"""Estimates of one estimator on all clouds of a data set, with their errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from toolee_robot.errors import AssetError, PerceptionError
 from toolee_robot.frames import Array
 from toolee_robot.perception.dataset.records import SHOWN_HAND
 from toolee_robot.perception.evaluation import metrics
-from toolee_robot.perception.evaluation.examples import Case, Examples, Instance
+from toolee_robot.perception.evaluation.records import Case, Examples, Instance
 from toolee_robot.perception.evaluation.shapes import ee_shape, spin_is_observable
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult, with_hand
 from toolee_robot.perception.pose.estimator import PoseEstimator
@@ -29,13 +29,25 @@ from toolee_robot.types import HoldingHand
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """One row per instance that was asked for, (N,) each; no estimate is an infinite error and confidence 0.
+    """One row per instance that is asked for, N in all; a missing estimate has infinite errors and confidence 0.
 
-    category: index; held_out; angle [rad] modulo the group, position [m]; paper_angle [rad] by the paper's rule; axis
-    [rad]: between the z axes, modulo the group; mssd [m] and its ratio to the diameter, mspd [px of an image 640 wide];
-    spin, spin_fixed [rad]: the whole rotation error of a continuously symmetric EE without and with the hand's pose,
-    NaN elsewhere; confidence, usable; spin_told: whether the view tells a hammer's spin; spin_observable: what the
-    estimator says of that; class_ambiguity_right: whether its S is the class's; ms: wall-clock time of the estimate.
+    Attributes:
+        category: Index of the category, (N,).
+        held_out: Whether training never showed the tool, (N,) bool.
+        angle: Rotation error modulo the group, (N,) [rad].
+        position: Position error, (N,) [m].
+        paper_angle: Rotation error by the paper's rule, (N,) [rad].
+        axis: Angle between the z axes, modulo the group, (N,) [rad].
+        mssd_share: MSSD as a share of the EE's diameter, (N,).
+        mspd: MSPD, (N,) [px of an image 640 wide].
+        spin: Whole rotation error of a continuously symmetric EE without the hand's pose, NaN elsewhere, (N,) [rad].
+        spin_fixed: The same with the hand's pose, (N,) [rad].
+        confidence: In [0, 1], (N,).
+        usable: (N,) bool.
+        spin_told: Whether the view shows a hammer's spin, (N,) bool.
+        spin_observable: Predicted probability of that, (N,).
+        class_ambiguity_right: Whether the predicted S is the class's constant, (N,) bool.
+        ms: Wall-clock time of the estimate, (N,) [ms].
     """
 
     category: NDArray[np.int64]
@@ -59,18 +71,26 @@ class Estimates:
         return len(self.category)
 
     def rows(self, chosen: NDArray[np.bool_]) -> Estimates:
-        """The rows of a mask."""
+        """The rows of a mask (N,) bool."""
         return Estimates(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
 
     @property
     def made(self) -> NDArray[np.bool_]:
-        """Where there is an estimate at all."""
+        """Where there is an estimate, (N,) bool."""
         return np.isfinite(self.position)
 
 
 @dataclass(frozen=True, eq=False)
 class Ranked:
-    """A detection in a ranking, by how far it is to be trusted."""
+    """A pose in the ranking by score.
+
+    Attributes:
+        image: Number of the image.
+        category: Claimed category.
+        score: Trust in the pose.
+        X_camera_ee: The pose, 4x4.
+        usable: Whether it may be acted on.
+    """
 
     image: int
     category: Category
@@ -80,18 +100,39 @@ class Ranked:
 
 
 def load_estimator(folder: Path | None, device: str = "cpu") -> CloudEstimator:
-    """The estimator whose weights lie in a folder (the shipped one if None): ours or the paper's. Raises AssetError."""
+    """Load an estimator, the default or the paper's, by the weights in a folder.
+
+    Args:
+        folder: Folder of a training; None: the shipped weights.
+        device: torch device.
+
+    Returns:
+        The estimator.
+
+    Raises:
+        AssetError: The weights are missing or unreadable.
+    """
     if folder is None or (folder / "pose.json").is_file():
         return PoseEstimator.load(folder, device)
     if (folder / f"{PAPER}.json").is_file():
         return PaperEstimator.load(folder, device)
     raise AssetError(
-        f"{folder} holds neither pose.json nor {PAPER}.json: give the folder of a `toolee train pose` run (its --out)"
+        f"{folder} holds neither pose.json nor {PAPER}.json: give the folder of a `toolee train pose` run (its --out)",
+        code="asset.missing",
     )
 
 
 def estimate_case(estimator: CloudEstimator, case: Case, seed: int) -> tuple[PoseResult | None, float]:
-    """The estimate from one cloud, without the hand; None where it is refused; and the time it took [ms]."""
+    """Estimate the pose from one cloud, without the hand.
+
+    Args:
+        estimator: The estimator.
+        case: The mask with its cloud.
+        seed: Seed of the sampling.
+
+    Returns:
+        The estimate, None where it is refused, and its wall-clock time [ms].
+    """
     points = case.tool_points if estimator.of_tool else case.cloud.points
     if not estimator.of_tool and not case.cloud.usable:
         return None, 0.0
@@ -105,8 +146,14 @@ def estimate_case(estimator: CloudEstimator, case: Case, seed: int) -> tuple[Pos
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """One mask that an estimator is asked about. number: its seed. instance: what it shows; best: no better mask shows
-    that."""
+    """A mask whose pose an estimator is asked for.
+
+    Attributes:
+        number: Number of the mask; seed of the sampling.
+        case: The mask with its cloud.
+        instance: What it shows; None for a false alarm.
+        best: Whether it is the best mask of that instance.
+    """
 
     number: int
     case: Case
@@ -116,8 +163,13 @@ class Question:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """ranked: the detection, where there is an estimate that counts. row: of `Estimates`, for an instance's best mask;
-    number: of that instance."""
+    """Result of a question.
+
+    Attributes:
+        ranked: The pose for the ranking; None without one that counts.
+        number: Index of the instance; None for a false alarm.
+        row: Row of `Estimates`, for an instance's best mask.
+    """
 
     ranked: Ranked | None
     number: int | None
@@ -125,12 +177,21 @@ class Answer:
 
 
 def questions(examples: Examples, masks: str, of_tool: bool) -> list[Question]:
-    """All masks of that kind. of_tool: for an estimator of whole tools."""
+    """The questions about all masks of one kind.
+
+    Args:
+        examples: The data set.
+        masks: Kind of mask, "truth" or "predicted".
+        of_tool: Whether the estimator takes the whole tool's cloud.
+
+    Returns:
+        One question per mask.
+    """
     best = examples.of(masks)
     return [
         Question(
             number,
-            # The whole tool's points are many, and may have to travel to another process.
+            # Dropped where unused: the whole tool's points are many, and may be sent to another process.
             case if of_tool else replace(case, tool_points=_NO_POINTS),
             None if case.instance is None else examples.instances[case.instance],
             case.instance is not None and best[case.instance] is case,
@@ -140,7 +201,16 @@ def questions(examples: Examples, masks: str, of_tool: bool) -> list[Question]:
 
 
 def answer(estimator: CloudEstimator, trust: Trust, question: Question) -> Answer:
-    """Estimate, and judge it."""
+    """Estimate a question's pose and judge it.
+
+    Args:
+        estimator: The estimator.
+        trust: Its trust model.
+        question: The mask.
+
+    Returns:
+        The pose for the ranking, and the row of the instance.
+    """
     case, instance = question.case, question.instance
     result, ms = estimate_case(estimator, case, question.number)
     ranked = row = None
@@ -155,9 +225,17 @@ def answer(estimator: CloudEstimator, trust: Trust, question: Question) -> Answe
 
 
 def summary(examples: Examples, of_tool: bool, answers: Iterable[Answer]) -> tuple[Estimates, list[Ranked]]:
-    """Every instance that is asked for, by its best mask; and every detection, for the rankings.
+    """Join the answers: every instance that is asked for by its best mask, and every pose for the rankings.
 
-    An estimator of whole tools is only asked for the first of like ends.
+    An estimator of whole tools is only asked for the first of alike ends.
+
+    Args:
+        examples: The data set.
+        of_tool: Whether the estimator takes the whole tool's cloud.
+        answers: The answers, in any order.
+
+    Returns:
+        The estimates, and the poses for the rankings.
     """
     ranked, by_instance = [], {}
     for each in answers:

@@ -1,4 +1,4 @@
-"""The end effectors of a data set as the evaluation asks for them: true poses, and clouds under true or found masks."""
+"""The end effectors of a data set for the evaluation: true poses, and clouds under true or predicted masks."""
 
 from __future__ import annotations
 
@@ -9,89 +9,33 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.end_effectors import CATEGORIES, Category
+from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.errors import AssetError
-from toolee_robot.frames import Array
-from toolee_robot.perception.cloud import EeCloud, back_project, ee_cloud, without_flying_pixels
+from toolee_robot.perception.cloud import back_project, ee_cloud, without_flying_pixels
 from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.dataset.instances import object_of
 from toolee_robot.perception.dataset.records import MIN_POINTS, SCENES, EeTable
 from toolee_robot.perception.dataset.scene_reader import load_scenes, read_json, scene_folders
 from toolee_robot.perception.dataset.spec import catalogue_of
 from toolee_robot.perception.detection.instances import mask_iou
+from toolee_robot.perception.evaluation.records import Case, Examples, Instance
 from toolee_robot.perception.pipeline import EeDetector
 from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame
 
 SPLITS = ("test", "train")
 MATCH_IOU = 0.5
-"""A found mask is that of the EE which it overlaps by this much."""
-
-
-@dataclass(frozen=True, eq=False)
-class Instance:
-    """One EE in one image. image: its number in this evaluation. tool: number in the catalogue; ee: which of its ends.
-    X_camera_ee: 4x4; X_camera_hand: 4x4 of the right hand that holds the tool, or None. visible [px]; occlusion in
-    [0, 1]. target: whether it is asked for; one with under 50 points is neither found nor missed. first_end: no earlier
-    end of its tool is of its category. too_few_points: a target but for these 50 points."""
-
-    image: int
-    category: Category
-    catalogue: Catalogue
-    tool: int
-    ee: int
-    X_camera_ee: Array
-    X_camera_hand: Array | None
-    intrinsics: CameraIntrinsics
-    visible: int
-    occlusion: float
-    target: bool
-    first_end: bool
-    too_few_points: bool = False
-
-    @property
-    def held_out(self) -> bool:
-        """Whether the tool is one that training never shows."""
-        return self.catalogue.split(self.tool) == "test"
-
-
-@dataclass(frozen=True, eq=False)
-class Case:
-    """One mask, and the cloud under it. instance: index of what it shows, None for a false alarm. score: the
-    detector's; tool_score: its tool's. tool_points: (N, 3) [m] of the whole tool. overlap: the largest IoU of the mask
-    with an EE of its category, whether that counts as found or not."""
-
-    instance: int | None
-    image: int
-    category: Category
-    score: float
-    cloud: EeCloud
-    tool_points: Array
-    tool_score: float = 1.0
-    overlap: float = 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class Examples:
-    """What a data set holds. cases: by kind of mask, "truth" and, if a detector was given, "predicted". empty: frames
-    without any tool; images: how many there are in all."""
-
-    instances: list[Instance]
-    cases: dict[str, list[Case]]
-    empty: list[RgbdFrame]
-    images: int
-
-    def of(self, masks: str) -> dict[int, Case]:
-        """The best case of each instance."""
-        best: dict[int, Case] = {}
-        for case in self.cases[masks]:
-            if case.instance is not None and case.score > best.get(case.instance, _NOTHING).score:
-                best[case.instance] = case
-        return best
+"""Least IoU of a predicted mask with the EE that it is matched to."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """The first `count` images of a scene's folder."""
+    """The first images of a scene's folder.
+
+    Attributes:
+        scene: The folder.
+        catalogue: Tools of the data set.
+        count: Number of images.
+    """
 
     scene: Path
     catalogue: Catalogue
@@ -99,8 +43,18 @@ class Part:
 
 
 def parts(folder: Path, limit: int | None = None) -> list[Part]:
-    """What there is to read of a data set (or one split's folder), at most `limit` images of a split. Raises
-    AssetError."""
+    """The parts of a data set, or of one split's folder.
+
+    Args:
+        folder: Folder of the data set or split.
+        limit: Largest number of images per split; None: all.
+
+    Returns:
+        One part per scene.
+
+    Raises:
+        AssetError: There is no data set.
+    """
     catalogue = catalogue_of(folder)
     found = []
     for scenes in _splits(folder):
@@ -116,7 +70,18 @@ def parts(folder: Path, limit: int | None = None) -> list[Part]:
 
 
 def read_part(part: Part, detector: EeDetector | None) -> Examples:
-    """One part's examples, numbered from 0. Raises AssetError."""
+    """Read the examples of a part, numbered from 0.
+
+    Args:
+        part: The part.
+        detector: Gives the predicted masks; None: true masks only.
+
+    Returns:
+        The examples.
+
+    Raises:
+        AssetError: A file is missing or damaged.
+    """
     cases: dict[str, list[Case]] = {"truth": []}
     if detector is not None:
         cases["predicted"] = []
@@ -131,7 +96,7 @@ def read_part(part: Part, detector: EeDetector | None) -> Examples:
 
 
 def joined(examples: Iterable[Examples]) -> Examples:
-    """All of them in one, numbered on."""
+    """Join examples, numbered consecutively."""
     instances: list[Instance] = []
     cases: dict[str, list[Case]] = {}
     empty: list[RgbdFrame] = []
@@ -150,9 +115,19 @@ def joined(examples: Iterable[Examples]) -> Examples:
 
 
 def collect(folder: Path, detector: EeDetector | None = None, limit: int | None = None) -> Examples:
-    """Read a data set (or one split's folder), at most `limit` images of a split. Raises AssetError.
+    """Read a data set or one split's folder. One scene is in memory at a time; only clouds and frames without tools are
+    kept.
 
-    One scene is in memory at a time; of its images only the clouds stay, and the frames without tools.
+    Args:
+        folder: Folder of the data set or split.
+        detector: Gives the predicted masks; None: true masks only.
+        limit: Largest number of images per split; None: all.
+
+    Returns:
+        The examples.
+
+    Raises:
+        AssetError: A file is missing or damaged.
     """
     return joined(read_part(part, detector) for part in parts(folder, limit))
 
@@ -160,7 +135,17 @@ def collect(folder: Path, detector: EeDetector | None = None, limit: int | None 
 def instances_of(
     image: int, table: EeTable, intrinsics: CameraIntrinsics, catalogue: Catalogue
 ) -> Iterator[tuple[int, Instance]]:
-    """The EEs of one image, each with its id in the id maps."""
+    """The EEs of one image.
+
+    Args:
+        image: Number of the image.
+        table: Its record.
+        intrinsics: Its camera.
+        catalogue: Tools of the data set.
+
+    Yields:
+        The id in the id maps, and the instance.
+    """
     for row in np.flatnonzero(table.category):
         same_tool = np.flatnonzero(table.tool == table.tool[row])
         X_hand = table.X_camera_hand[row].astype(np.float64)
@@ -234,13 +219,13 @@ def _case(instance: int | None, image: int, frame: RgbdFrame, detection: Detecti
 
 
 def _splits(folder: Path) -> list[list[Path]]:
-    """The scenes of each split of a data set, or of the one split whose folder this is."""
+    """The scenes of each split of a data set, or of the one split whose folder is given."""
     splits = [scene_folders(folder / name) for name in SPLITS]
     if not any(splits):
         splits = [scene_folders(folder)]
     if not any(splits):
-        raise AssetError(f"no BOP scene in {folder}: give the folder of a data set made by `toolee dataset generate`")
+        raise AssetError(
+            f"no BOP scene in {folder}: give the folder of a data set made by `toolee dataset generate`",
+            code="asset.no_scene",
+        )
     return splits
-
-
-_NOTHING = Case(None, -1, Category.HAMMER_HEAD, -1.0, EeCloud.refused(""), np.empty((0, 3)))

@@ -1,4 +1,4 @@
-"""Pictures of an evaluation, as PNG files' bytes."""
+"""Pictures of an evaluation, as the bytes of PNG files."""
 
 from __future__ import annotations
 
@@ -21,8 +21,15 @@ _INK, _GRID = "#22303c", "#e3e8ed"
 
 
 def accuracy_curves(estimates: dict[str, Estimates], title: str) -> bytes:
-    """As the paper's Fig. 5: share of instances under a threshold, over the threshold, for each category (columns), in
-    rotation (above) and position (below), one line an estimator."""
+    """Share of instances under a threshold over the threshold, as the paper's Fig. 5.
+
+    Args:
+        estimates: Label to estimates, one line each.
+        title: Title of the picture.
+
+    Returns:
+        PNG: rotation above, position below, a column per category.
+    """
     present = [i for i in range(len(CATEGORIES)) if any((e.category == i).any() for e in estimates.values())]
     figure, axes = _figure(2, max(len(present), 1), (2.9, 2.5))
     degrees, millimetres = np.linspace(0, 20, 201), np.linspace(0, 30, 201)
@@ -45,8 +52,15 @@ def accuracy_curves(estimates: dict[str, Estimates], title: str) -> bytes:
 
 
 def risk_coverage_curves(reports: dict[str, dict[str, Any]], title: str) -> bytes:
-    """Share of failures among the most confident estimates, over how many are kept. reports: label -> what
-    `pose.confidence` returns."""
+    """Share of failures among the most confident estimates over the share kept.
+
+    Args:
+        reports: Label to the result of `pose.confidence`.
+        title: Title of the picture.
+
+    Returns:
+        PNG.
+    """
     figure, axes = _figure(1, 2, (4.2, 3.1))
     for ax, name, text in zip(axes[0], ("10deg2cm", "5deg1cm"), ("10 deg 2 cm", "5 deg 1 cm"), strict=True):
         for colour, (label, report) in zip(_cycle(len(reports)), reports.items(), strict=True):
@@ -61,8 +75,16 @@ def risk_coverage_curves(reports: dict[str, dict[str, Any]], title: str) -> byte
 
 
 def reliability_diagram(reports: dict[str, dict[str, Any]], title: str) -> bytes:
-    """Share of successes (10 deg, 2 cm) over the confidence, ten bins; on the diagonal it is calibrated. Bars: what the
-    share may be by chance (95 %, Wilson); areas: how many."""
+    """Share of successes (10 deg, 2 cm) over the confidence in ten bins, on the diagonal if calibrated. Bars: 95 %
+    interval (Wilson); areas: number of estimates.
+
+    Args:
+        reports: Label to the result of `pose.confidence`.
+        title: Title of the picture.
+
+    Returns:
+        PNG.
+    """
     figure, axes = _figure(1, 1, (4.4, 3.6))
     ax = axes[0, 0]
     ax.plot([0, 1], [0, 1], color="#9aa7b3", linestyle="--", linewidth=1)
@@ -83,7 +105,15 @@ def reliability_diagram(reports: dict[str, dict[str, Any]], title: str) -> bytes
 
 
 def sampler_figure(rows: Sequence[dict[str, Any]], title: str) -> bytes:
-    """Accuracy over network evaluations, and over time, one point a sampler: RK45, and numbers of fixed steps."""
+    """Accuracy over network evaluations, and over time, one point per sampler.
+
+    Args:
+        rows: Result of `samplers.sampler_table`.
+        title: Title of the picture.
+
+    Returns:
+        PNG.
+    """
     figure, axes = _figure(1, 2, (4.2, 3.1))
     for ax, key, text in zip(
         axes[0], ("evaluations", "median_ms"), ("network evaluations", "time of sampling one cloud [ms]"), strict=True
@@ -92,7 +122,7 @@ def sampler_figure(rows: Sequence[dict[str, Any]], title: str) -> bytes:
             reference = row["sampler"].startswith("RK45")
             y = row["average"]["5deg2cm"]
             ax.scatter(row[key], y, color=_COLOURS[1] if reference else _COLOURS[0], s=34, zorder=3)
-            # Of "3 steps" the number: those of few steps are neighbours.
+            # Only the number of "3 steps": points of few steps lie close together.
             label = row["sampler"].split()[0]
             ax.annotate(label, (row[key], y), textcoords="offset points", xytext=(5, 5), fontsize=8, color=_INK)
         ax.set_xscale("log")

@@ -1,4 +1,4 @@
-"""A page in one file: headings, tables, pictures inside. Nothing in it is fetched from anywhere."""
+"""A self-contained HTML page: headings, tables, embedded pictures; nothing is fetched."""
 
 from __future__ import annotations
 
@@ -48,7 +48,12 @@ dt { font-weight: 600; } dd { margin: 0; color: var(--soft); }
 
 
 class Page:
-    """Collects the parts of a page; `text` gives the whole."""
+    """Builder of a page; `text` returns it.
+
+    Args:
+        title: Title of the page.
+        subtitle: Line below it.
+    """
 
     def __init__(self, title: str, subtitle: str) -> None:
         self._title, self._subtitle = title, subtitle
@@ -56,28 +61,35 @@ class Page:
         self._sections: list[tuple[str, str]] = []
 
     def section(self, title: str) -> None:
-        """A heading that the contents list."""
+        """Add a section, listed in the table of contents."""
         name = "-".join("".join(c if c.isalnum() else " " for c in title.lower()).split())
         self._sections.append((name, title))
         self._parts.append(f'<h2 id="{name}">{escape(title)}</h2>')
 
     def heading(self, title: str) -> None:
-        """A smaller heading."""
+        """Add a heading within a section."""
         self._parts.append(f"<h3>{escape(title)}</h3>")
 
     def paragraph(self, text: str) -> None:
-        """Plain text."""
+        """Add plain text."""
         self._parts.append(f"<p>{escape(text)}</p>")
 
     def cards(self, values: Sequence[tuple[str, str]]) -> None:
-        """Large figures, (value, what it is) each."""
+        """Add large figures, each a value and its description."""
         cards = "".join(f'<div class="card"><b>{escape(v)}</b><span>{escape(t)}</span></div>' for v, t in values)
         self._parts.append(f'<div class="cards">{cards}</div>')
 
     def table(
         self, head: Sequence[str], rows: Sequence[Sequence[Any]], starts: set[int] | None = None, left: int = 1
     ) -> None:
-        """rows of strings or (string, is the best) pairs; a rule above the rows `starts`; `left` columns of text."""
+        """Add a table.
+
+        Args:
+            head: Column headings.
+            rows: Cells, each a string or a pair (string, whether it is the best).
+            starts: Rows with a rule above them.
+            left: Number of left-aligned columns of text.
+        """
         starts = starts or set()
         columns = "".join(
             f'<th class="left">{_heading(h)}</th>' if i < left else f"<th>{_heading(h)}</th>"
@@ -97,7 +109,7 @@ class Page:
         )
 
     def picture(self, png: bytes, caption: str) -> None:
-        """A PNG inside of the page."""
+        """Embed a PNG with a caption."""
         data = base64.b64encode(png).decode()
         text = escape(caption)
         self._parts.append(
@@ -105,12 +117,12 @@ class Page:
         )
 
     def definitions(self, entries: dict[str, str]) -> None:
-        """A list of terms."""
+        """Add a list of terms."""
         body = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in entries.items())
         self._parts.append(f"<dl>{body}</dl>")
 
     def text(self) -> str:
-        """The page."""
+        """The whole page."""
         links = "".join(f'<a href="#{name}">{escape(title)}</a>' for name, title in self._sections)
         body = "\n".join(self._parts)
         return (
@@ -123,10 +135,10 @@ class Page:
 
 
 def _whole_options(text: str) -> str:
-    """A browser would break a command's options after their dashes."""
+    """Keep a command's options from being broken after their dashes."""
     return re.sub(r"(?<= )--\S+", r"<span>\g<0></span>", escape(text))
 
 
 def _heading(text: str) -> str:
-    """Of a column: it may take several lines, but a number and its unit stay on one."""
+    """A column heading that may wrap, but not between a number and its unit."""
     return re.sub(r" (?=(cm|mm|%|°)( |$))", "\u00a0", escape(text))

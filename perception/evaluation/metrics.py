@@ -1,4 +1,4 @@
-"""Metrics on poses and confidences. Only the category's symmetry group decides an error, never a prediction."""
+"""Metrics of poses and confidences. Errors are modulo the category's symmetry group alone, never a prediction."""
 
 from __future__ import annotations
 
@@ -20,23 +20,41 @@ THRESHOLDS: dict[str, tuple[float, float]] = {
     "5deg5mm": (5.0, 0.005),
     "2deg2mm": (2.0, 0.002),
 }
-"""[deg], [m]. The first three are the paper's."""
+"""Rotation [deg] and position [m]. The first three are the paper's."""
 
 
 def within(angle: Array, position: Array, degrees: float, metres: float) -> NDArray[np.bool_]:
-    """Which errors ([rad], [m]; inf where there is no estimate) are under both thresholds."""
+    """Which errors are under both thresholds.
+
+    Args:
+        angle: (N,) [rad]; infinite where there is no estimate.
+        position: (N,) [m].
+        degrees: Threshold of the angle [deg].
+        metres: Threshold of the position [m].
+
+    Returns:
+        (N,) bool.
+    """
     return np.asarray((angle < np.deg2rad(degrees)) & (position < metres))
 
 
 def shares(angle: Array, position: Array) -> dict[str, float]:
-    """Share under each of `THRESHOLDS`."""
+    """Share of errors under each of `THRESHOLDS`; angle (N,) [rad], position (N,) [m]."""
     return {name: float(within(angle, position, *limits).mean()) for name, limits in THRESHOLDS.items()}
 
 
 def paper_rule_angle(R: Array, R_true: Array, ambiguous: Array) -> float:
-    """The paper's own error [rad]: axes that the *prediction* calls ambiguous, `ambiguous` (3,) over 0.5, are left out.
+    """The paper's rotation error, which leaves out axes that the *prediction* calls ambiguous.
 
-    None: the whole angle. One: the angle between that axis in both poses. Two or three: nothing is left, 0.
+    Without such an axis: the whole angle. One: the angle between that axis in both poses. Two or three: 0.
+
+    Args:
+        R: Estimated rotation, 3x3.
+        R_true: True rotation, 3x3.
+        ambiguous: Predicted ambiguity, (3,); an axis is ambiguous over 0.5.
+
+    Returns:
+        The error [rad].
     """
     axes = np.flatnonzero(np.asarray(ambiguous) > 0.5)
     if len(axes) == 0:
@@ -47,21 +65,49 @@ def paper_rule_angle(R: Array, R_true: Array, ambiguous: Array) -> float:
 
 
 def axis_angle(R: Array, R_true: Array, group: SymmetryGroup) -> float:
-    """Angle [rad] between the z axes of R_true and of the member of R's orbit that is nearest to it: a wrench turned
-    over is the same wrench."""
+    """Angle between the z axes, modulo the symmetry group: a wrench turned over is the same wrench.
+
+    Args:
+        R: Estimated rotation, 3x3.
+        R_true: True rotation, 3x3.
+        group: Symmetry group.
+
+    Returns:
+        The angle [rad].
+    """
     return angle_between(group.canonical(R, R_true)[:, 2], R_true[:, 2])
 
 
 def mssd(X: Array, X_true: Array, vertices: Array, group: SymmetryGroup) -> float:
-    """Maximum symmetry-aware surface distance [m] (BOP): over the group, the least of the largest distances between the
-    vertices (V, 3) in the two poses. A continuous symmetry in 64 steps."""
+    """Maximum symmetry-aware surface distance (BOP): the smallest over the group of the largest vertex distance.
+
+    Args:
+        X: Estimated pose, 4x4.
+        X_true: True pose, 4x4.
+        vertices: (V, 3) [m].
+        group: Symmetry group; a continuous one in 64 steps.
+
+    Returns:
+        The distance [m].
+    """
     estimated = vertices @ X[:3, :3].T + X[:3, 3]
     true = (vertices @ np.swapaxes(group.elements(), 1, 2)) @ X_true[:3, :3].T + X_true[:3, 3]
     return float(np.linalg.norm(true - estimated, axis=-1).max(-1).min())
 
 
 def mspd(X: Array, X_true: Array, vertices: Array, group: SymmetryGroup, K: Array) -> float:
-    """Maximum symmetry-aware projection distance [px] (BOP); inf for a pose behind the camera. K: 3x3."""
+    """Maximum symmetry-aware projection distance (BOP).
+
+    Args:
+        X: Estimated pose, 4x4.
+        X_true: True pose, 4x4.
+        vertices: (V, 3) [m].
+        group: Symmetry group; a continuous one in 64 steps.
+        K: Camera matrix, 3x3.
+
+    Returns:
+        The distance [px]; infinite for a pose behind the camera.
+    """
     estimated = _project(vertices @ X[:3, :3].T + X[:3, 3], K)
     true = _project((vertices @ np.swapaxes(group.elements(), 1, 2)) @ X_true[:3, :3].T + X_true[:3, 3], K)
     distance = np.linalg.norm(true - estimated, axis=-1).max(-1).min()
@@ -69,15 +115,30 @@ def mspd(X: Array, X_true: Array, vertices: Array, group: SymmetryGroup, K: Arra
 
 
 def average_recall(errors: Array, unit: Array | float) -> float:
-    """BOP's recall, the mean over ten thresholds 0.05 .. 0.5 (times `unit`) of the share of errors under them; for MSSD
-    the unit is the object's diameter, for MSPD 100 px at an image width of 640."""
+    """Average recall (BOP): mean over ten thresholds 0.05 to 0.5 of the share of errors under them.
+
+    Args:
+        errors: (N,).
+        unit: Unit of the thresholds: for MSSD the object's diameter, for MSPD 100 px at an image width of 640.
+
+    Returns:
+        The recall in [0, 1]; NaN without errors.
+    """
     limits = np.linspace(0.05, 0.5, 10)
     return float(np.mean([(errors < limit * unit).mean() for limit in limits])) if len(errors) else float("nan")
 
 
 def average_precision(score: Array, correct: NDArray[np.bool_], targets: int) -> float:
-    """Area under the interpolated precision-recall curve of ranked detections; `targets`: how many there were to find.
-    Equal scores keep their order."""
+    """Area under the interpolated precision-recall curve of ranked detections.
+
+    Args:
+        score: (N,); equal scores keep their order.
+        correct: Which are right, (N,) bool.
+        targets: Number of instances to be found.
+
+    Returns:
+        The area in [0, 1]; NaN without targets.
+    """
     if targets == 0:
         return float("nan")
     hits = correct[np.argsort(-score, kind="stable")]
@@ -87,7 +148,16 @@ def average_precision(score: Array, correct: NDArray[np.bool_], targets: int) ->
 
 
 def calibration_error(confidence: Array, success: NDArray[np.bool_], bins: int = 10) -> float:
-    """Expected calibration error: the mean gap between confidence and success in equal bins, weighted by their size."""
+    """Expected calibration error: mean gap between confidence and success over equal bins, weighted by their size.
+
+    Args:
+        confidence: (N,) in [0, 1].
+        success: (N,) bool.
+        bins: Number of bins.
+
+    Returns:
+        The error; NaN without estimates.
+    """
     if len(confidence) == 0:
         return float("nan")
     gaps = [abs(c - s) * n for c, s, n in reliability(confidence, success, bins)]
@@ -95,29 +165,66 @@ def calibration_error(confidence: Array, success: NDArray[np.bool_], bins: int =
 
 
 def reliability(confidence: Array, success: NDArray[np.bool_], bins: int = 10) -> list[tuple[float, float, int]]:
-    """Mean confidence, share of successes and size of each bin that is not empty."""
+    """Reliability over equal bins of the confidence.
+
+    Args:
+        confidence: (N,) in [0, 1].
+        success: (N,) bool.
+        bins: Number of bins.
+
+    Returns:
+        Mean confidence, share of successes and size of each bin that is not empty.
+    """
     which = np.clip((confidence * bins).astype(int), 0, bins - 1)
     rows = [which == b for b in range(bins)]
     return [(float(confidence[r].mean()), float(success[r].mean()), int(r.sum())) for r in rows if r.any()]
 
 
 def risk_coverage(confidence: Array, success: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Coverage and risk (share of failures) when only the most confident are kept, from one to all."""
+    """Risk over coverage when only the most confident estimates are kept.
+
+    Args:
+        confidence: (N,) in [0, 1].
+        success: (N,) bool.
+
+    Returns:
+        Coverage (N,) and risk (N,), the share of failures, for one kept estimate to all.
+    """
     failed = ~success[np.argsort(-confidence, kind="stable")]
     n = np.arange(1, len(failed) + 1)
     return n / max(len(failed), 1), np.cumsum(failed) / n
 
 
 def refusing(confidence: Array, success: NDArray[np.bool_], share: float = 0.1) -> dict[str, float]:
-    """Share of failures of all, and of those left when the least confident `share` is refused."""
+    """Share of failures before and after refusing the least confident estimates.
+
+    Args:
+        confidence: (N,) in [0, 1].
+        success: (N,) bool.
+        share: Share that is refused.
+
+    Returns:
+        "failures", "failures_kept", and their "ratio".
+    """
     kept = np.argsort(-confidence, kind="stable")[: round(len(confidence) * (1 - share))]
     before, after = float((~success).mean()), float((~success[kept]).mean())
     return {"failures": before, "failures_kept": after, "ratio": after / before if before else float("nan")}
 
 
 def box_iou(X: Array, X_true: Array, low: Array, high: Array, group: SymmetryGroup, steps: int = 10) -> float:
-    """Overlap (intersection over union) of one box, corners `low` and `high` (3,) [m], in two poses; on a grid of
-    `steps`^3 points. The rotation is first aligned modulo the group, as NOCS does."""
+    """Overlap of one box in two poses, on a grid. The rotation is first aligned modulo the group, as NOCS does.
+
+    Args:
+        X: Estimated pose, 4x4.
+        X_true: True pose, 4x4.
+        low: Lower corner of the box, (3,) [m].
+        high: Upper corner, (3,) [m].
+        group: Symmetry group.
+        steps: Grid points per side.
+
+    Returns:
+        Intersection over union.
+    """
     aligned = X.copy()
     aligned[:3, :3] = group.canonical(X[:3, :3], X_true[:3, :3])
     centres = (np.arange(steps) + 0.5) / steps
@@ -129,7 +236,7 @@ def box_iou(X: Array, X_true: Array, low: Array, high: Array, group: SymmetryGro
 
 
 def quantiles(values: Array) -> dict[str, Any]:
-    """Median and 95th percentile, None where there is nothing."""
+    """Median and 95th percentile; None for no values."""
     if len(values) == 0:
         return {"median": None, "p95": None}
     return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95))}

@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.perception.evaluation import metrics
 from toolee_robot.perception.evaluation.estimates import Estimates, Ranked
-from toolee_robot.perception.evaluation.examples import Instance
+from toolee_robot.perception.evaluation.records import Instance
 from toolee_robot.perception.evaluation.shapes import ee_shape
 from toolee_robot.perception.pose.confidence import RIGHT
 
 GROUPS = ("held-out", "seen")
 IOU = 0.1
-"""A detection belongs to an EE whose box its own overlaps by this much (NOCS)."""
+"""Least box overlap of a detection with its EE (NOCS)."""
 KEPT = 0.85
-"""The share of estimates that the best-kept figures are given for."""
+"""Share of the most confident estimates for which errors are reported."""
 
 
 def tables(estimates: Estimates) -> dict[str, Any]:
-    """Everything that is measured on one estimator and one kind of masks, for held-out and for seen instances."""
+    """All tables of one estimator with one kind of masks, for held-out and for seen instances."""
     result: dict[str, Any] = {}
     for group, chosen in (("held-out", estimates.held_out), ("seen", ~estimates.held_out)):
         part = estimates.rows(chosen)
@@ -40,7 +40,15 @@ def tables(estimates: Estimates) -> dict[str, Any]:
 
 
 def by_category(estimates: Estimates, row: Any) -> dict[str, dict[str, Any]]:
-    """row(estimates) of each category that there is, and as "average" the mean of the categories' numbers."""
+    """A table by category.
+
+    Args:
+        estimates: All estimates.
+        row: Makes the row of a category of its estimates.
+
+    Returns:
+        The row of each category that occurs, and as "average" the mean over the categories.
+    """
     table = {}
     for i, category in enumerate(CATEGORIES):
         part = estimates.rows(estimates.category == i)
@@ -75,8 +83,9 @@ def _bop(e: Estimates) -> dict[str, float]:
 
 
 def _symmetry(e: Estimates) -> dict[str, Any]:
-    """Share of views whose S is the class's constant, and of those that may show the spin, such as a hammer head's,
-    whose spin is rightly called observable."""
+    """Share of views whose predicted S is the class's constant; of those that may show the spin, such as a hammer
+    head's, the share whose spin is rightly called observable.
+    """
     cued = [i for i, category in enumerate(CATEGORIES) if category.spec.spin_cues]
     hammers = e.rows(e.made & np.isin(e.category, cued))
     right = (hammers.spin_observable > 0.5) == hammers.spin_told
@@ -94,7 +103,9 @@ def _symmetry(e: Estimates) -> dict[str, Any]:
 
 
 def confidence(e: Estimates) -> dict[str, Any] | None:
-    """How much the confidence is worth over the estimates that were made; None for an estimator without one."""
+    """Calibration and usefulness of the confidence over the estimates that were made; None for an estimator
+    without one.
+    """
     made = e.rows(e.made)
     if len(made) < 2 or np.ptp(made.confidence) == 0:
         return None
@@ -120,8 +131,9 @@ def confidence(e: Estimates) -> dict[str, Any] | None:
 
 
 def _kept(e: Estimates) -> dict[str, Any]:
-    """Errors of the EE's origin [mm] and of its z axis [deg] (a hammer's face: centre and normal) for the estimates
-    that the confidence calls usable, and for its best 85 %."""
+    """Errors of the EE's origin [mm] and z axis [deg] (a hammer's face: centre and normal) of the usable
+    estimates, and of the most confident 85 %.
+    """
     order = np.argsort(-e.confidence, kind="stable")
     best = np.zeros(len(e), dtype=bool)
     best[order[: int(np.ceil(KEPT * len(e)))]] = True
@@ -140,7 +152,15 @@ def _kept(e: Estimates) -> dict[str, Any]:
 
 
 def ranked_ap(instances: list[Instance], ranked: list[Ranked]) -> dict[str, dict[str, float | None]]:
-    """Class AP over detections ranked by score, jointly under n deg and m cm, at IoU over 0.1 (NOCS); and the mean."""
+    """Average precision of each category over poses ranked by score, for each threshold, at box IoU over 0.1 (NOCS).
+
+    Args:
+        instances: The instances.
+        ranked: The poses.
+
+    Returns:
+        Category to threshold to AP, and the mean as "average".
+    """
     by_image = _by_image(instances)
     table: dict[str, dict[str, float | None]] = {}
     for category in CATEGORIES:
@@ -161,9 +181,17 @@ def ranked_ap(instances: list[Instance], ranked: list[Ranked]) -> dict[str, dict
 
 
 def usable_poses(instances: list[Instance], ranked: list[Ranked], images: int) -> dict[str, float | None]:
-    """What comes of acting on every usable pose, false alarms among them: share of those within 10 deg 2 cm of an end
-    effector of their category, how many an image are not, and the share of the end effectors that are asked for and
-    get a right one."""
+    """Results of acting on every usable pose, false alarms included.
+
+    Args:
+        instances: The instances.
+        ranked: The poses.
+        images: Number of images.
+
+    Returns:
+        Number of poses; share within 10 deg 2 cm of an EE of their category; wrong ones per image; share of the EEs
+        asked for that get a right one.
+    """
     correct, counts = right_poses(instances, [r for r in ranked if r.usable])
     right, counted = int(correct.sum()), int(counts.sum())
     targets = sum(i.target for i in instances)
@@ -206,7 +234,7 @@ def _by_image(instances: list[Instance]) -> dict[tuple[int, Category], list[Inst
 
 
 def _overlaps(detection: Ranked, instances: list[Instance]) -> _Overlap:
-    """The instances that a detection may belong to, the best overlap first."""
+    """Instances that a detection may belong to, the best overlap first."""
     found = []
     for instance in instances:
         distance = float(np.linalg.norm(detection.X_camera_ee[:3, 3] - instance.X_camera_ee[:3, 3]))
@@ -223,7 +251,7 @@ def _overlaps(detection: Ranked, instances: list[Instance]) -> _Overlap:
 def _matched(
     ranked: list[Ranked], overlaps: list[_Overlap], limits: tuple[float, float]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which detections, best score first, are right, and which count at all (those of hardly visible EEs do not)."""
+    """Which detections, best score first, are right, and which count (those of hardly visible EEs do not)."""
     correct, counted = np.zeros(len(ranked), dtype=bool), np.ones(len(ranked), dtype=bool)
     taken: set[int] = set()
     for k, (detection, candidates) in enumerate(zip(ranked, overlaps, strict=True)):
@@ -244,7 +272,7 @@ def _matched(
 
 
 def latency(estimates: Estimates) -> dict[str, float | None]:
-    """Wall-clock time of one estimate (encoder, sampling, pooling), the first five calls left out."""
+    """Wall-clock time of an estimate (encoder, sampling, pooling), without the first five calls."""
     ms = estimates.ms[estimates.made][5:]
     if len(ms) == 0:
         return {"median_ms": None, "p90_ms": None}

@@ -1,4 +1,4 @@
-"""The whole evaluation of the pose: several estimators on the same clouds, in one run, on one process or several."""
+"""Pose evaluation of several estimators on the same clouds, in one process or several."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ from toolee_robot.perception.evaluation.estimates import (
     questions,
     summary,
 )
-from toolee_robot.perception.evaluation.examples import Examples, Instance, Part, joined, parts, read_part
+from toolee_robot.perception.evaluation.examples import Part, joined, parts, read_part
+from toolee_robot.perception.evaluation.records import Examples, Instance
 from toolee_robot.perception.evaluation.samplers import sampler_table
 from toolee_robot.perception.pipeline import EeDetector, ToolPerception
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
@@ -35,16 +36,27 @@ from toolee_robot.types import RgbdFrame
 
 T = TypeVar("T")
 Progress = Callable[[str, int, int], None]
-"""What is being done, how much of it is done, how much there is."""
+"""Called with the name of the stage, the finished number and the total."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What to evaluate. weights: label -> folder of a training (None: the shipped weights). detector: folder of the
-    detector's weights (None: the shipped ones); true_masks_only: no detector: predicted masks, fused views and frames
-    without a tool are left out. limit: images of a split. hammers: how many are looked at from five views;
-    empty_frames: how many frames without a tool are looked at; sampler_clouds: clouds for the table of samplers. The
-    first label is the one that these three are done with. device: where the networks run; workers: processes."""
+    """What to evaluate.
+
+    Attributes:
+        folder: Folder of the data set or split.
+        weights: Label to folder of a training; None: the shipped weights. The first label is also used for fused views,
+            frames without a tool and samplers.
+        detector: Folder of the detector's weights; None: the shipped ones.
+        true_masks_only: No detector: without predicted masks, fused views and frames without a tool.
+        limit: Largest number of images per split.
+        hammers: Number of held hammers that are seen from five views.
+        empty_frames: Number of frames without a tool.
+        sampler_clouds: Number of clouds for the table of samplers.
+        seed: Seed of the rendered frames.
+        device: torch device of the networks.
+        workers: Number of processes.
+    """
 
     folder: Path
     weights: dict[str, Path | None]
@@ -61,7 +73,13 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Networks:
-    """What each process holds."""
+    """The networks that each process loads.
+
+    Attributes:
+        estimators: By label.
+        trust: Trust models by label.
+        detector: None where only true masks are evaluated.
+    """
 
     estimators: dict[str, CloudEstimator]
     trust: dict[str, Trust]
@@ -69,14 +87,14 @@ class Networks:
 
     @staticmethod
     def load(plan: Plan) -> Networks:
-        """Raises AssetError when weights are missing."""
+        """The networks of a plan. Raises AssetError when weights are missing."""
         estimators = {label: load_estimator(folder, plan.device) for label, folder in plan.weights.items()}
         trust = {label: Trust.load(folder, plan.detector) for label, folder in plan.weights.items()}
         return Networks(estimators, trust, None if plan.true_masks_only else Segmenter.load(plan.detector, plan.device))
 
     @property
     def perception(self) -> ToolPerception:
-        """The detector with the first estimator."""
+        """The pipeline of the detector with the first estimator."""
         assert self.detector is not None
         label, estimator = next(iter(self.estimators.items()))
         return ToolPerception(self.detector, estimator, self.trust[label])
@@ -84,15 +102,30 @@ class Networks:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """report: everything, as it is written to report.json. estimates: label -> kind of masks -> rows, for pictures."""
+    """Result of an evaluation.
+
+    Attributes:
+        report: Contents of report.json.
+        estimates: Label to kind of masks to estimates, for the pictures.
+    """
 
     report: dict[str, Any]
     estimates: dict[str, dict[str, Estimates]]
 
 
 def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
-    """The same report for any number of workers, but for the times. Raises AssetError when data or weights are
-    missing."""
+    """Evaluate. Apart from times, the report is the same for any number of workers.
+
+    Args:
+        plan: What to evaluate.
+        progress: Called with the name of the stage, the finished number and the total.
+
+    Returns:
+        The report, and the estimates.
+
+    Raises:
+        AssetError: Data or weights are missing.
+    """
     networks = Networks.load(plan)
     load = partial(Networks.load, plan) if plan.workers > 1 else lambda: networks
     with ProcessMap(load, plan.workers) as processes:
@@ -164,7 +197,7 @@ def _fuse(seed: int, networks: Networks, index: int) -> views.Fused | None:
 
 
 def _claims(seed: int, networks: Networks, frame: RgbdFrame | int) -> tuple[bool, bool]:
-    """frame: one of the data set's, or the number of one to render."""
+    """`views.claims` of a frame of the data set, or of a rendered one of this number."""
     return views.claims(networks.perception, views.empty_frame(seed, frame) if isinstance(frame, int) else frame)
 
 

@@ -1,5 +1,4 @@
-"""The table of samplers: accuracy against network evaluations and time, RK45 beside the fixed steps, on one network and
-the same clouds in one run."""
+"""The table of samplers: accuracy against network evaluations and time, on one network and the same clouds."""
 
 from __future__ import annotations
 
@@ -15,18 +14,25 @@ from torch import Tensor
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.perception.evaluation import metrics
 from toolee_robot.perception.evaluation.estimates import estimate_case
-from toolee_robot.perception.evaluation.examples import Examples
+from toolee_robot.perception.evaluation.records import Examples
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator
 from toolee_robot.perception.pose.processes.flow import Euler, Field, Process, Sampler
 from toolee_robot.perception.research.tooleenet.rk45 import Rk45
 
 STEPS = (1, 2, 3, 5, 10, 20)
 REFERENCE = "RK45"
+"""Name of the reference sampler."""
 
 
 @dataclass
 class Measured:
-    """A sampler that counts its network evaluations and its time [s], one entry a call."""
+    """A sampler that records its network evaluations and its time.
+
+    Attributes:
+        sampler: The sampler.
+        evaluations: Network evaluations of each call.
+        seconds: Time of each call [s].
+    """
 
     sampler: Sampler
     evaluations: list[int] = field(default_factory=list)
@@ -53,9 +59,16 @@ class Measured:
 def sampler_table(
     estimator: CloudEstimator, examples: Examples, limit: int, progress: Callable[[int, int], None]
 ) -> list[dict[str, Any]]:
-    """One row a sampler: over the first `limit` clouds under true masks, held-out tools first, one cloud at a time.
+    """Evaluate the samplers one cloud at a time, all from the same noise.
 
-    Seeds are equal, so that every sampler starts from the same noise. "average": of the categories' shares.
+    Args:
+        estimator: The estimator whose network is sampled.
+        examples: The data set.
+        limit: Number of clouds under true masks, held-out tools first.
+        progress: Called with the finished number of estimates and their total.
+
+    Returns:
+        One row per sampler; "average" is the mean of the categories' shares.
     """
     chosen = [c for c in examples.cases["truth"] if c.instance is not None and c.cloud.usable]
     chosen.sort(key=lambda c: not examples.instances[c.instance or 0].held_out)
@@ -96,7 +109,7 @@ def _row(name: str, measured: Measured, angle: Any, position: Any, category: Any
         "sampler": name,
         "clouds": len(angle),
         "evaluations": float(np.mean(measured.evaluations)),
-        # The first calls warm caches up.
+        # The first calls warm the caches.
         "median_ms": 1e3 * float(np.median(measured.seconds[3:] or measured.seconds)),
         "average": {k: float(np.mean([e[k] for e in each])) for k in metrics.THRESHOLDS},
         "median_mm": 1e3 * float(np.median(position[made])) if made.any() else None,

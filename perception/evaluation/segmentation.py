@@ -1,4 +1,4 @@
-"""COCO mask AP of a detector, by category, with faster-coco-eval (the `test` extra): `toolee evaluate segmentation`."""
+"""COCO mask AP of a detector by category, with faster-coco-eval (the `test` extra): `toolee evaluate segmentation`."""
 
 from __future__ import annotations
 
@@ -19,27 +19,33 @@ from toolee_robot.perception.training.labelled_images import SegmentationImages
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 MIN_PIXELS = 50
-"""An instance of which less is seen is crowd: no pose could come of it."""
+"""Instances with fewer visible pixels are crowd: too small for a pose."""
 STATISTICS = ("AP", "AP50", "AP75", "AP_S", "AP_M", "AP_L")
-"""COCO's first six: the mean over IoU .50 to .95, at .50, at .75, and by area (under 32^2, to 96^2, over) [px]."""
+"""COCO's first six: mean over IoU .50 to .95, at .50, at .75, and by area (under 32^2, to 96^2, over) [px]."""
 _TARGET = "target"
 
 
 @dataclass(frozen=True)
 class CocoTask:
-    """truth: a COCO data set as a dictionary; results: a COCO result list; times: of each image [s]."""
+    """Truth and detections in the COCO format.
+
+    Attributes:
+        truth: A COCO data set.
+        results: A COCO result list.
+        times: Time of each image [s].
+    """
 
     truth: dict[str, Any]
     results: list[dict[str, Any]]
     times: list[float]
 
     def of_targets(self) -> CocoTask:
-        """The same with everything but the targets crowd: neither found nor missed."""
+        """The task with every instance that is no target as crowd: neither found nor missed."""
         annotations = [{**v, "iscrowd": int(v["iscrowd"] or not v[_TARGET])} for v in self.truth["annotations"]]
         return CocoTask({**self.truth, "annotations": annotations}, self.results, self.times)
 
     def joined(self, other: CocoTask) -> CocoTask:
-        """Both, the other's images and annotations numbered after these."""
+        """Both tasks, the other's images and annotations numbered after these."""
         images, annotations = len(self.truth["images"]), len(self.truth["annotations"])
         moved = {
             "images": [{**v, "id": v["id"] + images} for v in other.truth["images"]],
@@ -61,14 +67,27 @@ class CocoTask:
 def evaluate(
     dataset_dir: Path, weights: Path | None = None, limit: int | None = None, device: str = "cpu"
 ) -> dict[str, Any]:
-    """Mask AP of the detector in `weights` (the shipped one if None) on a split of a data set: see `report`.
+    """Evaluate a detector on a split of a data set; one scene is in memory at a time.
 
-    One scene of images is in memory at a time. Raises AssetError.
+    Args:
+        dataset_dir: Folder of the split.
+        weights: Folder of the detector's weights; None: the shipped ones.
+        limit: Largest number of images.
+        device: torch device.
+
+    Returns:
+        See `report`.
+
+    Raises:
+        AssetError: Data or weights are missing.
+        UserError: faster-coco-eval is not installed.
     """
     segmenter = Segmenter.load(weights, device)
     scenes = scene_folders(dataset_dir)
     if not scenes:
-        raise AssetError(f"no BOP scene in {dataset_dir}: give the folder train or test of a data set")
+        raise AssetError(
+            f"no BOP scene in {dataset_dir}: give the folder train or test of a data set", code="asset.no_scene"
+        )
     task = _of_scenes(segmenter, scenes[:1], limit)
     for scene in scenes[1:]:
         left = None if limit is None else limit - len(task.times)
@@ -89,9 +108,21 @@ def coco_task(
     limit: int | None = None,
     targets: NDArray[np.bool_] | None = None,
 ) -> CocoTask:
-    """What the detector finds in (the first `limit` of) the images, and what is there, both as COCO has it. Instances
-    of under 50 visible pixels are crowd. targets (N, E): whether an image's EE id 1..E is one whose pose is asked for
-    (all, if None); annotations say so under "target". Raises UserError without faster-coco-eval."""
+    """Run a detector on images and collect truth and detections in the COCO format.
+
+    Args:
+        segmenter: The detector.
+        images: The images.
+        limit: Largest number of images.
+        targets: Whether the pose of an image's EE id 1..E is asked for, (N, E); None: all. Annotations have it as
+            "target".
+
+    Returns:
+        The task; instances of under 50 visible pixels are crowd.
+
+    Raises:
+        UserError: faster-coco-eval is not installed.
+    """
     encode = _coco_library()[2].encode
 
     def encoded(mask: NDArray[np.bool_]) -> dict[str, Any]:
@@ -127,7 +158,7 @@ def coco_task(
 
 
 def frame_of(images: SegmentationImages, index: int) -> RgbdFrame:
-    """One image of a data set as a camera gives it."""
+    """One image of a data set as a frame."""
     height, width = images.rgb.shape[1:3]
     fx, fy, cx, cy = (float(v) for v in images.intrinsics[index])
     depth = (images.depth_mm[index] / 1000.0).astype(np.float32)
@@ -135,10 +166,17 @@ def frame_of(images: SegmentationImages, index: int) -> RgbdFrame:
 
 
 def report(task: CocoTask) -> dict[str, Any]:
-    """For each class, and as "average" over the four EE categories: AP, AP50, AP75, AP_S, AP_M, AP_L (None: no such
-    instance), images, instances, and the median time of an image [ms]. Instances of under 50 visible pixels are crowd:
-    neither found nor missed. "average_of_targets": as the average, but what is no target (`EeTable.targets`) is crowd,
-    too, as where poses are judged."""
+    """Figures of a task.
+
+    Args:
+        task: Truth and detections.
+
+    Returns:
+        For each class, and as "average" over the four EE categories: AP, AP50, AP75, AP_S, AP_M, AP_L (None: no such
+        instance) and instances; number of images, median time of an image [ms]. Instances of under 50 visible pixels
+        are crowd. "average_of_targets": the average with everything that is no target (`EeTable.targets`) as crowd,
+        too.
+    """
     count = len(task.truth["images"])
     median_ms = 1000 * float(np.median(task.times)) if task.times else None
     asked = statistics(task.of_targets())
@@ -148,7 +186,7 @@ def report(task: CocoTask) -> dict[str, Any]:
 
 
 def statistics(task: CocoTask) -> dict[str, Any]:
-    """COCO's statistics for each class, and as "average" over the four EE categories."""
+    """COCO's statistics of each class, and as "average" over the four EE categories."""
     COCO, COCOeval_faster, _ = _coco_library()
     truth = COCO(copy.deepcopy(task.truth))
     found = truth.loadRes([dict(r) for r in task.results]) if task.results else None
@@ -177,12 +215,22 @@ def _coco_library() -> tuple[Any, Any, Any]:
         from faster_coco_eval import COCO, COCOeval_faster
         from faster_coco_eval.core import mask
     except ImportError as error:
-        raise UserError("evaluation needs faster-coco-eval: python -m pip install -e '.[test]'") from error
+        raise UserError(
+            "evaluation needs faster-coco-eval: python -m pip install -e '.[test]'", code="user.missing_package"
+        ) from error
     return COCO, COCOeval_faster, mask
 
 
 def true_instances(images: SegmentationImages, index: int) -> list[tuple[int, NDArray[np.bool_], int]]:
-    """(label, mask, id of the EE or 0) of every instance of one image of which at least a pixel is seen."""
+    """The true instances of one image.
+
+    Args:
+        images: The images.
+        index: Number of the image.
+
+    Returns:
+        Label, mask (H, W), and id of the EE (0 for a tool) of every instance with at least one visible pixel.
+    """
     found = []
     for ee_id, label in enumerate(images.categories[index].tolist(), 1):
         mask = images.ee[index] == ee_id

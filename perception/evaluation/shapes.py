@@ -1,4 +1,4 @@
-"""What the metrics need to know of a tool: the vertices of its EE, and whether a view tells its spin."""
+"""Shapes of end effectors for the metrics: vertices, and whether a view shows the spin."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.spatial.distance import pdist
 from toolee_robot.frames import Array, inverse, transform_points
 from toolee_robot.perception.dataset.catalogue import Catalogue
 from toolee_robot.perception.dataset.instances import ee_mesh
-from toolee_robot.perception.evaluation.examples import Case, Instance
+from toolee_robot.perception.evaluation.records import Case, Instance
 from toolee_robot.perception.pose.training.losses import SPIN_PIXELS
 
 _VERTICES = 400
@@ -20,7 +20,14 @@ _VERTICES = 400
 
 @dataclass(frozen=True, eq=False)
 class EeShape:
-    """vertices (V, 3) [m], EE frame; low, high (3,): their box; diameter [m]."""
+    """Shape of an EE, in its frame.
+
+    Attributes:
+        vertices: (V, 3) [m].
+        low: Lower corner of their box, (3,) [m].
+        high: Upper corner, (3,) [m].
+        diameter: Largest distance of two vertices [m].
+    """
 
     vertices: Array
     low: Array
@@ -30,7 +37,16 @@ class EeShape:
 
 @lru_cache(maxsize=4096)
 def ee_shape(catalogue: Catalogue, tool: int, ee: int) -> EeShape:
-    """The surface of one end of a tool of the data set."""
+    """Shape of one end of a tool.
+
+    Args:
+        catalogue: Tools of the data set.
+        tool: Number of the tool.
+        ee: Index of the end.
+
+    Returns:
+        The shape, of at most 400 vertices.
+    """
     vertices = 1e-3 * np.asarray(ee_mesh(catalogue.tool(tool), ee).vertices)
     if len(vertices) > _VERTICES:
         vertices = vertices[np.random.default_rng(0).permutation(len(vertices))[:_VERTICES]]
@@ -38,8 +54,15 @@ def ee_shape(catalogue: Catalogue, tool: int, ee: int) -> EeShape:
 
 
 def spin_is_observable(instance: Instance, case: Case) -> bool:
-    """Whether the view holds what tells the spin about a free axis, by the rule that training labels with: enough
-    points of such parts in the cloud, or the rest of the tool in sight off the axis."""
+    """Whether a view shows the spin about a free axis, by the rule that labels training clouds.
+
+    Args:
+        instance: The EE with its true pose.
+        case: A mask of it, with its cloud.
+
+    Returns:
+        True if enough points of symmetry-breaking parts are in the cloud, or the rest of the tool is seen off the axis.
+    """
     if not instance.category.spec.spin_cues:
         return False
     z = instance.X_camera_ee[:3, 2]
@@ -49,7 +72,15 @@ def spin_is_observable(instance: Instance, case: Case) -> bool:
 
 
 def spin_points(instance: Instance, case: Case) -> int:
-    """How many points of the cloud are of parts that tell the spin about a free axis, `EndEffectorSpec.spin_cues`."""
+    """Number of points on parts that show the spin, `EndEffectorSpec.spin_cues`.
+
+    Args:
+        instance: The EE with its true pose.
+        case: A mask of it, with its cloud.
+
+    Returns:
+        The number of such points of the cloud.
+    """
     tree, tells = _labelled_surface(instance.catalogue, instance.tool, instance.category.spec.spin_cues)
     X_tool_ee = instance.catalogue.tool(instance.tool).ees[instance.ee].X_tool_ee
     X_tool_camera = X_tool_ee @ inverse(instance.X_camera_ee)

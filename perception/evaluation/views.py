@@ -1,4 +1,4 @@
-"""Frames that no data set holds: one held hammer seen in five poses of the hand, and clutter without any tool."""
+"""Rendered views beyond the data set: a held hammer in five poses of the hand, and clutter without any tool."""
 
 from __future__ import annotations
 
@@ -28,8 +28,13 @@ _TRIES = 60
 
 @dataclass(frozen=True, eq=False)
 class HeldHammer:
-    """Frames of a hammer that does not move in the hand. Xs_camera_hand: 4x4 of each; Xs_hand_ee: the true poses of its
-    striking faces in the hand (a club hammer has two)."""
+    """Frames of a hammer that does not move in the hand.
+
+    Attributes:
+        frames: The frames.
+        Xs_camera_hand: Pose of the hand in each frame, 4x4.
+        Xs_hand_ee: True poses of the striking faces in the hand, 4x4 (a club hammer has two).
+    """
 
     frames: list[RgbdFrame]
     Xs_camera_hand: list[Array]
@@ -37,8 +42,19 @@ class HeldHammer:
 
 
 def held_hammer(seed: int, index: int, split: str = "test") -> HeldHammer | None:
-    """A hammer in a right hand among the clutter of the hard scenes, the hand turned by up to 60 deg and moved by 5 cm
-    between the frames; a face is a target (`EeTable.targets`) in each. None if that scene holds no such hammer."""
+    """Render a hammer in a right hand among the clutter of the hard scenes.
+
+    The hand is turned by up to 60 deg and moved by up to 5 cm between the frames; a face is a target
+    (`EeTable.targets`) in each.
+
+    Args:
+        seed: Seed of the scenes.
+        index: Number of the scene.
+        split: Split of the tools.
+
+    Returns:
+        The frames; None if that scene holds no such hammer.
+    """
     taken = render_example(Series(seed, split), index)
     hammer = _held_hammer(taken.sample, taken.labels[3])
     if hammer is None:
@@ -61,15 +77,32 @@ def held_hammer(seed: int, index: int, split: str = "test") -> HeldHammer | None
 
 
 def empty_frame(seed: int, index: int, split: str = "test") -> RgbdFrame:
-    """A cluttered frame of the hard scenes without a tool, in many of them an empty hand. split: of textures and
-    backgrounds."""
+    """Render a cluttered frame of the hard scenes without a tool, in many of them an empty hand.
+
+    Args:
+        seed: Seed of the scenes.
+        index: Number of the frame.
+        split: Split of the textures and backgrounds.
+
+    Returns:
+        The frame.
+    """
     rng = np.random.default_rng([seed, index, 3])
     sample = hard_scene(rng, Pool.random(rng, split), with_tools=False)
     return taken_frame(sample, Shot(sample.scene, sample.intrinsics, sample.X_world_camera), rng)
 
 
 def taken_frame(sample: SceneSample, shot: Shot, rng: np.random.Generator) -> RgbdFrame:
-    """The frame with a random camera's and sensor's noise."""
+    """Take a frame with the noise of a random camera and depth sensor.
+
+    Args:
+        sample: The scene.
+        shot: Its rendering.
+        rng: Random numbers.
+
+    Returns:
+        The frame.
+    """
     exposure, automatic = float(rng.uniform(0.75, 1.35)), float(rng.uniform(0.3, 1.0))
     depth, rgb = expose(shot, sample.intrinsics, exposure, automatic, rng)
     return RgbdFrame(rgb, depth, sample.intrinsics)
@@ -77,8 +110,13 @@ def taken_frame(sample: SceneSample, shot: Shot, rng: np.random.Generator) -> Rg
 
 @dataclass(frozen=True)
 class Fused:
-    """Errors (angle [rad] modulo the group, position [m]) of the pose in the hand, infinite where there is none: from
-    the first frame, and from all fused. usable: whether the fused one claims to be."""
+    """Errors of the pose in the hand: angle [rad] modulo the group and position [m], infinite without a pose.
+
+    Attributes:
+        one_frame: From the first frame.
+        five_frames: From all frames, fused.
+        usable: Whether the fused pose is usable.
+    """
 
     one_frame: tuple[float, float]
     five_frames: tuple[float, float]
@@ -86,7 +124,15 @@ class Fused:
 
 
 def fuse(perception: ToolPerception, hammer: HeldHammer) -> Fused:
-    """Look at all frames as a job would."""
+    """Estimate the poses in all frames of a hammer and fuse them, as a job would.
+
+    Args:
+        perception: The pipeline.
+        hammer: The frames with the truth.
+
+    Returns:
+        The errors.
+    """
     looks = [
         perception.estimate(frame, HoldingHand(X, SHOWN_HAND.grasp.R_hand_tool), [Category.HAMMER_HEAD])
         for frame, X in zip(hammer.frames, hammer.Xs_camera_hand, strict=True)
@@ -104,7 +150,7 @@ def fuse(perception: ToolPerception, hammer: HeldHammer) -> Fused:
 
 
 def fused(each: Sequence[Fused]) -> dict[str, Any]:
-    """Accuracy of the pose in the hand fused over the frames, and of the first frame alone, over all hammers."""
+    """Accuracy of the fused pose in the hand, and of the first frame's, over all hammers."""
     count = len(each)
     result: dict[str, Any] = {"hammers": count, "usable_share": sum(f.usable for f in each) / count if count else None}
     for name in ("one_frame", "five_frames"):
@@ -119,13 +165,21 @@ def fused(each: Sequence[Fused]) -> dict[str, Any]:
 
 
 def claims(perception: ToolPerception, frame: RgbdFrame) -> tuple[bool, bool]:
-    """Whether a frame gives a detection, and whether it gives a pose that claims to be usable."""
+    """Run the pipeline on a frame without a tool.
+
+    Args:
+        perception: The pipeline.
+        frame: The frame.
+
+    Returns:
+        Whether there is a detection, and whether there is a usable pose.
+    """
     estimates = perception.estimate(frame)
     return bool(estimates), any(e.usable for e in estimates)
 
 
 def no_tool(each: Sequence[tuple[bool, bool]]) -> dict[str, Any]:
-    """How often frames without a tool gave a detection, and how often a pose that claims to be usable."""
+    """How often frames without a tool gave a detection, and how often a usable pose."""
     count, usable = len(each), sum(u for _, u in each)
     quiet = 1 - usable / count if count else None
     detected = sum(d for d, _ in each)
@@ -133,7 +187,7 @@ def no_tool(each: Sequence[tuple[bool, bool]]) -> dict[str, Any]:
 
 
 def _held_hammer(sample: SceneSample, table: EeTable) -> PlacedTool | None:
-    """The one tool that a right hand holds, if it is a hammer with a face in view and no other hand is there."""
+    """The one tool in a right hand, if it is a hammer with a face in view and there is no other hand."""
     held = [t for t in sample.tools if t.X_world_hand is not None]
     if len(held) != 1 or held[0].mirrored:
         return None
@@ -149,7 +203,7 @@ def _held_hammer(sample: SceneSample, table: EeTable) -> PlacedTool | None:
 
 
 def _moved(sample: SceneSample, hammer: PlacedTool, rng: np.random.Generator) -> SceneSample:
-    """The scene with hand, arm and hammer turned about the hammer's face."""
+    """The scene with hand, arm and hammer rotated about the hammer's face and shifted."""
     pivot = (hammer.X_world_tool @ hammer.tool.ee(Category.HAMMER_HEAD).X_tool_ee)[:3, 3]
     axis = rng.normal(size=3)
     R = Rotation.from_rotvec(axis / np.linalg.norm(axis) * rng.uniform(0.2, 1.0) * _TURN)

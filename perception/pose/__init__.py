@@ -1,4 +1,5 @@
-"""From an EE's partial cloud to its 6D pose: network, flow-matching sampler, pooling, spin fix, confidence, fusion.
+"""From the partial cloud of an end effector to its 6D pose: network, sampler, pooling, symmetry fix, confidence,
+fusion.
 
     from toolee_robot.perception.pose import PoseEstimator
     result = PoseEstimator.load().estimate(points, category, rest)

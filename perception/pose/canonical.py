@@ -1,10 +1,9 @@
-"""The canonical view of a cloud: outliers trimmed, centred, turned so that the ray to its centre is z, 512 points;
-beside it, in the same frame, a coarse cloud of what else is seen of the tool. Points whose depth was completed
-(`depth_completion.py`) are among the 512, marked.
+"""The canonical view of a cloud: outliers trimmed, centred, rotated so that the ray to its centre is z, 512 points.
 
-Centring keeps the working distance out of the network, turning makes the result independent of where in the image the
-EE stands. Here for batches, as training has them on the GPU; `canonical_single.py` does the same to the one cloud of an
-estimate.
+Beside it, in the same frame, is a coarser cloud of the rest of the tool. Points whose depth was completed
+(`depth_completion.py`) are among the 512 and marked. Centring keeps the working distance out of the network; rotating
+makes the result independent of the EE's place in the image. These functions work on batches, for training on a GPU;
+`canonical_single.py` does the same for the single cloud of an estimate.
 """
 
 from __future__ import annotations
@@ -17,29 +16,36 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 POINTS = 512
-"""Points the network sees; fewer are repeated. 1024 measured no better."""
+"""Points that the network sees; where there are fewer, they are repeated. 1024 give no better accuracy."""
 PATCHES = 64
-"""The first this many points are farthest-point samples: the patches' centres."""
+"""The first so many points are farthest-point samples: the centres of the patches."""
 MIN_POINTS = 25
-"""Fewer visible points give no estimate. The data sets ask for ends of 50, but of these a mask may show half."""
+"""Least number of visible points for an estimate. The data sets require 50 per EE, of which a mask may show half."""
 MIN_KEPT = 15
-"""Nor do fewer that are left without the outliers."""
+"""Least number of points that must be left after the outliers are removed."""
 REST_POINTS = 256
 """Points of the rest of the tool that the network sees."""
 REST_PATCHES = 32
-"""The first this many of them are farthest-point samples."""
+"""The first so many of them are farthest-point samples."""
 REST_REACH = 0.5
-"""No tool of these is longer [m]: farther points are background that the mask caught."""
+"""Longest tool [m]: points farther from the EE are background in the mask."""
 REST_MIN = 20
-"""Fewer points of the rest say nothing."""
+"""Least number of points of the rest of the tool that are used."""
 
 
 @dataclass(frozen=True)
 class CanonicalCloud:
-    """points: (B, N, 3) [m], canonical frame; completed: (B, N), 1 where a point's depth is completed, else 0. centre:
-    (B, 3) [m] and R: (B, 3, 3) with p_canonical = R @ (p_camera - centre). count: (B,) measured points that survived
-    the trimming. rest: (B, 256, 3) [m] of the tool beyond its EE, canonical frame, zeros where rest_known (B,) is not;
-    see `with_rest`."""
+    """A batch of B canonical clouds.
+
+    Attributes:
+        points: (B, N, 3) [m], canonical frame.
+        completed: (B, N), 1 where a point's depth is completed, else 0.
+        centre: Origin of the canonical frame, (B, 3) [m], camera frame.
+        R: Rotation, (B, 3, 3): p_canonical = R @ (p_camera - centre).
+        count: Measured points that survived the trimming, (B,).
+        rest: Points of the tool beyond its EE, (B, 256, 3) [m], canonical frame; zeros where unknown, see `with_rest`.
+        rest_known: Whether the rest is known, (B,) bool.
+    """
 
     points: Tensor
     completed: Tensor
@@ -59,13 +65,22 @@ def canonicalize(
     ordered: int = PATCHES,
     completed: tuple[Tensor, Tensor] | None = None,
 ) -> CanonicalCloud:
-    """Clouds (B, N, 3) [m] in the camera frame with a mask (B, N) of real points -> canonical clouds.
+    """Make canonical clouds of clouds in the camera frame.
 
-    radius: (B,) [m] of the EE's area. A dilated mask on a thin tool is mostly background, so the centre starts at the
-    30 % quantile of the depth, then is the median of what lies near, then outliers are cut. The generator draws the
-    points; it lives on the same device as the points. size: points of the result, of which the first `ordered` are
-    farthest-point samples. completed: points (B, M, 3) [m] and mask (B, M), likewise, of a completed depth; they do not
-    move the centre.
+    The mask of a thin tool is mostly background, so the centre starts at the 30 % quantile of the depth, moves to the
+    median of the points near it, and outliers are cut around that.
+
+    Args:
+        points: (B, N, 3) [m], camera frame.
+        valid: Which points are real, (B, N) bool.
+        radius: Radius [m] of each EE, (B,).
+        generator: Draws the points; on the same device as they are.
+        size: Points of each result.
+        ordered: The first so many of them are farthest-point samples.
+        completed: Points (B, M, 3) [m] of completed depth and their mask (B, M); they do not move the centre.
+
+    Returns:
+        The canonical clouds, the rest of the tool unknown.
     """
     radius = radius[:, None]
     z = points[..., 2]
@@ -89,7 +104,7 @@ def canonicalize(
     order = key.argsort(1)
     pick = torch.arange(size, device=points.device)[None] % total.clamp(1, size)[:, None]
     chosen = _rows(torch.cat([points, marks], -1), order.gather(1, pick))
-    # A cloud that lost everything becomes its centre: it is refused later, but must stay finite.
+    # A cloud without any kept point becomes its centre: it is refused later, but must stay finite.
     offset = torch.where((count > 0)[:, None, None], chosen[..., :3] - centre[:, None], 0.0)
     local = torch.cat([torch.einsum("bij,bnj->bni", R, offset), chosen[..., 3:]], -1)
     rest = local.new_zeros(len(local), REST_POINTS, 3)
@@ -101,9 +116,16 @@ def canonicalize(
 def with_rest(
     cloud: CanonicalCloud, points: Tensor, valid: Tensor, generator: torch.Generator | None = None
 ) -> CanonicalCloud:
-    """The cloud with what else is seen of its tools: points (B, M, 3) [m], camera frame, with a mask (B, M).
+    """Add the visible rest of the tool to canonical clouds.
 
-    Of fewer than 20 points within 0.5 m nothing is taken.
+    Args:
+        cloud: The canonical clouds, a batch of B.
+        points: Points of the rest of each tool, (B, M, 3) [m], camera frame.
+        valid: Which of them are real, (B, M) bool.
+        generator: Draws the points; on the same device as they are.
+
+    Returns:
+        The clouds with `rest`; it stays unknown where fewer than `REST_MIN` points lie within `REST_REACH`.
     """
     if not points.shape[1]:
         return cloud
@@ -119,7 +141,14 @@ def with_rest(
 
 
 def ray_rotation(centre: Tensor) -> Tensor:
-    """The smallest rotation (B, 3, 3) that turns the ray to `centre` (B, 3), in front of the camera, onto z."""
+    """The smallest rotation that turns the ray to a point onto the z axis.
+
+    Args:
+        centre: Points (B, 3) [m] in front of the camera.
+
+    Returns:
+        Rotations (B, 3, 3).
+    """
     d = centre / centre.norm(dim=-1, keepdim=True).clamp_min(1e-9)
     x, y, c = d[:, 0], d[:, 1], d[:, 2]
     k = 1 / (1 + c).clamp_min(1e-6)
@@ -128,8 +157,15 @@ def ray_rotation(centre: Tensor) -> Tensor:
 
 
 def farthest_points_first(points: Tensor, count: int) -> Tensor:
-    """The same points (B, N, 3), reordered: `count` farthest-point samples first, from the point farthest from 0.
-    More columns than three travel with their points."""
+    """Reorder points so that farthest-point samples come first.
+
+    Args:
+        points: (B, N, 3 or more); further columns stay with their points.
+        count: Number of farthest-point samples; the first is the point farthest from the origin.
+
+    Returns:
+        The same points, reordered, (B, N, ...).
+    """
     places = points[..., :3]
     if points.device.type == "cpu":
         picked = torch.from_numpy(np.stack([farthest_of_one(p, count) for p in places.numpy()]))
@@ -155,12 +191,19 @@ def _farthest_of_batch(places: Tensor, count: int) -> Tensor:
 
 
 def farthest_of_one(places: NDArray[np.float32], count: int) -> NDArray[np.int64]:
-    """The same (count,) of one cloud (N, 3). For the latency of a single estimate: torch's dispatch takes several times
-    as long as the arithmetic."""
+    """Farthest-point samples of one cloud, in numpy: for one cloud torch's dispatch costs several times the arithmetic.
+
+    Args:
+        places: Points (N, 3) [m].
+        count: Number of samples.
+
+    Returns:
+        Indices (count,), the point farthest from the origin first.
+    """
     x, n = places.T.astype(np.float64), len(places)
     squared = (x * x).sum(0)
     # |p - x|^2 = |p|^2 - 2 p.x + |x|^2 of all points with one of them is one product of a row with a matrix; in double
-    # precision, for single would lose what is near.
+    # precision, because single precision loses small distances to cancellation.
     row, matrix = np.ones((n, 5)), np.ones((5, n))
     row[:, :3], row[:, 4] = -2 * places, squared
     matrix[:3], matrix[3] = x, squared
@@ -170,7 +213,7 @@ def farthest_of_one(places: NDArray[np.float32], count: int) -> NDArray[np.int64
     picked = np.empty(count, np.int64)
     for k in range(count):
         if distance[index] <= rounding:
-            # All that is left repeats points that are taken.
+            # The remaining points are repetitions of those taken.
             picked[k:] = np.flatnonzero(distance >= -rounding)[: count - k]
             break
         picked[k] = index

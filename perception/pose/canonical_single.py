@@ -1,7 +1,6 @@
-"""The canonical view of a single cloud, for the latency of an estimate: what `canonical.py` does to batches, in numpy,
-whose calls take a fraction of the time that torch's take.
+"""The canonical view of a single cloud, in numpy: as `canonical.py` for batches, with lower latency.
 
-The same random numbers give the same result to rounding; a test holds the two to each other.
+The same random numbers give the same result up to rounding; a test compares the two.
 """
 
 from __future__ import annotations
@@ -36,8 +35,19 @@ def canonicalize_one(
     ordered: int = PATCHES,
     completed: Array | None = None,
 ) -> CanonicalCloud:
-    """`canonicalize` of one cloud (N, 3) [m], N > 0, with the completed points (M, 3) [m]: a batch of one. The
-    generator lives on the CPU."""
+    """Make the canonical cloud of one cloud; see `canonicalize`.
+
+    Args:
+        points: (N, 3) [m], camera frame, N > 0.
+        radius: Radius [m] of the EE.
+        generator: Draws the points; on the CPU.
+        size: Points of the result.
+        ordered: The first so many of them are farthest-point samples.
+        completed: Points (M, 3) [m] of completed depth.
+
+    Returns:
+        A batch of one.
+    """
     xyz = _columns(points)
     near = np.abs(xyz[2:] - _quantile(xyz[2:], 0.3))[0] < 1.6 * radius
     centre = _quantile(xyz.compress(near, axis=1), 0.5)
@@ -66,7 +76,16 @@ def canonicalize_one(
 
 
 def with_rest_one(cloud: CanonicalCloud, points: Array, generator: torch.Generator) -> CanonicalCloud:
-    """`with_rest` of one cloud: points (M, 3) [m], camera frame."""
+    """Add the visible rest of the tool to a canonical cloud; see `with_rest`.
+
+    Args:
+        cloud: A batch of one.
+        points: Points (M, 3) [m] of the rest, camera frame.
+        generator: Draws the points; on the CPU.
+
+    Returns:
+        The cloud with `rest`.
+    """
     if not len(points):
         return cloud
     offset = _columns(points) - cloud.centre.numpy().T
@@ -80,17 +99,17 @@ def with_rest_one(cloud: CanonicalCloud, points: Array, generator: torch.Generat
 
 
 def _columns(points: Array) -> _Float32:
-    """(3, N): a coordinate's values lie side by side."""
+    """Points as contiguous columns (3, N)."""
     return np.ascontiguousarray(points.T, dtype=np.float32)
 
 
 def _within(offset: _Float32, reach: float) -> _Bool:
-    """(N,) of offsets (3, N): shorter than `reach`."""
+    """Which of the offsets (3, N) are shorter than `reach`, (N,)."""
     return (offset * offset).sum(0) < np.float32(reach) ** 2
 
 
 def _quantile(x: _Float32, q: float) -> _Float32:
-    """(C, 1) quantile of each row of x (C, N); 0 of nothing."""
+    """Quantile of each row of x (C, N), (C, 1); 0 of an empty row."""
     n = x.shape[1]
     if not n:
         return np.zeros((len(x), 1), np.float32)
@@ -99,7 +118,7 @@ def _quantile(x: _Float32, q: float) -> _Float32:
 
 
 def _drawn(kept: _Bool, size: int, generator: torch.Generator) -> NDArray[np.intp]:
-    """(size,) indices of the kept ones (N,) in random order, repeated if they are fewer; 0 if there are none."""
+    """Indices (size,) of kept elements (N,) in random order, repeated if there are fewer; 0 if there are none."""
     key = torch.rand(len(kept), generator=generator).numpy()
     places = np.flatnonzero(kept)
     if not len(places):
@@ -108,7 +127,7 @@ def _drawn(kept: _Bool, size: int, generator: torch.Generator) -> NDArray[np.int
 
 
 def _ray_rotation(centre: _Float32) -> _Float32:
-    """`ray_rotation` (3, 3) of one centre (3, 1)."""
+    """`ray_rotation` of one centre (3, 1): (3, 3)."""
     x, y, z = centre[:, 0].tolist()
     norm = max((x * x + y * y + z * z) ** 0.5, 1e-9)
     x, y, c = x / norm, y / norm, z / norm
@@ -118,12 +137,12 @@ def _ray_rotation(centre: _Float32) -> _Float32:
 
 
 def _turned(offset: _Float32, R: _Float32, pick: NDArray[np.intp]) -> _Float32:
-    """(size, 3) of the picked offsets (3, N), turned by R (3, 3)."""
+    """The picked offsets (3, N), rotated by R (3, 3): (size, 3)."""
     return np.ascontiguousarray((R @ offset.take(pick, axis=1)).T)
 
 
 def _farthest_first(local: _Float32, count: int) -> NDArray[np.intp]:
-    """The order (N,) in which `farthest_points_first` puts points (N, 3)."""
+    """Order (N,) in which `farthest_points_first` puts points (N, 3)."""
     picked = farthest_of_one(local, count)
     left = np.ones(len(local), dtype=bool)
     left[picked] = False

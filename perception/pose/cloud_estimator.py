@@ -1,6 +1,6 @@
-"""What every pose estimator shares: the points of one EE in, a `PoseResult` out.
+"""Base of every pose estimator: from the points of one end effector to a `PoseResult`.
 
-A subclass says how a batch of canonical clouds becomes poses (`infer`).
+A subclass implements `infer`: from a batch of canonical clouds to poses.
 """
 
 from __future__ import annotations
@@ -23,22 +23,28 @@ from toolee_robot.symmetry import SymmetryKind
 from toolee_robot.types import HoldingHand, PoseHypotheses
 
 CANDIDATES = 20
-"""As the paper draws; 32 measured no better."""
+"""Candidate poses per cloud, as in the paper; 32 give no better accuracy."""
 MAX_INPUT = 2048
-"""More points than this are thinned before anything else."""
+"""Larger clouds are first thinned to this many points."""
 HAND_SPIN_SIGMA = np.deg2rad(12.0)
-"""How far a tool's spin in the hand strays from nominal: the tilt of a handed-over tool."""
+"""Standard deviation [rad] of a tool's spin in the hand from nominal: the tilt of a handed-over tool."""
 
 
 @dataclass(frozen=True)
 class PoseResult:
-    """The pooled pose of one EE and where it comes from.
+    """The pooled pose of one end effector and how it was obtained.
 
-    X_camera_ee: 4x4, the spin fixed by the hand where the hand's pose was given. covariance: 6x6, position [m] then
-    rotation vector [rad], camera axes. confidence in [0, 1]: probability of being within 10 deg and 2 cm (modulo the
-    symmetry). usable, reason: whether to act on it, and why not. modes: masses of the candidates' modes.
-    features: the confidence model's input, see `confidence.FEATURES` (empty without one). ambiguous: (3,) in [0, 1],
-    about which of the EE's axes the network says that the view leaves the pose open.
+    Attributes:
+        category: Category of the end effector.
+        X_camera_ee: Pose in the camera frame, 4x4; the spin is fixed by the hand where that was given.
+        covariance: 6x6, position [m] then rotation vector [rad], camera axes.
+        confidence: Probability in [0, 1] that the pose is within 10 deg and 2 cm, modulo the symmetry.
+        usable: Whether the pose may be acted on.
+        reason: "ok", or why it may not.
+        hypotheses: The candidate poses before pooling.
+        modes: Masses of the candidates' modes, largest first.
+        features: Input of the confidence model, see `confidence.FEATURES`; empty for estimators without one.
+        ambiguous: (3,) in [0, 1]: predicted ambiguity about each axis of the EE.
     """
 
     category: Category
@@ -54,11 +60,16 @@ class PoseResult:
 
 
 class CloudEstimator(ABC):
-    """From a cloud to a pose. Calls keep no state.
+    """A pose estimator on clouds. Stateless.
 
-    points, ordered: how many points the network takes, and how many of them are farthest-point samples, first.
-    candidates: samples drawn for a pose, by `sampler` from `process`. of_tool: it wants the whole tool's cloud.
-    uses_completed: it takes points of a completed depth, too.
+    Attributes:
+        points: Points that the network takes.
+        ordered: The first so many of them are farthest-point samples.
+        candidates: Candidate poses sampled per cloud.
+        of_tool: Whether it takes the whole tool's cloud instead of the EE's.
+        uses_completed: Whether it also takes points of completed depth.
+        process: Generative process that the network was trained for.
+        sampler: Solves the process from noise to candidate poses.
     """
 
     points: int = POINTS
@@ -70,7 +81,7 @@ class CloudEstimator(ABC):
     sampler: Sampler
 
     def radius(self, category: Category) -> float:
-        """Radius [m] of the sphere that holds what the cloud shows."""
+        """Radius [m] of the sphere around the part of the tool that a cloud of this category shows."""
         return category.spec.radius
 
     @torch.inference_mode()
@@ -84,18 +95,33 @@ class CloudEstimator(ABC):
         candidates: int | None = None,
         completed: Array | None = None,
     ) -> PoseResult:
-        """The pose of the EE whose visible points (N, 3) [m] are given in the camera's frame (OpenCV axes).
+        """Estimate the pose of an end effector from its visible points.
 
-        rest: (M, 3) [m], the visible points of the rest of the tool, camera frame. completed: (G, 3) [m], likewise,
-        those of the EE's mask whose depth is completed from their neighbours' (`depth_completion.py`). hand: the one
-        that holds the tool; tells where the rest is if that is not seen, and the spin about a symmetric EE's axis.
-        The same input and seed give the same result. Raises PerceptionError with fewer than 25 finite points.
+        The same input and seed give the same result.
+
+        Args:
+            points: Visible points of the EE, (N, 3) [m], camera frame (OpenCV axes).
+            category: Category of the EE.
+            rest: Visible points of the rest of the tool, (M, 3) [m], camera frame.
+            hand: The hand that holds the tool: gives the direction to the rest of the tool where that is not seen, and
+                the spin about a symmetric EE's axis.
+            seed: Seed of the sampling.
+            candidates: Candidate poses; None: the estimator's default.
+            completed: Points of the EE's mask with completed depth, (G, 3) [m], camera frame; see
+                `depth_completion.py`.
+
+        Returns:
+            The pose with its covariance and confidence.
+
+        Raises:
+            PerceptionError: There are fewer than 25 finite points, or they form no compact surface.
         """
         points = _finite(points)
         if len(points) < MIN_POINTS:
             raise PerceptionError(
                 f"only {len(points)} points of the {category} have depth, {MIN_POINTS} are needed: "
-                "move the camera closer, or turn the tool into view"
+                "move the camera closer, or turn the tool into view",
+                code="perception.too_few_points",
             )
         generator = torch.Generator().manual_seed(seed)
         visible = len(points)
@@ -104,7 +130,8 @@ class CloudEstimator(ABC):
         cloud = canonicalize_one(points, self.radius(category), generator, self.points, self.ordered, more)
         if int(cloud.count[0]) < MIN_KEPT:
             raise PerceptionError(
-                f"the mask of the {category} covers no compact surface: {len(points)} scattered points"
+                f"the mask of the {category} covers no compact surface: {len(points)} scattered points",
+                code="perception.scattered_points",
             )
         kept = round(int(cloud.count[0]) / len(points) * visible)
         if rest is not None:
@@ -132,9 +159,19 @@ class CloudEstimator(ABC):
         generator: torch.Generator,
         candidates: int,
     ) -> list[PoseResult]:
-        """Encode, sample and pool a batch of canonical clouds; direction (B, 5) as `direction_input` makes it.
+        """Encode, sample and pool a batch of canonical clouds, without the symmetry fix.
 
-        visible: (B,) how many points were seen. The generator lives on the CPU. No spin fix."""
+        Args:
+            cloud: The canonical clouds, a batch of B.
+            categories: Category of each cloud.
+            direction: Direction tokens (B, 5) as `direction_input` makes them.
+            visible: Number of visible points of each cloud, (B,).
+            generator: Draws the noise; on the CPU.
+            candidates: Candidate poses per cloud.
+
+        Returns:
+            One result per cloud, in the camera frame.
+        """
 
 
 def _finite(points: Array) -> Array:
@@ -150,7 +187,16 @@ def _thinned(points: Array, generator: torch.Generator) -> Array:
 
 
 def with_hand(result: PoseResult, hand: HoldingHand, spin_sigma: float = HAND_SPIN_SIGMA) -> PoseResult:
-    """The result with the spin about a symmetric EE's axis fixed by the hand that holds the tool; see `spin.py`."""
+    """Fix the spin about a symmetric end effector's axis with the hand that holds the tool; see `spin.py`.
+
+    Args:
+        result: The estimate from the cloud.
+        hand: Pose of the hand and nominal grasp.
+        spin_sigma: Standard deviation [rad] of the tool's spin in the hand from nominal.
+
+    Returns:
+        The result with the new rotation and covariance.
+    """
     group = result.category.symmetry
     R = result.X_camera_ee[:3, :3]
     axis = R @ np.asarray(group.axis)
@@ -166,7 +212,16 @@ def with_hand(result: PoseResult, hand: HoldingHand, spin_sigma: float = HAND_SP
 
 
 def direction_input(cloud: CanonicalCloud, direction: Array | None, from_hand: bool = False) -> torch.Tensor:
-    """The network's direction token (1, 5) from a direction (3,) in the camera's frame, or None."""
+    """The network's direction token.
+
+    Args:
+        cloud: The canonical cloud, a batch of one.
+        direction: Direction (3,) to the rest of the tool, camera frame, any length; None: unknown.
+        from_hand: Whether it points to the hand instead of the visible rest of the tool.
+
+    Returns:
+        Token (1, 5); see `network.DIRECTION_DIM`.
+    """
     token = np.zeros((1, DIRECTION_DIM), np.float32)
     length = 0.0 if direction is None else float(np.linalg.norm(direction))
     if direction is not None and 1e-6 < length < np.inf:

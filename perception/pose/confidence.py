@@ -1,7 +1,7 @@
-"""How far to trust a pose: a small logistic model over what the network and the pooling say.
+"""Confidence of a pose: a logistic regression on what the network and the pooling report.
 
-It predicts the probability that the pose is within 10 deg and 2 cm, and is fitted on held-out tools together with
-clouds that are no EE of the claimed category (hands, other parts, other EEs), for which success is impossible.
+It predicts the probability that the pose is within 10 deg and 2 cm. It is fitted on held-out tools together with clouds
+that are not an EE of the claimed category (hands, other parts, other EEs), for which success is impossible.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from toolee_robot.perception.pose.canonical import MIN_POINTS
 from toolee_robot.perception.pose.pooling import Pooled
 
 RIGHT = (10.0, 0.02)
-"""[deg], [m] A pose within these, modulo its category's symmetry, is right: what confidence and trust are fitted to,
-and what is reported of them."""
+"""A pose within this angle [deg] and distance [m], modulo the symmetry, is right: the criterion to which confidence and
+trust are fitted and which is reported.
+"""
 FEATURES = (
     "log_sigma_position",
     "log_sigma_axis",
@@ -33,6 +34,7 @@ FEATURES = (
     "regression_angle",
     *(f"is_{category}" for category in Category),
 )
+"""Names of the model's inputs, in order."""
 
 
 def features(
@@ -44,8 +46,20 @@ def features(
     regression_distance: float,
     regression_angle: float,
 ) -> Array:
-    """The model's input (F,). sigmas: the network's (position [m], axis [rad], spin [rad]). regression_*: how far the
-    pooled samples and the direct regression disagree [m], [rad]."""
+    """Input of the confidence model.
+
+    Args:
+        category: Category of the EE.
+        pooled: The pooled candidates.
+        sigmas: The network's sigmas: position [m], axis [rad], spin [rad].
+        points: Number of visible points.
+        valid_logit: The network's logit that the cloud shows an EE of the category.
+        regression_distance: Distance [m] between the pooled pose and the regressed one.
+        regression_angle: Angle [rad] between them, modulo the symmetry.
+
+    Returns:
+        Feature vector (F,), in the order of `FEATURES`.
+    """
     second = pooled.modes[1] if len(pooled.modes) > 1 else 0.0
     return np.array(
         [
@@ -65,7 +79,16 @@ def features(
 
 @dataclass(frozen=True)
 class ConfidenceModel:
-    """p = sigmoid(bias + weights . (x - mean) / std); a pose is usable from `threshold` on. names: of the features."""
+    """Logistic regression p = sigmoid(bias + weights . (x - mean) / std).
+
+    Attributes:
+        mean: Mean of each feature, (F,).
+        std: Standard deviation of each feature, (F,).
+        weights: Weight of each standardised feature, (F,).
+        bias: Bias of the logit.
+        threshold: Least probability at which a pose is usable.
+        names: Names of the features, (F,).
+    """
 
     mean: tuple[float, ...]
     std: tuple[float, ...]
@@ -75,11 +98,12 @@ class ConfidenceModel:
     names: tuple[str, ...] = FEATURES
 
     def probability(self, x: Array) -> Array:
-        """(...,) of features (..., F)."""
+        """Probabilities (...,) of features (..., F)."""
         z = (x - np.array(self.mean)) / np.array(self.std) @ np.array(self.weights) + self.bias
         return 1 / (1 + np.exp(-np.clip(z, -30, 30)))
 
     def to_dict(self) -> dict[str, Any]:
+        """The model as a JSON object."""
         return {
             "features": list(self.names),
             "mean": list(self.mean),
@@ -91,7 +115,18 @@ class ConfidenceModel:
 
     @staticmethod
     def from_dict(data: dict[str, Any], names: tuple[str, ...] = FEATURES) -> ConfidenceModel:
-        """Raises ValueError when the model was fitted on other features."""
+        """Read a model.
+
+        Args:
+            data: JSON object of `to_dict`.
+            names: Names of the features that the model must have.
+
+        Returns:
+            The model.
+
+        Raises:
+            ValueError: It was fitted on other features.
+        """
         if tuple(data["features"]) != names:
             raise ValueError("the confidence model was fitted on other features; train again")
         mean, std, weights = (tuple(map(float, data[k])) for k in ("mean", "std", "weights"))
@@ -101,10 +136,17 @@ class ConfidenceModel:
 def fit(
     x: Array, success: Array, precision: float = 0.95, ridge: float = 10.0, names: tuple[str, ...] = FEATURES
 ) -> ConfidenceModel:
-    """Fit on features (N, F) and success (N,) in {0, 1} by Newton's method on the ridge-penalised likelihood.
+    """Fit by Newton's method on the ridge-penalised likelihood.
 
-    ridge: with 1 instead of 10, the calibration error on other tools was twice as large. The threshold is the lowest
-    one, 0.3 at least, above which the share of successes reaches `precision`.
+    Args:
+        x: Features (N, F).
+        success: Whether each pose is right, (N,) in {0, 1}.
+        precision: The threshold is the lowest, at least 0.3, above which this share of the poses is right.
+        ridge: Penalty on the weights. 1 instead of 10 doubles the calibration error on other tools.
+        names: Names of the features.
+
+    Returns:
+        The fitted model.
     """
     mean, std = x.mean(0), x.std(0) + 1e-3
     A = np.column_stack([(x - mean) / std, np.ones(len(x))])
@@ -126,7 +168,16 @@ def fit(
 
 
 def reason(category: Category, x: Array, usable: bool) -> str:
-    """Why a pose is refused, in words; "ok" if it is not."""
+    """Why a pose is refused, for a person.
+
+    Args:
+        category: Category of the EE.
+        x: Features of the pose, (F,).
+        usable: Whether it is usable.
+
+    Returns:
+        The reason; "ok" if it is usable.
+    """
     if usable:
         return "ok"
     value = dict(zip(FEATURES, x, strict=True))

@@ -1,7 +1,7 @@
-"""Depths for the pixels of a mask that have none of their own, completed from their measured neighbours.
+"""Depth completion: pixels of a mask without measured depth take it from their measured neighbours.
 
-A depth camera loses what is shiny, steep or at an edge: of the end effectors in `hard` scenes 32 % of the pixels, three
-quarters of them within two pixels of the outline, which is what tells where a wrench's jaws point.
+A depth camera loses shiny, steep and edge pixels: in `hard` scenes 32 % of the EEs' pixels, three quarters of them
+within two pixels of the outline, which shows where a wrench's jaws point.
 """
 
 from __future__ import annotations
@@ -15,22 +15,30 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 RINGS = 3
-"""Pixels so far from a measured one get a depth; beyond, a completed depth says nothing."""
+"""Pixels up to so far from a measured one are completed; farther ones would be extrapolated."""
 _STEP, _RELATIVE_STEP = 0.012, 0.01
 _Depth = TypeVar("_Depth", Tensor, NDArray[np.float32])
 
 
 def surface_step(depth: _Depth) -> _Depth:
-    """The most [m] that neighbouring pixels of one surface, at `depth` [m], lie apart in depth: 12 mm and 1 %."""
+    """Largest depth difference [m] between neighbouring pixels of one surface at `depth` [m]: 12 mm + 1 %."""
     return _STEP + _RELATIVE_STEP * depth
 
 
 def complete_depth(depth: Tensor, known: Tensor, wanted: Tensor, rings: int = RINGS) -> Tensor:
-    """Depths (B, H, W) [m] of the wanted pixels, 0 elsewhere and where no known pixel is within `rings` pixels.
+    """Complete the depth of pixels without a measurement.
 
-    depth (B, H, W) [m], which holds at the known pixels (B, H, W). Ring by ring, an unknown pixel takes the mean of
-    the nearest surface among its eight neighbours: those within `surface_step` of the nearest one, so that an outline's
-    pixel belongs to the tool and not to what is behind it.
+    Ring by ring, an unknown pixel takes the mean of the nearest surface among its eight neighbours: those within
+    `surface_step` of the nearest one, so that a pixel on the outline belongs to the tool and not to the background.
+
+    Args:
+        depth: (B, H, W) [m], valid at the known pixels.
+        known: Pixels with a measured depth, (B, H, W) bool.
+        wanted: Pixels to complete, (B, H, W) bool.
+        rings: Largest distance [px] from a known pixel.
+
+    Returns:
+        Completed depths (B, H, W) [m]; 0 elsewhere and where no known pixel is within reach.
     """
     height, width = depth.shape[-2:]
     z = torch.where(known, depth, torch.inf)

@@ -1,4 +1,4 @@
-"""The project's estimator: one cloud in, one pose with a covariance and a confidence out.
+"""The default pose estimator: from one cloud to one pose with a covariance and a confidence.
 
 estimator = PoseEstimator.load()
 result = estimator.estimate(points, Category.HAMMER_HEAD, rest, hand)
@@ -17,10 +17,10 @@ import torch
 
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, transform
+from toolee_robot.perception.cuda_graph import CudaGraphRunner
 from toolee_robot.perception.pose import confidence
 from toolee_robot.perception.pose.canonical import CanonicalCloud
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult
-from toolee_robot.perception.pose.cuda_graph import CudaGraphRunner
 from toolee_robot.perception.pose.network import CONTEXT_DIM, REGRESSED, SAMPLER, PoseNet, Seen
 from toolee_robot.perception.pose.pooling import Pooled, pairwise_angles, pool
 from toolee_robot.perception.pose.processes.flow import Euler, Sampler
@@ -31,8 +31,20 @@ from toolee_robot.types import PoseHypotheses
 
 
 class PoseEstimator(CloudEstimator):
-    """Holds the network on one device. sampler: how the candidates are drawn. bfloat16: whether a processor encodes
-    clouds in it; where it pays if None."""
+    """Pose estimator with the network of `network.py`, on one device.
+
+    Args:
+        net: The trained network.
+        calibration: Scales of the covariance and the confidence model; None: unfitted, nothing is usable.
+        device: torch device that runs the network.
+        sampler: Solves the generative process from noise to candidate poses.
+        bfloat16: Whether a CPU encodes clouds in bfloat16; None: where it is faster, see `prefers_bfloat16`.
+
+    Attributes:
+        calibration: As given.
+        process: Generative process that the network was trained for.
+        sampler: As given.
+    """
 
     def __init__(
         self,
@@ -54,7 +66,18 @@ class PoseEstimator(CloudEstimator):
 
     @classmethod
     def load(cls, weights_dir: Path | None = None, device: str = "cpu") -> PoseEstimator:
-        """From the weights that ship with the package, or a folder. Raises AssetError if they are missing."""
+        """Load the trained estimator.
+
+        Args:
+            weights_dir: Folder of weights; None: the shipped ones.
+            device: torch device that runs the network.
+
+        Returns:
+            The estimator, ready.
+
+        Raises:
+            AssetError: The weights are missing or unreadable.
+        """
         net, calibration = load(weights_dir)
         return cls(net, calibration, device)
 
@@ -73,11 +96,11 @@ class PoseEstimator(CloudEstimator):
         context = context_input(cloud, torch.as_tensor(visible))
         # The generator lives on the CPU: the same seed gives the same draws on any device.
         noise = torch.randn(len(categories), candidates, DIM, generator=generator).to(device)
-        # Measured, one cloud: 20 ms with one thread, 16 with two; beside a program that keeps a core busy 18 and 36.
+        # One thread: a single cloud gains 20 % from a second one, and takes twice as long when its core is busy.
         with single_thread() if self._bfloat16 and len(categories) == 1 else nullcontext():
             u, *direct = (x.float().cpu() for x in run(*Seen.of(cloud, index, direction, context), noise))
         regression = dict(zip(REGRESSED, direct, strict=True))
-        # The candidates, and the regression's pose as one more.
+        # Decode the candidates and, as one more, the regressed pose.
         R, p, ambiguous = (x.double().numpy() for x in decode(torch.cat([u, regression["mean"][:, None]], 1)))
         ambiguous = ambiguous[:, :-1].mean(1)
         sigmas = regression["log_sigma"].double().exp().numpy() * [T_SCALE, 1.0, 1.0]
@@ -94,7 +117,7 @@ class PoseEstimator(CloudEstimator):
             X_direct = transform(R_camera[b] @ R[b, -1], R_camera[b] @ p[b, -1] + centre[b])
             axis = category.symmetry.axis
             axis_index = axis.index(max(axis))
-            # Half from the samples' S, half from the regression's.
+            # Mean of the samples' ambiguity S and the regressed one.
             spin_free = min(max(float(ambiguous[b, axis_index]), 0.0), 1.0)
             logit = min(max(float(regression["mean"][b, 6 + axis_index]), -30.0), 30.0)
             spin_free = 0.5 * spin_free + 0.5 / (1 + math.exp(-logit))
@@ -106,8 +129,11 @@ class PoseEstimator(CloudEstimator):
         return results
 
     def _pass(self, alone: bool) -> tuple[Callable[..., tuple[torch.Tensor, ...]], torch.device]:
-        """How to run `_network`, and where it wants its inputs: for one cloud on a GPU as a recorded graph. RK45 cannot
-        be recorded: it chooses its steps by values."""
+        """The function that runs `_network`, and the device on which it takes its inputs.
+
+        A single cloud on a GPU runs as a recorded CUDA graph. Adaptive solvers (RK45) cannot be recorded: their steps
+        depend on values.
+        """
         if not (alone and self._device.type == "cuda" and isinstance(self.sampler, Euler)):
             return self._network, self._device
         if self.sampler not in self._graph_runners:
@@ -115,10 +141,16 @@ class PoseEstimator(CloudEstimator):
         return self._graph_runners[self.sampler], torch.device("cpu")
 
     def _network(self, *inputs: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Candidates u (B, K, 12) and `REGRESSED` from the fields of `Seen` and noise (B, K, 12).
+        """Encode the clouds, sample candidates and regress.
 
-        Half of the candidates come from the cloud and half from its mirror image, whose errors are others; sigmas and
-        validity are the mean of both, the regressed pose is the cloud's own.
+        Half of the candidates are sampled from the cloud and half from its mirror image, whose errors differ; sigmas
+        and validity are the means of both, the regressed pose is the cloud's own.
+
+        Args:
+            *inputs: The fields of `Seen`, then standard normal noise (B, K, 12).
+
+        Returns:
+            Candidates u (B, K, 12), then `REGRESSED`: mean (B, 12), log_sigma (B, 3), valid (B,).
         """
         *fields, noise = inputs
         B, K = noise.shape[:2]
@@ -145,6 +177,7 @@ class PoseEstimator(CloudEstimator):
         valid: float,
         ambiguous: Array,
     ) -> PoseResult:
+        """Pool the candidates of one cloud, scale the covariance, and rate the result with the confidence model."""
         scale = self.calibration.scales[category]
         Xs, spin_observable = hypotheses.Xs_camera_ee, hypotheses.spin_observable
         sigma_position, sigma_axis, sigma_spin = (float(s) for s in sigmas)
@@ -159,7 +192,15 @@ class PoseEstimator(CloudEstimator):
 
 
 def context_input(cloud: CanonicalCloud, visible: torch.Tensor) -> torch.Tensor:
-    """The network's context token (B, 2): number of visible points, distance."""
+    """The network's context token.
+
+    Args:
+        cloud: Canonical clouds, a batch of B.
+        visible: Number of visible points of each cloud, (B,).
+
+    Returns:
+        (B, 2): log10 of the number of visible points - 2.5, and distance [m] - 0.7.
+    """
     count = visible.to(cloud.centre).clamp(1, 10_000).log10() - 2.5
     context = torch.stack([count, cloud.centre.norm(dim=-1) - 0.7], dim=-1)
     assert context.shape[-1] == CONTEXT_DIM

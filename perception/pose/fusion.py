@@ -1,7 +1,8 @@
-"""Several looks at a tool that does not move in the hand: one pose in the hand's frame.
+"""Fusion of several views of a tool that does not move in the hand into one pose in the hand frame.
 
-Robust (frames that disagree are dropped), weighted by each frame's information, modulo the symmetry group, and with a
-floor: frames share the camera's calibration and the network's bias, so more of them do not make the result exact.
+Robust iteratively reweighted least squares: frames outside of the largest consensus are dropped, the others weighted by
+their information with a Cauchy loss, modulo the symmetry group. The covariance has a floor: frames share the camera's
+calibration and the network's bias, so that more of them do not make the result exact.
 """
 
 from __future__ import annotations
@@ -22,16 +23,27 @@ from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 from toolee_robot.types import InHandEstimate
 
 FLOOR_POSITION = 0.0010
-"""[m] systematic error that no number of frames removes, each axis."""
+"""Systematic position error [m] per axis that no number of frames removes."""
 FLOOR_ANGLE = np.deg2rad(0.8)
+"""Systematic angular error [rad] per axis that no number of frames removes."""
 CORRELATION = 0.4
-"""Share of the error that frames have in common: neighbouring views are mistaken alike."""
+"""Share of the error that is common to all frames: errors of neighbouring views are correlated."""
 INLIER_ANGLE = np.deg2rad(15.0)
+"""Frames whose poses differ by less [rad], modulo the symmetry, agree."""
 INLIER_DISTANCE = 0.015
+"""Frames whose positions differ by less [m] agree."""
 
 
 class FrameEstimate(Protocol):
-    """What fusion needs of a frame; `types.ToolEstimate` and `PoseResult` have it."""
+    """The part of a frame's estimate that fusion needs; `ToolEstimate` and `PoseResult` have it.
+
+    Attributes:
+        category: Category of the end effector.
+        X_camera_ee: Its pose, 4x4; NaN where there is none.
+        covariance: 6x6, position [m] then rotation vector [rad], camera axes.
+        confidence: Probability in [0, 1] that the pose is right.
+        usable: Whether the pose may be acted on.
+    """
 
     @property
     def category(self) -> Category: ...
@@ -48,26 +60,40 @@ class FrameEstimate(Protocol):
 def fuse_in_hand(
     estimates: Sequence[FrameEstimate], Xs_camera_hand: Sequence[Array], min_frames: int = 2
 ) -> InHandEstimate:
-    """Fuse frames of one EE; Xs_camera_hand[i] (4x4) is the hand's pose in the camera when frame i was taken.
+    """Fuse the estimates of one end effector from several frames.
 
-    Frames that are not usable count as seen and are left out while any usable one exists. The result is usable if at
-    least `min_frames` frames, and most of the usable ones, agree. Raises PerceptionError without any frame.
+    Frames that are not usable are counted as seen, but only used when no frame is usable.
+
+    Args:
+        estimates: One estimate per frame, all of one category.
+        Xs_camera_hand: Pose of the hand in the camera frame, 4x4, at the exposure of each frame.
+        min_frames: Frames that must agree for the result to be usable, besides more than half of the usable ones.
+
+    Returns:
+        The pose in the hand frame with its covariance; `usable` and `reason` say whether it may be acted on.
+
+    Raises:
+        PerceptionError: There is no frame, or none has a pose.
+        ValueError: The numbers of estimates and of hand poses differ.
     """
     if not estimates:
-        raise PerceptionError("no frame shows the tool: move it into the camera's view")
+        raise PerceptionError("no frame shows the tool: move it into the camera's view", code="perception.no_frames")
     if len(estimates) != len(Xs_camera_hand):
         raise ValueError(f"{len(estimates)} estimates but {len(Xs_camera_hand)} hand poses")
     category = estimates[0].category
     group = category.symmetry
     pairs = [(e, X) for e, X in zip(estimates, Xs_camera_hand, strict=True) if np.isfinite(e.X_camera_ee).all()]
     if not pairs:
-        raise PerceptionError(f"no frame shows the {category} well enough: move it nearer to the camera, unhidden")
+        raise PerceptionError(
+            f"no frame shows the {category} well enough: move it closer to the camera, unoccluded",
+            code="perception.not_seen",
+        )
     trusted = [pair for pair in pairs if pair[0].usable] or pairs
     Xs = np.stack([inverse(X_camera_hand) @ e.X_camera_ee for e, X_camera_hand in trusted])
     covariances = np.stack([_in_hand(e.covariance, X) for e, X in trusted])
     confidence = np.clip([e.confidence for e, _ in trusted], 1e-3, 1.0)
 
-    # Frames whose spin is known are compared in full, else only modulo the group.
+    # Where the spin is known, rotations are compared in full; otherwise modulo the group.
     axes = Xs[:, :3, :3] @ np.asarray(group.axis)
     spin = np.einsum("fi,fij,fj->f", axes, covariances[:, 3:, 3:], axes)
     if group.kind is SymmetryKind.CINF and float(np.median(spin)) < 0.15 * FREE_SPIN_VARIANCE:
@@ -92,11 +118,11 @@ def fuse_in_hand(
 
     n = len(Xs)
     mean = np.linalg.inv(total) * n
-    # More scatter than the covariances promise widens the result; less does not narrow it (frames are correlated).
+    # Scatter beyond the covariances inflates the result; less scatter does not shrink it (frames are correlated).
     inflation = max(1.0, float(squared.sum()) / max(6 * (n - 1), 1)) if n > 1 else 1.0
     covariance = mean * inflation * (CORRELATION + (1 - CORRELATION) / n) + floor
     if group.kind is SymmetryKind.CINF:
-        # The frames' axes differ a little, so that their swing information leaks into the spin, of which none know.
+        # The frames' axes differ slightly, so that swing information would leak into the unobserved spin.
         axis = R @ np.asarray(group.axis)
         covariance = with_spin_variance(covariance, axis, min(float(np.median(spin)), FREE_SPIN_VARIANCE))
     agreeing = n / len(trusted)
@@ -112,6 +138,7 @@ def fuse_in_hand(
 
 
 def _in_hand(covariance: Array, X_camera_hand: Array) -> Array:
+    """Rotate a 6x6 covariance from camera axes to hand axes."""
     J = np.kron(np.eye(2), X_camera_hand[:3, :3].T)
     return J @ covariance @ J.T
 

@@ -1,11 +1,11 @@
-"""The pose network: a patch transformer over the EE's cloud and the rest of the tool, a generative head and a
-regression head.
+"""The pose network: a patch transformer over the EE's cloud and the rest of the tool, with two heads.
 
 Encoder: 64 patches of 32 points (marked where their depth is completed) within 12 mm of their centres, and 32 coarser
-ones of the rest of the tool, a small PointNet each, then a transformer with tokens for the category and for the
-direction to the rest of the tool, for when no more is known of that. Measured against PointNet++ at equal data it is
-better and faster.
-Generative head: what `NetworkConfig.process` asks for, conditioned by FiLM. About 5 M parameters, pure PyTorch.
+patches of the rest of the tool, each through a small PointNet (Qi et al., CVPR 2017); then a transformer with tokens
+for the category, for the direction to the rest of the tool (in case its points are not seen) and for the context.
+Better and faster than PointNet++ at equal training data.
+Generative head: the field of the process that `NetworkConfig.process` names, conditioned by FiLM. Regression head: the
+mean pose, its sigmas and the validity. About 5 M parameters, pure PyTorch.
 """
 
 from __future__ import annotations
@@ -18,24 +18,39 @@ from torch import Tensor, nn
 
 from toolee_robot.end_effectors import CATEGORIES
 from toolee_robot.perception.pose.canonical import PATCHES, REST_PATCHES, CanonicalCloud
+from toolee_robot.perception.pose.patches import Patches, mirror_x
 from toolee_robot.perception.pose.processes.flow import Euler, Process
 from toolee_robot.perception.pose.processes.registry import PROCESSES
 from toolee_robot.perception.pose.representation import DIM
 from toolee_robot.perception.precision import in_bfloat16
 
 SAMPLER = Euler(3)
+"""Default solver of the generative process."""
 REGRESSED = ("mean", "log_sigma", "valid")
-"""What `PoseNet.regress` gives."""
+"""Names of the outputs of `PoseNet.regress`."""
 DIRECTION_DIM = 5
-"""Direction (3), then flags: given at all; given as the direction to the hand, not to the tool's visible rest."""
+"""Unit direction (3), then two flags: direction given; given toward the hand instead of the visible
+rest of the tool."""
 CONTEXT_DIM = 2
-"""log10 of the number of visible points - 2.5; distance of the cloud [m] - 0.7: what the noise depends on."""
+"""log10 of the number of visible points - 2.5; distance of the cloud [m] - 0.7: the sensor's noise depends on both."""
 
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Sizes. ball: radius [m] of a patch of `neighbours` points; rest_ball, rest_neighbours: of the rest's.
-    process: which of `PROCESSES` the generative head serves."""
+    """Architecture of the pose network; stored beside its weights.
+
+    Attributes:
+        width: Width of the tokens.
+        layers: Transformer blocks.
+        heads: Attention heads per block.
+        neighbours: Points per patch of the EE's cloud.
+        ball: Radius [m] of such a patch.
+        rest_neighbours: Points per patch of the rest of the tool.
+        rest_ball: Radius [m] of such a patch.
+        flow_width: Width of the generative head.
+        flow_blocks: Residual blocks of the generative head.
+        process: Name of the generative process in `PROCESSES`.
+    """
 
     width: int = 256
     layers: int = 4
@@ -49,12 +64,22 @@ class NetworkConfig:
     process: str = "edm"
 
     def to_dict(self) -> dict[str, Any]:
+        """The fields as a JSON object."""
         return asdict(self)
 
 
 class Seen(NamedTuple):
-    """The network's input: a canonical cloud's points (B, 512, 3) [m] with completed (B, 512), and rest (B, 256, 3) [m]
-    with rest_known (B,); the category (B,); the tokens direction (B, 5) and context (B, 2)."""
+    """Input of the network, a batch of B.
+
+    Attributes:
+        points: Points of the canonical cloud, (B, 512, 3) [m].
+        completed: (B, 512), 1 where a point's depth is completed.
+        rest: Points of the rest of the tool, (B, 256, 3) [m], canonical frame.
+        rest_known: Whether the rest is known, (B,) bool.
+        category: Index of the category, (B,).
+        direction: Direction token, (B, 5); see `DIRECTION_DIM`.
+        context: Context token, (B, 2); see `CONTEXT_DIM`.
+    """
 
     points: Tensor
     completed: Tensor
@@ -66,23 +91,35 @@ class Seen(NamedTuple):
 
     @staticmethod
     def of(cloud: CanonicalCloud, category: Tensor, direction: Tensor, context: Tensor) -> Seen:
-        """On the category's device."""
+        """The input of a batch.
+
+        Args:
+            cloud: The canonical clouds.
+            category: Index of each category, (B,); the input is on its device.
+            direction: Direction tokens, (B, 5).
+            context: Context tokens, (B, 2).
+
+        Returns:
+            The input.
+        """
         to = category.device
         points, completed, tokens = cloud.points.to(to), cloud.completed.to(to), (direction.to(to), context.to(to))
         return Seen(points, completed, cloud.rest.to(to), cloud.rest_known.to(to), category, *tokens)
 
     def with_mirror(self) -> Seen:
-        """Twice as many: as they are, then their mirror images in x."""
-        other = self._replace(points=_in_x(self.points), rest=_in_x(self.rest), direction=_in_x(self.direction))
+        """A batch of 2 B: the input, then its mirror image in x."""
+        other = self._replace(
+            points=mirror_x(self.points), rest=mirror_x(self.rest), direction=mirror_x(self.direction)
+        )
         return Seen(*(torch.cat(pair) for pair in zip(self, other, strict=True)))
 
 
-def _in_x(x: Tensor) -> Tensor:
-    return torch.cat([-x[..., :1], x[..., 1:]], -1)
-
-
 class PoseNet(nn.Module):
-    """Heads on one shared encoding; see `encode`, `flow` and `regress`."""
+    """Pose network: one encoder with a generative and a regression head; see `encode`, `flow` and `regress`.
+
+    Args:
+        config: Architecture; None: the default.
+    """
 
     def __init__(self, config: NetworkConfig | None = None) -> None:
         super().__init__()
@@ -103,11 +140,19 @@ class PoseNet(nn.Module):
 
     @property
     def process(self) -> Process:
-        """How its poses become noise, and the way back."""
+        """The generative process that the network is trained for."""
         return PROCESSES[self.config.process]
 
     def encode(self, seen: Seen, mirror: bool = False) -> Tensor:
-        """Feature (B, 2 width) of what is seen; with `mirror` (2 B, 2 width): then of its mirror image in x."""
+        """Encode clouds.
+
+        Args:
+            seen: The input, a batch of B.
+            mirror: Whether to encode the mirror image in x, too.
+
+        Returns:
+            Feature (B, 2 width); with `mirror` (2 B, 2 width), the mirror images last.
+        """
         both = seen.with_mirror() if mirror else seen
         tokens = torch.cat(
             [
@@ -125,83 +170,50 @@ class PoseNet(nn.Module):
         return torch.cat([tokens[:, 0], tokens[:, 3:].mean(1)], dim=-1)
 
     def encoder_in_bfloat16(self) -> None:
-        """See `in_bfloat16`. The heads, small as they are, stay as they are, and so do normalisations and sums of
-        tokens."""
+        """Compute the encoder's products in bfloat16 (`in_bfloat16`); heads, norms and sums stay in float32."""
         for part in (self.ee, self.rest, self.direction, self.context, self.blocks):
             in_bfloat16(part)
 
     def rest_tokens(self, seen: Seen, mirror: bool = False) -> Tensor:
-        """(B, 32, width) of the rest of the tool; with `mirror` (2 B, 32, width) as in `encode`."""
+        """Tokens of the rest of the tool: (B, 32, width), with `mirror` (2 B, 32, width) as in `encode`."""
         known = seen.rest_known.repeat(2) if mirror else seen.rest_known
         return torch.where(known[:, None, None], self.rest(seen.rest, mirror=mirror), self.no_rest)
 
     def regress(self, feature: Tensor) -> dict[str, Tensor]:
-        """mean (B, 12), log_sigma (B, 3) of position [units of T], axis [rad], spin [rad], validity logit (B,)."""
+        """Regress the pose and its uncertainty.
+
+        Args:
+            feature: Encoded clouds, (B, 2 width).
+
+        Returns:
+            "mean": pose u (B, 12); "log_sigma": (B, 3) of position [units of T], axis [rad] and spin [rad]; "valid":
+            logit (B,) that the cloud shows an EE of the category.
+        """
         out = self.regression(feature).float()
         return {"mean": out[:, :DIM], "log_sigma": out[:, DIM : DIM + 3].clamp(-6, 2), "valid": out[:, DIM + 3]}
 
     def forward(self, seen: Seen, u: Tensor, t: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        """What training needs in one call: velocities (B, K, 12) at u (B, K, 12), t (B, K), and the regression."""
+        """Both heads in one call, for training.
+
+        Args:
+            seen: The input, a batch of B.
+            u: Noised poses, (B, K, 12).
+            t: Their times, (B, K).
+
+        Returns:
+            The generative head's output (B, K, 12), and the regression; see `regress`.
+        """
         feature = self.encode(seen)
         return self.flow(u, t, self.flow.condition(feature)), self.regress(feature)
 
 
-class Patches(nn.Module):
-    """A small PointNet on the neighbourhood of each of a cloud's first points: tokens (B, count, width)."""
-
-    def __init__(
-        self, width: int, count: int, neighbours: int, ball: float, scale: float, marked: bool = False
-    ) -> None:
-        """ball [m]: of a patch; scale [m]: of the places. marked: the points come with a mark each."""
-        super().__init__()
-        self._count, self._neighbours, self._ball, self._scale = count, neighbours, ball, scale
-        self.inner = nn.Sequential(nn.Linear(3 + marked, width // 4), nn.SiLU(), nn.Linear(width // 4, width // 2))
-        self.outer = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
-        self.place = nn.Sequential(nn.Linear(3, width // 2), nn.SiLU(), nn.Linear(width // 2, width))
-
-    def forward(self, points: Tensor, marks: Tensor | None = None, mirror: bool = False) -> Tensor:
-        """points (B, N, 3) [m], marks (B, N) -> tokens (B, count, width); with `mirror` (2 B, count, width): then those
-        of the points' mirror image in x, whose neighbours are the same."""
-        centres = points[:, : self._count]
-        patches = self._patches(centres, points, marks)
-        if mirror:
-            centres, patches = (torch.cat([x, _in_x(x)]) for x in (centres, patches))
-        h = self.inner(patches)
-        # In training max(dim): under torch.compile in bfloat16 the gradient of amax, which is faster, was not finite.
-        pooled = h.max(2)[0] if self.training else h.amax(2)
-        tokens: Tensor = self.outer(torch.cat([pooled, _mean(h)], dim=-1)) + self.place(centres / self._scale)
-        return tokens
-
-    @torch.no_grad()
-    def _patches(self, centres: Tensor, points: Tensor, marks: Tensor | None) -> Tensor:
-        """(B, count, neighbours, 3 or 4): about their centres, in radii of the ball; the mark last."""
-        # By coordinate: a sum over an axis of three takes 2.5 times as long.
-        x, y, z = ((centres[:, :, None, k] - points[:, None, :, k]).square() for k in range(3))
-        squared = x + y + z
-        near, index = squared.topk(self._neighbours, dim=-1, largest=False, sorted=False)
-        rows = index.flatten(1)[..., None].expand(-1, -1, 3)
-        patches = points.gather(1, rows).view(*index.shape, 3) - centres[:, :, None]
-        # A neighbour outside of the ball is replaced by the centre itself.
-        inside = near < self._ball**2
-        patches = torch.where(inside[..., None], patches, 0.0) / self._ball
-        if marks is None:
-            return patches
-        own = marks[:, : self._count, None]
-        mark = torch.where(inside, marks.gather(1, index.flatten(1)).view(index.shape), own)
-        return torch.cat([patches, mark[..., None]], -1)
-
-
-def _mean(h: Tensor) -> Tensor:
-    """Of h (B, count, neighbours, width) over the neighbours. In bfloat16 a processor takes 2.5 times as long for a sum
-    as for a product."""
-    if h.device.type != "cpu" or h.dtype is not torch.bfloat16:
-        return h.mean(2)
-    share = h.new_full((1, h.shape[2]), 1.0 / h.shape[2])
-    return (share @ h)[:, :, 0]
-
-
 class Block(nn.Module):
-    """Pre-norm transformer block."""
+    """Pre-norm transformer block.
+
+    Args:
+        width: Width of the tokens.
+        heads: Attention heads.
+    """
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -211,7 +223,15 @@ class Block(nn.Module):
         self.mlp = nn.Sequential(nn.Linear(width, 4 * width), nn.GELU(), nn.Linear(4 * width, width))
 
     def forward(self, x: Tensor, count: int | None = None) -> Tensor:
-        """The first `count` of the tokens x (B, N, width), all if None."""
+        """Attend and transform.
+
+        Args:
+            x: Tokens (B, N, width).
+            count: Number of first tokens to compute; None: all.
+
+        Returns:
+            The first `count` tokens, (B, count, width).
+        """
         B, N, d = x.shape
         q, k, v = self.qkv(self.norm_1(x)).view(B, N, 3, self.heads, d // self.heads).permute(2, 0, 3, 1, 4)
         attended = nn.functional.scaled_dot_product_attention(q[:, :, :count], k, v)
@@ -220,7 +240,14 @@ class Block(nn.Module):
 
 
 class FlowHead(nn.Module):
-    """Velocity of u at time t, given the cloud's feature: residual MLP with FiLM from the feature (once a cloud)."""
+    """Generative head: a residual MLP on u and t, with FiLM conditioning (Perez et al. 2018) from the cloud's feature.
+
+    Args:
+        feature: Width of the feature.
+        width: Width of the MLP.
+        blocks: Residual blocks.
+        frequencies: Fourier features of t.
+    """
 
     frequencies: Tensor
 
@@ -239,11 +266,11 @@ class FlowHead(nn.Module):
         nn.init.zeros_(self.out.bias)
 
     def condition(self, feature: Tensor) -> Tensor:
-        """(B, blocks, 2, width): scale and shift of every block."""
+        """Scale and shift of every block, (B, blocks, 2, width), from the feature (B, feature); once per cloud."""
         return self.film(nn.functional.silu(feature)).unflatten(-1, (len(self.layers), 2, self.width))
 
     def forward(self, u: Tensor, t: Tensor, condition: Tensor) -> Tensor:
-        """u (B, K, 12), t (B, K) in [0, 1] -> (B, K, 12)."""
+        """The field at u (B, K, 12) and t (B, K) in [0, 1], given `condition`: (B, K, 12)."""
         phase = t[..., None] * self.frequencies.to(t.dtype)
         h = self.into(torch.cat([u, phase.sin(), phase.cos()], dim=-1))
         for i, layer in enumerate(self.layers):

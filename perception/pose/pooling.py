@@ -1,7 +1,7 @@
-"""From K candidate poses to one pose with a covariance: quotient by the symmetry group, cluster, robust mean.
+"""Pooling: from K candidate poses to one pose with a covariance.
 
-A plain mean of candidates that flip between two symmetric readings lands between them; here every candidate is first
-compared modulo the EE's group, the densest mode is found, and only its members are averaged.
+The mean of candidates that flip between two symmetric readings lies between them. So the candidates are compared modulo
+the EE's symmetry group, the densest mode is found, and only its members enter a robust mean.
 """
 
 from __future__ import annotations
@@ -18,17 +18,26 @@ from toolee_robot.perception.pose.rotations import rotation_matrix, rotation_vec
 from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 
 FREE_SPIN_VARIANCE = np.pi**2 / 3
-"""[rad^2] variance of an angle of which nothing is known: uniform on (-pi, pi)."""
+"""Variance [rad^2] of an unobserved angle: uniform on (-pi, pi)."""
 
 MODE_ANGLE = np.deg2rad(25.0)
+"""Candidates within this angle [rad], modulo the group, belong to one mode."""
 MODE_DISTANCE = 0.015
+"""Candidates within this distance [m] belong to one mode."""
 _BANDWIDTH_ANGLE = np.deg2rad(6.0)
+"""Bandwidth [rad] of the density estimate."""
 _BANDWIDTH_DISTANCE = 0.003
+"""Bandwidth [m] of the density estimate."""
 
 
 @dataclass(frozen=True)
 class SigmaScale:
-    """How much the raw spread and the network's sigma must be scaled to match the errors seen on held-out tools."""
+    """Calibration factors on the pooled standard deviations, fitted to the errors on held-out tools.
+
+    Attributes:
+        position: Factor on the position's sigma.
+        angle: Factor on the rotation's sigma.
+    """
 
     position: float = 1.0
     angle: float = 1.0
@@ -36,9 +45,15 @@ class SigmaScale:
 
 @dataclass(frozen=True)
 class Pooled:
-    """X: 4x4. covariance: 6x6, position [m] then rotation vector [rad], axes of the frame X is in. modes: masses of
-    the modes, largest first. spread_position [m], spread_angle [rad]: RMS deviation inside of the main mode; the
-    angle modulo the group. spin_variance [rad^2] about the symmetry axis (about z where there is none).
+    """The pooled pose.
+
+    Attributes:
+        X: Pose, 4x4, in the candidates' frame.
+        covariance: 6x6, position [m] then rotation vector [rad], axes of the candidates' frame.
+        modes: Masses of the modes (sum 1), largest first.
+        spread_position: RMS deviation [m] of the position inside of the main mode.
+        spread_angle: RMS deviation [rad] of the rotation inside of the main mode, modulo the group.
+        spin_variance: Variance [rad^2] about the symmetry axis, or about z where there is none.
     """
 
     X: Array
@@ -58,11 +73,20 @@ def pool(
     spin_observable: float = 1.0,
     scale: SigmaScale | None = None,
 ) -> Pooled:
-    """Pool candidates Xs (K, 4, 4) modulo `group`.
+    """Pool candidate poses modulo a symmetry group.
 
-    sigma_*: the network's own error prediction ([m], [rad]: direction of the z axis, spin about it), averaged with the
-    spread and scaled by the calibration `scale`. spin_observable: probability that the view tells the spin; it only
-    matters for a continuous group, whose spin variance goes to pi^2/3 where nothing tells it.
+    Args:
+        Xs: Candidate poses, (K, 4, 4).
+        group: Symmetry group of the EE.
+        sigma_position: The network's predicted position error [m].
+        sigma_axis: Its predicted error [rad] of the z axis's direction.
+        sigma_spin: Its predicted error [rad] of the spin about z.
+        spin_observable: Probability that the view shows the spin; only matters for a continuous group, whose spin
+            variance goes to pi^2/3 where the spin is unobserved.
+        scale: Calibration factors; None: 1.
+
+    Returns:
+        The pooled pose. Its covariance is the mean of the candidates' scatter and the predicted one, scaled.
     """
     scale = scale or SigmaScale()
     R, p = Xs[:, :3, :3], Xs[:, :3, 3]
@@ -123,7 +147,15 @@ def pool(
 
 
 def pairwise_angles(R: Array, group: SymmetryGroup) -> Array:
-    """(K, K) angles [rad] between rotations (K, 3, 3) modulo the group."""
+    """Angles between rotations modulo a symmetry group.
+
+    Args:
+        R: Rotations (K, 3, 3).
+        group: Symmetry group.
+
+    Returns:
+        (K, K) [rad].
+    """
     if group.kind is SymmetryKind.CINF:
         axes = R @ np.asarray(group.axis)
         return 2 * np.arcsin(np.minimum(_lengths(axes[:, None] - axes) / 2, 1))
@@ -134,7 +166,16 @@ def pairwise_angles(R: Array, group: SymmetryGroup) -> Array:
 
 
 def align(R: Array, R_reference: Array, group: SymmetryGroup) -> Array:
-    """`SymmetryGroup.canonical` for a batch (K, 3, 3): the member of each orbit closest to R_reference (3, 3)."""
+    """Choose from each rotation's orbit the member closest to a reference: `SymmetryGroup.canonical` for a batch.
+
+    Args:
+        R: Rotations (K, 3, 3).
+        R_reference: Reference, 3x3.
+        group: Symmetry group.
+
+    Returns:
+        Rotations (K, 3, 3).
+    """
     if group.kind is SymmetryKind.CINF:
         axis = np.asarray(group.axis)
         twist = twist_angles(np.swapaxes(R, 1, 2) @ R_reference, axis)
@@ -145,18 +186,18 @@ def align(R: Array, R_reference: Array, group: SymmetryGroup) -> Array:
 
 
 def _lengths(x: Array) -> Array:
-    """Of vectors (..., D); `np.linalg.norm` takes its time to find out which norm is meant."""
+    """Norms of vectors (..., D); faster than `np.linalg.norm` for small arrays."""
     return np.sqrt(np.vecdot(x, x))
 
 
 def _median(x: Array) -> Array:
-    """Along the first axis, of a few finite numbers; `np.median` takes ten times as long to look for others."""
+    """Median along the first axis of a few finite numbers; ten times as fast as `np.median`, which checks for NaN."""
     ordered = np.sort(x, axis=0)
     return 0.5 * (ordered[(len(x) - 1) // 2] + ordered[len(x) // 2])
 
 
 def _modes(angle: Array, distance: Array, density: Array) -> tuple[NDArray[np.intp], tuple[float, ...]]:
-    """Indices of the heaviest mode's members, and the masses of all modes, heaviest first."""
+    """Indices of the members of the heaviest mode, and the masses of all modes, heaviest first."""
     close = (angle < MODE_ANGLE) & (distance < MODE_DISTANCE)
     left = np.ones(len(angle), dtype=bool)
     found = []

@@ -1,11 +1,11 @@
 """The pose as the network sees it: u = [Rz | Rx | S | T] in R^12.
 
-ToolEENet writes a pose as [Rx | Ry | S | T]: two columns of the rotation (the continuous 6D representation of Zhou et
-al., "On the Continuity of Rotation Representations in Neural Networks", CVPR 2019, eq. 15-16), S in R^3 whose k-th
-entry says that the pose is ambiguous about axis k, and the translation. Here the first column is the *action axis* z
-(the face's normal, the shaft, the nut's axis): Gram-Schmidt keeps the first column's direction and bends the second,
-and on tools that are symmetric about z, x is the ambiguous one. S is per view, not per class: a hammer's is 1 about z
-only where nothing visible tells the spin.
+ToolEENet represents a pose as [Rx | Ry | S | T]: two columns of the rotation (the continuous 6D representation of Zhou
+et al., "On the Continuity of Rotation Representations in Neural Networks", CVPR 2019, eq. 15-16), S in R^3 whose k-th
+entry marks an ambiguity about axis k, and the translation. Here the first column is the *action axis* z (the face's
+normal, the shaft, the nut's axis): Gram-Schmidt keeps the first column's direction and changes the second, and on tools
+that are symmetric about z, x is the ambiguous one. S is per view, not per class: a hammer's is 1 about z only where
+nothing visible shows the spin.
 
 T is in units of `T_SCALE`; rotations and T are in the canonical frame of `canonical.py`.
 """
@@ -17,7 +17,7 @@ from torch import Tensor
 
 DIM = 12
 T_SCALE = 0.02
-"""[m] one unit of T, about the standard deviation of the EE about the visible cloud's centre."""
+"""Unit [m] of T: about the standard deviation of the EE's position about the visible cloud's centre."""
 
 AXIS_Z = slice(0, 3)
 AXIS_X = slice(3, 6)
@@ -26,14 +26,27 @@ POSITION = slice(9, 12)
 
 
 def encode(R: Tensor, p: Tensor, ambiguous: Tensor) -> Tensor:
-    """u (..., 12) from rotations (..., 3, 3), positions (..., 3) [m] and ambiguity flags (..., 3) in {0, 1}."""
+    """Encode poses.
+
+    Args:
+        R: Rotations (..., 3, 3).
+        p: Positions (..., 3) [m].
+        ambiguous: Ambiguity flags (..., 3) in {0, 1}, one per axis.
+
+    Returns:
+        u (..., 12).
+    """
     return torch.cat([R[..., :, 2], R[..., :, 0], ambiguous, p / T_SCALE], dim=-1)
 
 
 def decode(u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """R (..., 3, 3), p (..., 3) [m], ambiguity (..., 3) from u (..., 12), by Gram-Schmidt with z first.
+    """Decode poses by Gram-Schmidt, z first. Works for any u: degenerate columns fall back to a fixed direction.
 
-    Works for any u: degenerate columns fall back to an arbitrary but fixed direction.
+    Args:
+        u: (..., 12).
+
+    Returns:
+        Rotations (..., 3, 3), positions (..., 3) [m], ambiguity (..., 3).
     """
     z = _unit(u[..., AXIS_Z], u.new_tensor([0.0, 0.0, 1.0]))
     b = u[..., AXIS_X]
@@ -47,10 +60,16 @@ def decode(u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def mirrored(u: Tensor) -> Tensor:
-    """u (..., 12) of the view mirrored by M = diag(-1, 1, 1), and back.
+    """The pose in the view mirrored by M = diag(-1, 1, 1); its own inverse.
 
-    There a tool with a mirror plane of its own, D = diag(1, -1, 1) (hammers, claws, screwdrivers), has the rotation
-    M R D, whose z and x are M's of R's; wrenches mirror in z instead, which is the same modulo their C2 group.
+    A tool with a mirror plane of its own, D = diag(1, -1, 1) (hammers, claws, screwdrivers), then has the rotation M R
+    D, whose z and x are M's of R's; wrenches mirror in z instead, which is the same modulo their C2 group.
+
+    Args:
+        u: (..., 12).
+
+    Returns:
+        u (..., 12) of the mirrored view.
     """
     u = u.clone()
     for part in (AXIS_Z, AXIS_X, POSITION):

@@ -1,4 +1,4 @@
-"""The few functions of rotations that the pooling needs, in closed form: scipy's cost tens of microseconds a call."""
+"""Rotation functions that pooling needs, in closed form: scipy's cost tens of microseconds per call."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from toolee_robot.frames import Array
 
 
 def rotation_matrix(w: Array) -> Array:
-    """The rotation (3, 3) by the vector w (3,) [rad]."""
+    """The rotation (3, 3) of a rotation vector w (3,) [rad]."""
     x, y, z = w.tolist()
     angle = math.sqrt(x * x + y * y + z * z)
     if angle == 0:
@@ -36,16 +36,15 @@ def rotations_about(axis: Array, angle: Array) -> Array:
 
 
 def rotation_vectors(R: Array) -> Array:
-    """Rotation vectors (K, 3) [rad] of rotations (K, 3, 3) that are not near half a turn."""
+    """Rotation vectors (K, 3) [rad] of rotations (K, 3, 3) by less than about half a turn."""
     twice, trace = _axis_and_trace(R)
-    # At least something tiny, so that no rotation gives no 0 / 0.
+    # Bounded below, so that the identity does not give 0 / 0.
     sine = np.maximum(0.5 * np.sqrt(np.vecdot(twice, twice)), 1e-30)
     return twice * (0.5 * np.arctan2(sine, 0.5 * (trace - 1)) / sine)[:, None]
 
 
 def twist_angles(R: Array, axis: Array) -> Array:
-    """(K,) twist [rad] about the unit vector `axis` (3,) of rotations (K, 3, 3), by the decomposition
-    R = swing @ twist."""
+    """Twist [rad], (K,), of rotations (K, 3, 3) about the unit vector `axis` (3,): R = swing @ twist."""
     # By the quaternion (v, w) of R these are 4 w (v . axis) and 2 (w^2 - (v . axis)^2), so that the angle is
     # 2 atan2(v . axis, w).
     twice, trace = _axis_and_trace(R)

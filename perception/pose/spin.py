@@ -1,7 +1,7 @@
-"""The symmetry fix: the spin about a symmetric EE's axis, taken from the hand that holds the tool.
+"""The symmetry fix: the spin about a symmetric end effector's axis, taken from the hand that holds the tool.
 
-The cloud of a symmetric EE cannot tell the spin about its axis; the hand can, because the tool is roughly fixed in it.
-Only the twist about the axis is replaced (swing-twist decomposition), never the axis itself, and only as far as the
+The cloud of a symmetric EE does not show the spin about its axis; the hand does, because the tool is roughly fixed in
+it. Only the twist about the axis is replaced (swing-twist decomposition), never the axis itself, and only as far as the
 cloud's own evidence for the spin is weaker than the hand's.
 """
 
@@ -20,11 +20,22 @@ from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 def fix_spin(
     R: Array, R_prior: Array, group: SymmetryGroup, variance: float, prior_variance: float
 ) -> tuple[Array, float]:
-    """The rotation R (3, 3) with its spin moved toward the prior's, and the spin's variance [rad^2] afterwards.
+    """Move the spin of a rotation toward the prior's.
 
-    R_prior: 3x3, the EE's orientation as the hand suggests it, same frame as R; only its twist relative to R about the
-    group's axis is used. variance, prior_variance [rad^2] of the two spins: they combine like von Mises directions, so
-    that a free spin (pi^2/3) has no weight. A C2 group picks the member of the orbit nearest to the prior; no group: R.
+    Both spins are combined like von Mises directions weighted by their precision, so that a free spin (variance pi^2/3)
+    has no weight. For a C2 group the member of the orbit nearest to the prior is taken; without symmetry R is
+    unchanged.
+
+    Args:
+        R: Estimated orientation of the EE, 3x3.
+        R_prior: Orientation of the EE that the hand suggests, 3x3, in the same frame; only its twist relative to R
+            about the group's axis is used.
+        group: Symmetry group of the EE.
+        variance: Variance [rad^2] of R's spin.
+        prior_variance: Variance [rad^2] of the prior's spin.
+
+    Returns:
+        The rotation with the combined spin, 3x3, and the variance [rad^2] of that spin.
     """
     if group.kind is SymmetryKind.NONE:
         return R, variance
@@ -38,7 +49,16 @@ def fix_spin(
 
 
 def with_spin_variance(covariance: Array, axis: Array, variance: float) -> Array:
-    """The 6x6 covariance with the rotation's variance about `axis` (3,) replaced and uncorrelated with the rest."""
+    """Set the rotational variance of a covariance about an axis.
+
+    Args:
+        covariance: 6x6, position [m] then rotation vector [rad].
+        axis: Unit vector (3,) in the covariance's axes.
+        variance: New variance [rad^2] about the axis, uncorrelated with everything else.
+
+    Returns:
+        The new covariance, 6x6.
+    """
     P = np.eye(6)
     P[3:, 3:] -= np.outer(axis, axis)
     result = P @ covariance @ P

@@ -1,4 +1,4 @@
-"""The weights (float16) beside their calibration in `pose.json`; see `toolee_robot.perception.weight_files`."""
+"""Weights (float16) and calibration of the pose network; see `toolee_robot.perception.weight_files`."""
 
 from __future__ import annotations
 
@@ -20,16 +20,27 @@ _UNFITTED = ConfidenceModel((0.0,) * len(FEATURES), (1.0,) * len(FEATURES), (0.0
 
 @dataclass(frozen=True)
 class Calibration:
-    """What is fitted on held-out tools after the training: factors on sigma per category, and the confidence.
+    """Calibration on held-out tools after the training. The defaults, before any fit, make every pose unusable.
 
-    The defaults, before any fit, trust nothing."""
+    Attributes:
+        scales: Factors on the pooled sigmas, per category.
+        confidence: The confidence model.
+    """
 
     scales: dict[Category, SigmaScale] = field(default_factory=lambda: dict.fromkeys(Category, SigmaScale()))
     confidence: ConfidenceModel = _UNFITTED
 
 
 def save(folder: Path, net: PoseNet, calibration: Calibration, report: dict[str, Any], name: str = NAME) -> None:
-    """Write both files. report: free-form record of the training, its settings and metrics."""
+    """Write weights and description.
+
+    Args:
+        folder: Output folder.
+        net: The trained network.
+        calibration: Fitted on held-out tools.
+        report: Record of the training: its settings and metrics.
+        name: Name of the files.
+    """
     card = {
         "network": net.config.to_dict(),
         "sigma_scale": {c.value: {"position": s.position, "angle": s.angle} for c, s in calibration.scales.items()},
@@ -40,7 +51,18 @@ def save(folder: Path, net: PoseNet, calibration: Calibration, report: dict[str,
 
 
 def load(folder: Path | None = None, name: str = NAME) -> tuple[PoseNet, Calibration]:
-    """The network (float32, eval mode, CPU) and its calibration. Raises AssetError if missing or unreadable."""
+    """Read the network and its calibration.
+
+    Args:
+        folder: Folder of weights; None: the shipped ones.
+        name: Name of the files.
+
+    Returns:
+        The network (float32, eval mode, CPU) and its calibration.
+
+    Raises:
+        AssetError: The files are missing or unreadable.
+    """
     tensors, card = weight_files.load_weights(folder, name)
     try:
         net = PoseNet(NetworkConfig(**card["network"]))
@@ -48,5 +70,7 @@ def load(folder: Path | None = None, name: str = NAME) -> tuple[PoseNet, Calibra
         scales = {Category(c): SigmaScale(**s) for c, s in card["sigma_scale"].items()}
         calibration = Calibration(scales, ConfidenceModel.from_dict(card["confidence"]))
     except (ValueError, KeyError, TypeError, RuntimeError) as error:
-        raise AssetError(f"the pose weights in {folder or weight_files.WEIGHTS_DIR} are unreadable: {error}") from error
+        raise AssetError(
+            f"the pose weights in {folder or weight_files.WEIGHTS_DIR} are unreadable: {error}", code="asset.unreadable"
+        ) from error
     return net.requires_grad_(False).eval(), calibration

@@ -1,1 +1,1 @@
-"""The experiments behind the design: ablations, and the named reference ToolEENet."""
+"""Research: ablations of the design, and ToolEENet's estimator as the reference."""

@@ -1,4 +1,4 @@
-"""Changes that the production code does not know: another encoder, un-centred clouds, other poolings."""
+"""Variants for the ablations: another encoder, un-centred clouds, other poolings."""
 
 from __future__ import annotations
 
@@ -22,11 +22,15 @@ from toolee_robot.perception.research.tooleenet.pooling import mean_pose
 from toolee_robot.symmetry import SymmetryGroup
 
 _FAR = 15.0
-"""Un-centred coordinates are so much larger than centred ones."""
+"""Factor by which un-centred coordinates are larger than centred ones."""
 
 
 class PointNetPose(PoseNet):
-    """Our heads and tokens on the paper's PointNet++."""
+    """The pose network's heads and tokens on the paper's PointNet++.
+
+    Args:
+        config: Architecture of the heads.
+    """
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
@@ -37,7 +41,7 @@ class PointNetPose(PoseNet):
         self.join = nn.Sequential(nn.Linear(self.points.size + 4 * d, 2 * d), nn.SiLU(), nn.Linear(2 * d, 2 * d))
 
     def encode(self, seen: Seen, mirror: bool = False) -> Tensor:
-        """See `PoseNet`; the points come with all of their farthest-point order."""
+        """See `PoseNet`; all points are in farthest-point order."""
         seen = seen.with_mirror() if mirror else seen
         tokens = [self.category(seen.category), self.direction(seen.direction), self.context(seen.context)]
         rest = self.rest_tokens(seen).mean(1)
@@ -59,7 +63,7 @@ class WithPointNet(DefaultRecipe):
 
 
 class UncentredGenerator(CloudGenerator):
-    """Clouds as the camera sees them: neither centred nor turned. The pose's position stays relative to the centre."""
+    """Clouds in the camera frame, neither centred nor rotated. The pose's position stays relative to the centre."""
 
     def generate(self, n: int) -> CloudBatch:
         """See `CloudGenerator`."""
@@ -84,7 +88,7 @@ class _Scale(nn.Module):
 
 @dataclass(frozen=True)
 class Uncentred(DefaultRecipe):
-    """`DefaultRecipe` on `UncentredGenerator`'s clouds."""
+    """`DefaultRecipe` on the clouds of `UncentredGenerator`."""
 
     def clouds(self, samples: SurfaceSamples, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
         """See `TrainingRecipe`."""
@@ -99,12 +103,12 @@ class Uncentred(DefaultRecipe):
 
 
 def group_mean(Xs: Array, group: SymmetryGroup) -> Array:
-    """The plain mean, modulo the group."""
+    """Mean of poses (K, 4, 4) modulo the group."""
     return mean_pose(Xs, group)
 
 
 def robust_mean(Xs: Array, group: SymmetryGroup) -> Array:
-    """The mean of all candidates with Cauchy weights, modulo the group, without a look at modes."""
+    """Mean of all poses (K, 4, 4) with Cauchy weights, modulo the group, without modes."""
     X = mean_pose(Xs, group)
     for _ in range(10):
         R = align(Xs[:, :3, :3], X[:3, :3], group)
@@ -118,7 +122,7 @@ def robust_mean(Xs: Array, group: SymmetryGroup) -> Array:
 
 
 def clustered(Xs: Array, group: SymmetryGroup) -> Array:
-    """Production's: the robust mean of the heaviest mode."""
+    """The default pooling: the robust mean of the heaviest mode."""
     return pool(Xs, group).X
 
 
@@ -128,3 +132,4 @@ POOLINGS = {
     "robust": robust_mean,
     "cluster": clustered,
 }
+"""Poolings by name: candidate poses (K, 4, 4) and group to a pose, 4x4."""

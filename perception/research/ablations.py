@@ -1,4 +1,4 @@
-"""Train one network for each design decision, on the same clouds and budget, and write the table of the results.
+"""Ablations: one training per design decision, on the same clouds and budget, and the table of the results.
 
     toolee train ablations --out runs/ablations --max-steps 30000
     toolee train ablations --out runs/ablations --minutes 10 --rows base,flow --device cuda:1
@@ -35,12 +35,18 @@ KS = (1, 5, 10, 20, 32, 50)
 STEPS = (1, 2, 3, 5, 10, 20)
 RADII_MM = (40, 50, 60, 70)
 _NAME = "ablation"
-"""Of the rows' weights: they are not for `toolee hammer`."""
+"""Name of the rows' weights, which are not for use in the pipeline."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One training. what: which decision it is about; change: what is different from the base."""
+    """One training of the ablations.
+
+    Attributes:
+        what: The design decision.
+        change: Difference from the base.
+        recipe: Its training recipe.
+    """
 
     what: str
     change: str
@@ -76,7 +82,18 @@ ROWS: dict[str, Row] = {
 
 
 def run_row(name: str, out: Path, config: TrainConfig, samples: Any, hands: Any) -> None:
-    """Train a row (or resume it), judge it, write its row.json. Raises TooleeError when the loss is not finite."""
+    """Train a row (or resume it), evaluate it and write its row.json.
+
+    Args:
+        name: Name of the row in `ROWS`.
+        out: Folder of the table.
+        config: Options of the training.
+        samples: Surface samples of training and of held-out tools.
+        hands: Surface samples of hands.
+
+    Raises:
+        TooleeError: The loss is not finite.
+    """
     row = ROWS[name]
     with init_distributed(config.device) as distributed:
         trainer: Trainer[Any] = Trainer(out / name, config, samples, hands, row.recipe, distributed)
@@ -99,7 +116,15 @@ def run_row(name: str, out: Path, config: TrainConfig, samples: Any, hands: Any)
 
 
 def without_training(estimator: CloudEstimator, held_out: CloudBatch) -> list[dict[str, Any]]:
-    """The decisions that need no training, on the base's network: K, steps, pooling."""
+    """Evaluate the decisions that need no training on the base's network: number of candidates, steps, pooling.
+
+    Args:
+        estimator: The base's estimator.
+        held_out: Held-out clouds.
+
+    Returns:
+        One row per setting, with its metrics.
+    """
     assert isinstance(estimator, PoseEstimator)
     rows = []
     for k in KS:
@@ -140,7 +165,7 @@ def run_rows(names: Sequence[str], out: Path, config: TrainConfig) -> None:
 
 
 def write_table(out: Path) -> str:
-    """ablations.json and ablations.md from the rows that are there; returns the latter."""
+    """Write ablations.json and ablations.md from the rows that are there; returns the text of the latter."""
     rows: list[dict[str, Any]] = []
     for name in ROWS:
         path = out / name / "row.json"

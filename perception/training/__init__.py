@@ -1,1 +1,1 @@
-"""What all trainings share: processes on several GPUs, the loop over images, logs, scenes read as they appear."""
+"""Shared by all trainings: several GPUs, the training loop, logs, scenes read as they appear."""

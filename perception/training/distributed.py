@@ -14,7 +14,13 @@ from torch import nn
 
 @dataclass(frozen=True)
 class Distributed:
-    """This process among `world` processes that train together: its rank, and its device."""
+    """This process among those that train together.
+
+    Attributes:
+        rank: Index of this process.
+        world: Number of processes.
+        device: Its torch device.
+    """
 
     rank: int
     world: int
@@ -22,17 +28,17 @@ class Distributed:
 
     @property
     def first(self) -> bool:
-        """Whether it is this process that logs and writes."""
+        """Whether this process logs and writes."""
         return self.rank == 0
 
     @property
     def device_name(self) -> str:
-        """How many devices of which kind."""
+        """Number and name of the devices."""
         name = torch.cuda.get_device_name(self.device) if self.device.type == "cuda" else "CPU"
         return f"{self.world} x {name}"
 
     def broadcast(self, value: float) -> float:
-        """Rank 0's value, everywhere."""
+        """Rank 0's value, on every rank."""
         if self.world == 1:
             return value
         tensor = torch.tensor([value], dtype=torch.float64, device=self.device)
@@ -40,7 +46,7 @@ class Distributed:
         return float(tensor.item())
 
     def wrap_ddp(self, module: nn.Module) -> nn.Module:
-        """The module with its gradients averaged over the ranks."""
+        """The module wrapped so that its gradients are averaged over the ranks."""
         if self.world == 1:
             return module
         ids = [self.device.index] if self.device.type == "cuda" else None
@@ -49,8 +55,14 @@ class Distributed:
 
 @contextmanager
 def init_distributed(device: str = "auto") -> Iterator[Distributed]:
-    """This process's place among those that torchrun started (alone without torchrun). device: "auto" for a GPU, each
-    process its own, where there are any."""
+    """Join the processes that torchrun started; alone without torchrun.
+
+    Args:
+        device: torch device; "auto": a GPU of its own for each process where there are GPUs, else the CPU.
+
+    Yields:
+        This process's place among them.
+    """
     world = int(os.environ.get("WORLD_SIZE", "1"))
     if device == "auto":
         device = f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if torch.cuda.is_available() else "cpu"

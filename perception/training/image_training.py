@@ -1,4 +1,4 @@
-"""Trainings on the images of a data set, of which there may come more meanwhile."""
+"""Trainings on the images of a data set that may still grow."""
 
 from __future__ import annotations
 
@@ -31,32 +31,34 @@ class ImageTraining(TrainingOptions):
     patience: float = 120.0
 
     def to_json(self) -> dict[str, Any]:
+        """The options as a JSON object, without paths of this machine."""
         return {**asdict(self), "data": self.data.name, "out": self.out.name, "init": self.init is not None}
 
 
 class ImageTrainingRun(TrainingRun):
-    """A training on images, of which there may come more while it runs."""
+    """A training on images; more may be added while it runs."""
 
     config: ImageTraining
 
     @abstractmethod
     def images(self) -> int:
-        """How many images this rank has."""
+        """Number of images of this rank."""
 
     @abstractmethod
     def extend(self) -> None:
-        """Take in the images that have come."""
+        """Add the images that have been decoded since."""
 
     @abstractmethod
     def described(self) -> dict[str, Any]:
-        """What stands beside the weights, but for what every run knows of itself."""
+        """Description of the network, stored beside the weights."""
 
     def grow(self) -> dict[str, float]:
+        """See `TrainingRun`: add images; their number over all ranks."""
         self.extend()
         return {"images": self.images() * self.distributed.world}
 
     def write(self) -> None:
-        """Averaged weights as safetensors, configuration and log as JSON."""
+        """Write the averaged weights as safetensors, with configuration and log as JSON."""
         description = {
             **self.described(),
             "training": self.config.to_json(),

@@ -1,4 +1,4 @@
-"""Images with the ids of what they show: in memory, and as bytes on a device."""
+"""Labelled images: the trainings' view of a data set, and its storage as bytes on a device."""
 
 from __future__ import annotations
 
@@ -10,15 +10,19 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 _CHUNK = 512
-"""Images sent to the device at a time."""
+"""Images copied to the device at a time."""
 
 
 class SegmentationImages(Protocol):
-    """What the trainer needs of a data set, arrays of N images of one size.
+    """The trainings' view of a data set: arrays of N images of one size.
 
-    rgb (N, H, W, 3) uint8. depth_mm (N, H, W) uint16: [mm], 0 where unknown. intrinsics (N, 4): fx, fy, cx, cy [px].
-    ee (N, H, W) uint8: id of the end effector seen at the pixel, 0 for none. tool (N, H, W) uint8: id of the tool,
-    likewise. categories (N, E) uint8: class index (1..4, the order of `Category`) of EE id 1..E, 0 where there is none.
+    Attributes:
+        rgb: (N, H, W, 3) uint8.
+        depth_mm: (N, H, W) uint16 [mm], 0 where unknown.
+        intrinsics: fx, fy, cx, cy, (N, 4) [px].
+        ee: Id of the end effector at each pixel, 0 for none, (N, H, W) uint8.
+        tool: Id of the tool at each pixel, 0 for none, (N, H, W) uint8.
+        categories: Class index (1..4, the order of `Category`) of EE ids 1..E, 0 where there is none, (N, E) uint8.
     """
 
     @property
@@ -41,10 +45,17 @@ class SegmentationImages(Protocol):
 
 
 class DeviceStore:
-    """A data set, or one rank's part of it, as bytes on the device. It may grow.
+    """A data set, or one rank's part of it, as bytes on the device. It may grow: of its M rows the first `len` are
+    images.
 
-    rgb (M, H, W, 3) uint8; focal (M,) [px]; maps (M, 1 or 2, H, W) uint8: ids of EE and, if `tools`, of tool. Of the M
-    rows the first `len` are images, the others room for more.
+    Args:
+        device: torch device.
+        tools: Whether to store the ids of tools, too.
+
+    Attributes:
+        rgb: (M, H, W, 3) uint8.
+        maps: Ids of EE and, if `tools`, of tool, (M, 1 or 2, H, W) uint8.
+        focal: Focal length, (M,) [px].
     """
 
     def __init__(self, device: torch.device, tools: bool) -> None:
@@ -59,14 +70,14 @@ class DeviceStore:
         return self._count
 
     def depth(self, which: Tensor) -> Tensor:
-        """Of the images `which` (B,): (B, H, W) float32 [m], 0 where unknown."""
+        """Depth (B, H, W) float32 [m], 0 where unknown, of the images `which` (B,)."""
         return self._millimetres[which].float() / 1000.0
 
     def extend(self, more: SegmentationImages) -> None:
-        """Take in more images, all of one size."""
+        """Add more images, all of one size."""
         first, end = self._count, self._count + len(more.rgb)
         if end > len(self.rgb):
-            # Room for more than is needed now, or each scene would copy all that came before it.
+            # Grow geometrically, so that not every scene copies all stored images.
             capacity = max(end, 3 * first // 2)
             size = more.rgb.shape[1:3]
             self.rgb = grown(self.rgb, (capacity, *size, 3))
@@ -87,7 +98,7 @@ class DeviceStore:
 
 
 def grown(old: Tensor, shape: tuple[int, ...]) -> Tensor:
-    """A larger tensor of that shape with the old one in its first corner; what is added is 0."""
+    """A larger tensor of a shape, zero but for the old tensor in its first corner."""
     new = old.new_zeros(shape)
     if old.numel():
         new[tuple(slice(n) for n in old.shape)] = old

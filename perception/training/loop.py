@@ -1,4 +1,4 @@
-"""The training loop of every network: the budget, the average of the weights, log and checkpoints."""
+"""The training loop of every network: budget, averaged weights, log and checkpoints."""
 
 from __future__ import annotations
 
@@ -20,15 +20,22 @@ from toolee_robot.runtime.files import written_whole
 
 
 class TrainingRun(ABC):
-    """The state of one run: network, average, optimiser, clock, log. It goes on where a checkpoint in its folder says.
+    """The state of a training: network, average, optimiser, clock, log. It resumes from a checkpoint in its folder.
+
+    Args:
+        options: Options of the training.
+        out: Folder for checkpoint, weights and log.
+        distributed: This process among those that train together.
+        network: The network that is trained.
+        module: The network, or a module that holds it and computes its losses.
 
     Attributes:
-        name: Of the weights.
-        checkpoint: Name of the checkpoint's file in the output folder.
-        log_name: Name of the log's file there, a JSON object a line.
-        tag: Of the curves.
-        log_seconds: Least time between entries of the log.
-        averages_buffers: Whether the running statistics are averaged as the weights are, or the newest are taken.
+        name: Name of the weights.
+        checkpoint: File name of the checkpoint in the output folder.
+        log_name: File name of the log there, one JSON object per line.
+        tag: Prefix of the curves.
+        log_seconds: Least time between entries of the log [s].
+        averages_buffers: Whether running statistics are averaged as the weights are; otherwise the newest are taken.
     """
 
     name: str
@@ -41,7 +48,6 @@ class TrainingRun(ABC):
     def __init__(
         self, options: TrainingOptions, out: Path, distributed: Distributed, network: nn.Module, module: nn.Module
     ) -> None:
-        """module: the network, or what holds it and makes its losses."""
         self.distributed, self.network, self.module, self.out = distributed, network, module, out
         self._options = options
         self.average = {k: v.detach().clone() for k, v in network.state_dict().items()}
@@ -59,42 +65,42 @@ class TrainingRun(ABC):
 
     @abstractmethod
     def losses(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """Of the next batch: the losses, to be added, and what else is to be logged."""
+        """The losses of the next batch, which are summed, and further values for the log."""
 
     @abstractmethod
     def write(self) -> None:
         """Write the averaged weights with their description into the output folder."""
 
     def make_optimizer(self) -> torch.optim.Optimizer:
-        """AdamW; what has one dimension does not decay."""
+        """AdamW, without decay for one-dimensional parameters."""
         parameters = list(self.network.parameters())
         decayed = {"params": [p for p in parameters if p.ndim > 1], "weight_decay": self._options.weight_decay}
         plain = {"params": [p for p in parameters if p.ndim <= 1], "weight_decay": 0.0}
         return torch.optim.AdamW([decayed, plain], lr=self._options.lr)
 
     def schedule(self, progress: float) -> float:
-        """Factor on the learning rate after the warm-up; progress: how much of the budget is used."""
+        """Factor on the learning rate after the warm-up, at a share of the budget: cosine decay to 1 %."""
         return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
 
     def reseed(self) -> None:
-        """After a resumption: other examples than the first process began with."""
+        """Seed anew after a resumption, so that examples differ from those of the first process."""
         torch.manual_seed(self._options.seed + 1000 * self.distributed.rank + 1_000_003 * self.step)
 
     def prepare(self) -> nn.Module:
-        """What is left to do before the first step; the module that the ranks share."""
+        """Prepare the first step; returns the module that the ranks share."""
         return self.module
 
     def grow(self) -> dict[str, float]:
-        """Take in the examples that have come; what is to be logged of them."""
+        """Add new examples; returns values for the log."""
         return {}
 
     @property
     def progress(self) -> float:
-        """How much of the budget is used, 1 at its end."""
+        """Share of the budget that is used, 1 at its end."""
         return self._options.progress(self.elapsed / 60, self.step)
 
     def loop(self) -> None:
-        """Train until the budget or the session is used up. Raises TooleeError when the loss stops being finite."""
+        """Train until the budget or the session is used up. Raises TooleeError when the loss is not finite."""
         options, distributed = self._options, self.distributed
         if self.resumed:
             self._restore()
@@ -131,7 +137,9 @@ class TrainingRun(ABC):
         self._checkpoint()
 
     def record(self, values: dict[str, Any]) -> None:
-        """One line on the terminal, in the log and in the curves; the losses, which are no "event", are also kept."""
+        """Write an entry to the terminal, the log and the curves; entries without an "event" are also kept in
+        memory.
+        """
         if not self.distributed.first:
             return
         entry = {"step": self.step, "minutes": round(self.elapsed / 60, 4), **_rounded(values)}
@@ -144,7 +152,7 @@ class TrainingRun(ABC):
             self.log.append(entry)
 
     def averaged(self) -> dict[str, Tensor]:
-        """The averaged weights, as they are exported."""
+        """The averaged weights as they are exported."""
         return {k: v for k, v in self.average.items() if not k.endswith("num_batches_tracked")}
 
     def _optimise(self) -> tuple[dict[str, Tensor], Tensor]:
@@ -170,7 +178,8 @@ class TrainingRun(ABC):
         if bad:
             raise TooleeError(
                 f"the training of {self.name} stopped at step {self.step}: {', '.join(bad)} not finite. The last good "
-                f"state is {self.checkpoint_path}; lower lr or clip_norm, and the same command goes on from there"
+                f"state is {self.checkpoint_path}; lower lr or clip_norm, and the same command goes on from there",
+                code="toolee.training_diverged",
             )
 
     def _checkpoint(self) -> None:
@@ -198,5 +207,5 @@ class TrainingRun(ABC):
 
 
 def _rounded(values: dict[str, Any]) -> dict[str, Any]:
-    """Five significant digits are enough for a log."""
+    """Values rounded to five significant digits for the log."""
     return {k: float(f"{v:.5g}") if isinstance(v, float) else v for k, v in values.items()}

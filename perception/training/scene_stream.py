@@ -1,4 +1,4 @@
-"""The scenes of a data set for a training, decoded while it runs and as they appear."""
+"""Stream of a data set's scenes for a training, decoded in the background as they appear."""
 
 from __future__ import annotations
 
@@ -16,13 +16,17 @@ from toolee_robot.perception.training.labelled_images import SegmentationImages
 from toolee_robot.runtime.process_pool import WorkerPool
 
 _DECODERS = 8
-"""Processes that decode images, at most."""
+"""Largest number of processes that decode images."""
 
 
 class SceneStream:
-    """The scenes of part (i, n) of a split's folder, in order, each decoded by a process of its own once it is there.
+    """The scenes of a split's folder in order, each decoded in a process once it exists.
 
-    Training can begin while `toolee dataset generate` still writes.
+    A training can begin while `toolee dataset generate` still writes.
+
+    Args:
+        folder: Folder of the split.
+        part: (i, n): take every n-th scene, from the i-th on.
     """
 
     def __init__(self, folder: Path, part: tuple[int, int] = (0, 1)) -> None:
@@ -33,8 +37,18 @@ class SceneStream:
         self._thread.start()
 
     def take(self, timeout: float = 0.0) -> list[SegmentationImages]:
-        """What has been decoded since the last call, waiting up to `timeout` [s] for the first. Raises AssetError
-        naming a broken file, TooleeError when a process was killed."""
+        """The images decoded since the last call.
+
+        Args:
+            timeout: How long to wait for the first scene [s].
+
+        Returns:
+            The images of each scene.
+
+        Raises:
+            AssetError: A file is damaged; the message names it.
+            TooleeError: A decoding process was killed.
+        """
         images: list[SegmentationImages] = []
         while True:
             try:
@@ -46,7 +60,7 @@ class SceneStream:
             images.append(item)
 
     def close(self) -> None:
-        """Stop watching."""
+        """Stop the decoding."""
         self._closed.set()
         self._thread.join()
 
@@ -55,7 +69,7 @@ class SceneStream:
         seen: set[Path] = set()
         todo: deque[Path] = deque()
         running: deque[Future[SegmentationImages]] = deque()
-        # Processes: threads would take turns with training for the interpreter's lock.
+        # Processes, because threads would compete with the training for the interpreter's lock.
         with WorkerPool(workers) as pool:
             while not self._closed.is_set():
                 if not todo:
@@ -76,4 +90,7 @@ def _outcome(decoded: Future[SegmentationImages]) -> SegmentationImages | Toolee
     except TooleeError as error:
         return error
     except BrokenProcessPool:
-        return TooleeError("a process that decodes images was killed (out of memory?): the same command goes on")
+        return TooleeError(
+            "a process that decodes images was killed (out of memory?): the same command resumes the training",
+            code="toolee.process_killed",
+        )

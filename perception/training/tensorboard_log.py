@@ -1,4 +1,4 @@
-"""TensorBoard beside a training's own log, where the `train` extra is installed."""
+"""TensorBoard curves of a training, where the `train` extra is installed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ FOLDER = "tensorboard"
 
 
 class Scalars:
-    """Curves for TensorBoard in out/tensorboard; without the extra nothing is written."""
+    """Writer of TensorBoard curves in out/tensorboard; without the extra nothing is written.
+
+    Args:
+        out: Folder of the training.
+    """
 
     def __init__(self, out: Path) -> None:
         self._out = out
@@ -18,7 +22,13 @@ class Scalars:
         self._tried = False
 
     def add(self, step: int, values: Mapping[str, Any], under: str = "train") -> None:
-        """The numbers among `values` at that step; those of mappings under their key."""
+        """Write numbers at a step; those of nested mappings under their key.
+
+        Args:
+            step: Step of the training.
+            values: Names and values; values that are not numbers are skipped.
+            under: Prefix of the curves.
+        """
         if not self._tried:
             self._tried = True
             try:

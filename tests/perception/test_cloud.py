@@ -1,4 +1,4 @@
-"""Clouds of known surfaces, and depth that is wrong."""
+"""Clouds of known surfaces, and depth in the wrong unit."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.perception.cloud import (
@@ -62,16 +63,17 @@ def test_unknown_depth_gives_no_points() -> None:
 
 
 @pytest.mark.parametrize(
-    ("depth", "message"),
+    ("depth", "code", "remedy"),
     [
-        (np.full((4, 4), 800.0), "--depth-scale 0.001"),
-        (np.full((4, 4), 8e-4), "depth-scale"),
-        (-np.ones((4, 4)), "neg"),
+        (np.full((4, 4), 800.0), "user.depth_unit", "--depth-scale 0.001"),
+        (np.full((4, 4), 8e-4), "user.depth_unit", "--depth-scale"),
+        (-np.ones((4, 4)), "user.depth_negative", "metres"),
     ],
 )
-def test_depth_in_the_wrong_unit_says_what_to_pass(depth: np.ndarray, message: str) -> None:
-    with pytest.raises(UserError, match=message):
+def test_depth_in_the_wrong_unit_says_what_to_pass(depth: np.ndarray, code: str, remedy: str) -> None:
+    with raises(UserError, code=code) as refused:
         check_depth_unit(depth)
+    assert remedy in str(refused.value)
 
 
 def test_depth_in_metres_or_unknown_passes() -> None:

@@ -1,4 +1,4 @@
-"""Files in, frames out; every mistake a person can make is named."""
+"""Frames from files: every format is read, every mistake is refused with its own code."""
 
 from __future__ import annotations
 
@@ -9,16 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.errors import raises
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
-from toolee_robot.perception.io import (
-    bop_images,
-    parse_intrinsics,
-    read_depth,
-    read_frame,
-    read_pose,
-    read_rgb,
-)
+from toolee_robot.perception.image_files import read_depth, read_rgb
+from toolee_robot.perception.io import bop_images, parse_intrinsics, read_frame, read_pose
 
 
 @pytest.fixture
@@ -69,39 +64,41 @@ def test_float_depth_with_holes(tmp_path: Path) -> None:
 
 def test_depth_mistakes_are_named(tmp_path: Path, depth_mm: np.ndarray, rgb: np.ndarray) -> None:
     path = write_png(tmp_path / "d.png", depth_mm)
-    with pytest.raises(UserError, match=r"--depth-scale 0\.001"):
+    with raises(UserError, code="user.depth_unit"):
         read_depth(path)
-    with pytest.raises(UserError, match="depth-scale"):
+    with raises(UserError, code="user.depth_unit"):
         read_depth(path, 1e-6)
     for scale in (0.0, -1.0, np.nan):
-        with pytest.raises(UserError, match="depth-scale"):
+        with raises(UserError, code="user.depth_scale"):
             read_depth(path, scale)
     np.save(tmp_path / "nan.npy", np.full((4, 4), np.nan))
-    with pytest.raises(UserError, match="no known distance"):
+    with raises(UserError, code="user.depth_unknown"):
         read_depth(tmp_path / "nan.npy")
     np.save(tmp_path / "negative.npy", -np.ones((4, 4)))
-    with pytest.raises(UserError, match="negative"):
+    with raises(UserError, code="user.depth_negative"):
         read_depth(tmp_path / "negative.npy")
     np.save(tmp_path / "text.npy", np.full((4, 4), "a"))
-    with pytest.raises(UserError, match="numbers"):
+    with raises(UserError, code="user.depth_type"):
         read_depth(tmp_path / "text.npy")
-    with pytest.raises(UserError, match="one channel"):
+    with raises(UserError, code="user.depth_shape"):
         read_depth(write_png(tmp_path / "c.png", rgb))
-    with pytest.raises(UserError, match="8 bits"):
+    with raises(UserError, code="user.depth_type"):
         read_depth(write_png(tmp_path / "e.png", rgb[:, :, 0]))
 
 
 def test_files_that_are_missing_or_no_images_are_named(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"nothing\.png does not exist"):
+    with raises(UserError, code="user.file_missing") as refused:
         read_rgb(tmp_path / "nothing.png")
+    assert "nothing.png" in str(refused.value)
     for name in ("broken.png", "broken.npy"):
         (tmp_path / name).write_bytes(b"hello")
-        with pytest.raises(UserError, match=name):
+        with raises(UserError, code="user.file_unreadable") as refused:
             read_rgb(tmp_path / name)
+        assert name in str(refused.value)
     (tmp_path / "empty.png").write_bytes(b"")
-    with pytest.raises(UserError, match=r"empty\.png"):
+    with raises(UserError, code="user.file_unreadable"):
         read_rgb(tmp_path / "empty.png")
-    with pytest.raises(UserError, match="does not exist"):
+    with raises(UserError, code="user.file_missing"):
         read_depth(tmp_path)
 
 
@@ -109,7 +106,7 @@ def test_files_that_are_missing_or_no_images_are_named(tmp_path: Path) -> None:
     "text", ["", "1,2,3", "a,b,c,d", "365,365,16", "nan,365,16,12", "-365,365,16,12", "3.6,3.6,16,12", "365,365,400,12"]
 )
 def test_intrinsics_mistakes_are_named(text: str) -> None:
-    with pytest.raises(UserError):
+    with raises(UserError, code="user.intrinsics"):
         parse_intrinsics(text, 32, 24)
 
 
@@ -131,18 +128,19 @@ def test_poses_from_every_format(tmp_path: Path) -> None:
 
 def test_pose_mistakes_are_named(tmp_path: Path) -> None:
     scaled, far = np.eye(4) * 2, transform(None, [100.0, 0, 700.0])
-    for name, content in {
-        "short.txt": "1 2 3",
-        "words.txt": "one two",
-        "bad.json": "{",
-        "scaled.txt": " ".join(map(str, scaled.reshape(-1))),
-        "nan.txt": " ".join(["nan"] * 16),
-        "mm.txt": " ".join(map(str, far.reshape(-1))),
-    }.items():
+    for name, content, code in (
+        ("short.txt", "1 2 3", "user.pose_size"),
+        ("words.txt", "one two", "user.pose_unreadable"),
+        ("bad.json", "{", "user.pose_unreadable"),
+        ("scaled.txt", " ".join(map(str, scaled.reshape(-1))), "user.pose_not_rigid"),
+        ("nan.txt", " ".join(["nan"] * 16), "user.pose_not_rigid"),
+        ("mm.txt", " ".join(map(str, far.reshape(-1))), "user.pose_unit"),
+    ):
         (tmp_path / name).write_text(content)
-        with pytest.raises(UserError, match=name.replace(".", r"\.")):
+        with raises(UserError, code=code) as refused:
             read_pose(tmp_path / name)
-    with pytest.raises(UserError, match="cannot read"):
+        assert name in str(refused.value)
+    with raises(UserError, code="user.pose_unreadable"):
         read_pose(tmp_path / "absent.txt")
 
 
@@ -150,7 +148,7 @@ def test_a_frame_needs_images_of_one_size(tmp_path: Path, rgb: np.ndarray, depth
     colour = write_png(tmp_path / "a.png", rgb)
     frame = read_frame(colour, write_png(tmp_path / "d.png", depth_mm), "365,365,16,12", 0.001)
     assert frame.depth.shape == (24, 32)
-    with pytest.raises(UserError, match="register"):
+    with raises(UserError, code="user.depth_not_registered"):
         read_frame(colour, write_png(tmp_path / "e.png", depth_mm[:20]), "365,365,16,12", 0.001)
 
 
@@ -176,19 +174,21 @@ def test_a_bop_scene_is_read_in_order_with_its_depth_scale(
 
 
 def test_bop_mistakes_are_named_before_anything_is_read(tmp_path: Path, rgb: np.ndarray, depth_mm: np.ndarray) -> None:
-    with pytest.raises(UserError, match="not a folder"):
+    with raises(UserError, code="user.bop_folder"):
         bop_images(tmp_path / "absent")
-    with pytest.raises(UserError, match="scene_camera"):
+    with raises(UserError, code="user.bop_camera"):
         bop_images(tmp_path)
     scene = make_scene(tmp_path, rgb, depth_mm)
     (scene / "depth" / "000003.png").unlink()
-    with pytest.raises(UserError, match=r"image 3, but .*depth"):
+    with raises(UserError, code="user.bop_image_missing") as refused:
         bop_images(scene)
+    assert "image 3" in str(refused.value)
     write_png(scene / "rgb" / "000099.png", rgb)
     write_png(scene / "depth" / "000003.png", depth_mm)
-    with pytest.raises(UserError, match="000099"):
+    with raises(UserError, code="user.bop_camera") as refused:
         bop_images(scene)
+    assert "000099" in str(refused.value)
     for cameras in ("[]", "{", '{"0": {}}', '{"0": {"cam_K": [1, 2]}}', '{"zero": {"cam_K": [1]}}'):
         (scene / "scene_camera.json").write_text(cameras)
-        with pytest.raises(UserError, match="scene_camera"):
+        with raises(UserError, code="user.bop_camera"):
             bop_images(scene)

@@ -1,4 +1,4 @@
-"""The front door: stages in order, reasons instead of silence, fusion of the right end effector."""
+"""The pipeline: order of the stages, reasons for unusable estimates, fusion of the right end effector."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, PerceptionError, UserError
 from toolee_robot.frames import transform
@@ -98,7 +99,7 @@ def test_a_mask_without_depth_is_listed_with_its_reason(perception: ToolPercepti
 def test_an_empty_view_and_millimetres(perception: ToolPerception) -> None:
     assert perception.estimate(frame()) == []
     seen = frame((0, 150, 14))
-    with pytest.raises(UserError, match="millimetres"):
+    with raises(UserError, code="user.depth_unit"):
         perception.estimate(RgbdFrame(seen.rgb, seen.depth * 1000, CAMERA))
 
 
@@ -143,11 +144,12 @@ def test_an_expected_pose_rules_out_the_opposite_end(perception: ToolPerception)
     np.testing.assert_allclose(fused.X_hand_ee[:3, 2], [0, 0, 1], atol=1e-6)
 
 
-def test_fusing_frames_without_the_tool_says_so(perception: ToolPerception) -> None:
-    with pytest.raises(PerceptionError, match="none of 2 frames"):
+def test_fusing_frames_without_the_tool_is_refused(perception: ToolPerception) -> None:
+    with raises(PerceptionError, code="perception.not_seen"):
         perception.fuse([[], []], [np.eye(4)] * 2)
 
 
 def test_missing_weights_name_the_file(tmp_path: Path) -> None:
-    with pytest.raises(AssetError, match=r"segmentation\.json"):
+    with raises(AssetError, code="asset.missing") as refused:
         ToolPerception.load(tmp_path)
+    assert "segmentation.json" in str(refused.value)

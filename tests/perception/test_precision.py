@@ -1,4 +1,4 @@
-"""The networks in bfloat16, as on processors with matrix units for it: what float32 finds, and where."""
+"""The networks in bfloat16, as on CPUs with matrix units for it, against float32."""
 
 from __future__ import annotations
 

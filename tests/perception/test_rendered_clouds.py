@@ -1,4 +1,4 @@
-"""Clouds of rendered images: they agree with the truth that goes with them, and a training takes them."""
+"""Clouds of rendered images: they agree with their truth, and trainings use them."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
+from tests.errors import raises
 from toolee_robot.cli.app import run
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, UserError
@@ -31,7 +32,7 @@ from toolee_robot.perception.pose.synthetic_clouds.surface_samples import sample
 from toolee_robot.perception.pose.training.config import TrainConfig
 from toolee_robot.perception.pose.training.recipe import DefaultRecipe
 from toolee_robot.perception.pose.training.trainer import Trainer
-from toolee_robot.perception.rendered_clouds import of_part, tools_of_part
+from toolee_robot.perception.rendered_clouds import clouds_of_part, tool_clouds_of_part
 from toolee_robot.perception.research.tooleenet import PaperEstimator
 from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.perception.training.distributed import Distributed
@@ -52,7 +53,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def clouds(folder: Path) -> RenderedClouds:
-    return of_part(Segmenter.load(), parts(folder)[0])
+    return clouds_of_part(Segmenter.load(), parts(folder)[0])
 
 
 def test_both_kinds_of_masks_give_clouds_about_their_ends(clouds: RenderedClouds) -> None:
@@ -91,7 +92,7 @@ def test_only_what_shows_none_of_its_category_is_a_negative(folder: Path) -> Non
     others = [c for c in Category if c is not one.category]
 
     def negatives(*detections: Detection) -> int:
-        clouds = of_part(ScriptedDetector(list(detections)), part)
+        clouds = clouds_of_part(ScriptedDetector(list(detections)), part)
         return int((~clouds.positive).sum())
 
     assert negatives(one) == 0
@@ -191,18 +192,18 @@ def test_a_mixture_takes_its_share_of_each() -> None:
     assert (first.asked, second.asked) == (150, 50)
     mixture.reseed(7)
     assert first.asked != second.asked, "two sources of one kind must not give the same"
-    with pytest.raises(UserError, match="give one from 0 to 1"):
+    with raises(UserError, code="user.share"):
         Mixture(first, second, 1.5)
 
 
-def test_they_come_back_from_their_file_and_another_file_is_refused(clouds: RenderedClouds, tmp_path: Path) -> None:
+def test_clouds_come_back_from_their_file_and_another_file_is_refused(clouds: RenderedClouds, tmp_path: Path) -> None:
     clouds.save(tmp_path / "deep" / "clouds.npz")
     again = RenderedClouds.load(tmp_path / "deep" / "clouds.npz")
     assert len(again) == len(clouds)
     for f in fields(clouds):
         np.testing.assert_array_equal(getattr(again, f.name), getattr(clouds, f.name))
     (tmp_path / "other.npz").write_bytes(b"no clouds")
-    with pytest.raises(AssetError, match="toolee train clouds"):
+    with raises(AssetError, code="asset.unreadable"):
         RenderedClouds.load(tmp_path / "other.npz")
 
 
@@ -239,7 +240,7 @@ def test_a_training_learns_from_them(clouds: RenderedClouds, tmp_path: Path) -> 
 
 def test_whole_tools_come_with_the_pose_of_their_tool(folder: Path) -> None:
     (part, *_) = parts(folder)
-    whole = tools_of_part(None, part)
+    whole = tool_clouds_of_part(None, part)
     examples = read_part(part, None)
     shown = [i for i in examples.instances if i.target and i.first_end]
     assert len(whole) == len(shown) > 0

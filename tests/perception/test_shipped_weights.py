@@ -1,11 +1,11 @@
-"""An accuracy floor under the shipped weights: what `ToolPerception` makes of 60 frozen frames, and the files' hashes.
+"""Accuracy floor of the shipped weights: results of `ToolPerception` on 60 frozen frames, and the files' hashes.
 
 The frames are a data set of the `hard` configuration with seed 7411, 20 frames to a scene: held-out tools (30 of them),
 textures and backgrounds; 70 end effectors to be found, 10 frames without a tool. No training, fit or published figure
 uses this seed.
 
-Each bound lies two or three instances (medians: at most 30 %) on the losing side of the figure measured, which is about
-what so few frames resolve: rounding (bfloat16 or float32, other vector units) moves a count by one or two. The figures
+Each bound is two or three instances (medians: at most 30 %) worse than the measured figure, about the resolution of so
+few frames: rounding (bfloat16 or float32, other vector units) moves a count by one or two. The figures
 in the docstrings were measured in float32 by `pytest -s tests/perception/test_shipped_weights.py`, which prints them.
 New weights need new figures, bounds and hashes.
 """

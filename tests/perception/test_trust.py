@@ -1,4 +1,4 @@
-"""How far a pose under a detector's mask is trusted: the model, its file, and its fit."""
+"""The trust model: its probabilities, its file, and its fit."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception import weight_files
@@ -69,15 +70,15 @@ def test_what_was_fitted_is_for_these_weights_only(tmp_path: Path) -> None:
     assert Trust.load(folder, None) == Trust(), "another detector"
     with (folder / "pose.json").open("a") as file:
         file.write("\n")
-    with pytest.raises(AssetError, match="fitted for other weights"):
+    with raises(AssetError, code="asset.weights_replaced"):
         Trust.load(folder, folder)
     fitted.save(folder, {})
     assert Trust.load(folder, folder) == fitted
     (folder / "refinement.json").write_text("{}")
-    with pytest.raises(AssetError, match="fitted for other weights"):
+    with raises(AssetError, code="asset.weights_replaced"):
         Trust.load(folder, folder)
     (folder / "trust.json").write_text("{}")
-    with pytest.raises(AssetError, match="unreadable"):
+    with raises(AssetError, code="asset.unreadable"):
         Trust.load(folder, folder)
 
 
@@ -105,8 +106,8 @@ def test_the_fit_learns_from_the_scores_and_keeps_empty_frames_quiet() -> None:
     assert trust.judge(0.85, 0.85, result(0.9))[1]
 
 
-def test_too_little_to_fit_on_is_said() -> None:
-    with pytest.raises(UserError, match="take more images"):
+def test_too_little_to_fit_on_is_refused() -> None:
+    with raises(UserError, code="user.too_few_images"):
         fit(_drawn(20, False, 1), _drawn(20, True, 2))
-    with pytest.raises(UserError, match="take more images"):
+    with raises(UserError, code="user.too_few_images"):
         fit(_drawn(200, False, 1), [])

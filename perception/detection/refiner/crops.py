@@ -1,4 +1,4 @@
-"""Squares of an image about what the detector found, near and in metres: what the second stage of masks looks at.
+"""Square crops of an image around detections, enlarged and with metric coordinates: the refiner's input.
 
 Boxes are x0, y0, x1, y1 [px] of the image, pixel edges at integer coordinates.
 """
@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 CELLS = 96
-"""Cells a side of a square."""
+"""Cells per side of a square."""
 CHANNELS = 8
-"""Of a square: see `look`."""
+"""Channels of a square; see `sample_squares`."""
 
 _MARGIN = 1.7
 _MIN_SIDE = 24.0
@@ -25,13 +25,19 @@ _NEAR_QUANTILE = 0.3
 _EVERY = 3
 
 MaskAt = Callable[[Tensor, Tensor], Tensor]
-"""Columns and rows (N, CELLS, CELLS) int64 of an image's pixels -> whether the detector's mask holds them, bool."""
+"""From columns and rows (N, CELLS, CELLS) int64 of an image's pixels to whether the mask holds them, bool."""
 
 
 @dataclass(frozen=True)
 class Squares:
-    """N squares. centre (N, 2), side (N,) [px]; turn (N,) [rad]: of the square's axes in the image; mirrored (N,): -1
-    where it is seen left for right, else 1."""
+    """N squares in images.
+
+    Attributes:
+        centre: (N, 2) [px].
+        side: (N,) [px].
+        turn: Rotation of the square's axes in the image, (N,) [rad].
+        mirrored: -1 where the square is seen mirrored left to right, else 1, (N,).
+    """
 
     centre: Tensor
     side: Tensor
@@ -40,16 +46,16 @@ class Squares:
 
     @classmethod
     def about(cls, boxes: Tensor) -> Squares:
-        """Upright, about the centres of boxes (N, 4), with room around them."""
+        """Upright squares around the centres of boxes (N, 4), with a margin."""
         side = ((boxes[:, 2:] - boxes[:, :2]).amax(1) * _MARGIN).clamp(min=_MIN_SIDE)
         return cls((boxes[:, :2] + boxes[:, 2:]) / 2, side, torch.zeros_like(side), torch.ones_like(side))
 
     def mirrored_copy(self) -> Squares:
-        """The same squares, seen left for right."""
+        """The same squares, mirrored left to right."""
         return Squares(self.centre, self.side, self.turn, -self.mirrored)
 
     def jittered(self) -> Squares:
-        """For training: shifted, larger or smaller, turned (every second) and mirrored at random."""
+        """Squares for training: shifted, scaled, rotated (half of them) and mirrored at random."""
         n, device = len(self.side), self.side.device
         shift = 0.05 * torch.randn((n, 2), device=device) * self.side[:, None]
         side = self.side * torch.exp(0.25 * (2 * torch.rand(n, device=device) - 1))
@@ -58,12 +64,14 @@ class Squares:
         return Squares(self.centre + shift, side, turn, mirrored)
 
     def boxes(self) -> Tensor:
-        """The boxes (N, 4) of upright squares; they may reach beyond the image."""
+        """Boxes (N, 4) of upright squares; they may reach beyond the image."""
         half = self.side[:, None] / 2
         return torch.cat([self.centre - half, self.centre + half], 1)
 
     def offsets(self) -> tuple[Tensor, Tensor]:
-        """x (N, 1, CELLS) and y (N, CELLS, 1) [px]: of the cells' centres from the square's, along its own axes."""
+        """Offsets [px] of the cells' centres from the square's centre along its own axes: x (N, 1, CELLS), y (N, CELLS,
+        1).
+        """
         steps = (torch.arange(CELLS, device=self.side.device) + 0.5) / CELLS - 0.5
         span = steps * self.side[:, None]
         return span[:, None, :], span[:, :, None]
@@ -80,7 +88,13 @@ class Squares:
 
 @dataclass(frozen=True)
 class Images:
-    """B images of one size: rgb (B, H, W, 3) uint8; depth (B, H, W) [m], 0 where unknown; focal (B,) [px]."""
+    """B images of one size.
+
+    Attributes:
+        rgb: (B, H, W, 3) uint8.
+        depth: (B, H, W) [m], 0 where unknown.
+        focal: (B,) [px].
+    """
 
     rgb: Tensor
     depth: Tensor
@@ -88,12 +102,21 @@ class Images:
 
 
 @torch.no_grad()
-def look(images: Images, index: Tensor, squares: Squares, mask_at: MaskAt) -> tuple[Tensor, Tensor]:
-    """(N, CHANNELS, CELLS, CELLS) of squares in the images `index` (N,), and the cells' pixels (N, 2, CELLS, CELLS)
-    int64: column and row, -1 beyond the image.
+def sample_squares(images: Images, index: Tensor, squares: Squares, mask_at: MaskAt) -> tuple[Tensor, Tensor]:
+    """Sample squares from images.
 
-    Colour in 0..255; x, y, z from the square's centre and the depth of what the mask shows, in units of 5 cm, x and y
-    along the square's axes; whether the depth is known; the mask.
+    Channels: colour in 0..255 (3); x, y, z from the square's centre and the depth under the mask, in units of 5 cm, x
+    and y along the square's axes; whether the depth is known; the mask.
+
+    Args:
+        images: The images.
+        index: Image of each square, (N,).
+        squares: The squares.
+        mask_at: Reads the detector's masks.
+
+    Returns:
+        (N, CHANNELS, CELLS, CELLS), and the cells' pixels (N, 2, CELLS, CELLS) int64: column and row, -1 beyond the
+        image.
     """
     u, v = squares.places()
     height, width = images.rgb.shape[1:3]
@@ -115,7 +138,7 @@ def look(images: Images, index: Tensor, squares: Squares, mask_at: MaskAt) -> tu
 
 
 def _depth_of(z: Tensor, known: Tensor, mask: Tensor) -> Tensor:
-    """(N,) a low quantile of the known depths under the mask, or, where there are none, of all."""
+    """A low quantile of the known depths under the mask, (N,); of all known depths where the mask has none."""
     few = (slice(None), slice(1, None, _EVERY), slice(1, None, _EVERY))
     z, known, mask = z[few].flatten(1), known[few].flatten(1), (known & mask)[few].flatten(1)
     chosen = torch.where(mask.any(1, keepdim=True), mask, known)
@@ -126,7 +149,7 @@ def _depth_of(z: Tensor, known: Tensor, mask: Tensor) -> Tensor:
 
 
 def _colour(rgb: Tensor, which: Tensor, u: Tensor, v: Tensor) -> Tensor:
-    """(N, 3, CELLS, CELLS): bilinear, the border repeated."""
+    """Bilinear colour (N, 3, CELLS, CELLS), the border replicated."""
     height, width = rgb.shape[1:3]
     u, v = u - 0.5, v - 0.5
     left, top = u.floor(), v.floor()

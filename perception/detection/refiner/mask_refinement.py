@@ -1,4 +1,4 @@
-"""The refiner over what the detector found in one image."""
+"""Mask refinement: the refiner applied to the detections of one image."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from toolee_robot.errors import AssetError
 from toolee_robot.perception.detection.detector import TOOL
 from toolee_robot.perception.detection.instances import Instances, without_duplicates
 from toolee_robot.perception.detection.mask_head import paste_one
-from toolee_robot.perception.detection.refiner.crops import Images, Squares, look
+from toolee_robot.perception.detection.refiner.crops import Images, Squares, sample_squares
 from toolee_robot.perception.detection.refiner.network import WEIGHTS_NAME, Refiner, RefinerConfig, load_refiner
 from toolee_robot.perception.precision import in_bfloat16
 from toolee_robot.perception.weight_files import WEIGHTS_DIR, load_weights
@@ -19,7 +19,13 @@ from toolee_robot.types import RgbdFrame
 
 
 class MaskRefinement:
-    """A trained refiner, ready. Thread-safe once loaded."""
+    """A trained refiner, ready for inference. Thread-safe once loaded.
+
+    Args:
+        refiner: The trained network; its batch normalisation is fused in place.
+        device: torch device that runs it.
+        bfloat16: Whether a CPU computes in bfloat16.
+    """
 
     def __init__(self, refiner: Refiner, device: torch.device, bfloat16: bool) -> None:
         self._device, self._bfloat16 = device, bfloat16
@@ -29,22 +35,43 @@ class MaskRefinement:
 
     @classmethod
     def load(cls, weights_dir: Path | None, device: torch.device, bfloat16: bool) -> MaskRefinement | None:
-        """What lies beside the detector's weights in `weights_dir` (the shipped one if None); None where a detector was
-        trained and no refiner yet. Raises AssetError that names the unreadable file."""
+        """Load the refiner beside a detector's weights.
+
+        Args:
+            weights_dir: Folder of weights; None: the shipped ones.
+            device: torch device that runs it.
+            bfloat16: Whether a CPU computes in bfloat16.
+
+        Returns:
+            The refiner; None where the folder has none.
+
+        Raises:
+            AssetError: A file is unreadable or damaged; the message names it.
+        """
         if not ((weights_dir or WEIGHTS_DIR) / f"{WEIGHTS_NAME}.json").is_file():
             return None
         tensors, description = load_weights(weights_dir, WEIGHTS_NAME)
         try:
             refiner = Refiner(RefinerConfig.from_json(description["model"]))
         except (KeyError, TypeError, ValueError) as error:
-            raise AssetError(f"the refiner's description is damaged, fetch it again: {error!r}") from error
+            raise AssetError(
+                f"the refiner's description is damaged, fetch it again: {error!r}", code="asset.unreadable"
+            ) from error
         load_refiner(refiner, tensors)
         return cls(refiner, device, bfloat16)
 
     @torch.inference_mode()
     def __call__(self, frame: RgbdFrame, instances: Instances) -> Instances:
-        """The instances, end effectors with new masks, each thing once, best first. Their scores are geometric means of
-        the detector's and of the IoU that the refiner expects."""
+        """Refine the masks of end effectors.
+
+        Args:
+            frame: The frame.
+            instances: The detector's instances in it.
+
+        Returns:
+            The instances, best score first, duplicates removed; EEs with new masks and with the geometric mean of the
+            detector's score and the refiner's predicted IoU.
+        """
         masks, labels, scores, boxes = instances
         ees = [i for i, label in enumerate(labels) if label != TOOL]
         if not ees:
@@ -69,7 +96,7 @@ class MaskRefinement:
     def _outputs(
         self, frame: RgbdFrame, masks: torch.Tensor, squares: Squares, category: torch.Tensor, score: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Mask logits and quality logits: means over each square and its mirror image."""
+        """Mask logits and quality logits: the means over each square and its mirror image."""
         d = self._device
         K = frame.intrinsics
         depth = np.nan_to_num(frame.depth, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
@@ -80,7 +107,10 @@ class MaskRefinement:
         )
         first = torch.zeros(len(masks), dtype=torch.long, device=d)
         which = torch.arange(len(masks), device=d)[:, None, None]
-        both = [look(images, first, s, lambda u, v: masks[which, v, u])[0] for s in (squares, squares.mirrored_copy())]
+        both = [
+            sample_squares(images, first, s, lambda u, v: masks[which, v, u])[0]
+            for s in (squares, squares.mirrored_copy())
+        ]
         seen = torch.cat(both).contiguous(memory_format=torch.channels_last)
         with torch.autocast(d.type, torch.bfloat16, enabled=self._bfloat16):
             logits, quality = self._refiner(seen, category.repeat(2), score.repeat(2))

@@ -1,9 +1,8 @@
-"""A second stage for masks: each end effector that the detector found is segmented and scored again, in an enlarged
-crop.
+"""The mask refiner: segments each detected end effector again in an enlarged crop, and scores the new mask.
 
-The detector's mask head works on features of an image seen at one size, small things at few pixels. This network sees
-nothing but a square of the image about one detection, always at the same size, with the detector's mask as a hint
-(as Tang et al., "Look Closer to Segment Better", CVPR 2021, refine outlines), and every pixel's place in metres: an end
+The detector's mask head works on features of an image at one size, in which small things have few pixels. This network
+sees only a square of the image around one detection, always at the same size, with the detector's mask as a hint (as
+Tang et al., "Look Closer to Segment Better", CVPR 2021, refine outlines), and every pixel's metric position: an end
 effector's mask ends where the tool leaves a sphere of some centimetres.
 """
 
@@ -27,20 +26,30 @@ _CATEGORIES = len(Category)
 
 @dataclass(frozen=True)
 class RefinerConfig:
-    """widths: channels at a square's resolution, and at a half, a quarter and an eighth of it."""
+    """Architecture of the refiner; stored beside its weights.
+
+    Attributes:
+        widths: Channels at a square's resolution, and at a half, a quarter and an eighth of it.
+    """
 
     widths: tuple[int, int, int, int] = (32, 64, 112, 144)
 
     def to_json(self) -> dict[str, Any]:
+        """The fields as a JSON object."""
         return asdict(self)
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> RefinerConfig:
+        """Read the fields from a JSON object."""
         return cls(**{**data, "widths": tuple(data["widths"])})
 
 
 class Refiner(nn.Module):
-    """A U-Net (Ronneberger et al. 2015) over a square, and how good its mask will be."""
+    """A U-Net (Ronneberger et al. 2015) over a square, with a head that predicts its mask's quality.
+
+    Args:
+        config: Architecture; None: the default.
+    """
 
     def __init__(self, config: RefinerConfig | None = None) -> None:
         super().__init__()
@@ -52,14 +61,20 @@ class Refiner(nn.Module):
         )
         self.ascend = nn.ModuleList(_Ascent(w[i + 1], w[i]) for i in range(len(w) - 1))
         self.output = nn.Conv2d(w[0], 1, 1)
-        told = w[0] + w[-1] + 1 + _CATEGORIES
-        self.quality = nn.Sequential(nn.Linear(told, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 1))
+        inputs = w[0] + w[-1] + 1 + _CATEGORIES
+        hidden = nn.Linear(inputs, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU()
+        self.quality = nn.Sequential(*hidden, nn.Linear(128, 1))
 
     def forward(self, squares: Tensor, category: Tensor, score: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits (N, CELLS, CELLS) of the masks, and (N,) of their IoU with the truth, 0 where nothing of the kind is.
+        """Predict masks.
 
-        squares (N, CHANNELS, CELLS, CELLS): `segmentation_crops.look`; category (N,): index; score (N,) in [0, 1]: the
-        detector's.
+        Args:
+            squares: (N, CHANNELS, CELLS, CELLS), as `crops.sample_squares` makes them.
+            category: Index of each category, (N,).
+            score: The detector's scores in [0, 1], (N,).
+
+        Returns:
+            Logits (N, CELLS, CELLS) of the masks, and (N,) of their IoU with the truth, 0 where there is no such EE.
         """
         height, width = squares.shape[-2:]
         kind = F.one_hot(category, _CATEGORIES).to(squares.dtype)
@@ -75,8 +90,8 @@ class Refiner(nn.Module):
         logits = self.output(x)[:, 0].float()
         inside = logits.detach().sigmoid()[:, None]
         within = (x.float() * inside).sum((2, 3)) / inside.sum((2, 3)).clamp(min=1.0)
-        told = torch.cat([within, whole, torch.logit(score, 1e-3)[:, None], kind], 1)
-        return logits, self.quality(told)[:, 0].float()
+        summary = torch.cat([within, whole, torch.logit(score, 1e-3)[:, None], kind], 1)
+        return logits, self.quality(summary)[:, 0].float()
 
     def fuse(self) -> Refiner:
         """Fold batch normalisation into the convolutions, in place, for inference only."""
@@ -86,6 +101,8 @@ class Refiner(nn.Module):
 
 
 class _Residual(nn.Module):
+    """Residual block of two convolutions."""
+
     def __init__(self, width: int) -> None:
         super().__init__()
         self.body = nn.Sequential(*_conv(width, width), *_conv(width, width)[:-1])
@@ -95,7 +112,7 @@ class _Residual(nn.Module):
 
 
 class _Ascent(nn.Module):
-    """From a coarse level to the next finer one, beside what was seen there."""
+    """Upsample a coarse level and join it with the next finer one."""
 
     def __init__(self, coarse: int, fine: int) -> None:
         super().__init__()
@@ -115,5 +132,13 @@ def _conv(n_in: int, n_out: int, stride: int = 1) -> list[nn.Module]:
 
 
 def load_refiner(refiner: Refiner, tensors: dict[str, Tensor]) -> None:
-    """Put weights that a training run exported into `refiner`. Raises AssetError if they do not fit."""
+    """Load exported weights into a refiner.
+
+    Args:
+        refiner: The network, changed in place.
+        tensors: The weights.
+
+    Raises:
+        AssetError: The weights do not fit.
+    """
     load_into(refiner, tensors, "refiner")

@@ -1,10 +1,10 @@
-"""Train the refiner of the detector's masks, on one GPU, several, or (for a look) on a CPU.
+"""Train the refiner of the detector's masks, on one GPU, several, or (small) on a CPU.
 
     toolee train refinement --data data/train --out runs/refinement --minutes 15
 
-The detector looks once at every image; what it finds is what the refiner learns to draw and to judge. So take images
-that the detector was not trained on, or its masks there are better than they will ever be again. Scenes that appear
-while it trains are taken in, so generation may still run. The learning rate follows the clock. Every checkpoint writes
+The detector runs once on every image; its detections are the refiner's examples. Use images on which the detector was
+not trained, because on its training images its masks are better than on new ones. Scenes that appear during the
+training are included, so that generation may still run. The learning rate follows the clock. Every checkpoint writes
 the averaged weights in half precision.
 """
 
@@ -37,8 +37,14 @@ _AT_ONCE = 256
 
 @dataclass(frozen=True, kw_only=True)
 class RefinementTraining(ImageTraining):
-    """A training of the refiner; the budget begins with the first scenes. batch: detections a rank. detector: folder of
-    its weights, the shipped ones if None."""
+    """A training of the refiner. The budget begins with the first scenes; `batch` counts detections per rank.
+
+    Attributes:
+        detector: Folder of the detector's weights; None: the shipped ones.
+        model: Architecture of the refiner.
+
+    The other fields are those of `ImageTraining` and `TrainingOptions`, with defaults for this network.
+    """
 
     USUAL_MINUTES: ClassVar[float] = 15.0
 
@@ -53,36 +59,54 @@ class RefinementTraining(ImageTraining):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.batch < 2:
-            raise UserError("batch must be positive and, for batch normalisation, 2 or more")
+            raise UserError("batch must be positive and, for batch normalisation, 2 or more", code="user.batch")
 
     def to_json(self) -> dict[str, Any]:
+        """See `ImageTraining`."""
         return {**super().to_json(), "detector": self.detector is not None}
 
 
 def losses(logits: Tensor, quality: Tensor, examples: Examples) -> dict[str, Tensor]:
-    """Of logits (N, CELLS, CELLS), quality (N,): cross entropy and Dice of the masks that are to be learnt, and cross
-    entropy of the IoU that the network expects of every mask with its own, 0 for a false alarm; `iou`: the
-    mean of what the former have, `iou_before`: of the detector's."""
-    drawn = examples.drawn.float()
+    """Losses of a batch.
+
+    Args:
+        logits: Mask logits (N, CELLS, CELLS).
+        quality: Logits (N,) of the masks' predicted IoU.
+        examples: The batch.
+
+    Returns:
+        "mask" (cross entropy) and "dice" of the masks to be learnt; "quality": cross entropy of the predicted IoU with
+        the actual one, 0 for false alarms; for the log "iou": mean IoU of the masks to be learnt, and "iou_before": of
+        the detector's masks.
+    """
+    learnt = examples.learnt.float()
     bce, dice, iou = outline_losses(logits, examples.truth.float())
-    iou = iou * drawn
+    iou = iou * learnt
     with torch.no_grad():
         before = mask_overlap(examples.squares[:, -1] > 0, examples.truth)
     expected = F.binary_cross_entropy_with_logits(quality, iou, reduction="none")
     return {
-        "mask": weighted_mean(bce, drawn),
-        "dice": weighted_mean(0.5 * dice, drawn),
+        "mask": weighted_mean(bce, learnt),
+        "dice": weighted_mean(0.5 * dice, learnt),
         "quality": weighted_mean(0.3 * expected, examples.counts),
-        "iou": weighted_mean(iou, drawn),
-        "iou_before": weighted_mean(before, drawn),
+        "iou": weighted_mean(iou, learnt),
+        "iou_before": weighted_mean(before, learnt),
     }
 
 
 def train(config: RefinementTraining) -> Path:
-    """Run the training and return the folder with the exported weights, their configuration and log.
+    """Run the training.
 
-    Raises AssetError for missing or broken data or weights, UserError for bad settings, TooleeError when the loss stops
-    being finite (the last checkpoint is kept).
+    Args:
+        config: Its settings.
+
+    Returns:
+        The folder with the exported weights, their description and the log.
+
+    Raises:
+        AssetError: Data or weights are missing or damaged.
+        UserError: A setting is unusable.
+        TooleeError: The loss is not finite; the last checkpoint is kept.
     """
     with init_distributed(config.device) as distributed:
         torch.manual_seed(config.seed + 1000 * distributed.rank)
@@ -106,7 +130,10 @@ class _Run(ImageTrainingRun):
         while not self.data.ready and time.monotonic() - waited < config.patience:
             self._extend(1.0)
         if not self.data.ready:
-            raise UserError(f"{config.data} shows rank {distributed.rank} no end effector: generate the data set first")
+            raise UserError(
+                f"{config.data} shows rank {distributed.rank} no end effector: generate the data set first",
+                code="user.data_empty",
+            )
         refiner = Refiner(config.model)
         if config.init is not None:
             load_refiner(refiner, load_weights(config.init, WEIGHTS_NAME)[0])
@@ -138,8 +165,9 @@ class _Run(ImageTrainingRun):
 
     @torch.inference_mode()
     def validate(self) -> dict[str, float]:
-        """The averaged network on images kept aside: mean IoU of the masks before and after, and losses. Empty where
-        they show nothing."""
+        """Mean IoU before and after, and losses, of the averaged network on the validation images; empty where they
+        have no EE.
+        """
         refiner = Refiner(self.config.model).to(self.distributed.device).to(memory_format=torch.channels_last)
         load_refiner(refiner, self.averaged())
         refiner.eval()

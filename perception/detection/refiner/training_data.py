@@ -1,4 +1,4 @@
-"""What the refiner is trained on: images on the device, and what a detector finds in them."""
+"""Training data of the refiner: images on the device, and a detector's detections in them."""
 
 from __future__ import annotations
 
@@ -11,32 +11,41 @@ from torch import Tensor
 
 from toolee_robot.perception.dataset.records import MIN_POINTS
 from toolee_robot.perception.detection.boxes import clip
-from toolee_robot.perception.detection.detector import TOOL, Detector, working_size
+from toolee_robot.perception.detection.config import working_size
+from toolee_robot.perception.detection.detector import TOOL, Detector
 from toolee_robot.perception.detection.inputs import encode_rgbd
-from toolee_robot.perception.detection.refiner.crops import Images, MaskAt, Squares, look
+from toolee_robot.perception.detection.refiner.crops import Images, MaskAt, Squares, sample_squares
 from toolee_robot.perception.detection.training_data import recolour
 from toolee_robot.perception.detection.zoom_pass import MAGNIFICATION
 from toolee_robot.perception.training.labelled_images import DeviceStore, SegmentationImages
 
 MIN_SCORE = 0.02
-"""Weaker detections are no example: as `segmentation.EVERYTHING`, what an evaluation ranks."""
-DRAWN = 0.25
-"""A detection whose mask overlaps the truth's by this much (IoU) is drawn; others are only judged."""
-DRAWN_SHARE = 0.75
-"""Share of a batch's examples that are."""
+"""Least score of a detection that is an example: `segmenter.EVERYTHING`, what an evaluation ranks."""
+MIN_LEARNT_IOU = 0.25
+"""Least IoU with the true mask at which a detection's mask is learnt; of others only the quality is."""
+LEARNT_SHARE = 0.75
+"""Share of a batch whose masks are learnt."""
 VALIDATION = 50
 """Every so many-th image is kept for validation."""
 _ZOOMS = (1.0, MAGNIFICATION)
-"""Every second pair of images is seen as large as tools are in the zoom pass: its masks are better, and as many."""
+"""Half of the images are seen as large as tools are in the zoom pass: its masks are better."""
 _AT_ONCE = 64
 
 
 @dataclass(frozen=True)
 class Detections:
-    """N detections of end effectors. image (N,); boxes (N, 4), covered (N, 4) [px of the image]: of the detection, and
-    of its mask; masks (N, MASK_SIZE, MASK_SIZE) uint8: probability times 255; category (N,): index; score (N,) in
-    [0, 1]; truth (N,): id of the EE that it overlaps most, of those of its category, 0 for none; counts (N,): whether
-    that EE shows enough to be found."""
+    """N detections of end effectors.
+
+    Attributes:
+        image: Index of the image, (N,).
+        boxes: Boxes of the detections, (N, 4) [px of the image].
+        covered: Boxes of their masks, (N, 4) [px of the image].
+        masks: Probability times 255, (N, MASK_SIZE, MASK_SIZE) uint8.
+        category: Index of the category, (N,).
+        score: In [0, 1], (N,).
+        truth: Id of the EE of the same category that the detection overlaps most, 0 for none, (N,).
+        counts: Whether that EE has enough visible pixels to be detected, (N,).
+    """
 
     image: Tensor
     boxes: Tensor
@@ -51,16 +60,16 @@ class Detections:
         return len(self.image)
 
     def of(self, which: Tensor) -> Detections:
-        """Some of them."""
+        """The rows of an index or mask."""
         return Detections(*(getattr(self, f.name)[which] for f in fields(self)))
 
     @staticmethod
     def cat(several: list[Detections]) -> Detections:
-        """All of them in one."""
+        """Several records joined."""
         return Detections(*(torch.cat([getattr(each, f.name) for each in several]) for f in fields(Detections)))
 
     def mask_at(self) -> MaskAt:
-        """The masks as they are in the image: bilinear at the pixels' centres, over a half."""
+        """A function that reads the masks at an image's pixel centres: bilinear, over 0.5."""
 
         def at(column: Tensor, row: Tensor) -> Tensor:
             span = (self.covered[:, 2:] - self.covered[:, :2]).clamp(min=1e-3)
@@ -77,30 +86,41 @@ class Detections:
 
 @dataclass(frozen=True)
 class Examples:
-    """A batch. squares (N, CHANNELS, CELLS, CELLS); category, score (N,): as the network takes them; truth (N, CELLS,
-    CELLS) bool; drawn (N,) bool: whether the mask is to be learnt; counts (N,) bool: whether its quality is."""
+    """A batch of examples.
+
+    Attributes:
+        squares: (N, CHANNELS, CELLS, CELLS); see `crops.sample_squares`.
+        category: Index of the category, (N,).
+        score: The detector's scores, (N,).
+        truth: True masks, (N, CELLS, CELLS) bool.
+        learnt: Whether the mask is learnt, (N,) bool.
+        counts: Whether the quality is learnt, (N,) bool.
+    """
 
     squares: Tensor
     category: Tensor
     score: Tensor
     truth: Tensor
-    drawn: Tensor
+    learnt: Tensor
     counts: Tensor
 
 
 class RefinementData:
-    """A data set, or one rank's part of it, as bytes on the device, and the detector's detections in it. It may
-    grow."""
+    """A data set, or one rank's part of it, as bytes on the device, with the detector's detections in it. It may grow.
+
+    Args:
+        detector: A detector that was not trained on these images.
+        device: torch device that holds the images.
+    """
 
     def __init__(self, detector: Detector, device: torch.device) -> None:
-        """detector: as it was trained; it must not have been trained on the images that come."""
         self._detector = detector.fuse().to(device).to(memory_format=torch.channels_last)
         self._store = DeviceStore(device, tools=False)
         self.detections: Detections | None = None
-        self.validation = self._drawn = self._judged = torch.empty(0, dtype=torch.long, device=device)
+        self.validation = self._learnt = self._judged = torch.empty(0, dtype=torch.long, device=device)
 
     def extend(self, more: SegmentationImages) -> None:
-        """Take in more images, all of one size, and look at them."""
+        """Add more images, all of one size, and run the detector on them."""
         device, first, n = self._store.device, len(self._store), len(more.rgb)
         self._store.extend(more)
         categories = torch.from_numpy(more.categories).to(device)
@@ -110,27 +130,27 @@ class RefinementData:
             for zoom in _ZOOMS:
                 some = rows[zooms == zoom]
                 if len(some):
-                    found.append(self._look(first + some, categories[some], zoom))
+                    found.append(self._detections_in(first + some, categories[some], zoom))
         self.detections = Detections.cat(found)
-        aside, drawn = is_validation(self.detections.image), self.detections.truth > 0
-        self._drawn, self._judged = (torch.nonzero(rows & ~aside)[:, 0] for rows in (drawn, ~drawn))
-        self.validation = torch.nonzero(aside & drawn & self.detections.counts)[:, 0]
+        aside, learnt = is_validation(self.detections.image), self.detections.truth > 0
+        self._learnt, self._judged = (torch.nonzero(rows & ~aside)[:, 0] for rows in (learnt, ~learnt))
+        self.validation = torch.nonzero(aside & learnt & self.detections.counts)[:, 0]
 
     @property
     def ready(self) -> bool:
-        """Whether there is anything to learn from."""
-        return len(self._drawn) > 0
+        """Whether there is an example to learn from."""
+        return len(self._learnt) > 0
 
     def __len__(self) -> int:
-        """How many images."""
+        """Number of images."""
         return len(self._store)
 
     def batch(self, count: int) -> Examples:
-        """Examples for training, drawn and varied at random."""
-        drawn = round(DRAWN_SHARE * count) if len(self._judged) else count
+        """Random training examples, augmented."""
+        learnt = round(LEARNT_SHARE * count) if len(self._judged) else count
         picks = [
             rows[torch.randint(len(rows), (n,), device=rows.device)]
-            for rows, n in ((self._drawn, drawn), (self._judged, count - drawn))
+            for rows, n in ((self._learnt, learnt), (self._judged, count - learnt))
             if n
         ]
         assert self.detections is not None
@@ -146,7 +166,7 @@ class RefinementData:
         return replace(examples, squares=torch.cat([colour, examples.squares[:, 3:]], 1))
 
     def plain(self, which: Tensor) -> Examples:
-        """The detections `which` (N,), as they are seen after training."""
+        """The detections `which` (N,) without augmentation, as at inference."""
         assert self.detections is not None
         detections = self.detections.of(which)
         return self._examples(detections, Squares.about(detections.boxes), detections.score)
@@ -154,7 +174,7 @@ class RefinementData:
     def _examples(self, detections: Detections, squares: Squares, score: Tensor) -> Examples:
         images, index = torch.unique(detections.image, return_inverse=True)
         shown = Images(self._store.rgb[images], self._store.depth(images), self._store.focal[images])
-        seen, pixels = look(shown, index, squares, detections.mask_at())
+        seen, pixels = sample_squares(shown, index, squares, detections.mask_at())
         truth = (
             self._ids(detections.image, pixels)
             == torch.where(detections.truth > 0, detections.truth, 255)[:, None, None]
@@ -166,9 +186,17 @@ class RefinementData:
         column, row = pixels.clamp(min=0).unbind(1)
         return torch.where(pixels[:, 0] >= 0, self._store.maps[image[:, None, None], 0, row, column], 0)
 
-    def _look(self, image: Tensor, categories: Tensor, zoom: float) -> Detections:
-        """The detector's detections in the images `image` (B,), seen `zoom` times as large as at its first look, of
-        which categories (B, E) has the EEs' class indices."""
+    def _detections_in(self, image: Tensor, categories: Tensor, zoom: float) -> Detections:
+        """Run the detector on images.
+
+        Args:
+            image: Their indices, (B,).
+            categories: Class indices of their EEs, (B, E).
+            zoom: Magnification relative to the detector's first pass.
+
+        Returns:
+            The detections, matched to the truth.
+        """
         rgb = self._store.rgb[image].permute(0, 3, 1, 2).float()
         depth = self._store.depth(image)
         height, width = rgb.shape[-2:]
@@ -201,30 +229,33 @@ class RefinementData:
         return self._matched(detections, categories[of[ees]])
 
     def _matched(self, detections: Detections, categories: Tensor) -> Detections:
-        """With `truth` and `counts`; categories (N, E): class index of EE id 1..E of each find's image."""
+        """Detections with `truth` and `counts`; categories (N, E): class index of EE ids 1..E in each detection's
+        image.
+        """
         if not len(detections):
             return detections
         zero = torch.zeros(len(detections), dtype=torch.long, device=detections.image.device)
         blank = torch.zeros((1, *self._store.maps.shape[2:]), device=zero.device)
         images = Images(blank[..., None].expand(-1, -1, -1, 3), blank, zero[:1] + 1.0)
-        seen, pixels = look(images, zero, Squares.about(detections.boxes), detections.mask_at())
+        seen, pixels = sample_squares(images, zero, Squares.about(detections.boxes), detections.mask_at())
         mask, ids = seen[:, -1] > 0, self._ids(detections.image, pixels)
         ious = []
         for ee in range(1, categories.shape[1] + 1):
             there = (ids == ee) & (categories[:, ee - 1] == detections.category + 1)[:, None, None]
             ious.append((there & mask).sum((1, 2)) / (there | mask).sum((1, 2)).clamp(min=1))
         best, which = torch.stack(ious, 1).max(1)
-        truth = torch.where(best >= DRAWN, which + 1, 0).to(torch.uint8)
+        truth = torch.where(best >= MIN_LEARNT_IOU, which + 1, 0).to(torch.uint8)
         shown = (self._store.maps[detections.image, 0] == truth[:, None, None]).sum((1, 2))
         return replace(detections, truth=truth, counts=(truth == 0) | (shown >= MIN_POINTS))
 
 
 def zoom_of(image: Tensor) -> Tensor:
-    """How much larger than at its first look the detector sees images (N,): two of each in turn, so that those kept
-    aside are of both sizes."""
+    """Magnification at which the detector sees images (N,): two of each in turn, so that the validation images have
+    both.
+    """
     return image.new_tensor(_ZOOMS, dtype=torch.float64)[image // 2 % len(_ZOOMS)]
 
 
 def is_validation(image: Tensor) -> Tensor:
-    """Which of images (N,) are not trained on."""
+    """Which of the images (N,) are kept for validation."""
     return image % VALIDATION == 0

@@ -12,8 +12,17 @@ from toolee_robot.perception.pose.processes.flow import Field, Noised
 
 @dataclass(frozen=True)
 class Edm:
-    """Preconditioned denoising; see `Process`. spread: standard deviation of the data; low, high: of the noise;
-    t in [0, 1] runs over Karras's schedule from high to low."""
+    """EDM's preconditioned denoising; see `Process`.
+
+    t in [0, 1] runs over the noise schedule of Karras et al. (rho = 7) from `high` to `low`.
+
+    Attributes:
+        spread: Standard deviation of the data.
+        low: Lowest noise level.
+        high: Highest noise level.
+        start: Time of pure noise.
+        end: Time of the data.
+    """
 
     spread: float = 0.6
     low: float = 0.005
@@ -40,7 +49,7 @@ class Edm:
         return (u - self._denoised(field, u, sigma)) / sigma
 
     def tau(self, t: Tensor) -> Tensor:
-        """sigma."""
+        """The noise level sigma at t."""
         return self._root(t) ** 7
 
     def rate(self, t: Tensor) -> Tensor:
@@ -48,7 +57,7 @@ class Edm:
         return 7 * self._root(t) ** 6 * (self.low ** (1 / 7) - self.high ** (1 / 7))
 
     def finish(self, field: Field, u: Tensor) -> Tensor:
-        """See `Process`: the mean of the data given u."""
+        """See `Process`: the denoised data given u."""
         return self._denoised(field, u, torch.full_like(u[..., :1], self.low))
 
     def _root(self, t: Tensor) -> Tensor:

@@ -1,8 +1,8 @@
-"""The generative process behind the samples: rectified flow from noise at t = 0 to the pose at t = 1.
+"""Generative processes and rectified flow: from noise at t = 0 to the pose at t = 1.
 
 Lipman et al., "Flow Matching for Generative Modeling", ICLR 2023; Liu et al., "Flow Straight and Fast", ICLR 2023.
-A process says what a network learns and which ordinary differential equation leads from noise to data; a sampler
-solves that equation. So the same network can be solved by a few Euler steps or by the paper's RK45.
+A process defines what a network learns and which ordinary differential equation leads from noise to data; a sampler
+solves that equation. So the same network can be sampled with a few Euler steps or with the paper's RK45.
 """
 
 from __future__ import annotations
@@ -20,7 +20,13 @@ Field = Callable[[Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Noised:
-    """Training examples of the network: its inputs u (B, K, D), t (B, K) and the output wanted there, `goal`."""
+    """Training examples of the network.
+
+    Attributes:
+        u: Noised data, (B, K, D).
+        t: Times, (B, K).
+        goal: Output wanted there, (B, K, D).
+    """
 
     u: Tensor
     t: Tensor
@@ -28,7 +34,12 @@ class Noised:
 
 
 class Process(Protocol):
-    """How data becomes noise, and the way back: du / dtau = velocity, from t = start to t = end."""
+    """A generative process du / dtau = velocity, from noise at t = start to data at t = end.
+
+    Attributes:
+        start: Time of noise.
+        end: Time of data.
+    """
 
     @property
     def start(self) -> float: ...
@@ -36,7 +47,16 @@ class Process(Protocol):
     def end(self) -> float: ...
 
     def noised(self, target: Tensor, draws: int, generator: torch.Generator) -> Noised:
-        """`draws` (K) training examples for each target (B, D)."""
+        """Noised training examples.
+
+        Args:
+            target: Data, (B, D).
+            draws: Examples per target, K.
+            generator: Draws noise and times; on the targets' device.
+
+        Returns:
+            The examples, (B, K, ...).
+        """
         ...
 
     def prior(self, noise: Tensor) -> Tensor:
@@ -44,11 +64,20 @@ class Process(Protocol):
         ...
 
     def velocity(self, field: Field, u: Tensor, t: Tensor) -> Tensor:
-        """du / dtau at u (B, K, D), t (B, K)."""
+        """du / dtau from the network's output.
+
+        Args:
+            field: The network.
+            u: (B, K, D).
+            t: (B, K).
+
+        Returns:
+            (B, K, D).
+        """
         ...
 
     def tau(self, t: Tensor) -> Tensor:
-        """The variable in which the way is straightest."""
+        """The integration variable tau(t), in which trajectories are straightest."""
         ...
 
     def rate(self, t: Tensor) -> Tensor:
@@ -56,16 +85,16 @@ class Process(Protocol):
         ...
 
     def finish(self, field: Field, u: Tensor) -> Tensor:
-        """Data from u at t = end."""
+        """Data (B, K, D) from u (B, K, D) at t = end, with the network `field`."""
         ...
 
 
 Sampler = Callable[[Process, Field, Tensor], Tensor]
-"""Data (B, K, D) from a process, its trained network, and standard normal noise (B, K, D)."""
+"""From a process, its trained network and standard normal noise (B, K, D) to data (B, K, D)."""
 
 
 class RectifiedFlow:
-    """Straight lines from noise to data; the network says their velocity."""
+    """Rectified flow: straight lines from noise to data; the network predicts their velocity."""
 
     start, end = 0.0, 1.0
 
@@ -100,7 +129,11 @@ class RectifiedFlow:
 
 @dataclass(frozen=True)
 class Euler:
-    """So many equal steps in t; Heun's method and more steps measured no better for `RectifiedFlow`."""
+    """Euler's method with equal steps in t. Heun's method and more steps give no better accuracy for `RectifiedFlow`.
+
+    Attributes:
+        steps: Number of steps.
+    """
 
     steps: int = 5
 

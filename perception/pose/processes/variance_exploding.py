@@ -13,9 +13,16 @@ from toolee_robot.perception.pose.processes.flow import Field, Noised
 
 @dataclass(frozen=True)
 class VarianceExploding:
-    """u_t = data + sigma(t) z, sigma(t) = low (high / low)^t; the network says sigma times the score, which is -z.
+    """u_t = data + sigma(t) z with sigma(t) = low (high / low)^t; the network predicts sigma times the score, which is
+    -z.
 
     Sampled from t = start, where sigma is about 1, down to t = end, with one denoising step at the end.
+
+    Attributes:
+        low: Lowest noise level.
+        high: Highest noise level.
+        start: Time at which sampling starts.
+        end: Time at which sampling ends.
     """
 
     low: float = 0.01
@@ -39,7 +46,7 @@ class VarianceExploding:
         return -field(u, t)
 
     def tau(self, t: Tensor) -> Tensor:
-        """sigma."""
+        """The noise level sigma at t."""
         return self.low * (self.high / self.low) ** t
 
     def rate(self, t: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""What training clouds are made of, and a batch of them."""
+"""Configuration of the synthetic training clouds, and a batch of them."""
 
 from __future__ import annotations
 
@@ -12,19 +12,41 @@ from toolee_robot.perception.pose.canonical import PATCHES, POINTS, CanonicalClo
 
 @dataclass(frozen=True)
 class CloudConfig:
-    """What is varied; shares are probabilities.
+    """Distributions of the synthetic clouds; shares are probabilities.
 
-    distance: of the EE [m]; near_share of them not beyond `near` [m]. focal [px], or, in a kinect_share, a Kinect's.
-    field: half the field of view to the right and down, as tangents. upright: tools stand, held in the nominal grasp up
-    to 5 cm along the handle, before a camera that is pitched from -45 to 30 deg and never rolled. sensor_level: None:
-    random sensors. radius [m] of the crop about the EE, None: the category's own. other_cut_share: how often the mask
-    is cut at a radius that many times as large (`other_cut`), as a detector's or another's may be, and circle_share:
-    how often that is a circle in the image, as the paper's; circle: if not None, every mask is one of this radius [px].
-    border_share: how often the image ends near the EE. rest: whether the rest of the tool is seen, too;
-    rest_error_share, rest_chunk_share: how often its mask is imperfect, a piece of it missing; rest_gap_share: how
-    often it begins up to rest_gap [m] beyond the cut; wrong_rest_share: how often it is another tool's. guessed:
-    whether the mask's pixels without a depth are there, too, at a completed one. points, of which the first `ordered`
-    are farthest-point samples: what the network takes."""
+    Attributes:
+        distance: Range of the EE's distance [m].
+        near_share: Share of the clouds whose distance is at most `near`.
+        near: That distance [m].
+        field: Half of the field of view to the right and down, as tangents.
+        upright: Whether tools stand upright, held in the nominal grasp up to 5 cm along the handle, in front of a
+            camera that is pitched from -45 to 30 deg and not rolled.
+        focal: Range of the focal length [px].
+        kinect_share: Share with the focal length of a Kinect v2.
+        hand_share: Share with a hand on the handle.
+        occluder_share: Share with an occluder.
+        mask_error_share: Share with an imperfect mask.
+        chunk_share: Share whose mask misses a piece.
+        cleaned_share: Share whose flying pixels are removed.
+        negative_share: Share of negatives.
+        max_occlusion: Largest occlusion of a positive, in [0, 1].
+        sensor_level: Factor on the nominal sensor's noise; None: random sensors.
+        radius: Radius [m] of the crop around the EE; None: the category's own.
+        other_cut_share: Share whose mask is cut at another radius, as a detector's or another method's may be.
+        other_cut: Range of the factor on the radius of such a cut.
+        circle_share: Share of these that are circles in the image, as the paper's.
+        circle: Radius [px] of a circle in the image that every mask is; None: not.
+        border_share: Share in which the image ends near the EE.
+        rest: Whether the rest of the tool is seen.
+        rest_error_share: Share with an imperfect mask of the rest.
+        rest_chunk_share: Share whose mask of the rest misses a piece.
+        rest_gap_share: Share whose rest begins up to `rest_gap` beyond the cut.
+        rest_gap: Largest such gap [m].
+        wrong_rest_share: Share with another tool's rest.
+        guessed: Whether the mask's pixels without depth are included, at a completed depth.
+        points: Points that the network takes.
+        ordered: The first so many of them are farthest-point samples.
+    """
 
     distance: tuple[float, float] = (0.35, 1.1)
     near_share: float = 0.25
@@ -59,8 +81,9 @@ class CloudConfig:
 
     @classmethod
     def paper(cls) -> CloudConfig:
-        """The paper's protocol, as `dataset.paper` renders it: exact depth and masks, an upright tool in one grasp, the
-        EE a circle in the image. No negatives: the paper's estimator has no use for them."""
+        """The paper's protocol, as `dataset.paper` renders it: exact depth and masks, an upright tool in one
+        grasp, the EE a circle in the image. Without negatives, which the paper's estimator does not use.
+        """
         return cls(
             distance=(0.42, 0.98),
             near_share=0.0,
@@ -84,18 +107,30 @@ class CloudConfig:
 
 
 PROTOCOLS = {"hard": CloudConfig, "paper": CloudConfig.paper}
-"""Clouds as the data set's configurations of these names have them."""
+"""Cloud configurations by the name of the data sets' configurations."""
 
 
 @dataclass(frozen=True)
 class CloudBatch:
-    """Canonical clouds and their truth, all tensors with the batch first.
+    """Canonical clouds with their truth, a batch of B.
 
-    points (B, 512, 3), completed (B, 512), centre (B, 3), R_canonical (B, 3, 3), rest (B, 256, 3), rest_known (B,): see
-    `canonical.CanonicalCloud`. R (B, 3, 3), p (B, 3):
-    the EE's pose in the canonical frame. direction (B, 5): the token, given for all. spin_pixels (B,): pixels in the
-    mask that tell the spin. category, item (B,); positive (B,): whether it is that category's EE at all;
-    visible (B,): native points; occlusion (B,) in [0, 1]; distance (B,) [m].
+    Attributes:
+        points: (B, 512, 3) [m]; see `CanonicalCloud` for this and the next five.
+        completed: (B, 512).
+        centre: (B, 3) [m].
+        R_canonical: (B, 3, 3).
+        rest: (B, 256, 3) [m].
+        rest_known: (B,) bool.
+        R: Orientation of the EE in the canonical frame, (B, 3, 3).
+        p: Position of the EE in the canonical frame, (B, 3) [m].
+        direction: Direction tokens, given for all, (B, 5).
+        spin_pixels: Pixels in the mask that show the spin, (B,).
+        category: Claimed category, (B,).
+        item: Row of the surface samples, (B,).
+        positive: Whether the mask shows an EE of that category, (B,) bool.
+        visible: Visible points at the camera's resolution, (B,).
+        occlusion: In [0, 1], (B,).
+        distance: Distance of the EE, (B,) [m].
     """
 
     points: Tensor
@@ -120,14 +155,23 @@ class CloudBatch:
 
     @property
     def cloud(self) -> CanonicalCloud:
-        """What an estimator gets of it."""
+        """The part that an estimator gets."""
         seen = self.points, self.completed, self.centre, self.R_canonical
         return CanonicalCloud(*seen, self.visible, self.rest, self.rest_known)
 
     @classmethod
     def of(cls, cloud: CanonicalCloud, R: Tensor, p: Tensor, **about: Tensor) -> CloudBatch:
-        """Of clouds with their EEs' poses R (B, 3, 3), p (B, 3) [m], camera frame; about: the fields that neither
-        has."""
+        """Make a batch.
+
+        Args:
+            cloud: The canonical clouds.
+            R: Orientation of each EE, (B, 3, 3), camera frame.
+            p: Position of each EE, (B, 3) [m], camera frame.
+            **about: The remaining fields.
+
+        Returns:
+            The batch.
+        """
         return cls(
             points=cloud.points,
             completed=cloud.completed,
@@ -146,4 +190,5 @@ class CloudBatch:
 
     @staticmethod
     def cat(batches: list[CloudBatch]) -> CloudBatch:
+        """Several batches joined."""
         return CloudBatch(*(torch.cat([getattr(b, f.name) for b in batches]) for f in fields(CloudBatch)))

@@ -1,4 +1,4 @@
-"""Which part of a tool a training cloud's mask shows."""
+"""Cuts: the part of a tool that the mask of a synthetic cloud shows."""
 
 from __future__ import annotations
 
@@ -17,9 +17,15 @@ _BORDER = (-0.4, 0.8)
 
 @dataclass(frozen=True)
 class Cut:
-    """A sphere about focus (B, 3) of radius (B,); or, where circle (B,), what a circle in the image shows that has this
-    radius at the focus's depth. Less what is nearer to the tool's other end, other (B, 3): for spheres in proportion to
-    the radii, theirs other_radius (B,). All [m], camera frame."""
+    """The part that a mask shows: a sphere, or a circle in the image, less what is nearer to the tool's other end.
+
+    Attributes:
+        focus: Centre, (B, 3) [m], camera frame.
+        radius: Radius, (B,) [m]; of a circle: at the focus's depth.
+        other: The tool's other end, (B, 3) [m], camera frame.
+        other_radius: Radius of the other end's sphere, (B,) [m]; spheres share the space in proportion to their radii.
+        circle: Whether it is a circle in the image, (B,) bool.
+    """
 
     focus: Tensor
     radius: Tensor
@@ -29,7 +35,7 @@ class Cut:
 
     @classmethod
     def sphere(cls, focus: Tensor, radius: Tensor) -> Cut:
-        """Of tools with one end."""
+        """Spheres about focus (B, 3) with radius (B,) [m], of tools with one end."""
         return cls(focus, radius, torch.full_like(focus, NOWHERE), radius, torch.zeros_like(radius, dtype=torch.bool))
 
     @classmethod
@@ -43,7 +49,20 @@ class Cut:
         f: Tensor,
         torch_rng: TorchRng,
     ) -> Cut:
-        """As `config` has it; radius (B,) [m]: the category's own. f (B,) [px] of the camera."""
+        """Random cuts.
+
+        Args:
+            focus: Centre of each EE, (B, 3) [m], camera frame.
+            radius: Radius of its category, (B,) [m].
+            other: The tool's other end, (B, 3) [m], camera frame.
+            other_radius: Radius of that end's category, (B,) [m].
+            config: The distributions.
+            f: Focal lengths, (B,) [px].
+            torch_rng: Random numbers.
+
+        Returns:
+            The cuts.
+        """
         B = len(focus)
         if config.circle is not None:
             radius = config.circle / f * focus[:, 2]
@@ -54,33 +73,47 @@ class Cut:
         return cls(focus, radius * factor, other, other_radius * factor, circle)
 
     def holds(self, points: Tensor) -> Tensor:
-        """Whether the mask shows them: (B, N) of points (B, N, 3)."""
+        """Which points (B, N, 3) [m], camera frame, the mask shows: (B, N) bool."""
         ratio = (self.radius / self.other_radius)[:, None]
         own, other = _distance(points, self.focus), _distance(points, self.other)
         in_sphere = (own < self.radius[:, None]) & (own <= ratio * other)
         own, other = self._across(points, self.focus), self._across(points, self.other)
-        # What is nowhere may still lie in the line of sight.
+        # The far-away stand-in of a missing other end may still lie in the line of sight.
         alone = (self.other.norm(dim=-1) > NOWHERE / 2)[:, None]
         in_circle = (own < self.radius[:, None]) & (alone | (own <= other))
         return torch.where(self.circle[:, None], in_circle, in_sphere)
 
     def _across(self, points: Tensor, centre: Tensor) -> Tensor:
-        """(B, N) distance [m] in the image from a centre (B, 3), at the focus's depth."""
+        """Distance [m] in the image from a centre (B, 3), at the focus's depth: (B, N)."""
         return self.focus[:, None, 2] * (_projected(points) - _projected(centre)[:, None]).norm(dim=-1)
 
 
 @dataclass(frozen=True)
 class Border:
-    """Where an image ends: at rays (x, y, 1) whose product with normal (B, 2), along u or v, is limit (B,), infinite
-    where the image is wide enough."""
+    """The border of an image, along u or v. A ray (x, y, 1) is inside where its product with the normal is under the
+    limit.
+
+    Attributes:
+        normal: (B, 2).
+        limit: (B,); infinite where the image is wide enough.
+    """
 
     normal: Tensor
     limit: Tensor
 
     @classmethod
     def drawn(cls, focus: Tensor, radius: Tensor, share: float, torch_rng: TorchRng) -> Border:
-        """In a `share` of the clouds near the focus (B, 3) [m, camera frame] of a sphere of radius (B,) [m], and never
-        such that the image would not hold its own middle."""
+        """Random borders, never such that the image lacks its own middle.
+
+        Args:
+            focus: Centre of each EE, (B, 3) [m], camera frame.
+            radius: Radius of its sphere, (B,) [m].
+            share: Share of the clouds with a border near the focus.
+            torch_rng: Random numbers.
+
+        Returns:
+            The borders.
+        """
         B = len(focus)
         ray = _projected(focus)
         across = torch.nn.functional.one_hot(torch_rng.integers(0, 2, B), 2).to(ray.dtype)
@@ -90,12 +123,37 @@ class Border:
         return cls(normal, torch.where(torch_rng.uniform(B) < share, limit, torch.inf))
 
     def shows(self, rays: Tensor) -> Tensor:
-        """Whether the image holds rays (B, H, W, 3), z = 1: (B, H, W)."""
+        """Which rays (B, H, W, 3) with z = 1 are inside of the image: (B, H, W) bool."""
         return (rays[..., :2] * self.normal[:, None, None]).sum(-1) < self.limit[:, None, None]
 
 
+@dataclass(frozen=True)
+class Target:
+    """What each mask is claimed to show, and what it shows.
+
+    Attributes:
+        focus: Centre of the claimed sphere, (B, 3) [m], camera frame.
+        radius: Its radius, (B,) [m].
+        cut: What the mask really shows.
+        border: Where the image ends.
+        claimed: The claimed category, (B,).
+        positive: Whether the claim is right, (B,) bool.
+        admissible: If not, whether it is a sensible negative, (B,) bool.
+        on_hand: Whether the mask is on the hand instead of the tool, (B,) bool.
+    """
+
+    focus: Tensor
+    radius: Tensor
+    cut: Cut
+    border: Border
+    claimed: Tensor
+    positive: Tensor
+    admissible: Tensor
+    on_hand: Tensor
+
+
 def _projected(points: Tensor) -> Tensor:
-    """(..., 2) of points (..., 3), camera frame: where their rays are at z = 1."""
+    """Where the rays to points (..., 3), camera frame, meet z = 1: (..., 2)."""
     return points[..., :2] / points[..., 2:].clamp_min(0.05)
 
 

@@ -1,12 +1,10 @@
-"""Training clouds made on the device as they are needed: nothing is stored, every cloud is new.
+"""Generator of synthetic training clouds on the device: nothing is stored, every cloud is new.
 
-A tool at a random pose, a hand on its handle, an occluder now and then, a background; seen by a depth camera and cut
-out by an imperfect mask. A share are negatives: clouds of hands, of other parts, or of another category's EE.
+A tool at a random pose, a hand on its handle, sometimes an occluder, a background; seen by a depth camera and cut out
+by an imperfect mask. A share are negatives: clouds of hands, of other parts, or of another category's EE.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -17,7 +15,7 @@ from toolee_robot.perception.pose.canonical import MIN_KEPT, MIN_POINTS, Canonic
 from toolee_robot.perception.pose.depth_completion import complete_depth
 from toolee_robot.perception.pose.synthetic_clouds import point_splatting
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, CloudConfig
-from toolee_robot.perception.pose.synthetic_clouds.cuts import Border, Cut
+from toolee_robot.perception.pose.synthetic_clouds.cuts import Border, Cut, Target
 from toolee_robot.perception.pose.synthetic_clouds.masks import cleaned, imperfect, pick
 from toolee_robot.perception.pose.synthetic_clouds.point_splatting import GRID, Window, ZBuffer
 from toolee_robot.perception.pose.synthetic_clouds.scene import (
@@ -39,29 +37,22 @@ from toolee_robot.perception.pose.synthetic_clouds.torch_rng import TorchRng
 
 _MAX_COMPLETED = 512
 WHOLE_TOOL = 1
-"""[px] Reach of splats in a window that holds a whole tool: wider ones would swell what is thin at this scale."""
-
-
-@dataclass(frozen=True)
-class Target:
-    """What a mask is said to show. focus (B, 3) [m, camera frame] and radius (B,) [m] of its sphere; cut: what it
-    really shows; border: where the image ends; claimed (B,): the category; positive (B,): rightly so; admissible (B,):
-    whether, if not, it is a negative that makes sense; on_hand (B,): the mask lies on the hand instead of on the tool.
-    """
-
-    focus: Tensor
-    radius: Tensor
-    cut: Cut
-    border: Border
-    claimed: Tensor
-    positive: Tensor
-    admissible: Tensor
-    on_hand: Tensor
+"""Reach of splats [px] in a window that holds a whole tool: wider ones would thicken thin parts at this scale."""
 
 
 class CloudGenerator(CloudSource):
-    """Endless clouds of one set of surface samples on one device, from one seed. reach: of splats without normals, in
-    windows that hold what the mask is said to show [px]."""
+    """Endless synthetic clouds from surface samples, on one device, from one seed.
+
+    Args:
+        samples: Surface samples of tools.
+        hands: Surface samples of hands, (H, 6144, 3) [m].
+        device: torch device.
+        seed: Seed of all random numbers.
+        config: Distributions of the clouds; None: the default.
+
+    Attributes:
+        reach: Reach of splats without normals [px], in windows that hold what the mask is claimed to show.
+    """
 
     reach = 2
 
@@ -152,7 +143,7 @@ class CloudGenerator(CloudSource):
 
         shows = (cloud.count >= MIN_KEPT) & (visible >= MIN_POINTS)
         shows &= torch.where(target.positive, occlusion <= c.max_occlusion, target.admissible)
-        # Where the mask slid off the EE altogether, what is left is no positive.
+        # A mask that slid off the EE altogether is no positive.
         shows &= ~target.positive | ((mask & seen).sum((1, 2)) > 0.3 * mask.sum((1, 2)))
         result = CloudBatch.of(
             cloud,
@@ -169,8 +160,9 @@ class CloudGenerator(CloudSource):
         return result.select(shows)
 
     def _with_rest(self, cloud: CanonicalCloud, placed: Placement, target: Target) -> CanonicalCloud:
-        """The clouds with the rest of their tools, seen by the same kind of camera through a window that holds it all:
-        its pixels are coarser than the camera's, for the network takes few points."""
+        """Add the rest of the tools, seen by the same camera through a window that holds the whole tool; its
+        pixels are coarser than the camera's, because the network takes few points.
+        """
         c, torch_rng = self.config, self._torch_rng
         middle = placed.rest.mean(1)
         size = (placed.rest - middle[:, None]).norm(dim=-1).amax(1).clamp_min(0.06)
@@ -194,8 +186,8 @@ class CloudGenerator(CloudSource):
         ) & ~_is_target(labels)
         mask &= target.border.shows(rays)
         points, valid, _ = pick(mask & (depth > 0), depth, rays)
-        # Here the rest begins a pixel of this window beside the cut, in an image at the very next point: what it says
-        # of the cut is not to be relied on.
+        # Here the rest begins one coarse pixel beside the cut, in an image at the next point: a random gap keeps the
+        # network from reading the cut off it.
         wide = torch_rng.uniform(len(points)) < c.rest_gap_share
         start = torch.where(wide, target.cut.radius + torch_rng.uniform(len(points), 0.0, c.rest_gap), 0.0)
         valid &= (points - target.focus[:, None]).norm(dim=-1) > start[:, None]
@@ -205,7 +197,7 @@ class CloudGenerator(CloudSource):
         return with_rest(cloud, points, valid, torch_rng.generator)
 
     def _place(self, B: int) -> Placement:
-        """Tools at random poses in the camera's frame, full SO(3), most of them in a hand."""
+        """Tools at random poses in the camera frame, uniform on SO(3) unless upright, most of them in a hand."""
         c, torch_rng = self.config, self._torch_rng
         item_np = self._rng.choice(len(self._weights), B, p=self._weights)
         item = torch.as_tensor(item_np, device=self._device)
@@ -282,11 +274,11 @@ class CloudGenerator(CloudSource):
         )
 
     def _truth(self, placed: Placement) -> tuple[Tensor, Tensor]:
-        """The pose wanted: R (B, 3, 3), p (B, 3), camera frame."""
+        """The wanted pose: R (B, 3, 3), p (B, 3) [m], camera frame."""
         return placed.R, placed.p
 
     def _draw(self, placed: Placement, target: Target, window: Window, reach: int) -> tuple[ZBuffer, ZBuffer]:
-        """The tool alone, and with its hand. reach: of splats without normals [px]."""
+        """Z-buffers of the tool alone, and with its hand. reach: of splats without normals [px]."""
 
         def label(points: Tensor, usual: int, wanted: Tensor, tells: Tensor | None = None) -> Tensor:
             inside = target.cut.holds(points) & wanted[:, None]

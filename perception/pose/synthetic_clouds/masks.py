@@ -1,4 +1,4 @@
-"""What an imperfect mask and the removal of flying pixels leave of an end effector, on splatted windows."""
+"""Imperfect masks and the removal of flying pixels, on splatted windows."""
 
 from __future__ import annotations
 
@@ -12,8 +12,16 @@ from toolee_robot.perception.pose.synthetic_clouds.torch_rng import TorchRng
 
 
 def cleaned(depth: Tensor, share: float, torch_rng: TorchRng) -> Tensor:
-    """Which pixels are left (B, GRID, GRID): in a `share` of the clouds those that hang between surfaces are removed,
-    as `toolee_robot.perception.cloud` does."""
+    """Remove flying pixels in a share of the clouds, as `toolee_robot.perception.cloud` does.
+
+    Args:
+        depth: (B, GRID, GRID) [m], 0 where unknown.
+        share: Share of the clouds that are cleaned.
+        torch_rng: Random numbers.
+
+    Returns:
+        Which pixels are left, (B, GRID, GRID) bool.
+    """
     limit = surface_step(depth)
     padded = torch.nn.functional.pad(depth, (1, 1, 1, 1))
     near = torch.zeros_like(depth)
@@ -26,8 +34,18 @@ def cleaned(depth: Tensor, share: float, torch_rng: TorchRng) -> Tensor:
 
 
 def imperfect(target: Tensor, error_share: float, chunk_share: float, torch_rng: TorchRng) -> Tensor:
-    """Predicted masks (B, GRID, GRID) of true ones: grown or shrunk by a pixel or three, ragged, shifted, now and then
-    a piece missing."""
+    """Make masks as a detector predicts them: grown or shrunk by up to three pixels, ragged, shifted, sometimes a piece
+    missing.
+
+    Args:
+        target: True masks, (B, GRID, GRID) bool.
+        error_share: Share of imperfect masks.
+        chunk_share: Share of these that miss a piece.
+        torch_rng: Random numbers.
+
+    Returns:
+        The masks, (B, GRID, GRID) bool.
+    """
     B, device = len(target), target.device
     wrong = (torch_rng.uniform(B) < error_share)[:, None, None]
     shift = torch_rng.integers(-1, 2, B, 2) * (torch_rng.uniform(B, 0, 1) < 0.3)[:, None]
@@ -42,7 +60,7 @@ def imperfect(target: Tensor, error_share: float, chunk_share: float, torch_rng:
         point_splatting.smooth_noise(B, 3.0, torch_rng.generator, device) * torch_rng.uniform(B, 0, 0.2)[:, None, None]
     )
     grown = (soft > 0) & (soft + ragged > torch_rng.uniform(B, 0.12, 0.75)[:, None, None])
-    # Chunks: everything beyond a line through the mask.
+    # A missing piece is everything beyond a line through the mask.
     cut = wrong & (torch_rng.uniform(B) < chunk_share)[:, None, None]
     angle = torch_rng.uniform(B, 0, 2 * torch.pi)[:, None, None]
     x, y = k[None, None, :] - GRID / 2, k[None, :, None] - GRID / 2
@@ -53,7 +71,17 @@ def imperfect(target: Tensor, error_share: float, chunk_share: float, torch_rng:
 
 
 def pick(usable: Tensor, depth: Tensor, rays: Tensor, most: int = 1024) -> tuple[Tensor, Tensor, Tensor]:
-    """Up to `most` of the usable pixels, evenly: points (B, most, 3), which are real (B, most), pixels in all (B,)."""
+    """Pick pixels evenly and back-project them.
+
+    Args:
+        usable: Pixels to pick from, (B, GRID, GRID) bool.
+        depth: (B, GRID, GRID) [m].
+        rays: Directions with z = 1, (B, GRID, GRID, 3).
+        most: Largest number of points per cloud.
+
+    Returns:
+        Points (B, most, 3) [m], which of them are real (B, most), and the number of usable pixels (B,).
+    """
     order = usable.flatten(1).int().cumsum(1, dtype=torch.int32)
     count = order[:, -1]
     k = torch.arange(most, device=depth.device)

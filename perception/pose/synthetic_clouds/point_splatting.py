@@ -1,6 +1,6 @@
-"""Z-buffer splatting of surface samples and a time-of-flight sensor's noise, batched in torch, for training clouds.
+"""Z-buffer splatting of surface samples, and a time-of-flight sensor's noise, batched in torch.
 
-The sensor is that of `toolee_robot.depth_noise`, on small windows around the EE.
+The sensor model is that of `toolee_robot.depth_noise` (Kinect v2), on small windows around the EE.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from toolee_robot.depth_noise import (
 )
 
 GRID = 112
-"""Pixels a side of the window around the EE."""
+"""Pixels per side of the window around the EE."""
 
 _STEP = 2e-5
-"""[m] depth per unit of the z-buffer's integer key."""
+"""Depth [m] per unit of the z-buffer's integer key."""
 _EMPTY = 2**31 - 1
 _SPARE = 1 << 16
 _ANGLES = 8
-"""Incidence is kept in this many steps of its cosine."""
+"""Number of steps in which the cosine of the incidence is stored."""
 
 _NOMINAL = DepthNoise()
 
@@ -43,15 +43,20 @@ TARGET, TARGET_TELLS_SPIN, TOOL, HAND, OCCLUDER, BACKGROUND = 1, 2, 3, 4, 5, 6
 
 @dataclass(frozen=True)
 class Window:
-    """Pinhole windows of a batch: focal length f (B,) [px], column u0 and row v0 (B,) of the first pixel relative to
-    the principal point."""
+    """Pinhole windows of a batch.
+
+    Attributes:
+        f: Focal length, (B,) [px].
+        u0: Column of the first pixel relative to the principal point, (B,).
+        v0: Row of the first pixel relative to the principal point, (B,).
+    """
 
     f: Tensor
     u0: Tensor
     v0: Tensor
 
     def rays(self) -> Tensor:
-        """(B, GRID, GRID, 3): directions through the pixel centres, z = 1."""
+        """Directions through the pixel centres with z = 1, (B, GRID, GRID, 3)."""
         k = torch.arange(GRID, device=self.f.device, dtype=torch.float32)
         x = ((k[None] + self.u0[:, None]) / self.f[:, None])[:, None, :].expand(-1, GRID, -1)
         y = ((k[None] + self.v0[:, None]) / self.f[:, None])[:, :, None].expand(-1, -1, GRID)
@@ -59,36 +64,53 @@ class Window:
 
 
 class ZBuffer:
-    """Nearest surface per pixel: depth, label and incidence packed in one int32, so that one atomic minimum does it."""
+    """Nearest surface per pixel: depth, label and incidence packed in one int32, so that one atomic minimum updates it.
+
+    Args:
+        window: The pixels.
+    """
 
     def __init__(self, window: Window) -> None:
         self.window = window
         self._B = len(window.f)
-        # Spare pixels at the end take what falls outside; many, for atomics on one address would queue up.
+        # Spare pixels at the end take points that fall outside; many, because atomics on one address serialise.
         self.keys = torch.full((self._B * GRID * GRID + _SPARE,), _EMPTY, dtype=torch.int32, device=window.f.device)
 
     def copy(self) -> ZBuffer:
+        """A copy with the same content."""
         other = ZBuffer(self.window)
         other.keys.copy_(self.keys)
         return other
 
     def draw(self, points: Tensor, labels: Tensor, normals: Tensor | None, reach: int) -> None:
-        """Splat points (B, N, 3) [m, camera] with labels (B, N) on the (2 reach)^2 nearest pixels.
+        """Splat points on the nearest (2 reach)^2 pixels.
 
-        With normals (B, N, 3), back faces are culled and the depth follows the tangent plane to the pixel's centre.
+        With normals, back faces are culled and the depth follows the tangent plane to the pixel's centre.
+
+        Args:
+            points: (B, N, 3) [m], camera frame.
+            labels: (B, N).
+            normals: (B, N, 3), or None.
+            reach: Half of the splat's width [px].
         """
         splat = _compiled_splat() if points.is_cuda else _splat
         splat(self.keys, self.window.f, self.window.u0, self.window.v0, points, labels, normals, reach)
 
     def fill(self, depth: Tensor, inside: Tensor, label: int) -> None:
-        """Lay a surface of depth (B, GRID, GRID) [m] over the pixels `inside`, where nothing is nearer."""
+        """Draw a surface where nothing is nearer.
+
+        Args:
+            depth: (B, GRID, GRID) [m].
+            inside: Its pixels, (B, GRID, GRID) bool.
+            label: Its label.
+        """
         key = (depth.clamp(0.1, 8.0) / _STEP).int() * (8 * _ANGLES) + label * _ANGLES + int(0.8 * _ANGLES)
         key = torch.where(inside, key, torch.full_like(key, _EMPTY))
         drawn = self.keys[: key.numel()]
         torch.minimum(drawn, key.flatten(), out=drawn)
 
     def images(self) -> tuple[Tensor, Tensor, Tensor]:
-        """depth [m] (0: nothing), label (0: nothing), cosine of the incidence; each (B, GRID, GRID)."""
+        """Depth [m] (0: empty), label (0: empty) and cosine of the incidence, (B, GRID, GRID) each."""
         keys = self.keys[: self._B * GRID * GRID].view(self._B, GRID, GRID)
         empty = keys == _EMPTY
         depth = torch.where(empty, 0.0, (keys // (8 * _ANGLES)).float() * _STEP)
@@ -134,16 +156,25 @@ def _splat(
 
 @lru_cache(maxsize=1)
 def _compiled_splat() -> Callable[..., None]:
-    """Fused: 47 us for a whole cloud instead of 83, beside another program. A generator's shapes never change."""
+    """The splat compiled: fused, nearly twice as fast. A generator's shapes never change."""
     return torch.compile(_splat, dynamic=False)
 
 
 def measure(
     depth: Tensor, cosine: Tensor, shininess: Tensor, f: Tensor, generator: torch.Generator, level: float | None = None
 ) -> Tensor:
-    """What a random sensor reads (B, GRID, GRID) [m], 0 where nothing, of a true depth (0: nothing there).
+    """Simulate a depth sensor's reading.
 
-    shininess: (B,). level: None for random sensors, else the factor on the nominal sensor's noise (0: none).
+    Args:
+        depth: True depth, (B, GRID, GRID) [m], 0 where empty.
+        cosine: Cosine of the incidence, (B, GRID, GRID).
+        shininess: In [0, 1], (B,).
+        f: Focal length, (B,) [px].
+        generator: Random numbers, on the depth's device.
+        level: Factor on the nominal sensor's noise (0: none); None: a random sensor per cloud.
+
+    Returns:
+        Measured depth, (B, GRID, GRID) [m], 0 where there is none.
     """
     B, device = len(depth), depth.device
 
@@ -202,7 +233,7 @@ def measure(
 
 
 def smooth_noise(B: int, sigma: float, generator: torch.Generator, device: torch.device) -> Tensor:
-    """(B, GRID, GRID) of unit variance, correlated over about 2 sigma pixels."""
+    """Noise of unit variance, correlated over about 2 sigma pixels, (B, GRID, GRID)."""
     half = round(3 * sigma)
     k = torch.exp(-0.5 * (torch.arange(-half, half + 1, device=device) / sigma) ** 2)
     k = k / k.norm()

@@ -1,9 +1,8 @@
-"""Clouds of rendered images, kept: what a depth camera and a detector's masks really leave of an end effector.
+"""Stored clouds of rendered images: what a depth camera and a detector's masks leave of an end effector.
 
-The clouds of `generator.py` are new each time, but of tools that stand alone before a plane, under masks that are wrong
-at random. These are of whole scenes, under true masks and under those of a detector that never saw the images. Or they
-are of whole tools, for the column of the paper's Table I that estimates the tool's pose.
-`toolee_robot.perception.rendered_clouds` makes them.
+The clouds of `generator.py` show tools alone in front of a plane, under random mask errors. These are of whole scenes,
+under true masks and under those of a detector that was not trained on the images; or of whole tools, for the column of
+the paper's Table I that estimates the tool's pose. `toolee_robot.perception.rendered_clouds` makes them.
 """
 
 from __future__ import annotations
@@ -34,19 +33,28 @@ from toolee_robot.perception.pose.synthetic_clouds.torch_rng import TorchRng
 from toolee_robot.runtime.files import written_whole
 
 MAX_POINTS, MAX_COMPLETED, MAX_REST = 1024, 512, 1024
-"""More points of a cloud are not kept: the network takes 512 of them, and 256 of the rest."""
+"""Largest numbers of measured points, completed points and points of the rest that are stored per cloud; the
+network takes 512 and 256.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class RenderedClouds:
-    """N clouds and their truth, camera frame.
+    """N clouds with their truth, camera frame.
 
-    points (P, 3), guessed (G, 3), rest (Q, 3) float32 [m]: as `EeCloud` has them, one cloud's after the other's; counts
-    (N, 3) int64: how many of each are a cloud's. X_camera_target (N, 4, 4) float32: the pose of the EE, or of the tool
-    where of_tool (N,) bool says that the cloud is the whole tool's. p_camera_hand (N, 3) float32 [m]: NaN where no hand
-    is known. category (N,) int64; positive (N,) bool: whether the mask shows an EE of that category. visible (N,)
-    int64: points there were before they were thinned; tells_spin (N,) int64: how many of these tell the spin; occlusion
-    (N,) float32 in [0, 1].
+    Attributes:
+        points: Measured points of all clouds, one cloud after the other, (P, 3) float32 [m]; see `EeCloud`.
+        guessed: Points of completed depth, likewise, (G, 3) float32 [m].
+        rest: Points of the rest of the tool, likewise, (Q, 3) float32 [m].
+        counts: How many of each belong to a cloud, (N, 3) int64.
+        X_camera_target: Pose of the EE, or of the tool where `of_tool`, (N, 4, 4) float32.
+        of_tool: Whether the cloud shows the whole tool, (N,) bool.
+        p_camera_hand: Position of the hand, (N, 3) float32 [m]; NaN where unknown.
+        category: Index of the category, (N,) int64.
+        positive: Whether the mask shows an EE of that category, (N,) bool.
+        visible: Number of points before thinning, (N,) int64.
+        tells_spin: How many of these show the spin, (N,) int64.
+        occlusion: In [0, 1], (N,) float32.
     """
 
     points: NDArray[np.float32]
@@ -67,36 +75,42 @@ class RenderedClouds:
 
     @classmethod
     def cat(cls, several: Sequence[RenderedClouds]) -> RenderedClouds:
-        """All of them in one."""
+        """Several records joined."""
         many = [_none(), *several]
         return cls(*(np.concatenate([getattr(each, f.name) for each in many]) for f in fields(cls)))
 
     def check_kind(self, of_tool: bool) -> None:
-        """Raises UserError where some are of end effectors, for a training of_tool, or of whole tools, for another."""
+        """Check that all clouds are of whole tools (`of_tool`) or all of end effectors. Raises UserError where
+        some are not.
+        """
         if (self.of_tool != of_tool).any():
             wanted, given = ("whole tools", "end effectors") if of_tool else ("end effectors", "whole tools")
             raise UserError(
                 f"--rendered: this training takes clouds of {wanted}, some of these are of {given}: make them with "
-                "`toolee train clouds` and the --estimator and --column of the training"
+                "`toolee train clouds` and the --estimator and --column of the training",
+                code="user.rendered_kind",
             )
 
     def save(self, path: Path) -> None:
-        """Write them into one file."""
+        """Write the clouds into one .npz file."""
         path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(path) as scratch, scratch.open("wb") as file:
             np.savez(file, **{f.name: getattr(self, f.name) for f in fields(self)})
 
     @classmethod
     def load(cls, path: Path) -> RenderedClouds:
-        """Raises AssetError where the file is missing or no such file."""
+        """Read the clouds. Raises AssetError where the file is missing or damaged."""
         try:
             with np.load(path) as data:
                 return cls(*(data[f.name] for f in fields(cls)))
         except (OSError, ValueError, KeyError) as error:
-            raise AssetError(f"{path} holds no clouds: make them with `toolee train clouds` ({error})") from error
+            raise AssetError(
+                f"{path} holds no clouds: make them with `toolee train clouds` ({error})", code="asset.unreadable"
+            ) from error
 
 
 def _none() -> RenderedClouds:
+    """A record without clouds."""
     points, numbers = np.empty((0, 3), np.float32), np.empty(0, np.int64)
     return RenderedClouds(
         points,
@@ -115,11 +129,19 @@ def _none() -> RenderedClouds:
 
 
 class RenderedSource(CloudSource):
-    """Endless draws from kept clouds; each time the network's points are drawn anew."""
+    """Endless draws from stored clouds; each time the network's points are drawn anew.
+
+    Args:
+        clouds: The stored clouds.
+        device: torch device.
+        seed: Seed of the draws.
+        config: Its negative_share, radius, rest, guessed, points and ordered apply here, too.
+
+    Raises:
+        AssetError: There is nothing to draw from.
+    """
 
     def __init__(self, clouds: RenderedClouds, device: torch.device | str, seed: int, config: CloudConfig) -> None:
-        """config: its negative_share, radius, rest, guessed, points and ordered hold here, too. Raises AssetError where
-        there is nothing to draw."""
         self._device, self._config = torch.device(device), config
         self._torch_rng = TorchRng(self._device, seed)
 
@@ -152,7 +174,7 @@ class RenderedSource(CloudSource):
         category = self._category[which]
         completed = self._take(1, which, MAX_COMPLETED) if c.guessed else None
         cloud = canonicalize(points, valid, self._radius[category], torch_rng.generator, c.points, c.ordered, completed)
-        # A fraction of what was seen, as at inference.
+        # Scaled as at inference: the share of the thinned points that is kept, of all visible ones.
         visible = cloud.count / valid.sum(1).clamp_min(1) * self._visible[which]
         if c.rest:
             cloud = with_rest(cloud, rest, rest_valid, torch_rng.generator)
@@ -173,7 +195,7 @@ class RenderedSource(CloudSource):
         return result.select((cloud.count >= MIN_KEPT) & (visible >= MIN_POINTS))
 
     def _take(self, kind: int, which: Tensor, most: int) -> tuple[Tensor, Tensor]:
-        """points (B, most, 3) of those clouds, and which of them are real (B, most)."""
+        """Points (B, most, 3) of some clouds, and which of them are real (B, most)."""
         k = torch.arange(most, device=self._device)
         valid = k < self._counts[which, kind, None]
         flat = self._flat[kind]
@@ -183,7 +205,9 @@ class RenderedSource(CloudSource):
         return torch.where(valid[..., None], flat[rows], 0.0), valid
 
     def _direction(self, cloud: CanonicalCloud, rest: Tensor, valid: Tensor, p_hand: Tensor) -> Tensor:
-        """Tokens (B, 5), as the estimator makes them: to the median of the rest, or else to the hand, where known."""
+        """Direction tokens (B, 5) as the estimator makes them: to the median of the rest, or else to the hand,
+        where known.
+        """
         by_hand = ~cloud.rest_known
         goal = torch.where(by_hand[:, None], p_hand, masked_median(rest, valid))
         known = torch.isfinite(goal).all(1)[:, None]
@@ -193,7 +217,7 @@ class RenderedSource(CloudSource):
 
 
 def _weights(clouds: RenderedClouds, negative_share: float) -> NDArray[np.float32]:
-    """(N,) how often each cloud is drawn: the categories by their shares, negatives by theirs."""
+    """Weight with which each cloud is drawn, (N,): categories and negatives by their shares."""
     weights = np.zeros(len(clouds), np.float32)
     kinds = [(~clouds.positive, negative_share)]
     for k, category in enumerate(Category):
@@ -201,5 +225,5 @@ def _weights(clouds: RenderedClouds, negative_share: float) -> NDArray[np.float3
     for rows, share in kinds:
         weights[rows] = share / max(int(rows.sum()), 1)
     if not weights.any():
-        raise AssetError("the file of rendered clouds is empty: take more images")
+        raise AssetError("the file of rendered clouds is empty: take more images", code="asset.incomplete")
     return weights

@@ -1,4 +1,4 @@
-"""What stands around the tool of a training cloud: the tool's pose, its hand, things in front and behind."""
+"""Scene around the tool of a synthetic cloud: placement, hand, occluders, background, direction tokens."""
 
 from __future__ import annotations
 
@@ -13,16 +13,28 @@ from toolee_robot.perception.pose.synthetic_clouds.point_splatting import ZBuffe
 from toolee_robot.perception.pose.synthetic_clouds.torch_rng import TorchRng
 
 DIRECTION_SIGMA = 0.1
-"""[rad] How uncertain most directions to the rest of a tool are."""
+"""Standard deviation [rad] of most directions to the rest of a tool."""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """A batch of held tools before the camera, all [m], camera frame.
+    """Held tools in front of the camera, a batch of B; all in the camera frame.
 
-    item (B,): row of the surface samples. R (B, 3, 3), p (B, 3): the EE's pose. ee, normals (B, N, 3): its surface;
-    rest (B, M, 3): the tool's other surface; hand (B, H, 3), p_hand (B, 3): behind the camera where has_hand (B,) is
-    not. X_ee_tool, X_tool_hand (B, 4, 4). f_native (B,) [px]; distance (B,) [m]."""
+    Attributes:
+        item: Row of the surface samples, (B,).
+        R: Orientation of the EE, (B, 3, 3).
+        p: Position of the EE, (B, 3) [m].
+        ee: Its surface points, (B, N, 3) [m].
+        normals: Their normals, (B, N, 3).
+        rest: The tool's other surface points, (B, M, 3) [m].
+        hand: The hand's surface points, (B, H, 3) [m]; behind the camera where there is none.
+        p_hand: Position of the hand, (B, 3) [m].
+        has_hand: (B,) bool.
+        X_ee_tool: (B, 4, 4).
+        X_tool_hand: (B, 4, 4).
+        f_native: Focal length of the camera, (B,) [px].
+        distance: Distance of the EE, (B,) [m].
+    """
 
     item: Tensor
     R: Tensor
@@ -40,7 +52,7 @@ class Placement:
 
     @property
     def height(self) -> Tensor:
-        """(B, M): how far along the tool's handle, from the grip's centre, each point of `rest` lies [m]."""
+        """Position of each point of `rest` along the handle from the grip's centre, (B, M) [m]."""
         X_tool_ee = rigid_inverse(self.X_ee_tool)
         axis = torch.einsum("bi,bji->bj", X_tool_ee[:, 2, :3], self.R)
         return torch.einsum("bj,bnj->bn", axis, self.rest - self.p[:, None]) + X_tool_ee[:, 2, 3, None]
@@ -49,7 +61,16 @@ class Placement:
 def draw_occluders(
     buffer: ZBuffer, focus: Tensor, radius: Tensor, rays: Tensor, share: float, torch_rng: TorchRng
 ) -> None:
-    """In a `share` of the clouds, an ellipse that floats between the camera and the EE."""
+    """Draw ellipses between the camera and the EE.
+
+    Args:
+        buffer: The z-buffer.
+        focus: Centre of each EE, (B, 3) [m], camera frame.
+        radius: Its radius, (B,) [m].
+        rays: Directions of the pixels with z = 1, (B, H, W, 3).
+        share: Share of the clouds with an occluder.
+        torch_rng: Random numbers.
+    """
     B = len(focus)
     z = focus[:, 2]
     around = rays[..., :2] * z[:, None, None, None] - focus[:, None, None, :2]
@@ -67,7 +88,14 @@ def draw_occluders(
 
 
 def draw_backgrounds(buffer: ZBuffer, focus: Tensor, rays: Tensor, torch_rng: TorchRng) -> None:
-    """A tilted plane behind the tool, near or far, or nothing."""
+    """Draw a tilted plane behind the tool, near or far, or none.
+
+    Args:
+        buffer: The z-buffer.
+        focus: Centre of each EE, (B, 3) [m], camera frame.
+        rays: Directions of the pixels with z = 1, (B, H, W, 3).
+        torch_rng: Random numbers.
+    """
     B = len(focus)
     gap = torch.exp(torch_rng.uniform(B, float(np.log(0.05)), float(np.log(2.0))))
     around = rays[..., :2] * focus[:, 2, None, None, None] - focus[:, None, None, :2]
@@ -78,8 +106,18 @@ def draw_backgrounds(buffer: ZBuffer, focus: Tensor, rays: Tensor, torch_rng: To
 
 
 def directions(placed: Placement, centre: Tensor, R_canonical: Tensor, torch_rng: TorchRng) -> Tensor:
-    """Tokens (B, 5): from the cloud's centre to the mean of some visible stretch of the rest of the tool, or to the
-    hand; noisy; canonical frame."""
+    """Noisy direction tokens: from the cloud's centre to the mean of a visible part of the rest of the tool, or to the
+    hand.
+
+    Args:
+        placed: The tools.
+        centre: Centres of the clouds, (B, 3) [m], camera frame.
+        R_canonical: (B, 3, 3).
+        torch_rng: Random numbers.
+
+    Returns:
+        Tokens (B, 5), canonical frame.
+    """
     B, height = len(centre), placed.height
     low, high = height.min(1).values, height.max(1).values
     length = high - low
@@ -99,8 +137,19 @@ def directions(placed: Placement, centre: Tensor, R_canonical: Tensor, torch_rng
 def direction_token(
     goal: Tensor, centre: Tensor, R: Tensor, by_hand: Tensor, sigma: Tensor, torch_rng: TorchRng
 ) -> Tensor:
-    """Tokens (B, 5) of the directions from centres to goals, (B, 3) each, camera frame, that are uncertain by sigma
-    [rad]; R (B, 3, 3): canonical; by_hand (B,): the goal is the hand."""
+    """Direction tokens with noise.
+
+    Args:
+        goal: Where they point, (B, 3) [m], camera frame.
+        centre: Where they start, (B, 3) [m], camera frame.
+        R: Canonical rotations, (B, 3, 3).
+        by_hand: Whether the goal is the hand, (B,) bool.
+        sigma: Standard deviation [rad].
+        torch_rng: Random numbers.
+
+    Returns:
+        Tokens (B, 5), canonical frame.
+    """
     d = torch.nn.functional.normalize(goal - centre, dim=-1)
     d = torch.nn.functional.normalize(d + sigma * torch_rng.normal(len(d), 3), dim=-1)
     d = torch.einsum("bij,bj->bi", R, d)
@@ -108,8 +157,15 @@ def direction_token(
 
 
 def upright_rotations(X_ee_tool: Tensor, torch_rng: TorchRng) -> Tensor:
-    """(B, 3, 3) of EEs, camera frame: their tools, X_ee_tool (B, 4, 4), stand upright, turned at will, before a camera
-    that is pitched by -45 to 30 deg."""
+    """Orientations of EEs whose tools stand upright, at any yaw, in front of a camera pitched by -45 to 30 deg.
+
+    Args:
+        X_ee_tool: (B, 4, 4).
+        torch_rng: Random numbers.
+
+    Returns:
+        (B, 3, 3), camera frame.
+    """
     B = len(X_ee_tool)
     yaw, pitch = torch_rng.uniform(B, -torch.pi, torch.pi), torch.deg2rad(torch_rng.uniform(B, -45.0, 30.0))
     zero, one = torch.zeros_like(yaw), torch.ones_like(yaw)

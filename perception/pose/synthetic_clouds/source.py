@@ -1,4 +1,4 @@
-"""Where a training's clouds come from."""
+"""Sources of training clouds."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class CloudSource(ABC):
         """Start another sequence of clouds."""
 
     def collect(self, n: int, chunk: int) -> CloudBatch:
-        """Exactly n clouds, made `chunk` at a time."""
+        """Exactly n clouds, generated `chunk` at a time."""
         batches: list[CloudBatch] = []
         while sum(map(len, batches)) < n:
             batches.append(self.generate(chunk))
@@ -30,11 +30,20 @@ class CloudSource(ABC):
 
 
 class Mixture(CloudSource):
-    """Of two sources, the second's for a `share` of the clouds. Raises UserError where that is none."""
+    """A mixture of two sources.
+
+    Args:
+        first: Source of the other clouds.
+        second: Source of a share of the clouds.
+        share: That share, in [0, 1].
+
+    Raises:
+        UserError: The share is outside of [0, 1].
+    """
 
     def __init__(self, first: CloudSource, second: CloudSource, share: float) -> None:
         if not 0.0 <= share <= 1.0:
-            raise UserError(f"a share of {share} of the clouds: give one from 0 to 1")
+            raise UserError(f"a share of {share} of the clouds: give one from 0 to 1", code="user.share")
         self._first, self._second, self._share = first, second, share
 
     def generate(self, n: int) -> CloudBatch:

@@ -1,4 +1,6 @@
-"""Dense surface samples of tools and hands, the raw material of the training clouds. numpy only, several processes."""
+"""Dense surface samples of tools and hands, of which the synthetic clouds are made. numpy only, in several
+processes.
+"""
 
 from __future__ import annotations
 
@@ -19,22 +21,30 @@ EE_SAMPLES = 8192
 REST_SAMPLES = 4096
 HAND_SAMPLES = 6144
 REGION = 1.15
-"""Samples count as the EE's up to this factor of its radius; only those are dense."""
+"""Samples belong to the EE up to this factor of its radius; only those are dense."""
 
 NOWHERE = 1e3
-"""[m] Where the other end of a tool is that has only one."""
+"""Distance [m] of the stand-in for the missing other end of a tool with one end."""
 
 Float32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class SurfaceSamples:
-    """One row per EE of one tool, all in the EE's frame [m].
+    """One row per EE of a tool, I in all; all in the EE's frame [m].
 
-    ee_points, ee_normals (I, 8192, 3): the surface near the EE; asymmetric (I, 8192): whether a point tells the spin.
-    rest (I, 4096, 3): the tool's other surface. X_ee_tool (I, 4, 4). category (I,): index into `Category`. other_end
-    (I, 3), other_category (I,): origin and category of the tool's other EE; 1 km away if it has none.
-    handle (I, 3): z_min, z_max and radius of the handle, tool frame. shininess (I,) in [0, 1].
+    Attributes:
+        ee_points: Surface points near the EE, (I, 8192, 3).
+        ee_normals: Their normals, (I, 8192, 3).
+        asymmetric: Whether a point shows the spin, (I, 8192) bool.
+        rest: The tool's other surface points, (I, 4096, 3).
+        X_ee_tool: (I, 4, 4).
+        category: Index into `Category`, (I,).
+        other_end: Origin of the tool's other EE, (I, 3); 1 km away if it has none.
+        other_category: Category of the other EE, (I,).
+        handle: z_min, z_max and radius of the handle, tool frame, (I, 3).
+        shininess: In [0, 1], (I,).
+        names: "tool/category" of each row.
     """
 
     ee_points: Float32
@@ -51,7 +61,7 @@ class SurfaceSamples:
 
     @property
     def tools(self) -> NDArray[np.int64]:
-        """(I,) the number of the tool that each EE is of."""
+        """Index of the tool that each EE belongs to, (I,)."""
         names = [name.rsplit("/", 1)[0] for name in self.names]
         numbers = {name: i for i, name in enumerate(dict.fromkeys(names))}
         return np.array([numbers[name] for name in names], np.int64)
@@ -97,9 +107,15 @@ def _rows(job: tuple[ToolKind, int]) -> list[_Row]:
 
 
 def sample_tools(held_out: bool, seeds_per_kind: int, workers: int | None = None) -> SurfaceSamples:
-    """Samples of `seeds_per_kind` tools of every kind (times `ToolSpec.training_share`).
+    """Sample tools of every kind.
 
-    held_out: of the test split instead of the training split. workers: processes; None: one per CPU, 1: none.
+    Args:
+        held_out: Whether to take tools of the test split instead of the training split.
+        seeds_per_kind: Tools per kind, times `ToolSpec.training_share`.
+        workers: Processes; None: one per CPU; 1: this one.
+
+    Returns:
+        The samples.
     """
     seeds = test_seeds if held_out else train_seeds
     jobs = [(kind, seed) for kind, spec in TOOL_SPECS.items() for seed in seeds(seeds_per_kind * spec.training_share)]
@@ -126,8 +142,15 @@ def sample_tools(held_out: bool, seeds_per_kind: int, workers: int | None = None
 
 
 def sample_hands(count: int = 64, seed: int = 0) -> Float32:
-    """Surface samples (count, 6144, 3) [m] of the Shadow Hand in its `hand` frame, closed around handles of many
-    radii, single fingers astray."""
+    """Sample the Shadow Hand closed around handles of many radii, with single fingers displaced.
+
+    Args:
+        count: Number of postures.
+        seed: Seed of the postures.
+
+    Returns:
+        Points (count, 6144, 3) [m], `hand` frame.
+    """
     rng = np.random.default_rng(seed)
     meshes = SHADOW_HAND.meshes
     areas = np.array([mesh.area for mesh in meshes.values()])
@@ -155,8 +178,18 @@ def sample_hands(count: int = 64, seed: int = 0) -> Float32:
 
 
 def random_grasps(handle: Float32, rng: np.random.Generator, shift: float = 0.05, nominal: bool = False) -> Float32:
-    """X_tool_hand (B, 4, 4) of hands that hold handles (B, 3: z_min, z_max, radius): displaced along them by up to
-    `shift` [m]; if not `nominal`, turned about the handle, too, tilted, and now and then reversed."""
+    """Random grasps of handles.
+
+    Args:
+        handle: z_min, z_max and radius of each handle, (B, 3) [m].
+        rng: Random numbers.
+        shift: Largest displacement along the handle [m].
+        nominal: Whether the hand is only displaced; otherwise it is also rotated about the handle, tilted, and
+            sometimes reversed.
+
+    Returns:
+        X_tool_hand, (B, 4, 4).
+    """
     B = len(handle)
     # The nominal grasp is linear in the handle's radius.
     thin, thick = SHADOW_HAND.grasp.X_hand_tool(0.0), SHADOW_HAND.grasp.X_hand_tool(1.0)

@@ -7,7 +7,12 @@ from torch import Tensor
 
 
 class TorchRng:
-    """A torch generator and the few distributions that the clouds are made of."""
+    """A seeded torch generator with the distributions that the clouds need.
+
+    Args:
+        device: torch device of the numbers.
+        seed: Seed.
+    """
 
     def __init__(self, device: torch.device | str, seed: int) -> None:
         self.device = torch.device(device)
@@ -18,11 +23,11 @@ class TorchRng:
         return low + (high - low) * torch.rand(n, device=self.device, generator=self.generator)
 
     def normal(self, *shape: int) -> Tensor:
-        """Standard normal."""
+        """Standard normal numbers of this shape."""
         return torch.randn(*shape, device=self.device, generator=self.generator)
 
     def integers(self, low: int, high: int, *shape: int) -> Tensor:
-        """In [low, high)."""
+        """Integers in [low, high) of this shape."""
         return torch.randint(low, high, shape, device=self.device, generator=self.generator)
 
     def rotations(self, n: int) -> Tensor:

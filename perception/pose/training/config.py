@@ -1,4 +1,4 @@
-"""How the pose network is trained."""
+"""Options of the pose network's training."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ class TrainConfig(TrainingOptions):
 
     Attributes:
         reuse: How often a cloud is shown.
-        chunk: Clouds made at a time.
-        capacity: Clouds kept to draw from.
-        first_fill: Clouds made before the first step.
-        train_seeds: Tools of each kind to learn from.
+        chunk: Clouds generated at a time.
+        capacity: Clouds in the replay buffer.
+        first_fill: Clouds generated before the first step.
+        train_seeds: Training tools of each kind.
         test_seeds: Held-out tools of each kind.
         validation: Held-out clouds.
-        freeze_batchnorm: Share of the budget after which batch normalisation keeps its statistics (`freeze_batchnorm`;
-        networks
-            without it do not mind).
-        rendered_share: Of the clouds, where rendered ones are given.
-        init_share: Of the weights that it starts from in those that it ends with, where it starts from some (Wortsman
-            et al., "Robust fine-tuning of zero-shot models", CVPR 2022).
+        freeze_batchnorm: Share of the budget after which batch normalisation keeps its statistics (`freeze_batchnorm`);
+            irrelevant for networks without it.
+        rendered_share: Share of rendered clouds, where some are given.
+        init_share: Share of the initial weights in the final ones, where the training starts from weights (Wortsman et
+            al., "Robust fine-tuning of zero-shot models", CVPR 2022).
+
+    The other fields are those of `TrainingOptions`, with defaults for this network.
     """
 
     USUAL_MINUTES: ClassVar[float] = 9.0

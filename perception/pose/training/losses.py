@@ -1,4 +1,4 @@
-"""Targets, exact augmentation and the training loss."""
+"""Training of the pose network: targets, exact augmentation and the loss."""
 
 from __future__ import annotations
 
@@ -18,20 +18,27 @@ from toolee_robot.symmetry import SymmetryKind
 
 _FREE = [i for i, c in enumerate(CATEGORIES) if c.symmetry.kind is SymmetryKind.CINF]
 CUED = [i for i in _FREE if CATEGORIES[i].spec.spin_cues]
-"""Rows of the categories whose free spin some views show."""
+"""Indices of the categories whose free spin some views show."""
 UNCUED = [i for i in _FREE if not CATEGORIES[i].spec.spin_cues]
-"""Rows of those whose free spin no view shows."""
+"""Indices of the categories whose free spin no view shows."""
 TWOFOLD = [i for i, c in enumerate(CATEGORIES) if c.symmetry.kind is SymmetryKind.C2]
-"""Rows of those that half a turn about x does not change."""
+"""Indices of the categories with a twofold symmetry (half a turn about x)."""
 SPIN_PIXELS = 25
-"""So many pixels of what breaks the symmetry (a hammer's handle, its claw) tell the spin."""
+"""So many pixels of symmetry-breaking parts (a hammer's handle, its claw) show the spin."""
 
 
 def augment(batch: CloudBatch, generator: torch.Generator) -> CloudBatch:
-    """A random roll of the camera about the ray, and in half of the cases a mirror image; both are exact.
+    """Augment clouds exactly: a random roll of the camera about the ray, and in half of the cases a mirror image.
 
     Mirrored by M = diag(-1, 1, 1), a tool whose own mirror plane is D = diag(1, -1, 1) (hammers, claws, screwdrivers)
     has the pose M R D. Wrenches mirror in z instead, which is the same pose modulo their C2 group.
+
+    Args:
+        batch: The clouds.
+        generator: Random numbers, on the clouds' device.
+
+    Returns:
+        The clouds with their poses and directions.
     """
     B, device = len(batch), batch.points.device
     a = 2 * torch.pi * torch.rand(B, device=device, generator=generator)
@@ -52,8 +59,17 @@ def augment(batch: CloudBatch, generator: torch.Generator) -> CloudBatch:
 
 
 def without_rest(batch: CloudBatch, share: float, direction_share: float, generator: torch.Generator) -> CloudBatch:
-    """The batch with a random share of the rests of the tools taken away; where none is known, of the directions to
-    them, too."""
+    """Drop the rest of the tool at random and, where it is not known, the direction to it.
+
+    Args:
+        batch: The clouds.
+        share: Share of the clouds that lose the rest.
+        direction_share: Share of the clouds without a rest that lose the direction.
+        generator: Random numbers, on the clouds' device.
+
+    Returns:
+        The clouds.
+    """
     device = batch.points.device
     known = batch.rest_known & (torch.rand(len(batch), device=device, generator=generator) >= share)
     directed = known | (torch.rand(len(batch), device=device, generator=generator) >= direction_share)
@@ -62,9 +78,16 @@ def without_rest(batch: CloudBatch, share: float, direction_share: float, genera
 
 
 def canonical_rotation(R: Tensor, category: Tensor) -> Tensor:
-    """The member of each orbit that the network is taught: without it one cloud would have several right answers.
+    """Choose one member of each orbit as the regression target: otherwise one cloud would have several right answers.
 
     Wrenches (C2 about x): z toward the camera. Screwdrivers (free spin, never observable): x toward the camera.
+
+    Args:
+        R: Rotations (B, 3, 3), canonical frame.
+        category: Index of each category, (B,).
+
+    Returns:
+        Rotations (B, 3, 3).
     """
     flip = _among(category, TWOFOLD) & (R[:, 2, 2] > 0)
     R = torch.where(flip[:, None, None], R * R.new_tensor([1.0, -1.0, -1.0]), R)
@@ -77,7 +100,7 @@ def canonical_rotation(R: Tensor, category: Tensor) -> Tensor:
 
 
 def ambiguity(batch: CloudBatch) -> Tensor:
-    """S (B, 3) in {0, 1}: the axes about which this view leaves the pose open."""
+    """S (B, 3) in {0, 1}: the axes about which this view leaves the pose ambiguous."""
     z = batch.R[:, :, 2]
     sine = torch.cross(batch.direction[:, :3], z, dim=-1).norm(dim=-1)
     observable = (batch.spin_pixels >= SPIN_PIXELS) | ((batch.direction[:, 3] > 0) & (sine > 0.3))
@@ -94,8 +117,19 @@ def context(batch: CloudBatch) -> Tensor:
 def pose_loss(
     net: nn.Module, batch: CloudBatch, draws: int, generator: torch.Generator, process: Process
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """The process's matching loss on `draws` noise draws a cloud, the regression, its sigmas and the validity; and
-    each part."""
+    """The training loss of the pose network.
+
+    Args:
+        net: The network, possibly compiled.
+        batch: The clouds.
+        draws: Noise draws per cloud.
+        generator: Random numbers, on the clouds' device.
+        process: The generative process.
+
+    Returns:
+        The sum of the process's matching loss, the regression's, its sigmas' likelihood and the validity's cross
+        entropy; and each part by name.
+    """
     device = batch.points.device
     S = ambiguity(batch)
     R = canonical_rotation(batch.R, batch.category)
@@ -125,7 +159,7 @@ def pose_loss(
         R_mean, p_mean, _ = decode(mean)
         e_position = ((p_mean - batch.p).norm(dim=-1) / 0.02).clamp(max=5)
         e_axis = _angle(R_mean[:, :, 2], R[:, :, 2])
-        # The spin error after the axes are laid on each other, to first order: what x and y differ by.
+        # The spin error after aligning the z axes, to first order: the angle between the x axes.
         e_spin = _angle(R_mean[:, :, 0], R[:, :, 0]) * spin_told
     log_sigma = regression["log_sigma"]
     squared = torch.stack([e_position, e_axis, e_spin], -1).square()
@@ -141,7 +175,7 @@ def pose_loss(
 
 
 def _among(category: Tensor, rows: list[int]) -> Tensor:
-    """Which of the categories (B,) are in those rows, (B,) bool."""
+    """Which of the categories (B,) are in a list of indices, (B,) bool."""
     found = torch.zeros_like(category, dtype=torch.bool)
     for row in rows:
         found = found | (category == row)

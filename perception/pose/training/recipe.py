@@ -1,6 +1,6 @@
-"""What a training trains: a network on some clouds, its loss, and the estimator that comes of it.
+"""Training recipes: a network, its clouds, its loss, and the estimator that results.
 
-The trainer knows only `TrainingRecipe`; `DefaultRecipe` is the project's, `paper.PaperRecipe` the paper's own.
+The trainer knows only `TrainingRecipe`; `DefaultRecipe` is the project's, `research.tooleenet.PaperRecipe` the paper's.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ Net = TypeVar("Net", bound=nn.Module)
 
 
 class TrainingRecipe(Protocol, Generic[Net]):
-    """A network with all that is needed to train it, to judge it and to keep it."""
+    """Everything needed to train a network, to evaluate it and to store it."""
 
     @property
     def name(self) -> str:
-        """Of its weight files."""
+        """Name of the weight files."""
         ...
 
     @property
@@ -44,53 +44,132 @@ class TrainingRecipe(Protocol, Generic[Net]):
         ...
 
     def clouds(self, samples: SurfaceSamples, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
-        """Endless training (or held-out) clouds of surface samples."""
+        """A generator of training or held-out clouds.
+
+        Args:
+            samples: Surface samples of the tools.
+            hands: Surface samples of hands, (H, 6144, 3) [m].
+            device: torch device.
+            seed: Seed of the clouds.
+
+        Returns:
+            The generator.
+        """
         ...
 
     def rendered(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
-        """Endless draws of clouds of rendered images, of the kind that it learns from."""
+        """A source of clouds of rendered images, of the kind that the recipe learns from.
+
+        Args:
+            clouds: The stored clouds.
+            device: torch device.
+            seed: Seed of the draws.
+
+        Returns:
+            The source.
+        """
         ...
 
     def network(self, samples: SurfaceSamples) -> Net:
-        """A fresh network; `samples`: of the training tools."""
+        """A new network; `samples`: surface samples of the training tools."""
         ...
 
     def prepare(self, batch: CloudBatch, generator: torch.Generator) -> CloudBatch:
-        """A batch as training shows it: augmented, or as it is."""
+        """A batch as it is shown in training, augmented where the recipe does so.
+
+        Args:
+            batch: The clouds.
+            generator: Random numbers, on the clouds' device.
+
+        Returns:
+            The clouds.
+        """
         ...
 
     def loss(self, net: nn.Module, batch: CloudBatch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss and its parts. `net`: the network, perhaps compiled."""
+        """The loss of a batch.
+
+        Args:
+            net: The network, possibly compiled.
+            batch: The clouds.
+            generator: Random numbers, on the clouds' device.
+
+        Returns:
+            The loss, and its parts by name.
+        """
         ...
 
     def estimator(self, net: Net, calibration: Calibration, device: str) -> CloudEstimator:
-        """The trained network at work."""
+        """The estimator with the trained network.
+
+        Args:
+            net: The network.
+            calibration: Its calibration.
+            device: torch device.
+
+        Returns:
+            The estimator.
+        """
         ...
 
     def with_ee_truth(self, batch: CloudBatch, samples: SurfaceSamples) -> CloudBatch:
-        """Held-out clouds with the EE's pose as their truth."""
+        """Held-out clouds with the EE's pose as truth, whatever the network estimates.
+
+        Args:
+            batch: The clouds.
+            samples: Surface samples of their tools.
+
+        Returns:
+            The clouds.
+        """
         ...
 
     def report(
         self, net: Net, held_out: CloudBatch, samples: SurfaceSamples, device: str
     ) -> tuple[dict[str, Any], Calibration]:
-        """Metrics on held-out clouds, of the sampled tools, and what is calibrated there."""
+        """Evaluate and calibrate the network on held-out clouds.
+
+        Args:
+            net: The trained network.
+            held_out: The clouds.
+            samples: Surface samples of their tools.
+            device: torch device.
+
+        Returns:
+            Metrics, and the calibration.
+        """
         ...
 
     def save(self, folder: Path, net: Net, calibration: Calibration, report: dict[str, Any]) -> None:
-        """Write the weights with their description."""
+        """Write the weights with their description.
+
+        Args:
+            folder: Output folder.
+            net: The trained network.
+            calibration: Its calibration.
+            report: Record of the training.
+        """
         ...
 
     def load(self, folder: Path) -> Net:
-        """The network that `save` wrote. Raises AssetError."""
+        """The network that `save` wrote. Raises AssetError when it is missing or unreadable."""
         ...
 
 
 @dataclass(frozen=True)
 class DefaultRecipe:
-    """`PoseNet`. draws: noise draws a cloud; rest_dropout: how often the rest of the tool is
-    withheld, direction_dropout: how often then the direction to it, too (1: never known, neither when it is judged);
-    augmentation: random roll and mirror image, each time anew."""
+    """The recipe of `PoseNet`.
+
+    Attributes:
+        config: Architecture of the network.
+        clouds_config: Distributions of the synthetic clouds.
+        draws: Noise draws per cloud.
+        rest_dropout: Share of the clouds whose rest of the tool is withheld.
+        direction_dropout: Share of those whose direction to it is withheld, too; 1: also in the evaluation.
+        augmentation: Whether clouds are rolled and mirrored at random.
+        sampler: Solver used in the evaluation.
+        name: Name of the weight files.
+    """
 
     config: NetworkConfig = field(default_factory=NetworkConfig)
     clouds_config: CloudConfig = field(default_factory=CloudConfig)
@@ -140,7 +219,7 @@ class DefaultRecipe:
     def report(
         self, net: PoseNet, held_out: CloudBatch, samples: SurfaceSamples, device: str
     ) -> tuple[dict[str, Any], Calibration]:
-        """Fits the calibration on one half of the tools and reports it on the other."""
+        """See `TrainingRecipe`; the calibration is fitted on one half of the tools and reported on the other."""
         estimator = self.estimator(net, Calibration(), device)
         K = estimator.candidates
         result = validation.evaluate(estimator, held_out, K)
@@ -171,7 +250,7 @@ class DefaultRecipe:
 def _half(
     batch: CloudBatch, samples: SurfaceSamples, evaluated: validation.Evaluated, parity: int
 ) -> validation.Evaluated:
-    """The clouds of every second tool; not of every second EE, which would part a hammer's claw from its head."""
+    """The clouds of every second tool; by tool, so that a hammer's claw and head stay together."""
     chosen = np.flatnonzero(samples.tools[evaluated.item] % 2 == parity)
     index = torch.as_tensor(chosen, device=batch.points.device)
     return validation.Evaluated(batch.select(index), [evaluated.results[i] for i in chosen])

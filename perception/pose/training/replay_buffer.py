@@ -1,4 +1,4 @@
-"""Training clouds kept on the device."""
+"""Replay buffer of training clouds on the device."""
 
 from __future__ import annotations
 
@@ -10,7 +10,15 @@ from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch
 
 
 class ReplayBuffer:
-    """A ring of clouds on the device: new ones replace the oldest, batches are drawn at random."""
+    """A ring buffer of clouds on the device: new ones replace the oldest, batches are drawn at random.
+
+    Args:
+        first: The first clouds.
+        capacity: Number of clouds that it holds.
+
+    Attributes:
+        made: Number of clouds added so far.
+    """
 
     def __init__(self, first: CloudBatch, capacity: int) -> None:
         self._rows = {
@@ -26,6 +34,7 @@ class ReplayBuffer:
         self.add(first)
 
     def add(self, batch: CloudBatch) -> None:
+        """Add clouds in place of the oldest ones."""
         device = batch.points.device
         index = (self._next + torch.arange(len(batch), device=device)) % self._capacity
         for name, rows in self._rows.items():
@@ -35,5 +44,6 @@ class ReplayBuffer:
         self.made += len(batch)
 
     def draw(self, n: int, generator: torch.Generator) -> CloudBatch:
+        """`n` clouds drawn at random with replacement."""
         index = torch.randint(self._filled, (n,), device=generator.device, generator=generator)
         return CloudBatch(**{name: rows[index] for name, rows in self._rows.items()})

@@ -1,4 +1,4 @@
-"""Training of the pose network on clouds made as they are needed: `toolee train pose`."""
+"""Training of the pose network on synthetic clouds: `toolee train pose`."""
 
 from __future__ import annotations
 
@@ -35,8 +35,19 @@ from toolee_robot.perception.training.loop import TrainingRun
 
 
 class Trainer(TrainingRun, Generic[Net]):
-    """One network, one budget; one device or, as one of several processes (`Distributed`), several. `run` may be called
-    again in a new process: it resumes."""
+    """The training of one network within one budget, on one device or, as one of several processes, on several.
+
+    `run` may be called again in a new process: it resumes. The first rank validates, logs and writes.
+
+    Args:
+        out: Folder for checkpoint, weights and log.
+        config: Options of the training.
+        samples: Surface samples of training and of held-out tools.
+        hands: Surface samples of hands.
+        recipe: The network with its clouds and its loss.
+        distributed: This process among those that train together.
+        rendered: Stored clouds to mix in.
+    """
 
     log_seconds = 15.0
     averages_buffers = False
@@ -51,7 +62,6 @@ class Trainer(TrainingRun, Generic[Net]):
         distributed: Distributed,
         rendered: RenderedClouds | None = None,
     ) -> None:
-        """banks: training and held-out tools. rendered: clouds to mix in. The first rank validates, logs and writes."""
         torch.manual_seed(config.seed)
         self.config, self.recipe, self.name = config, recipe, recipe.name
         self.net = recipe.network(samples[0]).to(distributed.device)
@@ -68,23 +78,24 @@ class Trainer(TrainingRun, Generic[Net]):
         self._g = torch.Generator(distributed.device).manual_seed(self._seed(2))
 
     def run(self) -> dict[str, Any]:
-        """Train until the time is used up, then validate, calibrate and write the weights. Returns the report (of ranks
-        but the first an empty one)."""
+        """Train until the budget is used up, then validate, calibrate and write the weights. Returns the report,
+        empty for ranks other than the first.
+        """
         self.loop()
         return {} if self._held_out is None else self.finish(self._held_out)
 
     def make_optimizer(self) -> torch.optim.Optimizer:
-        """AdamW, all parameters alike."""
+        """AdamW with the same decay for all parameters."""
         c, fused = self.config, self.distributed.device.type == "cuda"
         parameters = self.net.parameters()
         return torch.optim.AdamW(parameters, c.lr, weight_decay=c.weight_decay, betas=(0.9, 0.99), fused=fused)
 
     def schedule(self, progress: float) -> float:
-        """A cosine down to a thousandth."""
+        """Cosine decay to a thousandth; see `TrainingRun`."""
         return max(0.5 * (1 + math.cos(math.pi * min(progress, 1.0))), 1e-3)
 
     def prepare(self) -> nn.Module:
-        """The first clouds."""
+        """Generate the first clouds, and compile the network on a GPU."""
         c = self.config
         network = self._compiled() if c.compile and self.distributed.device.type == "cuda" else self.net
         self._reservoir = ReplayBuffer(self._generator.collect(max(c.first_fill, c.batch), c.chunk), c.capacity)
@@ -93,7 +104,7 @@ class Trainer(TrainingRun, Generic[Net]):
         return network
 
     def losses(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """The method's, on clouds of which each is shown `reuse` times."""
+        """The recipe's loss on a batch; new clouds are generated so that each is shown `reuse` times."""
         c = self.config
         shown = (self.step - self._first_step) * c.batch
         while self._reservoir.made - self._first_clouds < shown / c.reuse:
@@ -104,36 +115,47 @@ class Trainer(TrainingRun, Generic[Net]):
         return {"loss": loss}, parts
 
     def grow(self) -> dict[str, float]:
-        """Nothing comes but what `losses` has made."""
+        """Nothing to add: `losses` generates the clouds. Returns their number for the log."""
         return {"clouds": self._reservoir.made}
 
     def reseed(self) -> None:
-        """Other clouds than the first process began with."""
+        """Seed clouds and batches anew after a resumption."""
         self._generator.reseed(self._seed(1))
         self._g.manual_seed(self._seed(2))
 
     def start_from(self, weights: Path) -> None:
-        """Begin with the network in `weights` instead of a random one. Raises AssetError where it does not fit."""
+        """Start from the network in a folder. Raises AssetError where it does not fit."""
         state = self.recipe.load(weights).state_dict()
         try:
             self.net.load_state_dict(state)
         except RuntimeError as error:
-            raise AssetError(f"{weights} holds a network of another architecture: {error}") from error
+            raise AssetError(
+                f"{weights} holds a network of another architecture: {error}", code="asset.architecture"
+            ) from error
         self._take_average(state)
         self._init = {name: value.clone() for name, value in self.average.items()}  # the average changes in place
         self.record({"event": "begun from other weights"})
 
     def calibrate(self) -> dict[str, Any]:
-        """Validate and calibrate the weights that lie in `out`, on any machine: what a training that ran out of time
-        left undone. Returns the report."""
+        """Validate and calibrate the weights in `out`, on any machine, after a training that ran out of time.
+        Returns the report.
+        """
         self._take_average(self.recipe.load(self.out).state_dict())
-        self._init = {}  # these are in the weights already
+        self._init = {}  # already mixed into the weights
         described = json.loads((self.out / f"{self.name}.json").read_text())["report"]
         self.step, self.elapsed = int(described["steps"]), 60.0 * float(described["minutes"])
         return self.finish(self.judged(), described["train"])
 
     def finish(self, held_out: CloudBatch, trained: dict[str, Any] | None = None) -> dict[str, Any]:
-        """Validate and calibrate on held-out tools, and save. trained: the training's own configuration, if another."""
+        """Validate and calibrate on held-out clouds, and write the weights.
+
+        Args:
+            held_out: The clouds.
+            trained: Configuration of the training, where it is not this one's.
+
+        Returns:
+            The report.
+        """
         report, calibration = self.recipe.report(
             self.export(), held_out, self._test_samples, str(self.distributed.device)
         )
@@ -143,13 +165,14 @@ class Trainer(TrainingRun, Generic[Net]):
         return report
 
     def judged(self) -> CloudBatch:
-        """The next held-out clouds."""
+        """The next held-out clouds, with the EE's pose as truth."""
         clouds = self._clouds_held_out.collect(self.config.validation, self.config.chunk)
         return self.recipe.with_ee_truth(clouds, self._test_samples)
 
     def export(self) -> Net:
-        """The averaged network, with its share of the weights it started from, as it will be loaded: rounded to half
-        precision."""
+        """The averaged network, mixed with its share of the initial weights, rounded to half precision as it will
+        be stored.
+        """
         net = copy.deepcopy(self.net).requires_grad_(False)
         net.load_state_dict(self.average)
         for name, value in net.state_dict().items():
@@ -159,7 +182,7 @@ class Trainer(TrainingRun, Generic[Net]):
         return net.eval()
 
     def write(self) -> None:
-        """The weights, not calibrated yet; validated while there is more to train."""
+        """Write the weights without calibration; validated while there is more to train."""
         self.recipe.save(self.out, self.export(), Calibration(), self._described(calibrated=False))
         if self._held_out is not None and self.progress < 1:
             few = self._held_out.select(torch.arange(min(512, len(self._held_out)), device=self.distributed.device))
@@ -167,7 +190,7 @@ class Trainer(TrainingRun, Generic[Net]):
             self.record({"event": "validation", **validation.metrics(validation.evaluate(estimator, few, 20))})
 
     def _described(self, calibrated: bool) -> dict[str, Any]:
-        """What the network was trained with, kept beside its weights."""
+        """Description of the training, stored beside the weights."""
         train = {**asdict(self.config), "rendered_clouds": self._rendered}
         minutes = round(self.elapsed / 60, 2)
         return {"calibrated": calibrated, "steps": self.step, "minutes": minutes, "train": train}
@@ -176,11 +199,11 @@ class Trainer(TrainingRun, Generic[Net]):
         self.average = {name: value.to(self.distributed.device, copy=True) for name, value in state.items()}
 
     def _compiled(self) -> nn.Module:
-        """The network compiled, or as it is where the compiler does not work."""
+        """The network compiled, or unchanged where the compiler fails."""
         compiled: nn.Module = torch.compile(self.net)  # type: ignore[assignment]
         batch = self._generator.collect(self.config.batch, self.config.chunk)
         try:
-            for frozen in (True, False):  # each is compiled for itself
+            for frozen in (True, False):  # each is compiled separately
                 freeze_batchnorm(self.net, frozen)
                 self.recipe.loss(compiled, batch, self._g)[0].backward()  # type: ignore[no-untyped-call]
         except Exception as error:  # noqa: BLE001 - the compiler's errors have no common root; eager always works
@@ -191,7 +214,7 @@ class Trainer(TrainingRun, Generic[Net]):
         return compiled
 
     def _seed(self, which: int) -> int:
-        """Every rank has clouds, and so on, of its own; after a resumption, new ones."""
+        """Seed that differs between ranks, and after a resumption."""
         return self.config.seed + which + 1_000_003 * self.distributed.rank + self.step
 
 
@@ -203,18 +226,31 @@ def train(
     init: Path | None = None,
     rendered: Sequence[Path] = (),
 ) -> dict[str, Any]:
-    """Surface samples, training, validation, weights in `out`. Raises AssetError, UserError, TooleeError.
+    """Train a pose network: surface samples, training, validation, calibration.
 
-    method: `DefaultRecipe` if None. calibrate_only: no training, but validation and calibration of the weights that are
-    there. init: folder of weights to start from, of the same architecture; their process may be another. rendered:
-    files of `RenderedClouds` to mix in."""
+    Args:
+        out: Folder for checkpoint, weights and log.
+        config: Options of the training.
+        recipe: The network with its clouds and its loss; None: `DefaultRecipe`.
+        calibrate_only: Whether to only validate and calibrate the weights in `out`.
+        init: Folder of weights of the same architecture to start from; their process may differ.
+        rendered: Files of `RenderedClouds` to mix in.
+
+    Returns:
+        The report; empty for ranks other than the first.
+
+    Raises:
+        AssetError: Weights or clouds are missing or do not fit.
+        UserError: Options contradict each other.
+        TooleeError: The loss is not finite.
+    """
     recipe = recipe or DefaultRecipe()
     if config.init_share and init is None and not calibrate_only:
-        raise UserError("init_share: say whose share that is, with --init FOLDER")
+        raise UserError("init_share: say whose share that is, with --init FOLDER", code="user.init_share")
     kept = None
     if rendered:
         kept = RenderedClouds.cat([RenderedClouds.load(path) for path in rendered])
-        kept.check_kind(recipe.of_tool)  # before the work
+        kept.check_kind(recipe.of_tool)  # before the long sampling
     begun = time.monotonic()
     samples = sample_tools(False, config.train_seeds), sample_tools(True, config.test_seeds)
     hands = sample_hands()

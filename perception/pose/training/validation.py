@@ -1,6 +1,6 @@
-"""Errors on held-out tools, and what is calibrated there: factors on the covariance, the confidence.
+"""Evaluation and calibration on held-out clouds: metrics, covariance factors, confidence.
 
-Only the category's symmetry group decides the errors.
+Errors are modulo the category's symmetry group alone.
 """
 
 from __future__ import annotations
@@ -23,7 +23,22 @@ from toolee_robot.perception.pose.weights import Calibration
 
 
 class Evaluated:
-    """Results beside the truth: position errors [m], angles modulo the group [rad], each (N,)."""
+    """Results beside the truth, N clouds.
+
+    Args:
+        batch: The clouds with their truth.
+        results: The estimates.
+
+    Attributes:
+        results: The estimates.
+        positive: Whether the cloud shows an EE of its category, (N,) bool.
+        item: Row of the surface samples, (N,).
+        Xs_true: True poses, (N, 4, 4), camera frame.
+        position: Position errors, (N,) [m].
+        angle: Rotation errors modulo the group, (N,) [rad].
+        category: Index of the category, (N,).
+        features: Input of the confidence model, (N, F).
+    """
 
     def __init__(self, batch: CloudBatch, results: list[PoseResult]) -> None:
         self.results = results
@@ -46,13 +61,23 @@ class Evaluated:
         self.features = np.stack([r.features for r in results])
 
     def within(self, degrees: float, metres: float) -> Array:
-        """(N,) 1 where the pose is that good; negatives never are."""
+        """(N,) 1 where the error is under both thresholds [deg], [m]; 0 for negatives."""
         good = (self.angle < np.deg2rad(degrees)) & (self.position < metres) & self.positive
         return good.astype(np.float64)
 
 
 def evaluate(estimator: CloudEstimator, batch: CloudBatch, candidates: int, seed: int = 0) -> Evaluated:
-    """Estimate every cloud of the batch, 256 at a time, on the estimator's device."""
+    """Estimate every cloud of a batch on the estimator's device, 256 at a time.
+
+    Args:
+        estimator: The estimator.
+        batch: The clouds with their truth.
+        candidates: Candidate poses per cloud.
+        seed: Seed of the sampling.
+
+    Returns:
+        The results beside the truth.
+    """
     generator = torch.Generator().manual_seed(seed)
     results: list[PoseResult] = []
     categories = CATEGORIES
@@ -66,17 +91,25 @@ def evaluate(estimator: CloudEstimator, batch: CloudBatch, candidates: int, seed
 
 
 def without_direction(batch: CloudBatch) -> CloudBatch:
-    """The batch as if it were not known where the rest of the tool is."""
+    """The batch with the direction to the rest of the tool unknown."""
     return replace(batch, direction=torch.zeros_like(batch.direction))
 
 
 def without_rest(batch: CloudBatch) -> CloudBatch:
-    """The batch as if no points of the rest of the tool were seen."""
+    """The batch with the rest of the tool unseen."""
     return replace(batch, rest=torch.zeros_like(batch.rest), rest_known=torch.zeros_like(batch.rest_known))
 
 
 def metrics(evaluated: Evaluated, rows: Array | None = None) -> dict[str, Any]:
-    """Shares and medians per category over the positives (of the rows given), and their mean over the categories."""
+    """Shares and medians of the positives per category.
+
+    Args:
+        evaluated: The results.
+        rows: Which of them to use, (N,) bool; None: all.
+
+    Returns:
+        A row per category, and as "average" the mean over the categories.
+    """
     chosen = evaluated.positive if rows is None else evaluated.positive & rows
     table: dict[str, Any] = {}
     for i, category in enumerate(Category):
@@ -98,7 +131,7 @@ def metrics(evaluated: Evaluated, rows: Array | None = None) -> dict[str, Any]:
 
 
 def calibrate(evaluated: Evaluated) -> Calibration:
-    """Fit the covariance factors and the confidence model. The estimator that made the results had factors of 1."""
+    """Fit covariance factors and confidence model to results of an estimator whose factors were 1."""
     scales = {}
     good = evaluated.within(20, 0.04) > 0
     for i, category in enumerate(Category):
@@ -108,8 +141,15 @@ def calibrate(evaluated: Evaluated) -> Calibration:
 
 
 def confidence_report(evaluated: Evaluated, calibration: Calibration) -> dict[str, float]:
-    """How the confidence does on these clouds: expected calibration error, coverage and precision when it is obeyed,
-    and the share of negatives that it lets pass."""
+    """Evaluate the confidence model.
+
+    Args:
+        evaluated: The results.
+        calibration: The calibration to evaluate.
+
+    Returns:
+        Expected calibration error, threshold, coverage and precision of the usable poses, share of negatives that pass.
+    """
     p = calibration.confidence.probability(evaluated.features)
     success = evaluated.within(*confidence.RIGHT)
     usable = p >= calibration.confidence.threshold
@@ -131,7 +171,7 @@ def confidence_report(evaluated: Evaluated, calibration: Calibration) -> dict[st
 
 
 def _scale(evaluated: Evaluated, rows: NDArray[np.intp], category: Category) -> SigmaScale:
-    """Factors that make the mean normalised squared error 1, the worst 2.5 % left out (they are the confidence's)."""
+    """Factors that make the mean normalised squared error 1, without the worst 2.5 % (left to the confidence)."""
     group = category.symmetry
     position, angle = [], []
     for i in rows:

@@ -1,8 +1,8 @@
-"""ToolEENet's own estimator, the named reference: PointNet++, variance-exploding score matching, RK45, mean pooling.
+"""ToolEENet's estimator, the reference: PointNet++, variance-exploding score matching, RK45, mean pooling.
 
-As the paper and its published code have it: un-centred clouds, no augmentation, no direction to the rest of the tool,
-the symmetry label a constant of the class, no confidence. Two faults are not kept: the step size of the RK45 solver is
-each cloud's own (theirs is shared by the whole batch), and a metric never asks the prediction which axes to ignore
+As in the paper and its published code: un-centred clouds, no augmentation, no direction to the rest of the tool, the
+symmetry label a constant of the class, no confidence. Two faults are not reproduced: the step size of the RK45 solver
+is per cloud (theirs is shared by the whole batch), and no metric ignores axes because the prediction says so
 (`toolee_robot.perception.evaluation` has that rule as an extra column).
 """
 

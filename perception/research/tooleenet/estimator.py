@@ -1,4 +1,4 @@
-"""The paper's estimator at work: K = 20 samples by RK45, their plain mean."""
+"""The paper's estimator: the plain mean of K = 20 samples by RK45."""
 
 from __future__ import annotations
 
@@ -28,15 +28,21 @@ from toolee_robot.types import PoseHypotheses
 NAME = "pose_paper"
 POINTS = 1024
 OBJECT_RADIUS = 0.22
-"""[m] of the sphere about a whole tool's middle."""
+"""Radius [m] of the sphere around a whole tool's middle."""
 PROCESS = VarianceExploding()
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column of the paper's Table I. of_tool: the network estimates the tool's pose, and the EE's follows from the
-    category's mean X_tool_ee. predicts_ambiguity: S is part of the pose vector. knows_symmetry: the category's group is
-    given when the samples are pooled."""
+    """One column of the paper's Table I.
+
+    Attributes:
+        name: Name of the column in options and files.
+        of_tool: Whether the network estimates the tool's pose, from which the EE's follows by the category's mean
+            X_tool_ee.
+        predicts_ambiguity: Whether S is part of the pose vector.
+        knows_symmetry: Whether the category's group is used when the samples are pooled.
+    """
 
     name: str
     of_tool: bool = False
@@ -58,24 +64,44 @@ COLUMNS = {
         Column("symmetry-aware", predicts_ambiguity=True),
     )
 }
+"""The columns by name."""
 
 
 def column_of(estimator: str, name: str | None) -> Column | None:
-    """What a command asks for by --estimator and --column; None: not the paper's. Raises UserError where there is no
-    such column."""
+    """The column that a command's options select.
+
+    Args:
+        estimator: Value of --estimator.
+        name: Value of --column, or None.
+
+    Returns:
+        The column; None for an estimator that is not the paper's.
+
+    Raises:
+        UserError: There is no such column.
+    """
     if name is not None and (estimator != "paper" or name not in COLUMNS):
-        raise UserError(f"--column {name}: with --estimator paper one of {', '.join(COLUMNS)}")
+        raise UserError(f"--column {name}: with --estimator paper one of {', '.join(COLUMNS)}", code="user.column")
     return COLUMNS[name or "symmetry-aware"] if estimator == "paper" else None
 
 
 class PaperEstimator(CloudEstimator):
-    """Holds the network on one device. It has no confidence: every pose is usable."""
+    """The paper's estimator on one device. It has no confidence: every pose is usable.
+
+    Args:
+        net: The trained network.
+        column: The column of Table I.
+        device: torch device.
+        sampler: Solver of the generative process; None: the paper's RK45.
+
+    Attributes:
+        column: As given.
+    """
 
     points, ordered, candidates = POINTS, ORDERED, 20
     uses_completed = False
 
     def __init__(self, net: PaperNet, column: Column, device: str = "cpu", sampler: Sampler | None = None) -> None:
-        """sampler: the paper's RK45 if None."""
         self._net = net.to(device).eval()
         self._device = torch.device(device)
         self.column, self.of_tool = column, column.of_tool
@@ -83,7 +109,7 @@ class PaperEstimator(CloudEstimator):
 
     @classmethod
     def load(cls, weights_dir: Path, device: str = "cpu") -> PaperEstimator:
-        """From a training's folder. Raises AssetError."""
+        """Load the estimator from a training's folder. Raises AssetError when weights are missing or unreadable."""
         return cls(*load(weights_dir), device)
 
     def radius(self, category: Category) -> float:
@@ -128,7 +154,7 @@ class PaperEstimator(CloudEstimator):
 
 
 def in_camera(cloud: CanonicalCloud) -> torch.Tensor:
-    """The cloud's points (B, N, 3) [m] in the camera's frame: the paper does not centre them."""
+    """The cloud's points (B, N, 3) [m] in the camera frame: the paper does not centre them."""
     return torch.einsum("bji,bnj->bni", cloud.R, cloud.points) + cloud.centre[:, None]
 
 
@@ -138,12 +164,14 @@ def save(folder: Path, net: PaperNet, column: Column, report: dict[str, Any]) ->
 
 
 def load(folder: Path) -> tuple[PaperNet, Column]:
-    """What `save` wrote (float32, eval mode, CPU). Raises AssetError."""
+    """The network that `save` wrote (float32, eval mode, CPU), and its column. Raises AssetError."""
     tensors, card = weight_files.load_weights(folder, NAME)
     try:
         column = COLUMNS[card["column"]]
         net = PaperNet(column.dim)
         net.load_state_dict(tensors)
     except (KeyError, TypeError, RuntimeError) as error:
-        raise AssetError(f"the weights of the paper's estimator in {folder} are unreadable: {error}") from error
+        raise AssetError(
+            f"the weights of the paper's estimator in {folder} are unreadable: {error}", code="asset.unreadable"
+        ) from error
     return net.requires_grad_(False).eval(), column

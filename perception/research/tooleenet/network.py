@@ -12,8 +12,16 @@ _TIME = 128
 
 
 class PaperNet(nn.Module):
-    """Scores of pose vectors of `dim` 9 or 12; `X_tool_ee` (4, 4, 4): each category's prior, for the column that
-    estimates the tool's pose."""
+    """Score network over pose vectors.
+
+    Args:
+        dim: Length of the pose vector, 9 or 12.
+        encoder: Encoder of the clouds; None: a new PointNet++.
+
+    Attributes:
+        X_tool_ee: Mean X_tool_ee of each category, (4, 4, 4), for the column that estimates the tool's pose.
+        frequencies: Random Fourier features of the time, (64,).
+    """
 
     X_tool_ee: Tensor
     frequencies: Tensor
@@ -38,12 +46,30 @@ class PaperNet(nn.Module):
         return feature
 
     def score(self, feature: Tensor, u: Tensor, t: Tensor) -> Tensor:
-        """The score times sigma(t), (B, K, dim), at u (B, K, dim), t (B, K)."""
+        """The score times sigma(t).
+
+        Args:
+            feature: Encoded clouds, (B, 1024).
+            u: Pose vectors, (B, K, dim).
+            t: Times, (B, K).
+
+        Returns:
+            (B, K, dim).
+        """
         phase = 2 * torch.pi * t[..., None] * self.frequencies
         time = self.time(torch.cat([phase.sin(), phase.cos()], dim=-1).to(u.dtype))
         common = torch.cat([feature[:, None].expand(-1, u.shape[1], -1), time, self.pose(u)], dim=-1)
         return torch.cat([head(common) for head in self.heads], dim=-1)
 
     def forward(self, points: Tensor, u: Tensor, t: Tensor) -> Tensor:
-        """What training needs in one call."""
+        """Encoding and score in one call, for training.
+
+        Args:
+            points: Clouds (B, N, 3) [m], camera frame.
+            u: Noised pose vectors, (B, K, dim).
+            t: Times, (B, K).
+
+        Returns:
+            The score times sigma(t), (B, K, dim).
+        """
         return self.score(self.encode(points), u, t)

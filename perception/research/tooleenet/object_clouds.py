@@ -11,8 +11,8 @@ from torch import Tensor
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.pose.synthetic_clouds.batch import CloudBatch, CloudConfig
-from toolee_robot.perception.pose.synthetic_clouds.cuts import Border, Cut
-from toolee_robot.perception.pose.synthetic_clouds.generator import WHOLE_TOOL, CloudGenerator, Target
+from toolee_robot.perception.pose.synthetic_clouds.cuts import Border, Cut, Target
+from toolee_robot.perception.pose.synthetic_clouds.generator import WHOLE_TOOL, CloudGenerator
 from toolee_robot.perception.pose.synthetic_clouds.scene import Placement, rigid_inverse
 from toolee_robot.perception.pose.synthetic_clouds.surface_samples import Float32, SurfaceSamples
 from toolee_robot.perception.research.tooleenet.estimator import OBJECT_RADIUS
@@ -22,8 +22,8 @@ from toolee_robot.perception.research.tooleenet.pooling import mean_pose
 class ObjectCloudGenerator(CloudGenerator):
     """The same scenes, with the whole tool under the mask and the tool's pose as the truth.
 
-    Of a tool with two like ends only the first, the working end, is asked for: a tool's pose cannot tell which is
-    meant.
+    Of a tool with two alike ends only the first, the working end, is asked for, because the tool's pose does not show
+    which of them is meant.
     """
 
     reach = WHOLE_TOOL
@@ -57,8 +57,9 @@ def first_ends(samples: SurfaceSamples) -> Array:
 
 
 def category_priors(samples: SurfaceSamples) -> Array:
-    """X_tool_ee (4, 4, 4): the mean over the sampled tools of each category, modulo its symmetry group; the identity
-    where there are none."""
+    """Mean X_tool_ee of each category over the sampled tools, modulo its group: (4, 4, 4); the identity where
+    there are none.
+    """
     priors = np.tile(np.eye(4), (len(Category), 1, 1))
     first = first_ends(samples) > 0
     for i, category in enumerate(Category):
@@ -69,7 +70,7 @@ def category_priors(samples: SurfaceSamples) -> Array:
 
 
 def with_ee_truth(batch: CloudBatch, samples: SurfaceSamples) -> CloudBatch:
-    """Whole-tool clouds with the EE's pose in place of the tool's."""
+    """Whole-tool clouds with the EE's pose as truth instead of the tool's."""
     X = rigid_inverse(torch.as_tensor(samples.X_ee_tool, device=batch.R.device)[batch.item])
     p = batch.p + torch.einsum("bij,bj->bi", batch.R, X[:, :3, 3])
     return replace(batch, R=batch.R @ X[:, :3, :3], p=p)

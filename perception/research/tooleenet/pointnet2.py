@@ -1,7 +1,7 @@
 """PointNet++ with multi-scale grouping in plain PyTorch: Qi et al., "PointNet++", NeurIPS 2017.
 
 The sizes are those of the light classification network that GenPose and ToolEENet use, about 1.0 M parameters.
-Farthest-point sampling has been done once, where the cloud is made: clouds come with their points in that order
+Farthest-point sampling is done once, when the cloud is made: clouds come with their points in that order
 (`canonical.farthest_points_first`), and the first n of them are the n farthest-point samples on every level.
 """
 
@@ -18,8 +18,14 @@ from torch import Tensor, nn
 
 @dataclass(frozen=True)
 class Level:
-    """One set abstraction: `centres` of the points are kept (0: one for all points); balls of radii [m] with so many
-    neighbours; channels of their shared MLPs."""
+    """One set abstraction level.
+
+    Attributes:
+        centres: Points that are kept; 0: one group of all points.
+        radii: Radii of the balls [m].
+        neighbours: Points per ball.
+        channels: Channels of each ball's shared MLP.
+    """
 
     centres: int
     radii: tuple[float, ...]
@@ -37,7 +43,14 @@ ORDERED = LEVELS[0].centres
 
 
 class PointNet2(nn.Module):
-    """Feature (B, 1024) of clouds (B, N, 3) [m] whose first `levels[0].centres` points are farthest-point samples."""
+    """PointNet++ encoder.
+
+    Args:
+        levels: The set abstraction levels; the last one takes all points.
+
+    Attributes:
+        size: Width of the feature.
+    """
 
     def __init__(self, levels: tuple[Level, ...] = LEVELS) -> None:
         super().__init__()
@@ -51,7 +64,9 @@ class PointNet2(nn.Module):
         self.size = channels
 
     def forward(self, points: Tensor) -> Tensor:
-        """See the class."""
+        """Feature (B, size) of clouds (B, N, 3) [m] whose first `levels[0].centres` points are farthest-point
+        samples.
+        """
         feature: Tensor | None = None
         for level, stage in zip(self.levels, self.stages, strict=True):
             if level.centres == 0:
@@ -68,43 +83,62 @@ class PointNet2(nn.Module):
 
 
 class SharedMlp(nn.Module):
-    """The MLP that the points of all groups share, with batch normalisation, and each group's maximum.
+    """MLP shared by the points of all groups, with batch normalisation, then the maximum of each group.
 
-    Its first layer is applied to the features before they are gathered, once a point instead of once for every group
-    that the point is in: the same sums, with a tenth of the arithmetic and no odd numbers of channels.
+    Its first layer is applied to the features before they are gathered, once per point instead of once per group that
+    the point is in: the same sums, with a tenth of the arithmetic.
+
+    Args:
+        channels: Channels of the features, which come after a point's three coordinates.
+        sizes: Widths of the layers.
     """
 
     def __init__(self, channels: int, sizes: tuple[int, ...]) -> None:
-        """channels: of the features, which come after a point's three coordinates."""
         super().__init__()
         inputs = (channels + 3, *sizes)
         self.linears = nn.ModuleList([nn.Linear(a, b, bias=False) for a, b in pairwise(inputs)])
         self.norms = nn.ModuleList([nn.BatchNorm1d(size) for size in sizes])
 
     def forward(self, offsets: Tensor, features: Tensor | None, near: Tensor | None) -> Tensor:
-        """(B, C, out) of C groups of n points: offsets (B, C, n, 3) [m] from each group's centre, features (B, N,
-        channels), near (B, C, n): which of the N points these are (None: all of them, in one group)."""
+        """Features of groups.
+
+        Args:
+            offsets: Offsets (B, C, n, 3) [m] of the n points of each group from its centre.
+            features: Features (B, N, channels) of all points; None on the first level.
+            near: Indices (B, C, n) of the groups' points; None: all points, in one group.
+
+        Returns:
+            (B, C, out).
+        """
         first, *others = _modules(self.linears)
         weight = first.weight
-        # Tensor cores take channels by the eight.
+        # Padded, because tensor cores take channels in multiples of eight.
         x = F.linear(F.pad(offsets, (0, 5)), F.pad(weight[:, :3], (0, 5)))
         if features is not None:
             once = F.linear(features, weight[:, 3:])
-            # In single precision: the gradient of a gather is a sum of many; bfloat16 loses small ones, and its
-            # atomic additions are slow.
+            # In single precision: the gradient of a gather sums many terms; bfloat16 loses small ones, and its atomic
+            # additions are slow.
             x = (x + (once[:, None] if near is None else _rows(once.float(), near))).to(x.dtype)
         groups = x.shape[:3]
         x = x.flatten(0, 2)
         for norm, linear in zip(self.norms, others, strict=False):
             x = linear(F.relu(norm(x)))
-        # The maximum of what is rectified is the rectified maximum.
+        # ReLU and maximum commute; the maximum first is cheaper.
         return F.relu(self.norms[-1](x).unflatten(0, groups).max(dim=2)[0])
 
 
 def ball_query(centres: Tensor, points: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """The `count` nearest points of each centre, nearest first: index (B, C, count), squared distance [m^2] likewise.
+    """The nearest points of each centre, nearest first.
 
-    Summed coordinate by coordinate: torch.cdist starts a block of threads for each single distance.
+    Summed per coordinate: torch.cdist starts a block of threads for each single distance.
+
+    Args:
+        centres: (B, C, 3) [m].
+        points: (B, N, 3) [m].
+        count: Number of points per centre.
+
+    Returns:
+        Indices (B, C, count), squared distances (B, C, count) [m^2].
     """
     with torch.no_grad():
         squared = torch.zeros((), device=points.device)

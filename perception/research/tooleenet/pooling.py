@@ -1,4 +1,4 @@
-"""The paper's pooling: the mean of all candidates, without a look at outliers or modes."""
+"""The paper's pooling: the mean of all candidates, without outliers or modes."""
 
 from __future__ import annotations
 
@@ -11,9 +11,16 @@ from toolee_robot.symmetry import SymmetryGroup
 
 
 def mean_pose(Xs: Array, group: SymmetryGroup | None = None) -> Array:
-    """4x4 mean of poses (K, 4, 4): the largest eigenvector of the quaternions' second moments (Markley et al., 2007)
-    and the arithmetic mean of the positions. group: a symmetry known beforehand, modulo which the rotations are first
-    aligned to the first one."""
+    """Mean of poses: the largest eigenvector of the quaternions' second moments (Markley et al., 2007) and the
+    arithmetic mean of the positions.
+
+    Args:
+        Xs: Poses (K, 4, 4).
+        group: A known symmetry, modulo which the rotations are first aligned to the first one.
+
+    Returns:
+        The mean, 4x4.
+    """
     R = Xs[:, :3, :3]
     if group is not None:
         R = align(R, R[0], group)

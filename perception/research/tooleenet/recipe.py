@@ -1,4 +1,4 @@
-"""Training of the paper's estimator by the project's own training loop: the same clouds, the same budget."""
+"""Training recipe of the paper's estimator in the project's training loop: the same clouds, the same budget."""
 
 from __future__ import annotations
 
@@ -35,7 +35,14 @@ from toolee_robot.perception.research.tooleenet.representation import class_ambi
 
 @dataclass(frozen=True)
 class PaperRecipe:
-    """A `TrainingRecipe`. draws: noise draws an encoded cloud, 20 in the published code."""
+    """The `TrainingRecipe` of the paper's estimator.
+
+    Attributes:
+        column: The column of Table I.
+        clouds_config: Distributions of the synthetic clouds.
+        draws: Noise draws per encoded cloud, 20 as in the published code.
+        name: Name of the weight files.
+    """
 
     column: Column = COLUMNS["symmetry-aware"]
     clouds_config: CloudConfig = field(default_factory=CloudConfig)
@@ -48,7 +55,7 @@ class PaperRecipe:
         return self.column.of_tool
 
     def clouds(self, samples: SurfaceSamples, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
-        """Clouds of the EE, or of the whole tool, as large as the paper's."""
+        """See `TrainingRecipe`: clouds of the EE, or of the whole tool, with as many points as the paper's."""
         make = object_clouds.ObjectCloudGenerator if self.of_tool else CloudGenerator
         return make(samples, hands, device, seed, self._seen)
 
@@ -62,22 +69,22 @@ class PaperRecipe:
         return replace(self.clouds_config, points=POINTS, ordered=ORDERED, rest=False, guessed=False)
 
     def network(self, samples: SurfaceSamples) -> PaperNet:
-        """A fresh network with the priors of the training tools."""
+        """See `TrainingRecipe`; with the priors of the training tools."""
         net = PaperNet(self.column.dim)
         net.X_tool_ee.copy_(torch.as_tensor(object_clouds.category_priors(samples)).half())
         return net
 
     def prepare(self, batch: CloudBatch, generator: torch.Generator) -> CloudBatch:  # noqa: ARG002 - as the protocol
-        """No augmentation."""
+        """See `TrainingRecipe`; no augmentation."""
         return batch
 
     def loss(self, net: nn.Module, batch: CloudBatch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
-        """Denoising score matching, weighted by sigma^2, over the clouds that do show what is claimed."""
+        """Denoising score matching, weighted by sigma^2, over the positives."""
         R_camera = batch.R_canonical.mT @ batch.R
         p_camera = torch.einsum("bji,bj->bi", batch.R_canonical, batch.p) + batch.centre
         S = class_ambiguity().to(batch.points)[batch.category] if self.column.predicts_ambiguity else None
         noised = PROCESS.noised(encode(R_camera, p_camera, S), self.draws, generator)
-        # Where the points are is no matter for half precision.
+        # Computed outside of autocast: half precision is too coarse for coordinates.
         points = in_camera(batch.cloud)
         device = points.device.type
         with torch.autocast(device, torch.bfloat16, enabled=device == "cuda"):

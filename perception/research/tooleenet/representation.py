@@ -19,13 +19,13 @@ def class_ambiguity() -> Tensor:
 
 
 def encode(R: Tensor, p: Tensor, ambiguous: Tensor | None) -> Tensor:
-    """u (..., 12) from R (..., 3, 3), p (..., 3) [m] and S (..., 3); (..., 9) without S."""
+    """Pose vectors u (..., 12) from R (..., 3, 3), p (..., 3) [m] and S (..., 3); u (..., 9) without S."""
     parts = [R[..., :, 0], R[..., :, 1], p] if ambiguous is None else [R[..., :, 0], R[..., :, 1], ambiguous, p]
     return torch.cat(parts, dim=-1)
 
 
 def decode(u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """R (..., 3, 3) by Gram-Schmidt with x first, p (..., 3) [m], S (..., 3), zero where u (..., 9) has none."""
+    """R (..., 3, 3) by Gram-Schmidt with x first, p (..., 3) [m] and S (..., 3), zero for u (..., 9)."""
     x = _unit(u[..., 0:3])
     b = u[..., 3:6]
     y = _unit(b - (b * x).sum(-1, keepdim=True) * x)

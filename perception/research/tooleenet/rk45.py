@@ -1,7 +1,7 @@
 """The paper's sampler: Dormand and Prince's Runge-Kutta 5(4) with an adaptive step, on the device, in batches.
 
-Each cloud has its own step size, so that a result does not depend on what else is in the batch (the published code
-hands the whole batch to one solver).
+Each cloud has its own step size, so that a result does not depend on the rest of the batch (the published code passes
+the whole batch to one solver).
 """
 
 from __future__ import annotations
@@ -29,7 +29,12 @@ _E = (-71 / 57600, 0.0, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 4
 
 @dataclass(frozen=True)
 class Rk45:
-    """A sampler, see `flow.Sampler`. rtol, atol: tolerances of each step."""
+    """Adaptive sampler; see `flow.Sampler`.
+
+    Attributes:
+        rtol: Relative tolerance of each step.
+        atol: Absolute tolerance of each step.
+    """
 
     rtol: float = 1e-5
     atol: float = 1e-5
@@ -56,9 +61,22 @@ def solve(
     atol: float = 1e-5,
     most_steps: int = 2000,
 ) -> Tensor:
-    """y (B, ...) at t = end, for dy/dt = derivative(t (B,), y), from y at t = start; a step size for each row.
+    """Solve dy/dt = derivative(t, y), with a step size for each row.
 
-    Raises TooleeError when the steps do not reach the end.
+    Args:
+        derivative: From t (B,) and y (B, ...) to dy/dt (B, ...).
+        y: Initial values at t = start, (B, ...).
+        start: Initial time.
+        end: Final time.
+        rtol: Relative tolerance of each step.
+        atol: Absolute tolerance of each step.
+        most_steps: Largest number of steps.
+
+    Returns:
+        y at t = end, (B, ...).
+
+    Raises:
+        TooleeError: The steps do not reach the end.
     """
     wide = (-1, *[1] * (y.dim() - 1))
     t = torch.full((len(y),), start, device=y.device, dtype=y.dtype)
@@ -84,4 +102,7 @@ def solve(
         k0 = torch.where(accepted.view(wide), ks[-1], k0)
         factor = (0.9 * norm.clamp_min(1e-10) ** -0.2).clamp(0.2, 10.0)
         h = h * torch.where(accepted, factor, factor.clamp_max(1.0))
-    raise TooleeError(f"RK45 needed over {most_steps} steps: the network's field is not smooth, train it longer")
+    raise TooleeError(
+        f"RK45 needed over {most_steps} steps: the network's field is not smooth, train it longer",
+        code="toolee.stiff_ode",
+    )

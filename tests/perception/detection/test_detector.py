@@ -1,4 +1,4 @@
-"""The detector: its pieces against plain definitions, and the whole on toy pictures: trained, exported, reloaded."""
+"""The detector: its parts against plain definitions, and the whole on toy pictures: trained, exported, reloaded."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ import pytest
 import torch
 from torchvision.ops import nms
 
+from tests.errors import raises
 from tests.perception.toy_scenes import ArrayImages, toy_scenes
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, TooleeError
 from toolee_robot.perception.detection.boxes import decode, encode, greedy_suppression, pairwise_iou
-from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector, DetectorConfig
+from toolee_robot.perception.detection.config import DetectorConfig
+from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector
 from toolee_robot.perception.detection.inputs import CHANNELS, encode_rgbd
 from toolee_robot.perception.detection.instances import associate, without_duplicates
 from toolee_robot.perception.detection.losses import instances_from_maps
@@ -250,19 +252,21 @@ def test_a_loss_that_is_not_finite_stops_the_run(tmp_path: Path) -> None:
     config = SegmentationTraining(
         Path("toy"), tmp_path, max_steps=30, batch=2, lr=1e12, warmup_steps=1, log_every=1, model=TINY, augmentation=0.0
     )
-    with pytest.raises(TooleeError, match="not finite"):
+    with raises(TooleeError, code="toolee.training_diverged"):
         train(config, toy_scenes(4))
     assert not (tmp_path / "segmentation.json").exists()
 
 
 def test_missing_weights_are_named(tmp_path: Path, trained: Path) -> None:
-    with pytest.raises(AssetError, match=r"segmentation\.json"):
+    with raises(AssetError, code="asset.missing") as refused:
         Segmenter.load(tmp_path)
+    assert "segmentation.json" in str(refused.value)
     (tmp_path / "segmentation.json").write_text((trained / "segmentation.json").read_text())
-    with pytest.raises(AssetError, match=r"segmentation-00001-of-00001\.safetensors"):
+    with raises(AssetError, code="asset.missing") as refused:
         Segmenter.load(tmp_path)
+    assert "segmentation-00001-of-00001.safetensors" in str(refused.value)
     (tmp_path / "segmentation-00001-of-00001.safetensors").write_bytes(b"not a tensor file")
-    with pytest.raises(AssetError, match="unreadable"):
+    with raises(AssetError, code="asset.unreadable"):
         Segmenter.load(tmp_path)
 
 

@@ -1,4 +1,6 @@
-"""The mirrored pass: what is found is judged and drawn in the image and in its mirror image, and only what is found."""
+"""The mirrored pass: detections are classified and segmented again in the mirror image, and only then is it
+computed.
+"""
 
 from __future__ import annotations
 
@@ -101,7 +103,7 @@ def test_a_batch_s_images_are_detected_as_if_alone() -> None:
 
 
 @pytest.mark.parametrize(("boxes", "passes"), [(BOXES, [1, 1]), (NOTHING, [1])])
-def test_only_where_something_is_found_a_mirrored_pass_is_paid(boxes: Tensor, passes: list[int]) -> None:
+def test_the_mirrored_pass_is_computed_only_for_detections(boxes: Tensor, passes: list[int]) -> None:
     detector = Untrained(boxes[None])
     detector.detect(encode_rgbd(*images(1)))
     assert detector.passes == passes

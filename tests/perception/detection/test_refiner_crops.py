@@ -1,4 +1,4 @@
-"""Squares about detections: where their cells lie in the image, and what is seen there in colour and metres."""
+"""Square crops around detections: positions of their cells in the image, colour and metric coordinates."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from toolee_robot.perception.detection.refiner.crops import CELLS, CHANNELS, Images, MaskAt, Squares, look
+from toolee_robot.perception.detection.refiner.crops import CELLS, CHANNELS, Images, MaskAt, Squares, sample_squares
 
 HEIGHT, WIDTH = 60, 80
 X, Y, Z, KNOWN, MASK = range(3, CHANNELS)
@@ -97,8 +97,8 @@ def test_the_cells_of_an_upright_square_fill_its_box_about_what_was_found(
 @given(squares(), st.sampled_from([0.0, 0.5, 1.0, 1.5]))
 def test_a_mirrored_square_shows_the_same_left_for_right(upright: Squares, half_turns: float) -> None:
     turned = Squares(upright.centre, upright.side, torch.tensor([math.pi * half_turns]), upright.mirrored)
-    seen, pixels = look(images(), FIRST, turned, of_image(disc()))
-    there, mirrored_pixels = look(images(), FIRST, turned.mirrored_copy(), of_image(disc()))
+    seen, pixels = sample_squares(images(), FIRST, turned, of_image(disc()))
+    there, mirrored_pixels = sample_squares(images(), FIRST, turned.mirrored_copy(), of_image(disc()))
     assert (mirrored_pixels == pixels.flip(3)).all()
     expected = seen.flip(3)
     expected[:, X] *= -1
@@ -115,8 +115,8 @@ def test_a_turned_square_sees_what_an_upright_one_sees_of_the_image_turned_back(
         u, v, width, height = v, width - u, height, width
     back = Images(scene.rgb.rot90(turns, (1, 2)), scene.depth.rot90(turns, (1, 2)), scene.focal)
     turned = Squares(upright.centre, upright.side, torch.tensor([turns * math.pi / 2]), upright.mirrored)
-    seen, _ = look(scene, FIRST, turned, of_image(mask))
-    expected, _ = look(back, FIRST, square(u, v, float(upright.side)), of_image(mask.rot90(turns)))
+    seen, _ = sample_squares(scene, FIRST, turned, of_image(mask))
+    expected, _ = sample_squares(back, FIRST, square(u, v, float(upright.side)), of_image(mask.rot90(turns)))
     torch.testing.assert_close(seen[:, :3], expected[:, :3], atol=0.05, rtol=0)
     torch.testing.assert_close(seen[:, 3:], expected[:, 3:], atol=1e-4, rtol=0)
 
@@ -135,7 +135,7 @@ def test_of_a_wall_the_places_are_metres_from_the_square_s_centre(
 ) -> None:
     """Along the square's own axes, however it lies, beyond the image as within."""
     scene = plane(torch.full((HEIGHT, WIDTH), z), focal)
-    seen, _ = look(scene, FIRST, square(u, v, side, turn, mirrored), everywhere)
+    seen, _ = sample_squares(scene, FIRST, square(u, v, side, turn, mirrored), everywhere)
     metres = ((torch.arange(CELLS) + 0.5) / CELLS - 0.5) * side * z / focal
     expected = (metres / UNIT).clamp(-3, 3)
     torch.testing.assert_close(seen[0, X], expected[None, :].expand(CELLS, CELLS), atol=1e-3, rtol=1e-4)
@@ -150,7 +150,7 @@ def test_depth_counts_from_what_the_mask_shows_though_it_leaks() -> None:
     depth[:, 30:50] = 0.6
     mask = torch.zeros((HEIGHT, WIDTH), dtype=torch.bool)
     mask[:, 30:60] = True
-    seen, pixels = look(plane(depth, 400.0), FIRST, MIDDLE, of_image(mask))
+    seen, pixels = sample_squares(plane(depth, 400.0), FIRST, MIDDLE, of_image(mask))
     column = pixels[0, 0]
     z = seen[0, Z]
     assert ((column >= 16) & (column < 64)).all()
@@ -167,7 +167,7 @@ def test_what_lies_beyond_the_image_is_no_pixel_and_unknown() -> None:
     corner = square(5.0, 4.0, 48.0)
     u, v = corner.places()
     inside = (u >= 0) & (v >= 0)
-    seen, pixels = look(scene, FIRST, corner, everywhere)
+    seen, pixels = sample_squares(scene, FIRST, corner, everywhere)
     assert 0 < inside.sum() < inside.numel() / 2
     assert (pixels[:, 0][inside] == u[inside].floor()).all()
     assert (pixels[:, 1][inside] == v[inside].floor()).all()
@@ -178,16 +178,16 @@ def test_what_lies_beyond_the_image_is_no_pixel_and_unknown() -> None:
     assert (seen[:, MASK][inside] == 1).all()
 
 
-def test_a_hole_in_depth_is_told_and_lies_at_the_thing_s_depth() -> None:
+def test_unknown_depth_is_flagged_and_set_to_the_detection_s_depth() -> None:
     depth = torch.full((HEIGHT, WIDTH), 0.7)
     depth[20:30, 30:40] = 0.0
-    seen, pixels = look(plane(depth, 400.0), FIRST, MIDDLE, everywhere)
+    seen, pixels = sample_squares(plane(depth, 400.0), FIRST, MIDDLE, everywhere)
     column, row = pixels[0]
     hole = (column >= 30) & (column < 40) & (row >= 20) & (row < 30)
     assert hole.any()
     assert (seen[0, KNOWN] > 0).equal(~hole)
     assert not seen[0, Z].any()
-    wall = look(
+    wall = sample_squares(
         plane(torch.full_like(depth, 0.7), 400.0),
         torch.zeros(1, dtype=torch.long),
         square(40.0, 30.0, 48.0),
@@ -197,7 +197,7 @@ def test_a_hole_in_depth_is_told_and_lies_at_the_thing_s_depth() -> None:
 
 
 def test_without_any_depth_there_is_no_place() -> None:
-    seen, _ = look(
+    seen, _ = sample_squares(
         plane(torch.zeros((HEIGHT, WIDTH)), 400.0),
         torch.zeros(1, dtype=torch.long),
         square(40.0, 30.0, 48.0),
@@ -212,17 +212,17 @@ def test_squares_of_several_images_are_seen_as_if_alone() -> None:
     several = Squares.about(torch.tensor([[5.0, 5, 30, 20], [40, 30, 75, 55], [20, 20, 33, 41], [-4, 0, 11, 9.5]]))
     masks = torch.stack([disc().roll(4 * k, 1) for k in range(4)])
     which = torch.arange(4)[:, None, None]
-    together, pixels = look(scene, index, several, lambda column, row: masks[which, row, column])
+    together, pixels = sample_squares(scene, index, several, lambda column, row: masks[which, row, column])
     for k in range(4):
         part, image = slice(k, k + 1), slice(int(index[k]), int(index[k]) + 1)
         one = Squares(several.centre[part], several.side[part], several.turn[part], several.mirrored[part])
         alone = Images(scene.rgb[image], scene.depth[image], scene.focal[image])
-        seen, seen_pixels = look(alone, FIRST, one, of_image(masks[k]))
+        seen, seen_pixels = sample_squares(alone, FIRST, one, of_image(masks[k]))
         torch.testing.assert_close(together[part], seen)
         assert (pixels[part] == seen_pixels).all()
 
 
-def test_varied_squares_still_show_what_was_found() -> None:
+def test_jittered_squares_still_show_their_detection() -> None:
     torch.manual_seed(0)
     found = torch.tensor([[100.0, 50.0, 160.0, 80.0]]).expand(2000, 4)
     varied = Squares.about(found).jittered()

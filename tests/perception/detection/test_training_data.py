@@ -1,4 +1,4 @@
-"""The trainer reads what the generator writes."""
+"""The trainer reads what the data-set generator writes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The zoom pass: where it looks, what it is shown, and what becomes of what both looks found."""
+"""The zoom pass: which crops it takes, what the network sees in them, and how both passes are merged."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from toolee_robot.end_effectors import Category
-from toolee_robot.perception.detection.detector import TOOL, Detector, DetectorConfig, RawDetections, working_size
+from toolee_robot.perception.detection.config import DetectorConfig, working_size
+from toolee_robot.perception.detection.detector import TOOL, Detector, RawDetections
 from toolee_robot.perception.detection.inputs import RgbdBatch
 from toolee_robot.perception.detection.instances import Box, Instances
 from toolee_robot.perception.detection.segmenter import Segmenter
@@ -139,14 +140,14 @@ def scores_of(merged: Instances) -> list[tuple[int, float]]:
     return [(label, round(score, 12)) for label, score in zip(merged[1], merged[2], strict=True)]
 
 
-def test_what_both_looks_saw_has_the_mean_score_and_the_second_s_mask() -> None:
+def test_things_in_both_passes_have_the_mean_score_and_the_second_mask() -> None:
     merged = merge(instances((1, 0.4, EE)), [instances((1, 0.8, NEARLY))], [WHERE], IMAGE)
     assert scores_of(merged) == [(1, 0.6)]
     np.testing.assert_array_equal(merged[0][0], mask_of(NEARLY))
     assert merged[3] == [NEARLY]
 
 
-def test_what_one_look_saw_alone_is_half_as_credible() -> None:
+def test_a_detection_of_one_pass_alone_has_half_its_score() -> None:
     elsewhere = (70.0, 60.0, 80.0, 70.0)
     merged = merge(instances((1, 0.4, EE)), [instances((1, 0.8, elsewhere))], [WHERE], IMAGE)
     assert scores_of(merged) == [(1, 0.2), (1, 0.4)]
@@ -154,7 +155,7 @@ def test_what_one_look_saw_alone_is_half_as_credible() -> None:
     assert scores_of(other_class) == [(1, 0.2), (2, 0.4)]
 
 
-def test_of_a_tool_the_better_mask_counts_and_the_first_look_decides_that_it_is_there() -> None:
+def test_a_tool_keeps_its_better_mask_and_must_be_in_the_first_pass() -> None:
     for second, expected in ((0.9, NEARLY), (0.3, EE)):
         merged = merge(instances((TOOL, 0.5, EE)), [instances((TOOL, second, NEARLY))], [WHERE], IMAGE)
         assert scores_of(merged) == [(TOOL, (0.5 + second) / 2)]
@@ -232,7 +233,7 @@ def bar(ee: Box = (60.0, 44.0, 70.0, 52.0)) -> RgbdFrame:
     return RgbdFrame(rgb, np.full(IMAGE, 0.6, np.float32), CameraIntrinsics(100.0, 100.0, 64.0, 48.0, 128, 96))
 
 
-def test_an_end_effector_too_small_for_the_first_look_is_found_at_its_place_by_the_second() -> None:
+def test_an_end_effector_too_small_for_the_first_pass_is_found_at_its_place_by_the_second() -> None:
     detector = ShortSighted(least_width=13)  # it is 10 px wide, in the zoom pass about 16
     found = Segmenter(detector).detect(bar())
     assert [d.category for d in found] == [next(iter(Category))]
@@ -247,7 +248,7 @@ def test_an_end_effector_too_small_for_the_first_look_is_found_at_its_place_by_t
     assert detector.metres[1] == pytest.approx(detector.metres[0], rel=0.1), "the larger picture is of the same size"
 
 
-def test_a_frame_without_a_tool_costs_one_look() -> None:
+def test_a_frame_without_a_tool_costs_one_pass() -> None:
     detector = ShortSighted(least_width=1)
     frame = bar()
     empty = RgbdFrame(np.zeros_like(frame.rgb), frame.depth, frame.intrinsics)
@@ -255,14 +256,14 @@ def test_a_frame_without_a_tool_costs_one_look() -> None:
     assert len(detector.looks) == 1
 
 
-def test_both_looks_agree_on_an_end_effector_that_is_large_enough() -> None:
+def test_both_passes_agree_on_an_end_effector_that_is_large_enough() -> None:
     detector = ShortSighted(least_width=1)
     found = Segmenter(detector).detect(bar())
     assert len(detector.looks) == 2, "0.8 is not certain"
     assert [d.score for d in found] == [pytest.approx(0.8)]
 
 
-def test_the_second_look_of_a_picture_with_four_times_the_pixels_finds_the_same() -> None:
+def test_the_zoom_pass_of_an_image_with_four_times_the_pixels_gives_the_same() -> None:
     frame = bar()
     K = CameraIntrinsics(200.0, 200.0, 128.5, 96.5, 256, 192)
     large = RgbdFrame(frame.rgb.repeat(2, 0).repeat(2, 1), frame.depth.repeat(2, 0).repeat(2, 1), K)

@@ -1,4 +1,4 @@
-"""Depths completed from measured neighbours."""
+"""Depth completion from measured neighbours."""
 
 from __future__ import annotations
 

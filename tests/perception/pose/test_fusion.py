@@ -1,4 +1,4 @@
-"""Fusion of several frames in the hand's frame."""
+"""Fusion of several frames in the hand frame."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, angle_between, transform
@@ -143,5 +144,5 @@ def test_contradicting_or_unusable_frames_are_refused() -> None:
     result = fuse_in_hand(doubtful, hands)
     assert not result.usable
     assert "0 of 4" in result.reason
-    with pytest.raises(PerceptionError, match="no frame"):
+    with raises(PerceptionError, code="perception.no_frames"):
         fuse_in_hand([], [])

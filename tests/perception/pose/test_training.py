@@ -1,4 +1,4 @@
-"""The network, its training clouds and its training, at the smallest size that still shows the behaviour."""
+"""The pose network, its training clouds and its training, at the smallest size that still shows the behaviour."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, PerceptionError, TooleeError, UserError
 from toolee_robot.perception.pose import PoseEstimator
@@ -282,7 +283,7 @@ def test_too_few_points_are_refused_and_nan_does_not_count(trained: Path) -> Non
     estimator = PoseEstimator.load(trained)
     points = np.full((200, 3), np.nan)
     points[:20] = np.random.default_rng(0).uniform(-0.02, 0.02, (20, 3)) + np.array([0, 0, 0.5])
-    with pytest.raises(PerceptionError, match="only 20 points"):
+    with raises(PerceptionError, code="perception.too_few_points"):
         estimator.estimate(points, Category.WRENCH_HEAD)
 
 
@@ -294,7 +295,7 @@ def test_a_loss_that_is_not_finite_stops_the_training(
     trainer = Trainer(
         tmp_path, replace(small(1.0), lr=1e30), (samples, samples), hands, DefaultRecipe(TINY, draws=2), distributed=CPU
     )
-    with pytest.raises(TooleeError, match="not finite"):
+    with raises(TooleeError, code="toolee.training_diverged"):
         trainer.run()
     assert not list(tmp_path.glob("*.safetensors"))
 
@@ -311,7 +312,7 @@ def test_a_training_starts_from_weights_of_its_architecture(
     kept = DefaultRecipe(TINY).load(trained).state_dict()
     assert all(torch.equal(value, kept[name]) for name, value in begun.net.state_dict().items())
     assert all(torch.equal(value, kept[name]) for name, value in begun.export().state_dict().items())
-    with pytest.raises(AssetError, match="architecture"):
+    with raises(AssetError, code="asset.architecture"):
         trainer("edm", 2 * TINY.width).start_from(trained)
 
 
@@ -327,7 +328,7 @@ def test_a_training_may_keep_a_share_of_the_weights_it_started_from(
     before = DefaultRecipe(TINY).load(trained).state_dict()
     for name, value in trainer.export().named_parameters():
         torch.testing.assert_close(value, before[name] + 0.75, atol=2e-3, rtol=2e-3)
-    with pytest.raises(UserError, match="--init"):
+    with raises(UserError, code="user.init_share"):
         train(tmp_path / "without", config)
 
 
@@ -344,10 +345,10 @@ def test_the_mirrored_view_is_the_view_of_the_mirror_image(trained: Path, clouds
 
 
 def test_missing_or_broken_weights_say_what_to_do(tmp_path: Path) -> None:
-    with pytest.raises(AssetError, match="toolee train pose"):
+    with raises(AssetError, code="asset.missing"):
         PoseEstimator.load(tmp_path)
     (tmp_path / "pose.json").write_text("{}")
-    with pytest.raises(AssetError, match="pose"):
+    with raises(AssetError, code="asset.missing"):
         PoseEstimator.load(tmp_path)
 
 

@@ -1,4 +1,4 @@
-"""The alternatives to flow matching sample what they should; rows train, are judged and tabulated."""
+"""Ablations: the alternatives to flow matching sample correctly; rows train, are evaluated and tabulated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A function recorded once as a CUDA graph and replayed: one launch instead of some hundreds, and one wait."""
+"""A function recorded once as a CUDA graph and replayed: one launch instead of some hundreds, one synchronisation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,14 @@ _WARM_UP = 3
 
 @dataclass(frozen=True, eq=False)
 class _Recording:
-    """inputs, outputs: in pinned memory of the host. held: the device's side of the inputs."""
+    """A recorded graph with its buffers.
+
+    Attributes:
+        graph: The graph.
+        inputs: Input buffers in pinned host memory.
+        outputs: Output buffers in pinned host memory.
+        held: Input buffers on the device.
+    """
 
     graph: torch.cuda.CUDAGraph
     inputs: tuple[Tensor, ...]
@@ -24,11 +31,15 @@ class _Recording:
 
 
 class CudaGraphRunner:
-    """`function` of tensors on `device`, with the same results, faster: from tensors on the host to tensors on the
-    host, the way there and back recorded, too. One recording for each shape of its inputs.
+    """A function of tensors, replayed as a CUDA graph, with the same results.
 
-    The function must not look at values (no branch on a tensor, no copy to the host). Calls wait for each other: a
-    recording has one set of buffers.
+    Inputs and outputs are on the host; the copies to and from the device are part of the graph. There is one recording
+    per set of input shapes. The function must not depend on values (no branch on a tensor, no copy to the host). Calls
+    are serialised: a recording has one set of buffers.
+
+    Args:
+        function: The function, of tensors on the device.
+        device: CUDA device.
     """
 
     def __init__(self, function: Function, device: torch.device) -> None:
@@ -37,7 +48,7 @@ class CudaGraphRunner:
         self._lock = threading.Lock()
 
     def __call__(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        """The function's outputs, on the host, for inputs on the host."""
+        """The function's outputs on the host, for inputs on the host."""
         key = tuple(x.shape for x in inputs)
         with self._lock, torch.cuda.device(self._device):
             if key not in self._recordings:
