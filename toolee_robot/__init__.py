@@ -1,7 +1,7 @@
 """toolee_robot: a robot-control stack for real hammering, after the paper ToolEENet.
 
-What a program builds on is here; every name is loaded on its first use, so that a program that only estimates poses
-loads no physics engine and no robot driver:
+The public API. Every name is loaded on its first use, so that a program that only estimates poses loads neither a
+physics engine nor a robot driver:
 
     from toolee_robot import CameraIntrinsics, RgbdFrame, ToolPerception
 

@@ -1,4 +1,4 @@
-"""The arms' data sheets: the one table that planner, driver, doctor, simulation and controller stand-in read.
+"""Data sheets of the arms: the table that planner, driver, doctor, simulation and controller stand-in share.
 
 Sources: Universal Robots, "DH parameters for calculations of kinematics and dynamics"; the UR10's and the UR10e's
 technical data.
@@ -11,12 +11,15 @@ from math import pi, radians
 
 from toolee_robot.types import ArmModel, Six
 
-CB3_RATE, E_SERIES_RATE = 125.0, 500.0  # [Hz] of the controllers' real-time data and of servoj
+CB3_RATE = 125.0
+"""Rate of a CB3 controller's real-time data and of its servoj [Hz]."""
+E_SERIES_RATE = 500.0
+"""Rate of an e-Series controller's real-time data and of its servoj [Hz]."""
 
 
 @dataclass(frozen=True)
 class ArmData:
-    """Nominal data of one model.
+    """Nominal data of one arm model; every tuple has one value per joint, base to wrist 3.
 
     Attributes:
         d: Denavit-Hartenberg offsets along z [m], standard (distal) convention.
@@ -25,7 +28,7 @@ class ArmData:
         velocity: Largest joint speeds [rad/s].
         torque: Largest joint torques [Nm].
         payload: Largest mass at the flange [kg].
-        rate: Of the controller's real-time data and of servoj [Hz].
+        rate: Rate of the controller's real-time data and of servoj [Hz].
     """
 
     d: Six

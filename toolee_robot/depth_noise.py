@@ -1,7 +1,7 @@
-"""The noise of a time-of-flight depth camera of the Kinect v2 kind: what both of its implementations read.
+"""Parameters of the depth noise of a Kinect v2 (time of flight), shared by its two implementations.
 
-`render.sensor` applies it to rendered images, a Warp kernel a pixel; `perception.pose.splat` to thousands of small
-windows at a time in torch, where a pose network is trained without a renderer.
+One implementation is a Warp kernel that the renderer applies per pixel; the other, in torch, applies the noise to
+thousands of small windows at once in the training of the pose network without a renderer.
 
 Axial noise: sigma_z = 1.5 - 0.5 z + 0.3 z^2 + 0.1 z^1.5 theta^2 / (pi/2 - theta)^2 [mm], z in metres, theta the angle
 between ray and surface normal (Fankhauser et al., "Kinect v2 for mobile robot navigation", ICAR 2015). Lateral noise
@@ -17,19 +17,19 @@ from types import MappingProxyType
 import numpy as np
 
 AXIAL_MM = (1.5, -0.5, 0.3, 0.1)
-"""Coefficients of sigma_z: constant, of z, of z^2, of the slant's term."""
+"""Coefficients of sigma_z [mm]: the constant, z, z^2, and the term of the incidence angle."""
 STEEPEST = 1.4835299
-"""[rad] 85 deg: beyond, the formula was not fitted."""
+"""Incidence angle up to which the formula was fitted [rad] (85 deg)."""
 GRAZING_WIDTH = 0.05235988
-"""[rad] 3 deg: over which the share of pixels lost at a grazing incidence rises."""
+"""Range of incidence angles over which the share of lost pixels rises [rad] (3 deg)."""
 NEAREST = 0.3
-"""[m] Nearer than this the lateral jitter in pixels grows no more."""
+"""Depth below which the lateral jitter in pixels no longer grows [m]."""
 NOTHING = 10.0
-"""[m] A pixel without depth counts as so far away."""
+"""Depth assigned to a pixel without depth [m]."""
 OUT_OF_PHASE = 0.5
-"""[m] Over larger steps the two returns fall out of phase: no reading."""
+"""Depth step above which the two returns are out of phase and give no reading [m]."""
 COMMON = 1.2
-"""Standard deviation [px] of the blur by which neighbours have a part of their noise in common."""
+"""Standard deviation of the blur that correlates the noise of neighbouring pixels [px]."""
 
 RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
@@ -43,30 +43,30 @@ RANGES: Mapping[str, tuple[float, float]] = MappingProxyType(
         "random_dropout": (0.0, 0.004),
     }
 )
-"""Of random sensors, uniform; `DepthNoise` says what each is."""
+"""Uniform ranges of a random sensor's parameters; see `DepthNoise` (`grazing_deg` is its `grazing` in degrees)."""
 SYSTEMATIC = 0.001
-"""Standard deviation of random sensors' bias [m] and of their scale."""
+"""Standard deviation of a random sensor's bias [m] and of its scale."""
 
 
 @dataclass(frozen=True)
 class DepthNoise:
-    """Parameters of one simulated sensor; the defaults are the nominal one's.
+    """Parameters of one simulated sensor; the defaults describe the nominal one.
 
     Attributes:
         axial: Factor on sigma_z.
-        correlation: Share of the axial variance that neighbours (about 3 px) have in common.
+        correlation: Share of the axial variance that is common to neighbouring pixels (about 3 px).
         lateral: Standard deviation of the lateral jitter [m].
         mixed: Probability that a pixel at a depth edge mixes both sides.
-        edge_dropout: Probability that it is lost instead.
-        edge_step: Depth step [m] that makes an edge.
-        shiny_dropout: Probability of losing a pixel of a mirror-like surface seen away from its normal.
-        grazing: Angle of incidence [rad] where half of the pixels are lost.
-        random_dropout: Probability for any pixel.
+        edge_dropout: Probability that a pixel at a depth edge is lost instead.
+        edge_step: Depth step that counts as an edge [m].
+        shiny_dropout: Probability that a pixel of a specular surface seen off its normal is lost.
+        grazing: Incidence angle at which half of the pixels are lost [rad].
+        random_dropout: Probability that any pixel is lost.
         bias: Constant offset [m].
         scale: Relative depth error.
-        minimum: Least range [m].
+        minimum: Smallest range [m].
         maximum: Largest range [m].
-        quantum: Step of the output [m].
+        quantum: Resolution of the output [m].
     """
 
     axial: float = 1.0
@@ -86,7 +86,11 @@ class DepthNoise:
 
     @staticmethod
     def random(rng: np.random.Generator) -> DepthNoise:
-        """A sensor somewhat better or worse than the nominal one."""
+        """Draw a sensor somewhat better or worse than the nominal one.
+
+        Args:
+            rng: Source of the random parameters.
+        """
         drawn = {name: float(rng.uniform(*bounds)) for name, bounds in RANGES.items()}
         drawn["grazing"] = float(np.deg2rad(drawn.pop("grazing_deg")))
         bias, scale = (float(rng.normal(0.0, SYSTEMATIC)) for _ in range(2))

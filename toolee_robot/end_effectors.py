@@ -1,7 +1,7 @@
-"""The end effectors (EE): what of a tool touches the work. One `EndEffectorSpec` for each `Category`.
+"""The end effectors (EE), the parts of tools that touch the work: one `EndEffectorSpec` per `Category`.
 
-A new category is a member of `Category`, after the others, and a record in `END_EFFECTORS`; the kinds of tools that
-have it say so in `toolee_robot.tools.catalog.TOOL_SPECS`. Detector and pose network must then be trained again.
+To add a category, append a member to `Category` and a record to `END_EFFECTORS`, and list the category in the kinds of
+tools that have it (`toolee_robot.tools.catalog.TOOL_SPECS`). Detector and pose network must then be trained again.
 
 At contact an EE's frame coincides with the frame of the object worked on, up to the category's symmetry group.
 """
@@ -18,8 +18,10 @@ from toolee_robot.symmetry import SymmetryGroup, SymmetryKind
 
 
 class Category(StrEnum):
-    """Names of the end effectors, as data sets, reports and weights write them. Their order is that of the class ids,
-    of the networks' embeddings and of the fitted models' features."""
+    """Names of the end effectors in data sets, reports and weights.
+
+    Their order is that of the class ids, of the networks' embeddings and of the fitted models' features.
+    """
 
     HAMMER_HEAD = "hammer_head"
     HAMMER_GRIP = "hammer_grip"
@@ -28,39 +30,38 @@ class Category(StrEnum):
 
     @property
     def spec(self) -> EndEffectorSpec:
-        """What is known of the category."""
+        """Specification of the category."""
         return END_EFFECTORS[self]
 
     @property
     def symmetry(self) -> SymmetryGroup:
-        """The group that decides the metric and the pooling of this category."""
+        """Symmetry group, which decides the metric and the pooling of this category."""
         return END_EFFECTORS[self].symmetry
 
 
 @dataclass(frozen=True, eq=False)
 class EndEffectorSpec:
-    """What is known of a category of end effectors beforehand."""
+    """Specification of a category of end effectors."""
 
     label: str
-    """For people: messages, tables, figures."""
+    """Name in messages, tables and figures."""
     class_id: int
-    """In data sets and detections, from 1 on; 0 is no EE."""
+    """Class id in data sets and detections, from 1; 0 is the background."""
     frame: str
-    """Where its frame is, in words."""
+    """Definition of its frame, in words."""
     symmetry: SymmetryGroup
-    """Rotations about its own frame that change nothing. The pose network knows free spins about z and half turns about
-    x."""
+    """Rotations in its own frame that leave it unchanged. The pose network supports continuous spins about z and half
+    turns about x."""
     R_tool_ee: Array
-    """Its nominal axes in the tool's frame (z from the butt to the head, x to the working side), 3x3, columns; single
-    tools are bent or tilted."""
+    """Nominal axes of the EE in the tool frame, (3, 3), as columns; an individual tool may be bent or tilted."""
     radius: float
-    """The EE is what its tool shows within a sphere of this radius about the frame's origin [m]."""
+    """Radius of the sphere about the frame's origin within which the tool's surface belongs to the EE [m]."""
     spin_cues: tuple[str, ...]
-    """Labels of the tool's parts that tell the spin about a free axis where they are seen."""
+    """Labels of the tool's parts that make the spin about a free axis observable when they are visible."""
     training_share: float
-    """How often a training of the pose network shows it; all shares add up to 1."""
+    """Share of the pose network's training examples; the shares of all categories add up to 1."""
     color: str
-    """In pictures, as #rrggbb."""
+    """Colour in pictures, #rrggbb."""
 
 
 def _axes(*columns: tuple[float, float, float]) -> Array:
@@ -128,5 +129,5 @@ CATEGORIES: tuple[Category, ...] = tuple(END_EFFECTORS)
 
 
 def label_of(name: str) -> str:
-    """The label of the category of that name; of any other heading, such as an average, the words in it."""
+    """Label of a table's heading: the category's label, or else the name with spaces for underscores."""
     return Category(name).spec.label if name in END_EFFECTORS else name.replace("_", " ")

@@ -1,10 +1,10 @@
-"""The project's errors: one root; each message says what happened and what to do about it.
+"""Error classes of the project, with a common root; each message states what happened and what to do about it.
 
-`UserError` is the caller's fault (a bad option, an unreadable file): the command line exits with 2.
-Every other `TooleeError` is a job that failed: the command line exits with 1.
+A `UserError` is caused by the caller's input (a bad option, an unreadable file); the command line exits with 2. Every
+other `TooleeError` is a failed job; the command line exits with 1.
 
-Every error has a `code` for programs and tests. It is the class's own (`unreachable` of an `UnreachableError`), or more
-specific where one class has several causes: `raise LimitError(message, code="limit.speed")`. Codes are stable;
+Every error has a `code` for programs and tests: that of its class (`unreachable` for an `UnreachableError`), or a more
+specific one where a class has several causes: `raise LimitError(message, code="limit.speed")`. Codes are stable;
 messages are for people and may change.
 """
 
@@ -18,11 +18,15 @@ if TYPE_CHECKING:
 
 
 class TooleeError(Exception):
-    """Root of every error this project raises on purpose.
+    """Root of the project's errors.
+
+    Args:
+        message: What happened, and what to do about it.
+        code: The cause, where it is more specific than the class.
 
     Attributes:
         code: Stable identifier of the cause: lower-case words joined by `_`, from the general to the specific joined by
-            `.`; the class's name without "Error" unless the place that raises it says more.
+            `.`. The default is the class's name without "Error".
     """
 
     code: str = "toolee"
@@ -33,18 +37,13 @@ class TooleeError(Exception):
             cls.code = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__.removesuffix("Error")).lower()
 
     def __init__(self, message: str = "", *, code: str | None = None) -> None:
-        """
-        Args:
-            message: What happened, and what to do about it.
-            code: The cause, where it is more specific than the class.
-        """
         super().__init__(message)
         if code is not None:
             self.code = code
 
 
 class UserError(TooleeError):
-    """The input is unusable; the message says what to change."""
+    """The input is unusable; the message states what to change."""
 
 
 class ConfigError(UserError):
@@ -56,27 +55,27 @@ class AssetError(TooleeError):
 
 
 class PerceptionError(TooleeError):
-    """The tool could not be found or its pose not be trusted."""
+    """The tool was not found, or its pose cannot be trusted."""
 
 
 class PlanningError(TooleeError):
-    """No safe motion exists for what was asked; nothing was moved."""
+    """No safe motion exists for the request; nothing was moved."""
 
 
 class UnreachableError(PlanningError):
-    """Inverse kinematics found no configuration."""
+    """Inverse kinematics has no solution."""
 
 
 class CollisionError(PlanningError):
-    """Every candidate motion would collide; names the closest pair."""
+    """Every candidate motion would collide; the message names the closest pair of bodies."""
 
 
 class LimitError(PlanningError):
-    """A trajectory breaks a position, velocity or acceleration limit, or is not finite."""
+    """A trajectory or payload violates a limit, or is not finite."""
 
 
 class DeviceError(TooleeError):
-    """A device (arm, hand, camera) failed or does not answer. The arm has been told to stop."""
+    """A device (arm, hand, camera) failed or does not answer; the arm was commanded to stop."""
 
 
 class StaleDataError(DeviceError):
@@ -84,42 +83,44 @@ class StaleDataError(DeviceError):
 
 
 class NoAnswerError(DeviceError):
-    """A device cannot be reached, is silent, or closed the connection."""
+    """A device cannot be reached, does not answer, or closed the connection."""
 
 
 class ProtocolError(DeviceError):
-    """A device sent what its protocol does not allow: it is another device, or another version of it."""
+    """A device violated its protocol: it is another device, or another version."""
 
 
 class GripError(DeviceError):
-    """The hand does not hold the tool (any more)."""
+    """The hand does not hold the tool."""
 
 
 class NotReadyError(DeviceError):
-    """A check before any motion failed: wrong robot, model, payload, version or mode. Nothing was moved."""
+    """A check before the motion failed: robot, model, payload, version or mode; nothing was moved."""
 
 
 class LatchedError(DeviceError):
-    """A fault has stopped the arm and nobody has reset it yet; names the fault. Nothing was moved."""
+    """An earlier fault, which the message names, has not been reset; nothing was moved."""
 
 
 class MotionFaultError(DeviceError):
-    """A fault ended a motion; the arm stands still and is latched. report: what was done until then, or None."""
+    """A fault ended a motion; the arm stands still and is latched.
+
+    Args:
+        message: What happened, and what to do about it.
+        report: The motion until the fault; None where nothing was moved.
+        code: The cause, where it is more specific than the class.
+
+    Attributes:
+        report: The motion until the fault; None where nothing was moved.
+    """
 
     def __init__(self, message: str = "", report: MotionReport | None = None, *, code: str | None = None) -> None:
-        """
-        Args:
-            message: What happened, and what to do about it.
-            report: What was done until then; None where nothing was moved.
-            code: The cause, where it is more specific than the class.
-        """
         super().__init__(message, code=code)
         self.report = report
 
 
 class PersonNearError(MotionFaultError):
-    """A person is or may be where they must not be, or has not confirmed what only a person can. report: None where
-    nothing was moved."""
+    """A person is or may be within reach, or has not given a required confirmation."""
 
 
 class TrackingError(MotionFaultError):
@@ -127,15 +128,15 @@ class TrackingError(MotionFaultError):
 
 
 class LinkLostError(MotionFaultError, StaleDataError):
-    """The arm's data stopped coming; the robot's own watchdog stops it."""
+    """The arm's data stream stopped; the robot's own watchdog stops the arm."""
 
 
 class OverrunError(MotionFaultError):
-    """Commands could not be sent on time."""
+    """Commands were not sent on time."""
 
 
 class ProtectiveStopError(MotionFaultError):
-    """The robot stopped itself; a person must look why and release it at the robot."""
+    """The robot stopped itself; a person must find the cause and release the stop at the robot."""
 
 
 class EmergencyStopError(MotionFaultError):
@@ -143,4 +144,4 @@ class EmergencyStopError(MotionFaultError):
 
 
 class ServoCrashError(MotionFaultError):
-    """The process that talks to the arm died or hangs."""
+    """The servo process died or hangs."""

@@ -1,4 +1,4 @@
-"""What a check found: one line for a person, with what to do about it."""
+"""The result of a check: one line for a person, with its remedy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from toolee_robot.errors import TooleeError
 
 
 class Level(StrEnum):
-    """FAIL: do not move. WARN: it works, but worse or less surely than it could. OK: as it should be."""
+    """Severity of a finding.
+
+    FAIL: nothing may move. WARN: usable, but with reduced quality or reliability. OK: as required.
+    """
 
     OK = "ok"
     WARN = "warn"
@@ -19,8 +22,14 @@ class Level(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """name: of what was checked, unique in a report. message: what was found, with figures and units. remedy: what to
-    do about it, empty where there is nothing to do."""
+    """Result of one check.
+
+    Attributes:
+        level: Severity.
+        name: Name of what was checked, unique in a report.
+        message: What was found, with values and units.
+        remedy: What to do about it; empty where nothing needs to be done.
+    """
 
     level: Level
     name: str
@@ -29,7 +38,13 @@ class Finding:
 
     @classmethod
     def of_error(cls, name: str, error: TooleeError, remedy: str) -> Finding:
-        """FAIL, in the error's own words; they end in what to do after a colon, or else `remedy` says it."""
+        """Make a FAIL finding from an error.
+
+        Args:
+            name: Name of what was checked.
+            error: The error; what follows the last colon of its message is the remedy.
+            remedy: The remedy where the message has no colon.
+        """
         message, colon, from_error = str(error).rpartition(": ")
         return cls(Level.FAIL, name, message, from_error) if colon else cls(Level.FAIL, name, str(error), remedy)
 
@@ -38,21 +53,21 @@ class Finding:
 
 
 def worst(findings: Iterable[Finding]) -> Level:
-    """The level that decides; OK for none."""
+    """Return the most severe level; OK without findings."""
     levels = {f.level for f in findings}
     return next((level for level in (Level.FAIL, Level.WARN) if level in levels), Level.OK)
 
 
 def ok(name: str, message: str) -> Finding:
-    """As it should be."""
+    """Make an OK finding."""
     return Finding(Level.OK, name, message)
 
 
 def warn(name: str, message: str, remedy: str) -> Finding:
-    """It works, but worse or less surely than it could."""
+    """Make a WARN finding."""
     return Finding(Level.WARN, name, message, remedy)
 
 
 def fail(name: str, message: str, remedy: str) -> Finding:
-    """Nothing may move before it is mended."""
+    """Make a FAIL finding."""
     return Finding(Level.FAIL, name, message, remedy)

@@ -1,6 +1,6 @@
 """Rotational symmetry groups of end effectors, and the rotation error modulo such a group.
 
-The group, not a network's opinion of it, decides every metric here.
+The group is part of a category's specification and decides every metric; networks do not estimate it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from toolee_robot.frames import Array, angle_between, rotation_angle
 
 
 class SymmetryKind(StrEnum):
-    """none: identity only. C2: {I, rotation by pi} about the axis. Cinf: all rotations about the axis."""
+    """Kinds of groups: the identity only, C2 {I, rotation by pi}, Cinf all rotations about the axis."""
 
     NONE = "none"
     C2 = "C2"
@@ -25,25 +25,53 @@ class SymmetryKind(StrEnum):
 
 @dataclass(frozen=True)
 class SymmetryGroup:
-    """Rotations g with X_A_ee @ g indistinguishable from X_A_ee; `axis` (3,) is a unit vector in the EE frame."""
+    """Group of the rotations g for which X_A_ee @ g is indistinguishable from X_A_ee.
+
+    Attributes:
+        kind: Kind of the group.
+        axis: Symmetry axis, a unit vector in the EE frame, (3,).
+    """
 
     kind: SymmetryKind
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def elements(self, steps: int = 64) -> Array:
-        """The group's rotations, (G, 3, 3), read-only; a continuous group is sampled in `steps` equal steps."""
+        """Return the rotations of the group.
+
+        Args:
+            steps: Number of equal steps in which a continuous group is sampled.
+
+        Returns:
+            The rotations, (G, 3, 3), read-only.
+        """
         n = {SymmetryKind.NONE: 1, SymmetryKind.C2: 2, SymmetryKind.CINF: steps}[self.kind]
-        return _turns(self.axis, n)
+        return _rotations(self.axis, n)
 
     def rotation_error(self, R_a: Array, R_b: Array) -> float:
-        """Smallest angle [rad] between R_a and R_b @ g over the group; exact for the continuous group too."""
+        """Smallest angle between R_a and R_b @ g over the group; exact for the continuous group too.
+
+        Args:
+            R_a: First rotation, (3, 3).
+            R_b: Second rotation, (3, 3).
+
+        Returns:
+            The angle [rad].
+        """
         if self.kind is SymmetryKind.CINF:
             axis = np.asarray(self.axis)
             return angle_between(R_a @ axis, R_b @ axis)
         return min(rotation_angle(R_a.T @ R_b @ g) for g in self.elements())
 
     def canonical(self, R: Array, R_reference: Array) -> Array:
-        """The member of R's orbit {R @ g} closest to R_reference (3x3)."""
+        """Return the member of the orbit {R @ g} closest to a reference.
+
+        Args:
+            R: Rotation, (3, 3).
+            R_reference: Reference rotation, (3, 3).
+
+        Returns:
+            The member of the orbit, (3, 3).
+        """
         if self.kind is SymmetryKind.CINF:
             # Twist about the axis that best aligns R with the reference: swing-twist of R^T R_ref.
             axis = np.asarray(self.axis)
@@ -55,9 +83,9 @@ class SymmetryGroup:
 
 
 @cache
-def _turns(axis: tuple[float, float, float], n: int) -> Array:
-    """(n, 3, 3): rotations about `axis` by n equal steps. Every comparison of two poses asks for the same ones."""
+def _rotations(axis: tuple[float, float, float], n: int) -> Array:
+    """Rotations about `axis` by n equal steps, (n, 3, 3); cached because every pose comparison uses them."""
     angles = 2 * np.pi * np.arange(n) / n
-    turns: Array = Rotation.from_rotvec(angles[:, None] * np.asarray(axis)).as_matrix()
-    turns.setflags(write=False)
-    return turns
+    rotations: Array = Rotation.from_rotvec(angles[:, None] * np.asarray(axis)).as_matrix()
+    rotations.setflags(write=False)
+    return rotations

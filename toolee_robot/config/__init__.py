@@ -1,11 +1,11 @@
-"""The station and the job as frozen dataclasses; YAML only here, validated.
+"""Configuration of a station and of the job as frozen dataclasses, optionally loaded from a YAML station file.
 
     from toolee_robot.config import StationConfig, load_station
-    config = StationConfig()                 # the simulated station of this repository
-    config = load_station(Path("lab.yaml"))  # a lab's own: any subset of the fields
+    config = StationConfig()                 # the simulated station
+    config = load_station(Path("lab.yaml"))  # a real station: any subset of the fields
 
-Everything a lab measures once stands here: where the camera, the base, the stand and the nail are, what the limits
-are, and how the hand holds a tool nominally. Lengths [m], angles [rad].
+The records hold everything that is measured once per station: the poses of camera, stand and nail, the limits, and the
+calibration. Lengths are in metres and angles in radians unless a field states otherwise.
 """
 
 from toolee_robot.config.calibration import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig

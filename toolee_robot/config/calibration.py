@@ -1,4 +1,4 @@
-"""Of which devices and of what day a station's calibration is."""
+"""The record of a camera calibration, and its validity."""
 
 from __future__ import annotations
 
@@ -10,21 +10,24 @@ from toolee_robot.config.values import STRICT, NotNegative, Positive
 
 @dataclass(frozen=True)
 class CalibrationConfig:
-    """Whose calibration the file holds: the camera's place holds for one robot, one camera, one day."""
+    """Record of the hand-eye calibration that determined `StationConfig.camera`.
+
+    It holds for one robot, one camera and a limited time.
+    """
 
     __pydantic_config__ = STRICT
     measured_on: str
-    """Day of the calibration, as 2026-11-20."""
+    """Date of the calibration, ISO 8601 (2026-11-20)."""
     robot_serial: str
-    """Serial number of the robot that was calibrated; it must be the station's."""
+    """Serial number of the calibrated robot; must be that of the station's robot."""
     camera_serial: str
-    """Serial number of the camera that was calibrated; it must be the station's."""
+    """Serial number of the calibrated camera; must be that of the station's camera."""
     residual: NotNegative
-    """Root mean square of the board's points on poses held out from the fit [m]."""
+    """Root mean square error of the calibration board's points on held-out poses [m]."""
     max_residual: Positive = 0.004
-    """Largest residual that a job accepts [m]."""
+    """Largest residual with which the calibration may be used [m]."""
     valid_days: Positive | None = 30.0
-    """Days after which it must be repeated; null where nothing can have moved, as in the simulation."""
+    """Days after which the calibration must be repeated; None if nothing can have moved, as in the simulation."""
 
     def __post_init__(self) -> None:
         try:
@@ -33,7 +36,16 @@ class CalibrationConfig:
             raise ValueError(f"measured_on {self.measured_on!r} is no date: write it as 2026-11-20") from error
 
     def problems(self, robot_serial: str, camera_serial: str, today: date) -> list[str]:
-        """Why this calibration must not be used with these devices today, one sentence each; empty if it may."""
+        """Check whether this calibration may be used.
+
+        Args:
+            robot_serial: Serial number that the station's robot reports.
+            camera_serial: Serial number that the station's camera reports.
+            today: The present date.
+
+        Returns:
+            One sentence per reason against its use; empty if it may be used.
+        """
         found = []
         for what, mine, theirs in (
             ("robot", self.robot_serial, robot_serial),
@@ -55,5 +67,6 @@ class CalibrationConfig:
 
 
 SIMULATED = "simulated"
-"""The serial number of every simulated device."""
+"""Serial number of every simulated device."""
 SIMULATED_CALIBRATION = CalibrationConfig("2026-01-01", SIMULATED, SIMULATED, 0.0, valid_days=None)
+"""Calibration of the simulated station: exact, and valid without a time limit."""

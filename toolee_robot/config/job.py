@@ -1,4 +1,4 @@
-"""How a job strikes, when it looks again and ends, and what the supervisor lets pass."""
+"""Parameters of the hammering job: strikes, decisions, and the bounds that the supervisor enforces."""
 
 from __future__ import annotations
 
@@ -11,76 +11,79 @@ from toolee_robot.config.values import STRICT, Count, NotNegative, Positive
 
 @dataclass(frozen=True)
 class StrikeConfig:
-    """How to hit."""
+    """Parameters of a strike, and of the guarded touch that measures the nail."""
 
     __pydantic_config__ = STRICT
     speed: Positive = 1.2
-    """Wanted speed of the face at contact [m/s]. From 1.2 the hand needs some 90 mm to stop, from 1.5 140 mm, which it
-    does not have beside the block with a short hammer."""
+    """Wanted speed of the face at the contact [m/s]. Stopping takes the hand some 90 mm from 1.2 m/s and 140 mm from
+    1.5 m/s; beside the block, the hand has less than the latter with a short hammer."""
     run_up: Positive = 0.20
-    """Length of the straight run to the nail [m]."""
+    """Length of the straight run-up to the nail [m]."""
     touch_speed: Positive = 0.03
-    """Speed of the touch, which measures where the face meets the nail [m/s]."""
+    """Speed of the guarded touch that measures where the face meets the nail [m/s]."""
     touch_force: Positive = 8.0
-    """Sensed force that ends a touch [N]; less than what a yielding wrist passes on at a long hammer's end."""
+    """Force that ends the guarded touch [N]; must be below what a compliant wrist transmits at the end of a long
+    hammer."""
     contact_force: Positive = 15.0
-    """Sensed force that counts as the strike's contact [N]."""
+    """Force that counts as the contact of a strike [N]."""
     clearance: NotNegative = 0.008
-    """Least distance of anything to anything but face and nail [m]."""
+    """Least distance between any two bodies during a strike, other than face and nail [m]."""
 
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """When to go on, to look again and to end."""
+    """Thresholds with which the hammering job decides to continue, to look at the tool again, or to end."""
 
     __pydantic_config__ = STRICT
     max_strikes: Count = 40
-    """Most strikes of a job."""
+    """Number of strikes after which the job gives up."""
     flush_protrusion: Positive = 0.001
-    """Protrusion up to which the nail counts as flush [m]."""
+    """Largest protrusion over the wood that counts as flush [m]."""
     min_progress: NotNegative = 0.0002
-    """A strike that drives the nail by less has not moved it [m]."""
+    """Least depth that a strike must drive the nail; a strike below it has not moved the nail [m]."""
     slip_per_strike: NotNegative = 0.0015
-    """Standard deviation of the tool's drift in the hand with a strike [m]."""
+    """Standard deviation of the tool's drift in the hand per strike [m]."""
     slip_angle_per_strike: NotNegative = np.pi / 450
-    """Standard deviation of the tool's turn in the hand with a strike [rad]."""
+    """Standard deviation of the tool's rotational drift in the hand per strike [rad]."""
     abort_slip: Positive = 0.015
-    """Slip between two looks from which on the tool must be gripped again [m]."""
+    """Slip between two looks at the tool above which it must be gripped again [m]."""
     abort_slip_angle: Positive = np.pi / 12
-    """Turn between two looks from which on the tool must be gripped again [rad]."""
+    """Rotational slip between two looks at the tool above which it must be gripped again [rad]."""
     views: Count = 6
-    """Views of the first look."""
+    """Number of views of the first look at the tool."""
     views_again: Count = 4
-    """Views of later looks."""
+    """Number of views of each later look."""
     strikes_between_looks: Count = 4
-    """Strikes after which the task looks again."""
+    """Number of strikes after which the tool is looked at again."""
     handover_timeout: Positive = 30.0
-    """How long each question to the person waits for an answer [s]."""
+    """Time that a person has to hand over the tool, and to answer each question [s]."""
 
 
 @dataclass(frozen=True)
 class SupervisorConfig:
-    """What the supervisor lets pass, on top of the joints' limits."""
+    """Bounds that the supervisor enforces in addition to the joint limits."""
 
     __pydantic_config__ = STRICT
     handover_speed: Positive = 0.25
-    """Most that flange and tool may move with while a person is in reach [m/s]: the reduced speed of ISO 10218-1."""
+    """Largest speed of flange and tool in HANDOVER mode, with a person in reach [m/s]: the reduced speed of
+    ISO 10218-1."""
     unattended_speed: Positive = 1.5
-    """Most that flange and tool may move with while nobody is in reach [m/s]."""
+    """Largest speed of flange and tool in UNATTENDED mode, with nobody in reach [m/s]: a common safety setting of UR
+    arms."""
     tracking_error: Positive = 0.05
-    """Most that a joint may be away from its command in a motion, the servo's known lag taken off [rad]."""
+    """Largest deviation of a measured joint from its command [rad]; see `MotionWatch`."""
     data_cycles: Positive = 3.0
-    """Most cycles for which the arm's newest reading may be old in a motion."""
+    """Largest age of the newest reading during a motion [control cycles]; see `MotionWatch`."""
     overruns: Count = 3
-    """Most command cycles in a row that may be late in a motion."""
+    """Largest number of successive late command cycles; see `MotionWatch`."""
     max_data_age: Positive = 0.1
-    """Oldest reading of the arm that a motion may begin with [s]."""
+    """Largest age of the arm's newest reading before a motion starts [s]."""
     early_contact: Positive = 0.024
-    """How far before the expected place a strike may meet the nail [m]; at 1.2 m/s and 125 Hz the force is felt some 15
-    mm behind where it began."""
+    """Largest distance before the expected contact at which a strike may meet the nail [m]."""
     late_contact: Positive = 0.030
-    """How far beyond the expected place a strike may meet the nail [m]."""
+    """Largest distance beyond the expected contact at which a strike may meet the nail [m]; at 1.2 m/s and 125 Hz the
+    force is detected some 15 mm behind the contact."""
     max_hand_temperature: Positive = 65.0
-    """A hotter hand gets no further strike [deg C]."""
+    """Temperature of the hand above which no further strike starts [deg C]."""
     ask_before_swing: bool = True
-    """Whether a person must confirm the first strike of a job."""
+    """Whether a person must confirm the first swing of a job."""

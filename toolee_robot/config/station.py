@@ -1,4 +1,4 @@
-"""A whole station, and its YAML file."""
+"""The record of a whole station, and its loader."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from toolee_robot.runtime.yaml_files import read_record
 
 @dataclass(frozen=True)
 class StationConfig:
-    """A whole station; the defaults are the simulated one."""
+    """Configuration of a whole station; the defaults describe the simulated one."""
 
     __pydantic_config__ = STRICT
     calibration: CalibrationConfig | None = SIMULATED_CALIBRATION
-    """Of camera and robot to each other; null where nobody has calibrated them, which no job accepts."""
+    """Record of the camera's calibration; None for an uncalibrated station, which every job refuses."""
     camera: CameraConfig = field(default_factory=CameraConfig)
-    """The camera."""
+    """Pose and intrinsics of the fixed camera."""
     work: WorkConfig = field(default_factory=WorkConfig)
-    """The block and the nail."""
+    """The block, its stand and the nail."""
     scene: SceneConfig = field(default_factory=SceneConfig)
-    """What else stands in the station."""
+    """Obstacles, home posture, handover pose and workspace."""
     arm: ArmLimits = field(default_factory=ArmLimits)
-    """The arm and its limits."""
+    """The arm's model and the limits of the planner."""
     hand: HandConfig = field(default_factory=HandConfig)
-    """The hand."""
+    """The hand on the flange."""
     strike: StrikeConfig = field(default_factory=StrikeConfig)
-    """How to hit."""
+    """Parameters of a strike and of the guarded touch."""
     task: TaskConfig = field(default_factory=TaskConfig)
-    """When to go on, to look again and to end."""
+    """Decision thresholds of the hammering job."""
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
-    """What the supervisor lets pass."""
+    """Bounds that the supervisor enforces on every motion."""
 
     def __post_init__(self) -> None:
         if self.strike.speed > self.supervisor.unattended_speed:
@@ -46,5 +46,15 @@ class StationConfig:
 
 
 def load_station(path: Path) -> StationConfig:
-    """Read a station from YAML. Raises ConfigError naming every wrong field."""
+    """Load a station file.
+
+    Args:
+        path: YAML file with any subset of the fields of `StationConfig`; omitted fields keep their defaults.
+
+    Returns:
+        The validated configuration.
+
+    Raises:
+        ConfigError: The file cannot be read, or a field is invalid; the message lists every invalid field.
+    """
     return read_record(path, StationConfig, "station")

@@ -1,4 +1,4 @@
-"""Kinds of values that the configuration's records share."""
+"""Types of configuration fields, checked when a station file is loaded."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import ConfigDict, Field
 
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
-"""Unknown fields, NaN and infinity are refused."""
+"""Pydantic configuration of every record: an unknown field, NaN or infinity is an error."""
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]

@@ -1,4 +1,4 @@
-"""Ask the hand, all through a motion, whether it still holds the tool."""
+"""Monitor the hand's grip throughout a motion."""
 
 from __future__ import annotations
 
@@ -11,20 +11,38 @@ from toolee_robot.errors import DeviceError, GripError
 from toolee_robot.hal import Hand
 
 PERIOD = 0.02
-"""[s] between two questions: a hand on a serial line answers some 100 a second."""
+"""Polling period [s]; a hand on a serial line answers some 100 times per second."""
 
 
 def check_held(hand: Hand) -> None:
-    """Raise GripError when the hand has lost the tool, DeviceError when it complains or has fallen silent."""
+    """Check that the hand holds the tool.
+
+    Args:
+        hand: The hand.
+
+    Raises:
+        GripError: The hand has lost the tool.
+        DeviceError: The hand reports a fault, or does not answer.
+    """
     state = hand.state()
     if not state.holding:
         raise GripError("the hand has lost the tool: pick it up and start again")
     if state.fault:
-        raise DeviceError(f"the hand reports a fault ({state.fault}): no further strike; look at the hand")
+        raise DeviceError(
+            f"the hand reports a fault ({state.fault}): no further strike; look at the hand", code="device.hand_fault"
+        )
 
 
 class HandWatch:
-    """Inside this context the arm is stopped as soon as `check_held` raises. error: what it raised."""
+    """Context in which the arm is stopped as soon as `check_held` raises.
+
+    Args:
+        hand: The hand that holds the tool.
+        stop: Stops the arm; called from another thread.
+
+    Attributes:
+        error: The error that stopped the arm, or None.
+    """
 
     def __init__(self, hand: Hand, stop: Callable[[], None]) -> None:
         self.error: Exception | None = None
@@ -40,7 +58,7 @@ class HandWatch:
     ) -> None:
         self._watcher.__exit__(kind, error, trace)
         if self.error is None and self._watcher.reason:
-            self.error = DeviceError(self._watcher.reason)
+            self.error = DeviceError(self._watcher.reason, code="device.hand_silent")
 
     def _reason_to_stop(self) -> str:
         try:

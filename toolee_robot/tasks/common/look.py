@@ -1,4 +1,4 @@
-"""Look at the held tool from several views and fuse what was seen into its pose in the hand."""
+"""Look at the held tool from several views and fuse the estimates into its pose in the hand."""
 
 from __future__ import annotations
 
@@ -17,27 +17,64 @@ from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.types import HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 MAX_DISPLACEMENT = 0.10
-"""[m] A face further than this from where a nominal grasp has it is not believed: no hand holds a tool like that."""
+"""Largest plausible distance of the face from its nominal position in the hand [m]."""
 MAX_MISALIGNMENT = np.deg2rad(60.0)
+"""Largest plausible angle of the face's normal from its nominal direction in the hand [rad]."""
 MIN_DEPTH = 0.3
-"""Share of a frame's pixels that must have a depth: less is a camera that is blinded or covered."""
+"""Least share of a frame's pixels with a known depth; with less, the camera is blinded or covered."""
 
 
 class Perceiver(Protocol):
-    """What a task needs of perception; `toolee_robot.perception.ToolPerception` is one."""
+    """Perception as a task uses it; implemented by `toolee_robot.perception.ToolPerception`."""
 
-    def estimate(self, frame: RgbdFrame, hand: HoldingHand | None = None) -> list[ToolEstimate]: ...
+    def estimate(self, frame: RgbdFrame, hand: HoldingHand | None = None) -> list[ToolEstimate]:
+        """Detect the end effectors in a frame and estimate their poses.
+
+        Args:
+            frame: The frame.
+            hand: The hand that holds the tool; None if unknown.
+
+        Returns:
+            One estimate per detection, in the camera frame.
+
+        Raises:
+            UserError: The frame is unusable.
+        """
+        ...
 
     def fuse(
         self,
         estimates_per_frame: Sequence[Sequence[ToolEstimate]],
         Xs_camera_hand: Sequence[Array],
         category: Category | None = None,
-    ) -> InHandEstimate: ...
+    ) -> InHandEstimate:
+        """Fuse the estimates of several frames.
+
+        Args:
+            estimates_per_frame: Estimates of each frame.
+            Xs_camera_hand: Pose of the hand in the camera frame at each frame, (4, 4).
+            category: Category to fuse; None for the one seen most.
+
+        Returns:
+            The pose of the end effector in the hand.
+
+        Raises:
+            PerceptionError: No frame shows the end effector.
+        """
+        ...
 
 
 class Look:
-    """Frames taken so far in one look, and what they say together."""
+    """One look at the held tool: the frames taken, and their fusion.
+
+    Args:
+        station: The devices of the station.
+        config: Configuration of the station.
+        robot: Kinematic model of arm and hand.
+        perceiver: Estimates poses from frames.
+        observer: Receives frames and estimates.
+        X_hand_ee_nominal: Pose of the end effector in the hand in a nominal grasp, (4, 4).
+    """
 
     def __init__(
         self,
@@ -59,21 +96,27 @@ class Look:
         self._hands: list[Array] = []
 
     def take(self) -> None:
-        """Read a frame where the arm stands now and estimate what is in it."""
+        """Read a frame at the arm's present configuration and estimate the poses in it.
+
+        Raises:
+            StaleDataError: The camera repeated an old frame.
+            DeviceError: The frame is unusable, or a device does not answer.
+        """
         asked = self._station.clock.now()
         frame = self._station.camera.read()
         if frame.stamp < asked:
             raise StaleDataError(
                 f"the camera gave a frame {asked - frame.stamp:.2f} s older than it was asked: it repeats old ones; "
-                "restart it"
+                "restart it",
+                code="stale_data.camera_repeats",
             )
         q_arm = self._station.arm.state().joints.q
         q_hand = self._station.hand.state().joints.q
         X_camera_hand = self._X_camera_base @ self._robot.fk(q_arm, q_hand)[1]
         try:
             estimates = self._perceiver.estimate(frame, HoldingHand(X_camera_hand, self._R_hand_tool))
-        except UserError as error:  # it is the camera that made this frame
-            raise DeviceError(f"the camera's frame is of no use: {error}") from error
+        except UserError as error:  # the frame is the camera's, not the user's
+            raise DeviceError(f"the camera's frame is unusable: {error}", code="device.camera_frame") from error
         self._observer.frame(frame, estimates, X_camera_hand)
         known = float(np.mean(frame.depth > 0.0))  # NaN included
         if known < MIN_DEPTH:
@@ -83,28 +126,35 @@ class Look:
         self._hands.append(X_camera_hand)
 
     def fuse(self) -> InHandEstimate:
-        """The face's pose in the hand. Raises PerceptionError when it is unseen, uncertain or implausible."""
+        """Fuse the frames into the pose of the face in the hand.
+
+        Raises:
+            PerceptionError: The face was not seen, its pose is too uncertain, or it is implausible for a held hammer.
+        """
         estimate = self._perceiver.fuse(self._seen, self._hands, Category.HAMMER_HEAD)
         self._observer.in_hand(self._station.clock.now(), estimate)
         if not estimate.usable:
-            raise PerceptionError(f"the hammer head's pose is not to be relied on: {estimate.reason}")
+            raise PerceptionError(
+                f"the hammer head's pose is not to be relied on: {estimate.reason}", code="perception.not_usable"
+            )
         displacement, misalignment = self._off_nominal(estimate.X_hand_ee)
         if not (displacement <= MAX_DISPLACEMENT and misalignment <= MAX_MISALIGNMENT):  # NaN included
             raise PerceptionError(
                 f"the hammer head seems to be {displacement * 1e3:.0f} mm and {np.rad2deg(misalignment):.0f} deg away "
-                "from where a held hammer can have it: hand it over again, face towards the fingers"
+                "from where a held hammer can have it: hand it over again, face towards the fingers",
+                code="perception.implausible",
             )
         return estimate
 
     def _plausible(self, estimate: ToolEstimate, X_camera_hand: Array) -> bool:
-        """Whether it can be the face that strikes: not a club hammer's other face, nor a hammer on the table."""
+        """Whether it can be the striking face, not a club hammer's other face or a hammer on the table."""
         if not np.all(np.isfinite(estimate.X_camera_ee)):
-            return True  # a detection without a pose: its reason is worth telling
+            return True  # a detection without a pose: keep it, since its reason is reported
         displacement, misalignment = self._off_nominal(inverse(X_camera_hand) @ estimate.X_camera_ee)
         return displacement < 1.5 * MAX_DISPLACEMENT and misalignment < 1.25 * MAX_MISALIGNMENT
 
     def _off_nominal(self, X_hand_ee: Array) -> tuple[float, float]:
-        """Distance [m] and angle [rad] of the face's centre and normal from those of a nominal grasp."""
+        """Distance of the face's centre [m] and angle of its normal [rad] from those of the nominal grasp."""
         return (
             float(np.linalg.norm(X_hand_ee[:3, 3] - self._nominal[:3, 3])),
             angle_between(X_hand_ee[:3, 2], self._nominal[:3, 2]),

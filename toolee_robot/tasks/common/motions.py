@@ -1,4 +1,4 @@
-"""What a task moves: the arm from one standstill to the next, with a tool only while the hand holds it."""
+"""Motions of a task: from one standstill to the next, under the supervisor, with the hand's grip monitored."""
 
 from __future__ import annotations
 
@@ -24,18 +24,32 @@ from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.types import Trajectory
 
 UP = (0.0, 0.0, 1.0)
-STRAIGHT_SPEED = 0.25  # [m/s]
-QUIET_TIME, QUIET_STEP, QUIET_PATIENCE = 0.1, 0.02, 2.0  # [s]
+"""Unit vector in `base`."""
+STRAIGHT_SPEED = 0.25
+"""Largest speed of a straight motion [m/s]."""
+QUIET_TIME, QUIET_STEP, QUIET_PATIENCE = 0.1, 0.02, 2.0
+"""Required time below the force threshold, polling period, and time-out of `wait_until_quiet` [s]."""
 STILL_PATIENCE = 1.0
-"""[s] for an arm that a contact has left swinging against what it touches; the supervisor refuses one that goes on."""
-RETREAT, RETREAT_SPEED = 0.20, 0.15  # [m], [m/s]
+"""Longest wait for an arm that oscillates after a contact [s]; the supervisor refuses one that still moves."""
+RETREAT, RETREAT_SPEED = 0.20, 0.15
+"""Length [m] and speed [m/s] of the retreat after the tool has dropped."""
 
 
 class Motions:
-    """The arm and what it carries. `arm` is the supervisor: nothing goes to the station's arm past it.
+    """The arm and what it carries. Every command passes the supervisor.
 
-    q: joints (6,) [rad] that the arm holds; known after `begin`. X_hand_ee: 4x4, where the working end is believed to
-    be. held: whether the hand has taken the tool.
+    Args:
+        station: The devices of the station.
+        config: Configuration of the station.
+        robot: Kinematic model of arm and hand.
+        observer: Receives the motions.
+        X_hand_ee: Initial estimate of the end effector's pose in the hand, (4, 4).
+
+    Attributes:
+        arm: The supervisor around the station's arm.
+        q: Joint positions that the arm holds, (6,) [rad]; set by `begin`.
+        X_hand_ee: Estimated pose of the end effector in the hand, (4, 4).
+        held: Whether the hand holds the tool.
     """
 
     q: Array
@@ -57,40 +71,76 @@ class Motions:
         self._observer = observer
 
     def begin(self) -> None:
-        """Read where the arm holds itself. Raises StaleDataError when it does not say."""
+        """Read the joint positions that the arm holds.
+
+        Raises:
+            StaleDataError: The arm's data is too old.
+        """
         self.q = self.arm.state().q_commanded
 
     @property
     def q_hand(self) -> Array:
-        """The hand's joints (n,) as measured now, wrist included."""
+        """Measured joint positions of the hand, wrist first, (n,) [rad]."""
         return self._station.hand.state().joints.q
 
     @property
     def X_base_ee(self) -> Array:
-        """The working end as believed, 4x4, where the arm stands."""
+        """Estimated pose of the end effector in `base`, (4, 4)."""
         return self._robot.X_base_ee(self.q, self.q_hand, self.X_hand_ee)
 
     def world(self) -> CollisionWorld:
-        """What must not collide, as things are now."""
+        """Collision model of the present state."""
         return CollisionWorld(self._robot, self._config, self.q_hand, self.X_hand_ee if self.held else None)
 
     def execute(
         self, name: str, trajectory: Trajectory, guard: ContactGuard | None = None, *, at_work: bool = False
     ) -> MotionReport:
-        """Move. Raises GripError when the tool is lost before or on the way, DeviceError when the hand that holds it
-        complains or falls silent; the arm brakes at once. Raises what the supervisor raises; DeviceError when the arm
-        was stopped."""
+        """Execute a trajectory; the arm brakes at once when the hand loses the tool or reports a fault.
+
+        Args:
+            name: Name of the motion in the recording and in messages.
+            trajectory: The motion, from rest to rest.
+            guard: Contact detection; None for none.
+            at_work: Whether the tool may touch block and stand.
+
+        Returns:
+            What was commanded and measured.
+
+        Raises:
+            GripError: The tool was lost before or during the motion.
+            DeviceError: The hand reports a fault or does not answer, or the arm was stopped.
+            TooleeError: What `Supervisor.execute` raises.
+        """
         with self._watched(name) as hand:
             report = self.arm.execute(trajectory, guard, at_work=at_work)
         self._done(name, report, hand)
         return report
 
     def transfer(self, name: str, trajectory: Trajectory) -> None:
-        """Move through free space, slowed to what the mode allows. Raises as `execute`."""
+        """Move through free space, slowed down to the speed limit of the mode.
+
+        Args:
+            name: Name of the motion.
+            trajectory: The motion, from rest to rest.
+
+        Raises:
+            TooleeError: As `execute`.
+        """
         self.execute(name, slowed_to(trajectory, self.world(), self.arm.mode.speed(self._config.supervisor)))
 
     def swing(self, name: str, plan: StrikePlan) -> tuple[MotionReport, ContactVerdict]:
-        """The strike of a plan, as planned or not at all. Raises as `execute`."""
+        """Execute the strike of a plan, without any modification.
+
+        Args:
+            name: Name of the motion.
+            plan: The plan of the strike.
+
+        Returns:
+            What was commanded and measured, and how the strike met the nail.
+
+        Raises:
+            TooleeError: As `execute`.
+        """
         self.check_hand()
         guard = ContactGuard(self._config.strike.contact_force, ignore_before=0.5 * plan.contact_time)
         with self._watched(name) as hand:
@@ -99,7 +149,16 @@ class Motions:
         return report, verdict
 
     def straight(self, name: str, direction: tuple[float, float, float], length: float) -> None:
-        """Along a direction of `base` by a length [m], orientation kept; the tool may be at the work."""
+        """Move on a straight line with constant orientation; the tool may touch the work.
+
+        Args:
+            name: Name of the motion.
+            direction: Unit vector in `base`.
+            length: Length along it [m]; negative for the opposite direction.
+
+        Raises:
+            TooleeError: As `execute`, and what `plan_straight` raises.
+        """
         if abs(length) > 1e-4:
             world = self.world()
             speed = min(STRAIGHT_SPEED, 0.95 * self.arm.mode.speed(self._config.supervisor))
@@ -107,7 +166,7 @@ class Motions:
             self.execute(name, move, at_work=True)
 
     def retreat(self) -> None:
-        """The tool has dropped: slowly away from the person's place and up, or up, or not at all."""
+        """After the tool has dropped, move slowly up and away from the person's place, else up, else not at all."""
         self.held = False
         with suppress(DeviceError):
             away = self._robot.fk(self.q, self.q_hand)[1][:3, 3] - np.asarray(self._config.scene.person_center)
@@ -121,8 +180,14 @@ class Motions:
                     return
 
     def wait_until_quiet(self, force: float) -> bool:
-        """Stand until the arm has felt less than `force` [N] for QUIET_TIME: a tool that still swings would pass for a
-        contact. False when it does not calm down within QUIET_PATIENCE."""
+        """Wait until the sensed force is small, since a swinging tool would be taken for a contact.
+
+        Args:
+            force: Threshold that the force must stay below for QUIET_TIME [N].
+
+        Returns:
+            Whether it did so within QUIET_PATIENCE.
+        """
         quiet = 0.0
         for _ in range(int(QUIET_PATIENCE / QUIET_STEP)):
             self._station.clock.sleep(QUIET_STEP)
@@ -133,24 +198,30 @@ class Motions:
         return False
 
     def check_hand(self) -> None:
-        """Raises DeviceError when the hand complains or is too hot: no further strike then; GripError without a
-        tool."""
+        """Check the hand before a strike.
+
+        Raises:
+            GripError: The hand has lost the tool.
+            DeviceError: The hand reports a fault, or is too hot.
+        """
         hand, most = self._station.hand, self._config.supervisor.max_hand_temperature
         check_held(hand)
         state = hand.state()
         if state.temperature is not None and not state.temperature <= most:  # NaN included
-            raise DeviceError(f"the hand is at {state.temperature:.0f} deg C, {most:.0f} are allowed: let it cool down")
+            raise DeviceError(
+                f"the hand is at {state.temperature:.0f} deg C, {most:.0f} are allowed: let it cool down",
+                code="device.hand_temperature",
+            )
 
     def stand_still(self) -> None:
-        """Stop arm and fingers, as far as they can still be told; the hand keeps its grip."""
+        """Stop arm and fingers, ignoring devices that have failed; the hand keeps its grip."""
         for device in (self.arm, self._station.hand):
             with suppress(DeviceError):
                 device.stop()
 
     @contextmanager
     def _watched(self, name: str) -> Iterator[HandWatch | None]:
-        """A motion: from a standstill, with the tool still in the hand, all the way; what a fault leaves of it is told
-        to the observer, too."""
+        """Context of a motion: starts at standstill, monitors the grip, and reports a motion that a fault ended."""
         self._wait_until_still()
         watch = HandWatch(self._station.hand, self.arm.stop) if self.held else None
         if self.held:
@@ -166,24 +237,23 @@ class Motions:
             raise
 
     def _wait_until_still(self) -> None:
-        with suppress(DeviceError):  # an arm that does not say is refused by the supervisor, which knows more reasons
+        with suppress(DeviceError):  # the supervisor refuses an arm without data, with the specific reason
             for _ in range(int(STILL_PATIENCE / QUIET_STEP)):
                 if np.abs(self.arm.state().joints.qd).max() < AT_REST:
                     return
                 self._station.clock.sleep(QUIET_STEP)
 
     def _done(self, name: str, report: MotionReport, hand: HandWatch | None) -> None:
-        # The commanded position is what the arm holds and what the next motion must start from; a servo has a lag, but
-        # none at rest.
+        # The arm holds the commanded position, where the next motion must start; the servo's lag is zero at rest.
         self.q = report.q_commanded[-1]
         self._report(name, report)
         if hand is not None and hand.error is not None:
             raise hand.error
         if report.outcome is MotionOutcome.STOPPED:
-            raise DeviceError(f"the arm was stopped during the motion {name!r}")
+            raise DeviceError(f"the arm was stopped during the motion {name!r}", code="device.stopped")
         if self.held:
             check_held(self._station.hand)
 
     def _report(self, name: str, report: MotionReport) -> None:
-        # However old the hand's state is: one that has fallen silent must not keep a motion out of the record.
+        # Any age of the hand's state is accepted: a hand that no longer answers must not prevent the recording.
         self._observer.motion(name, report, self._station.hand.state(max_age=np.inf).joints.q)

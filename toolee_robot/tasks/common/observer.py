@@ -1,4 +1,4 @@
-"""What a task tells those who watch: terminal, recorder, tests. Watching never changes the job."""
+"""Events of a task for its observers (terminal, recorder, tests). An observer never influences the job."""
 
 from __future__ import annotations
 
@@ -10,41 +10,69 @@ from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
 
 
 class TaskObserver:
-    """Base of the observers: override what is of interest. Stamps [s] are on the station's clock."""
+    """Base class of the observers, whose methods do nothing. Stamps are seconds on the station's clock."""
 
     def stage_started(self, stage: Stage) -> None:
-        """A stage begins."""
+        """Called when a stage begins."""
 
     def stage_ended(self, stage: Stage, seconds: float) -> None:
-        """A stage is over after `seconds` of wall-clock time."""
+        """Called when a stage ends, with its wall-clock time [s]."""
 
     def message(self, text: str) -> None:
-        """A sentence for the person at the station."""
+        """Called with a message for the person at the station."""
 
     def frame(self, frame: RgbdFrame, estimates: list[ToolEstimate], X_camera_hand: Array) -> None:
-        """A frame was taken and this is what perception saw in it."""
+        """Called when a frame was taken and evaluated.
+
+        Args:
+            frame: The frame.
+            estimates: The end effectors in it, in the camera frame.
+            X_camera_hand: Pose of the hand in the camera frame at the exposure, (4, 4).
+        """
 
     def in_hand(self, stamp: float, estimate: InHandEstimate) -> None:
-        """The frames of a look were fused."""
+        """Called when the frames of a look were fused.
+
+        Args:
+            stamp: Time of the fusion [s].
+            estimate: Pose of the end effector in the hand.
+        """
 
     def planned(self, stamp: float, plan: StrikePlan) -> None:
-        """A strike was planned."""
+        """Called when a strike was planned.
+
+        Args:
+            stamp: Time of the plan [s].
+            plan: The plan.
+        """
 
     def motion(self, name: str, report: MotionReport, hand_joints: Array) -> None:
-        """The arm moved; hand_joints are those measured after it."""
+        """Called after a motion of the arm.
+
+        Args:
+            name: Name of the motion.
+            report: What was commanded and measured.
+            hand_joints: Joint positions of the hand after the motion, (n,) [rad].
+        """
 
     def contact(self, stamp: float, force: float, X_base_ee: Array) -> None:
-        """The face met something: sensed force [N] and where the robot believes the EE is."""
+        """Called when the face met something.
+
+        Args:
+            stamp: Time of the contact [s].
+            force: Sensed force [N].
+            X_base_ee: Estimated pose of the end effector in `base`, (4, 4).
+        """
 
     def strike(self, strike: Strike) -> None:
-        """A strike is done and measured."""
+        """Called when a strike was executed and measured."""
 
     def ended(self, result: HammerResult) -> None:
-        """The job is over; the arm stands still."""
+        """Called when the job has ended and the arm stands still."""
 
 
 class Observers(TaskObserver):
-    """Fans every call out to several observers, in order."""
+    """Forwards every event to several observers, in order."""
 
     def __init__(self, *observers: TaskObserver) -> None:
         self._observers = observers

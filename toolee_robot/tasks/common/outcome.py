@@ -1,4 +1,4 @@
-"""How a hammering job can end, and the record of one."""
+"""Outcomes of a hammering job, and the record of one."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from toolee_robot.types import InHandEstimate
 
 
 class Outcome(StrEnum):
-    """Every ending has a name. Only FLUSH is success; all of them leave the arm at a standstill.
+    """How a job ended. Only FLUSH is success; every outcome leaves the arm at a standstill.
 
-    INTERRUPTED is named by whoever runs the task: the interrupt passes through it, once the arm has been stopped.
+    INTERRUPTED is set by the caller of the task: the task stops the arm and lets the KeyboardInterrupt pass.
     """
 
     FLUSH = "flush"
@@ -33,7 +33,15 @@ class Outcome(StrEnum):
 
 
 class JobEnded(Exception):
-    """The job is over, for a reason that has a name."""
+    """Raised inside a task to end the job.
+
+    Args:
+        outcome: How the job ends.
+        reason: Why, for the person at the station.
+
+    Attributes:
+        outcome: How the job ends.
+    """
 
     def __init__(self, outcome: Outcome, reason: str) -> None:
         super().__init__(reason)
@@ -41,7 +49,7 @@ class JobEnded(Exception):
 
 
 class Stage(StrEnum):
-    """The stages of the job, in the order in which they first come."""
+    """Stages of the job, in the order of their first occurrence."""
 
     HANDOVER = "handover"
     GRIP = "grip"
@@ -55,8 +63,17 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True)
 class Strike:
-    """One strike as the robot knows it: stamp [s], planned face speed [m/s], peak sensed force [N], how it met the
-    nail, and the protrusion [m] of the head over the wood that the touch after it measured; None where it could not."""
+    """One strike as the robot measured it.
+
+    Attributes:
+        number: Number of the strike in the job, from 1.
+        stamp: Time of the contact, or of the end of the motion without one, on the station's clock [s].
+        speed: Planned speed of the face at the contact [m/s].
+        peak_force: Largest sensed force at the flange [N].
+        meeting: How the strike met the nail.
+        protrusion: Height of the nail's head over the wood that the touch after the strike measured [m]; None where it
+            could not be measured.
+    """
 
     number: int
     stamp: float
@@ -68,7 +85,16 @@ class Strike:
 
 @dataclass(frozen=True)
 class HammerResult:
-    """The whole job. protrusion [m] is what the robot measured last; stage_seconds are wall-clock."""
+    """Result of a job.
+
+    Attributes:
+        outcome: How the job ended.
+        reason: Why it ended so, for a person.
+        strikes: The strikes in order.
+        protrusion: Height of the nail's head over the wood as measured last [m]; None before the first strike.
+        estimates: Fused poses of the end effector in the hand, each with its time on the station's clock [s].
+        stage_seconds: Wall-clock time spent in each stage [s], by the stage's name.
+    """
 
     outcome: Outcome
     reason: str
@@ -79,4 +105,5 @@ class HammerResult:
 
     @property
     def success(self) -> bool:
+        """Whether the nail is flush."""
         return self.outcome is Outcome.FLUSH

@@ -1,4 +1,4 @@
-"""The stages of a job and what each took."""
+"""Durations of the stages of a job."""
 
 from __future__ import annotations
 
@@ -11,7 +11,14 @@ from toolee_robot.tasks.common.outcome import Stage
 
 
 class Stages:
-    """Times stages, which may come more than once, and tells an observer. seconds: stage -> wall-clock time [s]."""
+    """Measures the duration of stages, each of which may occur several times.
+
+    Args:
+        observer: Receives the start and the end of every stage.
+
+    Attributes:
+        seconds: Total wall-clock time of each stage [s].
+    """
 
     def __init__(self, observer: TaskObserver) -> None:
         self.seconds: dict[str, float] = {}
@@ -19,6 +26,7 @@ class Stages:
 
     @contextmanager
     def __call__(self, stage: Stage) -> Iterator[None]:
+        """Context of one occurrence of a stage."""
         began = time.perf_counter()
         self._observer.stage_started(stage)
         try:

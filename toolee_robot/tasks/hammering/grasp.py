@@ -1,4 +1,4 @@
-"""How a tool lies in the hand in a perfect handover."""
+"""Nominal grasp of a tool in a hand."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from toolee_robot.tools import Tool
 
 
 def nominal_grasp(tool: Tool, config: StationConfig) -> Grasp:
-    """How the tool nominally lies in the station's hand, from its data sheet: its true pose in the hand is not known.
+    """Compute the nominal grasp of a hammer from its data sheet; its true pose in the hand is unknown.
 
     Args:
         tool: A hammer.
-        config: The station, of which the hand matters.
+        config: The station; only its hand is used.
+
+    Returns:
+        Pose of the tool in the hand, pose of its striking face, and mass properties.
     """
     X_hand_tool = hand_model(config.hand.model).grasp.X_hand_tool(tool.handle.grip_radius)
     return Grasp(X_hand_tool, tool.ee(Category.HAMMER_HEAD).X_tool_ee, tool.mass, tool.center_of_mass)

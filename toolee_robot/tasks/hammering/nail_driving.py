@@ -1,4 +1,4 @@
-"""Drive the nail: strike after strike, each measured, until there is a reason to stop."""
+"""Drive the nail with successive strikes, each measured by a touch, until an end condition holds."""
 
 from __future__ import annotations
 
@@ -20,17 +20,30 @@ from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.tasks.hammering.nail_gauge import CLEAR, MAX_DEPTH_PER_STRIKE, NailGauge
 
 FLUSH_WHEN_STALLED = 0.0015
-"""[m] Where a nail that no longer yields is called flush: a measurement is good to half a millimetre after slip."""
+"""Protrusion up to which a nail that no longer moves counts as flush [m]; after slip a measurement is accurate to half
+a millimetre."""
 BLIND_MISSES = 3
-"""Strikes in a row without meeting the nail after which the uncorrected baseline gives up."""
+"""Number of successive misses after which the uncorrected baseline gives up."""
 CONFIRMED = 0.0005
-"""[m] A strike on a flush nail moves it no further than this."""
+"""Largest progress of a strike on a flush nail [m]."""
 
 
 class NailDriving:
-    """The strikes of one job. strikes: those done; protrusion: of the nail as measured last [m], None before.
+    """The strikes of one job.
 
-    look: looks at the tool from so many views and sets `motions.X_hand_ee`. correction: whether that is relied on.
+    Args:
+        motions: The arm and what it carries.
+        config: Configuration of the station.
+        robot: Kinematic model of arm and hand.
+        clock: The station's clock.
+        stages: Times the stages of the job.
+        observer: Receives the events of the job.
+        look: Looks at the tool from the given number of views and sets `motions.X_hand_ee`.
+        correction: Whether the estimated in-hand pose is used.
+
+    Attributes:
+        strikes: The strikes done so far.
+        protrusion: Height of the nail's head over the wood as measured last [m]; None before `run`.
     """
 
     def __init__(
@@ -56,11 +69,19 @@ class NailDriving:
 
     @property
     def strikes_since_look(self) -> int:
-        """Strikes since the tool was last looked at."""
+        """Number of strikes since the last look at the tool."""
         return len(self.strikes) - self._strikes_seen
 
     def run(self) -> tuple[Outcome, str]:
-        """Strike until the nail is flush or there is a reason to give up. Raises what the motions raise, and Ended."""
+        """Strike until the nail is flush or another end condition holds.
+
+        Returns:
+            The outcome, and the reason for a person.
+
+        Raises:
+            JobEnded: The nail was not met as expected.
+            TooleeError: A motion or a plan failed.
+        """
         config, task = self._config, self._config.task
         height = self.protrusion = config.work.nail_protrusion
         plan = self._plan(height)
@@ -70,7 +91,7 @@ class NailDriving:
         progress = np.inf
         doubted = False
         while True:
-            # Another strike confirms it: after slip a measurement is good to half a millimetre only.
+            # Another strike confirms it: after slip a measurement is accurate only to half a millimetre.
             flush = flush + 1 if height <= task.flush_protrusion else 0
             if flush > 2 or (flush == 2 and progress < CONFIRMED):
                 return Outcome.FLUSH, f"the head stands {height * 1e3:.1f} mm over the wood"
@@ -97,7 +118,7 @@ class NailDriving:
                 return Outcome.FLUSH, f"two strikes moved it no further, {height * 1e3:.1f} mm over the wood"
             if doubted or not self._correction:
                 return Outcome.STUCK, f"two strikes moved the head under {task.min_progress * 1e3:.1f} mm"
-            # A face that has tilted in the hand meets the wood with its edge before the nail is home.
+            # The edge of a face that has tilted in the hand meets the wood before the nail is flush.
             doubted, stalled = True, 0
             self._look(task.views)
 
@@ -106,7 +127,7 @@ class NailDriving:
         self._strikes_seen = len(self.strikes)
 
     def _plan(self, height: float) -> StrikePlan:
-        """A strike at the nail as it stands out by `height` [m]."""
+        """Plan a strike at a nail that protrudes by `height` [m]."""
         with self._stages(Stage.PLAN):
             motions = self._motions
             plan = plan_strike(
@@ -122,8 +143,13 @@ class NailDriving:
             return plan
 
     def _strike_nail(self, plan: StrikePlan, before: float) -> float:
-        """Strike a nail that stands out by `before` [m] and measure how far it stands out now [m]. Raises Ended when
-        the strike or the touch after it does not meet the nail; it is a strike all the same."""
+        """Strike a nail that protrudes by `before` [m] and measure its new protrusion [m].
+
+        The strike is recorded in every case.
+
+        Raises:
+            JobEnded: The strike, or the touch after it, does not meet the nail.
+        """
         with self._stages(Stage.STRIKE):
             report, verdict = self._swing(plan)
         height = None
@@ -131,21 +157,21 @@ class NailDriving:
             if verdict.meeting is not Meeting.EXPECTED:
                 raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not where the face went")
             with self._stages(Stage.TOUCH):
-                # A head that a strike has moved out of the face's way has bent, if the face is where it seems.
-                gone = Outcome.BENT if self._correction else Outcome.NAIL_MISSED
-                height = self._gauge.measure(before, missed=gone)
+                # With a corrected face pose, a head that is no longer there after a strike means a bent nail.
+                missed = Outcome.BENT if self._correction else Outcome.NAIL_MISSED
+                height = self._gauge.measure(before, missed=missed)
             return height
         finally:
             self._record(plan, report, verdict, height)
 
     def _swing(self, plan: StrikePlan) -> tuple[MotionReport, ContactVerdict]:
-        """The strike, and straight up again from wherever it ended."""
+        """Execute the strike, then retract straight up from where it ended."""
         motions = self._motions
         motions.transfer("to the run-up", plan.approach)
         motions.arm.permit_swings(self._config.task.handover_timeout)
         report, verdict = motions.swing("strike", plan)
         below = self._robot.arm.fk(plan.q_contact)[2, 3] - self._robot.arm.fk(motions.q)[2, 3]
-        # Stopped above the nail by something else: up from there, never down to it.
+        # The strike may have been stopped above the nail by an obstacle: retract from there, never move down.
         motions.straight("up", UP, CLEAR + max(float(below), 0.0))
         return report, verdict
 
@@ -160,7 +186,7 @@ class NailDriving:
 
     @contextmanager
     def _check_missed(self, missed: int) -> Iterator[None]:
-        """The first strike that does not meet the nail is a reason to look again; the next one ends the job."""
+        """Look again after the first strike that misses the nail; the second successive one ends the job."""
         with self._check_blind(missed):
             try:
                 yield
@@ -172,8 +198,10 @@ class NailDriving:
 
     @contextmanager
     def _check_blind(self, missed: int = 0) -> Iterator[None]:
-        """The uncorrected baseline goes on where the job would end because face and nail do not meet as believed: it is
-        there to show what striking blindly does, up to BLIND_MISSES strikes in a row."""
+        """Let the uncorrected baseline continue after a miss, up to BLIND_MISSES successive ones.
+
+        The baseline exists to show the effect of striking without correction.
+        """
         try:
             yield
         except JobEnded as end:

@@ -1,4 +1,4 @@
-"""Measure how far the nail stands out by touching its head and the wood beside it."""
+"""Measure the nail's protrusion by touching its head and the wood beside it."""
 
 from __future__ import annotations
 
@@ -16,28 +16,35 @@ from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome
 
 TOLERANCE = 0.012
-"""[m] A touch further than this from the expected height has not met the nail's head."""
+"""Largest deviation of a touch from the expected height at which it counts as the nail's head [m]."""
 CLEAR = 0.020
-"""[m] over the nail's head: where a measurement starts."""
+"""Height over the nail's head at which a measurement starts [m]."""
 LIFT = 0.006
-"""[m] off what was touched, before the face moves aside."""
+"""Retraction after a touch, before the face moves aside [m]."""
 MARGIN = 0.004
-"""[m] over where the wood should be: from there on slowly."""
+"""Height over the expected wood at which the slow approach starts [m]."""
 TOUCH_TIME = 0.024
-"""[s] over which a touch is felt: three readings of a CB3, 0.7 mm of way."""
+"""Averaging window of the touch force [s]: three readings of a CB3, 0.7 mm of travel."""
 MAX_DEPTH_PER_STRIKE = 0.008
-"""[m] No strike of this arm drives a nail further: a head that sinks more has bent away."""
-DOUBTED = 0.004
-"""[m] Further than a strike usually drives a nail: the wood is touched once more before that is believed."""
+"""Largest depth that a strike of this arm can drive a nail [m]; a head that sinks more has bent."""
+IMPLAUSIBLE_DEPTH = 0.004
+"""Progress per strike above which the wood is touched a second time to confirm it [m]; strikes usually drive less."""
 ASIDE = 0.032
-"""[m] from the nail to where the wood is touched: a face of up to 25 mm radius clears the nail's head."""
+"""Distance from the nail to the touch point on the wood [m]: a face of up to 25 mm radius clears the nail's head."""
 
 
 class NailGauge:
-    """Touches nail and wood with the tool's face.
+    """Measures the nail's protrusion with the tool's face.
 
-    The tool slips a little with every strike, so only the difference of two touches tells; it also says where the face
-    is now, and `motions.X_hand_ee` is set by it."""
+    The tool slips a little with every strike, so the protrusion is the difference of two touches. A measurement also
+    determines the face's position along its normal and updates `motions.X_hand_ee` with it.
+
+    Args:
+        motions: The arm and what it carries.
+        config: Configuration of the station.
+        robot: Kinematic model of arm and hand.
+        observer: Receives the contacts.
+    """
 
     def __init__(self, motions: Motions, config: StationConfig, robot: RobotModel, observer: TaskObserver) -> None:
         self._motions = motions
@@ -47,7 +54,14 @@ class NailGauge:
         self._reference = 0.0
 
     def begin(self, plan: StrikePlan) -> None:
-        """Go to a nail of known height and touch it and the wood: what is off is the face's place along its normal."""
+        """Touch a nail of known height, and the wood, to find the offset of the face along its normal.
+
+        Args:
+            plan: The strike whose line leads to the nail.
+
+        Raises:
+            JobEnded: The offset is too large, or a touch met nothing.
+        """
         motions, config = self._motions, self._config
         motions.transfer(
             "to the touch", plan_over_nail(self._robot, config, motions.world(), motions.q, plan, before=CLEAR)
@@ -60,36 +74,44 @@ class NailGauge:
             raise JobEnded(Outcome.NAIL_MISSED, f"the nail's head seems to stand {off}: set it as in config.work")
 
     def measure(self, expected: float, missed: Outcome = Outcome.NAIL_MISSED) -> float:
-        """From CLEAR over the nail and back: how far its head stands out [m], about `expected` [m].
+        """Measure the protrusion, starting and ending CLEAR over the nail.
 
-        missed: what it means if the head is not there.
+        Args:
+            expected: Expected protrusion [m].
+            missed: Outcome of the job if the nail's head is not met.
+
+        Returns:
+            The measured protrusion [m].
+
+        Raises:
+            JobEnded: A touch met nothing, or the tool already touches something before it.
         """
         motions = self._motions
         nail = self._touch("nail", CLEAR + TOLERANCE, missed)
         motions.straight("up", UP, LIFT)
-        # Towards the handle: the hand goes away from the block.
+        # Towards the handle, so that the hand moves away from the block.
         aside = motions.X_base_ee[:3, 0] * [1.0, 1.0, 0.0]
         aside /= np.linalg.norm(aside)
         motions.straight("aside", (float(aside[0]), float(aside[1]), 0.0), ASIDE)
-        # Fast only as far as the nail stands out for sure: one that sank further than expected must not push the face
-        # into the wood.
+        # Fast only over the certain part of the protrusion: if the nail sank further than expected, a fast motion would
+        # push the face into the wood.
         expected = max(expected, 0.0)
         fast = max(min(expected, nail) - MARGIN, 0.0)
         motions.straight("down", UP, -fast)
         reach = expected + LIFT + TOLERANCE - fast
         wood = self._touch("wood", reach, Outcome.NAIL_MISSED)
-        if nail - wood + self._reference < expected - DOUBTED:
-            # What is felt before the wood is there makes the nail seem driven. Nothing is felt below the wood.
+        if nail - wood + self._reference < expected - IMPLAUSIBLE_DEPTH:
+            # A force felt above the wood makes the nail seem driven deeper; none can be felt below it.
             motions.straight("up", UP, LIFT)
             wood = min(wood, self._touch("wood", reach + LIFT, Outcome.NAIL_MISSED))
         motions.straight("up", UP, expected + LIFT + MARGIN)
         measured = nail - wood + self._reference
-        # Where the face really is along its normal, from the nail's head that it rested on.
+        # Correct the face's position along its normal, from the nail's head that it rested on.
         motions.X_hand_ee = motions.X_hand_ee @ transform(p=[0.0, 0.0, nail - measured])
         return measured
 
     def _touch(self, what: str, reach: float, missed: Outcome) -> float:
-        """Lower the face slowly by up to `reach` [m]; the height [m] over the wood where it seems to be stopped."""
+        """Lower the face slowly by up to `reach` [m]; returns the apparent height over the wood at the contact [m]."""
         motions, strike = self._motions, self._config.strike
         if not motions.wait_until_quiet(0.5 * strike.touch_force):
             motions.straight("up", UP, CLEAR)

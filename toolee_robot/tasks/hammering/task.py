@@ -1,8 +1,7 @@
-"""The hammering job: take the tool, look at it, strike until the nail is flush, put the arm safely away.
+"""The hammering job: take the tool, look at it, strike until the nail is flush, park the arm.
 
-A state machine over the hardware abstraction alone. What it knows of the world is its station file, what the camera
-shows and what the arm and the hand feel. Every ending is an `Outcome` with a reason; every exception leaves the arm
-at a standstill.
+A state machine over the hardware abstraction. Its inputs are the station file, the camera's frames and the sensors of
+arm and hand. Every job ends with an `Outcome` and a reason; every exception leaves the arm at a standstill.
 """
 
 from __future__ import annotations
@@ -39,14 +38,18 @@ from toolee_robot.tasks.hammering.nail_driving import NailDriving
 from toolee_robot.types import InHandEstimate
 
 SETTLE = 0.3
-"""[s] of standing still before a frame, so that arm, wrist and tool have stopped swinging."""
+"""Time at standstill before a frame is taken, so that arm, wrist and tool have stopped swinging [s]."""
 
 
 @dataclass(frozen=True)
 class Grasp:
-    """How the tool would lie in the hand in a perfect handover, from the tool's data sheet.
+    """Nominal grasp of a tool, from its data sheet; the true pose in the hand is unknown.
 
-    X_hand_tool, X_tool_ee: 4x4. mass [kg]. p_tool_com: centre of mass (3,) [m], tool frame.
+    Attributes:
+        X_hand_tool: Pose of the tool in the hand, (4, 4).
+        X_tool_ee: Pose of the end effector in the tool, (4, 4).
+        mass: Mass of the tool [kg].
+        p_tool_com: Centre of mass of the tool, tool frame, (3,) [m].
     """
 
     X_hand_tool: Array
@@ -56,11 +59,26 @@ class Grasp:
 
     @property
     def X_hand_ee(self) -> Array:
+        """Nominal pose of the end effector in the hand, (4, 4)."""
         return self.X_hand_tool @ self.X_tool_ee
 
 
 class HammeringTask:
-    """One job. `correction=False` strikes with the nominal in-hand pose: the paper's baseline, for comparison only."""
+    """One hammering job, from the handover to the parked arm.
+
+    Args:
+        station: The devices of the station.
+        perceiver: Estimates the tool's pose from frames; usually a `ToolPerception`.
+        config: Configuration of the station.
+        grasp: Nominal grasp of the tool that will be handed over.
+        correction: Whether the estimated in-hand pose is used. False strikes with the nominal one, which is the paper's
+            baseline, for comparison only.
+        observer: Receives the events of the job; None for no observer.
+
+    Raises:
+        ConfigError: The configured hand is unknown.
+        AssetError: A file of the robot's model is missing.
+    """
 
     def __init__(
         self,
@@ -95,8 +113,13 @@ class HammeringTask:
         self._estimates: list[tuple[float, InHandEstimate]] = []
 
     def run(self) -> HammerResult:
-        """Do the job and park. Returns how it ended; only a programming error or KeyboardInterrupt escapes, after
-        arm and hand have been stopped, the grip kept."""
+        """Do the job and park the arm.
+
+        Only programming errors and KeyboardInterrupt propagate, after arm and hand have stopped with the grip kept.
+
+        Returns:
+            The result of the job.
+        """
         try:
             outcome, reason = self._job()
             outcome, reason = self._park(outcome, reason)
@@ -109,11 +132,16 @@ class HammeringTask:
 
     @property
     def latched(self) -> str:
-        """The fault that stopped the arm in this job and that nobody has reset; empty if none."""
+        """The fault that stopped the arm in this job and has not been reset; empty if none."""
         return self._motions.arm.latched
 
     def result(self, outcome: Outcome, reason: str) -> HammerResult:
-        """The record of the job as far as it went: what is left to say after an interruption."""
+        """Build the record of the job as far as it went, for instance after an interruption.
+
+        Args:
+            outcome: How the job ended.
+            reason: Why, for a person.
+        """
         return HammerResult(
             outcome,
             reason,
@@ -149,7 +177,7 @@ class HammeringTask:
     # -- stages ----------------------------------------------------------------------------------------------------
 
     def _check_calibration(self) -> None:
-        """Refuse a station whose camera stands who knows where."""
+        """Refuse a station whose camera calibration is missing or invalid."""
         calibration = self._config.calibration
         if calibration is None:
             raise JobEnded(Outcome.NOT_READY, "the station is not calibrated: calibrate it, and keep what comes of it")
@@ -186,7 +214,7 @@ class HammeringTask:
             self._motions.arm.set_payload(self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
 
     def _empty_hand(self) -> None:
-        """Open the hand; a tool that it still holds is taken out first, it would fall."""
+        """Open the hand; a person takes a tool that it still holds first, so that it does not fall."""
         station = self._station
         if station.hand.state().holding:
             self._person_clear = False
@@ -196,15 +224,22 @@ class HammeringTask:
         station.hand.open()
 
     def _clear_person(self, prompt: str) -> None:
-        """Ask the person to step back; from then on the arm may move fast. Raises PersonNearError when they do not."""
+        """Ask the person to step back, and allow fast motion once they confirm it.
+
+        Raises:
+            PersonNearError: They did not confirm it.
+        """
         if not self._station.person.release(prompt, self._config.task.handover_timeout):
-            raise PersonNearError("nobody confirmed to be out of reach: no motion")
+            raise PersonNearError("nobody confirmed to be out of reach: no motion", code="person_near.not_released")
         self._motions.arm.mode = Mode.UNATTENDED
         self._person_clear = True
 
     def _check_reach(self) -> None:
-        """Refuse a nail that is out of reach before anyone is asked for a tool. Only that: whether a reachable nail
-        can be hit without a collision depends on how the tool will lie in the hand."""
+        """Refuse a nail that is out of reach before a tool is requested.
+
+        Other planning failures are only reported: whether a reachable nail can be hit without a collision depends on
+        the tool's true pose in the hand.
+        """
         q_hand = self._robot.description.hand_closed
         world = CollisionWorld(self._robot, self._config, q_hand, self._motions.X_hand_ee)
         X_base_nail = self._config.work.X_base_nail()
@@ -216,14 +251,14 @@ class HammeringTask:
             self._observer.message(f"with the tool as it nominally lies in the hand no strike is possible: {error}")
 
     def _look(self, views: int) -> None:
-        """Set the believed pose of the face in the hand from what the camera sees; as many other views if in doubt."""
+        """Estimate the pose of the face in the hand from `views` views; on failure once more from other views."""
         if not self._correction:
             return
         look = Look(self._station, self._config, self._robot, self._perceiver, self._observer, self._grasp.X_hand_ee)
         for attempt in (1, 2):
             with self._stages(Stage.VIEW):
                 q_hand = self._motions.q_hand
-                # Another seed, other views: the same ones would show the same again.
+                # Another seed gives other views; the same views would give the same result.
                 plan = plan_views(
                     self._robot,
                     self._config,
@@ -247,7 +282,7 @@ class HammeringTask:
                         estimate = self._after_slip(self._estimates[-1][1], estimate)
                 break
             except (PerceptionError, JobEnded) as error:
-                # Not to be relied on, or not where it was: one more look, from elsewhere.
+                # Not usable, or slipped too far: look once more, from other views.
                 if attempt == 2:
                     raise
                 self._observer.message(f"{error}; looking again")
@@ -258,7 +293,7 @@ class HammeringTask:
         self._motions.X_hand_ee = estimate.X_hand_ee
 
     def _after_slip(self, before: InHandEstimate, now: InHandEstimate) -> InHandEstimate:
-        """What the looks so far say together. Ends the job when the tool has slipped too far to go on."""
+        """Fuse the estimates of two looks; ends the job when the tool has slipped too far."""
         task = self._config.task
         distance, angle = slip(before, now)
         self._observer.message(f"slip in the hand {distance * 1e3:.1f} mm, {np.rad2deg(angle):.1f} deg")
@@ -271,8 +306,11 @@ class HammeringTask:
         return merge(before, now, strikes * task.slip_per_strike, strikes * task.slip_angle_per_strike)
 
     def _park(self, outcome: Outcome, reason: str) -> tuple[Outcome, str]:
-        """Bring the arm home with the tool still in the hand. It stays where it stands when a device has failed, a tool
-        has dropped who knows where, a person may be within reach, or no safe way is known."""
+        """Bring the arm home with the tool still in the hand.
+
+        The arm stays in place when a device has failed, the tool was dropped at an unknown place, a person may be
+        within reach, or no safe motion was found.
+        """
         if outcome is Outcome.NOT_READY:
             return outcome, f"{reason}; nothing was moved"
         if outcome in (Outcome.DEVICE_FAULT, Outcome.TOOL_LOST, Outcome.PERSON_NEAR):

@@ -1,0 +1,31 @@
+"""The hardware abstraction: Protocols of the arm, hand, camera, person and clock that a task uses.
+
+The simulation, the controller stand-in and real devices implement the same Protocols, none of which carries ground
+truth. SI units and radians; every stamp is in seconds on the station's clock. Devices are context managers, and leaving
+the context brings the device to a safe standstill. A device that cannot determine its state stands still and raises
+`DeviceError`.
+"""
+
+from toolee_robot.hal.arm import Arm, ArmState, ArmStatus, ContactGuard, MotionOutcome, MotionReport, MotionWatch
+from toolee_robot.hal.camera import RgbdCamera
+from toolee_robot.hal.device import Clock, Device
+from toolee_robot.hal.hand import Hand, HandState
+from toolee_robot.hal.person import Person
+from toolee_robot.hal.station import Station
+
+__all__ = [
+    "Arm",
+    "ArmState",
+    "ArmStatus",
+    "Clock",
+    "ContactGuard",
+    "Device",
+    "Hand",
+    "HandState",
+    "MotionOutcome",
+    "MotionReport",
+    "MotionWatch",
+    "Person",
+    "RgbdCamera",
+    "Station",
+]

@@ -1,0 +1,188 @@
+"""The arm: its state, the records of a motion, and its Protocol."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol, runtime_checkable
+
+from toolee_robot.frames import Array
+from toolee_robot.hal.device import Device
+from toolee_robot.types import JointState, Payload, Trajectory
+
+
+class ArmStatus(StrEnum):
+    """State of the robot's own safety system.
+
+    The arm moves only in READY; every other state needs a person at the robot.
+    """
+
+    READY = "ready"
+    PROTECTIVE_STOP = "protective_stop"
+    SAFEGUARD_STOP = "safeguard_stop"
+    EMERGENCY_STOP = "emergency_stop"
+    FAULT = "fault"
+    NOT_READY = "not_ready"
+
+
+@dataclass(frozen=True)
+class ArmState:
+    """State of the arm at one time.
+
+    Attributes:
+        joints: Measured state of the 6 joints.
+        q_commanded: Joint positions that the arm holds, (6,) [rad]: those commanded last or, before the first command,
+            after a reset and after a move by hand, those where the arm came to rest. The next motion starts there.
+        wrench: Force [N] and torque [Nm] that the environment exerts on the flange, (6,), `base` axes, with weight and
+            inertia of the payload compensated as far as the arm can.
+        status: State of the robot's own safety system.
+    """
+
+    joints: JointState
+    q_commanded: Array
+    wrench: Array
+    status: ArmStatus = ArmStatus.READY
+
+
+@dataclass(frozen=True)
+class ContactGuard:
+    """Contact detection during a motion.
+
+    On contact the arm brakes along its path from the last commanded state as fast as its limits allow, and the motion
+    ends.
+
+    Attributes:
+        force: Payload-compensated force at the flange that counts as contact [N].
+        ignore_before: Time on the trajectory before which no force counts, because of starting transients [s].
+        averaging_window: Time over which the force vector is averaged [s]; a single reading if shorter than the cycle.
+            Vibration (a late command, a swinging tool) changes sign and averages out, an obstacle does not.
+    """
+
+    force: float
+    ignore_before: float = 0.0
+    averaging_window: float = 0.0
+
+
+@dataclass(frozen=True)
+class MotionWatch:
+    """Bounds that the arm's driver checks in every cycle of a motion.
+
+    On a violation the arm brakes along its path from the last commanded state, latches, and raises.
+
+    Attributes:
+        tracking_error: Largest deviation of a measured joint from its command, less the servo's known lag [rad].
+        data_cycles: Largest age of the newest reading [control cycles].
+        overruns: Largest number of successive command cycles that are late by half a cycle or more.
+    """
+
+    tracking_error: float = 0.05
+    data_cycles: float = 3.0
+    overruns: int = 3
+
+
+class MotionOutcome(StrEnum):
+    """How a motion ended: completed, at a contact, or stopped (by a fault, a person or `stop()`)."""
+
+    COMPLETED = "completed"
+    CONTACT = "contact"
+    STOPPED = "stopped"
+
+
+@dataclass(frozen=True)
+class MotionReport:
+    """Commanded and measured course of a motion.
+
+    Attributes:
+        outcome: How the motion ended.
+        stamps: Times of the samples, (N,) [s].
+        q_commanded: Commanded joint positions, (N, 6) [rad].
+        q_measured: Measured joint positions, (N, 6) [rad].
+        wrenches: Wrench on the flange, (N, 6) [N, Nm], `base` axes; of several readings between two stamps the one with
+            the greatest force.
+        contact: Measured state when the guard first detected the contact, or None.
+        overruns: Number of command cycles that were late by half a cycle or more.
+    """
+
+    outcome: MotionOutcome
+    stamps: Array
+    q_commanded: Array
+    q_measured: Array
+    wrenches: Array
+    contact: JointState | None = None
+    overruns: int = 0
+
+
+@runtime_checkable
+class Arm(Device, Protocol):
+    """A position-controlled arm with six joints.
+
+    Any end of a motion other than completion, a contact or `stop` is a fault: the arm stands still, latches, and raises
+    a `MotionFaultError` that carries the report of the motion so far. While the arm is latched, `execute` raises
+    `LatchedError` and nothing moves.
+    """
+
+    @property
+    def rate(self) -> float:
+        """Command rate [Hz]; commands are sent on an absolute schedule."""
+        ...
+
+    def state(self, max_age: float = 0.1) -> ArmState:
+        """Return the newest state.
+
+        Args:
+            max_age: Largest age of the reading [s].
+
+        Raises:
+            StaleDataError: The newest reading is older than `max_age`.
+            DeviceError: The arm does not answer.
+        """
+        ...
+
+    def execute(
+        self, trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None
+    ) -> MotionReport:
+        """Execute a trajectory and block until standstill.
+
+        Args:
+            trajectory: Motion of the 6 joints from rest to rest. Its first sample must equal the state's `q_commanded`
+                within `motion.trajectory_checks.START_TOLERANCE`.
+            guard: Contact detection; None for none.
+            watch: Bounds checked in every cycle; None for the arm's own.
+
+        Returns:
+            What was sent and measured.
+
+        Raises:
+            LimitError: The trajectory violates a limit or starts elsewhere; nothing moves.
+            LatchedError: A fault has not been reset; nothing moves.
+            MotionFaultError: A fault ended the motion; the arm stands still and is latched.
+        """
+        ...
+
+    def set_payload(self, payload: Payload) -> None:
+        """Tell the arm what its flange carries.
+
+        Args:
+            payload: Mass [kg] and centre of mass [m], flange frame.
+
+        Raises:
+            LimitError: The arm cannot carry it.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Bring the arm to a standstill as fast as its limits allow, from the last commanded state.
+
+        May be called at any time, from any thread.
+        """
+        ...
+
+    def reset(self) -> None:
+        """Clear the latch after a person has made the robot ready again.
+
+        Reconnects if necessary. Never clears a protective stop or an emergency stop.
+
+        Raises:
+            DeviceError: The robot is not ready.
+        """
+        ...

@@ -1,0 +1,79 @@
+"""The hand: its state and its Protocol."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from toolee_robot.hal.device import Device
+from toolee_robot.types import JointState
+
+
+@dataclass(frozen=True)
+class HandState:
+    """State of the hand at one time.
+
+    Attributes:
+        joints: Measured state of the n joints in the order of `Hand.joint_names`, wrist first.
+        contact_forces: Force on the pads of each finger [N], 0 without contact, by the finger's name in the hand's
+            `HandModel`; "palm" as well where the hand can sense it.
+        holding: Whether the hand itself judges that it holds an object.
+        assisted: Whether the object is held by the simulation's assisted grip rather than by friction alone.
+        temperature: Temperature of the hottest part [deg C]; None where the hand cannot measure it.
+        fault: Description of the hand's fault (stalled, over current, ...); empty if none.
+    """
+
+    joints: JointState
+    contact_forces: dict[str, float]
+    holding: bool
+    assisted: bool = False
+    temperature: float | None = None
+    fault: str = ""
+
+
+@runtime_checkable
+class Hand(Device, Protocol):
+    """A dexterous hand. Its motions block until they are done; a time-out keeps the grip."""
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the n joints, wrist first."""
+        ...
+
+    def state(self, max_age: float = 0.1) -> HandState:
+        """Return the newest state.
+
+        Args:
+            max_age: Largest age of the reading [s].
+
+        Raises:
+            StaleDataError: The newest reading is older than `max_age`.
+            DeviceError: The hand does not answer.
+        """
+        ...
+
+    def open(self, timeout: float = 5.0) -> None:
+        """Spread the fingers.
+
+        Args:
+            timeout: Time for the motion [s].
+
+        Raises:
+            DeviceError: The motion timed out.
+        """
+        ...
+
+    def close(self, timeout: float = 5.0) -> None:
+        """Close the fingers until they hold an object or are shut.
+
+        Args:
+            timeout: Time for the motion [s].
+
+        Raises:
+            DeviceError: The motion timed out.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Stop the fingers and keep the grip; the hand never releases the object."""
+        ...

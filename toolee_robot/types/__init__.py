@@ -1,0 +1,28 @@
+"""Frozen records that the stages exchange. SI units and radians; poses are 4x4 arrays named X_AB."""
+
+from toolee_robot.types.arm import ArmModel, DhCalibration, JointState, Payload, Six, Trajectory
+from toolee_robot.types.perception import (
+    CameraIntrinsics,
+    Detection,
+    HoldingHand,
+    InHandEstimate,
+    PoseHypotheses,
+    RgbdFrame,
+    ToolEstimate,
+)
+
+__all__ = [
+    "ArmModel",
+    "CameraIntrinsics",
+    "Detection",
+    "DhCalibration",
+    "HoldingHand",
+    "InHandEstimate",
+    "JointState",
+    "Payload",
+    "PoseHypotheses",
+    "RgbdFrame",
+    "Six",
+    "ToolEstimate",
+    "Trajectory",
+]

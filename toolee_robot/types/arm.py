@@ -1,0 +1,118 @@
+"""Records of the arm: model, calibration, joint states, motions, payload."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from toolee_robot.frames import Array
+
+
+class ArmModel(StrEnum):
+    """The supported arm models."""
+
+    UR10 = "UR10"
+    UR10E = "UR10e"
+
+
+Six = tuple[float, float, float, float, float, float]
+"""One value per joint, base to wrist 3."""
+
+
+@dataclass(frozen=True)
+class DhCalibration:
+    """Factory calibration of an arm: offsets of its Denavit-Hartenberg parameters from the model's nominal ones.
+
+    The fields are the entries of the same names in the controller's calibration.conf, base to wrist 3.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}  # noqa: RUF012  (read by pydantic, not a field)
+    delta_theta: Six
+    """Offsets of the joint angles [rad]."""
+    delta_a: Six
+    """Offsets of the link lengths along x [m]."""
+    delta_d: Six
+    """Offsets of the link offsets along z [m]."""
+    delta_alpha: Six
+    """Offsets of the link twists about x [rad]."""
+
+
+@dataclass(frozen=True)
+class JointState:
+    """Positions and velocities of n joints at one time.
+
+    Attributes:
+        q: Joint positions, (n,) [rad].
+        qd: Joint velocities, (n,) [rad/s].
+        stamp: Time on the station's clock [s].
+    """
+
+    q: Array
+    qd: Array
+    stamp: float
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A motion of n joints, sampled at N times.
+
+    Attributes:
+        times: Times of the samples from 0, increasing, (N,) [s].
+        q: Joint positions, (N, n) [rad].
+        qd: Joint velocities, (N, n) [rad/s].
+        qdd: Joint accelerations, (N, n) [rad/s^2].
+
+    Raises:
+        ValueError: The shapes do not agree, or the times do not start at 0 and increase.
+    """
+
+    times: Array
+    q: Array
+    qd: Array
+    qdd: Array
+
+    def __post_init__(self) -> None:
+        n = len(self.times)
+        if n < 2 or not (self.q.shape == self.qd.shape == self.qdd.shape) or self.q.shape[0] != n:
+            shapes = (self.times.shape, self.q.shape, self.qd.shape, self.qdd.shape)
+            raise ValueError(f"inconsistent trajectory shapes (times, q, qd, qdd): {shapes}")
+        if self.times[0] != 0.0 or not np.all(np.diff(self.times) > 0):
+            raise ValueError("trajectory times must start at 0 and increase")
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample [s]."""
+        return float(self.times[-1])
+
+    def sample(self, t: float) -> tuple[Array, Array]:
+        """Interpolate between the samples with cubic Hermite polynomials.
+
+        Args:
+            t: Time [s]; clipped to the duration.
+
+        Returns:
+            Joint positions (n,) [rad] and velocities (n,) [rad/s].
+        """
+        t = float(np.clip(t, 0.0, self.times[-1]))
+        i = int(np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2))
+        h = self.times[i + 1] - self.times[i]
+        s = (t - self.times[i]) / h
+        ends = np.stack([self.q[i], self.qd[i] * h, self.q[i + 1], self.qd[i + 1] * h])
+        q = np.array([2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s, 3 * s**2 - 2 * s**3, s**3 - s**2]) @ ends
+        qd = np.array([6 * s**2 - 6 * s, 3 * s**2 - 4 * s + 1, 6 * s - 6 * s**2, 3 * s**2 - 2 * s]) @ ends / h
+        return q, qd
+
+
+@dataclass(frozen=True)
+class Payload:
+    """Mass properties of what the flange carries.
+
+    Attributes:
+        mass: Mass [kg].
+        center_of_mass: Centre of mass in the flange frame, (3,) [m].
+    """
+
+    mass: float
+    center_of_mass: Array = field(default_factory=lambda: np.zeros(3))
