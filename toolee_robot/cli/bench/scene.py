@@ -17,8 +17,8 @@ from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.options import InHandOffset
 from toolee_robot.sim_backend.station import SimStation
 from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.tasks.hammering.grasp import nominal_grasp
-from toolee_robot.tasks.hammering.task import Grasp, HammeringTask
+from toolee_robot.tasks.hammering.grasp import Grasp, nominal_grasp
+from toolee_robot.tasks.hammering.task import HammeringTask
 from toolee_robot.types import RgbdFrame, ToolEstimate
 
 

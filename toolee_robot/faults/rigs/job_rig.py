@@ -30,8 +30,8 @@ from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, Stage
-from toolee_robot.tasks.hammering.grasp import nominal_grasp
-from toolee_robot.tasks.hammering.task import Grasp, HammeringTask
+from toolee_robot.tasks.hammering.grasp import Grasp, nominal_grasp
+from toolee_robot.tasks.hammering.task import HammeringTask
 
 # Transfers are not what is examined: they may be fast.
 CONFIG = StationConfig(

@@ -2,11 +2,35 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from toolee_robot.config import StationConfig
 from toolee_robot.end_effectors import Category
+from toolee_robot.frames import Array
 from toolee_robot.robots import hand_model
-from toolee_robot.tasks.hammering.task import Grasp
 from toolee_robot.tools import Tool
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """Nominal grasp of a tool, from its data sheet; the true pose in the hand is unknown.
+
+    Attributes:
+        X_hand_tool: Pose of the tool in the hand, (4, 4).
+        X_tool_ee: Pose of the end effector in the tool, (4, 4).
+        mass: Mass of the tool [kg].
+        p_tool_com: Centre of mass of the tool, tool frame, (3,) [m].
+    """
+
+    X_hand_tool: Array
+    X_tool_ee: Array
+    mass: float
+    p_tool_com: Array
+
+    @property
+    def X_hand_ee(self) -> Array:
+        """Nominal pose of the end effector in the hand, (4, 4)."""
+        return self.X_hand_tool @ self.X_tool_ee
 
 
 def nominal_grasp(tool: Tool, config: StationConfig) -> Grasp:

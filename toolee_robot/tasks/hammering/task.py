@@ -6,7 +6,6 @@ arm and hand. Every job ends with an `Outcome` and a reason; every exception lea
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from datetime import date
 
 import numpy as np
@@ -27,40 +26,18 @@ from toolee_robot.errors import (
     PlanningError,
     UnreachableError,
 )
-from toolee_robot.frames import Array
 from toolee_robot.hal import Station
 from toolee_robot.tasks.common.look import Look, Perceiver
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, JobEnded, Outcome, Stage
 from toolee_robot.tasks.common.stages import Stages
+from toolee_robot.tasks.hammering.grasp import Grasp
 from toolee_robot.tasks.hammering.nail_driving import NailDriving
 from toolee_robot.types import InHandEstimate
 
 SETTLE = 0.3
 """Time at standstill before a frame is taken, so that arm, wrist and tool have stopped swinging [s]."""
-
-
-@dataclass(frozen=True)
-class Grasp:
-    """Nominal grasp of a tool, from its data sheet; the true pose in the hand is unknown.
-
-    Attributes:
-        X_hand_tool: Pose of the tool in the hand, (4, 4).
-        X_tool_ee: Pose of the end effector in the tool, (4, 4).
-        mass: Mass of the tool [kg].
-        p_tool_com: Centre of mass of the tool, tool frame, (3,) [m].
-    """
-
-    X_hand_tool: Array
-    X_tool_ee: Array
-    mass: float
-    p_tool_com: Array
-
-    @property
-    def X_hand_ee(self) -> Array:
-        """Nominal pose of the end effector in the hand, (4, 4)."""
-        return self.X_hand_tool @ self.X_tool_ee
 
 
 class HammeringTask:
