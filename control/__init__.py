@@ -1,9 +1,9 @@
-"""Robot model, inverse kinematics, in-hand correction, collision check, strike planning, and the supervisor.
+"""Robot model, inverse kinematics, in-hand correction, collision check, strike planning, supervisor.
 
     robot = RobotModel.load()
     world = CollisionWorld(robot, config, q_hand, X_hand_ee)
     plan = plan_strike(robot, config, world, q_arm, q_hand, X_hand_ee, X_base_nail)
-    arm = Supervisor(station.arm, station.person, robot, config, lambda: world)  # every motion passes it
+    arm = Supervisor(station.arm, station.person, robot, config, lambda: world)  # checks every motion
     arm.execute(plan.approach); arm.swing(plan.strike, ContactGuard(...), plan.expected_contact)
 
 Import it as `toolee_robot.control`.

@@ -1,7 +1,7 @@
-"""Clearance between everything that moves and everything that it must not touch.
+"""Clearance between arm, hand, tool and the bodies of the station.
 
-Bodies are convex; covering spheres give a lower bound of every pair's distance for a whole batch of configurations at
-once, and only the pairs that come near are measured exactly (coal, GJK).
+Bodies are convex. Covering spheres give a lower bound of every pair's distance for a batch of configurations; only the
+pairs whose bound is small are measured exactly (coal, GJK).
 """
 
 from __future__ import annotations
@@ -25,21 +25,27 @@ from toolee_robot.errors import CollisionError
 from toolee_robot.frames import Array
 
 FAR = 0.05
-"""[m]; clearance beyond this is not measured: it is reported as this."""
+"""Largest clearance that is measured [m]; a larger one is reported as this value."""
 
-# Neighbours in the chain touch by construction.
+# Links in chain order; neighbours touch by construction and are not checked.
 _LINKS = ("base", "shoulder", "upper arm", "forearm", "wrist 1", "wrist 2", "wrist 3")
 RUN_UP_EXEMPT = frozenset({("tool head", "block")})
-"""Up to the contact only the head may come near the block."""
+"""Pairs of groups that may touch up to the contact: only the tool's head may come near the block."""
 BRAKE_EXEMPT = frozenset(
     (part, body) for part in ("tool head", "tool claw", "tool handle") for body in ("block", "stand")
 )
-"""A missed nail ends in the block, which stops the tool; nothing but the tool may touch it."""
+"""Pairs of groups that may touch while braking: after a missed nail the block stops the tool."""
 
 
 @dataclass(frozen=True)
 class Clearance:
-    """distance [m] (at most FAR) of the closest pair of bodies, its names, and the row of the batch where it occurs."""
+    """The closest pair of bodies in a batch of configurations.
+
+    Attributes:
+        distance: Distance of the pair, at most FAR [m].
+        pair: Names of the two bodies.
+        row: Index of the configuration in the batch.
+    """
 
     distance: float
     pair: tuple[str, str]
@@ -50,9 +56,15 @@ class Clearance:
 
 
 class CollisionWorld:
-    """Arm, hand with its joints locked at q_hand (n,), the held tool if X_hand_ee (4x4) is given, and the station.
+    """Collision model of arm, hand, held tool and station.
 
-    X_hand_ee is the estimate, never the truth; `tool` encloses a nominal hammer around it. extra: further bodies.
+    Args:
+        robot: Kinematic model of arm and hand.
+        config: Configuration of the station.
+        q_hand: Joint positions at which the hand is locked, (n,) [rad].
+        X_hand_ee: Estimated pose of the end effector in the hand, (4, 4); None without a tool.
+        tool: Shape that encloses the tool; None for that of a nominal hammer.
+        extra: Further bodies of the station.
     """
 
     def __init__(
@@ -115,7 +127,7 @@ class CollisionWorld:
                     add(a, b)
         for a in [*carried, *held]:
             for b in arm:
-                # Fingers are too far down the forearm of the hand to reach the wrist they hang on.
+                # The hand's forearm keeps the fingers out of reach of the wrist that carries them.
                 if rank[b.name] <= 3 or (rank[b.name] == 4 and a.group == "hand"):
                     add(b, a)
             for b in station:
@@ -129,9 +141,16 @@ class CollisionWorld:
     def closest(
         self, q: Array, need: float = FAR, exempt: frozenset[tuple[str, str]] = frozenset(), *, first: bool = False
     ) -> Clearance:
-        """The closest pair over configurations q (N, 6) or (6,), measured exactly below `need` [m].
+        """Find the closest pair of bodies over a batch of configurations.
 
-        exempt: pairs of groups that may touch. first: stop at the first pair nearer than `need`.
+        Args:
+            q: Joint positions of the arm, (N, 6) or (6,) [rad].
+            need: Distance below which pairs are measured exactly [m].
+            exempt: Pairs of groups that may touch.
+            first: Whether to stop at the first pair nearer than `need`.
+
+        Returns:
+            The closest pair; distance `need` if none is nearer.
         """
         q = np.atleast_2d(q)
         R, p = self.robot.arm.joints(q)
@@ -155,7 +174,17 @@ class CollisionWorld:
         return best
 
     def check(self, q: Array, need: float, what: str, exempt: frozenset[tuple[str, str]] = frozenset()) -> None:
-        """Raise CollisionError naming the pair when anything comes nearer than `need` [m] in q (N, 6)."""
+        """Check the clearance over a batch of configurations.
+
+        Args:
+            q: Joint positions of the arm, (N, 6) [rad].
+            need: Required clearance [m].
+            what: Name of the motion, for the message.
+            exempt: Pairs of groups that may touch.
+
+        Raises:
+            CollisionError: Two bodies come nearer; the message names the pair.
+        """
         closest = self.closest(q, need, exempt, first=True)
         if closest.distance < need:
             raise CollisionError(
@@ -164,11 +193,17 @@ class CollisionWorld:
             )
 
     def free(self, q: Array, need: float, exempt: frozenset[tuple[str, str]] = frozenset()) -> bool:
-        """Whether nothing comes nearer than `need` [m] in q (N, 6)."""
+        """Whether the clearance is sufficient over a batch of configurations.
+
+        Args:
+            q: Joint positions of the arm, (N, 6) [rad].
+            need: Required clearance [m].
+            exempt: Pairs of groups that may touch.
+        """
         return self.closest(q, need, exempt, first=True).distance >= need
 
     def _bounds(self, R: Array, p: Array) -> Array:
-        """(N, pairs) lower bounds of the distances [m]."""
+        """Lower bounds of the distances of all pairs, (N, pairs) [m]."""
         c = np.einsum("nsij,sj->nsi", R[:, self._sphere_joint], self._spheres[:, :3]) + p[:, self._sphere_joint]
         apart = c[:, self._first] - c[:, self._second]
         gap = np.sqrt(np.einsum("nsi,nsi->ns", apart, apart)) - self._radii

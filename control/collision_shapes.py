@@ -1,4 +1,4 @@
-"""The bodies that may touch: arm links, hand, held tool and the station's furniture, as convex shapes."""
+"""Convex collision shapes of arm links, hand, held tool and station."""
 
 from __future__ import annotations
 
@@ -17,16 +17,23 @@ from toolee_robot.frames import Array, frame_from_axes, transform, transform_poi
 from toolee_robot.robots import HandModel
 
 WORLD_JOINT = 0
+"""Joint index of a body that stands still."""
 TOOL_JOINT = 6
+"""Joint index of a body on the flange."""
 
 
 @dataclass(frozen=True)
 class Body:
-    """A convex shape that moves with one arm joint (1..6) or stands still (0).
+    """A convex shape that moves with one arm joint or stands still.
 
-    group: what it belongs to ("arm", "hand", "tool", "block", ...); geometry: coal shape; X_joint_shape: 4x4, in the
-    frame of its joint (in `base` for joint 0). spheres: (m, 4) centres in the joint's frame and radii [m] that
-    together cover the shape, for a fast lower bound of a distance.
+    Attributes:
+        name: Name of the body.
+        group: What it belongs to: "arm", "hand", "tool head", "block", ...
+        joint: Joint that it moves with, 1 to 6; 0 if it stands still.
+        geometry: The coal shape.
+        X_joint_shape: Pose of the shape in the frame of its joint (in `base` for joint 0), (4, 4).
+        spheres: Spheres that together cover the shape, (m, 4): centres in the joint's frame and radii [m]. They give a
+            fast lower bound of a distance.
     """
 
     name: str
@@ -37,19 +44,26 @@ class Body:
     spheres: Array = field(repr=False)
 
     def moved(self, X: Array) -> Body:
-        """The body at X (4x4) times where it is."""
+        """Return the body transformed by X, (4, 4), in the frame of its joint."""
         spheres = np.column_stack([transform_points(X, self.spheres[:, :3]), self.spheres[:, 3]])
         return replace(self, X_joint_shape=X @ self.X_joint_shape, spheres=spheres)
 
 
 @dataclass(frozen=True)
 class ToolEnvelope:
-    """A shape that encloses a hammer, in its EE frame (face centre, z the face's normal, x towards the butt).
+    """Three cylinders that enclose a hammer, in its EE frame: face centre, z the face's normal, x towards the butt.
 
-    The head is a cylinder of head_radius around z from the face back to -head_length; a claw's curl towards the handle
-    is another of claw_radius at x = claw_radius / 2, behind the handle; the handle one of handle_radius, parallel to x
-    at handle_depth behind the face, up to handle_length past the face's centre. The defaults enclose the hammers of
-    `toolee_robot.tools`. [m]
+    The head's cylinder is around z, from the face back to -head_length. The claw's is parallel to it at
+    x = claw_radius / 2, behind the handle. The handle's is parallel to x. The defaults enclose the hammers of
+    `toolee_robot.tools`.
+
+    Attributes:
+        head_radius: Radius of the head [m].
+        head_length: Length of the head from face to claw [m].
+        claw_radius: Radius of the claw, which curls towards the handle [m].
+        handle_radius: Radius of the handle [m].
+        handle_depth: Distance of the handle's axis behind the face [m].
+        handle_length: Length of the handle from the face's centre [m].
     """
 
     head_radius: float = 0.033
@@ -60,7 +74,12 @@ class ToolEnvelope:
     handle_length: float = 0.36
 
     def bodies(self, X_flange_ee: Array, X_joint6_flange: Array) -> list[Body]:
-        """Head, claw and handle, carried by the arm's last joint."""
+        """Build the bodies of head, claw and handle, which move with the arm's last joint.
+
+        Args:
+            X_flange_ee: Pose of the end effector in the flange, (4, 4).
+            X_joint6_flange: Pose of the flange in the last joint, (4, 4).
+        """
         X = X_joint6_flange @ X_flange_ee
         x, z = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
         head = X @ transform(p=-0.5 * self.head_length * z)
@@ -76,7 +95,7 @@ class ToolEnvelope:
 
 @lru_cache(maxsize=2)
 def arm_bodies(robot: RobotModel) -> tuple[Body, ...]:
-    """Convex hulls of the arm's collision meshes."""
+    """Build the convex hulls of the arm's collision meshes."""
     description = robot.description
     geometry = pin.buildGeomFromUrdf(robot.model, str(description.urdf_path), pin.GeometryType.COLLISION)
     bodies = []
@@ -94,9 +113,13 @@ _HAND_CACHE: dict[tuple[HandModel, bytes], tuple[Body, ...]] = {}
 
 
 def hand_bodies(robot: RobotModel, q_hand: Array) -> list[Body]:
-    """Convex hulls of the hand's parts (forearm, palm, each finger) with its joints locked at q_hand (n,).
+    """Build the convex hulls of the hand's parts (forearm, palm, each finger).
 
-    The hulls are kept from call to call while no joint moves by 0.01 rad (1 mm); their pose on the arm is exact.
+    The hulls are cached for joint positions rounded to 0.01 rad (1 mm); their pose on the arm is exact.
+
+    Args:
+        robot: Kinematic model of arm and hand.
+        q_hand: Joint positions at which the hand is locked, (n,) [rad].
     """
     hand = robot.description.hand
     key = (hand, np.round(q_hand, 2).tobytes())
@@ -116,7 +139,7 @@ def hand_bodies(robot: RobotModel, q_hand: Array) -> list[Body]:
 
 
 def station_bodies(config: StationConfig) -> list[Body]:
-    """Table, stand, block, camera and the person's place, as boxes in `base`."""
+    """Build the boxes of table, stand, block, camera and person in `base`."""
     work, scene = config.work, config.scene
     x, y = work.nail_xy
     block, top = work.block_size, work.wood_height
@@ -130,7 +153,13 @@ def station_bodies(config: StationConfig) -> list[Body]:
 
 
 def box_body(name: str, center: tuple[float, ...], size: tuple[float, ...]) -> Body:
-    """An axis-aligned box that stands in `base`, center and size (3,) [m]."""
+    """Build an axis-aligned box in `base`.
+
+    Args:
+        name: Name and group of the body.
+        center: Centre, (3,) [m].
+        size: Edge lengths, (3,) [m].
+    """
     radius = 0.5 * float(np.linalg.norm(size))
     return Body(
         name, name, WORLD_JOINT, coal.Box(*size), transform(p=center), np.array([[*center, radius]], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Where a strike should meet the nail, and whether it did, told by the joints: a servo lags, so no clock can tell."""
+"""Expected and actual contact of a strike, compared by joint positions, since a servo's lag makes times unreliable."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from toolee_robot.hal import MotionReport
 
 
 class Meeting(StrEnum):
-    """How a strike met what it was meant for."""
+    """How a strike met its target."""
 
     EXPECTED = "expected"
     EARLY = "early"
@@ -24,8 +24,13 @@ class Meeting(StrEnum):
 
 @dataclass(frozen=True)
 class ExpectedContact:
-    """q: joints (6,) [rad] at which tool and work should meet; direction: unit vector (3,) in `base` along which the
-    tool comes; time: of the meeting on the trajectory [s]."""
+    """Where and when tool and work should meet.
+
+    Attributes:
+        q: Joint positions at the contact, (6,) [rad].
+        direction: Direction of the tool's motion, a unit vector in `base`, (3,).
+        time: Time of the contact on the trajectory [s].
+    """
 
     q: Array
     direction: Array
@@ -34,7 +39,13 @@ class ExpectedContact:
 
 @dataclass(frozen=True)
 class ContactVerdict:
-    """before: how far before the expected place the tool was stopped [m], negative beyond it; NaN without contact."""
+    """Comparison of an actual contact with the expected one.
+
+    Attributes:
+        meeting: How the strike met its target.
+        before: Distance before the expected contact at which the tool was stopped [m]; negative beyond it, NaN without
+            contact.
+    """
 
     meeting: Meeting
     before: float
@@ -49,7 +60,14 @@ class ContactVerdict:
 def judge_contact(
     report: MotionReport, expected: ExpectedContact, arm: ArmKinematics, config: SupervisorConfig
 ) -> ContactVerdict:
-    """Compare the measured joints at the contact with the expected ones, along the strike's direction."""
+    """Compare the measured joint positions at the contact with the expected ones, along the strike's direction.
+
+    Args:
+        report: The executed strike.
+        expected: The expected contact.
+        arm: Kinematics of the arm.
+        config: Bounds of an early and a late contact.
+    """
     if report.contact is None:
         return ContactVerdict(Meeting.NONE, float("nan"))
     place, met = arm.fk(np.stack([expected.q, report.contact.q]))[:, :3, 3]

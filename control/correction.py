@@ -1,9 +1,9 @@
-"""Correction of the in-hand offset: where the flange must be so that the tool's end effector meets the nail.
+"""Correction of the in-hand offset: flange poses with which the tool's end effector meets the nail.
 
     X_base_flange(theta) = X_base_nail . Rz(theta) . X_flange_ee^-1,    X_flange_ee = X_flange_hand . X_hand_ee
 
-The face and the nail's head are round, so the spin theta about the nail's axis is free. It is swept together with
-the inverse kinematics' branches; what ranks the candidates is written at `rank`.
+The face and the nail's head are round, so the spin theta about the nail's axis is free. It is sampled together with the
+branches of the inverse kinematics; `rank` defines the score of the candidates.
 """
 
 from __future__ import annotations
@@ -20,14 +20,20 @@ from toolee_robot.errors import UnreachableError
 from toolee_robot.frames import Array, inverse
 
 SPIN_STEP = np.deg2rad(7.5)
+"""Step of the sampled spins [rad]."""
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Configurations that put the end effector on the nail: theta (C,) [rad], branch (C,), q (C, 6) [rad].
+    """C configurations that place the end effector on the nail.
 
-    attainable_speed (C,) [m/s]: min_i qdot_max_i / |[J^-1 (n, 0)]_i| for the driving direction n. margin (C,) [rad]:
-    least distance to a joint's limit. manipulability (C,): smallest singular value of J (rotations in rad, metres).
+    Attributes:
+        theta: Spins about the nail's axis, (C,) [rad].
+        branch: Branches of the inverse kinematics, (C,).
+        q: Joint positions, (C, 6) [rad].
+        attainable_speed: min_i qdot_max_i / |[J^-1 (n, 0)]_i| for the driving direction n, (C,) [m/s].
+        margin: Least distance to a joint's position limit, (C,) [rad].
+        manipulability: Smallest singular value of the Jacobian in metres and radians, (C,).
     """
 
     theta: Array
@@ -38,11 +44,21 @@ class Candidates:
     manipulability: Array
 
     def take(self, rows: NDArray[np.intp]) -> Candidates:
+        """Select candidates by their indices."""
         return Candidates(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
 def flange_targets(X_base_nail: Array, X_flange_ee: Array, theta: Array) -> Array:
-    """X_base_flange (..., 4, 4) for the spins theta (...) [rad]."""
+    """Compute the flange poses that place the end effector on the nail.
+
+    Args:
+        X_base_nail: Pose of the nail, (4, 4).
+        X_flange_ee: Pose of the end effector in the flange, (4, 4).
+        theta: Spins about the nail's axis, (...) [rad].
+
+    Returns:
+        X_base_flange, (..., 4, 4).
+    """
     spin = np.zeros((*np.shape(theta), 4, 4))
     spin[..., 0, 0] = spin[..., 1, 1] = np.cos(theta)
     spin[..., 1, 0] = np.sin(theta)
@@ -54,9 +70,20 @@ def flange_targets(X_base_nail: Array, X_flange_ee: Array, theta: Array) -> Arra
 def candidates(
     ik: InverseKinematics, X_base_nail: Array, X_flange_ee: Array, limits: ArmLimits, near: Array
 ) -> Candidates:
-    """Every spin (in steps of SPIN_STEP) and branch that reaches the nail, whole turns nearest to `near` (6,).
+    """Find every spin, in steps of SPIN_STEP, and branch that reaches the nail.
 
-    Raises UnreachableError when no spin does.
+    Args:
+        ik: Inverse kinematics of the arm.
+        X_base_nail: Pose of the nail, (4, 4).
+        X_flange_ee: Pose of the end effector in the flange, (4, 4).
+        limits: Velocity limits of the joints.
+        near: Joint positions to which the whole turns are nearest, (6,) [rad].
+
+    Returns:
+        The configurations that reach the nail within the position limits.
+
+    Raises:
+        UnreachableError: No spin reaches the nail.
     """
     theta = np.arange(-np.pi, np.pi - 1e-9, SPIN_STEP)
     q = ik.branches(flange_targets(X_base_nail, X_flange_ee, theta))
@@ -81,11 +108,20 @@ def candidates(
 
 
 def rank(found: Candidates, wanted_speed: float, near: Array) -> Array:
-    """Kinematic score (C,), higher is better; clearance joins once it is known (`planning.strike`).
+    """Compute the kinematic score of candidates; `planning.strike` adds the clearance.
 
-    Speed counts fully up to 1.5 x the wanted one (the reserve is what the joints' accelerations need), margin up to
-    0.6 rad, manipulability up to 0.1; the way from `near` (6,) breaks ties, so that successive strikes keep one
-    posture."""
+    Speed counts up to 1.5 times the wanted speed (the reserve is needed for the joints' accelerations), the margin up
+    to 0.6 rad, the manipulability up to 0.1. The distance from `near` breaks ties, so that successive strikes keep one
+    posture.
+
+    Args:
+        found: The candidates.
+        wanted_speed: Wanted speed of the face at the contact [m/s].
+        near: Present joint positions, (6,) [rad].
+
+    Returns:
+        The scores, (C,); higher is better.
+    """
     speed = np.minimum(found.attainable_speed / wanted_speed, 1.5)
     margin = np.minimum(found.margin / 0.6, 1.0)
     dexterity = np.minimum(found.manipulability / 0.1, 1.0)

@@ -1,8 +1,8 @@
-"""Every joint configuration of a UR arm that brings the flange to a pose.
+"""Inverse kinematics of UR arms: all joint configurations that bring the flange to a pose.
 
 The closed form of the nominal UR geometry gives up to eight branches (shoulder left or right, wrist flipped or not,
-elbow up or down); Newton steps on the model's own kinematics then remove what the closed form leaves (a URDF's
-rounded angles; a factory calibration's millimetre). Hawkins, "Analytic inverse kinematics for the Universal Robots
+elbow up or down). Newton steps on the model's kinematics then remove the residual of the closed form (rounded angles
+in the URDF; a factory calibration's millimetre). Source: Hawkins, "Analytic inverse kinematics for the Universal Robots
 UR-5/UR-10 arms", Georgia Tech, 2013.
 """
 
@@ -17,14 +17,23 @@ from toolee_robot.frames import Array, inverse
 from toolee_robot.motion.trajectory_checks import START_TOLERANCE
 
 BRANCHES = 8
+"""Number of branches of the closed form."""
 NEWTON_STEPS = 20
+"""Largest number of Newton steps."""
 NEWTON_ERROR = 1e-10
-"""[m, rad] A model with nominal kinematics is met by the closed form: no step; a calibrated one takes three or four,
-near a singularity up to a dozen."""
+"""Largest residual of a solution [m, rad]. The closed form alone reaches it for nominal kinematics; a calibrated model
+needs three or four steps, near a singularity up to a dozen."""
 
 
 class InverseKinematics:
-    """Inverse kinematics of a UR-like `ArmKinematics`: joints 2, 3, 4 parallel, 5 and 6 orthogonal."""
+    """Inverse kinematics of an arm with UR geometry: joints 2, 3 and 4 parallel, 5 and 6 orthogonal.
+
+    Args:
+        arm: Kinematics of the arm.
+
+    Raises:
+        ValueError: The kinematics are not those of a UR arm.
+    """
 
     def __init__(self, arm: ArmKinematics) -> None:
         self.arm = arm
@@ -35,18 +44,25 @@ class InverseKinematics:
         self.a2, self.a3 = -offset[2, 2], -offset[3, 2]
         self.d5 = offset[5, 2]
         self.d6 = float(np.linalg.norm(arm.X_joint6_flange[:3, 3]))
-        # The constant turn between the model's base and the controller's (a UR's URDF has half a turn).
+        # The constant rotation between the bases of model and controller (half a turn in a UR's URDF).
         probe = np.array([0.3, -1.1, 0.9, -0.4, 0.7, 0.2])
         turn = arm.fk(probe) @ inverse(self._dh_fk(probe))
-        # A factory calibration is some millimetres and milliradians off the closed form, another arm much more.
+        # A factory calibration deviates from the closed form by millimetres and milliradians, another arm by much more.
         if not np.allclose(turn, arm.fk(-probe) @ inverse(self._dh_fk(-probe)), atol=2e-2):
             raise ValueError("the model's kinematics are not those of a UR arm: no closed form")
         self._X_dh_base = inverse(turn)
 
     def branches(self, Xs_base_flange: Array) -> Array:
-        """All solutions (..., 8, 6) [rad] in (-pi, pi] for poses (..., 4, 4); NaN where a branch does not exist.
+        """Compute all solutions.
 
-        Branch order: shoulder (2) x wrist (2) x elbow (2), the same along any path without a singularity.
+        The branches are ordered shoulder (2) x wrist (2) x elbow (2), consistently along any path without a
+        singularity.
+
+        Args:
+            Xs_base_flange: Poses of the flange, (..., 4, 4).
+
+        Returns:
+            Joint positions in (-pi, pi], (..., 8, 6) [rad]; NaN where a branch does not exist.
         """
         shape = Xs_base_flange.shape[:-2]
         X = np.broadcast_to(Xs_base_flange[..., None, :, :], (*shape, BRANCHES, 4, 4)).reshape(-1, 4, 4)
@@ -57,9 +73,17 @@ class InverseKinematics:
         return (np.mod(q + np.pi, 2 * np.pi) - np.pi).reshape(*shape, BRANCHES, 6)
 
     def solve(self, X_base_flange: Array, near: Array | None = None) -> list[Array]:
-        """The solutions for one pose within the limits, nearest to `near` (6,) first (zero if None).
+        """Compute the solutions for one pose that are within the position limits.
 
-        Raises UnreachableError when there is none.
+        Args:
+            X_base_flange: Pose of the flange, (4, 4).
+            near: Reference joint positions, (6,) [rad]; zero if None.
+
+        Returns:
+            The solutions, (6,) [rad] each, sorted by their distance from `near`.
+
+        Raises:
+            UnreachableError: There is none.
         """
         reference = np.zeros(6) if near is None else near
         q = self.branches(X_base_flange)
@@ -74,10 +98,16 @@ class InverseKinematics:
         return sorted(q, key=lambda c: float(np.sum(np.abs(c - reference))))
 
     def branches_along(self, Xs_base_flange: Array, branch: NDArray[np.intp], near: Array) -> Array:
-        """One branch each along C paths of M poses (C, M, 4, 4): (C, M, 6) [rad], continuous along each path.
+        """Compute one branch along each of C paths of M poses.
 
-        branch: (C,). near: (C, 6), whole turns are such that each path's first configuration is nearest to it. NaN
-        where the branch does not exist.
+        Args:
+            Xs_base_flange: Poses of the flange, (C, M, 4, 4).
+            branch: Branch of each path, (C,).
+            near: Joint positions, (C, 6) [rad]; the whole turns of a path's first configuration are chosen nearest to
+                them.
+
+        Returns:
+            Joint positions, (C, M, 6) [rad], continuous along each path; NaN where the branch does not exist.
         """
         count, length = Xs_base_flange.shape[:2]
         X = Xs_base_flange.reshape(-1, 4, 4)
@@ -91,24 +121,50 @@ class InverseKinematics:
         return q
 
     def branch_of(self, q: Array) -> int:
-        """The branch that the configuration q (6,) lies on. Raises UnreachableError at a singularity of the model."""
+        """Determine the branch of a configuration.
+
+        Args:
+            q: Joint positions, (6,) [rad].
+
+        Raises:
+            UnreachableError: The configuration is singular.
+        """
         candidates = self.branches(self.arm.fk(q))
         error = np.abs(np.mod(candidates - q + np.pi, 2 * np.pi) - np.pi).max(axis=-1)
         error = np.where(np.isfinite(error), error, np.inf)
         best = int(np.argmin(error))
-        if error[best] > START_TOLERANCE:  # an arm would refuse the line that begins there
-            raise UnreachableError("the configuration is at a singularity: move the arm by some degrees first")
+        if error[best] > START_TOLERANCE:  # an arm would refuse a line that starts there
+            raise UnreachableError(
+                "the configuration is at a singularity: move the arm by some degrees first",
+                code="unreachable.singularity",
+            )
         return best
 
     def unwrap(self, q: Array, near: Array) -> Array:
-        """Add whole turns to q (..., 6) so that every joint comes closest to `near` (broadcast) inside the limits."""
+        """Add whole turns so that every joint is as near to a reference as its limits allow.
+
+        Args:
+            q: Joint positions, (..., 6) [rad].
+            near: Reference, broadcast to q [rad].
+
+        Returns:
+            Joint positions, (..., 6) [rad].
+        """
         turn = 2 * np.pi
         q = near + np.mod(q - near + np.pi, turn) - np.pi
         q = np.where(q > self.arm.upper, q - turn, q)
         return np.where(q < self.arm.lower, q + turn, q)
 
     def polish(self, q: Array, Xs_base_flange: Array) -> Array:
-        """Newton steps from q (N, 6) towards the poses (N, 4, 4): NaN where NEWTON_STEPS do not meet them."""
+        """Refine solutions with Newton steps.
+
+        Args:
+            q: Initial joint positions, (N, 6) [rad].
+            Xs_base_flange: Poses of the flange, (N, 4, 4).
+
+        Returns:
+            Joint positions, (N, 6) [rad]; NaN where NEWTON_STEPS do not reach NEWTON_ERROR.
+        """
         q, unmet = q.copy(), np.arange(len(q))
         for _ in range(NEWTON_STEPS):
             X, J = self.arm.fk_jacobian(q[unmet])
@@ -135,7 +191,7 @@ class InverseKinematics:
         return X
 
     def _closed_form(self, Xs_base_flange: Array) -> Array:
-        """(N, 8, 6), NaN where there is none; in the Denavit-Hartenberg base."""
+        """Closed-form solutions, (N, 8, 6) [rad], NaN where there is none."""
         X = self._X_dh_base @ Xs_base_flange
         n = len(X)
         R, p = X[:, :3, :3], X[:, :3, 3]
@@ -151,7 +207,7 @@ class InverseKinematics:
             q5 = sign * np.arccos(c5)[:, :, None]  # (N, 2, 2)
             s5 = np.sin(q5)
             s1, c1, shape = s1[:, :, None], c1[:, :, None], (n, 1, 1)
-            # At a wrist singularity the sixth joint is free; zero is as good as any.
+            # At a wrist singularity the sixth joint is free; zero is chosen.
             sgn = np.where(np.abs(s5) < 1e-9, 0.0, np.sign(s5))
             y = (-R[:, 0, 1].reshape(shape) * s1 + R[:, 1, 1].reshape(shape) * c1) * sgn
             x = (R[:, 0, 0].reshape(shape) * s1 - R[:, 1, 0].reshape(shape) * c1) * sgn

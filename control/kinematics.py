@@ -1,8 +1,8 @@
 """Forward kinematics and Jacobians of a six-joint arm, for many configurations at once.
 
-A Pinocchio model answers for one configuration in microseconds, but a strike plan asks about thousands: the spin
-sweep, eight branches, every point of the run-up. This class reads the joints' placements and axes out of the
-Pinocchio model once and does the same arithmetic in batches of NumPy.
+A Pinocchio model evaluates one configuration in microseconds, but a strike plan needs thousands of them: the sweep of
+the spin, eight branches, every point of the run-up. This module reads the joints' placements and axes from the
+Pinocchio model once and evaluates the same kinematics in NumPy batches.
 """
 
 from __future__ import annotations
@@ -15,10 +15,14 @@ from toolee_robot.frames import Array
 
 
 class ArmKinematics:
-    """Six revolute joints in a chain, from `base` to `flange`.
+    """Kinematics of a chain of six revolute joints from `base` to `flange`.
 
-    placements: (6, 4, 4) pose of each joint in the one before it, the first in `base`; axes: (6, 3) unit vectors in
-    the joint's own frame; X_joint6_flange: 4x4; lower, upper: (6,) position limits [rad].
+    Args:
+        placements: Pose of each joint in the previous one, the first in `base`, (6, 4, 4).
+        axes: Axis of each joint in its own frame, unit vectors, (6, 3).
+        X_joint6_flange: Pose of the flange in the last joint, (4, 4).
+        lower: Lower position limits, (6,) [rad].
+        upper: Upper position limits, (6,) [rad].
     """
 
     def __init__(self, placements: Array, axes: Array, X_joint6_flange: Array, lower: Array, upper: Array) -> None:
@@ -37,9 +41,15 @@ class ArmKinematics:
 
     @classmethod
     def from_pinocchio(cls, model: Any, flange: str, X_base_root: Array) -> ArmKinematics:
-        """Read the chain out of a Pinocchio model whose first six joints are the arm.
+        """Read the chain from a Pinocchio model whose first six joints are the arm.
 
-        flange: frame name. X_base_root: 4x4, the model's root in `base`.
+        Args:
+            model: The Pinocchio model.
+            flange: Name of the flange's frame.
+            X_base_root: Pose of the model's root in `base`, (4, 4).
+
+        Raises:
+            ValueError: The flange is not attached to the arm's last joint.
         """
         placements = np.stack([model.jointPlacements[j].homogeneous for j in range(1, 7)])
         placements[0] = X_base_root @ placements[0]
@@ -52,7 +62,14 @@ class ArmKinematics:
         return cls(placements, axes, frame.placement.homogeneous, lower, upper)
 
     def joints(self, q: Array) -> tuple[Array, Array]:
-        """Pose of every joint's frame: rotations (..., 6, 3, 3) and origins (..., 6, 3) in `base`, for q (..., 6)."""
+        """Compute the pose of every joint's frame in `base`.
+
+        Args:
+            q: Joint positions, (..., 6) [rad].
+
+        Returns:
+            Rotations, (..., 6, 3, 3), and origins, (..., 6, 3) [m].
+        """
         c, s = np.cos(q)[..., None, None], np.sin(q)[..., None, None]
         local = self._constant + s * self._sine + c * self._cosine
         R = np.empty_like(local)
@@ -64,13 +81,20 @@ class ArmKinematics:
         return R, p
 
     def fk(self, q: Array) -> Array:
-        """X_base_flange (..., 4, 4) for q (..., 6) [rad]."""
+        """Compute X_base_flange, (..., 4, 4), for joint positions q, (..., 6) [rad]."""
         R, p = self.joints(q)
         return self._flange(R[..., 5, :, :], p[..., 5, :])
 
     def fk_jacobian(self, q: Array) -> tuple[Array, Array]:
-        """X_base_flange (..., 4, 4) and J (..., 6, 6): the flange origin's velocity [m/s] over the angular velocity
-        [rad/s], both in `base` axes."""
+        """Compute the forward kinematics and the geometric Jacobian.
+
+        Args:
+            q: Joint positions, (..., 6) [rad].
+
+        Returns:
+            X_base_flange, (..., 4, 4), and J, (..., 6, 6), whose rows are the linear velocity of the flange's origin
+            [m/s] and the angular velocity [rad/s], both in `base` axes.
+        """
         R, p = self.joints(q)
         X = self._flange(R[..., 5, :, :], p[..., 5, :])
         axes = np.einsum("...ijk,ik->...ij", R, self.axes)
@@ -87,12 +111,20 @@ class ArmKinematics:
 
 
 def solve(J: Array, v: Array) -> Array:
-    """J^-1 v for J (..., 6, 6) and v (..., 6), slightly damped so that a singular pose gives large, finite rates."""
+    """Solve J x = v, slightly damped so that a singular configuration gives large but finite rates.
+
+    Args:
+        J: Jacobians, (..., 6, 6).
+        v: Velocities, (..., 6).
+
+    Returns:
+        Joint rates, (..., 6).
+    """
     Jt = np.swapaxes(J, -1, -2)
     A = Jt @ J + 1e-12 * np.eye(6)
     return np.asarray(np.linalg.solve(A, Jt @ v[..., None])[..., 0], dtype=np.float64)
 
 
 def smallest_singular_value(J: Array) -> Array:
-    """(...) of J (..., 6, 6), metres and radians: 0 at a singularity."""
+    """Smallest singular values, (...), of Jacobians J, (..., 6, 6), in metres and radians; 0 at a singularity."""
     return np.asarray(np.linalg.svd(J, compute_uv=False)[..., -1], dtype=np.float64)

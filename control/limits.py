@@ -1,4 +1,4 @@
-"""The last check before a trajectory goes out: finite, from rest to rest, inside every limit, no step in anything."""
+"""Final check of a trajectory: finite, from rest to rest, within every limit, and consistent between samples."""
 
 from __future__ import annotations
 
@@ -11,29 +11,40 @@ from toolee_robot.frames import Array
 from toolee_robot.types import Trajectory
 
 TOLERANCE = 1e-3
-"""Relative slack of the comparisons: rounding is no violation."""
+"""Relative tolerance of the comparisons, for rounding."""
 ROUNDING = 1e-6
-"""[rad], and [rad/s]: what inverse kinematics leaves."""
+"""Residual of inverse kinematics, for positions [rad] and velocities [rad/s]."""
 REST = 1e-3
-"""[rad/s] that counts as standing still."""
+"""Joint speed that counts as rest [rad/s]."""
 
 
 def check_trajectory(trajectory: Trajectory, arm: ArmKinematics, limits: ArmLimits, scene: SceneConfig) -> None:
-    """Raise LimitError unless the trajectory is finite, begins and ends at rest, is within the joints' position,
-    velocity, acceleration and jerk limits, and keeps the flange inside the workspace.
+    """Check a trajectory against the limits of joints and workspace.
 
-    The limits are checked at the samples, and the samples against each other: what the positions do between two of them
-    must be what the velocities say, and so on, to within what the jerk limit allows (the trapezoidal rule's error
-    bounds: h^3 J / 12 for positions, h^2 J / 4 for velocities, h J for accelerations). So no step can hide anywhere.
+    The limits are checked at the samples, and the samples are checked against each other: the change of position
+    between two samples must agree with the velocities, and that of velocity with the accelerations, to within the error
+    bounds of the trapezoidal rule for the jerk limit J and the sample period h (h^3 J / 12 for positions, h^2 J / 4 for
+    velocities, h J for accelerations). A step between samples is thus detected.
+
+    Args:
+        trajectory: Trajectory of the 6 joints.
+        arm: Kinematics and position limits of the arm.
+        limits: Limits of velocity, acceleration and jerk.
+        scene: Workspace of the flange.
+
+    Raises:
+        LimitError: The trajectory is not finite, does not start and end at rest, or violates a limit; the code names
+            the cause, such as `limit.velocity`.
     """
     t, q, qd, qdd = trajectory.times, trajectory.q, trajectory.qd, trajectory.qdd
     if q.shape[1] != 6:
-        raise LimitError(f"the trajectory has {q.shape[1]} joints, the arm has 6")
+        raise LimitError(f"the trajectory has {q.shape[1]} joints, the arm has 6", code="limit.joint_count")
     if not all(np.all(np.isfinite(x)) for x in (t, q, qd, qdd)):
-        raise LimitError("the trajectory holds NaN or infinite values: nothing is sent")
+        raise LimitError("the trajectory holds NaN or infinite values: nothing is sent", code="limit.not_finite")
     for where, row in (("start", 0), ("end", -1)):
         if np.max(np.abs(qd[row])) > REST:
-            raise LimitError(f"the trajectory does not {where} at rest ({np.max(np.abs(qd[row])):.3f} rad/s)")
+            speed = np.max(np.abs(qd[row]))
+            raise LimitError(f"the trajectory does not {where} at rest ({speed:.3f} rad/s)", code="limit.not_at_rest")
     velocity = np.asarray(limits.velocity)
     slack = TOLERANCE * (arm.upper - arm.lower)
     _within("position", "rad", q, arm.lower - slack, arm.upper + slack, t)
@@ -56,7 +67,7 @@ def _no_step(trajectory: Trajectory, velocity: Array, jerk: float) -> None:
     t, q, qd, qdd = trajectory.times, trajectory.q, trajectory.qd, trajectory.qdd
     h = np.diff(t)[:, None]
     _within("velocity between samples", "rad/s", np.diff(q, axis=0) / h, -1.01 * velocity, 1.01 * velocity, t)
-    # From rest, into rest: an acceleration there would be a step.
+    # At rest before and after: an acceleration at either end would be a step.
     change = np.diff(np.vstack([np.zeros(6), qdd, np.zeros(6)]), axis=0) / np.vstack([h[:1], h, h[-1:]])
     _within("jerk", "rad/s^3", change, np.full(6, -jerk), np.full(6, jerk), np.append(t, t[-1]))
     for what, unit, x, slope, allowed in (
@@ -71,7 +82,7 @@ def _no_step(trajectory: Trajectory, velocity: Array, jerk: float) -> None:
 def _within(
     what: str, unit: str, x: Array, lower: Array, upper: Array, t: Array, axes: tuple[str, ...] | None = None
 ) -> None:
-    """lower, upper: of every column (n,), or of every value (N, n)."""
+    """Raise LimitError for the first value of x, (N, n), outside its bounds; bounds are (n,) or (N, n)."""
     bad = (x < lower) | (x > upper)
     if not np.any(bad):
         return
@@ -80,5 +91,6 @@ def _within(
     name = axes[column] if axes else f"joint {column + 1}"
     raise LimitError(
         f"{what} of {name} is {x[row, column]:.5g} {unit} at {t[row]:.3f} s, outside "
-        f"[{lower[row, column]:.3g}, {upper[row, column]:.3g}]: nothing is sent; slow down or move the target"
+        f"[{lower[row, column]:.3g}, {upper[row, column]:.3g}]: nothing is sent; slow down or move the target",
+        code=f"limit.{what.replace(' ', '_')}",
     )

@@ -1,4 +1,4 @@
-"""The two ways in which the arm may move, and how fast what it carries moves."""
+"""Modes of operation, and the speed of hand and tool along a trajectory."""
 
 from __future__ import annotations
 
@@ -15,19 +15,31 @@ from toolee_robot.types import Trajectory
 
 
 class Mode(StrEnum):
-    """HANDOVER: a person may be in reach and watches; slow. UNATTENDED: nobody is in reach; fast."""
+    """Modes of operation.
+
+    HANDOVER: slow; a person may be in reach and holds the enabling switch. UNATTENDED: fast; nobody is in reach.
+    """
 
     HANDOVER = "handover"
     UNATTENDED = "unattended"
 
     def speed(self, config: SupervisorConfig) -> float:
-        """[m/s] The most that any point of hand and tool may move with."""
+        """Largest permitted speed of any point of hand and tool [m/s]."""
         return config.handover_speed if self is Mode.HANDOVER else config.unattended_speed
 
 
 def carried_speed(trajectory: Trajectory, world: CollisionWorld) -> Array:
-    """(N - 1,) [m/s]: of the fastest point of hand and tool between two samples each (the centres of the spheres that
-    cover them), and of the flange."""
+    """Speed of the fastest point of flange, hand and tool between successive samples.
+
+    Hand and tool are represented by the centres of the spheres that cover them.
+
+    Args:
+        trajectory: Trajectory of N samples.
+        world: Bodies of hand and tool.
+
+    Returns:
+        The speeds, (N - 1,) [m/s].
+    """
     robot = world.robot
     R, p = robot.arm.joints(trajectory.q)
     points = [body.spheres[:, :3] for body in world.bodies if body.joint == TOOL_JOINT]
@@ -39,7 +51,16 @@ def carried_speed(trajectory: Trajectory, world: CollisionWorld) -> Array:
 
 
 def slowed_to(trajectory: Trajectory, world: CollisionWorld, speed: float) -> Trajectory:
-    """The same path, slowed as a whole until nothing carried is faster than `speed` [m/s]; itself where nothing is."""
+    """Scale the time of a trajectory so that hand and tool stay below a speed.
+
+    Args:
+        trajectory: The trajectory.
+        world: Bodies of hand and tool.
+        speed: Largest permitted speed [m/s].
+
+    Returns:
+        The slowed trajectory on the same path, or the given one if it is slow enough.
+    """
     slower = float(np.max(carried_speed(trajectory, world))) / (0.99 * speed)
     if slower <= 1.0:
         return trajectory

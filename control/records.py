@@ -1,4 +1,4 @@
-"""What the planners hand to the tasks."""
+"""Records that the planners return to the tasks."""
 
 from __future__ import annotations
 
@@ -12,15 +12,25 @@ from toolee_robot.types import Trajectory
 
 @dataclass(frozen=True)
 class StrikePlan:
-    """One strike.
+    """Plan of one strike.
 
-    theta: the chosen spin of the hammer about the nail's axis [rad]. q_standoff, q_contact: (6,) [rad], at rest before
-    the run-up, and where face and nail are expected to meet. approach: transfer from where the arm is to q_standoff.
-    strike: from rest at q_standoff through the contact to the standstill; at `contact_time` [s] on it the face arrives
-    with `speed` [m/s] and braking begins; it ends brake_length [m] further down. wanted_speed: what was asked for;
-    attainable_speed: what the joints' velocities alone would allow there. clearance: of the strike; margin: least
-    distance to a joint's limit [rad].
-    X_base_ee_contact: 4x4, equals the nail's pose up to the spin.
+    Attributes:
+        theta: Chosen spin of the hammer about the nail's axis [rad].
+        q_standoff: Joint positions at rest before the run-up, (6,) [rad].
+        q_contact: Joint positions at the expected contact of face and nail, (6,) [rad].
+        approach: Transfer from the arm's present position to `q_standoff`.
+        strike: Motion from rest at `q_standoff` through the contact to standstill.
+        contact_time: Time of the expected contact on `strike` [s]; braking begins there.
+        speed: Planned speed of the face at the contact [m/s].
+        wanted_speed: Requested speed of the face at the contact [m/s].
+        attainable_speed: Speed that the joints' velocity limits alone would allow at the contact [m/s].
+        run_up: Length of the straight run-up [m].
+        brake_length: Distance beyond the contact in which the face stops [m].
+        clearance: Closest pair of bodies during the strike.
+        margin: Least distance to a joint's position limit [rad].
+        X_base_ee_contact: Pose of the end effector at the contact in `base`, (4, 4); equals the nail's pose up to the
+            spin.
+        planning_time: Wall-clock time of the planning [s].
     """
 
     theta: float
@@ -49,8 +59,11 @@ class StrikePlan:
 class View:
     """One configuration in which the camera sees the tool.
 
-    q: (6,) [rad]. transfer: from the view before (or the start). Nominal, from the geometry the plan assumed:
-    distance of the face's centre from the camera [m], angle between the face's normal and the line of sight [rad].
+    Attributes:
+        q: Joint positions, (6,) [rad].
+        transfer: Motion from the previous view, or from the start.
+        distance: Nominal distance of the face's centre from the camera [m].
+        normal_angle: Nominal angle between the face's normal and the line of sight [rad].
     """
 
     q: Array
@@ -61,7 +74,12 @@ class View:
 
 @dataclass(frozen=True)
 class ViewPlan:
-    """Views in the order in which to visit them."""
+    """Plan of a look.
+
+    Attributes:
+        views: The views in the order of their visit.
+        clearance: Least clearance of the views' configurations [m].
+    """
 
     views: tuple[View, ...]
     clearance: float

@@ -1,4 +1,4 @@
-"""The robot as the controller sees it: a Pinocchio model of arm and hand, the arm's kinematics, what it carries."""
+"""Model of arm and hand: Pinocchio model, kinematics of the arm, payload of the flange."""
 
 from __future__ import annotations
 
@@ -17,9 +17,21 @@ from toolee_robot.types import ArmModel, DhCalibration, Payload
 
 
 class RobotModel:
-    """Arm (6 joints) and hand (n joints, wrist included). `base` is the URDF's root, the UR's base_link.
+    """Kinematic model of an arm with 6 joints and a hand with n joints, wrist included.
 
-    arm: batched kinematics of the arm. ik: all its inverse-kinematics branches. description: names and meshes.
+    `base` is the root of the URDF, the UR's base_link.
+
+    Args:
+        description: Names, URDF and meshes of arm and hand.
+
+    Attributes:
+        description: Names, URDF and meshes of arm and hand.
+        model: The Pinocchio model.
+        arm: Batched kinematics of the arm.
+        ik: Inverse kinematics of the arm.
+
+    Raises:
+        AssetError: Pinocchio cannot read the URDF.
     """
 
     def __init__(self, description: RobotDescription) -> None:
@@ -42,44 +54,96 @@ class RobotModel:
     def load(
         model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None = None, hand: str = SHADOW_HAND.name
     ) -> RobotModel:
-        """An arm with a hand, built once; arguments and errors as `load_robot`'s."""
+        """Load the model of an arm with a hand; the result is cached.
+
+        Args:
+            model: Model of the arm.
+            calibration: Factory calibration of the arm; None for the nominal kinematics.
+            hand: Name of the hand, one of `robots.HANDS`.
+
+        Raises:
+            ConfigError: The hand is unknown.
+            AssetError: A file is missing or unreadable.
+        """
         return _load(load_robot(model, calibration, hand))
 
     @staticmethod
     def of_station(config: StationConfig) -> RobotModel:
-        """The station's arm and hand. Raises ConfigError for an unknown hand, AssetError for missing files."""
+        """Load the model of a station's arm and hand; errors as `load`."""
         return RobotModel.load(config.arm.model, config.arm.calibration, config.hand.model)
 
     def configuration(self, q_arm: Array, q_hand: Array) -> Array:
-        """Pinocchio's q (6 + n,) from q_arm (6,) and q_hand (n,) in the description's order."""
+        """Assemble Pinocchio's configuration vector.
+
+        Args:
+            q_arm: Joint positions of the arm, (6,) [rad].
+            q_hand: Joint positions of the hand in the description's order, wrist first, (n,) [rad].
+
+        Returns:
+            The configuration in Pinocchio's joint order, (6 + n,) [rad].
+
+        Raises:
+            UserError: The shapes are wrong.
+        """
         n_arm, n_hand = len(self.description.arm_joints), len(self.description.hand_joints)
         if q_arm.shape != (n_arm,) or q_hand.shape != (n_hand,):
             raise UserError(
                 f"q_arm {q_arm.shape} and q_hand {q_hand.shape} must be ({n_arm},) and ({n_hand},): "
-                "give the hand's joints in the order of the description, wrist first"
+                "give the hand's joints in the order of the description, wrist first",
+                code="user.joint_count",
             )
         q = np.empty(self.model.nq)
         q[self._order] = np.concatenate([q_arm, q_hand])
         return q
 
     def fk(self, q_arm: Array, q_hand: Array) -> tuple[Array, Array]:
-        """X_base_flange and X_base_hand (4x4 each) from q_arm (6,), q_hand (n,) [rad], wrist included."""
+        """Compute the forward kinematics.
+
+        Args:
+            q_arm: Joint positions of the arm, (6,) [rad].
+            q_hand: Joint positions of the hand, wrist first, (n,) [rad].
+
+        Returns:
+            X_base_flange and X_base_hand, (4, 4) each.
+        """
         pin.framesForwardKinematics(self.model, self._data, self.configuration(q_arm, q_hand))
         return self._data.oMf[self._flange].homogeneous, self._data.oMf[self._hand].homogeneous
 
     def X_flange_hand(self, q_hand: Array) -> Array:
-        """The palm in the flange, 4x4; depends on the wrist joints of q_hand (n,)."""
+        """Pose of the palm in the flange, (4, 4), for the hand's joint positions (n,) [rad], of which the wrist matters."""
         X_base_flange, X_base_hand = self.fk(np.zeros(6), q_hand)
         return inverse(X_base_flange) @ X_base_hand
 
     def X_base_ee(self, q_arm: Array, q_hand: Array, X_hand_ee: Array) -> Array:
-        """The tool's end effector in `base`, 4x4."""
+        """Compute the pose of the tool's end effector in `base`.
+
+        Args:
+            q_arm: Joint positions of the arm, (6,) [rad].
+            q_hand: Joint positions of the hand, wrist first, (n,) [rad].
+            X_hand_ee: Pose of the end effector in the hand, (4, 4).
+
+        Returns:
+            X_base_ee, (4, 4).
+        """
         return self.fk(q_arm, q_hand)[1] @ X_hand_ee
 
     def payload(self, q_hand: Array, X_hand_tool: Array, mass: float, p_tool_com: Array) -> Payload:
-        """What the flange carries: the hand, and a tool of `mass` [kg] with its centre of mass p_tool_com (3,) [m]."""
+        """Compute the mass properties of hand and tool on the flange.
+
+        Args:
+            q_hand: Joint positions of the hand, wrist first, (n,) [rad].
+            X_hand_tool: Pose of the tool in the hand, (4, 4).
+            mass: Mass of the tool [kg].
+            p_tool_com: Centre of mass of the tool in its own frame, (3,) [m].
+
+        Returns:
+            Mass [kg] and centre of mass in the flange frame [m].
+
+        Raises:
+            UserError: X_hand_tool is not a rigid transform.
+        """
         if not is_rigid(X_hand_tool):
-            raise UserError("X_hand_tool is not a rigid transform")
+            raise UserError("X_hand_tool is not a rigid transform", code="user.not_rigid")
         hand = self.description.hand_payload(q_hand)
         p_tool = (self.X_flange_hand(q_hand) @ X_hand_tool @ np.append(p_tool_com, 1.0))[:3]
         total = hand.mass + mass

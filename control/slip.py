@@ -1,4 +1,4 @@
-"""What a contact and two looks at the tool tell: how far the nail stands out, how far the tool slipped in the hand."""
+"""The nail's protrusion from a contact, and the tool's slip in the hand from two looks."""
 
 from __future__ import annotations
 
@@ -13,42 +13,75 @@ from toolee_robot.types import InHandEstimate
 
 
 def protrusion(X_base_ee: Array, X_base_wood: Array) -> float:
-    """Length [m] of the nail over the wood from a face that rests on it: where the face's plane cuts the nail's axis.
+    """Compute the nail's protrusion from a face that rests on its head: where the face's plane cuts the nail's axis.
 
-    X_base_ee: 4x4, the EE at contact (forward kinematics and X_hand_ee). X_base_wood: 4x4, the nail's frame as it will
-    be when the head is flush: origin on the wood, z into it. Negative once the head is under the surface.
-    Raises UserError when the face is more than 60 deg off the nail's axis.
+    Args:
+        X_base_ee: Pose of the end effector at the contact in `base`, (4, 4).
+        X_base_wood: Pose of the flush nail in `base`, (4, 4): origin on the wood, z into it.
+
+    Returns:
+        Height of the head over the wood [m]; negative when the head is below the surface.
+
+    Raises:
+        UserError: The face is more than 60 deg off the nail's axis.
     """
     normal, axis = X_base_ee[:3, 2], X_base_wood[:3, 2]
     cosine = float(normal @ axis)
     if not cosine > 0.5:
-        raise UserError("the face points away from the nail: this is no contact of face and nail")
+        raise UserError(
+            "the face points away from the nail: this is no contact of face and nail", code="user.face_direction"
+        )
     return -float(normal @ (X_base_ee[:3, 3] - X_base_wood[:3, 3])) / cosine
 
 
 def slip(before: InHandEstimate, now: InHandEstimate) -> tuple[float, float]:
-    """Distance [m] and angle [rad] between two estimates of the same tool in the hand, modulo the EE's symmetry.
+    """Compute the slip between two estimates of a tool in the hand, modulo the end effector's symmetry.
 
-    Raises UserError when they are of different categories.
+    Args:
+        before: The earlier estimate.
+        now: The later estimate.
+
+    Returns:
+        Distance [m] and angle [rad].
+
+    Raises:
+        UserError: The estimates are of different categories.
     """
     if before.category is not now.category:
-        raise UserError(f"cannot compare a {before.category} with a {now.category}: look at the same end of the tool")
+        raise UserError(
+            f"cannot compare a {before.category} with a {now.category}: look at the same end of the tool",
+            code="user.different_categories",
+        )
     distance = float(np.linalg.norm(now.X_hand_ee[:3, 3] - before.X_hand_ee[:3, 3]))
     angle = before.category.symmetry.rotation_error(before.X_hand_ee[:3, :3], now.X_hand_ee[:3, :3])
     return distance, angle
 
 
 def merge(before: InHandEstimate, now: InHandEstimate, drift_position: float, drift_angle: float) -> InHandEstimate:
-    """What an earlier look and a new one say together, for a tool that may have drifted in the hand between them.
+    """Fuse the estimates of two looks at a tool that may have drifted in the hand between them.
 
-    drift_position [m], drift_angle [rad]: standard deviations of the drift. The two are weighted as in a Kalman update
-    (on SO(3) x R^3, modulo the EE's symmetry), but the covariance is the weighted mean of theirs: two looks at one tool
-    share their systematic error, and averaging does not take that away. Where they disagree by more than 3 sigma in the
-    place or the axis, the tool has slipped more than it drifts, and the new look counts alone.
-    Raises UserError when they are of different categories.
+    The estimates are weighted as in a Kalman update on SO(3) x R^3, modulo the end effector's symmetry. The covariance
+    is their weighted mean, since two looks at one tool share systematic errors that averaging does not reduce. Where
+    they disagree by more than 3 sigma in the position or the axis, the tool has slipped by more than the drift, and
+    only the new look is used.
+
+    Args:
+        before: The earlier estimate.
+        now: The later estimate.
+        drift_position: Standard deviation of the drift [m].
+        drift_angle: Standard deviation of the rotational drift [rad].
+
+    Returns:
+        The fused estimate.
+
+    Raises:
+        UserError: The estimates are of different categories.
     """
     if before.category is not now.category:
-        raise UserError(f"cannot merge a {before.category} with a {now.category}: look at the same end of the tool")
+        raise UserError(
+            f"cannot merge a {before.category} with a {now.category}: look at the same end of the tool",
+            code="user.different_categories",
+        )
     R_before = before.X_hand_ee[:3, :3]
     R_now = now.category.symmetry.canonical(now.X_hand_ee[:3, :3], R_before)
     turn = Rotation.from_matrix(R_now @ R_before.T).as_rotvec()

@@ -1,12 +1,12 @@
-"""The supervisor: every command of the arm passes it, and nothing that could do harm gets through.
+"""The supervisor: checks every command before it reaches the arm, and monitors every motion.
 
     arm = Supervisor(station.arm, station.person, robot, config, world=lambda: CollisionWorld(robot, config, q_hand))
-    arm.execute(trajectory)                          # HANDOVER: slow, a person attends
-    arm.mode = Mode.HAMMERING                        # nobody in reach, or it is refused
-    arm.permit_swings(timeout=30.0)                  # a person says that strikes may begin
+    arm.execute(trajectory)                          # HANDOVER: slow, a person holds the enabling switch
+    arm.mode = Mode.UNATTENDED                       # refused while a person is in reach
+    arm.permit_swings(timeout=30.0)                  # a person confirms that strikes may begin
     report, verdict = arm.swing(strike, guard, ExpectedContact(q_contact, direction, contact_time))
 
-It rejects; it never clips. None of it replaces the robot's own safety system: it is software that runs on a computer.
+It rejects commands and never clips them. It is ordinary software and does not replace the robot's own safety system.
 """
 
 from __future__ import annotations
@@ -35,18 +35,27 @@ from toolee_robot.motion.trajectory_checks import check_start
 from toolee_robot.types import Payload, Trajectory
 
 UNKNOWN_OCCUPANCY = "the station cannot tell whether a person is near"
+"""Reason of a stop when the station's person detection fails."""
 
 
 class Supervisor:
-    """A `hal.Arm` around another one. world: what must not collide as things are when a motion is asked for.
+    """A `hal.Arm` that wraps another one and checks every command.
 
-    Before a motion: latched or not; limits of joints, workspace and speed; start, status and age of the arm's data;
-    nobody where they must not be; no collision anywhere on the way. During it: the arm's own `MotionWatch`, and the
-    person. Raises, in this order, LatchedError, LimitError, StaleDataError, NotReadyError, PersonNearError,
-    CollisionError before anything moves; MotionFaultError or PersonNearError after the arm has stopped.
+    Before a motion it checks the latch; the limits of joints, workspace and speed; start, status and age of the arm's
+    data; that no person is where they must not be; and that nothing collides along the trajectory. During the motion
+    the arm's own `MotionWatch` and the person detection are active. The errors are, in this order, LatchedError,
+    LimitError, StaleDataError, NotReadyError, PersonNearError and CollisionError before anything moves, and
+    MotionFaultError or PersonNearError after the arm has stopped.
 
-    A fault latches, and so does a command with NaN or infinite values: nothing moves until `reset(confirmed=True)`,
-    said by a person. It never clears a protective stop.
+    A fault latches, and so does a command with NaN or infinite values: nothing moves until a person confirms
+    `reset(confirmed=True)`, which never clears a protective stop.
+
+    Args:
+        arm: The arm to protect.
+        person: The person at the station.
+        robot: Kinematic model of arm and hand.
+        config: Configuration of the station.
+        world: Builds the collision model of the present state; called at every motion.
     """
 
     def __init__(
@@ -75,38 +84,47 @@ class Supervisor:
 
     @property
     def rate(self) -> float:
-        """See `hal.Arm`."""
+        """Command rate [Hz]; see `hal.Arm`."""
         return self._arm.rate
 
     @property
     def mode(self) -> Mode:
-        """HANDOVER until a person has stepped back. Every change takes the permission to swing away."""
+        """Mode of operation, initially HANDOVER. Every change revokes the permission to swing."""
         return self._mode
 
     @mode.setter
     def mode(self, mode: Mode) -> None:
-        """Raises PersonNearError, and the mode stays, when somebody is in reach and UNATTENDED is asked for."""
         if mode is Mode.UNATTENDED and self._person.zone_occupied():
-            raise PersonNearError("somebody is within the arm's reach: it stays in handover mode")
+            raise PersonNearError(
+                "somebody is within the arm's reach: it stays in handover mode", code="person_near.zone_occupied"
+            )
         self._mode, self._swings_permitted = mode, False
 
     @property
     def latched(self) -> str:
-        """The fault that nobody has reset yet; empty if none."""
+        """The fault that has not been reset; empty if none."""
         return self._latched
 
     def permit_swings(self, timeout: float) -> None:
-        """Ask a person whether strikes may begin; once for this mode. Raises PersonNearError if they do not say so
-        within `timeout` [s]."""
+        """Ask a person whether strikes may begin, once until the mode changes.
+
+        Args:
+            timeout: Time to answer [s].
+
+        Raises:
+            PersonNearError: They did not confirm it.
+        """
         if self._swings_permitted or not self._config.supervisor.ask_before_swing:
             return
         prompt = "The arm is about to swing, fast. Is everybody out of its reach?"
         if not self._person.confirm_swing(prompt, timeout):
-            raise PersonNearError("nobody confirmed that the arm may swing: no motion")
+            raise PersonNearError(
+                "nobody confirmed that the arm may swing: no motion", code="person_near.swing_not_confirmed"
+            )
         self._swings_permitted = True
 
     def state(self, max_age: float = 0.1) -> ArmState:
-        """See `hal.Arm`."""
+        """Return the newest state; see `hal.Arm`."""
         return self._arm.state(max_age)
 
     def execute(
@@ -117,8 +135,20 @@ class Supervisor:
         *,
         at_work: bool = False,
     ) -> MotionReport:
-        """See `hal.Arm` and the class. at_work: the tool may touch block and stand; nothing else ever may. watch: the
-        configured bounds if None."""
+        """Check and execute a trajectory; see `hal.Arm.execute`.
+
+        Args:
+            trajectory: Motion of the 6 joints from rest to rest.
+            guard: Contact detection; None for none.
+            watch: Bounds checked in every cycle; None for the configured ones.
+            at_work: Whether the tool may touch block and stand; nothing else may ever touch anything.
+
+        Returns:
+            What was commanded and measured.
+
+        Raises:
+            TooleeError: As listed at the class.
+        """
         world = self._check(trajectory)
         check_clear(trajectory.q, world, BRAKE_EXEMPT if at_work else frozenset())
         return self._move(trajectory, guard, watch)
@@ -126,14 +156,32 @@ class Supervisor:
     def swing(
         self, trajectory: Trajectory, guard: ContactGuard, expected: ExpectedContact
     ) -> tuple[MotionReport, ContactVerdict]:
-        """A strike, and whether it met what it was meant for where that was expected. Before the expected contact only
-        the tool's head may come near the block. Raises as `execute`, and PersonNearError without `permit_swings`."""
+        """Execute a strike; before the expected contact only the tool's head may come near the block.
+
+        Args:
+            trajectory: Motion of the 6 joints from rest to rest.
+            guard: Contact detection.
+            expected: Where and when the tool should meet the work.
+
+        Returns:
+            What was commanded and measured, and how the strike met the work.
+
+        Raises:
+            PersonNearError: The swing was not permitted, or a person is near.
+            LimitError: The expected contact is not on the trajectory, or a limit is violated.
+            TooleeError: As `execute`.
+        """
         world = self._check(trajectory)
         config = self._config.supervisor
         if self._mode is not Mode.UNATTENDED or not (self._swings_permitted or not config.ask_before_swing):
-            raise PersonNearError("nobody has confirmed that the arm may swing: no motion")
+            raise PersonNearError(
+                "nobody has confirmed that the arm may swing: no motion", code="person_near.swing_not_permitted"
+            )
         if not 0.0 < expected.time < trajectory.duration:
-            raise LimitError(f"the strike should meet the nail at {expected.time:.3f} s, which is not on its way")
+            raise LimitError(
+                f"the strike should meet the nail at {expected.time:.3f} s, which is not on its way",
+                code="limit.contact_time",
+            )
         before = trajectory.times <= expected.time
         check_clear(trajectory.q[before], world, RUN_UP_EXEMPT)
         check_clear(trajectory.q[~before], world, BRAKE_EXEMPT)
@@ -141,32 +189,44 @@ class Supervisor:
         return report, judge_contact(report, expected, self._robot.arm, config)
 
     def set_payload(self, payload: Payload) -> None:
-        """See `hal.Arm`."""
+        """Tell the arm what its flange carries; see `hal.Arm`."""
         self._arm.set_payload(payload)
 
     def stop(self) -> None:
-        """See `hal.Arm`; from any thread."""
+        """Stop the arm, from any thread; see `hal.Arm`."""
         self._arm.stop()
 
     def reset(self, *, confirmed: bool = False) -> None:
-        """Take the latch off: `confirmed` says that a person has looked at the robot, and has made it ready again where
-        it had stopped itself. Afterwards the mode is HANDOVER. Raises DeviceError otherwise."""
+        """Clear the latch and return to HANDOVER mode.
+
+        Args:
+            confirmed: Whether a person has inspected the robot, and has made it ready again where it had stopped
+                itself.
+
+        Raises:
+            DeviceError: The reset was not confirmed, or the robot is not ready.
+        """
         if not confirmed:
-            raise DeviceError("a reset needs a person who has looked at the robot: confirm it")
+            raise DeviceError(
+                "a reset needs a person who has looked at the robot: confirm it", code="device.reset_not_confirmed"
+            )
         self._arm.reset()
         self._latched = ""
         self._mode, self._swings_permitted = Mode.HANDOVER, False
 
     def _check(self, trajectory: Trajectory) -> CollisionWorld:
-        """Everything but the collisions."""
+        """All checks but that for collisions."""
         if self._latched:
             raise LatchedError(f"{self._latched}: nothing moves until a person has looked and reset it")
         config = self._config
         if not is_finite(trajectory):
-            # Whoever sends this computes with rubbish: nothing else of theirs is carried out either.
+            # The caller's computation is broken: latch, so that none of its later commands is executed either.
             self._arm.stop()
             self._latch("a command held NaN or infinite values")
-            raise LimitError(f"{self._latched}: nothing was sent; find out where they come from, then reset")
+            raise LimitError(
+                f"{self._latched}: nothing was sent; find out where they come from, then reset",
+                code="limit.not_finite",
+            )
         check_limits(trajectory, self._robot, config)
         world = self._world()
         check_speed(trajectory, world, self._mode.speed(config.supervisor), self._mode)
@@ -176,7 +236,7 @@ class Supervisor:
         check_start(trajectory, state.q_commanded)
         reason = self._reason_to_stop()
         if reason:
-            raise PersonNearError(f"{reason}: no motion")
+            raise PersonNearError(f"{reason}: no motion", code="person_near.before_motion")
         return world
 
     def _reason_to_stop(self) -> str:
@@ -199,7 +259,7 @@ class Supervisor:
         if person.reason:
             if self._mode is Mode.UNATTENDED:
                 self._latch(person.reason)
-            raise PersonNearError(f"{person.reason}: the arm was stopped", report)
+            raise PersonNearError(f"{person.reason}: the arm was stopped", report, code="person_near.during_motion")
         return report
 
     def _latch(self, reason: str) -> None:

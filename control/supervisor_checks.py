@@ -1,4 +1,4 @@
-"""What the supervisor asks of a trajectory and of the arm before it moves. Each check raises, none changes anything."""
+"""Checks of the supervisor on a trajectory and on the arm's state before a motion. None changes any state."""
 
 from __future__ import annotations
 
@@ -17,58 +17,99 @@ from toolee_robot.hal import ArmState, ArmStatus
 from toolee_robot.types import Trajectory
 
 STEP = 0.015
-"""[rad] at most between two configurations that are checked for collisions: 2 cm at full reach."""
+"""Largest joint step between two configurations checked for collisions [rad]: 2 cm at full reach."""
 CLEARANCE = 0.002
-"""[m] that must be left at these, unless the motion starts nearer: then it may not come nearer still."""
+"""Least clearance at these configurations [m]; a motion that starts with less may not reduce it further."""
 OFF_COMMAND = 0.03
-"""[rad] An arm that stands further from where it was commanded has been moved, or gives way."""
+"""Largest deviation from the commanded position at rest [rad]; an arm beyond it was moved, or yields to a load."""
 AT_REST = 0.05
-"""[rad/s]"""
+"""Joint speed below which the arm counts as standing still [rad/s]."""
 
 
 def is_finite(trajectory: Trajectory) -> bool:
-    """No NaN and no infinity anywhere in it."""
+    """Whether a trajectory contains neither NaN nor infinity."""
     return all(np.all(np.isfinite(x)) for x in (trajectory.times, trajectory.q, trajectory.qd, trajectory.qdd))
 
 
 def check_limits(trajectory: Trajectory, robot: RobotModel, config: StationConfig) -> None:
-    """Raise LimitError: not finite, or outside the configuration's limits, the model's, or the workspace."""
+    """Check a trajectory against the limits of configuration, model and workspace.
+
+    Args:
+        trajectory: The trajectory.
+        robot: Model of the arm, with its own velocity limits.
+        config: The configured limits and workspace.
+
+    Raises:
+        LimitError: A limit is violated, or a value is not finite.
+    """
     velocity = np.minimum(config.arm.velocity, robot.description.velocity[:6])
     limits = replace(config.arm, velocity=tuple(velocity.tolist()))
     check_trajectory(trajectory, robot.arm, limits, config.scene)
 
 
 def check_speed(trajectory: Trajectory, world: CollisionWorld, speed: float, mode: Mode) -> None:
-    """Raise LimitError when anything carried is faster than `speed` [m/s]."""
+    """Check the speed of hand and tool.
+
+    Args:
+        trajectory: The trajectory.
+        world: Bodies of hand and tool.
+        speed: Largest permitted speed [m/s].
+        mode: Mode of operation, for the message.
+
+    Raises:
+        LimitError: A point of hand or tool exceeds the speed; code `limit.speed`.
+    """
     fastest = carried_speed(trajectory, world)
     if np.max(fastest) > speed:
         raise LimitError(
             f"hand or tool would move at {np.max(fastest):.2f} m/s at {trajectory.times[np.argmax(fastest)]:.2f} s, "
-            f"{speed:.2f} m/s are allowed in {mode} mode: nothing is sent; plan a slower motion"
+            f"{speed:.2f} m/s are allowed in {mode} mode: nothing is sent; plan a slower motion",
+            code="limit.speed",
         )
 
 
 def check_ready(state: ArmState) -> None:
-    """Raise NotReadyError unless the robot's own safety system lets it move and it stands still."""
+    """Check that the robot's safety system permits motion and that the arm stands still.
+
+    Raises:
+        NotReadyError: Codes `not_ready.status` and `not_ready.moving`.
+    """
     if state.status is not ArmStatus.READY:
-        raise NotReadyError(f"the robot is in {state.status.replace('_', ' ')}: a person must make it ready there")
+        raise NotReadyError(
+            f"the robot is in {state.status.replace('_', ' ')}: a person must make it ready there",
+            code="not_ready.status",
+        )
     fastest = float(np.max(np.abs(state.joints.qd)))
     if not fastest < AT_REST:  # NaN included
-        raise NotReadyError(f"the arm still moves ({fastest:.2f} rad/s): wait until it stands")
+        raise NotReadyError(f"the arm still moves ({fastest:.2f} rad/s): wait until it stands", code="not_ready.moving")
 
 
 def check_place(state: ArmState) -> None:
-    """Raise LimitError unless the arm stands where it was commanded."""
+    """Check that the arm is where it was commanded.
+
+    Raises:
+        LimitError: It is not; code `limit.off_command`.
+    """
     off = float(np.max(np.abs(state.joints.q - state.q_commanded)))
     if not off <= OFF_COMMAND:  # NaN included
         raise LimitError(
             f"the arm stands {off:.3f} rad from where it was commanded (allowed {OFF_COMMAND}): has somebody moved it, "
-            "or does it lean on something? Free it, reset it, then plan from its present state"
+            "or does it lean on something? Free it, reset it, then plan from its present state",
+            code="limit.off_command",
         )
 
 
 def check_clear(q: Array, world: CollisionWorld, exempt: frozenset[tuple[str, str]]) -> None:
-    """Raise CollisionError when anything touches anything on the way through q (N, 6)."""
+    """Check a path for collisions.
+
+    Args:
+        q: Joint positions along the path, (N, 6) [rad].
+        world: The collision model.
+        exempt: Pairs of body groups that may touch.
+
+    Raises:
+        CollisionError: Two bodies touch; the message names the closest pair.
+    """
     along = np.concatenate([[0.0], np.cumsum(np.max(np.abs(np.diff(q, axis=0)), axis=1))])
     count = max(2, int(np.ceil(along[-1] / STEP)) + 1)
     rows = np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], count)).clip(0, len(q) - 1))

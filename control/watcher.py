@@ -1,4 +1,4 @@
-"""Ask, all through a motion, whether it may go on; stop the arm when it may not."""
+"""Poll a stop condition throughout a motion and stop the arm when it holds."""
 
 from __future__ import annotations
 
@@ -8,15 +8,24 @@ from types import TracebackType
 from typing import Self
 
 PERIOD = 0.01
-"""[s] between two questions: well under the arm's own braking time."""
+"""Polling period [s], well under the arm's braking time."""
 
 
 class Watcher:
-    """Inside this context a thread asks `reason_to_stop` every `period` [s] and calls `stop` once it has an answer, and
-    again until the context is left: a stop that comes before the arm has begun to move is lost.
+    """Context in which a thread polls a stop condition and stops the arm when it holds.
 
-    reason_to_stop: a reason in words, empty while the motion may go on; one that raises is a reason, reported after
-    `unsure`. reason: the first one."""
+    The stop is repeated until the context ends, since a stop before the arm has begun to move has no effect.
+
+    Args:
+        reason_to_stop: Returns the reason for a stop, empty while the motion may continue; an exception counts as a
+            reason.
+        stop: Stops the arm; called from the watcher's thread.
+        unsure: Prefix of the reason when `reason_to_stop` raises.
+        period: Polling period [s].
+
+    Attributes:
+        reason: The first reason for a stop; empty if none.
+    """
 
     def __init__(
         self, reason_to_stop: Callable[[], str], stop: Callable[[], None], unsure: str, period: float = PERIOD
@@ -45,5 +54,5 @@ class Watcher:
     def _ask(self) -> str:
         try:
             return self._reason_to_stop()
-        except Exception as error:  # noqa: BLE001 - whatever it is, nobody knows any more whether it is safe
+        except Exception as error:  # noqa: BLE001 - after any error, safety is unknown
             return f"{self._unsure}: {error}"

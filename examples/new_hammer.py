@@ -8,7 +8,7 @@ from toolee_robot.hal import Station
 from toolee_robot.robots import hand_model
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.tasks.common.outcome import HammerResult
-from toolee_robot.tasks.hammering.task import Grasp
+from toolee_robot.tasks.hammering.grasp import Grasp
 from toolee_robot.tools import ToolKind, make_tool
 
 # Measured with a ruler and scales. The `tool` frame: origin where the hand holds the handle, z towards the head, x to

@@ -51,10 +51,6 @@ class HammeringTask:
         correction: Whether the estimated in-hand pose is used. False strikes with the nominal one, which is the paper's
             baseline, for comparison only.
         observer: Receives the events of the job; None for no observer.
-
-    Raises:
-        ConfigError: The configured hand is unknown.
-        AssetError: A file of the robot's model is missing.
     """
 
     def __init__(
@@ -214,8 +210,7 @@ class HammeringTask:
     def _check_reach(self) -> None:
         """Refuse a nail that is out of reach before a tool is requested.
 
-        Other planning failures are only reported: whether a reachable nail can be hit without a collision depends on
-        the tool's true pose in the hand.
+        Other failures are only reported: a collision depends on the tool's true pose in the hand.
         """
         q_hand = self._robot.description.hand_closed
         world = CollisionWorld(self._robot, self._config, q_hand, self._motions.X_hand_ee)
