@@ -110,7 +110,7 @@ class RobotModel:
         return self._data.oMf[self._flange].homogeneous, self._data.oMf[self._hand].homogeneous
 
     def X_flange_hand(self, q_hand: Array) -> Array:
-        """Pose of the palm in the flange, (4, 4), for the hand's joint positions (n,) [rad], of which the wrist matters."""
+        """Pose of the palm in the flange, (4, 4), which the wrist joints of q_hand, (n,) [rad], determine."""
         X_base_flange, X_base_hand = self.fk(np.zeros(6), q_hand)
         return inverse(X_base_flange) @ X_base_hand
 
