@@ -17,7 +17,8 @@ from toolee_robot.control.collision_shapes import ToolEnvelope
 from toolee_robot.control.contact import ContactVerdict, ExpectedContact, Meeting
 from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.modes import Mode, slowed_to
-from toolee_robot.control.planning.strike import plan_over_nail, plan_straight, plan_strike
+from toolee_robot.control.planning.straight import plan_over_nail, plan_straight
+from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.planning.transfer import plan_transfer
 from toolee_robot.control.planning.views import plan_handover, plan_views
 from toolee_robot.control.records import StrikePlan, View, ViewPlan

@@ -1,7 +1,7 @@
-"""A straight line of the tool with a fixed orientation, in joint space: dense inverse kinematics and its derivatives.
+"""Straight lines of the tool with constant orientation, in joint space.
 
-Joint-space synchronisation does not keep a face straight; here every sample of a trajectory is solved for its own
-pose, and velocity and acceleration follow from the path's first and second derivatives.
+A motion that is straight in joint space does not keep the tool on a line. Here the inverse kinematics is solved for the
+pose of every sample, and velocity and acceleration follow from the path's first and second derivatives.
 """
 
 from __future__ import annotations
@@ -22,8 +22,14 @@ _STEP = 1e-4  # [m], for the second derivative
 
 @dataclass(frozen=True)
 class PathLimits:
-    """Limits on the path length that keep every joint inside its own: speed [m/s], acceleration and braking [m/s^2],
-    jerk [m/s^3]."""
+    """Limits of the motion along a line that keep every joint within its own limits.
+
+    Attributes:
+        speed: Largest speed [m/s].
+        acceleration: Largest acceleration [m/s^2].
+        brake: Largest deceleration [m/s^2].
+        jerk: Largest jerk [m/s^3].
+    """
 
     speed: float
     acceleration: float
@@ -33,9 +39,14 @@ class PathLimits:
 
 @dataclass(frozen=True)
 class Line:
-    """Flange poses X_base_flange(s) = X_contact shifted by s [m] along `direction` (3,) (unit, base axes).
+    """The flange poses X_base_flange shifted by s [m] along a direction.
 
-    branch: of the inverse kinematics; q_zero (6,): the configuration at s = 0.
+    Attributes:
+        ik: Inverse kinematics of the arm.
+        X_base_flange: Pose of the flange at s = 0, (4, 4).
+        direction: Direction of the line, a unit vector in `base`, (3,).
+        branch: Branch of the inverse kinematics.
+        q_zero: Joint positions at s = 0, (6,) [rad].
     """
 
     ik: InverseKinematics
@@ -46,12 +57,30 @@ class Line:
 
     @classmethod
     def through(cls, ik: InverseKinematics, q: Array, direction: Array) -> Line:
-        """The line through the configuration q (6,), on its branch. Raises UnreachableError at a singularity."""
+        """Build the line through a configuration, on its branch.
+
+        Args:
+            ik: Inverse kinematics of the arm.
+            q: Joint positions at s = 0, (6,) [rad].
+            direction: Direction in `base`, (3,), any length.
+
+        Raises:
+            UnreachableError: The configuration is singular.
+        """
         return cls(ik, ik.arm.fk(q), direction / np.linalg.norm(direction), ik.branch_of(q), q)
 
     def q(self, s: Array) -> Array:
-        """Configurations (M, 6) at s (M,) [m] in any order. Raises UnreachableError where the line leaves the
-        branch, passes a singularity or a joint's limit."""
+        """Compute configurations on the line.
+
+        Args:
+            s: Positions along the line in any order, (M,) [m].
+
+        Returns:
+            Joint positions, (M, 6) [rad].
+
+        Raises:
+            UnreachableError: The line leaves the branch, passes a singularity, or exceeds a joint's position limit.
+        """
         # The chain of whole turns starts at s = 0, where the configuration is known.
         order = np.argsort(s)
         s_sorted = np.concatenate([[0.0], s[order]])
@@ -61,26 +90,36 @@ class Line:
         arm = self.ik.arm
         reached = np.isfinite(q).all(axis=1)
         if not reached.all():
-            raise UnreachableError(f"the straight line is out of reach from s = {s_sorted[~reached][0]:.3f} m on")
+            raise UnreachableError(
+                f"the straight line is out of reach from s = {s_sorted[~reached][0]:.3f} m on", code="unreachable.line"
+            )
         if np.any((q < arm.lower) | (q > arm.upper)):
-            raise UnreachableError("the straight line leaves a joint's position limits")
+            raise UnreachableError("the straight line leaves a joint's position limits", code="unreachable.joint_limit")
         out = np.empty((len(s), 6))
         out[order] = q[1:]
         return out
 
     def derivatives(self, q: Array) -> tuple[Array, Array]:
-        """dq/ds [rad/m] and d2q/ds2 [rad/m^2], (M, 6) each, at q (M, 6)."""
+        """Compute dq/ds [rad/m] and d2q/ds2 [rad/m^2], (M, 6) each, at joint positions q, (M, 6) [rad]."""
         return line_derivatives(self.ik.arm, q, self.direction)
 
     def timed(self, profile: PathProfile) -> Trajectory:
-        """The line driven as the profile says."""
+        """Build the trajectory along the line with the timing of a profile."""
         q = self.q(profile.s)
         first, second = self.derivatives(q)
         qdd = first * profile.a[:, None] + second * (profile.v**2)[:, None]
         return Trajectory(profile.times, q, first * profile.v[:, None], qdd)
 
     def travel_limits(self, q: Array, velocity: Array, acceleration: float, jerk: float, wanted: float) -> PathLimits:
-        """Limits for a slow motion through the configurations q (M, 6): up to `wanted` [m/s]."""
+        """Compute the limits of a slow motion along the line.
+
+        Args:
+            q: Configurations on the line, (M, 6) [rad].
+            velocity: Velocity limits of the joints, (6,) [rad/s].
+            acceleration: Acceleration limit of every joint [rad/s^2].
+            jerk: Jerk limit of every joint [rad/s^3].
+            wanted: Largest speed [m/s].
+        """
         first, second = (np.maximum(np.abs(d), 1e-9) for d in self.derivatives(q))
         speed = min(wanted, float(np.min(velocity / first)), float(np.sqrt(np.min(0.5 * acceleration / second))))
         top = float(np.min(0.5 * acceleration / first))
@@ -88,7 +127,16 @@ class Line:
 
 
 def line_derivatives(arm: ArmKinematics, q: Array, direction: Array) -> tuple[Array, Array]:
-    """dq/ds [rad/m] and d2q/ds2 [rad/m^2], (M, 6) each, of straight motion along `direction` (3,) at q (M, 6)."""
+    """Compute the derivatives of the joint positions with respect to the length of a straight motion.
+
+    Args:
+        arm: Kinematics of the arm.
+        q: Joint positions, (M, 6) [rad].
+        direction: Direction of the motion, a unit vector in `base`, (3,).
+
+    Returns:
+        dq/ds [rad/m] and d2q/ds2 [rad/m^2], (M, 6) each.
+    """
     unit = np.concatenate([direction, np.zeros(3)])
 
     def slope(q: Array) -> Array:
@@ -102,12 +150,22 @@ def line_derivatives(arm: ArmKinematics, q: Array, direction: Array) -> tuple[Ar
 def strike_limits(
     s: Array, first: Array, second: Array, velocity: Array, acceleration: float, jerk: float, wanted: float
 ) -> PathLimits:
-    """The highest speed at s = 0, up to `wanted` [m/s], that the joints allow for a strike along s (M,) [m].
+    """Find the highest speed at s = 0 that the joints allow for a strike along a line.
 
-    first, second (M, 6): the line's derivatives at s, which runs from the start of the run-up (negative) to the deepest
-    point of braking. The ramp fills the whole run-up, so v^2 grows about linearly along it; it falls linearly while
-    braking. Joint acceleration is q' a + q'' v^2 with the signs it has; the jerk keeps 40 % back for the terms in q''
-    and q'''. Speed 0 when there is none.
+    The ramp fills the whole run-up, so v^2 grows about linearly along it, and falls linearly while braking. The joint
+    acceleration is the signed sum q' a + q'' v^2. 40 % of the jerk are reserved for the terms in q'' and q'''.
+
+    Args:
+        s: Positions from the start of the run-up (negative) to the deepest point of braking, (M,) [m].
+        first: dq/ds at s, (M, 6) [rad/m].
+        second: d2q/ds2 at s, (M, 6) [rad/m^2].
+        velocity: Velocity limits of the joints, (6,) [rad/s].
+        acceleration: Acceleration limit of every joint [rad/s^2].
+        jerk: Jerk limit of every joint [rad/s^3].
+        wanted: Largest speed [m/s].
+
+    Returns:
+        Limits of the motion; speed 0 where no strike is possible.
     """
     run_up, deepest = -float(s[0]), float(s[-1])
     up = s <= 0

@@ -1,8 +1,8 @@
-"""Planning a strike: choose spin and branch, then one straight, timed, checked motion through the nail.
+"""Planning of a strike: choice of spin and branch, then one straight, timed and checked motion through the nail.
 
-The run-up is a straight line along the nail's axis with the face square to it, timed by Ruckig over its length, every
-sample solved by inverse kinematics. The face arrives at the expected contact at full speed and with no acceleration;
-there braking begins, so a missed nail ends in the block rather than in the table.
+The run-up is a straight line along the nail's axis with the face perpendicular to it, timed by Ruckig over its length;
+inverse kinematics is solved for every sample. The face arrives at the expected contact with full speed and zero
+acceleration. Braking begins there, so that after a missed nail the block, not the table, stops the tool.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from toolee_robot.control.collision import BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Cle
 from toolee_robot.control.correction import Candidates, candidates, flange_targets, rank
 from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.planning.line import Line, PathLimits, line_derivatives, strike_limits
-from toolee_robot.control.planning.timing import brake_profile, concatenate, ramp_length, run_up_profile, travel_profile
+from toolee_robot.control.planning.timing import brake_profile, ramp_length, run_up_profile
 from toolee_robot.control.planning.transfer import plan_transfer
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
@@ -26,9 +26,9 @@ from toolee_robot.frames import Array, is_rigid
 from toolee_robot.types import Trajectory
 
 SHORTLIST = 24
-"""Candidates whose whole line is solved and measured."""
+"""Number of candidates whose whole line is solved and checked."""
 MIN_SPEED = 0.3
-"""[m/s]; a slower strike drives nothing."""
+"""Least useful speed of a strike [m/s]; a slower one does not drive the nail."""
 
 
 def plan_strike(
@@ -42,16 +42,31 @@ def plan_strike(
     *,
     speed: float | None = None,
 ) -> StrikePlan:
-    """Plan one strike from rest at q_start (6,).
+    """Plan one strike.
 
-    world: built with the same q_hand (n,) and X_hand_ee (4x4); X_hand_ee: the estimate (or the nominal pose for the
-    uncorrected baseline). X_base_nail: 4x4, z into the wood. speed: wanted [m/s], config.strike.speed if None; it is
-    lowered rather than any limit broken, and the plan says what it attained.
-    Raises UnreachableError, CollisionError or LimitError; nothing moves.
+    Args:
+        robot: Kinematic model of arm and hand.
+        config: Configuration of the station.
+        world: Collision model with the same `q_hand` and `X_hand_ee`.
+        q_start: Present joint positions of the arm, at rest, (6,) [rad].
+        q_hand: Joint positions of the hand, wrist first, (n,) [rad].
+        X_hand_ee: Estimated pose of the end effector in the hand, (4, 4); the nominal one for the uncorrected baseline.
+        X_base_nail: Pose of the nail, (4, 4), z into the wood.
+        speed: Wanted speed at the contact [m/s]; `config.strike.speed` if None. It is reduced where a limit requires
+            it.
+
+    Returns:
+        The plan, with the speed that it attains.
+
+    Raises:
+        UnreachableError: No spin and branch reaches the nail with its run-up.
+        CollisionError: Every strike would collide; the message names the closest pair.
+        LimitError: No strike satisfies the limits.
+        UserError: A pose is not a rigid transform.
     """
     began = time.perf_counter()
     if not (is_rigid(X_hand_ee) and is_rigid(X_base_nail)):
-        raise UserError("X_hand_ee and X_base_nail must be finite rigid 4x4 transforms")
+        raise UserError("X_hand_ee and X_base_nail must be finite rigid 4x4 transforms", code="user.not_rigid")
     wanted = config.strike.speed if speed is None else speed
     X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
     found = candidates(robot.ik, X_base_nail, X_flange_ee, config.arm, q_start)
@@ -59,7 +74,7 @@ def plan_strike(
     short = found.take(order)
     fastest = min(wanted, float(np.max(short.attainable_speed)))
     failure: PlanningError | None = None
-    # What lies under the nail may be too near to brake above it: then a slower strike.
+    # An obstacle below the nail may leave too little length for braking: then a slower strike.
     for share in (1.0, 0.8, 0.6):
         try:
             return _plan(robot, config, world, q_start, short, X_base_nail, X_flange_ee, share * fastest, wanted, began)
@@ -81,7 +96,7 @@ def _plan(
     wanted: float,
     began: float,
 ) -> StrikePlan:
-    """The best strike of at most `speed` [m/s] among the shortlist."""
+    """Plan the best strike of at most `speed` [m/s] among the shortlist."""
     failure: PlanningError | None = None
     for found in _solve_lines(robot, config, world, short, q_start, X_base_nail, X_flange_ee, speed):
         line, limits, index = found.line, found.limits, found.index
@@ -118,42 +133,18 @@ def _plan(
     raise failure
 
 
-def plan_over_nail(
-    robot: RobotModel, config: StationConfig, world: CollisionWorld, q_start: Array, plan: StrikePlan, before: float
-) -> Trajectory:
-    """To rest on the strike's line, `before` [m] above the expected contact: where a slow touch begins."""
-    line = _line_of(robot, plan)
-    lower = _travel(line, config, -plan.run_up, -before)
-    approach = concatenate(plan_transfer(robot, config, world, q_start, plan.q_standoff), lower)
-    check_trajectory(approach, robot.arm, config.arm, config.scene)
-    return approach
-
-
-def plan_straight(
-    robot: RobotModel,
-    config: StationConfig,
-    world: CollisionWorld,
-    q_start: Array,
-    length: float,
-    direction: tuple[float, float, float] = (0.0, 0.0, 1.0),
-    speed: float = 0.25,
-) -> Trajectory:
-    """Straight along `direction` (base axes, up by default) by `length` [m] from rest at q_start, orientation kept, at
-    up to `speed` [m/s].
-
-    The tool may be as near to the block as it is at the start. Raises CollisionError, LimitError, UnreachableError.
-    """
-    line = Line.through(robot.ik, q_start, np.asarray(direction, dtype=np.float64))
-    move = _travel(line, config, 0.0, length, speed)
-    world.check(move.q[:: max(1, len(move.q) // 20)], 0.0, "the straight move", BRAKE_EXEMPT)
-    check_trajectory(move, robot.arm, config.arm, config.scene)
-    return move
-
-
 @dataclass(frozen=True)
 class _Feasible:
-    """A candidate whose coarse line is reachable and fast enough; `index` into the shortlist. clearance: of that line,
-    once measured."""
+    """A candidate whose coarse line is reachable and fast enough.
+
+    Attributes:
+        value: Score, higher is better.
+        index: Index in the shortlist.
+        line: The line through the nail.
+        limits: Limits of the motion along it.
+        margin: Least distance to a joint's position limit [rad].
+        clearance: Closest pair of bodies along the line; None until measured.
+    """
 
     value: float
     index: int
@@ -173,15 +164,14 @@ def _solve_lines(
     X_flange_ee: Array,
     wanted: float,
 ) -> list[_Feasible]:
-    """The shortlist's lines, best first: reachable, fast enough and clear of everything on a coarse grid.
+    """Return the shortlist's lines that are reachable, fast enough and collision-free on a coarse grid, best first.
 
-    Value: the kinematic rank, plus the speed that the accelerations leave (over the wanted one), plus 0.3 for a margin
-    of 0.6 rad along the whole line, plus 0.4 for a clearance of FAR. Raises UnreachableError or CollisionError when
-    none is left.
+    The score is the kinematic rank, plus the ratio of attainable to wanted speed, plus 0.3 for a margin of 0.6 rad
+    along the whole line, plus 0.4 for a clearance of FAR. Raises UnreachableError or CollisionError when none is left.
     """
     normal = X_base_nail[:3, 2]
     run_up = config.strike.run_up
-    # About as far down as braking takes (1 rad/s^2 is some 0.45 m/s^2 here); the timed strike is checked once more.
+    # About the braking length (1 rad/s^2 is some 0.45 m/s^2 here); the timed strike is checked again.
     deepest = float(ramp_length(wanted, 0.45 * config.arm.acceleration, 0.3 * config.arm.jerk))
     s = np.concatenate([np.linspace(-run_up, 0.0, 9), np.linspace(0.0, deepest, 6)[1:]])
     targets = flange_targets(X_base_nail, X_flange_ee, short.theta)
@@ -208,11 +198,12 @@ def _solve_lines(
     if not usable:
         raise UnreachableError(
             f"the straight run-up of {run_up:.2f} m to the nail {failure} for every spin: move the block nearer to the "
-            "middle of the arm's reach, or shorten config.strike.run_up"
+            "middle of the arm's reach, or shorten config.strike.run_up",
+            code="unreachable.run_up",
         )
 
     def order(candidate: _Feasible) -> tuple[bool, float]:
-        # No comfort makes up for a strike that is slower than wanted while another is not.
+        # A strike at the wanted speed precedes every slower one, whatever its score.
         return candidate.limits.speed < 0.999 * wanted, -candidate.value
 
     usable.sort(key=order)
@@ -238,7 +229,7 @@ def _solve_lines(
 
 
 def _time(line: Line, limits: PathLimits, run_up: float) -> tuple[Trajectory, float, float]:
-    """The timed strike, the time of contact [s] and the braking length [m]."""
+    """Build the timed strike; returns it with the time of contact [s] and the braking length [m]."""
     up = run_up_profile(run_up, limits.speed, limits.acceleration, limits.jerk)
     down = brake_profile(limits.speed, limits.brake, limits.jerk)
     whole = replace(
@@ -249,23 +240,3 @@ def _time(line: Line, limits: PathLimits, run_up: float) -> tuple[Trajectory, fl
         a=np.concatenate([up.a, down.a[1:]]),
     )
     return line.timed(whole), float(up.times[-1]), float(down.s[-1])
-
-
-def _travel(line: Line, config: StationConfig, start: float, end: float, speed: float = 0.25) -> Trajectory:
-    """Along the line at transfer limits, from rest to rest."""
-    q = line.q(np.linspace(start, end, 9))
-    limits = line.travel_limits(
-        q,
-        config.arm.transfer_velocity_scale * np.asarray(config.arm.velocity),
-        config.arm.transfer_acceleration,
-        config.arm.jerk,
-        speed,
-    )
-    return line.timed(travel_profile(start, end, limits.speed, limits.acceleration, limits.jerk))
-
-
-def _line_of(robot: RobotModel, plan: StrikePlan) -> Line:
-    X_base_flange = robot.arm.fk(plan.q_contact)
-    return Line(
-        robot.ik, X_base_flange, plan.X_base_ee_contact[:3, 2], robot.ik.branch_of(plan.q_contact), plan.q_contact
-    )

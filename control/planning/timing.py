@@ -1,4 +1,4 @@
-"""Time parametrisation with Ruckig: jerk-limited motion of the joints, and of one path length along a line."""
+"""Time parametrisation with Ruckig: jerk-limited motion of the joints, and along the length of a line."""
 
 from __future__ import annotations
 
@@ -13,12 +13,20 @@ from toolee_robot.errors import LimitError
 from toolee_robot.frames import Array
 from toolee_robot.types import Trajectory
 
-SAMPLE_PERIOD = 0.004  # [s], 250 Hz: twice the rate of a CB3 arm, half of an e-Series'
+SAMPLE_PERIOD = 0.004
+"""Sample period of trajectories [s]: twice the rate of a CB3 arm, half of that of an e-Series arm."""
 
 
 @dataclass(frozen=True)
 class PathProfile:
-    """Motion along one path length: times (N,) [s], s [m], v [m/s], a [m/s^2], each (N,)."""
+    """Motion along the length of a path, sampled at N times.
+
+    Attributes:
+        times: Times of the samples, (N,) [s].
+        s: Positions along the path, (N,) [m].
+        v: Speeds, (N,) [m/s].
+        a: Accelerations, (N,) [m/s^2].
+    """
 
     times: Array
     s: Array
@@ -27,7 +35,16 @@ class PathProfile:
 
 
 def ramp_length(speed: Array | float, acceleration: Array | float, jerk: Array | float) -> Array:
-    """Length [m] of the jerk-limited ramp between rest and `speed` [m/s], which is also the braking length."""
+    """Compute the length of the jerk-limited ramp between rest and a speed, which is also the braking length.
+
+    Args:
+        speed: Speed [m/s].
+        acceleration: Largest acceleration [m/s^2].
+        jerk: Largest jerk [m/s^3].
+
+    Returns:
+        Length of the ramp [m].
+    """
     speed, acceleration, jerk = np.asarray(speed), np.asarray(acceleration), np.asarray(jerk)
     trapezoid = speed / acceleration + acceleration / jerk
     triangle = 2 * np.sqrt(speed / jerk)
@@ -35,9 +52,19 @@ def ramp_length(speed: Array | float, acceleration: Array | float, jerk: Array |
 
 
 def run_up_profile(length: float, speed: float, acceleration: float, jerk: float) -> PathProfile:
-    """From rest at s = -length to exactly `speed` and no acceleration at s = 0, never backing up.
+    """Compute the motion from rest at s = -length to `speed` with zero acceleration at s = 0, never moving backwards.
 
-    Raises LimitError when the length is too short for the speed.
+    Args:
+        length: Length of the run-up [m].
+        speed: Speed at its end [m/s].
+        acceleration: Largest acceleration [m/s^2].
+        jerk: Largest jerk [m/s^3].
+
+    Returns:
+        The sampled motion.
+
+    Raises:
+        LimitError: The run-up is too short for the speed.
     """
     parameters = _parameters(1, [speed], [acceleration], [jerk])
     parameters.current_position, parameters.target_position = [-length], [0.0]
@@ -47,13 +74,24 @@ def run_up_profile(length: float, speed: float, acceleration: float, jerk: float
     if extrema.min < -length - 1e-6 or extrema.max > 1e-6:
         raise LimitError(
             f"a run-up of {length:.3f} m is too short for {speed:.2f} m/s at {acceleration:.1f} m/s^2 and "
-            f"{jerk:.0f} m/s^3: the ramp alone takes {float(ramp_length(speed, acceleration, jerk)):.3f} m"
+            f"{jerk:.0f} m/s^3: the ramp alone takes {float(ramp_length(speed, acceleration, jerk)):.3f} m",
+            code="limit.run_up",
         )
     return _path_samples(trajectory)
 
 
 def brake_profile(speed: float, acceleration: float, jerk: float, s: float = 0.0) -> PathProfile:
-    """From `speed` at `s` to rest, as fast as the limits allow."""
+    """Compute the motion from a speed to rest, as fast as the limits allow.
+
+    Args:
+        speed: Initial speed [m/s].
+        acceleration: Largest deceleration [m/s^2].
+        jerk: Largest jerk [m/s^3].
+        s: Initial position along the path [m].
+
+    Returns:
+        The sampled motion.
+    """
     parameters = _parameters(1, [speed + 1e-6], [acceleration], [jerk])
     parameters.control_interface = ControlInterface.Velocity
     parameters.current_position, parameters.current_velocity = [s], [speed]
@@ -62,17 +100,38 @@ def brake_profile(speed: float, acceleration: float, jerk: float, s: float = 0.0
 
 
 def travel_profile(start: float, end: float, speed: float, acceleration: float, jerk: float) -> PathProfile:
-    """From rest at `start` to rest at `end`."""
+    """Compute the motion from rest to rest.
+
+    Args:
+        start: Initial position along the path [m].
+        end: Final position along the path [m].
+        speed: Largest speed [m/s].
+        acceleration: Largest acceleration [m/s^2].
+        jerk: Largest jerk [m/s^3].
+
+    Returns:
+        The sampled motion.
+    """
     parameters = _parameters(1, [speed], [acceleration], [jerk])
     parameters.current_position, parameters.target_position = [start], [end]
     return _path_samples(_calculate(parameters))
 
 
 def joint_move(q_start: Array, q_end: Array, velocity: Array, acceleration: Array, jerk: Array) -> Trajectory:
-    """Synchronised motion of all joints from rest to rest, straight in joint space.
+    """Compute the synchronised motion of all joints from rest to rest, straight in joint space.
 
-    The joints keep one ratio (Ruckig over one common path length), so the path that was checked for collisions is
-    the path that is driven. velocity, acceleration, jerk: (n,) limits.
+    All joints keep one ratio (Ruckig over one common path length), so the executed path is the one that was checked for
+    collisions.
+
+    Args:
+        q_start: Initial joint positions, (n,) [rad].
+        q_end: Final joint positions, (n,) [rad].
+        velocity: Velocity limits, (n,) [rad/s].
+        acceleration: Acceleration limits, (n,) [rad/s^2].
+        jerk: Jerk limits, (n,) [rad/s^3].
+
+    Returns:
+        The trajectory.
     """
     change = q_end - q_start
     span = np.maximum(np.abs(change), 1e-12)
@@ -90,7 +149,14 @@ def joint_move(q_start: Array, q_end: Array, velocity: Array, acceleration: Arra
 
 
 def concatenate(*trajectories: Trajectory) -> Trajectory:
-    """One after the other; each must begin where the one before ends (to 1e-6 rad)."""
+    """Concatenate trajectories.
+
+    Args:
+        trajectories: The trajectories in order; each must begin where the previous one ends, to 1e-6 rad.
+
+    Raises:
+        ValueError: They do not join.
+    """
     for before, after in itertools.pairwise(trajectories):
         if np.max(np.abs(before.q[-1] - after.q[0])) > 1e-6:
             raise ValueError("trajectories do not join: the second does not begin where the first ends")
@@ -117,12 +183,14 @@ def _calculate(parameters: InputParameter) -> RuckigTrajectory:
     trajectory = RuckigTrajectory(parameters.degrees_of_freedom)
     result = Ruckig(parameters.degrees_of_freedom).calculate(parameters, trajectory)
     if result not in (Result.Working, Result.Finished):
-        raise LimitError(f"no time parametrisation within the limits: ruckig says {result}")
+        raise LimitError(
+            f"no time parametrisation within the limits: ruckig says {result}", code="limit.time_parametrisation"
+        )
     return trajectory
 
 
 def _path_samples(trajectory: RuckigTrajectory) -> PathProfile:
-    """On the sample grid, the last sample exactly at the end."""
+    """Sample a Ruckig trajectory; the last sample is exactly at its end."""
     count = max(2, int(np.ceil(trajectory.duration / SAMPLE_PERIOD)) + 1)
     times = np.linspace(0.0, trajectory.duration, count)
     s, v, a = (np.array(column)[:, 0] for column in zip(*(trajectory.at_time(t) for t in times), strict=True))

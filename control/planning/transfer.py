@@ -1,4 +1,4 @@
-"""Joint moves between configurations, free of collisions, jerk-limited, stopping at every via point."""
+"""Collision-free, jerk-limited joint motions between configurations, with a stop at every via point."""
 
 from __future__ import annotations
 
@@ -16,24 +16,43 @@ from toolee_robot.frames import Array
 from toolee_robot.types import Trajectory
 
 STEP = 0.03
-"""[rad] between the configurations that are checked along a move."""
+"""Joint step between the configurations checked along a motion [rad]."""
 NEED = 0.012
-"""[m] of clearance on a transfer: more than a strike's, the samples are coarse."""
+"""Clearance on a transfer [m]: more than on a strike, since the samples are coarser."""
 
 
 def plan_transfer(
     robot: RobotModel, config: StationConfig, world: CollisionWorld, q_start: Array, q_goal: Array, seed: int = 0
 ) -> Trajectory:
-    """A checked move from rest at q_start (6,) to rest at q_goal (6,): straight in joint space, else by way of the home
-    posture or of one between, else by a search (RRT-connect, deterministic in `seed`).
+    """Plan a motion from rest to rest that keeps the clearance.
 
-    Raises CollisionError naming the pair in the way, LimitError.
+    The path is straight in joint space, or leads over the home posture or an intermediate one, or is found by
+    RRT-Connect.
+
+    Args:
+        robot: Kinematic model of arm and hand.
+        config: Configuration of the station.
+        world: The collision model.
+        q_start: Initial joint positions, (6,) [rad].
+        q_goal: Final joint positions, (6,) [rad].
+        seed: Seed of the search.
+
+    Returns:
+        The trajectory.
+
+    Raises:
+        CollisionError: No path was found; the message names the pair of bodies in the way.
+        LimitError: The trajectory leaves the workspace or violates a limit.
+        UserError: A configuration is not finite or has the wrong shape.
     """
     for name, q in (("start", q_start), ("goal", q_goal)):
         if q.shape != (6,) or not np.all(np.isfinite(q)):
-            raise UserError(f"the {name} of a transfer must be six finite joint positions, got {q}")
+            raise UserError(
+                f"the {name} of a transfer must be six finite joint positions, got {q}",
+                code="user.joint_positions",
+            )
     world.check(q_goal, NEED, "the goal of the transfer")
-    # A start that is nearer than the clearance (a strike's end, say) may be left but not approached further.
+    # A start with less clearance, such as the end of a strike, may be left, but the clearance may not shrink further.
     need = min(NEED, world.closest(q_start, NEED).distance)
     if need <= 0:
         world.check(q_start, 1e-6, "the start of the transfer")
@@ -77,14 +96,14 @@ def _path(
 
 
 def _between(a: Array, b: Array, step: float = STEP) -> Array:
-    """Configurations (N, 6) from a to b, both included."""
+    """Interpolate configurations from a to b, both included, (N, 6) [rad]."""
     count = max(2, int(np.ceil(np.max(np.abs(b - a)) / step)) + 1)
     return a + np.linspace(0.0, 1.0, count)[:, None] * (b - a)
 
 
 def _free(world: CollisionWorld, a: Array, b: Array, need: float) -> bool:
     line = _between(a, b)
-    # A few first: most colliding moves show it early.
+    # A few samples first: most colliding motions are found by them.
     return world.free(line[:: max(1, len(line) // 8)], need) and world.free(line, need)
 
 
@@ -98,14 +117,14 @@ def _rrt_connect(
     iterations: int = 400,
     reach: float = 0.5,
 ) -> list[Array] | None:
-    """Two trees that grow towards random configurations and each other (Kuffner and LaValle, 2000), then shortcuts."""
+    """RRT-Connect (Kuffner and LaValle, 2000), followed by shortcuts."""
     trees: list[tuple[list[Array], list[int]]] = [([start], [-1]), ([goal], [-1])]
     low = np.minimum(start, goal) - 1.0
     high = np.maximum(start, goal) + 1.0
     low, high = np.maximum(low, robot.arm.lower), np.minimum(high, robot.arm.upper)
 
     def extend(tree: tuple[list[Array], list[int]], target: Array) -> bool:
-        """One step from the nearest node; True when the target itself was reached."""
+        """Extend the tree by one step towards the target; True when the target was reached."""
         nodes, parents = tree
         nearest = int(np.argmin(np.sum((np.stack(nodes) - target) ** 2, axis=1)))
         change = target - nodes[nearest]
@@ -143,7 +162,7 @@ def _rrt_connect(
 
 
 def _shortcut(world: CollisionWorld, path: list[Array], need: float) -> list[Array]:
-    """Drop every via point that is not needed."""
+    """Remove every via point that is not needed."""
     out, i = [path[0]], 0
     while i < len(path) - 1:
         j = next(j for j in range(len(path) - 1, i, -1) if j == i + 1 or _free(world, path[i], path[j], need))

@@ -1,8 +1,9 @@
-"""Where to hold the hand: the handover, and the views in which the camera sees the tool.
+"""Planning of hand poses: the handover, and the views in which the camera sees the tool.
 
-A view puts the EE 0.40-0.55 m in front of the camera, its normal 30-50 deg off the line of sight and the line of sight
-near the plane of handle and normal: a tool that is turned about its handle by 25 deg in the hand still shows its face.
-Head, handle and hand lie in the image, and neither hand nor arm stands before them. Only the nominal tool is used.
+A view places the EE 0.40 to 0.55 m in front of the camera, with its normal 30 to 50 deg off the line of sight and the
+line of sight near the plane of handle and normal, so that the face of a tool rotated about its handle by 25 deg in the
+hand is still visible. Head, handle and hand are in the image, unoccluded by hand and arm. Only the nominal tool is
+used.
 """
 
 from __future__ import annotations
@@ -36,9 +37,20 @@ _HEAD_HALF = 0.10  # [m] from the EE along the handle: the middle of what must b
 def plan_handover(
     robot: RobotModel, config: StationConfig, world: CollisionWorld, q_start: Array, q_hand: Array
 ) -> Trajectory:
-    """Bring the open palm to config.scene.handover_position, facing the person; the turn about that direction is free.
+    """Plan a motion of the open palm to the handover position, facing the person.
 
-    world: with the empty hand. Raises UnreachableError or CollisionError.
+    The rotation about the facing direction is free.
+
+    Args:
+        robot: Kinematic model of arm and hand.
+        config: Configuration of the station.
+        world: Collision model with the empty hand.
+        q_start: Present joint positions of the arm, at rest, (6,) [rad].
+        q_hand: Joint positions of the hand, wrist first, (n,) [rad].
+
+    Raises:
+        UnreachableError: The handover position is out of reach.
+        CollisionError: Every posture or path would collide.
     """
     scene = config.scene
     facing = np.asarray(scene.handover_facing) / np.linalg.norm(scene.handover_facing)
@@ -55,9 +67,10 @@ def plan_handover(
     q, turn = q[inside], turn[inside]
     if len(q) == 0:
         raise UnreachableError(
-            f"the handover at {scene.handover_position} m is out of reach: change config.scene.handover_position"
+            f"the handover at {scene.handover_position} m is out of reach: change config.scene.handover_position",
+            code="unreachable.handover",
         )
-    # The hand must come away from there with a tool in it, too.
+    # The posture must also be collision-free with a tool in the hand.
     X_tool_ee = frame_from_axes(z=np.array([1.0, 0, 0]), x=np.array([0, 0, -1.0]), p=[0.05, 0, 0.20])
     X_hand_ee = robot.description.hand.grasp.X_hand_tool(0.016) @ X_tool_ee
     with_tool = CollisionWorld(robot, config, q_hand, X_hand_ee)
@@ -84,23 +97,44 @@ def plan_views(
     count: int = 5,
     seed: int = 0,
 ) -> ViewPlan:
-    """`count` distinct views with the transfers between them, from rest at q_start (6,); deterministic in `seed`.
+    """Plan distinct views of the held tool and the transfers between them.
 
-    world: with the same q_hand (n,) and X_hand_ee (4x4, the nominal one or an earlier estimate).
-    Raises UnreachableError, CollisionError when there are fewer.
+    Args:
+        robot: Kinematic model of arm and hand.
+        config: Configuration of the station.
+        world: Collision model with the same `q_hand` and `X_hand_ee`.
+        q_start: Present joint positions of the arm, at rest, (6,) [rad].
+        q_hand: Joint positions of the hand, wrist first, (n,) [rad].
+        X_hand_ee: Pose of the end effector in the hand, nominal or estimated, (4, 4).
+        count: Number of views.
+        seed: Seed of the sampled views.
+
+    Returns:
+        The views in the order of their visit.
+
+    Raises:
+        UnreachableError: No view is reachable and unoccluded.
+        CollisionError: Fewer than `count` views are free of collisions.
+        UserError: `count` is less than 1.
     """
     if count < 1:
-        raise UserError("at least one view is needed")
+        raise UserError("at least one view is needed", code="user.view_count")
     X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
     Xs_base_ee, q = _sample(robot, config.camera, X_flange_ee, q_start, np.random.default_rng(seed))
     if len(q) == 0:
-        raise UnreachableError("no view of the tool is within the arm's reach: move the camera, see config.camera")
+        raise UnreachableError(
+            "no view of the tool is within the arm's reach: move the camera, see config.camera",
+            code="unreachable.views",
+        )
     head, handle = _sight(robot, world, config.camera, Xs_base_ee, q, inverse(X_hand_ee)[0, 3])
-    # A short handle may be hidden by the hand in every view: then the head alone must do.
+    # The hand may hide a short handle in every view: then only the head must be visible.
     seen = handle if np.count_nonzero(handle) >= ENOUGH else head
     Xs_base_ee, q = Xs_base_ee[seen], q[seen]
     if len(q) == 0:
-        raise UnreachableError("in every reachable view the hand hides the tool: move the camera, see config.camera")
+        raise UnreachableError(
+            "in every reachable view the hand hides the tool: move the camera, see config.camera",
+            code="unreachable.views_hidden",
+        )
     for chosen, clearance in _choices(robot, world, config.camera, Xs_base_ee, q, q_start, count):
         try:
             views, here = [], q_start
@@ -119,7 +153,7 @@ def plan_views(
 def _sample(
     robot: RobotModel, camera: CameraConfig, X_flange_ee: Array, near: Array, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Reachable views: Xs_base_ee (N, 4, 4) and q (N, 6)."""
+    """Sample reachable views; returns Xs_base_ee, (N, 4, 4), and joint positions, (N, 6) [rad]."""
     n = _SAMPLES
     X_base_camera = camera.X_base_camera
     centre, axis = X_base_camera[:3, 3], X_base_camera[:3, 2]
@@ -132,7 +166,7 @@ def _sample(
     distance = rng.uniform(DISTANCE[0] + 0.02, DISTANCE[1] - 0.03, n)
     Xs = np.tile(np.eye(4), (n, 1, 1))
     sight = np.tile(-axis, (n, 1))
-    for _ in range(3):  # where the EE is and where it looks from there depend on each other
+    for _ in range(3):  # position and orientation of the EE depend on each other
         Xs[:, :3, :3] = _frames(sight) @ roll @ R_line_ee
         middle = centre + distance[:, None] * axis
         Xs[:, :3, 3] = middle - _HEAD_HALF * Xs[:, :3, 0]
@@ -151,7 +185,7 @@ def _sample(
 
 
 def _frames(z: Array) -> Array:
-    """Rotations (N, 3, 3) with the given z axes (N, 3)."""
+    """Build rotations, (N, 3, 3), with the given z axes, (N, 3)."""
     side = np.where(np.abs(z[:, 2:]) < 0.9, [[0, 0, 1.0]], [[1.0, 0, 0]])
     x = np.cross(side, z)
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
@@ -159,7 +193,7 @@ def _frames(z: Array) -> Array:
 
 
 def _in_image(camera: CameraConfig, X_base_camera: Array, Xs_base_ee: Array) -> NDArray[np.bool_]:
-    """(N,) whether the head and the handle up to the hand lie in the image."""
+    """Whether the head and the handle up to the hand are in the image, (N,)."""
     points = np.array([[0, 0, 0.0], [-0.03, 0, 0], [0, 0, -0.13], [0.22, 0, -0.05]])
     p = transform_points(inverse(X_base_camera) @ Xs_base_ee, points)
     u = camera.fx * p[..., 0] / p[..., 2] + camera.cx
@@ -171,15 +205,14 @@ def _in_image(camera: CameraConfig, X_base_camera: Array, Xs_base_ee: Array) -> 
 def _sight(
     robot: RobotModel, world: CollisionWorld, camera: CameraConfig, Xs_base_ee: Array, q: Array, hand_x: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """(N,) whether neither arm nor hand stands between the camera and the head; and (N,) the handle as well.
+    """Whether neither arm nor hand occludes the head, (N,), and the handle as well, (N,).
 
-    hand_x: the palm's origin along the EE's x axis [m]; the handle is seen half-way between head and hand.
-
-    Bodies are their covering spheres; the line of sight is a cone from the camera to a disc around its target.
+    `hand_x` is the palm's origin along the EE's x axis [m]; the handle is tested half-way between head and hand. Bodies
+    are represented by their covering spheres, the line of sight by a cone from the camera to a disc around its target.
     """
     R, p = robot.arm.joints(q)
     eye = camera.X_base_camera[:3, 3]
-    # Face, head and a point of the handle before the hand, with the radius that must be free around each.
+    # Face, head, and a point of the handle in front of the hand, each with the radius that must be free.
     between = float(np.clip(0.5 * (hand_x - 0.05), 0.03, 0.08))
     targets = np.array([[0.0, 0, 0.0], [0, 0, -0.06], [between, 0, -0.05]])
     free = np.ones((3, len(q)), dtype=bool)
@@ -204,7 +237,7 @@ def _sight(
 def _choices(
     robot: RobotModel, world: CollisionWorld, camera: CameraConfig, Xs_base_ee: Array, q: Array, near: Array, count: int
 ) -> Iterator[tuple[list[int], float]]:
-    """Sets of views, best first: distinct as the camera sees them, near to each other for the arm, free."""
+    """Yield sets of views, best first: distinct for the camera, near to each other for the arm, free of collisions."""
     angle = np.array([_nominal(camera, X)[1] for X in Xs_base_ee])
     sigma = smallest_singular_value(robot.arm.fk_jacobian(q)[1])
     travel = np.max(np.abs(q - near), axis=-1)
@@ -223,7 +256,7 @@ def _choices(
         if clearance(int(first)) < 1.5 * NEED:
             continue
         chosen = [int(first)]
-        # Neighbours of the first, each as far from those taken as possible.
+        # Neighbours of the first, each as different as possible from those chosen.
         apart = (normals[int(first)].inv() * normals).magnitude()
         pool = (np.max(np.abs(q - q[first]), axis=-1) < 1.2) & (apart > SPREAD[0]) & (apart < SPREAD[1])
         least = apart
@@ -244,7 +277,7 @@ def _choices(
 
 
 def _tour(q: Array, chosen: list[int], start: Array) -> list[int]:
-    """The chosen views in a short order: always the nearest next."""
+    """Order the chosen views by nearest neighbour."""
     left, tour, here = list(chosen), [], start
     while left:
         following = min(left, key=lambda i: float(np.max(np.abs(q[i] - here))))
@@ -255,7 +288,7 @@ def _tour(q: Array, chosen: list[int], start: Array) -> list[int]:
 
 
 def _nominal(camera: CameraConfig, X_base_ee: Array) -> tuple[float, float]:
-    """Distance of the EE from the camera [m], angle of its normal off the line of sight [rad]."""
+    """Compute the distance of the EE from the camera [m] and the angle of its normal to the line of sight [rad]."""
     sight = np.asarray(camera.position) - X_base_ee[:3, 3]
     distance = float(np.linalg.norm(sight))
     return distance, float(np.arccos(np.clip(sight @ X_base_ee[:3, 2] / distance, -1, 1)))

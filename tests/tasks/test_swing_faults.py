@@ -12,7 +12,7 @@ import pytest
 
 from tests.tasks.bench import Log, soon
 from toolee_robot.control import CollisionWorld, Mode, RobotModel, StrikePlan, plan_strike
-from toolee_robot.control.planning.strike import plan_straight
+from toolee_robot.control.planning.straight import plan_straight
 from toolee_robot.errors import (
     DeviceError,
     EmergencyStopError,

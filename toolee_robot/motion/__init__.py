@@ -1,1 +1,1 @@
-"""What every arm does with a trajectory: checks before it starts, stops on its path."""
+"""Checks and stops of trajectories that every arm driver shares."""

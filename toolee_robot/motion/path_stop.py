@@ -1,13 +1,13 @@
-"""Stop on the path of a running trajectory, within the joints' limits, as fast as they allow.
+"""Fastest stop on the path of a running trajectory within the joints' limits.
 
 With v the speed along the path in joint space, e its unit tangent and r = v / |q_s| the rate of the trajectory's clock,
 P the part of the trajectory's acceleration across the tangent:
 
     q'' = P r^2 + e v',    q''' = (P r^2)' + e' v' + e v''
 
-so that at every moment the joints' limits bound how the speed may fall and how that fall may change (time scaling;
-Bobrow, Dubowsky and Gibson 1985). Ruckig takes the speed to zero within these bounds, asked anew every millisecond.
-Joints that stop each for themselves would leave the straight line that a tool in contact needs.
+so that the joints' limits bound the deceleration along the path and its rate of change at every time (time scaling;
+Bobrow, Dubowsky and Gibson 1985). Ruckig brings the speed to zero within these bounds, which are updated every
+millisecond. Joints that stop independently would leave the straight line that a tool in contact needs.
 
 On strike trajectories the stop takes at most 4 ms longer than the fastest one found by numerical optimisation.
 """
@@ -26,19 +26,24 @@ from toolee_robot.frames import Array
 from toolee_robot.types import Trajectory
 
 STEP = 0.001
-"""[s] between two calls of Ruckig."""
+"""Time between two calls of Ruckig [s]."""
 USED_ACCELERATION, USED_JERK = 0.98, 0.97
-"""Shares of the limits that are used: the bounds move on within a step."""
+"""Shares of the limits that are used, since the bounds change within a step."""
 MIN_SHARE = 0.1
-"""Share of the limits that brakes in any case: a stop ends even where a trajectory itself breaks them."""
+"""Least share of the limits that is used for braking, so that a stop ends even on a trajectory that violates them."""
 STILL = 1e-6
-"""[rad/s] along the path: standstill."""
+"""Speed along the path that counts as standstill [rad/s]."""
 
 
 @dataclass(frozen=True)
 class PathState:
-    """A stop under way: position, time on the trajectory [s]; speed along the path in joint space [rad/s] and its
-    change [rad/s^2]."""
+    """Progress of a stop.
+
+    Attributes:
+        position: Time on the trajectory [s].
+        speed: Speed along the path in joint space [rad/s].
+        change: Rate of change of the speed [rad/s^2].
+    """
 
     position: float
     speed: float
@@ -54,19 +59,36 @@ def stop_on_path(
     *,
     state: PathState | None = None,
 ) -> PathStop:
-    """q, qd (n,) each `period` [s], from time `start` [s] on the trajectory to rest; nothing at its end.
+    """Stop on the path of a trajectory.
 
-    acceleration [rad/s^2] and jerk [rad/s^3] bound every joint; where the trajectory itself breaks them the stop goes
-    on all the same. state: of another stop that is under way, which this one takes over (instead of `start`). It is
-    never slower than the trajectory, and ends at the trajectory's end at the latest.
+    The stop is never slower than the trajectory itself, and ends at the trajectory's end at the latest.
+
+    Args:
+        trajectory: The running trajectory of n joints.
+        start: Time on the trajectory at which the stop begins [s].
+        period: Time between two samples of the stop [s].
+        acceleration: Acceleration limit of every joint [rad/s^2]; exceeded only where the trajectory exceeds it.
+        jerk: Jerk limit of every joint [rad/s^3]; exceeded only where the trajectory exceeds it.
+        state: Progress of another stop that this one continues, instead of `start`.
+
+    Returns:
+        An iterator over joint positions (n,) [rad] and velocities (n,) [rad/s], one pair per period until rest.
     """
     return PathStop(trajectory, start, period, acceleration, jerk, state)
 
 
 @dataclass(frozen=True)
 class _Path:
-    """The trajectory at one time: speed |q_s|, tangent e, along e: acceleration and jerk; across e: acceleration P and
-    its slope over s."""
+    """The trajectory at one time s.
+
+    Attributes:
+        speed: |q_s| [rad/s].
+        e: Unit tangent, (n,).
+        acceleration: Acceleration along the tangent [rad/s^2].
+        jerk: Jerk along the tangent [rad/s^3].
+        P: Acceleration across the tangent, (n,) [rad/s^2].
+        P_s: Derivative of P over s, (n,) [rad/s^3].
+    """
 
     speed: float
     e: Array
@@ -77,7 +99,11 @@ class _Path:
 
 
 class PathStop(Iterator[tuple[Array, Array]]):
-    """A stop under way; `state` tells how far it has come."""
+    """Iterator over the samples of a stop; see `stop_on_path` for the arguments.
+
+    Attributes:
+        state: Progress of the stop.
+    """
 
     def __init__(
         self,
@@ -122,21 +148,21 @@ class PathStop(Iterator[tuple[Array, Array]]):
         return q, self._here.e * self.state.speed
 
     def _advance(self) -> None:
-        """One step of Ruckig."""
+        """Advance by one step of Ruckig."""
         h, now = self._step, self.state
         rate = min(now.speed / max(self._here.speed, STILL), 1.0)
         lowest, hardest, rise, fade = self._bounds(self._path(now.position + 0.5 * h * rate))
-        # Below its bound, which has risen, the change comes back as fast as it may; else it must be able to fade.
+        # Below its risen bound the change returns as fast as allowed; otherwise it must be able to reach zero in time.
         speed, change, moved = self._ruckig_step(lowest, rise if now.change < lowest else fade)
         if change < now.change - 1e-9 and hardest > fade:
-            # Falling still: it may fall harder than it must fade, as long as it can fade in time.
+            # While the speed change still falls it may fall faster, as long as it can return to zero in time.
             harder = self._ruckig_step(lowest, hardest)
             if harder[0] > 0.0 and harder[1] >= -np.sqrt(2 * fade * harder[0]):
                 speed, change, moved = harder
         position = now.position + self._time_for(moved)
         following = self._path(position)
         if position >= now.position + h or speed > following.speed:
-            # The trajectory is no slower to brake: as it does.
+            # The trajectory itself brakes at least as fast: follow it.
             position = now.position + h
             following = self._path(position)
             speed, change = following.speed, following.acceleration
@@ -146,8 +172,7 @@ class PathStop(Iterator[tuple[Array, Array]]):
         self.state, self._here = PathState(min(position, self._trajectory.duration), speed, change), following
 
     def _bounds(self, here: _Path) -> tuple[float, float, float, float]:
-        """The lowest change of the speed [rad/s^2]; how fast the change may fall and rise now, and fade at the end
-        [rad/s^3]."""
+        """Bounds: lowest speed change [rad/s^2]; its fastest fall, rise, and final return to zero [rad/s^3]."""
         v, change = self.state.speed, self.state.change
         size, sign = np.maximum(np.abs(here.e), 1e-4), np.sign(here.e)
         r = v / max(here.speed, STILL)
@@ -162,7 +187,7 @@ class PathStop(Iterator[tuple[Array, Array]]):
         return min(lowest, -MIN_SHARE * self._acceleration), max(hardest, least), max(rise, least), max(fade, least)
 
     def _ruckig_step(self, lowest: float, jerk: float) -> tuple[float, float, float]:
-        """Speed, change and the length of path [rad] one step on."""
+        """Speed [rad/s], its change [rad/s^2] and the travelled path length [rad] after one step."""
         given, now = self._input, self.state
         given.current_velocity, given.current_acceleration = [now.speed], [now.change]
         given.min_acceleration, given.max_acceleration = [lowest], [max(-lowest, now.change)]
@@ -175,7 +200,7 @@ class PathStop(Iterator[tuple[Array, Array]]):
         return max(out.new_velocity[0], 0.0), out.new_acceleration[0], max(out.new_position[0], 0.0)
 
     def _time_for(self, length: float) -> float:
-        """How long the trajectory takes from here [s] for a length of its path [rad], a step at most."""
+        """Time that the trajectory takes for a length of its path [rad], at most one step [s]."""
         v, a, j = self._here.speed, self._here.acceleration, self._here.jerk
         t = self._step
         for _ in range(6):  # Newton, from above
@@ -200,7 +225,7 @@ class PathStop(Iterator[tuple[Array, Array]]):
 
     @staticmethod
     def _outward(q_ss: Array, q_sss: Array) -> Array:
-        """The tangent where the trajectory begins or ends: that of what moves it away."""
+        """Tangent at the start or end of the trajectory, from its first non-zero derivative."""
         for x in (q_ss, q_sss):
             size = float(np.sqrt(x @ x))
             if size > STILL:

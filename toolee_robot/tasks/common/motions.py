@@ -11,7 +11,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.contact import ContactVerdict
 from toolee_robot.control.modes import slowed_to
-from toolee_robot.control.planning.strike import plan_straight
+from toolee_robot.control.planning.straight import plan_straight
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.supervisor import Supervisor

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from toolee_robot.config import StationConfig
-from toolee_robot.control.planning.strike import plan_over_nail, plan_straight
+from toolee_robot.control.planning.straight import plan_over_nail, plan_straight
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.slip import protrusion

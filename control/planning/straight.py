@@ -1,0 +1,91 @@
+"""Planning of straight motions: to the start of a guarded touch, and along any direction."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control.collision import BRAKE_EXEMPT, CollisionWorld
+from toolee_robot.control.limits import check_trajectory
+from toolee_robot.control.planning.line import Line
+from toolee_robot.control.planning.timing import concatenate, travel_profile
+from toolee_robot.control.planning.transfer import plan_transfer
+from toolee_robot.control.records import StrikePlan
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.frames import Array
+from toolee_robot.types import Trajectory
+
+
+def plan_over_nail(
+    robot: RobotModel, config: StationConfig, world: CollisionWorld, q_start: Array, plan: StrikePlan, before: float
+) -> Trajectory:
+    """Plan a motion to rest on a strike's line, where a guarded touch begins.
+
+    Args:
+        robot: Kinematic model of arm and hand.
+        config: Configuration of the station.
+        world: The collision model.
+        q_start: Present joint positions of the arm, at rest, (6,) [rad].
+        plan: The strike.
+        before: Distance above the expected contact [m].
+
+    Raises:
+        PlanningError: As `plan_transfer` and `plan_straight`.
+    """
+    line = _line_of(robot, plan)
+    lower = _travel(line, config, -plan.run_up, -before)
+    approach = concatenate(plan_transfer(robot, config, world, q_start, plan.q_standoff), lower)
+    check_trajectory(approach, robot.arm, config.arm, config.scene)
+    return approach
+
+
+def plan_straight(
+    robot: RobotModel,
+    config: StationConfig,
+    world: CollisionWorld,
+    q_start: Array,
+    length: float,
+    direction: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    speed: float = 0.25,
+) -> Trajectory:
+    """Plan a straight motion of the flange with constant orientation, from rest to rest.
+
+    Args:
+        robot: Kinematic model of arm and hand.
+        config: Configuration of the station.
+        world: The collision model; the tool may touch block and stand.
+        q_start: Present joint positions of the arm, at rest, (6,) [rad].
+        length: Length of the motion [m]; negative against the direction.
+        direction: Direction in `base`; up by default.
+        speed: Largest speed [m/s].
+
+    Raises:
+        CollisionError: Bodies would touch.
+        LimitError: The trajectory violates a limit.
+        UnreachableError: The line is out of reach or singular.
+    """
+    line = Line.through(robot.ik, q_start, np.asarray(direction, dtype=np.float64))
+    move = _travel(line, config, 0.0, length, speed)
+    world.check(move.q[:: max(1, len(move.q) // 20)], 0.0, "the straight move", BRAKE_EXEMPT)
+    check_trajectory(move, robot.arm, config.arm, config.scene)
+    return move
+
+
+def _travel(line: Line, config: StationConfig, start: float, end: float, speed: float = 0.25) -> Trajectory:
+    """Build a motion along the line with the limits of transfers, from rest to rest."""
+    q = line.q(np.linspace(start, end, 9))
+    limits = line.travel_limits(
+        q,
+        config.arm.transfer_velocity_scale * np.asarray(config.arm.velocity),
+        config.arm.transfer_acceleration,
+        config.arm.jerk,
+        speed,
+    )
+    return line.timed(travel_profile(start, end, limits.speed, limits.acceleration, limits.jerk))
+
+
+def _line_of(robot: RobotModel, plan: StrikePlan) -> Line:
+    X_base_flange = robot.arm.fk(plan.q_contact)
+    return Line(
+        robot.ik, X_base_flange, plan.X_base_ee_contact[:3, 2], robot.ik.branch_of(plan.q_contact), plan.q_contact
+    )
