@@ -1,1 +1,1 @@
-"""What is kept of a run: the MCAP recording, and one picture."""
+"""Records of a run: the MCAP recording, and one picture."""

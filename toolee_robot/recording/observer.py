@@ -1,5 +1,5 @@
-"""What is kept of a job: everything in the MCAP recording, and what the picture shows."""
-# ruff: noqa: ARG002 - an observer is told more than it keeps
+"""Observers that record a job: the MCAP recording, and the contents of the picture."""
+# ruff: noqa: ARG002 - an observer receives more than it records
 
 from __future__ import annotations
 
@@ -20,7 +20,15 @@ from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
 
 
 class RecordingObserver(TaskObserver):
-    """Passes what a task tells on to the recorder."""
+    """Writes the events of a task to a recorder.
+
+    Args:
+        recorder: The open recorder.
+        clock: The station's clock.
+        arm_joints: Names of the arm's joints.
+        hand_joints: Names of the hand's joints, wrist first.
+        X_base_camera: Pose of the camera in `base`, (4, 4).
+    """
 
     def __init__(
         self,
@@ -101,10 +109,17 @@ class RecordingObserver(TaskObserver):
 
 
 class PictureCollector(TaskObserver):
-    """Keeps what the picture needs: the first look's best frame and the nail after every strike."""
+    """Collects the contents of the picture: the best frame of the first look, and the nail after every strike.
+
+    Args:
+        protrusion: Protrusion of the nail before the first strike [m].
+        flush: Largest protrusion that counts as flush [m].
+
+    Attributes:
+        strikes: The strikes so far.
+    """
 
     def __init__(self, protrusion: float, flush: float) -> None:
-        """protrusion: of the nail before the first strike; flush: under which it is driven [m]."""
         self._best: tuple[RgbdFrame, list[ToolEstimate]] | None = None
         self._rank = (False, -1.0)
         self.strikes: list[Strike] = []
@@ -120,7 +135,15 @@ class PictureCollector(TaskObserver):
         self.strikes.append(strike)
 
     def picture(self, title: str, note: str) -> bytes | None:
-        """PNG, or None when no frame was taken."""
+        """Draw the picture.
+
+        Args:
+            title: Title of the picture.
+            note: Text at its upper right corner.
+
+        Returns:
+            The picture as PNG, or None when no frame was taken.
+        """
         if self._best is None:
             return None
         measured = (b.protrusion * 1e3 for b in self.strikes if b.protrusion is not None)

@@ -1,4 +1,4 @@
-"""One picture of a job: what the camera saw, what was made of it, and what it did to the nail."""
+"""The picture of a job: the camera's image, the estimated pose, and the nail's protrusion."""
 
 from __future__ import annotations
 
@@ -25,12 +25,17 @@ _AXES = ("#e5383b", "#2a9d3f", "#1d6fd8")  # x, y, z
 _AXIS_LENGTH = 0.03
 """Length of the drawn EE axes [m]."""
 _AZIMUTH = -68.0
-"""Where the cloud is looked at from [deg]; -90 is the camera's own view."""
+"""Azimuth of the cloud's viewpoint [deg]; -90 is the camera's own view."""
 
 
 @dataclass(frozen=True)
 class NailCurve:
-    """Protrusion [mm] over the wood as the robot measured it: before the first strike, then after each strike."""
+    """The nail's protrusion as the robot measured it.
+
+    Attributes:
+        protrusion_mm: Protrusion over the wood before the first strike and after each strike [mm].
+        flush_mm: Largest protrusion that counts as flush [mm].
+    """
 
     protrusion_mm: tuple[float, ...]
     flush_mm: float
@@ -45,10 +50,20 @@ def draw(
     note: str = "",
     focus: Category | None = None,
 ) -> bytes:
-    """The picture as PNG bytes: RGB with masks and axes, the cloud with the hypotheses, and the nail if there is one.
+    """Draw the picture: image with masks and axes, point cloud with the hypotheses, and the nail.
 
-    The best usable estimate (else the best), of the category `focus` if that is among them, takes the cloud's panel;
-    every detection is shown in the RGB panel.
+    The cloud's panel shows the best usable estimate, or else the best; the image's panel shows every detection.
+
+    Args:
+        frame: The frame.
+        estimates: Estimates from the frame.
+        nail: Course of the nail's protrusion; None for no such panel.
+        title: Title of the picture.
+        note: Text at its upper right corner.
+        focus: Category preferred for the cloud's panel.
+
+    Returns:
+        The picture as PNG.
     """
     best = max(estimates, key=lambda e: (e.category == focus, e.usable, e.confidence), default=None)
     panels = 2 + (nail is not None)

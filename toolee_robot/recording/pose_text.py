@@ -11,7 +11,7 @@ from toolee_robot.frames import Array
 
 
 def pose_text(X: Array) -> str:
-    """Position in mm and rotation vector in degrees, for a person; "unknown" for a pose that is not finite."""
+    """Format a pose, (4, 4), as position in mm and rotation vector in degrees; "unknown" if it is not finite."""
     if not np.all(np.isfinite(X)):
         return "unknown"
     x, y, z = X[:3, 3] * 1e3
@@ -20,8 +20,16 @@ def pose_text(X: Array) -> str:
 
 
 def sigma_text(covariance: Array, X: Array) -> str:
-    """Standard deviations of a pose (4x4) with a 6x6 covariance, in mm and degrees: the largest of the position, of the
-    direction of the z axis, and of the spin about it; a free spin is called that."""
+    """Format the standard deviations of a pose in mm and degrees.
+
+    Args:
+        covariance: Covariance of position [m] and rotation vector [rad], (6, 6).
+        X: The pose, (4, 4).
+
+    Returns:
+        The largest standard deviation of the position, of the z axis' direction, and of the spin about it ("free" for
+        an unobserved spin).
+    """
     if not (np.all(np.isfinite(covariance)) and np.all(np.isfinite(X))):
         return "unknown"
     position = math.sqrt(max(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]), 0.0)) * 1e3

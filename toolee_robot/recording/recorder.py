@@ -4,8 +4,8 @@
         recorder.record_frame(frame)
         recorder.record_pose(stamp, "base", "ee", X_base_ee)
 
-Foxglove's own message types (JSON encoding) where it has one, so that its image, 3D and log panels work unasked; plain
-JSON with a schema elsewhere, for its plots. The file grows under a hidden name and gets its own when it is
+Messages use Foxglove's own types (JSON encoding) where there is one, so that its image, 3D and log panels work without
+configuration, and plain JSON with a schema elsewhere. The file is written under a hidden name and renamed when it is
 complete, whatever ended the run. Stamps are seconds on the station's clock.
 """
 
@@ -32,14 +32,22 @@ from toolee_robot.hal import MotionReport
 from toolee_robot.recording.schemas import SCHEMAS
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
-MOTION_PERIOD = 1 / 125  # [s] between recorded samples of a motion
+MOTION_PERIOD = 1 / 125
+"""Time between recorded samples of a motion [s]."""
 _FLOAT32 = 7  # foxglove.PackedElementField's code
 _LOG_LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
 
 
 class RunRecorder:
-    """Writes the MCAP file `path`. metadata: text by name, kept with the file. A context manager; the file is complete
-    after the context, also when an exception left it. Raises UserError where it cannot be written."""
+    """Context manager that writes an MCAP file, which is complete after the context, also after an exception.
+
+    Args:
+        path: The file; its folder exists.
+        metadata: Metadata of the file, as text by name.
+
+    Attributes:
+        path: The file.
+    """
 
     def __init__(self, path: Path, metadata: Mapping[str, str] | None = None) -> None:
         self.path = path
@@ -50,10 +58,13 @@ class RunRecorder:
         self._schemas: dict[str, int] = {}
 
     def __enter__(self) -> Self:
+        """Open the file; raises UserError where it cannot be written."""
         try:
             self._file = self._part.open("wb")
         except OSError as error:
-            raise UserError(f"cannot write the recording {self.path}: {error.strerror or error}") from error
+            raise UserError(
+                f"cannot write the recording {self.path}: {error.strerror or error}", code="user.recording_not_writable"
+            ) from error
         self._writer = Writer(self._file)
         self._writer.start(profile="", library=f"toolee_robot {toolee_robot.__version__}")
         self._writer.add_metadata("run", self._metadata)
@@ -74,11 +85,15 @@ class RunRecorder:
             self._file = None
 
     def record_frame(self, frame: RgbdFrame) -> None:
-        """`/camera/rgb` (PNG), `/camera/depth` (16 bit, millimetres, 0 where unknown) and `/camera/calibration`."""
+        """Record a frame on `/camera/rgb`, `/camera/depth` and `/camera/calibration`.
+
+        Args:
+            frame: The frame. The image is stored as PNG, the depth with 16 bits in millimetres, 0 where unknown.
+        """
         header = {"timestamp": _time(frame.stamp), "frame_id": "camera"}
         ok, png = cv2.imencode(".png", cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2BGR))
         if not ok:
-            raise UserError("the colour image could not be encoded as PNG: it is empty")
+            raise UserError("the colour image could not be encoded as PNG: it is empty", code="user.empty_image")
         self._write(
             "/camera/rgb", "foxglove.CompressedImage", frame.stamp, header | {"data": _b64(png), "format": "png"}
         )
@@ -90,7 +105,14 @@ class RunRecorder:
         self._write("/camera/calibration", "foxglove.CameraCalibration", frame.stamp, calibration)
 
     def record_pose(self, stamp: float, parent: str, child: str, X: Array) -> None:
-        """X_parent_child, 4x4, as a transform on `/tf`."""
+        """Record a pose as a transform on `/tf`.
+
+        Args:
+            stamp: Time [s].
+            parent: Name of the parent frame.
+            child: Name of the child frame.
+            X: X_parent_child, (4, 4).
+        """
         pose = _pose(X)
         transform = {
             "timestamp": _time(stamp),
@@ -102,7 +124,13 @@ class RunRecorder:
         self._write("/tf", "foxglove.FrameTransforms", stamp, {"transforms": [transform]})
 
     def record_cloud(self, stamp: float, frame: str, points: Array) -> None:
-        """Points (N, 3) [m] in `frame`, on `/perception/cloud`."""
+        """Record a point cloud on `/perception/cloud`.
+
+        Args:
+            stamp: Time [s].
+            frame: Name of the points' frame.
+            points: The points, (N, 3) [m].
+        """
         cloud = {
             "timestamp": _time(stamp),
             "frame_id": frame,
@@ -114,18 +142,38 @@ class RunRecorder:
         self._write("/perception/cloud", "foxglove.PointCloud", stamp, cloud)
 
     def record_hypotheses(self, stamp: float, frame: str, Xs: Array) -> None:
-        """Candidate poses (K, 4, 4) of the EE in `frame`, on `/perception/hypotheses`."""
+        """Record candidate poses on `/perception/hypotheses`.
+
+        Args:
+            stamp: Time [s].
+            frame: Name of the poses' frame.
+            Xs: Candidate poses of the end effector, (K, 4, 4).
+        """
         poses = {"timestamp": _time(stamp), "frame_id": frame, "poses": [_pose(X) for X in Xs]}
         self._write("/perception/hypotheses", "foxglove.PosesInFrame", stamp, poses)
 
     def record_joints(self, stamp: float, names: Sequence[str], q: Array, topic: str = "/joints") -> None:
-        """Joint positions (n,) [rad] by name, on `topic`."""
+        """Record joint positions.
+
+        Args:
+            stamp: Time [s].
+            names: Names of the n joints.
+            q: Joint positions, (n,) [rad].
+            topic: Name of the topic.
+        """
         position = dict(zip(names, map(float, q), strict=True))
         self._write(topic, "toolee.Joints", stamp, {"timestamp": _time(stamp), "position": position})
 
     def record_motion(self, name: str, report: MotionReport, joint_names: Sequence[str]) -> None:
-        """An arm's motion: `/arm/measured`, `/arm/commanded` and `/arm/wrench`, and its outcome as an event. Thinned to
-        MOTION_PERIOD: of each period the sample of the greatest force, so that no strike's peak is lost."""
+        """Record an arm's motion on `/arm/measured`, `/arm/commanded` and `/arm/wrench`, and its outcome as an event.
+
+        One sample is kept per MOTION_PERIOD, that of the greatest force, so that the peak of a strike is recorded.
+
+        Args:
+            name: Name of the motion.
+            report: What was commanded and measured.
+            joint_names: Names of the arm's joints.
+        """
         for i in _thin(report.stamps, np.linalg.norm(report.wrenches[:, :3], axis=1)):
             stamp = float(report.stamps[i])
             self.record_joints(stamp, joint_names, report.q_measured[i], "/arm/measured")
@@ -136,17 +184,35 @@ class RunRecorder:
             self.record_event(float(report.stamps[-1]), "motion", {"name": name, "outcome": report.outcome.value})
 
     def record_contact(self, stamp: float, force: float, X_base_ee: Array) -> None:
-        """The face met something: sensed force [N] and where the EE was believed to be, on `/contacts`."""
+        """Record a contact of the face on `/contacts`.
+
+        Args:
+            stamp: Time [s].
+            force: Sensed force [N].
+            X_base_ee: Estimated pose of the end effector in `base`, (4, 4).
+        """
         contact = {"timestamp": _time(stamp), "force": float(force), "position": _xyz(X_base_ee[:3, 3])}
         self._write("/contacts", "toolee.Contact", stamp, contact)
 
     def record_event(self, stamp: float, name: str, data: Mapping[str, Any] | None = None) -> None:
-        """Something that happened, with whatever belongs to it (JSON values, numpy numbers and arrays): `/events`."""
+        """Record an event on `/events`.
+
+        Args:
+            stamp: Time [s].
+            name: Name of the event.
+            data: Its data: JSON values, numpy numbers and arrays.
+        """
         event = {"timestamp": _time(stamp), "name": name, "data": dict(data or {})}
         self._write("/events", "toolee.Event", stamp, event)
 
     def record_log(self, stamp: float, text: str, level: str = "info") -> None:
-        """A sentence for the person, on `/log`. level: debug, info, warning or error."""
+        """Record a message for a person on `/log`.
+
+        Args:
+            stamp: Time [s].
+            text: The message.
+            level: debug, info, warning or error.
+        """
         log = {"timestamp": _time(stamp), "level": _LOG_LEVELS[level], "message": text, "name": "toolee"}
         self._write("/log", "foxglove.Log", stamp, log | {"file": "", "line": 0})
 
@@ -202,7 +268,7 @@ def _calibration(c: CameraIntrinsics) -> dict[str, Any]:
 
 
 def _thin(stamps: Array, weight: Array) -> list[int]:
-    """Indices of the sample of the greatest weight in each MOTION_PERIOD, and of the first and last."""
+    """Select the sample of the greatest weight in each MOTION_PERIOD, and the first and last; returns their indices."""
     if not len(stamps):
         return []
     bins = np.floor((stamps - stamps[0]) / MOTION_PERIOD).astype(int)
@@ -214,7 +280,7 @@ def _thin(stamps: Array, weight: Array) -> list[int]:
 
 
 def _plain(value: Any) -> Any:
-    """JSON's own types: arrays become lists, what is not finite becomes null."""
+    """Convert to JSON types: arrays become lists, non-finite numbers become null."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, np.ndarray):

@@ -1,1 +1,1 @@
-"""Processes, time, and the machine that they run on."""
+"""Processes, clocks, files, and the monitoring of the machine."""

@@ -1,7 +1,7 @@
-"""The clock of a station with real drivers, and of every stamp in it: the host's, the same in all its processes.
+"""The clock of a station with real drivers: the host's monotonic clock, shared by all processes.
 
-Where the robot is a stand-in and its world is computed, the whole station may run slower than the wall's clock, so that
-a busy machine keeps up with every cycle and no bound has to be wider than on a real robot.
+With a controller stand-in and a simulated world the station may run slower than real time, so that a busy machine keeps
+up with every cycle and no bound has to be wider than on a real robot.
 """
 
 from __future__ import annotations
@@ -13,42 +13,59 @@ from dataclasses import dataclass
 from toolee_robot.errors import UserError
 
 MIN_REAL_TIME_FACTOR = 0.05
-"""A cycle of 125 Hz takes 160 ms of the wall's clock at this real-time factor, and nothing else is gained."""
+"""Smallest real-time factor: a cycle at 125 Hz then takes 160 ms of wall-clock time."""
 
 
 @dataclass(frozen=True)
 class HostClock:
-    """A `hal.Clock`: `time.monotonic()`, `real_time_factor` times as fast. Processes of one real-time factor agree on
-    the time. 1 for every real robot."""
+    """A `hal.Clock` based on `time.monotonic()`; processes with the same real-time factor agree on the time.
+
+    Attributes:
+        real_time_factor: Rate of this clock relative to wall-clock time; 1 for every real robot.
+    """
 
     real_time_factor: float = 1.0
 
     def now(self) -> float:
+        """Return the present time [s]."""
         return time.monotonic() * self.real_time_factor
 
     def sleep(self, duration: float) -> None:
+        """Wait for `duration` [s] of this clock."""
         if duration > 0:
             time.sleep(duration / self.real_time_factor)
 
     def to_wall_time(self, duration: float) -> float:
-        """[s] that `duration` [s] of this clock takes on the wall's."""
+        """Convert a duration of this clock [s] to wall-clock time [s]."""
         return duration / self.real_time_factor
 
 
 def check_real_time_factor(real_time_factor: float, host: str) -> None:
-    """Raises UserError for a real-time factor that is not SLOWEST to 1, or not 1 for a robot that may be real."""
+    """Check a real-time factor.
+
+    Args:
+        real_time_factor: The factor, MIN_REAL_TIME_FACTOR to 1.
+        host: Address of the controller; only one on a loopback address may run slower than real time.
+
+    Raises:
+        UserError: The factor is out of range, or not 1 for a robot that may be real.
+    """
     if not MIN_REAL_TIME_FACTOR <= real_time_factor <= 1.0:
-        raise UserError(f"real-time factor {real_time_factor}: give {MIN_REAL_TIME_FACTOR} to 1, which is real time")
+        raise UserError(
+            f"real-time factor {real_time_factor}: give {MIN_REAL_TIME_FACTOR} to 1, which is real time",
+            code="user.real_time_factor",
+        )
     if real_time_factor != 1.0 and not is_loopback(host):
         raise UserError(
             f"real-time factor {real_time_factor} for {host!r}: a real robot runs in real time; only a stand-in on a "
             "loopback address "
-            "(127.0.0.2, ...) may run slower"
+            "(127.0.0.2, ...) may run slower",
+            code="user.real_robot_slowed",
         )
 
 
 def is_loopback(host: str) -> bool:
-    """Whether it is an IPv4 address of this machine alone. A name is none: it may lead anywhere."""
+    """Whether a host is an IPv4 loopback address; host names do not count, since they may resolve to anything."""
     try:
         return ipaddress.IPv4Address(host).is_loopback
     except ValueError:

@@ -1,8 +1,7 @@
-"""Keeps the cores of a virtual machine from halting while something is bound to the clock.
+"""Keeps the cores of a virtual machine from halting during time-critical work.
 
-A core without work halts, and a busy host may take its time to give it back: on one, a machine with little to do stood
-still for up to 290 ms in a half minute, and mostly for 3 to 40 ms while something ran on every core (once for 205). So
-something does, at a priority that gives way to everything. A machine of one's own needs none of it.
+An idle virtual core halts, and a busy host may reschedule it late: stalls of up to 290 ms were measured within half a
+minute on an idle machine, mostly 3 to 40 ms with a process on every core. A physical machine does not need this.
 """
 
 from __future__ import annotations
@@ -15,8 +14,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-# Linux shares a core among sessions first (sched_autogroup): a session's only process has half of it beside another's,
-# whatever its own priority, and holds up by 3 ms what wakes. So its session is the least one, too.
+# Linux shares a core among sessions first (sched_autogroup): whatever its own priority, the only process of a session
+# gets half of the core and delays what wakes up by 3 ms. Hence the session has the lowest priority, too.
 _BUSY_LOOP = """
 import os, time
 os.sched_setaffinity(0, {{{core}}})
@@ -38,8 +37,10 @@ while os.getppid() == {parent}:
 
 
 class CpuKeepalive:
-    """While this context lasts, and its process, a process of the lowest priority runs on each core that this one may
-    use, if the machine is a virtual one."""
+    """Context in which a process of the lowest priority runs on every usable core of a virtual machine.
+
+    On a physical machine it does nothing. The processes end with the one that started them.
+    """
 
     def __init__(self) -> None:
         self._processes: list[subprocess.Popen[bytes]] = []
@@ -48,27 +49,27 @@ class CpuKeepalive:
         if is_virtual():
             for core in sorted(os.sched_getaffinity(0)):
                 program = _BUSY_LOOP.format(core=core, parent=os.getpid())
-                # A session of its own: Ctrl-C is not meant for it.
+                # A session of its own, so that it does not receive Ctrl-C.
                 self._processes.append(subprocess.Popen([sys.executable, "-S", "-c", program], start_new_session=True))
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for spinner in self._processes:
-            spinner.kill()
-        for spinner in self._processes:
-            spinner.wait()
+        for process in self._processes:
+            process.kill()
+        for process in self._processes:
+            process.wait()
         self._processes.clear()
 
     @property
     def pids(self) -> list[int]:
-        """Of the processes."""
-        return [spinner.pid for spinner in self._processes]
+        """Process ids of the processes."""
+        return [process.pid for process in self._processes]
 
 
 def is_virtual() -> bool:
-    """Whether a hypervisor says so to the processor's user; an x86 one does."""
+    """Whether this is a virtual machine, as its processor's flags tell (x86)."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("flags"):

@@ -1,4 +1,4 @@
-"""Files written whole or not at all."""
+"""Atomic writing of files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from toolee_robot.errors import UserError
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """A file that appears whole or not at all, whoever else writes the same.
+    """Write a file atomically, also against concurrent writers.
 
     Args:
         path: Where it will be; its folder exists.
@@ -37,7 +37,11 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def write_atomic(path: Path, data: bytes) -> None:
-    """Write a file as `written_whole` does.
+    """Write a file atomically; see `written_whole`.
+
+    Args:
+        path: The file; its folder exists.
+        data: Its content.
 
     Raises:
         UserError: The place cannot be written.

@@ -1,4 +1,4 @@
-"""Pauses that Python's own garbage collector makes, kept away from what must not wait."""
+"""Suspension of Python's garbage collector during time-critical work."""
 
 from __future__ import annotations
 
@@ -9,9 +9,12 @@ from contextlib import contextmanager
 
 @contextmanager
 def gc_paused() -> Iterator[None]:
-    """The collector stops all threads of a task with its libraries for up to 0.2 s, an arm's heartbeat too: not within
-    this block. It is not in `hardware`, which may not reach for `gc`: it finds every object there is, the simulation's
-    truth too."""
+    """Context in which the garbage collector does not run.
+
+    A collection stops all threads for up to 0.2 s, including that of the arm's heartbeat. The function is not part of
+    `hardware`, which may not import `gc`, since `gc` gives access to every object, including the simulation's ground
+    truth.
+    """
     enabled = gc.isenabled()
     gc.disable()
     try:

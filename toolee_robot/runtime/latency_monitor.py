@@ -1,5 +1,7 @@
-"""Whether the machine itself stalls at times: the host of a virtual machine takes its cores away without a word,
-and no real-time priority helps against that. What is bound to the clock tells by it the machine's faults from its own.
+"""Detection of stalls of the machine itself.
+
+The host of a virtual machine may suspend its cores, against which no real-time priority helps. Time-critical software
+uses the monitor to distinguish the machine's stalls from its own delays.
 """
 
 from __future__ import annotations
@@ -21,23 +23,29 @@ from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 
 PRIORITY: Final = 60
-"""Of SCHED_FIFO: over the driver's (40) and the stand-in's (1), so that what they do to each other is never put down to
-the machine."""
-STALL: Final = 0.005  # [s] from which on they are counted
+"""SCHED_FIFO priority, above the driver's (40) and the stand-in's (1), so that their mutual delays do not count as
+stalls of the machine."""
+STALL: Final = 0.005
+"""Least duration of a counted stall [s]."""
 STALL_LIMIT: Final = 0.02
-"""[s] Under the least bound of the driver that a standing machine breaks: a UR10's on its data's age, 24 ms (three
-readings of 125 Hz). What failed while the machine stalled for longer is tried again, and said to have been."""
+"""Duration above which a stall excuses a failure, which is then tried again and reported [s]. It is below the driver's
+tightest bound, 24 ms for the age of a UR10's data (three readings at 125 Hz)."""
 
 
 class LatencyMonitor:
-    """Measures stalls: a process beside what is measured, with a thread on each core that sleeps for `pause` [s] again
-    and again, and sees by how much it overslept."""
+    """Context in which a separate process measures stalls with one thread per core that repeatedly sleeps.
+
+    A stall is the time by which a thread oversleeps.
+
+    Args:
+        pause: Duration of a sleep [s].
+    """
 
     def __init__(self, pause: float = 0.002) -> None:
         self._pause = pause
 
     def __enter__(self) -> Self:
-        """Raises DeviceError when it does not start."""
+        """Start the process; raises DeviceError when it does not start."""
         cores = sorted(os.sched_getaffinity(0))
         fd = os.memfd_create("toolee-latency-monitor")
         try:
@@ -51,7 +59,7 @@ class LatencyMonitor:
             os.close(fd)
         while self._longest.min() < 0.0:
             if self._process.poll() is not None:
-                raise DeviceError("the latency monitor's process died at its start")
+                raise DeviceError("the latency monitor's process died at its start", code="device.latency_monitor")
             time.sleep(self._pause)
         return self
 
@@ -63,33 +71,33 @@ class LatencyMonitor:
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """Process id of the monitor's process."""
         return self._process.pid
 
     def begin(self) -> None:
-        """Forget what was."""
+        """Reset the measurement."""
         self._longest[:] = self._count[:] = 0.0
 
     @property
     def longest(self) -> float:
-        """[s] The longest stall since `begin`, of any core."""
+        """Longest stall of any core since `begin` [s]."""
         return float(self._longest.max())
 
     @property
     def count(self) -> int:
-        """Stalls since `begin` of more than STALL, of the core that had most."""
+        """Number of stalls longer than STALL since `begin`, of the core with the most."""
         return int(self._count.max())
 
 
 def _shared(fd: int) -> Array:
-    """(2, cores): the longest stall [s], and their number."""
+    """Shared array, (2, cores): the longest stall [s], and the number of stalls."""
     return np.frombuffer(mmap.mmap(fd, 0)).reshape(2, -1)
 
 
 def _watch(fd: int, pause: float, cores: list[int]) -> None:
     longest, count = _shared(fd)
     gc.disable()
-    with suppress(OSError):  # not permitted: nor is it to what is measured
+    with suppress(OSError):  # not permitted, in which case the measured software is not permitted either
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
 
     def sleep(i: int) -> None:

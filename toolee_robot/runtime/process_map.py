@@ -1,4 +1,4 @@
-"""Processes that evaluate side by side."""
+"""Parallel map over processes with a state each."""
 
 from __future__ import annotations
 
@@ -21,13 +21,19 @@ Result = TypeVar("Result")
 
 
 class ProcessMap(Generic[State]):
-    """`workers` processes, each with a state of its own that `begin` makes; with one worker, this process does it.
+    """Maps functions over items in several processes, each with a state of its own.
 
-    `begin`, functions and items must be picklable."""
+    Args:
+        begin: Makes the state of a process; picklable.
+        workers: Number of processes; with one, the calling process does the work.
+
+    Raises:
+        UserError: `workers` is less than 1.
+    """
 
     def __init__(self, begin: Callable[[], State], workers: int) -> None:
         if workers < 1:
-            raise UserError(f"--workers {workers}: give 1 or more")
+            raise UserError(f"--workers {workers}: give 1 or more", code="user.workers")
         self._begin, self._workers = begin, workers
         self._own: list[State] = []
         self._pool: WorkerPool | None = None
@@ -42,8 +48,18 @@ class ProcessMap(Generic[State]):
             self._pool.__exit__(kind, error, at)
 
     def map(self, function: Callable[[State, Item], Result], items: Iterable[Item]) -> Generator[Result]:
-        """function(state, item) of every item, in the items' order. Of endless items no more are begun than the workers
-        need to stay busy. Raises what `function` raises, and TooleeError when a worker dies."""
+        """Evaluate function(state, item) for every item, lazily, so that the items may be endless.
+
+        Args:
+            function: The function; picklable.
+            items: The items; picklable.
+
+        Yields:
+            The results in the order of the items.
+
+        Raises:
+            TooleeError: A worker process died; otherwise what `function` raises.
+        """
         if self._pool is None:
             if not self._own:
                 self._own.append(self._begin())
@@ -60,7 +76,10 @@ class ProcessMap(Generic[State]):
                     return
                 yield running.popleft().result()
         except BrokenProcessPool as error:
-            raise TooleeError("a worker process died (out of memory?): run it again with fewer --workers") from error
+            raise TooleeError(
+                "a worker process died (out of memory?): run it again with fewer --workers",
+                code="toolee.worker_died",
+            ) from error
         finally:
             for future in running:
                 future.cancel()

@@ -1,4 +1,4 @@
-"""Processes that work side by side and never outlive, or hold up, the one that started them."""
+"""A process pool that neither outlives nor blocks the process that started it."""
 
 from __future__ import annotations
 
@@ -18,10 +18,17 @@ T = TypeVar("T")
 
 
 class WorkerPool(ProcessPoolExecutor):
-    """A pool of `workers` fresh processes; each calls initializer(*initargs) first.
+    """A pool of spawned processes.
 
-    Fresh, since a fork would inherit the threads of torch and embree in an undefined state. They end at once when this
-    process does, however that happened. Ctrl-C is this process's alone: left by an exception, the pool kills them."""
+    They are spawned because a fork would inherit the threads of torch and embree in an undefined state. They end when
+    the parent process ends, for whatever reason, and do not receive Ctrl-C; when an exception leaves the pool's
+    context, the pool kills them.
+
+    Args:
+        workers: Number of processes.
+        initializer: Called first in every process; None for none.
+        initargs: Arguments of `initializer`.
+    """
 
     def __init__(
         self, workers: int, initializer: Callable[..., object] | None = None, initargs: tuple[object, ...] = ()
@@ -29,13 +36,13 @@ class WorkerPool(ProcessPoolExecutor):
         super().__init__(workers, multiprocessing.get_context("spawn"), _begin, (initializer, initargs))
 
     def submit(self, function: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """As ProcessPoolExecutor's. The first one starts the processes."""
-        # A worker that Ctrl-C strikes while it holds a queue's lock brings the pool to a standstill.
-        with _ctrl_c_blocked():  # a process inherits what is blocked
+        """Submit a call as ProcessPoolExecutor does; the first call starts the processes."""
+        # A worker that Ctrl-C interrupts while it holds a queue's lock would block the pool.
+        with _ctrl_c_blocked():  # a process inherits the signal mask
             return super().submit(function, *args, **kwargs)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        """Wait for what has begun; after an exception, for nothing: a second Ctrl-C would find it waiting."""
+        """Wait for the running calls; after an exception kill the processes instead, so that nothing blocks."""
         if kind is None:
             self.shutdown(cancel_futures=True)
             return
@@ -47,7 +54,7 @@ class WorkerPool(ProcessPoolExecutor):
 
 @contextlib.contextmanager
 def _ctrl_c_blocked() -> Iterator[None]:
-    """What comes meanwhile comes after."""
+    """Context in which Ctrl-C is deferred to its end."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -14,11 +14,11 @@ T = TypeVar("T")
 
 
 def read_yaml(path: Path, what: str) -> Any:
-    """The content of a YAML file; JSON is YAML.
+    """Read a YAML file; JSON is YAML.
 
     Args:
         path: The file.
-        what: What it is, for the error.
+        what: Description of the file for the error message.
 
     Raises:
         ConfigError: It cannot be read.
@@ -26,11 +26,11 @@ def read_yaml(path: Path, what: str) -> Any:
     try:
         return yaml.safe_load(path.read_text())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(f"cannot read the {what} {path}: {error}") from error
+        raise ConfigError(f"cannot read the {what} {path}: {error}", code="config.unreadable") from error
 
 
 def read_record(path: Path, kind: type[T], what: str) -> T:
-    """A configuration record from a YAML file; what the file leaves out keeps its default.
+    """Read a configuration record from a YAML file; omitted fields keep their defaults.
 
     Args:
         path: The file.
@@ -45,4 +45,4 @@ def read_record(path: Path, kind: type[T], what: str) -> T:
         return TypeAdapter(kind).validate_python(data or {})
     except ValidationError as error:
         lines = [f"  {'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()]
-        raise ConfigError(f"{path} is not a valid {what}:\n" + "\n".join(lines)) from error
+        raise ConfigError(f"{path} is not a valid {what}:\n" + "\n".join(lines), code="config.invalid") from error

@@ -1,1 +1,1 @@
-"""What builds a station, and what only the simulation behind it knows."""
+"""Construction of stations, and the ground truth of their simulations."""

@@ -1,4 +1,4 @@
-"""What a job is done on: the simulated station itself, or its arm behind a controller and the real arm's driver."""
+"""Backends of a job: the simulated station, or one whose arm is driven through a controller stand-in."""
 
 from __future__ import annotations
 
@@ -15,16 +15,22 @@ from toolee_robot.tools import Tool
 
 
 class Backend(Protocol):
-    """A station, and what only the simulation behind it knows. Valid inside its context."""
+    """A station together with the ground truth of its simulation; valid inside its context."""
 
     @property
-    def station(self) -> Station: ...
+    def station(self) -> Station:
+        """The devices of the station."""
+        ...
 
     @property
-    def tool(self) -> Tool: ...
+    def tool(self) -> Tool:
+        """The tool that is handed over."""
+        ...
 
     @property
-    def judge(self) -> Truth: ...
+    def judge(self) -> Truth:
+        """Ground truth, for the evaluation after the job."""
+        ...
 
     def __enter__(self) -> Self: ...
 
@@ -35,17 +41,28 @@ class Backend(Protocol):
 
 @dataclass(frozen=True)
 class StandIn:
-    """A controller stand-in to go through. host: a loopback address. real_time_factor: of its time and the job's, 1 is
-    real."""
+    """Selects a controller stand-in in front of the simulated arm.
+
+    Attributes:
+        host: Loopback address of the stand-in.
+        real_time_factor: Rate of the job's time relative to wall-clock time; 1 is real time.
+    """
 
     host: str
     real_time_factor: float
 
 
 def open_backend(config: StationConfig, seed: int, options: SimOptions, stand_in: StandIn | None) -> Backend:
-    """stand_in: None: straight to the simulated station."""
+    """Build the backend of a job.
+
+    Args:
+        config: Configuration of the station.
+        seed: Seed of tool, grasp and scene.
+        options: Options of the simulation.
+        stand_in: The controller stand-in; None to drive the simulated arm directly.
+    """
     if stand_in is None:
         return SimStation.build(config, seed, options)
-    from toolee_robot.stations.ur_rehearsal import UrStation  # the driver and the stand-in: only where they are wanted
+    from toolee_robot.stations.ur_rehearsal import UrStation  # imported only where driver and stand-in are used
 
     return UrStation(config, seed, options, stand_in.host, stand_in.real_time_factor)

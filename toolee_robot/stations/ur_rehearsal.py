@@ -1,4 +1,4 @@
-"""The simulated station with its arm behind a controller and the real arm's driver."""
+"""The simulated station with its arm driven by the real driver through a controller stand-in."""
 
 from __future__ import annotations
 
@@ -20,9 +20,22 @@ from toolee_robot.sim_backend.station import draw_handover
 
 
 class UrStation:
-    """The station of a seed as `SimStation.build` has it. The arm is driven by `UrArm` over ur_rtde; its controller is
-    a stand-in on a loopback `host`, with the simulated world as its plant, in a process of its own. Time runs at
-    `real_time_factor` in all of it: 1 is real time."""
+    """The simulated station of a seed, with the arm driven by `UrArm` over ur_rtde.
+
+    The controller is a stand-in in a process of its own, with the simulated world as its plant.
+
+    Args:
+        config: Configuration of the station.
+        seed: Seed of tool, grasp and scene, as for `SimStation.build`.
+        options: Options of the simulation.
+        host: Loopback address of the stand-in.
+        real_time_factor: Rate of the station's time relative to wall-clock time; 1 is real time.
+
+    Attributes:
+        station: The devices of the station; set inside the context.
+        tool: The tool that is handed over.
+        judge: Ground truth, for the evaluation after the job.
+    """
 
     station: Station
 
@@ -36,12 +49,17 @@ class UrStation:
         self._open = ExitStack()
 
     def __enter__(self) -> Self:
-        """Raises UserError for a host that cannot be served, DeviceError when the arm cannot be had."""
+        """Start the world and the stand-in, and connect the driver.
+
+        Raises:
+            UserError: The stand-in cannot listen on the host's address.
+            DeviceError: The arm cannot be connected.
+        """
         config = self._config
         with ExitStack() as stack:
             stack.enter_context(CpuKeepalive())
             world = stack.enter_context(self._world)
-            # The last to come is the first to go: a client outlives no controller.
+            # Contexts close in reverse order, so that the client closes before its controller.
             hand = load_robot(config.arm.model, config.arm.calibration, config.hand.model)
             payload = hand.hand_payload(hand.hand_open)
             driver = UrArmConfig(
