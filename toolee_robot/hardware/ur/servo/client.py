@@ -134,7 +134,11 @@ class ServoClient:
             raise self.crash() from error
 
     def receive(self, timeout: float) -> Reply | None:
-        """The next reply, or None after `timeout` [s] on the wall clock. Raises ServoCrashError if the process is gone."""
+        """The next reply, or None after `timeout` [s] on the wall clock.
+
+        Raises:
+            ServoCrashError: The process is gone.
+        """
         try:
             if not self._pipe.poll(timeout):
                 return None
