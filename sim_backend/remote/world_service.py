@@ -20,7 +20,7 @@ from toolee_robot.errors import DeviceError, TooleeError
 from toolee_robot.hal import Clock, HandState
 from toolee_robot.sim_backend.devices.hand import SimHand
 from toolee_robot.sim_backend.devices.operator import SimPerson
-from toolee_robot.sim_backend.ground_truth.verdict import Judge
+from toolee_robot.sim_backend.ground_truth.judge import Judge
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.device_commands import Commands
 from toolee_robot.sim_backend.remote.host_timed_truth import HostTimedTruth

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import TooleeError
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.sim_backend.ground_truth.verdict import Judge, pose_error, strike_offset, strike_tilt
+from toolee_robot.sim_backend.ground_truth.judge import Judge
+from toolee_robot.sim_backend.ground_truth.verdict import pose_error, strike_offset, strike_tilt
 from toolee_robot.sim_backend.physics.impact_steps import IMPACT
 from toolee_robot.sim_backend.physics.nail import Nail
 from toolee_robot.sim_backend.physics.wood import NailSpec, driving_work

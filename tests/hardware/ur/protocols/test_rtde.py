@@ -167,7 +167,7 @@ def test_a_slow_or_chatty_controller_does_not_hold_us_up(
         ),
         ((_GOOD + data(["DOUBLE"], [1.0]),), "protocol.rtde_packet"),
         ((_GOOD + data(["DOUBLE", "VECTOR6D"], [1.0, (0.0,) * 6], recipe=9),), "protocol.rtde_packet"),
-        ((b"HTTP/1.1 400 Bad Request\r\n\r\n" + bytes(40_000),), "protocol.rtde_reply"),
+        ((b"HTTP/1.1 400 Bad Request\r\n\r\n" + bytes(40_000),), "protocol.message_size"),
         ((b"\x00\x01\x02\x03",), "protocol.message_size"),
     ],
 )
