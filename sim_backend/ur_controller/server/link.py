@@ -19,8 +19,8 @@ class LinkFaults:
     """Network faults of a port, for all its connections.
 
     Attributes:
-        stalled_until: Time before which nothing is read or sent [s of `time.monotonic()`]; afterwards everything comes in
-            one burst.
+        stalled_until: Time before which nothing is read or sent [s of `time.monotonic()`]; afterwards everything comes
+            in one burst.
         delay: Delay of everything sent [s].
         coalesce: Number of sends that are combined into one.
         truncate: Length to which the next send is truncated [bytes]; None for no truncation.

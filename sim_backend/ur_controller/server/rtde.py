@@ -31,8 +31,8 @@ class RtdeFaults:
     """Faults of the RTDE server.
 
     Attributes:
-        drop_after: Number of packets after which the next client is dropped, in the middle of its handshake; None for no
-            fault.
+        drop_after: Number of packets after which the next client is dropped, in the middle of its handshake; None for
+            no fault.
         reset: Whether it is dropped with RST.
     """
 
@@ -93,8 +93,11 @@ class RtdeSession:
         self.feed(b"")
 
     def _must_wait(self, size: int) -> bool:
-        """Whether the next packet must wait for a later tick: while ticks are caught up, one packet of a stream is taken
-        per tick. There may be fewer such ticks than packets, since the schedule does not catch up all lost time."""
+        """Whether the next packet must wait for a later tick.
+
+        While ticks are caught up, one packet of a stream is taken per tick. There may be fewer such ticks than packets,
+        since the schedule does not catch up all lost time.
+        """
         if not (self._written and self._inputs.catching_up) or len(self._buffer) > QUEUE * size:
             return False
         return len(self._buffer) > wire.HEADER.size and self._buffer[wire.HEADER.size] == self._written

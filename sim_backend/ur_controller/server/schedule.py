@@ -32,8 +32,8 @@ class Schedule:
     """The schedule of the ticks.
 
     After a late tick the next ones follow without a pause until the schedule is met again, so that the rate is kept on
-    average. After a delay of more than CATCH_UP the schedule is shifted by whole periods instead: no tick is omitted, but
-    the robot's time falls behind the clock.
+    average. After a delay of more than CATCH_UP the schedule is shifted by whole periods instead: no tick is omitted,
+    but the robot's time falls behind the clock.
 
     Args:
         period: Period of the ticks [s].
