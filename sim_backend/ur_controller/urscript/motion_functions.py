@@ -20,9 +20,9 @@ from toolee_robot.sim_backend.ur_controller.robot.motion import (
     Motion,
     MotionError,
     Move,
-    ServoJ,
     SpeedJ,
 )
+from toolee_robot.sim_backend.ur_controller.robot.servoj import ServoJ
 from toolee_robot.sim_backend.ur_controller.urscript.library import matrix, six
 from toolee_robot.sim_backend.ur_controller.urscript.values import Pose, numbers
 
