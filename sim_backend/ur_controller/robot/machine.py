@@ -195,7 +195,7 @@ class Machine:
         self._motion, self._held = motion, True
 
     def release(self, motion: Motion) -> None:
-        """End a script function's motion; if unfinished, it comes to rest unless another one starts in the same tick."""
+        """End a script function's motion. If unfinished, it comes to rest, unless another one starts in the tick."""
         if motion is not self._motion:
             return
         self._held = False
