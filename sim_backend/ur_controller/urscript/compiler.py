@@ -2,8 +2,8 @@
 
 Every function that may wait (`sync`, a motion, ...) becomes a generator that yields once per tick of the controller,
 every other one a plain function. Lines of the byte code are lines of the script, so tracebacks contain them. Bindings
-are static, as in the URScript manual: `local` names and parameters are local, a name that is declared `global` anywhere is
-global, any other name is local to its function; nested functions do not see the locals of the enclosing one.
+are static, as in the URScript manual: `local` names and parameters are local, a name that is declared `global` anywhere
+is global, any other name is local to its function; nested functions do not see the locals of the enclosing one.
 """
 
 from __future__ import annotations
