@@ -72,7 +72,7 @@ class PerfectPerception:
             raise PerceptionError(message, code="perception.category")
         frames = [(e[0], X) for e, X in zip(estimates_per_frame, Xs_camera_hand, strict=True) if e]
         if not frames:
-            message = "the true face is where a held hammer cannot have it: was the tool dropped?"
+            message = "the true face lies where a held hammer cannot have it: was the tool dropped?"
             raise PerceptionError(message, code="perception.nothing_seen")
         X_hand_ee = inverse(frames[-1][1]) @ frames[-1][0].X_camera_ee
         covariance = np.eye(6) * _SIGMA**2
