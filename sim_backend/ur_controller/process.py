@@ -138,7 +138,7 @@ class ControllerProcess:
         self._on_exit.append(close)
 
     def fault(self, name: str, /, **arguments: object) -> dict[str, Any]:
-        """Call a hook of the fault port; `docs/ur_controller.md` lists them.
+        """Call a hook of the fault port; `docs/reference/ur_controller.md` lists them.
 
         Args:
             name: Name of the hook.
