@@ -3,13 +3,13 @@
     from toolee_robot.sim_backend import SimOptions, SimStation
     with SimStation.build(StationConfig(), seed=0) as simulation:
         task(simulation.station)         # the hardware abstraction: all that a task may touch
-        simulation.judge.verdict()       # the ground truth, for the report and the tests
+        simulation.judge.verdict()       # ground truth, for the report and the tests
 
 Import it as `toolee_robot.sim_backend`.
 """
 
 if __name__ != "toolee_robot.sim_backend":
-    raise ImportError("import toolee_robot.sim_backend: the short name would make a second copy of every module")
+    raise ImportError("import toolee_robot.sim_backend: the short name would create a second copy of every module")
 
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -25,7 +25,7 @@ _HOMES = {"InHandOffset": "options", "Sample": "world", "SimOptions": "options",
 
 
 def __getattr__(name: str) -> object:
-    """Load what is asked for: the controller stand-in, in a process of its own, needs no pybullet and no meshes."""
+    """Load a public name on first use: the process of the controller stand-in needs no pybullet and no meshes."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

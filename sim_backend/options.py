@@ -1,4 +1,4 @@
-"""What can be chosen about a simulated run besides the station's own configuration."""
+"""Options of a simulated run beyond the station's configuration."""
 
 from __future__ import annotations
 
@@ -13,8 +13,14 @@ from toolee_robot.tools import Tool
 
 @dataclass(frozen=True)
 class InHandOffset:
-    """How a handle lies in the hand, relative to the nominal pose: along it [m], about it [rad], and tilted [rad]
-    about the tool's x and y axes."""
+    """Deviation of a handle in the hand from the nominal grasp.
+
+    Attributes:
+        along: Shift along the handle [m].
+        spin: Rotation about the handle [rad].
+        tilt_x: Tilt about the tool's x axis [rad].
+        tilt_y: Tilt about the tool's y axis [rad].
+    """
 
     along: float = 0.0
     spin: float = 0.0
@@ -23,7 +29,14 @@ class InHandOffset:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> InHandOffset:
-        """As people hand tools over: uniform within +-30 mm along, +-25 deg about, +-12 deg of tilt each way."""
+        """Draw an offset: uniform within +-30 mm along, +-25 deg of spin, +-12 deg of each tilt.
+
+        Args:
+            rng: Source of randomness.
+
+        Returns:
+            The offset.
+        """
         along, spin = rng.uniform(-0.030, 0.030), rng.uniform(-1, 1) * np.deg2rad(25)
         tilt_x, tilt_y = rng.uniform(-1, 1, 2) * np.deg2rad(12)
         return cls(float(along), float(spin), float(tilt_x), float(tilt_y))
@@ -31,9 +44,16 @@ class InHandOffset:
 
 @dataclass(frozen=True, eq=False)
 class SimOptions:
-    """gui: show pybullet's window. tool: this tool instead of one drawn by the seed. offset: this in-hand offset
-    instead of one drawn by the seed. friction: between hand and handle. q_start: the arm's joints (6,) [rad] at the
-    start, the station's home if None. hands_over: whether the person comes with a tool at all."""
+    """Options of a simulated run.
+
+    Attributes:
+        gui: Whether to show pybullet's window.
+        tool: The tool to hand over; drawn by the seed if None.
+        offset: The in-hand offset; drawn by the seed if None.
+        friction: Coefficient of friction between hand and handle.
+        q_start: Joint positions of the arm at the start, (6,) [rad]; the station's home if None.
+        hands_over: Whether the person hands a tool over at all.
+    """
 
     gui: bool = False
     tool: Tool | None = None
@@ -44,4 +64,5 @@ class SimOptions:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.friction <= 2.0:
-            raise UserError(f"friction {self.friction}: give 0 to 2 (skin or rubber on wood: 0.6 to 1.0)")
+            message = f"friction {self.friction}: give 0 to 2 (skin or rubber on wood: 0.6 to 1.0)"
+            raise UserError(message, code="user.friction")

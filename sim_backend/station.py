@@ -1,4 +1,4 @@
-"""Build a simulated station: the same Protocols as the real one, and beside them the ground truth."""
+"""The simulated station: devices behind the same Protocols as the real ones, and the ground truth."""
 
 from __future__ import annotations
 
@@ -18,18 +18,28 @@ from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.clock import SimClock
 from toolee_robot.sim_backend.devices.hand import SimHand
 from toolee_robot.sim_backend.devices.operator import SimPerson
-from toolee_robot.sim_backend.ground_truth.verdict import Judge
+from toolee_robot.sim_backend.ground_truth.judge import Judge
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
 from toolee_robot.sim_backend.visuals.scene import SceneVisuals, scene_state
 from toolee_robot.sim_backend.world import Sample, SimWorld
 from toolee_robot.tools import NAIL_DRIVERS, SWUNG_MASS, Tool, make_tool, split
 
-MAX_MOMENT = 1.7  # [Nm] of its weight about the grip's centre: what the wrist can swing
+MAX_MOMENT = 1.7  # [Nm] largest moment of the tool's weight about the grip's centre: what the wrist can swing
 MIN_REACH = 0.15  # [m] from the grip's centre to the face, along the handle: room for the hand
 
 
 def draw_hammer(rng: np.random.Generator) -> Tool:
-    """A hammer that no network was trained on, of a size that one hand swings."""
+    """Draw a hammer of the test split, which no network was trained on, of a size that one hand can swing.
+
+    Args:
+        rng: Source of randomness.
+
+    Returns:
+        The tool.
+
+    Raises:
+        UserError: None of 200 candidates is usable.
+    """
     for _ in range(200):
         seed = int(rng.integers(0, 5000))
         if split(seed) != "test":
@@ -39,30 +49,56 @@ def draw_hammer(rng: np.random.Generator) -> Tool:
         moment = 9.81 * tool.mass * tool.center_of_mass[2]
         if SWUNG_MASS[0] <= tool.mass <= SWUNG_MASS[1] and face[2, 3] >= MIN_REACH and moment <= MAX_MOMENT:
             return tool
-    raise UserError("no hammer of a usable mass found: choose another seed")
+    raise UserError("no hammer of a usable mass found: choose another seed", code="user.seed_unusable")
 
 
 def draw_handover(seed: int, options: SimOptions) -> tuple[Tool, InHandOffset]:
-    """The tool that a seed, or an option, hands over, and how it will lie in the hand. Raises UserError for a seed
-    below 0."""
+    """Determine the tool and its in-hand offset.
+
+    Args:
+        seed: Seed of the run, 0 or more.
+        options: Options, which take precedence over the seed.
+
+    Returns:
+        The tool, and its deviation from the nominal grasp after the handover.
+
+    Raises:
+        UserError: The seed is negative or unusable.
+    """
     if seed < 0:
-        raise UserError(f"the seed must be 0 or more, got {seed}")
+        raise UserError(f"the seed must be 0 or more, got {seed}", code="user.seed_negative")
     tool = draw_hammer(np.random.default_rng([seed, 10])) if options.tool is None else options.tool
     offset = InHandOffset.draw(np.random.default_rng([seed, 11])) if options.offset is None else options.offset
     return tool, offset
 
 
 def build_world(config: StationConfig, tool: Tool, options: SimOptions) -> SimWorld:
-    """The world before the handover: the tool hangs where the person will be."""
+    """Build the world before the handover, with the tool floating at the person's place.
+
+    Args:
+        config: The station.
+        tool: The tool to hand over.
+        options: Options of the run.
+
+    Returns:
+        The world.
+    """
     x, y, _ = config.scene.person_center
     return SimWorld(config, tool, transform(p=[x, y + 0.35, 1.0]), options)
 
 
 class SimStation:
-    """`station`: what a task gets. `judge`, `world`, `person`: ground truth, for the report and the tests.
+    """A simulated station; create it with `SimStation.build`.
 
-    with SimStation.build(StationConfig(), seed=0) as simulation:
-        task(simulation.station)
+        with SimStation.build(StationConfig(), seed=0) as simulation:
+            task(simulation.station)
+
+    Attributes:
+        station: The devices: all that a task may use.
+        world: The simulated world: ground truth, for the report and the tests.
+        judge: What truly happened: ground truth, likewise.
+        person: The simulated person: ground truth, likewise.
+        offset: In-hand offset of the handover: ground truth, likewise.
     """
 
     def __init__(
@@ -76,7 +112,19 @@ class SimStation:
 
     @classmethod
     def build(cls, config: StationConfig, seed: int = 0, options: SimOptions | None = None) -> SimStation:
-        """The seed decides tool, in-hand offset, room and noise. Raises UserError for an unusable option."""
+        """Build a station.
+
+        Args:
+            config: The station.
+            seed: Seed of tool, in-hand offset, room and noise.
+            options: Options of the run; the defaults if None.
+
+        Returns:
+            The station, with its world running.
+
+        Raises:
+            UserError: The seed or an option is unusable.
+        """
         options = SimOptions() if options is None else options
         tool, offset = draw_handover(seed, options)
         world = build_world(config, tool, options)
@@ -96,12 +144,12 @@ class SimStation:
 
     @property
     def tool(self) -> Tool:
-        """The tool handed over: ground truth."""
+        """The tool handed over; ground truth."""
         return self.world.tool.tool
 
     @property
     def observers(self) -> list[Callable[[Sample], None]]:
-        """Called every 16 ms of simulated time with joints and wrench, for a recorder."""
+        """Callbacks that get a `Sample` every 16 ms of simulated time, for a recorder."""
         return self.world.observers
 
     def __enter__(self) -> Self:

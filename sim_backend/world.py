@@ -1,6 +1,6 @@
-"""The simulated world: everything in pybullet, and the one place where time goes on.
+"""The simulated world: all bodies in pybullet, and the only place where simulated time advances.
 
-Time advances in quanta of 1/4000 s: by 1 ms a step normally, by a quantum while the tool hits the nail.
+Time is counted in quanta of 1/4000 s: a step normally takes 1 ms, and one quantum while the tool hits the nail.
 """
 
 from __future__ import annotations
@@ -29,15 +29,22 @@ from toolee_robot.tools import Tool
 
 QUANTUM = IMPACT.time_step  # [s]
 NORMAL = StepSettings(time_step=4 * QUANTUM, iterations=50, contact_erp=0.2)
-NEAR_NAIL = 0.12  # [m] of the face from the nail within which the impact window is looked for
-STRIKE_SPEED = 0.2  # [m/s] of the face
-WINDOW_QUANTA = 40  # 10 ms more, after the last fast step, for the nail to come to rest
-SAMPLE_QUANTA = 64  # between two samples for the observers: 16 ms
+NEAR_NAIL = 0.12  # [m] distance of the face from the nail within which an impact is checked for
+STRIKE_SPEED = 0.2  # [m/s] downward speed of the face above which a contact is an impact
+WINDOW_QUANTA = 40  # 10 ms of short steps after the last fast approach, for the nail to come to rest
+SAMPLE_QUANTA = 64  # 16 ms between two samples for the observers
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What a recorder may know: joints (6,), (n,) [rad] and the arm's wrench (6,) at `stamp` [s]."""
+    """What the sensors measure at one time, for recorders.
+
+    Attributes:
+        stamp: Time [s].
+        q_arm: Joint positions of the arm, (6,) [rad].
+        q_hand: Joint positions of the hand, (n,) [rad].
+        wrench: Wrench of the arm's force sensor, (6,) [N, Nm], axes of `base`.
+    """
 
     stamp: float
     q_arm: Array
@@ -46,9 +53,30 @@ class Sample:
 
 
 class SimWorld:
-    """Table, stand, block, nail, robot and tool. `before_step` callbacks get the step's length [s], `after_step` ones
-    nothing; `observers` get a `Sample` every 16 ms. Poses are in `base`, which is pybullet's world frame. wait: what
-    `advance` does: `run`, unless something else, a controller's tick loop, lets the time go on.
+    """Table, stand, block, nail, robot and tool in pybullet. Poses are in `base`, which is pybullet's world frame.
+
+    Args:
+        config: The station.
+        tool: The tool.
+        X_base_tool: Initial pose of the tool, 4x4.
+        options: Options of the run.
+
+    Attributes:
+        config: The station.
+        client: Id of pybullet's physics client; -1 once closed.
+        robot: Arm and hand.
+        furniture: The static bodies.
+        nail: The nail.
+        tool: The tool's body.
+        grip: The assisted grip, if there is one.
+        wrench: Reads the arm's wrench, (6,) [N, Nm]; set by the force sensor.
+        wait: Implementation of `advance`: `run`, unless a controller's tick loop advances the time.
+        before_step: Callbacks before each step, with its length [s].
+        after_step: Callbacks after each step.
+        observers: Callbacks with a `Sample` every 16 ms.
+
+    Raises:
+        UserError: pybullet cannot start, or cannot open its window.
     """
 
     def __init__(self, config: StationConfig, tool: Tool, X_base_tool: Array, options: SimOptions) -> None:
@@ -78,36 +106,42 @@ class SimWorld:
 
     @property
     def time(self) -> float:
-        """[s]"""
+        """Simulated time [s]."""
         return self._quanta * QUANTUM
 
     @property
     def tool_body(self) -> int:
-        """pybullet's id of the tool."""
+        """pybullet's id of the tool's body."""
         return self.tool.body
 
     def X_base_hand(self) -> Array:
-        """The palm, 4x4."""
+        """Pose of the palm, 4x4."""
         return self.robot.link_pose(self.robot.palm)
 
     def X_base_tool(self) -> Array:
-        """The tool, 4x4: ground truth."""
+        """Pose of the tool, 4x4; ground truth."""
         return self.tool.pose()
 
     def X_base_ee(self) -> Array:
-        """The tool's working end, 4x4: ground truth."""
+        """Pose of the tool's end effector, 4x4; ground truth."""
         return self.tool.pose() @ self._X_tool_ee
 
     def advance(self, duration: float) -> None:
-        """Return when `duration` [s] has passed: for whatever lives in the world. Raises DeviceError when the world is
-        closed."""
+        """Wait for `duration` [s] of simulated time; for devices and persons in the world.
+
+        Raises:
+            DeviceError: The world is closed.
+        """
         self.wait(duration)
 
     def run(self, duration: float) -> None:
-        """Let `duration` [s] pass, to the next quantum: for the one that drives the world. Raises DeviceError when the
-        world is closed."""
+        """Simulate `duration` [s], rounded to quanta; only for whatever drives the world.
+
+        Raises:
+            DeviceError: The world is closed.
+        """
         if self.client < 0:
-            raise DeviceError("the simulation is closed: use it inside its `with` block")
+            raise DeviceError("the simulation is closed: use it inside its `with` block", code="device.closed")
         end = self._quanta + max(1, round(duration / QUANTUM))
         while self._quanta < end:
             self._step(end - self._quanta)
@@ -136,8 +170,8 @@ class SimWorld:
                 observer(sample)
 
     def _strike_near(self) -> bool:
-        """Whether the tool is about to hit the nail, or hits it: close to its head and coming fast. A tool that is
-        lowered onto the nail, or turns on it, needs no short steps."""
+        """Whether the tool is hitting the nail or about to: close to its head and fast. A tool that is lowered onto the
+        nail, or turns on it, needs no short steps."""
         face = self.X_base_ee()[:3, 3] - self.nail.X_world_surface[:3, 3]
         if face @ face > NEAR_NAIL**2:
             return False
@@ -149,14 +183,14 @@ class SimWorld:
         return self._quanta < self._window_end
 
     def ignore_collisions(self, body_a: int, body_b: int) -> None:
-        """Bodies a and b pass through each other from now on."""
+        """Disable collisions between two bodies, given by pybullet's ids."""
         links_a, links_b = (range(-1, pb.getNumJoints(b, physicsClientId=self.client)) for b in (body_a, body_b))
         for a in links_a:
             for b in links_b:
                 pb.setCollisionFilterPair(body_a, body_b, a, b, 0, physicsClientId=self.client)
 
     def close(self) -> None:
-        """Leave pybullet; nothing can be simulated after."""
+        """Disconnect from pybullet; idempotent."""
         if self.client >= 0:
             pb.disconnect(physicsClientId=self.client)
             self.client = -1
@@ -168,11 +202,13 @@ def _is_hammer(tool: Tool) -> bool:
 
 def _connect(gui: bool) -> int:
     if gui and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        raise UserError("pybullet's window needs a screen and DISPLAY is not set: leave --gui out to run headless")
+        message = "pybullet's window needs a screen and DISPLAY is not set: leave --gui out to run headless"
+        raise UserError(message, code="user.no_display")
     try:
         client = int(pb.connect(pb.GUI if gui else pb.DIRECT))
     except pb.error as error:
-        raise UserError(f"pybullet cannot start: {error}") from error
+        raise UserError(f"pybullet cannot start: {error}", code="user.pybullet") from error
     if client < 0:
-        raise UserError("pybullet cannot open its window: is there a screen (DISPLAY)? Leave --gui out to run headless")
+        message = "pybullet cannot open its window: is there a screen (DISPLAY)? Leave --gui out to run headless"
+        raise UserError(message, code="user.no_display")
     return client

@@ -1,4 +1,4 @@
-"""The simulated RGB-D camera: the world's visual bodies in a laboratory, through the renderer and the sensor model."""
+"""The simulated RGB-D camera: renders the world in a laboratory and applies the sensor model."""
 
 from __future__ import annotations
 
@@ -26,11 +26,22 @@ _ROOM_ID = 0
 
 
 class SimCamera:
-    """A `hal.RgbdCamera` on a simulated world. One frame each `period` [s] of simulated time: a second `read` at the
-    same instant sleeps on the station's clock until the next frame is exposed.
+    """A `hal.RgbdCamera` on a simulated world.
 
-    seed: decides the room, the surfaces' patterns and the noise; the same seed and the same calls give the same
-    frames. Faults to be had: `freeze`, `repeat`, blinded (no depth anywhere); `thaw` ends them.
+    A second `read` within one frame period sleeps on the station's clock until the next frame. The same seed and calls
+    give the same frames. Faults can be injected with `freeze`, `repeat` and `blinded`; `thaw` undoes them.
+
+    Args:
+        world: What the camera sees.
+        clock: The station's clock.
+        config: Intrinsics and pose of the camera.
+        seed: Seed of the room, the surface patterns and the noise.
+        noise: Depth noise; the default model if None.
+        photo: Color camera; the default model if None.
+        period: Time between two frames [s] of simulated time.
+
+    Attributes:
+        blinded: Fault: whether no pixel has a depth.
     """
 
     def __init__(
@@ -66,29 +77,42 @@ class SimCamera:
 
     @property
     def intrinsics(self) -> CameraIntrinsics:
+        """Intrinsics of both images."""
         return self._config.intrinsics
 
     def freeze(self) -> None:
-        """Stop exposing, as a camera with a pulled cable: from now on `read` has only old frames to offer."""
+        """Fault: no new frames, as with an unplugged cable."""
         self._frozen = True
 
     def repeat(self) -> None:
-        """From now on `read` gives the newest frame again and again, as a driver that has lost its camera."""
+        """Fault: `read` returns the last frame again and again, as a driver that has lost its camera."""
         self._repeats = True
 
     def thaw(self) -> None:
-        """Expose again."""
+        """Undo `freeze`, `repeat` and `blinded`."""
         self._frozen, self._repeats, self.blinded = False, False, False
 
     def read(self, max_age: float = 0.5) -> RgbdFrame:
-        """A frame exposed now. Raises StaleDataError after `freeze`, DeviceError when the camera is closed."""
+        """Take a frame.
+
+        Args:
+            max_age: Longest wait for a new frame [s].
+
+        Returns:
+            A frame exposed now.
+
+        Raises:
+            StaleDataError: There is no new frame.
+            DeviceError: The camera is closed.
+        """
         if not self._open:
-            raise DeviceError("the camera is closed: read inside its `with` block")
+            raise DeviceError("the camera is closed: read inside its `with` block", code="device.closed")
         if self._frozen:
             self._clock.sleep(max_age)
             newest = "none at all" if self._last is None else f"{self._clock.now() - self._last.stamp:.2f} s old"
             raise StaleDataError(
-                f"the camera gave no new frame within {max_age:.2f} s (newest: {newest}); check its cable and driver"
+                f"the camera gave no new frame within {max_age:.2f} s (newest: {newest}); check its cable and driver",
+                code="stale_data.camera",
             )
         if self._repeats and self._last is not None:
             return self._last
@@ -107,7 +131,7 @@ class SimCamera:
         return frame
 
     def render(self) -> Rendering:
-        """The world as it is now without sensor noise, with the world's body ids: ground truth, for the judge."""
+        """Render the current world without sensor noise, with the world's body ids; ground truth."""
         bodies = [*self._room.bodies, *(self._body(v) for v in self._world.visual_bodies())]
         scene = Scene(bodies, self._room.lights, self._room.environment)
         return render(scene, self.intrinsics, self._config.X_base_camera, auto_exposure=0.7)

@@ -1,4 +1,4 @@
-"""Force sensing at the flange: what the environment exerts on hand and tool, the payload's part taken off."""
+"""The force sensor at the flange: the wrench of the environment on hand and tool, compensated for the payload."""
 
 from __future__ import annotations
 
@@ -12,10 +12,19 @@ GRAVITY = np.array([0.0, 0.0, -9.81])  # [m/s^2]
 
 
 class FlangeSensor:
-    """Mean wrench over a control tick of `period` [s]: force and torque that the flange carries, less what it takes to
-    hold and accelerate the payload, a rigid body. Base axes, torque about the flange's origin.
+    """Mean wrench over a control tick, less the weight and inertia of the payload as a rigid body.
 
-    A wrist that yields, fingers that move and a tool that slips are not rigid: they show up as a few N.
+    A yielding wrist, moving fingers and a slipping tool are not rigid and appear as a few N.
+
+    Args:
+        world: The simulated world.
+        payload: Payload to compensate.
+        period: Averaging time [s].
+
+    Attributes:
+        payload: Payload to compensate.
+        period: Averaging time [s].
+        wrench: Latest mean, (6,): force [N] and torque [Nm] about the flange's origin, axes of `base`.
     """
 
     def __init__(self, world: SimWorld, payload: Payload, period: float) -> None:
@@ -26,7 +35,7 @@ class FlangeSensor:
         hand = world.robot.robot.hand
         self._X_flange_root = hand.X_flange_root
         inertial = hand.tree.links[0].inertial
-        assert inertial is not None, "every reader of hands gives the root link a mass"
+        assert inertial is not None, "every hand model has a root link with a mass"
         self._R_flange_com = hand.X_flange_root[:3, :3] @ inertial.X_link_com[:3, :3]
         self._sum, self._time, self._dt = np.zeros(6), 0.0, 0.0
         self._velocity = self._payload_velocity()[0]
@@ -43,7 +52,7 @@ class FlangeSensor:
             self._finish()
 
     def begin(self) -> None:
-        """Start averaging now, so that a control tick and a mean coincide."""
+        """Start a new mean now, so that it coincides with a control tick."""
         self._sum, self._time = np.zeros(6), 0.0
         self._velocity = self._payload_velocity()[0]
 
@@ -59,8 +68,12 @@ class FlangeSensor:
         self._sum, self._time, self._velocity = np.zeros(6), 0.0, velocity
 
     def _payload_velocity(self) -> tuple[Array, Array, Array, Array]:
-        """Velocity (3,) of the payload's centre of mass, its lever (3,) from the flange, R_base_flange, and the
-        centre of mass (3,) of the hand's root link from the flange; base axes."""
+        """Motion of the payload and geometry of the flange, axes of `base`.
+
+        Returns:
+            Velocity of the payload's centre of mass, (3,) [m/s]; its position from the flange, (3,) [m]; R_base_flange,
+            (3, 3); position of the centre of mass of the hand's root link from the flange, (3,) [m].
+        """
         X_base_root, com, w, v_com = self._world.robot.sensor_motion()
         R = X_base_root[:3, :3] @ self._X_flange_root[:3, :3].T
         flange = X_base_root[:3, 3] - R @ self._X_flange_root[:3, 3]

@@ -1,4 +1,4 @@
-"""The simulated hand: closes by finger contact, then holds with the assisted grip."""
+"""The simulated hand: closes until contact, then holds with the assisted grip."""
 
 from __future__ import annotations
 
@@ -19,19 +19,27 @@ from toolee_robot.types import JointState
 TICK = 0.01  # [s]
 ROOM_TEMPERATURE = 24.0  # [deg C]
 CLOSING_SPEED = 4.0  # [rad/s] of the targets
-LEAD = 0.25  # [rad] by which a target runs ahead of a joint that is blocked: enough for full torque
-STILL = 0.05  # [rad/s]
-STILL_TIME = 0.05  # [s] of standing still that counts as blocked
-PHASE_TIME = 0.8  # [s] at most for one group of joints: one that still creeps then presses on while the next closes
-CONTACT_FORCE = 0.3  # [N] that counts as a touch
+LEAD = 0.25  # [rad] largest lead of a target over a blocked joint: enough for full torque
+STILL = 0.05  # [rad/s] below which a joint counts as standing
+STILL_TIME = 0.05  # [s] of standstill after which a joint counts as blocked
+PHASE_TIME = 0.8  # [s] longest time for one group of joints; a joint that still moves goes on during the next group
+CONTACT_FORCE = 0.3  # [N] above which a finger counts as touching
 AVERAGE_TIME = 0.06  # [s] over which the finger forces are averaged before the grip begins
 
 
 class SimHand:
     """A `hal.Hand` that moves the simulated hand. The wrist holds its rest pose with its limited torque.
 
-    Faults to be had: `cut_link`; hangs (motions time out), temperature, fault (see `hal.HandState`); `recover` ends
-    them all.
+    Faults can be injected with `cut_link`, `hangs`, `temperature` and `fault`; `recover` undoes them all.
+
+    Args:
+        world: The simulated world.
+        friction: Coefficient of friction between hand and handle.
+
+    Attributes:
+        temperature: Reported temperature [deg C].
+        fault: Reported fault; empty for none.
+        hangs: Fault: whether motions time out.
     """
 
     def __init__(self, world: SimWorld, friction: float) -> None:
@@ -44,7 +52,7 @@ class SimHand:
         self._open_device = True
         self.temperature, self.fault = ROOM_TEMPERATURE, ""
         self.hangs = False
-        self._last: HandState | None = None  # the newest state that arrived, while the link is down
+        self._last: HandState | None = None  # the last state received, while the link is down
 
     def __enter__(self) -> Self:
         self._open_device = True
@@ -58,28 +66,41 @@ class SimHand:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
+        """Names of the hand's joints, wrist first."""
         return self._robot.hand_joints
 
     def state(self, max_age: float = 0.1) -> HandState:
-        """The present state. Raises StaleDataError once the link is down for longer than max_age [s]."""
+        """The current state.
+
+        Args:
+            max_age: Largest accepted age [s].
+
+        Returns:
+            The state; the last one received while the link is down.
+
+        Raises:
+            StaleDataError: The link has been down for longer than `max_age`.
+            DeviceError: The hand is closed.
+        """
         self._check_open()
         if self._last is None:
             return self._read()
         age = self._world.time - self._last.joints.stamp
         if age > max_age:
-            raise StaleDataError(f"the hand's newest state is {age:.2f} s old: check its cable, then start again")
+            message = f"the hand's newest state is {age:.2f} s old: check its cable, then start again"
+            raise StaleDataError(message, code="stale_data.hand")
         return self._last
 
     def cut_link(self) -> None:
-        """From now on the hand's states do not arrive any more, as with a pulled cable; it keeps its grip."""
+        """Fault: the hand's states do not arrive, as with an unplugged cable; it keeps its grip."""
         self._last = self._read()
 
     def restore_link(self) -> None:
-        """They arrive again."""
+        """Undo `cut_link`."""
         self._last = None
 
     def recover(self) -> None:
-        """Everything is as it should be again."""
+        """Undo all injected faults."""
         self.restore_link()
         self.hangs = False
         self.temperature, self.fault = ROOM_TEMPERATURE, ""
@@ -97,7 +118,14 @@ class SimHand:
         return HandState(joints, forces, holding, assisted, self.temperature, self.fault)
 
     def open(self, timeout: float = 5.0) -> None:
-        """Let go and spread the fingers."""
+        """Release the tool and spread the fingers.
+
+        Args:
+            timeout: Longest duration of each group of joints [s].
+
+        Raises:
+            DeviceError: The motion timed out, or the hand is closed.
+        """
         self._check_open()
         self._check_moves(timeout)
         if self._world.grip is not None:
@@ -108,7 +136,14 @@ class SimHand:
             self._move(joints, goal, timeout)
 
     def close(self, timeout: float = 5.0) -> None:
-        """Close until the fingers hold or are shut. Where thumb and fingers hold something, the grip begins."""
+        """Close until the fingers hold or are shut. If thumb and fingers hold the tool, the assisted grip begins.
+
+        Args:
+            timeout: Longest duration in all [s].
+
+        Raises:
+            DeviceError: The motion timed out, or the hand is closed.
+        """
         self._check_open()
         self._check_moves(timeout)
         goal = self._robot.hand_closed
@@ -118,25 +153,27 @@ class SimHand:
         self._hold()
 
     def stop(self) -> None:
-        """Freeze the fingers; a grip stays."""
+        """Stop the fingers; a grip is kept."""
         if self._open_device and self._world.grip is None:
             q = self._world.robot.hand_state()[0]
-            # A finger that presses keeps pressing: its target stays ahead by what gives the present force.
+            # The lead of each target is kept, so that a finger that presses keeps its force.
             ahead = np.clip(self._target - q, -LEAD, LEAD)
             self._target = q + ahead
             self._world.robot.command_hand(self._target)
 
     def _check_open(self) -> None:
         if not self._open_device:
-            raise DeviceError("the hand is closed: use it inside its `with` block")
+            raise DeviceError("the hand is closed: use it inside its `with` block", code="device.closed")
 
     def _check_moves(self, timeout: float) -> None:
         if self.hangs:
             self._world.advance(timeout)
-            raise DeviceError(f"the hand did not move within {timeout:.1f} s; it stays as it is, its grip too")
+            message = f"the hand did not move within {timeout:.1f} s; it keeps its position and its grip"
+            raise DeviceError(message, code="device.timeout")
 
     def _move(self, joints: tuple[str, ...], goal: np.ndarray, timeout: float) -> None:
-        """Move some joints to their goals, or as far as they get. Raises DeviceError on time-out; targets stay."""
+        """Move some joints to their goals or until they are blocked. Raises DeviceError on time-out, and keeps the
+        targets."""
         index = np.array(self._model.index(joints))
         began = self._world.time
         end = began + timeout
@@ -151,14 +188,15 @@ class SimHand:
             if np.all(arrived) or still >= STILL_TIME or self._world.time >= began + PHASE_TIME:
                 return
             if self._world.time >= end:
-                raise DeviceError("the hand did not finish its motion in time; it stays as it is, its grip too")
+                message = "the hand did not finish its motion in time; it keeps its position and its grip"
+                raise DeviceError(message, code="device.timeout")
             step = np.clip(goal[index] - self._target[index], -CLOSING_SPEED * TICK, CLOSING_SPEED * TICK)
             self._target[index] = q[index] + np.clip(self._target[index] + step - q[index], -LEAD, LEAD)
             self._world.robot.command_hand(self._target)
             self._world.advance(TICK)
 
     def _contact_forces(self) -> tuple[dict[str, float], set[str]]:
-        """Normal force [N] between hand and tool by finger and "palm", and the links that touch."""
+        """Normal forces [N] between hand and tool, by finger and "palm", and the links in contact."""
         forces = self._no_forces()
         links: set[str] = set()
         world = self._world
@@ -180,7 +218,7 @@ class SimHand:
         return forces[opposing] > CONTACT_FORCE and len(others) >= self._model.holding_links
 
     def _hold(self) -> None:
-        """Begin the assisted grip if thumb and fingers hold the tool by contact."""
+        """Begin the assisted grip if thumb and fingers hold the tool by real contact."""
         world = self._world
         if world.grip is not None and world.grip.holding:
             return
@@ -199,13 +237,13 @@ class SimHand:
         self._holding_forces = total
         fingers = sum(force for name, force in total.items() if name != PALM)
         X_hand_tool = inverse(world.X_base_hand()) @ world.X_base_tool()
-        # The grip's centre: the point of the handle's axis abreast of the palm's middle.
+        # The grip's centre: the point of the handle's axis next to the palm's middle.
         along = (self._model.grasp.p[0] - X_hand_tool[0, 3]) / X_hand_tool[0, 2]
         z = float(np.clip(along, world.tool.tool.handle.z_min + 0.02, world.tool.tool.handle.z_max - 0.02))
         p_hand_grip = X_hand_tool[:3, 3] + z * X_hand_tool[:3, 2]
         radius = float(np.mean(world.tool.tool.handle.radii_at(z)))
         world.ignore_collisions(world.robot.body, world.tool.body)
-        # Loads pass through the palm from now on: the fingers only keep up what presses, at the torques they had.
+        # Loads now pass through the palm; the fingers only keep their positions.
         self._target = world.robot.hand_state()[0]
         wrist = self._model.wrist_index
         self._target[wrist] = self._robot.hand_closed[wrist]

@@ -1,4 +1,4 @@
-"""The simulated person: brings the tool, holds it in the open hand, lets go, steps back."""
+"""The simulated person: hands the tool over, releases it, steps back."""
 
 from __future__ import annotations
 
@@ -11,27 +11,46 @@ from toolee_robot.sim_backend.physics.bodies import fixed_box, set_body_pose
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.sim_backend.world import SimWorld
 
-HOLDING_FORCE = 60.0  # [N] with which the person holds the tool against pushes
-APPROACH = 0.25  # [m] from which the tool comes into the open hand
-APPROACH_TIME = 1.0  # [s]
-STEP_BACK = 1.2  # [m]
-STEP_TIME = 0.5  # [s]
-GAP = 0.0005  # [m] between tool and hand when it is laid in
+HOLDING_FORCE = 60.0  # [N] largest force with which the person holds the tool
+APPROACH = 0.25  # [m] distance from which the tool is moved into the open hand
+APPROACH_TIME = 1.0  # [s] duration of that motion
+STEP_BACK = 1.2  # [m] that the person steps back
+STEP_TIME = 0.5  # [s] duration of a step
+GAP = 0.0005  # [m] clearance between tool and hand when it is placed
 TICK = 0.02  # [s]
 
 
 def handed_over(X_hand_nominal: Array, offset: InHandOffset) -> Array:
-    """X_hand_tool of a tool held out with an offset from its nominal pose."""
+    """Apply an in-hand offset to the nominal grasp.
+
+    Args:
+        X_hand_nominal: Nominal pose of the tool in the hand, 4x4.
+        offset: In-hand offset.
+
+    Returns:
+        X_hand_tool, 4x4.
+    """
     R = Rotation.from_euler("ZYX", [offset.spin, offset.tilt_y, offset.tilt_x])
     return X_hand_nominal @ transform(R, [0.0, 0.0, offset.along])
 
 
 class SimPerson:
-    """A `hal.Person` who is always prompt. comes: whether they have a tool to give.
+    """A `hal.Person` who answers promptly.
 
-    visible_arm: elbow and hand (3,) in `base` while the person holds the tool, else None. confirms, holds_switch:
-    whether they confirm a swing, and hold the enabling switch; stays: whether they stay in reach when asked to step
-    back. intended_X_hand_tool: where they mean to put the tool in the hand, before the hand closes: ground truth."""
+    Args:
+        world: The simulated world.
+        offset: In-hand offset with which the tool is handed over.
+        comes: Whether the person hands a tool over at all.
+
+    Attributes:
+        body: pybullet's id of the person's body.
+        center: Middle of the body, (3,) in `base` [m].
+        visible_arm: Shoulder and hand, (3,) each in `base` [m], while the person holds the tool, else None.
+        confirms: Whether the person confirms a swing.
+        holds_switch: Whether the person holds the enabling switch.
+        stays: Whether the person stays within reach when asked to step back.
+        intended_X_hand_tool: Pose at which the person places the tool in the open hand, 4x4; ground truth.
+    """
 
     def __init__(self, world: SimWorld, offset: InHandOffset, comes: bool) -> None:
         self._world = world
@@ -51,8 +70,16 @@ class SimPerson:
         self.intended_X_hand_tool = handed_over(X_nominal, offset)
         self._grasp(world.X_base_tool())
 
-    def request_handover(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002  (knows what to do)
-        """Lay the tool into the open hand, where the palm is now."""
+    def request_handover(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        """Place the tool into the open hand at the palm's current pose.
+
+        Args:
+            prompt: Ignored.
+            timeout: Longest duration [s].
+
+        Returns:
+            Whether the tool was handed over.
+        """
         if not self._comes or timeout < APPROACH_TIME:
             self._world.advance(timeout)
             return False
@@ -70,7 +97,7 @@ class SimPerson:
         return True
 
     def release(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        """Let go and step back."""
+        """Release the tool and step back; whether that was done within `timeout` [s]."""
         if self.stays or timeout < STEP_TIME:
             self._world.advance(timeout)
             return False
@@ -80,11 +107,11 @@ class SimPerson:
         return True
 
     def step_in(self) -> None:
-        """Come back to the arm, from one moment to the next: what nobody may do while it swings."""
+        """Appear at the arm at once: a violation while it swings."""
         self._stand(self._place)
 
     def take_tool(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        """Come to the arm and take hold of the tool where the hand has it."""
+        """Come to the arm and hold the tool in the hand; whether that was done within `timeout` [s]."""
         if self.stays or timeout < STEP_TIME:
             self._world.advance(timeout)
             return False
@@ -94,13 +121,15 @@ class SimPerson:
         return True
 
     def confirm_swing(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        """Whether the person confirms that fast strikes may begin."""
         return self.confirms
 
     def zone_occupied(self) -> bool:
-        """Whether they stand nearer than half a step back from their place at the arm."""
+        """Whether the person is nearer than half a step to their place at the arm."""
         return bool(np.linalg.norm(self.center - self._place) < 0.5 * STEP_BACK)
 
     def enabling_switch_held(self) -> bool:
+        """Whether the person holds the enabling switch."""
         return self.holds_switch
 
     def _walk(self, to: Array) -> None:
@@ -114,7 +143,7 @@ class SimPerson:
         set_body_pose(self._world.client, self.body, transform(p=self.center))
 
     def _clear_of_hand(self) -> Array:
-        """X_hand_tool moved out of the palm, along its normal, until nothing of the hand overlaps the tool."""
+        """The intended X_hand_tool, moved along the palm's normal until hand and tool do not overlap."""
         world = self._world
         X = self.intended_X_hand_tool.copy()
         kept = world.X_base_tool()

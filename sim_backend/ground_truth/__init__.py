@@ -1,1 +1,1 @@
-"""What truly happened in the simulation, for reports and tests, never for the task."""
+"""Ground truth of the simulation, for reports and tests, never for the task."""

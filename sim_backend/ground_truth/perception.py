@@ -1,4 +1,4 @@
-"""The perfect-perception mode: poses from the simulation's ground truth, for tests and the ablation only."""
+"""Perception from the simulation's ground truth, for tests and the ablation only."""
 
 from __future__ import annotations
 
@@ -13,19 +13,34 @@ from toolee_robot.sim_backend.ground_truth.verdict import Truth
 from toolee_robot.types import Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 _SIGMA = 1e-4
-"""Claimed standard deviation [m, rad]: none, but covariances must be positive."""
+"""[m, rad] Standard deviation of the reported covariances, which must be positive."""
 
 
 class PerfectPerception:
-    """Stands where ToolPerception stands and tells the truth. Never what a robot could do."""
+    """Replaces `ToolPerception` by the true poses, which no robot has.
+
+    Args:
+        judge: The ground truth.
+    """
 
     def __init__(self, judge: Truth) -> None:
         self._judge = judge
 
     def estimate(self, frame: RgbdFrame, hand: HoldingHand | None = None) -> list[ToolEstimate]:
-        """One estimate: the true face, seen or not. The hand's pose is needed: truth is told in the hand."""
+        """The true pose of the hammer's face, whether it is visible or not.
+
+        Args:
+            frame: Frame of whose time the pose is returned.
+            hand: The hand that holds the tool; required, since the true pose is known in the hand.
+
+        Returns:
+            One estimate.
+
+        Raises:
+            PerceptionError: No hand is given.
+        """
         if hand is None:
-            raise PerceptionError("perfect perception is told in the hand's frame: give the hand")
+            raise PerceptionError("perfect perception needs the hand that holds the tool", code="perception.no_hand")
         X = hand.X_camera_hand @ self._judge.X_hand_ee(frame.stamp)
         uv = frame.intrinsics.matrix @ X[:3, 3]
         u, v = uv[:2] / uv[2]
@@ -39,14 +54,28 @@ class PerfectPerception:
         Xs_camera_hand: Sequence[Array],
         category: Category | None = None,
     ) -> InHandEstimate:
-        """The last frame's truth in the hand."""
+        """The true in-hand pose at the last frame.
+
+        Args:
+            estimates_per_frame: Estimates of each frame.
+            Xs_camera_hand: Pose of the hand in the camera, 4x4, for each frame.
+            category: Category of the end effector; the hammer's face, or None.
+
+        Returns:
+            The in-hand pose.
+
+        Raises:
+            PerceptionError: There is no estimate, or another category is requested.
+        """
         if category not in (None, Category.HAMMER_HEAD):
-            raise PerceptionError(f"perfect perception knows the hammer's face only, not the {category}")
-        told = [(e[0], X) for e, X in zip(estimates_per_frame, Xs_camera_hand, strict=True) if e]
-        if not told:
-            raise PerceptionError("the true face lies where a held hammer cannot have it: was the tool dropped?")
-        X_hand_ee = inverse(told[-1][1]) @ told[-1][0].X_camera_ee
+            message = f"perfect perception supports the hammer's face only, not the {category}"
+            raise PerceptionError(message, code="perception.category")
+        frames = [(e[0], X) for e, X in zip(estimates_per_frame, Xs_camera_hand, strict=True) if e]
+        if not frames:
+            message = "the true face lies where a held hammer cannot have it: was the tool dropped?"
+            raise PerceptionError(message, code="perception.nothing_seen")
+        X_hand_ee = inverse(frames[-1][1]) @ frames[-1][0].X_camera_ee
         covariance = np.eye(6) * _SIGMA**2
         return InHandEstimate(
-            Category.HAMMER_HEAD, X_hand_ee, covariance, 1.0, len(told), len(estimates_per_frame), True, "ok"
+            Category.HAMMER_HEAD, X_hand_ee, covariance, 1.0, len(frames), len(estimates_per_frame), True, "ok"
         )

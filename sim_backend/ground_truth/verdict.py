@@ -1,68 +1,42 @@
-"""The judge: what truly happened, for the command line's report and the tests, never for the task.
-
-It watches every step of the simulated world and answers: how far an estimate of the end effector (EE) in the hand was
-off at its time, where and how fast the face met the nail at each strike, and what became of the nail.
-"""
+"""Ground-truth figures of a run: pose errors, strikes, and the verdict."""
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from toolee_robot.end_effectors import Category
-from toolee_robot.errors import TooleeError
-from toolee_robot.frames import Array, angle_between, inverse, transform
-from toolee_robot.sim_backend.physics.bullet import pb
-from toolee_robot.sim_backend.physics.nail import SLIDE, Nail
-from toolee_robot.sim_backend.physics.wood import driving_work
+from toolee_robot.frames import Array, angle_between, inverse
 from toolee_robot.types import InHandEstimate
-
-HISTORY_PERIOD = 1 / 240  # [s] between recorded poses
-STRIKE_SPEED = 0.15  # [m/s] of approach above which a contact is a strike, not a touch
-REARM_GAP = 0.010  # [m] the face must go back from the head before the next strike can begin
-MISS_DEPTH = 0.003  # [m] below the head's top: a face that gets there untouched has missed
-FAR = 0.10  # [m] between face and nail: farther out, a motion has nothing to do with the nail
-
-
-class TruthSource(Protocol):
-    """What the world tells the judge. Poses are 4x4 in `base` at the present step.
-
-    tool_body: pybullet's id of the tool, a single free body. client: pybullet's. time [s]: the station's clock.
-    """
-
-    @property
-    def client(self) -> int: ...
-
-    @property
-    def time(self) -> float: ...
-
-    @property
-    def nail(self) -> Nail: ...
-
-    @property
-    def tool_body(self) -> int: ...
-
-    def X_base_hand(self) -> Array: ...
-
-    def X_base_ee(self) -> Array: ...
 
 
 @dataclass(frozen=True)
 class PoseError:
-    """position_mm: distance of the EE's origins (hammer: of the face's centres). angle_deg: rotation error modulo the
-    category's symmetry group (hammer: between the face's normals)."""
+    """Error of an estimated EE pose.
+
+    Attributes:
+        position_mm: Distance of the EE's origins [mm] (hammer: of the face's centres).
+        angle_deg: Rotation error modulo the category's symmetry group [deg] (hammer: between the face's normals).
+    """
 
     position_mm: float
     angle_deg: float
 
 
 def pose_error(X_estimated: Array, X_true: Array, category: Category) -> PoseError:
-    """Error between two poses (4x4) of the same EE in the same frame."""
+    """Error between two poses of one EE.
+
+    Args:
+        X_estimated: Estimated pose, 4x4.
+        X_true: True pose, 4x4, in the same frame.
+        category: Category of the EE, which determines the symmetry.
+
+    Returns:
+        The error.
+    """
     return PoseError(
         float(np.linalg.norm(X_estimated[:3, 3] - X_true[:3, 3]) * 1e3),
         float(np.rad2deg(category.symmetry.rotation_error(X_estimated[:3, :3], X_true[:3, :3]))),
@@ -82,11 +56,19 @@ def strike_tilt(X_base_nail: Array, X_base_ee: Array) -> float:
 
 @dataclass(frozen=True)
 class StrikeTruth:
-    """One strike at its first contact; a miss (hit False) at the moment when the face passed the head's height.
+    """One strike at its first contact, or one miss when the face passed the head's height.
 
-    stamp [s]. offset_mm, tilt_deg: of face against nail. speed [m/s]: of the face's centre along the nail, before
-    contact. energy [J]: the tool's own kinetic energy along the nail at that speed, without the arm behind it.
-    work [J]: what the wood took. peak_force [N]: between tool and nail. protrusion before and after.
+    Attributes:
+        stamp: Time [s].
+        hit: Whether the face hit the nail.
+        offset_mm: Distance of the face's centre from the nail's axis [mm].
+        tilt_deg: Angle between the face's normal and the nail's axis [deg].
+        speed: Speed of the face's centre along the nail before the contact [m/s].
+        energy: Kinetic energy of the tool alone at that speed [J].
+        work: Work done on the nail against the wood [J].
+        peak_force: Largest force between tool and nail [N].
+        protrusion_before_mm: Protrusion of the nail before the strike [mm].
+        protrusion_mm: Protrusion of the nail after the strike [mm].
     """
 
     stamp: float
@@ -103,8 +85,22 @@ class StrikeTruth:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The figures of a run; None where there is nothing to judge. The pose error is that of the last usable estimate
-    before the first strike (the last one at all when none was usable), offset and tilt are medians over the strikes."""
+    """Figures of a run; None where they do not apply.
+
+    The pose error is that of the last usable estimate before the first strike, or of the last one if none is usable.
+
+    Attributes:
+        nail_outcome: Value of `NailOutcome`.
+        protrusion_mm: Protrusion of the nail [mm].
+        bend_deg: Bend of the nail [deg].
+        pose_error_mm: Position error of the in-hand estimate [mm].
+        pose_error_deg: Rotation error of the in-hand estimate [deg].
+        strike_offset_mm: Median offset of the strikes [mm].
+        strike_tilt_deg: Median tilt of the strikes [deg].
+        contact_speed: Median speed of the strikes [m/s].
+        hits: Number of hits.
+        misses: Number of misses.
+    """
 
     nail_outcome: str
     protrusion_mm: float
@@ -119,7 +115,7 @@ class Verdict:
 
 
 class Truth(Protocol):
-    """What a judge answers."""
+    """Ground truth about a run."""
 
     @property
     def strikes(self) -> tuple[StrikeTruth, ...]:
@@ -133,140 +129,3 @@ class Truth(Protocol):
     def verdict(self, estimates: Sequence[tuple[float, InHandEstimate]] = ()) -> Verdict:
         """The figures of the run so far."""
         ...
-
-
-class Judge:
-    """Watches `world` from now on: call `after_step` after every step."""
-
-    def __init__(self, world: TruthSource) -> None:
-        self._world = world
-        self._stamps: list[float] = []
-        self._Xs_hand_ee: list[Array] = []
-        self._strikes: list[StrikeTruth] = []
-        self._open = False  # the last of the strikes is still going on
-        self._armed = False
-        self._approach_speed = 0.0  # [m/s], and the protrusion [m], before the contact
-        self._protrusion_before = world.nail.protrusion
-
-    def after_step(self) -> None:
-        """Record what the step brought."""
-        now = self._world.time
-        X_base_ee = self._world.X_base_ee()
-        if not self._stamps or now - self._stamps[-1] >= HISTORY_PERIOD:
-            self._stamps.append(now)
-            self._Xs_hand_ee.append(inverse(self._world.X_base_hand()) @ X_base_ee)
-        self._watch_strike(now, X_base_ee)
-
-    def _watch_strike(self, now: float, X_base_ee: Array) -> None:
-        nail = self._world.nail
-        if np.linalg.norm(X_base_ee[:3, 3] - nail.X_world_surface[:3, 3]) > FAR:  # the usual case, made cheap
-            self._armed, self._open = True, False
-            return
-        X_base_nail = nail.head_pose()
-        p_nail_ee = (inverse(X_base_nail) @ X_base_ee)[:3, 3]
-        gap = -float(p_nail_ee[2])
-        if gap > REARM_GAP:
-            self._armed, self._open = True, False
-            self._approach_speed = self._speed_along(X_base_ee, X_base_nail)
-            return
-        force = self._contact_force()
-        if self._open:
-            last = self._strikes[-1]
-            protrusion = nail.protrusion
-            self._strikes[-1] = replace(
-                last,
-                peak_force=max(last.peak_force, force),
-                protrusion_mm=protrusion * 1e3,
-                work=driving_work(nail.spec, last.protrusion_before_mm * 1e-3, protrusion),
-            )
-        elif self._armed and (force > 0.0 or gap < -MISS_DEPTH):
-            self._armed = False
-            if self._approach_speed >= STRIKE_SPEED:
-                self._begin(now, force, X_base_ee, X_base_nail)
-        else:
-            self._approach_speed = self._speed_along(X_base_ee, X_base_nail)
-
-    def _begin(self, now: float, force: float, X_base_ee: Array, X_base_nail: Array) -> None:
-        world = self._world
-        mass = float(pb.getDynamicsInfo(world.tool_body, -1, physicsClientId=world.client)[0])
-        before = self._protrusion_before * 1e3
-        self._strikes.append(
-            StrikeTruth(
-                stamp=now,
-                hit=force > 0.0,
-                offset_mm=strike_offset(X_base_nail, X_base_ee) * 1e3,
-                tilt_deg=float(np.rad2deg(strike_tilt(X_base_nail, X_base_ee))),
-                speed=self._approach_speed,
-                energy=0.5 * mass * self._approach_speed**2,
-                work=0.0,
-                peak_force=force,
-                protrusion_before_mm=before,
-                protrusion_mm=world.nail.protrusion * 1e3,
-            )
-        )
-        self._open = force > 0.0
-
-    def _speed_along(self, X_base_ee: Array, X_base_nail: Array) -> float:
-        """Speed [m/s] of the face's centre along the nail's axis; also remembers the protrusion before contact."""
-        world = self._world
-        self._protrusion_before = world.nail.protrusion
-        p_com = pb.getBasePositionAndOrientation(world.tool_body, physicsClientId=world.client)[0]
-        v, w = pb.getBaseVelocity(world.tool_body, physicsClientId=world.client)
-        return float((np.asarray(v) + np.cross(w, X_base_ee[:3, 3] - np.asarray(p_com))) @ X_base_nail[:3, 2])
-
-    def _contact_force(self) -> float:
-        """Sum of the normal forces [N] of tool on nail in the last step."""
-        world = self._world
-        contacts = pb.getContactPoints(
-            bodyA=world.tool_body, bodyB=world.nail.body, linkIndexB=SLIDE, physicsClientId=world.client
-        )
-        return float(sum(contact[9] for contact in contacts))
-
-    @property
-    def strikes(self) -> tuple[StrikeTruth, ...]:
-        """All strikes so far; the last one may still be going on."""
-        return tuple(self._strikes)
-
-    @property
-    def protrusion_mm(self) -> float:
-        """Of the nail, now."""
-        return self._world.nail.protrusion * 1e3
-
-    def X_hand_ee(self, stamp: float) -> Array:
-        """The true pose (4x4) of the EE in the hand at `stamp` [s], interpolated; raises where nothing was seen."""
-        margin = 2 * HISTORY_PERIOD
-        if not self._stamps or not self._stamps[0] - margin <= stamp <= self._stamps[-1] + margin:
-            raise TooleeError(f"the judge saw nothing at {stamp:.3f} s: ask for times within the run")
-        i = bisect_left(self._stamps, stamp)
-        if i == 0 or i == len(self._stamps):
-            return self._Xs_hand_ee[min(i, len(self._stamps) - 1)].copy()
-        s = (stamp - self._stamps[i - 1]) / (self._stamps[i] - self._stamps[i - 1])
-        A, B = self._Xs_hand_ee[i - 1], self._Xs_hand_ee[i]
-        R = Slerp([0.0, 1.0], Rotation.from_matrix(np.stack([A[:3, :3], B[:3, :3]])))(s)
-        return transform(R, (1 - s) * A[:3, 3] + s * B[:3, 3])
-
-    def estimate_error(self, stamp: float, estimate: InHandEstimate) -> PoseError:
-        """Error of an estimate that was made of frames taken at about `stamp` [s]."""
-        return pose_error(estimate.X_hand_ee, self.X_hand_ee(stamp), estimate.category)
-
-    def verdict(self, estimates: Sequence[tuple[float, InHandEstimate]] = ()) -> Verdict:
-        """The figures of the run so far; estimates: (stamp, estimate) in the order in which they were made."""
-        first_strike = self._strikes[0].stamp if self._strikes else np.inf
-        known = [e for e in estimates if np.all(np.isfinite(e[1].X_hand_ee))]
-        candidates = [e for e in known if e[0] <= first_strike] or known
-        candidates = [e for e in candidates if e[1].usable] or candidates
-        error = self.estimate_error(*candidates[-1]) if candidates else None
-        strikes = self._strikes
-        nail = self._world.nail
-        return Verdict(
-            nail_outcome=nail.outcome.value,
-            protrusion_mm=nail.protrusion * 1e3,
-            bend_deg=float(np.rad2deg(nail.bend_angle)),
-            pose_error_mm=error.position_mm if error else None,
-            pose_error_deg=error.angle_deg if error else None,
-            strike_offset_mm=float(np.median([b.offset_mm for b in strikes])) if strikes else None,
-            strike_tilt_deg=float(np.median([b.tilt_deg for b in strikes])) if strikes else None,
-            contact_speed=float(np.median([b.speed for b in strikes])) if strikes else None,
-            hits=sum(b.hit for b in strikes),
-            misses=sum(not b.hit for b in strikes),
-        )

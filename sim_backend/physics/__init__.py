@@ -1,1 +1,1 @@
-"""The physics of the simulated station in pybullet: bodies, contact, grip, nail and wood."""
+"""Physics of the simulated station in pybullet: bodies, contact, grip, nail and wood."""

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.config import StationConfig
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.bullet import pb, rotation_matrix
 from toolee_robot.sim_backend.physics.convex_margin import shrink_convex
 from toolee_robot.tools import Tool
 
@@ -21,23 +21,47 @@ TABLE_THICKNESS = 0.04  # [m]
 
 
 def body_pose(client: int, body: int) -> Array:
-    """X_world_body, 4x4, of the body's inertial frame."""
+    """Pose of a body's inertial frame.
+
+    Args:
+        client: pybullet's physics client.
+        body: pybullet's id of the body.
+
+    Returns:
+        X_world_body, 4x4.
+    """
     p, q = pb.getBasePositionAndOrientation(body, physicsClientId=client)
     X = np.eye(4)
-    X[:3, :3] = np.array(pb.getMatrixFromQuaternion(q)).reshape(3, 3)
+    X[:3, :3] = rotation_matrix(q)
     X[:3, 3] = p
     return X
 
 
 def set_body_pose(client: int, body: int, X_world_body: Array) -> None:
-    """Teleport a body, at rest."""
+    """Move a body instantly, and set its velocity to zero.
+
+    Args:
+        client: pybullet's physics client.
+        body: pybullet's id of the body.
+        X_world_body: New pose of its inertial frame, 4x4.
+    """
     q = Rotation.from_matrix(X_world_body[:3, :3]).as_quat()
     pb.resetBasePositionAndOrientation(body, X_world_body[:3, 3].tolist(), q.tolist(), physicsClientId=client)
     pb.resetBaseVelocity(body, [0, 0, 0], [0, 0, 0], physicsClientId=client)
 
 
 def fixed_box(client: int, size: tuple[float, float, float], center: Array, color: tuple[float, float, float]) -> int:
-    """A static box; size: full extents [m]."""
+    """Create a static box.
+
+    Args:
+        client: pybullet's physics client.
+        size: Full extents [m].
+        center: Position of its centre, (3,) [m].
+        color: RGB in [0, 1].
+
+    Returns:
+        pybullet's id of the body.
+    """
     half = [s / 2 for s in size]
     shape = pb.createCollisionShape(pb.GEOM_BOX, halfExtents=half, physicsClientId=client)
     visual = pb.createVisualShape(pb.GEOM_BOX, halfExtents=half, rgbaColor=[*color, 1.0], physicsClientId=client)
@@ -46,7 +70,13 @@ def fixed_box(client: int, size: tuple[float, float, float], center: Array, colo
 
 @dataclass(frozen=True)
 class Furniture:
-    """pybullet ids of the static bodies; the base plane is the table's top."""
+    """The static bodies; the plane z = 0 of `base` is the table's top.
+
+    Attributes:
+        table: pybullet's id of the table.
+        stand: pybullet's id of the stand.
+        block: pybullet's id of the wooden block.
+    """
 
     table: int
     stand: int
@@ -54,6 +84,15 @@ class Furniture:
 
     @classmethod
     def build(cls, client: int, config: StationConfig) -> Furniture:
+        """Create the bodies of a station.
+
+        Args:
+            client: pybullet's physics client.
+            config: The station.
+
+        Returns:
+            The bodies.
+        """
         work = config.work
         x, y = work.nail_xy
         sx, sy = config.scene.table_size
@@ -69,7 +108,18 @@ class Furniture:
 
 
 class ToolBody:
-    """A tool as a free rigid body of convex parts. Its inertial frame is what pybullet moves."""
+    """A tool as a free rigid body of convex parts.
+
+    Args:
+        client: pybullet's physics client.
+        tool: The tool.
+        X_world_tool: Initial pose, 4x4.
+
+    Attributes:
+        tool: The tool.
+        body: pybullet's id of the body.
+        X_tool_inertial: Pose of the body's inertial frame, 4x4, which is the frame that pybullet reports.
+    """
 
     def __init__(self, client: int, tool: Tool, X_world_tool: Array) -> None:
         self.tool = tool
@@ -94,7 +144,7 @@ class ToolBody:
         self.place(X_world_tool)
 
     def _load(self, X_inertial_tool: Array, moments: Array) -> int:
-        """Only a URDF lets pybullet make one body of several convex meshes; it is read once and deleted."""
+        """Load the body from a temporary URDF: pybullet has no other way to make one body of several convex meshes."""
         robot = Element("robot", name="tool")
         link = SubElement(robot, "link", name="tool")
         inertial = SubElement(link, "inertial")
@@ -103,7 +153,7 @@ class ToolBody:
         SubElement(inertial, "inertia", ixx=xx, ixy="0", ixz="0", iyy=yy, iyz="0", izz=zz)
         with tempfile.TemporaryDirectory() as folder:
             for i, mesh in enumerate(self.tool.collision_parts()):
-                part = shrink_convex(mesh)  # pybullet grows it again
+                part = shrink_convex(mesh)  # pybullet adds the margin
                 part.apply_transform(X_inertial_tool)
                 file = Path(folder) / f"part{i}.obj"
                 part.export(file)
@@ -116,12 +166,12 @@ class ToolBody:
             return int(pb.loadURDF(str(urdf), flags=flags, physicsClientId=self._client))
 
     def place(self, X_world_tool: Array) -> None:
-        """Teleport, at rest."""
+        """Move the tool instantly to a pose, at rest."""
         set_body_pose(self._client, self.body, X_world_tool @ self.X_tool_inertial)
 
     def pose(self) -> Array:
         """X_world_tool, 4x4."""
-        # Asked for several times a step: computed once for a place.
+        # Called several times per step, so cached while the body does not move.
         p, q = pb.getBasePositionAndOrientation(self.body, physicsClientId=self._client)
         if (p, q) != self._place:
             self._place = (p, q)

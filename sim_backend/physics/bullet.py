@@ -1,4 +1,4 @@
-"""pybullet, without what it writes to the standard streams, from C: a greeting when it is loaded, warnings later.
+"""pybullet without its output on the standard streams.
 
 from toolee_robot.sim_backend.physics.bullet import pb
 """
@@ -11,12 +11,20 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import numpy as np
+
+from toolee_robot.frames import Array
+
 
 @contextmanager
 def quiet(descriptor: int) -> Iterator[None]:
-    """Nothing reaches file descriptor 1 (standard output) or 2 (standard error) while inside; exceptions do."""
+    """Discard output to a file descriptor, including that of C libraries.
+
+    Args:
+        descriptor: 1 for standard output, 2 for standard error.
+    """
     (sys.stdout if descriptor == 1 else sys.stderr).flush()
-    c_library = ctypes.CDLL(None)  # its streams have buffers of their own
+    c_library = ctypes.CDLL(None)  # C streams have their own buffers
     c_library.fflush(None)
     kept = os.dup(descriptor)
     nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -33,4 +41,9 @@ def quiet(descriptor: int) -> Iterator[None]:
 with quiet(2):
     import pybullet as pb
 
-__all__ = ["pb", "quiet"]
+__all__ = ["pb", "quiet", "rotation_matrix"]
+
+
+def rotation_matrix(quaternion: tuple[float, ...]) -> Array:
+    """Rotation matrix (3, 3) of a quaternion (x, y, z, w)."""
+    return np.array(pb.getMatrixFromQuaternion(quaternion)).reshape(3, 3)

@@ -1,11 +1,13 @@
-"""A nail in wood, in pybullet: it yields to strikes against the wood's resistance, bends when hit badly, ends flush.
+"""A nail in wood in pybullet: strikes drive it against the wood's resistance, and bend it if they are off-axis.
 
 The nail slides along its axis on a prismatic joint whose motor holds velocity 0 with a force limited to the wood's
-resistance at the present depth: the solver's own Coulomb law, stable where an explicit force diverges. Two hinges
-at the wood's surface hold with the shank's plastic moment: a lateral or eccentric strike beyond it bends the nail for
-good. The nail's 20 g is more than a real nail's (about 2 g): the solver needs the mass ratio. Call `before_step`
-before every step, and step with `impact.IMPACT` while a fast body is near (`impact_near`); nothing but strikes moves
-it."""
+resistance at the current depth: the solver's Coulomb friction, stable where an explicit force diverges. Two hinges at
+the wood's surface hold with the shank's plastic moment: a lateral or eccentric strike beyond it bends the nail
+permanently. The nail's mass of 20 g is more than a real nail's (about 2 g), since the solver needs the mass ratio.
+
+`before_step` must be called before every step, and steps must be those of `impact_steps.IMPACT` while a fast body is
+near (`impact_near`). Nothing but strikes moves the nail.
+"""
 
 from __future__ import annotations
 
@@ -18,18 +20,24 @@ from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.sim_backend.physics.wood import NailSpec, resistance
 
-IMPACT_DISTANCE = 0.006  # [m] between a body and the nail's head at which the impact window opens
+IMPACT_DISTANCE = 0.006  # [m] distance of a body from the nail's head below which steps must be short
 HEAD_HEIGHT = 0.006  # [m] of the head's collision shape: pybullet's contacts with a 1 mm disc are off by up to 0.6 mm
-LUMPED_MASS = 0.020  # [kg]
+LUMPED_MASS = 0.020  # [kg] during strikes
 STUCK_MASS = 100.0  # [kg] between strikes
-STOP_FORCE = 1e6  # [N] once the head's top is level with the wood
+STOP_FORCE = 1e6  # [N] limit of the motor that holds the nail still
 BENT_ANGLE = np.deg2rad(10.0)
-HINGE_MASS, HINGE_INERTIA = 1e-3, 1e-7  # [kg], [kg m^2]: what the hinges' massless frames weigh
+HINGE_MASS, HINGE_INERTIA = 1e-3, 1e-7  # [kg], [kg m^2] of the hinges' otherwise massless links
 HINGE_X, HINGE_Y, SLIDE = 0, 1, 2
 
 
 class NailOutcome(StrEnum):
-    """standing: to be driven. flush: the head is down. bent: leans by more than 10 deg."""
+    """Outcome for a nail.
+
+    Attributes:
+        STANDING: It is not driven yet.
+        FLUSH: Its head is down.
+        BENT: It is bent by more than 10 deg.
+    """
 
     STANDING = "standing"
     FLUSH = "flush"
@@ -37,11 +45,22 @@ class NailOutcome(StrEnum):
 
 
 class Nail:
-    """A nail in the pybullet world `client`.
+    """A nail in a pybullet world.
 
-    X_world_nail: 4x4, the head's top before the first strike, z into the wood. wood: body the nail is driven into,
-    which then does not collide with the nail; None if there is none. flush_protrusion [m]: of the outcome.
-    X_world_surface: where the nail enters the wood, z into it."""
+    Args:
+        client: pybullet's physics client.
+        X_world_nail: Pose of the head's top before the first strike, 4x4, z into the wood.
+        spec: Nail and wood; the defaults if None.
+        wood: pybullet's id of the body into which the nail is driven, which does not collide with it; None if there is
+            none.
+        flush_protrusion: Largest protrusion at which the nail counts as flush [m].
+
+    Attributes:
+        spec: Nail and wood.
+        flush_protrusion: Largest protrusion at which the nail counts as flush [m].
+        X_world_surface: Pose at which the nail enters the wood, 4x4, z into it.
+        body: pybullet's id of the nail.
+    """
 
     def __init__(
         self,
@@ -120,12 +139,17 @@ class Nail:
         )
 
     def before_step(self, dt: float, struck: bool = True) -> None:
-        """Set the motors' limits for the step of `dt` [s] to come: the wood's resistance at the present depth and
-        the plastic moment. The world calls it before each step, once the engine has that step's length (pybullet
-        stores a motor's limit as an impulse). The step that would end below the wood's surface is not made.
-        struck: False while no strike is under way: the nail is then stuck, and heavy. As it is, it would creep under a
-        pressing hammer: the solver's few iterations cannot weigh an arm against 20 g and a limited motor (45 N at
-        1/1000 s: 9 mm in half a second into wood that resists 120 N)."""
+        """Set the motors' limits for the next step: the wood's resistance at the current depth, the plastic moment.
+
+        Must be called before each step, after the engine's step length is set, since pybullet stores a motor's limit as
+        an impulse. A step that would end below the wood's surface is prevented.
+
+        Args:
+            dt: Length of the step [s].
+            struck: Whether a strike is in progress. Otherwise the nail is held still and made heavy: with its small
+                mass and a limited motor it would creep under a pressing hammer, since the solver's few iterations do
+                not converge (45 N at 1/1000 s: 9 mm in half a second into wood that resists with 120 N).
+        """
         if struck != self._struck:
             self._struck = struck
             self._set_mass(LUMPED_MASS if struck else STUCK_MASS)
@@ -149,7 +173,15 @@ class Nail:
         )
 
     def impact_near(self, body: int, link: int = -1) -> bool:
-        """Whether `body` is so close to the nail's head that steps must be those of `impact.IMPACT`."""
+        """Whether a body is so close to the nail's head that steps must be those of `impact_steps.IMPACT`.
+
+        Args:
+            body: pybullet's id of the body.
+            link: Index of its link; -1 for the base.
+
+        Returns:
+            Whether it is closer than IMPACT_DISTANCE.
+        """
         near = pb.getClosestPoints(
             body, self.body, IMPACT_DISTANCE, linkIndexA=link, linkIndexB=SLIDE, physicsClientId=self._client
         )
@@ -160,27 +192,27 @@ class Nail:
 
     @property
     def protrusion(self) -> float:
-        """Length [m] of the nail over the wood, along its axis."""
+        """Protrusion of the nail over the wood, along its axis [m]."""
         return self.spec.protrusion - self._joint(SLIDE)
 
     @property
     def depth(self) -> float:
-        """Length [m] of the nail in the wood."""
+        """Length of the nail in the wood [m]."""
         return self.spec.length - self.protrusion
 
     @property
     def bend_angle(self) -> float:
-        """Angle [rad] between the nail and the direction it was started in."""
+        """Angle between the nail and its initial direction [rad]."""
         return float(np.arccos(np.cos(self._joint(HINGE_X)) * np.cos(self._joint(HINGE_Y))))
 
     @property
     def resistance(self) -> float:
-        """Force [N] that would drive the nail further now."""
+        """Force that would drive the nail further now [N]."""
         return resistance(self.spec, self.protrusion)
 
     def head_pose(self) -> Array:
-        """X_world_nail now, 4x4."""
-        # Asked for at every step of a strike: written out, Rx(a) Ry(b) and then up along the nail.
+        """Current pose of the head's top, X_world_nail, 4x4."""
+        # Called at every step of a strike, so written out: Rx(a) Ry(b), then up along the nail.
         a, b, up = self._joint(HINGE_X), self._joint(HINGE_Y), -self.protrusion
         sa, ca, sb, cb = np.sin(a), np.cos(a), np.sin(b), np.cos(b)
         x, y, z = (cb, sa * sb, -ca * sb), (0.0, ca, sa), (sb, -sa * cb, ca * cb)
@@ -190,7 +222,7 @@ class Nail:
 
     @property
     def outcome(self) -> NailOutcome:
-        """What has become of the nail."""
+        """The nail's current outcome."""
         if self.bend_angle > BENT_ANGLE:
             return NailOutcome.BENT
         return NailOutcome.FLUSH if self.protrusion <= self.flush_protrusion else NailOutcome.STANDING

@@ -1,4 +1,4 @@
-"""The robot in pybullet: joint motors that follow commands with bounded torque, and a force sensor at the flange."""
+"""The robot in pybullet: joint motors with bounded torque, and a force sensor at the flange."""
 
 from __future__ import annotations
 
@@ -6,18 +6,35 @@ import numpy as np
 
 from toolee_robot.frames import Array
 from toolee_robot.robots import RobotDescription
-from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.bullet import pb, rotation_matrix
 
 ARM_GAIN = 100.0  # [1/s] of the arm's position loop
 FINGER_GAIN = 20.0  # [1/s]
-WRIST_GAIN = 12.0  # [1/s]: a wrist that gave way in a strike comes back without a second strike
+WRIST_GAIN = 12.0  # [1/s]: a wrist that yielded in a strike returns without a second strike
 
 
 class RobotBody:
     """Arm and hand as one pybullet body, fixed at the world's origin (`base`).
 
-    Commands are targets; `before_step(dt)` turns them into motor settings of the step to come. Between two commands of
-    the arm its target moves on with the commanded velocity.
+    Commands are targets, which `before_step` converts to motor settings of the next step. Between two commands of the
+    arm its target moves at the commanded velocity.
+
+    Args:
+        client: pybullet's physics client.
+        robot: Description of arm and hand.
+        q_arm: Initial joint positions of the arm, (6,) [rad].
+        q_hand: Initial joint positions of the hand, (n,) [rad].
+
+    Attributes:
+        robot: Description of arm and hand.
+        body: pybullet's id of the body.
+        link_index: pybullet's index of each link, by its name.
+        palm: Index of the palm's link.
+        sensor_link: Index of the hand's root link, whose joint is the force sensor.
+        hand_effort: Largest torques of the hand's joints, (n,) [Nm].
+        q_arm_target: Commanded joint positions of the arm, (6,) [rad].
+        qd_arm_target: Commanded joint velocities of the arm, (6,) [rad/s].
+        q_hand_target: Commanded joint positions of the hand, (n,) [rad].
     """
 
     def __init__(self, client: int, robot: RobotDescription, q_arm: Array, q_hand: Array) -> None:
@@ -58,19 +75,24 @@ class RobotBody:
         return int(pb.getNumJoints(self.body, physicsClientId=self._client))
 
     def command_arm(self, q: Array, qd: Array) -> None:
-        """Follow q (6,) [rad], moving on with qd (6,) [rad/s] until the next command."""
+        """Command the arm.
+
+        Args:
+            q: Joint positions, (6,) [rad].
+            qd: Joint velocities at which the target moves until the next command, (6,) [rad/s].
+        """
         self.q_arm_target, self.qd_arm_target = np.array(q, dtype=float), np.array(qd, dtype=float)
         self._since_command = 0.0
 
     def command_hand(self, q: Array) -> None:
-        """Hold q (n,) [rad] with the hand's limited torques."""
+        """Command joint positions (n,) [rad] of the hand, which it holds with its limited torques."""
         self.q_hand_target = np.array(q, dtype=float)
         self._hand_set_for = 0.0
 
     def before_step(self, dt: float) -> None:
-        """Set the motors for a step of dt [s]."""
+        """Set the motors for the next step of dt [s]."""
         self._since_command += dt
-        # The target at the end of the step: the motor's law is a velocity of gain * error + feed-forward.
+        # The target at the end of the step; the motor's velocity is gain * error + feed-forward.
         q = self.q_arm_target + self.qd_arm_target * self._since_command
         self._set(self._arm, q, self.qd_arm_target, self._arm_effort, np.full(6, ARM_GAIN * dt))
         if self._hand_set_for != dt:
@@ -92,11 +114,11 @@ class RobotBody:
         )
 
     def arm_state(self) -> tuple[Array, Array]:
-        """Measured q, qd (6,)."""
+        """Measured joint positions and velocities of the arm, (6,) [rad, rad/s]."""
         return self._state(self._arm)
 
     def hand_state(self) -> tuple[Array, Array]:
-        """Measured q, qd (n,)."""
+        """Measured joint positions and velocities of the hand, (n,) [rad, rad/s]."""
         return self._state(self._hand)
 
     def _state(self, joints: list[int]) -> tuple[Array, Array]:
@@ -104,23 +126,29 @@ class RobotBody:
         return np.array([s[0] for s in states]), np.array([s[1] for s in states])
 
     def link_pose(self, link: int) -> Array:
-        """X_base_link, 4x4, of the link's URDF frame."""
+        """Pose X_base_link, 4x4, of the URDF frame of the link with this index."""
         state = pb.getLinkState(self.body, link, physicsClientId=self._client)
         X = np.eye(4)
-        X[:3, :3] = np.array(pb.getMatrixFromQuaternion(state[5])).reshape(3, 3)
+        X[:3, :3] = rotation_matrix(state[5])
         X[:3, 3] = state[4]
         return X
 
     def sensor_reaction(self) -> Array:
-        """Wrench (6,) of the joint at the hand's mount in the last step, along the principal axes of the hand's
-        root link, at its centre of mass: what the arm must exert on the hand."""
+        """Wrench of the arm on the hand in the last step, (6,) [N, Nm].
+
+        Along the principal axes of the hand's root link, about its centre of mass.
+        """
         return np.array(pb.getJointState(self.body, self.sensor_link, physicsClientId=self._client)[2])
 
     def sensor_motion(self) -> tuple[Array, Array, Array, Array]:
-        """The hand's root link in `base`: its pose (4x4), centre of mass, angular velocity, and that centre's
-        velocity."""
+        """Motion of the hand's root link in `base`.
+
+        Returns:
+            Pose, 4x4; position of the centre of mass, (3,) [m]; angular velocity, (3,) [rad/s]; velocity of the centre
+            of mass, (3,) [m/s].
+        """
         state = pb.getLinkState(self.body, self.sensor_link, computeLinkVelocity=1, physicsClientId=self._client)
         X = np.eye(4)
-        X[:3, :3] = np.array(pb.getMatrixFromQuaternion(state[5])).reshape(3, 3)
+        X[:3, :3] = rotation_matrix(state[5])
         X[:3, 3] = state[4]
         return X, np.array(state[0]), np.array(state[7]), np.array(state[6])

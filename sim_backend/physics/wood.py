@@ -1,13 +1,13 @@
-"""How wood resists a nail that is driven into it.
+"""Resistance of wood against a nail that is driven into it.
 
-    F(depth) = tip + shank * depth,   and the head's bearing on the wood once it touches
+    F(depth) = tip + shank * depth, plus the head's bearing force once it touches the wood
 
 - `shank`: the withdrawal resistance of a bright, smooth nail driven into side grain, p = 54.12 G^(5/2) D L
   [N, mm, mm] (Forest Products Laboratory, Wood Handbook, FPL-GTR-282, chapter 8), taken as the sliding friction
-  while driving. The handbook finds that a lead hole of up to nine tenths of the shank leaves this resistance as it is
-  (slightly higher), so a pilot hole does not lower it here either, except where it is wider than that.
-- `tip`: the force that opens the way for the point. An estimate: 150 N for a 3 mm nail in pine of G = 0.42 and no
-  hole, growing with the area of wood pushed aside and with G^(5/2). A pilot hole takes its own area off.
+  while driving. According to the handbook a lead hole of up to nine tenths of the shank does not reduce this resistance
+  (it is slightly higher), so neither does a pilot hole here, unless it is wider than that.
+- `tip`: the force that the point needs to push the wood aside. An estimate: 150 N for a 3 mm nail in pine of G = 0.42
+  without a hole, proportional to the displaced area and to G^(5/2). A pilot hole reduces the displaced area.
 - head: pull-through strength f_head = 70e-6 rho^2 [MPa, kg/m^3] (EN 1995-1-1, 8.3.2) on the head's area.
 """
 
@@ -20,21 +20,26 @@ import numpy as np
 from toolee_robot.config import WorkConfig
 from toolee_robot.errors import ConfigError
 
-WITHDRAWAL = 54.12e6  # [Pa] of friction force per (diameter x depth) at G = 1
-TIP_PRESSURE = 150.0 / 0.003**2 / 0.42**2.5  # [Pa] of tip force per squared diameter at G = 1; an estimate
-WIDEST_TIGHT_HOLE = 0.9  # pilot hole over shank diameter up to which the friction is that without a hole
-HEAD_CRUSH_DEPTH = 0.3e-3  # [m] of indentation at which the wood under the head yields fully
+WITHDRAWAL = 54.12e6  # [Pa] friction force per (diameter x depth) at G = 1
+TIP_PRESSURE = 150.0 / 0.003**2 / 0.42**2.5  # [Pa] tip force per squared diameter at G = 1; an estimate
+WIDEST_TIGHT_HOLE = 0.9  # ratio of pilot hole to shank diameter up to which the friction is that without a hole
+HEAD_CRUSH_DEPTH = 0.3e-3  # [m] indentation at which the wood under the head yields fully
 WATER_DENSITY = 1000.0  # [kg/m^3]
 
 
 @dataclass(frozen=True)
 class NailSpec:
-    """A wire nail and its wood. Lengths [m].
+    """A wire nail and its wood.
 
-    length: overall, from the head's top to the tip. protrusion: how far the head's top stands over the wood at first.
-    specific_gravity: the wood's oven-dry mass over the mass of as much water (pine 0.42, oak 0.68).
-    pilot_diameter: of the hole drilled before, as deep as the nail is long; 0 for none.
-    tensile_strength [Pa]: of the wire, for the plastic moment.
+    Attributes:
+        diameter: Diameter of the shank [m].
+        length: Overall length, from the head's top to the tip [m].
+        head_diameter: Diameter of the head [m].
+        head_thickness: Thickness of the head [m].
+        protrusion: Initial height of the head's top over the wood [m].
+        specific_gravity: Oven-dry mass of the wood over the mass of the same volume of water (pine 0.42, oak 0.68).
+        pilot_diameter: Diameter of the pilot hole, which is as deep as the nail is long [m]; 0 for none.
+        tensile_strength: Tensile strength of the wire [Pa], for the plastic moment.
     """
 
     diameter: float = 0.0022
@@ -48,17 +53,23 @@ class NailSpec:
 
     def __post_init__(self) -> None:
         if not 0.0005 <= self.diameter <= 0.008:
-            raise ConfigError(f"nail diameter {self.diameter} m: give metres, 0.0005 to 0.008")
+            raise ConfigError(
+                f"nail diameter {self.diameter} m: give metres, 0.0005 to 0.008", code="config.nail_diameter"
+            )
         if not self.diameter < self.head_diameter <= 0.03:
-            raise ConfigError(f"nail head {self.head_diameter} m: it must be wider than the shank, at most 0.03 m")
+            message = f"nail head {self.head_diameter} m: it must be wider than the shank, at most 0.03 m"
+            raise ConfigError(message, code="config.nail_head")
         if not 0 <= self.pilot_diameter < self.diameter:
-            raise ConfigError(f"pilot hole {self.pilot_diameter} m: must be narrower than the nail ({self.diameter})")
+            message = f"pilot hole {self.pilot_diameter} m: must be narrower than the nail ({self.diameter})"
+            raise ConfigError(message, code="config.pilot_hole")
         if not 0.1 <= self.specific_gravity <= 1.2:
-            raise ConfigError(f"specific gravity {self.specific_gravity}: woods lie between 0.1 and 1.2 (pine 0.42)")
+            message = f"specific gravity {self.specific_gravity}: woods lie between 0.1 and 1.2 (pine 0.42)"
+            raise ConfigError(message, code="config.specific_gravity")
         if not 0 < self.head_thickness < self.protrusion < self.length:
             raise ConfigError(
                 f"protrusion {self.protrusion} m must lie between the head's thickness ({self.head_thickness}) and the "
-                f"nail's length ({self.length}): start the nail in the wood"
+                f"nail's length ({self.length}): start the nail in the wood",
+                code="config.nail_protrusion",
             )
 
     @classmethod
@@ -75,25 +86,35 @@ class NailSpec:
 
     @property
     def plastic_moment(self) -> float:
-        """Moment [Nm] at which the shank bends for good: 0.3 f_u d^2.6 [N, mm] (EN 1995-1-1, 8.14)."""
+        """Moment at which the shank bends permanently [Nm]: 0.3 f_u d^2.6 [N, mm] (EN 1995-1-1, 8.14)."""
         return float(0.3 * (self.tensile_strength * 1e-6) * (self.diameter * 1e3) ** 2.6 * 1e-3)
 
 
 def shank_friction(spec: NailSpec) -> float:
-    """Friction per depth [N/m]."""
+    """Friction force per depth [N/m]."""
     friction = WITHDRAWAL * spec.specific_gravity**2.5 * spec.diameter
     ratio = spec.pilot_diameter / spec.diameter
     return float(friction * min((1 - ratio) / (1 - WIDEST_TIGHT_HOLE), 1.0))
 
 
 def tip_force(spec: NailSpec) -> float:
-    """Force that opens the way for the point [N]."""
+    """Force that the point needs to push the wood aside [N]."""
     return float(TIP_PRESSURE * spec.specific_gravity**2.5 * (spec.diameter**2 - spec.pilot_diameter**2))
 
 
 def head_force(spec: NailSpec, protrusion: float) -> float:
-    """Bearing of the wood under the head [N]: none until the head's underside is down (protrusion = its thickness),
-    then rising to the pull-through strength times the head's area."""
+    """Bearing force of the wood under the head.
+
+    Zero until the head's underside touches the wood (protrusion = its thickness), then rising to the pull-through
+    strength times the head's area.
+
+    Args:
+        spec: Nail and wood.
+        protrusion: Height of the head's top over the wood [m].
+
+    Returns:
+        The force [N].
+    """
     strength = 70e-6 * (spec.specific_gravity * WATER_DENSITY) ** 2 * 1e6
     area = np.pi / 4 * (spec.head_diameter**2 - spec.diameter**2)
     indentation = (spec.head_thickness - protrusion) / HEAD_CRUSH_DEPTH
@@ -101,16 +122,33 @@ def head_force(spec: NailSpec, protrusion: float) -> float:
 
 
 def resistance(spec: NailSpec, protrusion: float) -> float:
-    """Force [N] that drives the nail further when its head's top stands `protrusion` [m] over the wood."""
+    """Force that drives the nail further.
+
+    Args:
+        spec: Nail and wood.
+        protrusion: Height of the head's top over the wood [m].
+
+    Returns:
+        The force [N].
+    """
     depth = max(spec.length - protrusion, 0.0)
     return tip_force(spec) + shank_friction(spec) * depth + head_force(spec, protrusion)
 
 
 def driving_work(spec: NailSpec, start: float, end: float) -> float:
-    """Energy [J] to drive from protrusion `start` to `end` [m]: the integral of `resistance`."""
+    """Energy needed to drive the nail: the integral of `resistance`.
+
+    Args:
+        spec: Nail and wood.
+        start: Protrusion at the start [m].
+        end: Protrusion at the end [m].
+
+    Returns:
+        The energy [J].
+    """
 
     def head(protrusion: float) -> float:
-        """Integral of the head's bearing down to `protrusion`."""
+        """Integral of the head's bearing force down to `protrusion`."""
         indentation = max((spec.head_thickness - protrusion) / HEAD_CRUSH_DEPTH, 0.0)
         crushed = indentation**2 / 2 if indentation < 1 else indentation - 0.5
         return head_force(spec, -np.inf) * HEAD_CRUSH_DEPTH * crushed

@@ -1,4 +1,4 @@
-"""Calls to a simulated world in another process: any number at a time, from any thread."""
+"""Remote procedure calls to a simulated world in another process; concurrent calls from any thread."""
 
 from __future__ import annotations
 
@@ -11,12 +11,16 @@ from typing import Any
 
 from toolee_robot.errors import DeviceError
 
-PATIENCE = 5.0
-"""[s] beyond a call's own time within which the other side must answer."""
+ANSWER_MARGIN = 5.0
+"""[s] on the wall clock beyond a call's own duration within which the world must answer."""
 
 
 class Channel:
-    """The task's end of the pipe to a `WorldService`."""
+    """The task's end of the pipe to a `WorldService`.
+
+    Args:
+        connection: The task's end of the pipe, which the channel closes.
+    """
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
@@ -28,9 +32,19 @@ class Channel:
         self._reader.start()
 
     def call(self, name: str, *arguments: Any, lasting: float = 0.0) -> Any:
-        """The answer to a request. lasting: how long what is asked for may take at most [s of the wall].
+        """Send a request and wait for its answer.
 
-        Raises what the other side raised; DeviceError when it has ended or does not answer.
+        Args:
+            name: Name of the request, such as "hand.close".
+            arguments: Its arguments.
+            lasting: Longest duration of the requested action [s] on the wall clock.
+
+        Returns:
+            The answer.
+
+        Raises:
+            DeviceError: The world has ended or does not answer.
+            Exception: The error that the world raised.
         """
         answer: Future[Any] = Future()
         with self._lock:
@@ -43,22 +57,23 @@ class Channel:
                     self._closed = True
             if self._closed:
                 self._pending.pop(number, None)
-                raise DeviceError("the simulated world has ended: start the job again")
+                raise _ended()
         try:
-            return answer.result(timeout=lasting + PATIENCE)
+            return answer.result(timeout=lasting + ANSWER_MARGIN)
         except TimeoutError as error:
-            raise DeviceError(f"the simulated world did not answer {name!r} in {lasting + PATIENCE:g} s") from error
+            message = f"the simulated world did not answer {name!r} in {lasting + ANSWER_MARGIN:g} s"
+            raise DeviceError(message, code="device.timeout") from error
         finally:
             self._pending.pop(number, None)
 
     def close(self) -> None:
-        """Say goodbye: the other side ends and hangs up."""
+        """End the world and close the pipe."""
         with self._lock:
             if not self._closed:
                 with suppress(OSError):
                     self._connection.send(None)
             self._closed = True
-        self._reader.join(PATIENCE)
+        self._reader.join(ANSWER_MARGIN)
         self._connection.close()
 
     def _read(self) -> None:
@@ -68,7 +83,7 @@ class Channel:
             except (EOFError, OSError):
                 break
             answer = self._pending.pop(number, None)
-            if answer is None:  # nobody waits for it any more
+            if answer is None:  # its caller has timed out
                 continue
             if done:
                 answer.set_result(value)
@@ -78,4 +93,8 @@ class Channel:
             self._closed = True
             left = list(self._pending.values())
         for answer in left:
-            answer.set_exception(DeviceError("the simulated world has ended: start the job again"))
+            answer.set_exception(_ended())
+
+
+def _ended() -> DeviceError:
+    return DeviceError("the simulated world has ended: start the job again", code="device.world_ended")

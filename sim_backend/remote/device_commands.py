@@ -1,8 +1,8 @@
-"""Device commands that take time, in a world whose time something else lets go on.
+"""Device commands that take time, in a world whose time is advanced by a controller's tick loop.
 
-A simulated hand or person is written as one who waits: command, let time pass, look, command again. On a controller's
-tick loop nobody may wait, so each command runs in a greenlet: where it lets time pass it is put aside, and taken up
-again, in the middle of a tick, at the very step at which its time has come.
+A simulated hand or person blocks: it commands, waits, reads, and commands again. Nothing may block the tick loop, so
+each command runs in a greenlet: where it waits it is suspended, and it is resumed, within a tick, at the step at which
+its wait is over.
 """
 
 from __future__ import annotations
@@ -16,7 +16,11 @@ from toolee_robot.sim_backend.world import SimWorld
 
 
 class Commands:
-    """The commands under way on a world, at most one a device. All calls from the thread that runs the world."""
+    """The running commands of a world, at most one per device. All calls must come from the world's thread.
+
+    Args:
+        world: The simulated world.
+    """
 
     def __init__(self, world: SimWorld) -> None:
         self._world = world
@@ -27,10 +31,18 @@ class Commands:
         world.after_step.append(self._wake)
 
     def start(self, device: str, call: Callable[[], None]) -> None:
-        """Run `call`, which must not raise, until it is done or first lets time pass. Raises DeviceError when the
-        device still carries out another command."""
+        """Start a command; returns when it has finished or first waits.
+
+        Args:
+            device: Name of the device.
+            call: The command, which must not raise.
+
+        Raises:
+            DeviceError: The device still executes another command.
+        """
         if device in self._running:
-            raise DeviceError(f"the {device} still carries out another command: wait for it, or stop the {device}")
+            message = f"the {device} still executes another command: wait for it, or stop the {device}"
+            raise DeviceError(message, code="device.busy")
 
         def run() -> None:
             try:
@@ -42,16 +54,21 @@ class Commands:
         command.switch()
 
     def cancel(self, device: str, reason: str) -> None:
-        """End the device's command where it waits: it raises DeviceError with this reason."""
+        """Cancel a device's command: its wait raises DeviceError with this reason.
+
+        Args:
+            device: Name of the device.
+            reason: Message of the error.
+        """
         command = self._running.get(device)
         if command is not None:
             self._due.pop(command, None)
-            command.throw(DeviceError(reason))
+            command.throw(DeviceError(reason, code="device.cancelled"))
 
     def _wait(self, duration: float) -> None:
         command = getcurrent()
         if command not in self._running.values():
-            raise RuntimeError("the controller's loop lets the time go on: nothing else may wait in it")
+            raise RuntimeError("the controller's loop advances the time: nothing else may wait in it")
         self._due[command] = self._world.time + duration
         self._hub.switch()
 

@@ -1,4 +1,4 @@
-"""Simulated truth stamped on the host's clock, for a world that a controller's tick loop runs."""
+"""Ground truth stamped on the controller's clock, for a world that its tick loop drives."""
 
 from __future__ import annotations
 
@@ -9,8 +9,13 @@ from toolee_robot.sim_backend.world import SimWorld
 
 
 class HostTimedTruth:
-    """A `TruthSource` whose time is that of `clock`, the controller's, at the step: all of the station's stamps are on
-    it. A tick's steps are computed in a burst, so within a tick stamps are closer together than the steps they mark.
+    """A `TruthSource` whose time is the controller's clock at the step, on which all of the station's stamps are.
+
+    The steps of a tick are computed in a burst, so their stamps are closer together than the steps in simulated time.
+
+    Args:
+        world: The simulated world.
+        clock: The controller's clock.
     """
 
     def __init__(self, world: SimWorld, clock: Clock) -> None:
@@ -18,22 +23,28 @@ class HostTimedTruth:
 
     @property
     def client(self) -> int:
+        """Id of pybullet's physics client."""
         return self._world.client
 
     @property
     def time(self) -> float:
+        """Time on the controller's clock [s]."""
         return self._clock.now()
 
     @property
     def nail(self) -> Nail:
+        """The nail."""
         return self._world.nail
 
     @property
     def tool_body(self) -> int:
+        """pybullet's id of the tool."""
         return self._world.tool_body
 
     def X_base_hand(self) -> Array:
+        """Pose of the palm, 4x4."""
         return self._world.X_base_hand()
 
     def X_base_ee(self) -> Array:
+        """Pose of the tool's end effector, 4x4."""
         return self._world.X_base_ee()

@@ -1,6 +1,6 @@
-"""The station's devices and ground truth on a world in another process, behind the same Protocols as the direct ones.
+"""Devices and ground truth of a world in another process, behind the same Protocols as the direct ones.
 
-The arm is not among them: it is driven through the controller stand-in, as a real one is.
+The arm is not among them: it is driven through the controller stand-in, as a real arm is.
 """
 
 from __future__ import annotations
@@ -21,15 +21,20 @@ from toolee_robot.types import InHandEstimate
 
 
 class Caller(Protocol):
-    """Who passes requests on to the world: a `RemoteWorld`."""
+    """Sends requests to the world; implemented by `RemoteWorld`."""
 
     def call(self, name: str, *arguments: Any, lasting: float = 0.0) -> Any:
-        """The answer; lasting [s] is what it may take at most."""
+        """Send a request and return its answer; `lasting` [s] is the longest duration of the requested action."""
         ...
 
 
 class RemoteHand:
-    """A `hal.Hand`: the simulated hand in the world's process."""
+    """A `hal.Hand`: the simulated hand in the world's process.
+
+    Args:
+        world: Sends the requests.
+        joint_names: Names of the hand's joints.
+    """
 
     def __init__(self, world: Caller, joint_names: tuple[str, ...]) -> None:
         self._world = world
@@ -62,7 +67,11 @@ class RemoteHand:
 
 
 class RemotePerson:
-    """A `hal.Person`: the simulated one."""
+    """A `hal.Person`: the simulated person in the world's process.
+
+    Args:
+        world: Sends the requests.
+    """
 
     def __init__(self, world: Caller) -> None:
         self._world = world
@@ -87,7 +96,11 @@ class RemotePerson:
 
 
 class RemoteJudge:
-    """A `Truth`: the judge in the world's process. Its stamps are on the world's clock."""
+    """A `Truth`: the judge in the world's process. Its stamps are on the world's clock.
+
+    Args:
+        world: Sends the requests.
+    """
 
     def __init__(self, world: Caller) -> None:
         self._world = world
@@ -107,9 +120,18 @@ class RemoteJudge:
 
 
 def remote_station(world: Caller, config: StationConfig, seed: int, tool: Tool, arm: Arm, clock: Clock) -> Station:
-    """A station on `world`; the camera renders in this process, so that the controller's ticks go on meanwhile.
+    """Build a station on a remote world; the camera renders in this process, so that it does not delay the ticks.
 
-    tool: the one that the seed hands over. clock: the world's and the arm's.
+    Args:
+        world: Sends the requests.
+        config: The station.
+        seed: Seed of the run.
+        tool: The tool that is handed over.
+        arm: The arm.
+        clock: The clock of the world and the arm.
+
+    Returns:
+        The station.
     """
 
     def state() -> SceneState:

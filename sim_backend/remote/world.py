@@ -1,4 +1,4 @@
-"""A simulated world in a process of its own, with a controller stand-in before its arm."""
+"""A simulated world in a process of its own, whose arm is driven by a controller stand-in."""
 
 from __future__ import annotations
 
@@ -16,11 +16,20 @@ from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 
 
 class RemoteWorld:
-    """The world of a seed, as `SimStation.build` has it, and the stand-in of `config.arm`'s model on a loopback host.
+    """The world of `SimStation.build` in another process, with a stand-in of the arm's controller on a loopback host.
 
-    Time goes on in it by itself, on `clock`. controller: for faults, and how well it keeps time. Leave
-    the context only after every client of the controller: the client library aborts the interpreter when the server
-    goes first.
+    Its time advances by itself, on `clock`. Leave the context only after all clients of the controller have closed:
+    ur_rtde aborts the interpreter when the server goes first.
+
+    Args:
+        config: The station.
+        seed: Seed of the run.
+        options: Options of the run.
+        host: Loopback address of the controller.
+        clock: Clock of the world.
+
+    Attributes:
+        controller: The controller's process, for faults and timing statistics.
     """
 
     def __init__(self, config: StationConfig, seed: int, options: SimOptions, host: str, clock: HostClock) -> None:
@@ -40,7 +49,12 @@ class RemoteWorld:
         self._channel = Channel(Connection(ours.detach()))
 
     def __enter__(self) -> Self:
-        """Raises UserError for a host that is not loopback or whose ports are taken, DeviceError if it cannot start."""
+        """Start the process.
+
+        Raises:
+            UserError: The host is no loopback address, or a port is taken.
+            DeviceError: The process cannot start.
+        """
         try:
             self.controller.__enter__()
         except BaseException:
@@ -57,5 +71,5 @@ class RemoteWorld:
         self.controller.__exit__(kind, error, trace)
 
     def call(self, name: str, *arguments: Any, lasting: float = 0.0) -> Any:
-        """See `Channel.call`; lasting on the clock."""
+        """Send a request and return its answer; see `Channel.call`, but `lasting` is on the world's clock."""
         return self._channel.call(name, *arguments, lasting=self._clock.to_wall_time(lasting))

@@ -1,4 +1,4 @@
-"""The simulated world as the controller's plant: arm, hand, tool, nail and person instead of bare joints."""
+"""The simulated world as the controller's plant, instead of ideal joints."""
 
 from __future__ import annotations
 
@@ -11,19 +11,25 @@ from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import Payload
 
 TURN = np.array([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
-"""A wrench in `base_link`'s axes to the controller's base and back: half a turn about z."""
+"""Signs of a wrench's components between `base` and the controller's base, which differ by a half turn about z."""
 
 
 class WorldPlant:
-    """A `Plant` on a `SimWorld`: the controller's ticks let the world's time go on, and nothing else does.
+    """A `Plant` on a `SimWorld`, whose time is advanced only by the controller's ticks.
 
-    The wrench is what the force sensor at the flange feels, the mean over a tick, less the payload that the
-    controller has been told: without one, the hand's own weight. external_force acts on the hand's mount for real: it
-    is felt, and it pushes the arm.
+    The wrench is the mean of the flange's force sensor over a tick, compensated for the payload that is set in the
+    controller.
+
+    Args:
+        world: The simulated world.
+        period: Period of the controller's ticks [s], which is the duration of every `step`.
+
+    Attributes:
+        external_force: Wrench applied to the hand's mount, (6,) [N, Nm], in the controller's base; it is measured and
+            moves the arm.
     """
 
     def __init__(self, world: SimWorld, period: float) -> None:
-        """period: of the controller's tick [s], and of every `step`: the sensor's means are those of the ticks."""
         self.external_force = np.zeros(6)
         self._world = world
         self._sensor = FlangeSensor(world, Payload(0.0), period)
@@ -35,24 +41,30 @@ class WorldPlant:
 
     @property
     def q(self) -> Array:
+        """Joint positions, (6,) [rad]."""
         return self._q
 
     @property
     def qd(self) -> Array:
+        """Joint velocities, (6,) [rad/s]."""
         return self._qd
 
     @property
     def wrench(self) -> Array:
+        """Compensated wrench at the flange, (6,) [N, Nm], in the controller's base."""
         return TURN * self._sensor.wrench
 
     def set_payload(self, mass: float, cog: Array) -> None:
+        """Compensate this payload: mass [kg], centre of gravity (3,) [m] in the flange frame."""
         self._sensor.payload = Payload(mass, np.array(cog, dtype=np.float64))
         self._sensor.begin()
 
     def command(self, q: Array, qd: Array) -> None:  # noqa: ARG002  (the path between set-points is straight)
+        """Set the joint positions (6,) [rad] to reach at the end of the next step."""
         self._target = np.array(q, dtype=np.float64)
 
     def step(self, dt: float) -> None:
+        """Advance the world by dt [s]."""
         self._world.robot.command_arm(self._held, (self._target - self._held) / dt)
         self._world.run(dt)
         self._held = self._target

@@ -1,8 +1,8 @@
-"""What a station needs of a simulated world besides the arm, as a service in the controller's tick loop.
+"""The service in the controller's tick loop that offers hand, person, judge and scene of a simulated world.
 
-Requests come from the process that started this one, over the pipe between the two; nobody else can reach it. A
-request is (number, name, arguments), or None for goodbye; its answer (number, done, value or exception). Answers come
-in the order in which commands end: a hand that closes keeps nobody from reading its state, or from stopping it.
+Requests come over a pipe from the process that started this one. A request is (number, name, arguments), or None to
+end; its answer is (number, done, value or exception). Answers are sent in the order in which commands end: while the
+hand closes, its state can be read and it can be stopped.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from toolee_robot.errors import DeviceError, TooleeError
 from toolee_robot.hal import Clock, HandState
 from toolee_robot.sim_backend.devices.hand import SimHand
 from toolee_robot.sim_backend.devices.operator import SimPerson
-from toolee_robot.sim_backend.ground_truth.verdict import Judge
+from toolee_robot.sim_backend.ground_truth.judge import Judge
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.device_commands import Commands
 from toolee_robot.sim_backend.remote.host_timed_truth import HostTimedTruth
@@ -31,10 +31,18 @@ Handler = Callable[..., Any]
 
 
 class WorldService:
-    """A `Service` with hand, person, judge and the scene's poses of a world that a `WorldPlant` moves.
+    """A `Service` with hand, person, judge and scene of a world that a `WorldPlant` moves.
 
-    ended: called once the other side has gone; the controller has no purpose then. Stamps are on `clock`, the
-    controller's.
+    Args:
+        connection: This process's end of the pipe.
+        config: The station.
+        seed: Seed of the run.
+        options: Options of the run.
+        clock: The controller's clock, on which all stamps are.
+
+    Attributes:
+        world: The simulated world.
+        ended: Callback for the end of the other process, after which the controller is not needed.
     """
 
     def __init__(
@@ -49,7 +57,7 @@ class WorldService:
         person = SimPerson(world, offset, options.hands_over)
         judge = Judge(HostTimedTruth(world, clock))
         world.after_step.append(judge.after_step)
-        # What lets time pass, by device: one command at a time each.
+        # Commands that take time, with their device: each device executes one at a time.
         self._lasting: dict[str, tuple[str, Handler]] = {
             "hand.open": ("hand", hand.open),
             "hand.close": ("hand", hand.close),
@@ -70,9 +78,11 @@ class WorldService:
         }
 
     def filenos(self) -> Sequence[int]:
+        """The pipe's descriptor."""
         return () if self._connection.closed else (self._connection.fileno(),)
 
     def on_readable(self, fd: int) -> None:  # noqa: ARG002  (there is one)
+        """Handle a request."""
         request = None
         with suppress(EOFError, OSError):
             request = self._connection.recv()
@@ -90,12 +100,14 @@ class WorldService:
         elif name in self._immediate:
             self._answer(number, self._immediate[name], arguments)
         else:
-            self._send(number, False, DeviceError(f"the simulated world knows no {name!r}"))
+            message = f"the simulated world knows no {name!r}"
+            self._send(number, False, DeviceError(message, code="device.unknown_request"))
 
     def on_tick(self, dt: float) -> None:
-        """The world's own steps wake the commands."""
+        """Nothing: the world's steps resume the commands."""
 
     def close(self) -> None:
+        """Close the pipe and the world."""
         self._connection.close()
         self.world.close()
 
@@ -104,14 +116,15 @@ class WorldService:
             value = handler(*arguments)
         except TooleeError as error:
             self._send(number, False, error)
-        except Exception as error:  # noqa: BLE001  (the caller gets it; the arm's controller must go on)
+        except Exception as error:  # noqa: BLE001  (passed to the caller; the arm's controller must continue)
             traceback.print_exc(file=sys.stderr)
-            self._send(number, False, DeviceError(f"the simulated world failed: {type(error).__name__}: {error}"))
+            message = f"the simulated world failed: {type(error).__name__}: {error}"
+            self._send(number, False, DeviceError(message, code="device.world_failed"))
         else:
             self._send(number, True, value)
 
     def _send(self, number: int, done: bool, value: Any) -> None:
-        with suppress(OSError):  # gone: the next read says so
+        with suppress(OSError):  # closed: the next read notices
             self._connection.send((number, done, value))
 
     def _hand_state(self, max_age: float) -> HandState:
@@ -120,5 +133,5 @@ class WorldService:
         return replace(state, joints=replace(state.joints, stamp=self._clock.now() - age))
 
     def _stop_hand(self) -> None:
-        self._commands.cancel("hand", "the hand was stopped; it stays as it is, its grip too")
+        self._commands.cancel("hand", "the hand was stopped; it keeps its position and its grip")
         self._hand.stop()

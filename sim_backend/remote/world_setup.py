@@ -1,4 +1,4 @@
-"""What a controller stand-in's process makes of itself to have the simulated world as its plant."""
+"""Setup of a controller stand-in's process whose plant is the simulated world."""
 
 from __future__ import annotations
 
@@ -16,16 +16,20 @@ from toolee_robot.sim_backend.ur_controller.controller import Controller
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
 
 PUBLISH_AT = 0.5
-"""A driver that commands a third of a tick after the data has its command here well before the next tick, and the data
-of a tick that takes three quarters of its time still come before that."""
+"""Fraction of a tick after which its data are sent. The command of a driver that answers a third of a tick later still
+arrives well before the next tick, and so do the data of a tick whose computation takes three quarters of its time."""
 
 
 @dataclass
 class WorldJob:
-    """`plant` and `setup` of a `ControllerProcess`; both run in the child, in this order.
+    """Provides `plant` and `setup` of a `ControllerProcess`; both run in the child, in this order.
 
-    fd: the child's end of a socket pair, for the `WorldService`; the controller ends with it. The rest is what
-    `SimStation.build` takes. clock: the controller's.
+    Attributes:
+        fd: The child's end of a socket pair, for the `WorldService`; the controller ends when it is closed.
+        config: The station.
+        seed: Seed of the run.
+        options: Options of the run.
+        clock: The controller's clock.
     """
 
     fd: int
@@ -36,14 +40,25 @@ class WorldJob:
     _service: WorldService | None = field(default=None, init=False)
 
     def plant(self, model: ControllerModel) -> WorldPlant:
-        """The world, with hand, person and judge; the arm waits where the options have it."""
+        """Build the world with hand, person and judge.
+
+        Args:
+            model: The controller's model.
+
+        Returns:
+            The plant.
+        """
         self._service = WorldService(Connection(self.fd), self.config, self.seed, self.options, self.clock)
         return WorldPlant(self._service.world, model.period)
 
     def setup(self, controller: Controller) -> None:
-        """Serve hand, person and judge in the controller's loop; set the robot up as a lab does at the pendant: the
-        bare hand is its payload. The arm's calibration is the controller's too."""
-        assert self._service is not None, "the plant comes first"
+        """Add the world's service to the controller's loop, and set the robot up as at the pendant: the payload is the
+        bare hand, the kinematics are the arm's calibration.
+
+        Args:
+            controller: The controller, which does not listen yet.
+        """
+        assert self._service is not None, "`plant` must be called first"
         config, robot = self.config, controller.robot
         model = load_robot(config.arm.model, config.arm.calibration, config.hand.model)
         hand = model.hand_payload(model.hand_open)

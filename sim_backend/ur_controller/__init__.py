@@ -1,1 +1,1 @@
-"""A stand-in for a Universal Robots controller: the wire, the control script and the arm behind it."""
+"""A stand-in for a Universal Robots controller: network interfaces, URScript interpreter and arm."""

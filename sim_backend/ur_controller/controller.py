@@ -1,7 +1,7 @@
-"""The controller: its ports and its tick loop, one thread around `select`.
+"""The controller: its ports and its tick loop, in one thread around `select`.
 
-A tick: sockets are drained as data comes; at the tick's time the inputs are what they are, the script's threads run,
-the motion and the physics advance, safety judges, and the services (ports, a world's own) publish.
+Between ticks the sockets are read as data arrive. In a tick the script's threads run with the latest inputs, the motion
+and the physics advance, the safety system checks its limits, and the services (ports, a world's own) publish.
 """
 
 from __future__ import annotations
@@ -34,16 +34,24 @@ from toolee_robot.sim_backend.ur_controller.server.service import Service
 
 DASHBOARD_PORT, PRIMARY_PORT, SECONDARY_PORT, REALTIME_PORT, RTDE_PORT = 29999, 30001, 30002, 30003, 30004
 FAULT_PORT = 30020
-COLLECT_TICKS = 5000  # between two runs of the garbage collector, while nobody is connected
-TRACE_TICKS = 30000  # 4 min at 125 Hz, 1 min at 500 Hz
+COLLECT_TICKS = 5000  # ticks between two runs of the garbage collector, while no client is connected
+TRACE_TICKS = 30000  # ticks that the trace keeps: 4 min at 125 Hz, 1 min at 500 Hz
 
 
 @dataclass(frozen=True)
 class ControllerOptions:
-    """How a stand-in starts. model: of MODELS. host: a loopback address. fault_port: of the fault port; the other
-    ports are the robot's. speed_slider: 0..1. q_start (6,) [rad]; None: the plant's own. remote: e-Series remote
-    control. powered: brakes are released already. limits: of the safety system. real_time_factor: of the robot's time,
-    all of it, against the wall's: its clients' clocks must run at the same."""
+    """Initial state of a stand-in.
+
+    Attributes:
+        model: Name of the model, a key of MODELS.
+        host: Loopback address.
+        fault_port: TCP port of the fault port; the other ports are the robot's.
+        speed_slider: Position of the speed slider, 0 to 1.
+        remote: Whether an e-Series controller is in remote control.
+        powered: Whether the arm is powered on and its brakes are released.
+        limits: Limits of the safety system.
+        real_time_factor: Real-time factor of the robot's time; its clients' clocks must run at the same factor.
+    """
 
     model: str = "UR10"
     host: str = "127.0.0.2"
@@ -57,8 +65,17 @@ class ControllerOptions:
 
 @dataclass(frozen=True)
 class TraceRow:
-    """One tick. stamp: of the controller's clock at its end [s]. q, qd: true, without the offset that a fault adds to
-    what is measured. q_target: the set-point. safety: mode. program: runtime state."""
+    """The arm's state in one tick.
+
+    Attributes:
+        tick: Number of the tick.
+        stamp: Time at its end [s] on the controller's clock.
+        q: True joint positions, (6,) [rad], without the offset that a fault adds to the measured ones.
+        qd: True joint velocities, (6,) [rad/s].
+        q_target: Set-point, (6,) [rad].
+        safety: Value of `SafetyMode`.
+        program: Value of `RuntimeState`.
+    """
 
     tick: int
     stamp: float
@@ -72,10 +89,31 @@ class TraceRow:
 class Controller:
     """A stand-in for a Universal Robots controller.
 
-    plant: makes what the controller moves. Raises UserError for an address that is not loopback, an unknown model, or
-    a port that is taken. clock: the robot's time; the ports' is the wall's. publish_at: share of a tick after which its
-    data go out, or as soon as it is done where that takes longer: a robot's come evenly, while a plant may take now
-    little of a tick, now most of it.
+    Args:
+        options: Initial state.
+        plant: Creates the plant for a model.
+        log: Called with each line of the log.
+
+    Attributes:
+        options: Initial state.
+        log: Called with each line of the log.
+        clock: The robot's clock; the ports use the wall clock.
+        publish_at: Fraction of a tick after which its data are sent, or as soon as the tick is done if that is later. A
+            robot's data come evenly, while a plant's computation time varies.
+        robot: The robot.
+        schedule: Schedule of the ticks.
+        outputs: RTDE output variables.
+        inputs: RTDE input variables.
+        rtde_faults: Faults of the RTDE server.
+        trace: The latest TRACE_TICKS ticks.
+        frozen_until: Time before which the loop stands still [s]; a fault.
+        ports: The robot's ports, by name.
+        faults: The hooks of the fault port.
+        fault_port: The fault port.
+        services: Everything hooked into the loop.
+
+    Raises:
+        UserError: An option is unusable.
     """
 
     def __init__(
@@ -98,7 +136,7 @@ class Controller:
         self.outputs, self.inputs = Outputs(self.robot), Inputs(self.robot)
         self.rtde_faults = RtdeFaults()
         self.trace: deque[TraceRow] = deque(maxlen=TRACE_TICKS)
-        self.frozen_until = 0.0  # [s] before which the loop stands still (a fault)
+        self.frozen_until = 0.0
         robot, host = self.robot, options.host
         self.ports = {
             "dashboard": Port("dashboard", host, DASHBOARD_PORT, lambda c: DashboardSession(c, robot), log),
@@ -117,14 +155,14 @@ class Controller:
         self.fault_port = Port("faults", host, options.fault_port, lambda c: FaultSession(c, self.faults), log)
         self.services: list[Service] = [*self.ports.values(), self.fault_port]
         self._running = False
-        self._turn = 0  # whose data are taken first
+        self._turn = 0  # rotates which ready descriptor is read first
 
     def add_service(self, service: Service) -> None:
-        """Hook descriptors and a tick callback of someone else into the loop; closed with the controller."""
+        """Add a service to the loop; it is closed with the controller."""
         self.services.append(service)
 
     def listen(self) -> None:
-        """Open all ports. Raises UserError when one is taken; none is open then."""
+        """Open all ports. Raises UserError, with no port open, if one is taken."""
         try:
             for port in (*self.ports.values(), self.fault_port):
                 port.listen()
@@ -133,9 +171,10 @@ class Controller:
             raise
 
     def run(self) -> None:
-        """The tick loop, until `stop` is called or an exception (Ctrl-C) ends it; closes every port.
+        """Run the tick loop until `stop` is called or an exception, such as Ctrl-C, ends it; then close every port.
 
-        The garbage collector is off in the loop: its pauses would be late ticks. It runs when nobody is connected.
+        The garbage collector is off in the loop, since its pauses would delay ticks; it runs while no client is
+        connected.
         """
         self._running = True
         gc.collect()
@@ -151,11 +190,11 @@ class Controller:
             self.close()
 
     def stop(self) -> None:
-        """End `run` after the present tick."""
+        """End `run` after the current tick."""
         self._running = False
 
     def tick(self) -> None:
-        """One tick, now."""
+        """Execute one tick now."""
         due = self.schedule.begin()
         began = time.thread_time()
         self.faults.step()
@@ -188,15 +227,15 @@ class Controller:
             service.close()
 
     def _serve_until(self, due: float) -> None:
-        """Read from whoever sends until the time `due` [s]; at least once."""
+        """Read from all services until the time `due` [s]; at least once."""
         clock = self.clock
         clock.sleep(self.frozen_until - clock.now())
         while True:
             readers = {fd: service for service in self.services for fd in service.filenos()}
             timeout = max(0.0, clock.to_wall_time(due - clock.now()))
             ready, _, _ = select.select(list(readers), [], [], timeout)
-            self.inputs.catching_up = self.schedule.overdue  # the computer may have stopped in the midst of the wait
-            # A flood on many connections must not hold up the tick, nor one of them always come last.
+            self.inputs.catching_up = self.schedule.overdue  # the computer may have stalled during the wait
+            # A flood on many connections must not delay the tick, and no connection may starve.
             enough = max(due, clock.now()) + self.schedule.period
             self._turn = (self._turn + 1) % max(len(ready), 1)
             for fd in ready[self._turn :] + ready[: self._turn]:
@@ -209,14 +248,18 @@ class Controller:
 
 def _check(options: ControllerOptions) -> None:
     if options.model not in MODELS:
-        raise UserError(f"unknown model {options.model!r}: choose one of {', '.join(MODELS)}")
+        message = f"unknown model {options.model!r}: choose one of {', '.join(MODELS)}"
+        raise UserError(message, code="user.robot_model")
     if not is_loopback(options.host):
         raise UserError(
             f"{options.host!r} is not a loopback address: the stand-in serves this machine only. Use --host 127.0.0.2, "
-            "127.0.0.3, ..."
+            "127.0.0.3, ...",
+            code="user.not_loopback",
         )
     check_real_time_factor(options.real_time_factor, options.host)
     if not 0.0 <= options.speed_slider <= 1.0:
-        raise UserError(f"the speed slider is between 0 and 1, not {options.speed_slider}")
+        message = f"the speed slider must be between 0 and 1, not {options.speed_slider}"
+        raise UserError(message, code="user.speed_slider")
     if not 1024 <= options.fault_port <= 65535:
-        raise UserError(f"the fault port is between 1024 and 65535, not {options.fault_port}")
+        message = f"the fault port must be between 1024 and 65535, not {options.fault_port}"
+        raise UserError(message, code="user.fault_port")

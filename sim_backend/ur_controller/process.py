@@ -1,4 +1,4 @@
-"""A stand-in as a child process: clients whose constructors hold the interpreter's lock need it out of their own.
+"""A stand-in in a child process, for clients such as ur_rtde whose constructors hold the interpreter's lock.
 
 with ControllerProcess(model="UR10", host="127.0.0.2") as controller:
     ...                                            # connect to 127.0.0.2
@@ -28,26 +28,36 @@ from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
 
-Q_START = (0.0, -pi / 2, pi / 2, -pi / 2, -pi / 2, 0.0)  # [rad] the flange looks down
-STOP_TIME = 5.0  # [s] for the child to end by itself
+Q_START = (0.0, -pi / 2, pi / 2, -pi / 2, -pi / 2, 0.0)  # [rad] the flange points down
+STOP_TIME = 5.0  # [s] for the child to end before it is killed
 
 
 def resting_joints(model: ControllerModel) -> Plant:
-    """Ideal joints without a world, at Q_START. For another start: `functools.partial(JointPlant, q=...)`."""
+    """Create ideal joints without a world, at Q_START; for another start use `functools.partial(JointPlant, q=...)`."""
     return JointPlant(model, np.array(Q_START))
 
 
 class ControllerProcess:
-    """A controller stand-in in a process of its own, listening from `__enter__` on, ended by `__exit__`, or with its
-    parent.
+    """A controller stand-in in a child process, which listens inside the context and ends with its parent.
 
-    plant: importable by name, since the child makes the plant. setup: likewise; called in the child with the
-    controller before it listens (to add a service). inherit: file descriptors that the child has too. realtime: if
-    permitted, the child goes before every other process of a busy machine, as a robot's controller has a computer of
-    its own. verbose: the child's log goes to stderr.
+    Clients must close before the controller, since RTDEIOInterface aborts the interpreter otherwise: register their
+    closing with `on_exit`, or leave them before this context.
 
-    Clients must go before the controller: RTDEIOInterface aborts the interpreter otherwise. Hand their closing to
-    `on_exit`, or leave them before this context.
+    Args:
+        options: Initial state.
+        plant: Creates the plant in the child; must be importable by name.
+        setup: Called in the child with the controller before it listens, for example to add a service; must be
+            importable by name.
+        inherit: File descriptors that the child inherits.
+        realtime: Whether the child gets real-time priority if permitted, as a real controller has its own computer.
+        verbose: Whether the child's log is written to stderr.
+        changes: Fields of ControllerOptions, instead of `options`.
+
+    Attributes:
+        options: Initial state.
+
+    Raises:
+        UserError: Both options and fields of them are given.
     """
 
     def __init__(
@@ -61,9 +71,8 @@ class ControllerProcess:
         verbose: bool = False,
         **changes: Any,
     ) -> None:
-        """changes: fields of ControllerOptions, instead of options."""
         if options is not None and changes:
-            raise UserError("give either options or their fields")
+            raise UserError("give either options or their fields", code="user.controller_options")
         self.options = options or ControllerOptions(**changes)
         self._job = pickle.dumps((self.options, plant, setup, verbose))
         self._inherit, self._realtime, self._verbose = inherit, realtime, verbose
@@ -73,16 +82,22 @@ class ControllerProcess:
 
     @property
     def host(self) -> str:
+        """Address of the controller."""
         return self.options.host
 
     @property
     def pid(self) -> int:
-        """Of the child."""
+        """Process id of the child."""
         assert self._child is not None, "enter the context first"
         return self._child.pid
 
     def __enter__(self) -> Self:
-        """Raises UserError when a port is taken, DeviceError when the child does not start."""
+        """Start the child.
+
+        Raises:
+            UserError: An option is unusable, or a port is taken.
+            DeviceError: The child does not start.
+        """
         self._child = subprocess.Popen(
             [sys.executable, "-m", "toolee_robot.sim_backend.ur_controller.process"],
             stdin=subprocess.PIPE,
@@ -97,7 +112,9 @@ class ControllerProcess:
             self._child.stdin.flush()
             answer = self._child.stdout.readline().decode().strip()
             if answer != "ready":
-                raise UserError(answer) if answer else DeviceError("the controller stand-in died at its start")
+                if answer:
+                    raise UserError(answer, code="user.controller_refused")
+                raise DeviceError("the controller stand-in died at its start", code="device.controller_died")
             if self._realtime:
                 with contextlib.suppress(PermissionError):
                     os.sched_setscheduler(self._child.pid, os.SCHED_FIFO, os.sched_param(1))
@@ -117,20 +134,32 @@ class ControllerProcess:
         self._end()
 
     def on_exit(self, close: Callable[[], object]) -> None:
-        """Call this before the controller is ended, the last one first: for clients."""
+        """Register a callback to run before the controller ends, in reverse order of registration; for clients."""
         self._on_exit.append(close)
 
     def fault(self, name: str, /, **arguments: object) -> dict[str, Any]:
-        """A hook of the fault port; see the documentation for all of them."""
+        """Call a hook of the fault port; `docs/reference/ur_controller.md` lists them.
+
+        Args:
+            name: Name of the hook.
+            arguments: Its arguments.
+
+        Returns:
+            Its answer.
+
+        Raises:
+            UserError: The hook or an argument is invalid.
+            DeviceError: The controller does not answer.
+        """
         assert self._client is not None, "enter the context first"
         return self._client.fault(name, **arguments)
 
     def state(self) -> dict[str, Any]:
-        """The truth about the robot: joints, modes, program, tick statistics."""
+        """True state of the robot: joints, modes, program, tick statistics."""
         return self.fault("state")
 
     def trace(self, after: int = -1) -> Trace:
-        """What the arm did in every tick after number `after`."""
+        """The arm's states in all ticks after number `after` that are still kept."""
         assert self._client is not None, "enter the context first"
         return self._client.trace(after)
 
@@ -143,7 +172,7 @@ class ControllerProcess:
         for stream in (child.stdin, child.stdout):
             assert stream is not None
             with contextlib.suppress(OSError):
-                stream.close()  # the end of its input ends the child
+                stream.close()  # the end of its input makes the child end
         try:
             child.wait(STOP_TIME)
         except subprocess.TimeoutExpired:
@@ -153,7 +182,7 @@ class ControllerProcess:
 
 
 class _Parent:
-    """A service that ends the controller when its parent closes the pipe, or dies."""
+    """A service that stops the controller when the parent closes the pipe or dies."""
 
     def __init__(self, controller: Controller, fd: int) -> None:
         self._controller, self._fd = controller, fd
@@ -171,8 +200,8 @@ class _Parent:
 
 
 def _child() -> None:
-    """Serve as the parent's pipe says, until it is closed."""
-    # What is sent to every process of a job is the parent's: it ends its clients first, then us.
+    """Run the controller described on standard input until that is closed."""
+    # Signals to the whole process group are for the parent, which closes its clients before it ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     pipe = sys.stdin.buffer

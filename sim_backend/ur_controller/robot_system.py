@@ -1,4 +1,4 @@
-"""Everything behind the ports: the arm, its program, its safety system, and what a client may know of them."""
+"""The robot behind the ports: arm, program, safety system, and the readings that clients can get."""
 
 from __future__ import annotations
 
@@ -21,13 +21,22 @@ from toolee_robot.sim_backend.ur_controller.robot.registers import Registers
 from toolee_robot.sim_backend.ur_controller.robot.safety import RobotMode, Safety, SafetyLimits
 from toolee_robot.sim_backend.ur_controller.urscript.program import Program, RuntimeState
 
-MESSAGES = 100  # of the script that are kept
+MESSAGES = 100  # messages of the script that are kept
 
 
 @dataclass
 class Identity:
-    """What the controller says it is: faults may make it lie. version: major, minor, bugfix, build. a, d (6,) [m],
-    theta, alpha (6,) [rad]: DH parameters of the factory calibration."""
+    """What the controller reports about itself; faults may change it.
+
+    Attributes:
+        model: Name of the model.
+        version: Version of the software: major, minor, bugfix, build.
+        serial: Serial number.
+        a: DH parameters a of the factory calibration, (6,) [m].
+        d: DH parameters d of the factory calibration, (6,) [m].
+        alpha: DH parameters alpha of the factory calibration, (6,) [rad].
+        theta: DH parameters theta of the factory calibration, (6,) [rad].
+    """
 
     model: str
     version: tuple[int, int, int, int]
@@ -39,21 +48,40 @@ class Identity:
 
     @classmethod
     def of(cls, model: ControllerModel) -> Identity:
-        """The truth about a controller of this model."""
+        """The true identity of a controller of this model."""
         return cls(model.name, model.version, "20185500001", model.a, model.d, model.alpha)
 
     @property
     def checksum(self) -> tuple[int, ...]:
-        """(6,) of the calibration, a joint each: equal for equal parameters, as a real controller's."""
+        """Checksum of each joint's calibration, six values: equal for equal parameters, as a real controller's."""
         rows = zip(self.theta, self.a, self.d, self.alpha, strict=True)
         return tuple(zlib.crc32(struct.pack(">4d", *row)) for row in rows)
 
 
 class Robot:
-    """One robot. log: gets a line about everything a person would want to see.
+    """One robot.
 
-    joint_offset (6,): added to the measured joints [rad] (a fault). messages: what the script printed and what went
-    wrong, newest last, as (timestamp [s], text); said: how many there have been. popup: the text that is on the screen.
+    Args:
+        model: Model of arm and controller.
+        plant: What the controller moves.
+        limits: Limits of the safety system; the defaults if None.
+        log: Called with each line of the log.
+
+    Attributes:
+        model: Model of arm and controller, with the arm's DH parameters.
+        plant: What the controller moves.
+        log: Called with each line of the log.
+        identity: What the controller reports about itself.
+        registers: General purpose registers.
+        machine: Set-point, settings, inputs and outputs.
+        program: The running script.
+        safety: Safety system and power.
+        joint_offset: Offset added to the measured joint positions, (6,) [rad]; a fault.
+        ticks: Ticks since the process started; continues across a reboot.
+        messages: Output and errors of scripts as (timestamp [s], text), the newest last.
+        said: Number of messages so far.
+        popup: Text of the popup on the screen.
+        reading: What is measured in the latest tick.
     """
 
     def __init__(
@@ -76,7 +104,7 @@ class Robot:
             pause_program=self.program.pause,
         )
         self.joint_offset = np.zeros(6)
-        self.ticks = 0  # ever: a trace is told by them across a reboot
+        self.ticks = 0
         self._boot_tick = 0
         self.messages: deque[tuple[float, str]] = deque(maxlen=MESSAGES)
         self.said = 0
@@ -85,7 +113,7 @@ class Robot:
 
     @property
     def timestamp(self) -> float:
-        """The controller's time [s] since it was switched on: ticks done, not the wall's clock."""
+        """The controller's time since it was switched on [s], by its ticks."""
         return (self.ticks - self._boot_tick) * self.model.period
 
     @property
@@ -94,7 +122,7 @@ class Robot:
         return int(self.safety.powered) | (self.program.state is RuntimeState.PLAYING) << 1
 
     def step(self) -> None:
-        """One tick: the script, the motion and the physics, what the script asked for, safety."""
+        """Execute one tick: script, motion and physics, the script's requests, safety."""
         dt = self.model.period
         self.program.step(dt)
         self.machine.step(dt)
@@ -105,7 +133,7 @@ class Robot:
         self.safety.step(dt, self.reading.q, float(np.sqrt(speed[:3] @ speed[:3])))
 
     def say(self, text: str) -> None:
-        """A line for the robot's log, which clients of the primary interface also get."""
+        """Add a message to the robot's log, which clients of the primary interface receive."""
         self.said += 1
         self.messages.append((self.timestamp, text))
 
@@ -126,14 +154,14 @@ class Robot:
                 self.program.stop()
 
     def calibrate(self, model: ControllerModel) -> None:
-        """Give the arm these DH parameters: it reports them and reckons with them."""
+        """Set the arm's DH parameters, which it reports and computes with."""
         self.model = self.machine.model = model
         self.identity.a, self.identity.d = model.a, model.d
 
     def reboot(self) -> None:
-        """As after the power button: the program is gone, registers and settings are lost, the arm is off."""
+        """Restart as with the power button: the program ends, registers and settings are lost, the arm is off."""
         self.program.stop()
-        self.machine.stop(self.model.safety_deceleration)  # the brakes fall in
+        self.machine.stop(self.model.safety_deceleration)  # the brakes engage
         self.safety.restart()
         self.safety.robot_mode = RobotMode.POWER_OFF
         fresh = Registers()
@@ -143,9 +171,14 @@ class Robot:
 
 
 class Reading:
-    """What is measured and derived at the end of one tick; derived values are worked out when first asked for.
+    """Measured and derived values at the end of one tick; derived values are computed on first use.
 
-    q, qd (6,): measured [rad], [rad/s], with the joint offset of a fault in them.
+    Args:
+        robot: The robot.
+
+    Attributes:
+        q: Measured joint positions, (6,) [rad], including the joint offset of a fault.
+        qd: Measured joint velocities, (6,) [rad/s].
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -155,35 +188,35 @@ class Reading:
 
     @cached_property
     def tcp_pose(self) -> list[float]:
-        """(6,) of the TCP in the controller's base: position [m], rotation vector [rad]."""
+        """Pose of the TCP in the controller's base, (6,): position [m], rotation vector [rad]."""
         return poses.vector(self._chain.X_base_flange @ self._X_flange_tcp)
 
     @cached_property
     def tcp_speed(self) -> Array:
-        """(6,): [m/s], [rad/s], base axes."""
+        """Velocity of the TCP, (6,) [m/s, rad/s], base axes."""
         return self._chain.jacobian(self._tip) @ self.qd
 
     @cached_property
     def target_tcp_pose(self) -> list[float]:
-        """As `tcp_pose`, of the set-point."""
+        """Pose of the TCP at the set-point, as `tcp_pose`."""
         return poses.vector(self._target_chain.X_base_flange @ self._X_flange_tcp)
 
     @cached_property
     def target_tcp_speed(self) -> Array:
-        """As `tcp_speed`, of the set-point."""
+        """Velocity of the TCP at the set-point, as `tcp_speed`."""
         tip = self._target_chain.X_base_flange @ self._X_flange_tcp[:, 3]
         return self._target_chain.jacobian(tip[:3]) @ self._robot.machine.qd_target
 
     @cached_property
     def tcp_force(self) -> Array:
-        """(6,) [N, Nm]: what the environment puts on the TCP, at the TCP, base axes."""
+        """Wrench of the environment at the TCP, (6,) [N, Nm], base axes."""
         wrench = self._robot.plant.wrench
         arm = self._tip - self._chain.origins[-1]
         return np.concatenate([wrench[:3], wrench[3:] - cross(arm, wrench[:3])])
 
     @cached_property
     def raw_wrench(self) -> Array:
-        """(6,) [N, Nm]: in the flange's axes, with the payload's weight, as the e-Series sensor gives it."""
+        """Wrench in the flange's axes, (6,) [N, Nm], including the payload's weight, as the e-Series sensor reports."""
         machine, wrench = self._robot.machine, self._robot.plant.wrench
         R = self._chain.X_base_flange[:3, :3]
         weight = R.T @ (-machine.payload * np.asarray(machine.gravity))
@@ -192,13 +225,13 @@ class Reading:
 
     @cached_property
     def momentum(self) -> float:
-        """[kg m/s] of the payload, the part of the arm's momentum that is known."""
+        """Momentum of the payload [kg m/s], the known part of the arm's momentum."""
         speed = self.tcp_speed[:3]
         return float(self._robot.machine.payload * np.sqrt(speed @ speed))
 
     @cached_property
     def elbow(self) -> Array:
-        """(3,) [m], controller's base."""
+        """Position of the elbow in the controller's base, (3,) [m]."""
         return self._chain.origins[2]
 
     @cached_property

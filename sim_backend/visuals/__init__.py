@@ -1,1 +1,1 @@
-"""What the simulated camera sees of the simulated world."""
+"""Visual models of the simulated world, for the simulated camera."""

@@ -1,4 +1,4 @@
-"""What the simulated camera sees of the world: robot, tool, work and person as meshes at their present poses."""
+"""Visual bodies of the world: robot, tool, work and person as meshes at their current poses."""
 
 from __future__ import annotations
 
@@ -40,10 +40,14 @@ class BodyId(IntEnum):
 
 @dataclass(frozen=True)
 class SceneState:
-    """Where everything visible is: poses 4x4 in `base`, one instant.
+    """Poses of everything visible at one time, 4x4 in `base`.
 
-    links: of the robot, by name. X_base_nail: of the nail's head. person_center: (3,). person_arm: from shoulder to
-    hand, (3,) each, while the person holds the tool.
+    Attributes:
+        links: Pose of each robot link, by its name.
+        X_base_tool: Pose of the tool.
+        X_base_nail: Pose of the nail's head.
+        person_center: Middle of the person's body, (3,) [m].
+        person_arm: Shoulder and hand, (3,) each [m], while the person holds the tool, else None.
     """
 
     links: Mapping[str, Array]
@@ -66,13 +70,28 @@ class VisiblePerson(Protocol):
 
 
 def scene_state(world: SimWorld, person: VisiblePerson) -> SceneState:
-    """As it is now."""
+    """The current state of a world.
+
+    Args:
+        world: The simulated world.
+        person: The simulated person.
+
+    Returns:
+        The poses of everything visible.
+    """
     links = {name: world.robot.link_pose(index) for name, index in world.robot.link_index.items()}
     return SceneState(links, world.X_base_tool(), world.nail.head_pose(), person.center.copy(), person.visible_arm)
 
 
 class SceneVisuals:
-    """A `VisualWorld`: what stands in the scene, of which `state` tells where; meshes are built once."""
+    """A `VisualWorld` of the station; meshes are built once.
+
+    Args:
+        config: The station.
+        tool: The tool.
+        seed: Seed of the person's skin and shirt colors.
+        state: Returns the current poses.
+    """
 
     def __init__(self, config: StationConfig, tool: Tool, seed: int, state: Callable[[], SceneState]) -> None:
         self._state = state
@@ -104,7 +123,7 @@ class SceneVisuals:
         self._fist = sphere(0.045)
 
     def visual_bodies(self) -> Sequence[VisualBody]:
-        """Everything visible but the room."""
+        """The current visual bodies, without the room."""
         state = self._state()
         bodies = list(self._static)
         for name, (mesh, hand) in self._links.items():

@@ -1,4 +1,4 @@
-"""What the simulated camera needs to know of the simulated world."""
+"""The interface between the simulated camera and the simulated world."""
 
 from __future__ import annotations
 
@@ -12,10 +12,20 @@ from toolee_robot.render.mesh import Mesh
 
 @dataclass(frozen=True, eq=False)
 class VisualBody:
-    """One visible rigid piece. name: unique and stable (it also seeds the surface's pattern). mesh: build it once and
-    keep it (`Mesh.build(vertices, faces)`). X_base_body: 4x4, where it is now. finish: what it is made of, for the
-    texture ("wood", "steel_bright", "rubber", "plastic", "skin", ... see `toolee_robot.render.palette.finish`).
-    color: sRGB in [0, 1]. grain_axis: body axis of a wood's grain. body_id >= 1; pieces of one thing share it."""
+    """One visible rigid body.
+
+    Attributes:
+        name: Unique and stable name, which also seeds the surface pattern.
+        mesh: Mesh in the body's frame; built once and kept.
+        X_base_body: Current pose, 4x4.
+        finish: Material for the texture ("wood", "steel_bright", "rubber", "plastic", "skin", ...), see
+            `toolee_robot.render.palette.finish`.
+        color: Color, sRGB in [0, 1].
+        roughness: Roughness of the surface in [0, 1].
+        metallic: Metalness of the surface in [0, 1].
+        grain_axis: Body axis of a wood's grain: 0, 1 or 2.
+        body_id: Id in ground-truth renderings, at least 1; parts of one object share it.
+    """
 
     name: str
     mesh: Mesh
@@ -29,8 +39,8 @@ class VisualBody:
 
 
 class VisualWorld(Protocol):
-    """A world that can be looked at."""
+    """A world that can be rendered."""
 
     def visual_bodies(self) -> Sequence[VisualBody]:
-        """Everything visible but the room, at the present simulated time."""
+        """The visual bodies at the current simulated time, without the room."""
         ...

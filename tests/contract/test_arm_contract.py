@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.contract.rigs import Rig
+from tests.errors import raises
 from tests.sim_backend.kinematics import line
 from tests.stand_in import PATIENT
 from toolee_robot.errors import (
@@ -273,7 +274,7 @@ def test_leaving_the_context_stops_and_closes_the_arm(rig: Rig) -> None:
     arm.__exit__(None, None, None)
     stands(rig)
     for use in (arm.state, arm.reset, lambda: rig.execute(line([np.zeros(6), np.ones(6)], 1.0))):
-        with pytest.raises(DeviceError, match="closed"):
+        with raises(DeviceError, code="device.closed"):
             use()
     arm.stop()
     arm.__enter__()

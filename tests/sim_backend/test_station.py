@@ -8,6 +8,7 @@ import numpy as np
 import pybullet as pb
 import pytest
 
+from tests.errors import raises
 from tests.sim_backend.kinematics import HOME, joints_for_hand, line
 from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, LimitError, StaleDataError, UserError
@@ -135,7 +136,7 @@ def test_an_exception_leaves_the_arm_at_rest_and_closed(empty: SimStation) -> No
     with pytest.raises(KeyboardInterrupt), arm:
         arm.execute(line([HOME, HOME + NUDGE], 1.0))
     assert np.abs(empty.world.robot.arm_state()[1]).max() < 5e-3
-    with pytest.raises(DeviceError, match="closed"):
+    with raises(DeviceError, code="device.closed"):
         arm.state()
 
 
@@ -145,13 +146,13 @@ def test_a_cut_link_is_stale_and_stops_the_arm(empty: SimStation) -> None:
     assert isinstance(station.hand, SimHand)
     station.arm.cut_link()
     station.hand.cut_link()
-    with pytest.raises(StaleDataError, match="link"):
+    with raises(StaleDataError, code="link_lost"):
         station.arm.execute(line([HOME, HOME + NUDGE], 1.0))
     assert np.abs(empty.world.robot.arm_state()[1]).max() < 5e-3
     station.clock.sleep(0.3)
-    with pytest.raises(StaleDataError, match="arm"):
+    with raises(StaleDataError, code="stale_data.arm"):
         station.arm.state(max_age=0.1)
-    with pytest.raises(StaleDataError, match="hand"):
+    with raises(StaleDataError, code="stale_data.hand"):
         station.hand.state(max_age=0.1)
     station.arm.restore_link()
     station.hand.restore_link()
@@ -259,7 +260,7 @@ def test_opening_lets_the_tool_fall_but_stopping_does_not(q_handover: Array) -> 
         station.person.release("", 10.0)
         assert simulation.world.grip is not None
         assert simulation.world.grip.holding
-        with pytest.raises(DeviceError, match="closed"):
+        with raises(DeviceError, code="device.closed"):
             station.hand.state()
         with station.hand as hand:
             hand.open(8.0)
@@ -294,11 +295,11 @@ def test_the_person_brings_only_hammers_that_no_network_has_seen() -> None:
 def test_unusable_options_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
-    with pytest.raises(UserError, match="DISPLAY"):
+    with raises(UserError, code="user.no_display"):
         SimStation.build(CONFIG, 0, SimOptions(gui=True))
-    with pytest.raises(UserError, match="friction"):
+    with raises(UserError, code="user.friction"):
         SimOptions(friction=0.0)
-    with pytest.raises(UserError, match="seed"):
+    with raises(UserError, code="user.seed_negative"):
         SimStation.build(CONFIG, -1)
 
 

@@ -1,1 +1,1 @@
-"""The fault port of the controller stand-in: hooks that break it on purpose."""
+"""The fault port of the controller stand-in: hooks that inject faults."""

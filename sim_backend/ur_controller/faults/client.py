@@ -1,4 +1,4 @@
-"""A client of the fault port, for tests and for anyone who wants to break a robot that does not exist."""
+"""A client of the fault port, for tests and for fault injection by hand."""
 
 from __future__ import annotations
 
@@ -18,10 +18,17 @@ FAULT_PORT = 30020
 
 @dataclass(frozen=True)
 class Trace:
-    """What the arm did, a row a tick. ticks, stamps (N,): number, and the controller's clock [s], which is the same in
-    every process of the machine. q, qd, q_target (N, 6): the true joints
-    and their set-point [rad], [rad/s]. safety, program (N,):
-    SafetyMode and RuntimeState."""
+    """The arm's states, one row per tick.
+
+    Attributes:
+        ticks: Numbers of the ticks, (N,).
+        stamps: Times, (N,) [s], on the controller's clock, which is the same in every process of the machine.
+        q: True joint positions, (N, 6) [rad].
+        qd: True joint velocities, (N, 6) [rad/s].
+        q_target: Set-points, (N, 6) [rad].
+        safety: Values of `SafetyMode`, (N,).
+        program: Values of `RuntimeState`, (N,).
+    """
 
     ticks: Array
     stamps: Array
@@ -33,7 +40,16 @@ class Trace:
 
 
 class FaultClient:
-    """A connection to a stand-in's fault port. Raises DeviceError when nobody answers within `timeout` [s]."""
+    """A connection to a stand-in's fault port.
+
+    Args:
+        host: Address of the stand-in.
+        port: TCP port of its fault port.
+        timeout: Timeout of connecting and of every answer [s].
+
+    Raises:
+        DeviceError: Nothing answers.
+    """
 
     def __init__(self, host: str, port: int = FAULT_PORT, timeout: float = 10.0) -> None:
         self._address = f"{host}:{port}"
@@ -42,13 +58,26 @@ class FaultClient:
         except OSError as error:
             raise DeviceError(
                 f"no controller stand-in answers on {self._address} ({error}): start one with "
-                f"`toolee ur-controller --host {host}`"
+                f"`toolee ur-controller --host {host}`",
+                code="device.no_controller",
             ) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._buffer = b""
 
     def fault(self, name: str, /, **arguments: object) -> dict[str, Any]:
-        """Carry out a hook and return its answer. Raises UserError when the stand-in refuses it."""
+        """Call a hook.
+
+        Args:
+            name: Name of the hook.
+            arguments: Its arguments.
+
+        Returns:
+            Its answer.
+
+        Raises:
+            UserError: The hook or an argument is invalid.
+            DeviceError: The stand-in does not answer.
+        """
         try:
             self._socket.sendall(json.dumps({"fault": name, **arguments}).encode() + b"\n")
             while b"\n" not in self._buffer:
@@ -57,25 +86,26 @@ class FaultClient:
                     raise ConnectionError("closed")
                 self._buffer += data
         except OSError as error:
-            raise DeviceError(f"the controller stand-in on {self._address} does not answer: {error}") from error
+            message = f"the controller stand-in on {self._address} does not answer: {error}"
+            raise DeviceError(message, code="device.no_controller") from error
         line, self._buffer = self._buffer.split(b"\n", 1)
         answer: dict[str, Any] = json.loads(line)
         if not answer.pop("ok"):
-            raise UserError(answer["error"])
+            raise UserError(answer["error"], code="user.fault_refused")
         return answer
 
     def state(self) -> dict[str, Any]:
-        """The truth about the robot."""
+        """True state of the robot."""
         return self.fault("state")
 
     def trace(self, after: int = -1) -> Trace:
-        """Every tick after number `after` that is still kept."""
+        """The arm's states in all ticks after number `after` that are still kept."""
         rows: list[list[Any]] = []
         last = after
         while page := self.fault("trace", after=last)["rows"]:
             rows += page
             last = page[-1][0]
-            if len(page) < 100:  # the newest: do not chase the ticks of the meantime
+            if len(page) < 100:  # up to date: do not chase newer ticks
                 break
         columns = list(zip(*rows, strict=True)) if rows else [()] * 7
         ticks, stamps, safety, program, q, qd, q_target = columns
@@ -90,6 +120,7 @@ class FaultClient:
         )
 
     def close(self) -> None:
+        """Close the connection."""
         self._socket.close()
 
     def __enter__(self) -> Self:

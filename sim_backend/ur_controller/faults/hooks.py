@@ -1,4 +1,4 @@
-"""What a hook of the fault port is: a method whose arguments are checked, found by its name."""
+"""Hooks of the fault port: methods with validated arguments, called by name."""
 
 from __future__ import annotations
 
@@ -18,27 +18,29 @@ Three = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Six = Annotated[list[Number], Field(min_length=6, max_length=6)]
 Method = Callable[..., dict[str, Any] | None]
 Hook = Callable[[dict[str, Any]], dict[str, Any]]
-"""From arguments to an answer; never raises."""
+"""Converts arguments to an answer; never raises."""
 
 
 def hook(method: Method) -> Method:
-    """Make a method of a `HookGroup` a hook."""
+    """Decorator that makes a method of a `HookGroup` a hook."""
     checked: Method = validate_call(config=ConfigDict(arbitrary_types_allowed=True))(method)
     checked.is_hook = True  # type: ignore[attr-defined]
     return checked
 
 
 class HookGroup:
-    """Hooks of one concept. `step` once a tick; `end` takes back all that they have done."""
+    """A group of related hooks."""
 
     def hooks(self) -> dict[str, Hook]:
-        """By name."""
+        """The group's hooks, by name."""
         methods = vars(type(self))
         return {name: partial(_call, self, f) for name, f in methods.items() if getattr(f, "is_hook", False)}
 
-    def step(self) -> None: ...
+    def step(self) -> None:
+        """End the faults whose duration is over; called once per tick."""
 
-    def end(self) -> None: ...
+    def end(self) -> None:
+        """End all faults of the group."""
 
 
 def _call(group: HookGroup, method: Method, arguments: dict[str, Any]) -> dict[str, Any]:

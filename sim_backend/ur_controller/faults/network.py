@@ -1,4 +1,4 @@
-"""Faults of the network, whatever goes over it."""
+"""Faults of the network, independent of the protocol."""
 
 from __future__ import annotations
 
@@ -17,29 +17,37 @@ if TYPE_CHECKING:
 
 
 class NetworkFaults(HookGroup):
+    """Hooks for faults of ports and connections.
+
+    Args:
+        controller: The controller.
+    """
+
     def __init__(self, controller: Controller) -> None:
         self._controller, self._clock = controller, controller.clock
         self._reopen: dict[str, float] = {}  # port -> time [s]
 
     def step(self) -> None:
-        """A refused port opens again."""
+        """Open the ports whose refusal is over."""
         now = self._clock.now()
         for name in [name for name, due in self._reopen.items() if now >= due]:
             del self._reopen[name]
             self._controller.ports[name].listen()
 
     def down(self) -> None:
-        """Nobody listens, and every connection is reset."""
+        """Close all ports and reset every connection."""
         for port in self._controller.ports.values():
             port.refuse()
             port.drop(reset=True)
         self._reopen.clear()
 
     def up(self) -> None:
+        """Open all ports."""
         for port in self._controller.ports.values():
             port.listen()
 
     def end(self) -> None:
+        """End all network faults and reset half-open connections."""
         self._controller.frozen_until = 0.0
         self._reopen.clear()
         for port in self._controller.ports.values():
@@ -57,7 +65,7 @@ class NetworkFaults(HookGroup):
 
     @hook
     def refuse(self, port: str = "all", seconds: Seconds | None = None) -> None:
-        """Refuse new connections, for so long or until `accept`; open ones stay."""
+        """Refuse new connections, for a time [s] or until `accept`; open ones stay."""
         for found in self._ports(port):
             found.refuse()
             self._reopen.pop(found.name, None)
@@ -73,36 +81,36 @@ class NetworkFaults(HookGroup):
 
     @hook
     def stall(self, seconds: Seconds, port: str = "all") -> None:
-        """The network is stuck: nothing goes in or out; afterwards everything arrives in one burst."""
+        """Block the network for a time [s]; afterwards everything arrives in one burst."""
         for found in self._ports(port):
             found.faults.stalled_until = time.monotonic() + self._clock.to_wall_time(seconds)
 
     @hook
     def freeze(self, seconds: Seconds) -> None:
-        """The controller's loop stands still: no ticks, no answers, no motion."""
+        """Stop the controller's loop for a time [s]: no ticks, no answers, no motion."""
         self._controller.frozen_until = self._clock.now() + seconds
 
     @hook
     def delay(self, seconds: Seconds, port: str = "all") -> None:
-        """Everything sent arrives so much later; 0 ends it."""
+        """Delay everything sent by a time [s]; 0 ends the fault."""
         for found in self._ports(port):
             found.faults.delay = self._clock.to_wall_time(seconds)
 
     @hook
     def half_open(self, port: str = "all") -> None:
-        """The present connections go dead without being closed: nothing is read or sent any more."""
+        """Make the open connections dead without closing them: nothing is read or sent."""
         for connection in self._connections(port):
             connection.half_open = True
 
     @hook
     def truncate(self, bytes: Count, port: str = "rtde") -> None:
-        """The next send on the port loses everything after its first so many bytes."""
+        """Truncate the next send on the port to a number of bytes."""
         for found in self._ports(port):
             found.faults.truncate = bytes
 
     @hook
     def coalesce(self, sends: Annotated[int, Field(ge=1, le=1000)], port: str = "rtde") -> None:
-        """So many sends leave as one; 1 ends it."""
+        """Combine a number of sends into one; 1 ends the fault."""
         for found in self._ports(port):
             found.faults.coalesce = sends
 
@@ -111,7 +119,7 @@ class NetworkFaults(HookGroup):
         if name == "all":
             return list(ports.values())
         if name not in ports:
-            raise UserError(f"no port {name!r}: choose one of all, {', '.join(ports)}")
+            raise UserError(f"no port {name!r}: choose one of all, {', '.join(ports)}", code="user.unknown_port")
         return [ports[name]]
 
     def _connections(self, name: str) -> list[Connection]:

@@ -1,4 +1,4 @@
-"""What tests want to know of the controller, through the fault port."""
+"""Queries of the controller's true state through the fault port."""
 
 from __future__ import annotations
 
@@ -10,28 +10,34 @@ from toolee_robot.sim_backend.ur_controller.faults.state_report import describe
 if TYPE_CHECKING:
     from toolee_robot.sim_backend.ur_controller.controller import Controller
 
-TRACE_PAGE = 250  # rows in one answer: more would hold up the tick
+TRACE_PAGE = 250  # rows in one answer: more would delay the tick
 
 
-class Questions(HookGroup):
+class Queries(HookGroup):
+    """Hooks that return the controller's state.
+
+    Args:
+        controller: The controller.
+    """
+
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
 
     @hook
     def state(self) -> dict[str, Any]:
-        """The truth about the robot: joints, modes, program, settings, tick statistics, clients."""
+        """Return the true state of the robot: joints, modes, program, settings, tick statistics, clients."""
         return describe(self._controller)
 
     @hook
     def registers(self) -> dict[str, Any]:
-        """All general purpose registers."""
+        """Return all general purpose registers."""
         registers = self._controller.robot.registers
         names = ("int_in", "float_in", "bool_in", "int_out", "float_out", "bool_out")
         return {name: list(getattr(registers, name)) for name in names}
 
     @hook
     def trace(self, after: int = -1) -> dict[str, Any]:
-        """The ticks after number `after`, oldest first, at most TRACE_PAGE of them: ask again with the last one's."""
+        """Return the ticks after number `after`, the oldest first, at most TRACE_PAGE; continue after the last one."""
         trace = self._controller.trace
         first = trace[0].tick if trace else 0
         start = max(0, after + 1 - first)
@@ -45,5 +51,5 @@ class Questions(HookGroup):
 
     @hook
     def reset_statistics(self) -> None:
-        """Count late and slipped ticks from now on."""
+        """Reset the statistics of late and slipped ticks."""
         self._controller.schedule.reset()

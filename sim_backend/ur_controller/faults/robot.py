@@ -1,4 +1,4 @@
-"""Faults of the robot: its program, its safety system, its arm, and who it says it is."""
+"""Faults of the robot: its program, its safety system, its arm, and its identity."""
 
 from __future__ import annotations
 
@@ -19,6 +19,13 @@ if TYPE_CHECKING:
 
 
 class RobotFaults(HookGroup):
+    """Hooks for faults of the robot.
+
+    Args:
+        controller: The controller.
+        network: Network faults, for reboots.
+    """
+
     def __init__(self, controller: Controller, network: NetworkFaults) -> None:
         self._controller, self._network, self._clock = controller, network, controller.clock
         self._robot = controller.robot
@@ -27,7 +34,7 @@ class RobotFaults(HookGroup):
         self._power_after_boot = False
 
     def step(self) -> None:
-        """A force goes away, a reboot is done."""
+        """End an external force or a reboot whose time is over."""
         now = self._clock.now()
         if now >= self._force_until:
             self._robot.plant.external_force = np.zeros(6)
@@ -38,6 +45,7 @@ class RobotFaults(HookGroup):
             self._network.up()
 
     def end(self) -> None:
+        """End all faults of the robot and restore its initial state."""
         options, robot = self._controller.options, self._robot
         robot.program.stop()
         robot.program.rejections, robot.program.start_delay = 0, 0.0
@@ -55,29 +63,30 @@ class RobotFaults(HookGroup):
 
     @hook
     def reject_script(self, count: Count = 1) -> None:
-        """The next so many scripts are thrown away."""
+        """Discard the next scripts that are uploaded."""
         self._robot.program.rejections = count
 
     @hook
     def slow_start(self, seconds: Seconds) -> None:
-        """Scripts start so long after their upload; 0 ends it."""
+        """Delay the start of scripts after their upload by a time [s]; 0 ends the fault."""
         self._robot.program.start_delay = seconds
 
     # -- safety
 
     @hook
     def protective_stop(self, reason: str = "fault port") -> None:
+        """Make a protective stop."""
         self._robot.safety.protective_stop(reason)
 
     @hook
     def unlock(self) -> None:
-        """A person releases a protective stop at the pendant; the wait of 5 s is taken as over."""
+        """Release a protective stop as at the pendant, without the waiting time of 5 s."""
         self._robot.safety.age(UNLOCK_DELAY)
         self._robot.safety.unlock()
 
     @hook
     def emergency_stop(self, pressed: bool = True, system: bool = False) -> None:
-        """Press the button, or pull it out (the arm is off then: power on and release the brakes)."""
+        """Press the emergency stop, or release it; the arm is then off until powered on."""
         if pressed:
             self._robot.safety.emergency_stop(system)
         else:
@@ -85,7 +94,7 @@ class RobotFaults(HookGroup):
 
     @hook
     def safeguard_stop(self, active: bool = True) -> None:
-        """Break the light curtain, or close it (a paused program stays paused)."""
+        """Open the safeguard, or close it; a paused program stays paused."""
         if active:
             self._robot.safety.safeguard_stop()
         else:
@@ -93,67 +102,68 @@ class RobotFaults(HookGroup):
 
     @hook
     def safety_fault(self, violation: bool = False) -> None:
-        """FAULT or VIOLATION, which `restart safety` ends."""
+        """Enter the safety mode FAULT or VIOLATION, which the dashboard's `restart safety` ends."""
         self._robot.safety.fault(violation)
 
     @hook
     def remote(self, remote: bool) -> None:
-        """e-Series: remote or local control."""
+        """Switch an e-Series controller to remote or local control."""
         self._robot.safety.remote = remote
 
     # -- the arm
 
     @hook
     def force(self, wrench: Six, seconds: Seconds | None = None) -> None:
-        """An extra wrench on the flange [N, Nm], base axes, for so long or until the next one."""
+        """Apply a wrench to the flange, (6,) [N, Nm], base axes, for a time [s] or until the next one."""
         self._robot.plant.external_force = np.array(wrench)
         self._force_until = np.inf if seconds is None else self._clock.now() + seconds
 
     @hook
     def joint_offset(self, offset: Six) -> None:
-        """Added to the measured joints [rad]: a tracking error."""
+        """Add an offset (6,) [rad] to the measured joint positions: a tracking error."""
         self._robot.joint_offset = np.array(offset)
 
     @hook
     def payload(self, mass: Annotated[float, Field(ge=0.0, le=50.0)], cog: Three) -> None:
-        """Someone sets another payload [kg] and centre of gravity [m] at the pendant."""
+        """Set another payload as at the pendant: mass [kg], centre of gravity [m]."""
         machine = self._robot.machine
         machine.payload, machine.payload_cog = mass, np.array(cog)
         machine.plant.set_payload(mass, np.array(cog))
 
     @hook
     def tcp(self, pose: Six) -> None:
-        """Someone sets another TCP at the pendant: position [m], rotation vector [rad]."""
+        """Set another TCP as at the pendant: position [m], rotation vector [rad]."""
         self._robot.machine.tcp = np.array(pose)
 
     @hook
     def speed_slider(self, fraction: Annotated[float, Field(ge=0.0, le=1.0)]) -> None:
+        """Move the speed slider, 0 to 1."""
         self._robot.machine.speed_fraction = fraction
 
-    # -- who it says it is
+    # -- identity
 
     @hook
     def version(
         self, version: Annotated[list[Annotated[int, Field(ge=0, lt=2**31)]], Field(min_length=4, max_length=4)]
     ) -> None:
-        """The controller reports this software version; its behaviour stays."""
+        """Report another software version; the behaviour stays."""
         major, minor, bugfix, build = version
         self._robot.identity.version = (major, minor, bugfix, build)
 
     @hook
     def model(self, name: str) -> None:
-        """The dashboard reports this model."""
+        """Report another model on the dashboard."""
         self._robot.identity.model = name
 
     @hook
     def serial(self, number: str) -> None:
-        """The dashboard reports this serial number."""
+        """Report another serial number on the dashboard."""
         self._robot.identity.serial = number
 
     @hook
     def kinematics(self, a: Six, d: Six) -> None:
-        """This arm's DH parameters differ from the nominal ones by so much [m]: in what it reports, with another
-        checksum, and in its own kinematics."""
+        """Change the arm's DH parameters by differences from the nominal ones [m], in the reported kinematics, with
+        another checksum, and in its motions."""
         nominal = MODELS[self._controller.options.model]
         self._robot.calibrate(
             replace(
@@ -165,8 +175,8 @@ class RobotFaults(HookGroup):
 
     @hook
     def reboot(self, seconds: Seconds = 1.0, powered: bool = False) -> None:
-        """The controller restarts: connections are reset, nobody listens for so long, the program and the registers
-        are lost, and the arm is off afterwards unless `powered`."""
+        """Restart the controller: connections are reset, ports are closed for a time [s], program and registers are
+        lost, and the arm is off afterwards unless `powered`."""
         self._network.down()
         self._robot.reboot()
         self._robot.safety.robot_mode = RobotMode.BOOTING

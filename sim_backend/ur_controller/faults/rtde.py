@@ -17,11 +17,18 @@ if TYPE_CHECKING:
 
 
 class RtdeFaultHooks(HookGroup):
+    """Hooks for faults of the RTDE server.
+
+    Args:
+        controller: The controller.
+    """
+
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
-        self._elsewhere = object()  # owner of the registers that are "in use"
+        self._elsewhere = object()  # owner of the variables that `own` claims
 
     def end(self) -> None:
+        """End all RTDE faults."""
         controller = self._controller
         controller.outputs.missing.clear()
         controller.outputs.not_a_number.clear()
@@ -31,42 +38,42 @@ class RtdeFaultHooks(HookGroup):
 
     @hook
     def skip(self, packets: Count) -> None:
-        """The next so many data packets are not sent, to any client."""
+        """Omit the next data packets to each client."""
         for _, session in self._controller.ports["rtde"].clients:
             if isinstance(session, RtdeSession):
                 session.skip(packets)
 
     @hook
     def handshake_drop(self, packets: Annotated[int, Field(ge=1)], reset: bool = False) -> None:
-        """The next client is dropped when it has sent so many packets."""
+        """Drop the next client after it has sent a number of packets."""
         self._controller.rtde_faults.drop_after, self._controller.rtde_faults.reset = packets, reset
 
     @hook
     def own(self, variables: list[str]) -> None:
-        """These input variables belong to someone else; clients that ask for them get IN_USE."""
+        """Claim input variables, so that clients that request them get IN_USE."""
         for name in variables:
             if name not in INPUTS:
-                raise UserError(f"no input variable {name!r}")
+                raise UserError(f"no input variable {name!r}", code="user.unknown_variable")
             self._controller.inputs.owners[name] = self._elsewhere
 
     @hook
     def missing(self, variables: list[str]) -> None:
-        """Clients that ask for these output variables get NOT_FOUND."""
+        """Hide output variables, so that clients that request them get NOT_FOUND."""
         self._controller.outputs.missing.update(_known(variables))
 
     @hook
     def nan(self, variables: list[str], ticks: Count = 1) -> None:
-        """These output variables (of doubles) read NaN for so many ticks."""
+        """Report NaN for output variables of doubles, for a number of ticks."""
         self._controller.outputs.not_a_number.update(dict.fromkeys(_known(variables), ticks + 1))
 
     @hook
     def freeze_timestamp(self, frozen: bool = True) -> None:
-        """Data goes on, its timestamp does not."""
+        """Freeze the timestamp of the data, which continue to be sent."""
         self._controller.outputs.frozen_timestamp = self._controller.robot.timestamp if frozen else None
 
 
 def _known(variables: list[str]) -> list[str]:
     for name in variables:
         if name not in OUTPUTS:
-            raise UserError(f"no output variable {name!r}")
+            raise UserError(f"no output variable {name!r}", code="user.unknown_variable")
     return variables

@@ -1,4 +1,4 @@
-"""A client of the fault port: a JSON object per line in, one per line out."""
+"""A client's session on the fault port: one JSON object per line in, one per line out."""
 
 from __future__ import annotations
 
@@ -8,19 +8,25 @@ from typing import Any
 from toolee_robot.sim_backend.ur_controller.faults.fault_port import Faults
 from toolee_robot.sim_backend.ur_controller.server.link import Sink
 
-MAX_WAITING = 65536  # [bytes] of requests that wait; a client that sends more is dropped
+MAX_WAITING = 65536  # [bytes] of queued requests; a client that sends more is dropped
 
 
 class FaultSession:
-    """A client of the fault port."""
+    """A client's session on the fault port.
+
+    Args:
+        sink: The client's connection.
+        faults: The hooks.
+    """
 
     def __init__(self, sink: Sink, faults: Faults) -> None:
         self._sink, self._faults = sink, faults
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> None:
+        """Take received bytes and answer at most one request."""
         self._buffer += data
-        # One at a time, the next one after the next tick: some take milliseconds.
+        # One request per tick, since some take milliseconds.
         if (end := self._buffer.find(b"\n")) >= 0:
             line = bytes(self._buffer[:end])
             del self._buffer[: end + 1]
@@ -30,10 +36,12 @@ class FaultSession:
             self._sink.close()
 
     def tick(self) -> None:
+        """Answer the next queued request."""
         if self._buffer:
             self.feed(b"")
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Nothing to release."""
 
     def _answer(self, line: bytes) -> dict[str, Any]:
         try:

@@ -1,4 +1,4 @@
-"""The truth about a controller as plain numbers and words: the answer of the fault port's `state`."""
+"""True state of a controller as plain numbers and words: the answer of the fault port's `state`."""
 
 from __future__ import annotations
 

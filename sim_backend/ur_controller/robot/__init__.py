@@ -1,1 +1,1 @@
-"""The arm behind the controller stand-in: kinematics, motions, safety system, plant."""
+"""The robot of the controller stand-in: kinematics, motions, safety system, plant."""

@@ -1,7 +1,7 @@
 """Motions of the TCP in the controller's base frame: lines, arcs, speeds, stopping.
 
-Their accelerations are the TCP's; of the joints only the speeds are bounded. Where a joint would have to be faster, as
-near a singularity, the motion ends with a protective stop.
+Accelerations are those of the TCP; for the joints only the velocities are bounded. If a joint would have to exceed its
+bound, as near a singularity, the motion ends with a protective stop.
 """
 
 from __future__ import annotations
@@ -17,19 +17,39 @@ from toolee_robot.sim_backend.ur_controller.robot.kinematics import chain, forwa
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.motion import Brake, Motion, MotionError, Move, Trapezoid, approach
 
-DAMPING = 1e-4  # of the inverse Jacobian: exact to 1e-6 except within a hair of a singularity
-SINGULAR = 1.0 + 1e-3  # joint speeds over their limit by more than rounding end a motion
+DAMPING = 1e-4  # of the inverse Jacobian: exact to 1e-6 except very close to a singularity
+SINGULAR = 1.0 + 1e-3  # ratio of a joint velocity to its limit that ends a motion; allows for rounding
 
 
 def joint_speeds(model: ControllerModel, q: Array, X_flange_tcp: Array, twist: Array) -> Array:
-    """qd (6,) [rad/s] that gives the TCP the twist (6,) [m/s], [rad/s] in base axes."""
+    """Joint velocities for a TCP velocity, by the damped inverse Jacobian.
+
+    Args:
+        model: The robot's model.
+        q: Joint positions, (6,) [rad].
+        X_flange_tcp: Pose of the TCP in the flange frame, 4x4.
+        twist: Velocity of the TCP, (6,) [m/s, rad/s], base axes.
+
+    Returns:
+        Joint velocities, (6,) [rad/s].
+    """
     links = chain(model, q)
     J = links.jacobian((links.X_base_flange @ X_flange_tcp)[:3, 3])
     return np.asarray(np.linalg.solve(J.T @ J + DAMPING**2 * np.eye(6), J.T @ twist), dtype=np.float64)
 
 
 def tcp_twist(model: ControllerModel, q: Array, X_flange_tcp: Array, qd: Array) -> Array:
-    """(6,) [m/s], [rad/s] of the TCP in base axes."""
+    """Velocity of the TCP.
+
+    Args:
+        model: The robot's model.
+        q: Joint positions, (6,) [rad].
+        X_flange_tcp: Pose of the TCP in the flange frame, 4x4.
+        qd: Joint velocities, (6,) [rad/s].
+
+    Returns:
+        Velocity of the TCP, (6,) [m/s, rad/s], base axes.
+    """
     links = chain(model, q)
     return links.jacobian((links.X_base_flange @ X_flange_tcp)[:3, 3]) @ qd
 
@@ -38,14 +58,17 @@ def _possible(model: ControllerModel, qd: Array) -> Array:
     over = np.abs(qd) / np.array(model.velocity)
     if over.max() > SINGULAR:
         joint = int(over.argmax())
-        raise MotionError(f"joint {joint} would have to turn at {abs(qd[joint]):.1f} rad/s: near a singularity?")
+        raise MotionError(f"joint {joint} would have to move at {abs(qd[joint]):.1f} rad/s: near a singularity?")
     return qd
 
 
 class StopL(Brake):
-    """`stopl`: as `Brake`, the TCP slowing down at deceleration [m/s^2], or [rad/s^2] when it only turns.
+    """`stopl`: as `Brake`, but with the deceleration of the TCP; no joint exceeds the model's acceleration.
 
-    No joint slows down faster than the model's acceleration.
+    Args:
+        model: The robot's model.
+        X_flange_tcp: Pose of the TCP in the flange frame, 4x4.
+        deceleration: Deceleration of the TCP [m/s^2], or [rad/s^2] if it only rotates.
     """
 
     def __init__(self, model: ControllerModel, X_flange_tcp: Array, deceleration: float) -> None:
@@ -59,7 +82,15 @@ class StopL(Brake):
 
 
 class SpeedL(Motion):
-    """`speedl`: to the TCP's twist_goal (6,) [m/s], [rad/s], base axes. acceleration [m/s^2], turning [rad/s^2]."""
+    """`speedl`: accelerates the TCP to a velocity.
+
+    Args:
+        model: The robot's model.
+        X_flange_tcp: Pose of the TCP in the flange frame, 4x4.
+        twist_goal: Velocity of the TCP, (6,) [m/s, rad/s], base axes.
+        acceleration: Linear acceleration [m/s^2].
+        turning: Angular acceleration [rad/s^2].
+    """
 
     def __init__(
         self, model: ControllerModel, X_flange_tcp: Array, twist_goal: Array, acceleration: float, turning: float
@@ -70,6 +101,7 @@ class SpeedL(Motion):
         self._twist: Array | None = None
 
     def reached(self) -> bool:
+        """Whether the velocity is reached."""
         return self._twist is not None and bool(np.all(self._twist == self._goal))
 
     def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:
@@ -84,9 +116,15 @@ class SpeedL(Motion):
 
 
 class ServoC(Motion):
-    """`servoc`: the TCP goes straight to a pose, without a stop when the pose changes on the way.
+    """`servoc`: moves the TCP straight to a pose, without a stop when the pose changes on the way.
 
-    speed [m/s] and acceleration [m/s^2], of a turn [rad/s] and [rad/s^2]. blend [m]: finished when so near.
+    Args:
+        model: The robot's model.
+        X_flange_tcp: Pose of the TCP in the flange frame, 4x4.
+        X_base_goal: Goal of the TCP, 4x4.
+        acceleration: Acceleration [m/s^2, rad/s^2].
+        speed: Speed [m/s, rad/s].
+        blend: Distance from the goal at which the motion is finished [m].
     """
 
     def __init__(
@@ -120,34 +158,52 @@ class ServoC(Motion):
 
 
 def _towards(value: Array, goal: Array, most: float) -> Array:
-    """value moved towards goal, by the length `most` at most."""
+    """`value` moved towards `goal` by at most the length `most`."""
     way = goal - value
     length = float(np.linalg.norm(way))
     return goal if length <= most else value + way * (most / length)
 
 
 Path = tuple[Callable[[float], Array], float]
-"""X_base_tcp (4x4) at a length on the way, and the whole length: [m], or [rad] where the TCP turns more than it
-goes."""
+"""Pose X_base_tcp (4x4) as a function of the path length, and the total length: [m], or [rad] if the TCP rotates by
+more [rad] than it translates [m]."""
 
 
 def line(X_from: Array, X_to: Array) -> Path:
-    """Straight, turning evenly."""
+    """A straight path with a constant rotation axis.
+
+    Args:
+        X_from: Start, 4x4.
+        X_to: End, 4x4.
+
+    Returns:
+        The path.
+    """
     twist = poses.difference(X_from, X_to)
     length = max(float(np.linalg.norm(twist[:3])), float(np.linalg.norm(twist[3:])))
     return (lambda s: poses.moved(X_from, twist * (s / length)) if length > 0.0 else X_to), length
 
 
 def arc(X_from: Array, via: Array, X_to: Array, fixed: bool) -> Path:
-    """On the circle through via (3,) [m]; turning evenly, or with `fixed` keeping its orientation to the circle.
+    """A circular path through three points; collinear points give a straight path.
 
-    Three points on a line give the line. Raises MotionError when the end is the start.
+    Args:
+        X_from: Start, 4x4.
+        via: Point on the circle, (3,) [m].
+        X_to: End, 4x4.
+        fixed: Whether the orientation relative to the circle is kept; otherwise the rotation axis is constant.
+
+    Returns:
+        The path.
+
+    Raises:
+        MotionError: The end equals the start.
     """
     a, b, c = X_from[:3, 3], np.asarray(via), X_to[:3, 3]
     normal = np.cross(b - a, c - a)
     if np.linalg.norm(normal) < 1e-9:
         if np.linalg.norm(c - a) < 1e-9:
-            raise MotionError("movec: the way ends where it starts")
+            raise MotionError("movec: the path ends where it starts")
         return line(X_from, X_to)
     square = float(normal @ normal)
     centre = a + np.cross(normal, b - a) * ((c - a) @ (c - a)) / (2 * square)
@@ -171,9 +227,18 @@ def arc(X_from: Array, via: Array, X_to: Array, fixed: bool) -> Path:
 
 
 class PathMove(Move):
-    """`movel`, `movep`, `movec`: the TCP on a path, given as a function of where it starts (4x4).
+    """`movel`, `movep`, `movec`: moves the TCP on a path.
 
-    speed and acceleration are along the path, [m/s] or, where the TCP turns more than it goes, [rad/s].
+    Speed and acceleration are along the path: [m/s, m/s^2], or [rad/s, rad/s^2] for a path whose length is an angle.
+
+    Args:
+        model: The robot's model.
+        X_flange_tcp: Pose of the TCP in the flange frame, 4x4.
+        path: Returns the path for a start, 4x4.
+        acceleration: Acceleration along the path.
+        speed: Speed along the path.
+        time: Duration [s] instead of speed and acceleration; 0 for none.
+        blend: Distance from the end at which the next move may start [m].
     """
 
     def __init__(
@@ -193,6 +258,7 @@ class PathMove(Move):
 
     @property
     def q_end(self) -> Array:
+        """Joint positions at the end, (6,) [rad]."""
         return self._posture(self._profile.length, self._q)
 
     def _plan(self, q: Array) -> Trapezoid:
@@ -202,7 +268,7 @@ class PathMove(Move):
     def _posture(self, way: float, near: Array) -> Array:
         found = inverse(self._model, self._pose(way) @ self._X_tcp_flange, near)
         if found is None:
-            raise MotionError("the way leaves the arm's reach")
+            raise MotionError("the path leaves the arm's reach")
         return np.array(found)
 
     def _at(self, way: float, near: Array, dt: float) -> Array:

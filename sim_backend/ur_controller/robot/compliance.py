@@ -1,7 +1,7 @@
-"""Force mode and freedrive: the TCP gives way along chosen axes, on top of whatever the motion does along the others.
+"""Force mode and freedrive: the TCP is compliant along chosen axes and follows the motion along the others.
 
-The stand-in's own law, an admittance: along a compliant axis the TCP moves at (wanted + felt wrench) times a
-mobility, reached with a time constant. Universal Robots publishes none.
+The stand-in uses an admittance, since Universal Robots publishes no control law: along a compliant axis the TCP moves
+at (desired + measured wrench) times a mobility, with a first-order lag.
 """
 
 from __future__ import annotations
@@ -15,16 +15,22 @@ from toolee_robot.sim_backend.ur_controller.robot.cartesian import joint_speeds,
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
 
 MOBILITY = np.array([2e-3] * 3 + [5e-2] * 3)
-"""[m/s/N], [rad/s/Nm] in force mode with a gain of 1."""
+"""Mobility, (6,) [m/s/N, rad/s/Nm], in force mode with a gain of 1."""
 FREEDRIVE_GAIN = 5.0
-TIME_CONSTANT = 0.05  # [s]
+TIME_CONSTANT = 0.05  # [s] of the lag
 
 
 @dataclass
 class Compliance:
-    """R: 3x3 axes of the task frame in the base. axes (6,): 1 compliant, 0 as commanded, task frame. wrench (6,)
-    [N, Nm]: what the arm shall exert on the environment, task frame. speed (6,): the most along a compliant axis
-    [m/s], [rad/s]."""
+    """Settings and state of force mode or freedrive.
+
+    Attributes:
+        R: Axes of the task frame in the base, (3, 3).
+        axes: 1 for a compliant axis of the task frame, 0 for one that follows the command, (6,).
+        wrench: Desired wrench of the arm on the environment, (6,) [N, Nm], task frame.
+        speed: Largest speed along a compliant axis, (6,) [m/s, rad/s].
+        gain: Factor of the mobility.
+    """
 
     R: Array
     axes: Array
@@ -34,7 +40,19 @@ class Compliance:
     _twist: Array = field(default_factory=lambda: np.zeros(6))
 
     def apply(self, model: ControllerModel, X_flange_tcp: Array, q: Array, qd: Array, felt: Array, dt: float) -> Array:
-        """qd (6,) [rad/s] instead of the commanded qd at the set-point q; felt (6,): wrench on the TCP, base axes."""
+        """Modify commanded joint velocities by the compliance.
+
+        Args:
+            model: The robot's model.
+            X_flange_tcp: Pose of the TCP in the flange frame, 4x4.
+            q: Set-point, (6,) [rad].
+            qd: Commanded joint velocities, (6,) [rad/s].
+            felt: Measured wrench at the TCP, (6,) [N, Nm], base axes.
+            dt: Length of the tick [s].
+
+        Returns:
+            Joint velocities, (6,) [rad/s].
+        """
         turn = np.zeros((6, 6))
         turn[:3, :3] = turn[3:, 3:] = self.R
         wanted = self.gain * MOBILITY * (self.wrench + turn.T @ felt)

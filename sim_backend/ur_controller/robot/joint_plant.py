@@ -1,4 +1,4 @@
-"""Six ideal joints: the plant without a world around it."""
+"""Six ideal joints: a plant without a world."""
 
 from __future__ import annotations
 
@@ -9,9 +9,16 @@ from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
 
 
 class JointPlant:
-    """A `Plant` that is at its set-point at the end of every step, as far as the joints' speed limits allow.
+    """A `Plant` that reaches its set-point at the end of every step, within the joints' velocity limits.
 
-    The arm is stiff: an external force is felt and moves nothing. q (6,) [rad]: where it starts.
+    The arm is stiff: an external force is measured and moves nothing.
+
+    Args:
+        model: The robot's model.
+        q: Initial joint positions, (6,) [rad].
+
+    Attributes:
+        external_force: Wrench on the flange, (6,) [N, Nm], in the controller's base.
     """
 
     def __init__(self, model: ControllerModel, q: Array) -> None:
@@ -22,20 +29,25 @@ class JointPlant:
 
     @property
     def q(self) -> Array:
+        """Joint positions, (6,) [rad]."""
         return self._q
 
     @property
     def qd(self) -> Array:
+        """Joint velocities, (6,) [rad/s]."""
         return self._qd
 
     @property
     def wrench(self) -> Array:
+        """Wrench on the flange, (6,) [N, Nm]: the external force."""
         return self.external_force.copy()
 
     def command(self, q: Array, qd: Array) -> None:
+        """Set the set-point (6,) [rad], [rad/s], due at the end of the next `step`."""
         self._target, self._speed = np.array(q, dtype=np.float64), np.array(qd, dtype=np.float64)
 
     def step(self, dt: float) -> None:
+        """Advance by dt [s]."""
         way = self._target - self._q
         reach = self._limit * dt * (1.0 + 1e-9)
         if np.all(np.abs(way) <= reach):
@@ -45,4 +57,4 @@ class JointPlant:
             self._q, self._qd = self._q + way, way / dt
 
     def set_payload(self, mass: float, cog: Array) -> None:
-        """A stiff arm without a hand weighs nothing and feels nothing of its payload."""
+        """Nothing: the ideal joints have no payload to compensate."""

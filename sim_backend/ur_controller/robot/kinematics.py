@@ -1,6 +1,6 @@
 """Forward and inverse kinematics of the UR family from its DH parameters, in the controller's own base frame.
 
-The controller's base is our `base_link` turned by pi about z. Closed forms: Hawkins, "Analytic Inverse Kinematics for
+The controller's base is `base` rotated by pi about z. Closed forms: Hawkins, "Analytic Inverse Kinematics for
 the Universal Robots UR-5/UR-10 Arms" (2013), in the three-parallel-axes form: shoulder, wrist, then the planar elbow.
 """
 
@@ -15,21 +15,33 @@ from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.poses import Vector
 
-WRIST_SINGULAR = 1e-9  # below this |sin q5| axes 4 and 6 count as parallel
-STRETCH = 1e-9  # by so much may a cosine be over 1 through rounding
+WRIST_SINGULAR = 1e-9  # |sin q5| below which axes 4 and 6 count as parallel
+STRETCH = 1e-9  # rounding error by which a cosine may exceed 1
 
 
 @dataclass(frozen=True)
 class Chain:
-    """Where the joints are. axes (6, 3): of the joints. origins (7, 3) [m]: a point on each axis, then the flange.
-    X_base_flange: 4x4."""
+    """Geometry of the arm in one configuration, in the controller's base.
+
+    Attributes:
+        axes: Unit vectors of the joint axes, (6, 3).
+        origins: A point on each axis, then the flange's origin, (7, 3) [m].
+        X_base_flange: Pose of the flange, 4x4.
+    """
 
     axes: Array
     origins: Array
     X_base_flange: Array
 
     def jacobian(self, tip: Array) -> Array:
-        """(6, 6): joint speeds to the speed of the flange-fixed point at `tip` (3,) [m], linear above angular."""
+        """Jacobian of a point that is fixed to the flange.
+
+        Args:
+            tip: The point, (3,) [m].
+
+        Returns:
+            Matrix (6, 6) from joint velocities to linear, then angular velocity.
+        """
         arm = tip - self.origins[:6]
         J = np.empty((6, 6))
         a, r = self.axes, arm
@@ -41,7 +53,15 @@ class Chain:
 
 
 def chain(model: ControllerModel, q: Vector) -> Chain:
-    """Forward kinematics at q (6,) [rad]."""
+    """Forward kinematics of all links.
+
+    Args:
+        model: The robot's model.
+        q: Joint positions, (6,) [rad].
+
+    Returns:
+        The geometry of the arm.
+    """
     _, a2, a3 = model.a[:3]
     d1, d4, d5, d6 = model.d[0], model.d[3], model.d[4], model.d[5]
     q1, q2, q3, q4, q5, q6 = (float(angle) for angle in q)
@@ -74,14 +94,22 @@ def chain(model: ControllerModel, q: Vector) -> Chain:
 
 
 def forward(model: ControllerModel, q: Vector) -> Array:
-    """X_base_flange (4x4) at q (6,) [rad]."""
+    """Forward kinematics: X_base_flange (4x4) at joint positions q (6,) [rad]."""
     return chain(model, q).X_base_flange
 
 
 def inverse_all(model: ControllerModel, X_base_flange: Array, near: Vector) -> list[list[float]]:
-    """Every posture (6,) [rad], up to eight, each angle the turn that is nearest to `near` (6,) within the limits.
+    """All solutions of the inverse kinematics, up to eight.
 
-    With axes 4 and 6 parallel the last joint keeps its angle of `near`.
+    If axes 4 and 6 are parallel, the last joint stays at `near`.
+
+    Args:
+        model: The robot's model.
+        X_base_flange: Pose of the flange, 4x4.
+        near: Reference joint positions, (6,) [rad].
+
+    Returns:
+        Joint positions, (6,) [rad] each; every angle is the full turn nearest to `near` within the limits.
     """
     _, a2, a3 = model.a[:3]
     d1, d4, d5, d6 = model.d[0], model.d[3], model.d[4], model.d[5]
@@ -117,7 +145,16 @@ def inverse_all(model: ControllerModel, X_base_flange: Array, near: Vector) -> l
 
 
 def inverse(model: ControllerModel, X_base_flange: Array, near: Vector) -> list[float] | None:
-    """The posture (6,) [rad] that is nearest to `near` (6,), or None out of reach."""
+    """The solution of the inverse kinematics that is nearest to a reference.
+
+    Args:
+        model: The robot's model.
+        X_base_flange: Pose of the flange, 4x4.
+        near: Reference joint positions, (6,) [rad].
+
+    Returns:
+        Joint positions, (6,) [rad], or None out of reach.
+    """
     found = inverse_all(model, X_base_flange, near)
     if not found:
         return None

@@ -1,6 +1,6 @@
-"""The robot behind the script: set-point, settings, inputs and outputs. One object for the controller's life.
+"""The robot that a script commands: set-point, settings, inputs and outputs.
 
-A tick of the controller is: latch the RTDE inputs; `ScriptRuntime.step(dt)`; `Machine.step(dt)`; safety; publish.
+Order of a tick: latch the RTDE inputs; `ScriptRuntime.step(dt)`; `Machine.step(dt)`; safety; publish.
 """
 
 from __future__ import annotations
@@ -17,17 +17,18 @@ from toolee_robot.sim_backend.ur_controller.robot.cartesian import tcp_twist
 from toolee_robot.sim_backend.ur_controller.robot.compliance import Compliance
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import chain, forward
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
-from toolee_robot.sim_backend.ur_controller.robot.motion import STANDSTILL, Brake, Motion, MotionError, Move, ServoJ
+from toolee_robot.sim_backend.ur_controller.robot.motion import STANDSTILL, Brake, Motion, MotionError, Move
 from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
 from toolee_robot.sim_backend.ur_controller.robot.registers import Registers
+from toolee_robot.sim_backend.ur_controller.robot.servoj import ServoJ
 from toolee_robot.sim_backend.ur_controller.robot.watchdog import Watchdogs
 
-RATE_SLEW = 4.0  # [1/s] of the rate at which motions run when the slider moves or a pause begins
-HISTORY = 2.0  # [s] of joints and forces that are kept
+RATE_SLEW = 4.0  # [1/s] slew rate of the speed scaling when the slider moves or a pause begins
+HISTORY = 2.0  # [s] duration of the histories of joints and forces
 
 
 class EventKind(StrEnum):
-    """What the script asks of the rest of the controller."""
+    """Requests of the script to the rest of the controller."""
 
     TEXT = "text"
     POPUP = "popup"
@@ -39,18 +40,52 @@ class EventKind(StrEnum):
 
 @dataclass(frozen=True)
 class Event:
+    """A request of the script.
+
+    Attributes:
+        kind: What is requested.
+        text: Text or reason.
+    """
+
     kind: EventKind
     text: str = ""
 
 
 class Machine:
-    """events: oldest first; the controller takes them out once a tick.
+    """Set-point, settings, inputs and outputs of the robot.
 
-    q_target, qd_target, qdd_target (6,): the set-point. tcp (6,): pose of the TCP in the flange, position [m] and
-    rotation vector [rad]. payload [kg], payload_cog (3,) [m], payload_inertia (6,) [kg m^2], gravity (3,) [m/s^2]
-    (upwards). speed_fraction: the speed slider, 0..1. paused: motions slow down to a halt and wait. compliance: force
-    mode or freedrive. external_sensor: the wrench comes from RTDE's external_force_torque.
-    history: of measured q (6,), newest last; force_history: of the force on the TCP (3,) [N], base axes.
+    Args:
+        model: The robot's model.
+        plant: What the controller moves.
+        registers: General purpose registers.
+
+    Attributes:
+        model: The robot's model.
+        plant: What the controller moves.
+        registers: General purpose registers.
+        events: Requests of the script, the oldest first; the controller handles them once per tick.
+        watchdogs: RTDE watchdogs of the script.
+        q_target: Set-point, (6,) [rad].
+        qd_target: Velocity of the set-point, (6,) [rad/s].
+        qdd_target: Acceleration of the set-point, (6,) [rad/s^2].
+        payload: Mass of the payload [kg].
+        payload_cog: Centre of gravity of the payload in the flange frame, (3,) [m].
+        payload_inertia: Inertia of the payload, (6,) [kg m^2].
+        gravity: Acceleration of the base that is equivalent to gravity, (3,) [m/s^2]; points upwards.
+        speed_fraction: Position of the speed slider, 0 to 1.
+        paused: Whether motions slow down to a halt and wait.
+        compliance: Force mode or freedrive, or None.
+        freedrive: Whether the compliance is freedrive.
+        force_gain: Gain of force mode.
+        external_sensor: Whether the wrench comes from RTDE's external_force_torque.
+        digital_in: Digital inputs.
+        digital_out: Digital outputs.
+        analog_in: Analog inputs, 0 to 1.
+        analog_out: Analog outputs, 0 to 1.
+        temperatures: Joint temperatures [deg C].
+        history: Measured joint positions, (6,) [rad] each, the newest last.
+        force_history: Forces on the TCP, (3,) [N] each, base axes, the newest last.
+        X_flange_tcp: Pose of the TCP in the flange frame, 4x4.
     """
 
     def __init__(self, model: ControllerModel, plant: Plant, registers: Registers) -> None:
@@ -74,9 +109,9 @@ class Machine:
         self.force_history: deque[Array] = deque(maxlen=ticks)
         self.tcp = np.zeros(6)
         self._motion: Motion | None = None
-        self._stop: Motion | None = None  # the last stop that came from outside the script
+        self._stop: Motion | None = None  # the last stop that was not requested by the script
         self._held = False  # a script function waits for the motion
-        self._running_out: list[Move] = []  # blended moves whose ends are still to come
+        self._running_out: list[Move] = []  # blended moves that have not ended
         self._rate = 1.0
         self._bias = np.zeros(6)  # of the wrench, flange axes
 
@@ -84,6 +119,7 @@ class Machine:
 
     @property
     def tcp(self) -> Array:
+        """Pose of the TCP in the flange frame, (6,): position [m], rotation vector [rad]."""
         return self._tcp
 
     @tcp.setter
@@ -91,35 +127,35 @@ class Machine:
         self._tcp, self.X_flange_tcp = pose, poses.matrix(pose)
 
     def set_payload(self, mass: float, cog: poses.Vector) -> None:
-        """mass [kg], cog (3,) [m] in the flange."""
+        """Set the payload: mass [kg], centre of gravity (3,) [m] in the flange frame."""
         self.payload, self.payload_cog = float(mass), np.array(cog, dtype=np.float64)
         self.plant.set_payload(self.payload, self.payload_cog)
 
     def zero_wrench(self) -> None:
-        """What is felt now counts as nothing."""
+        """Zero the force sensor at the current wrench."""
         self._bias = np.zeros(6)
         R = forward(self.model, self.plant.q)[:3, :3]
         felt = self.wrench()
         self._bias = np.concatenate([R.T @ felt[:3], R.T @ felt[3:]])
 
-    # -- what is known
+    # -- state
 
     @property
     def moving(self) -> bool:
-        """A motion is under way or the arm has not come to rest."""
+        """Whether a motion is in progress or the arm has not come to rest."""
         return self._held or bool(self._running_out) or bool(np.abs(self.qd_target).max() > STANDSTILL)
 
     def tcp_pose(self, target: bool = False) -> Array:
-        """X_base_tcp (4x4), measured or of the set-point."""
+        """Pose X_base_tcp, 4x4, measured or, with `target`, of the set-point."""
         return forward(self.model, self.q_target if target else self.plant.q) @ self.X_flange_tcp
 
     def tcp_speed(self, target: bool = False) -> Array:
-        """(6,) [m/s], [rad/s] of the TCP in base axes, measured or of the set-point."""
+        """Velocity of the TCP, (6,) [m/s, rad/s], base axes, measured or, with `target`, of the set-point."""
         q, qd = (self.q_target, self.qd_target) if target else (self.plant.q, self.plant.qd)
         return tcp_twist(self.model, q, self.X_flange_tcp, qd)
 
     def wrench(self) -> Array:
-        """(6,) [N, Nm] that the environment puts on the flange, at its origin, base axes, zeroed by the script."""
+        """Wrench of the environment at the flange's origin, (6,) [N, Nm], base axes, less the script's zero."""
         R = forward(self.model, self.plant.q)[:3, :3]
         felt = self.plant.wrench
         if self.external_sensor:
@@ -128,24 +164,28 @@ class Machine:
         return felt - np.concatenate([R @ self._bias[:3], R @ self._bias[3:]])
 
     def tcp_force(self) -> Array:
-        """As `wrench`, at the TCP."""
+        """Wrench of the environment at the TCP, as `wrench`."""
         felt = self.wrench()
         arm = forward(self.model, self.plant.q)[:3, :3] @ self.tcp[:3]
         return np.concatenate([felt[:3], felt[3:] - np.cross(arm, felt[:3])])
 
     def goal(self) -> Array:
-        """(6,) [rad] where the present move ends; without a move the set-point."""
+        """Joint positions at the end of the current move, (6,) [rad]; without a move, the set-point."""
         return self._motion.q_end if isinstance(self._motion, Move) else self.q_target
 
     def joint_torques(self) -> Array:
-        """(6,) [Nm] that hold the felt wrench."""
+        """Joint torques that balance the measured wrench, (6,) [Nm]."""
         links = chain(self.model, self.plant.q)
         return -links.jacobian(links.X_base_flange[:3, 3]).T @ self.wrench()
 
     # -- motion
 
     def take(self, motion: Motion) -> None:
-        """A script function starts a motion and waits for it. Raises MotionError while another one does."""
+        """Start a motion for which a script function waits.
+
+        Raises:
+            MotionError: A function of another thread waits for a motion.
+        """
         if self._held:
             raise MotionError("another thread is already controlling the robot")
         if isinstance(motion, Move) and self._running_out:
@@ -155,8 +195,7 @@ class Machine:
         self._motion, self._held = motion, True
 
     def release(self, motion: Motion) -> None:
-        """The script function is over. What it leaves unfinished comes to rest, unless another motion follows in the
-        same tick."""
+        """End a script function's motion. If unfinished, it comes to rest, unless another one starts in the tick."""
         if motion is not self._motion:
             return
         self._held = False
@@ -167,8 +206,11 @@ class Machine:
             self._motion = Brake(self.model.stop_deceleration)
 
     def stop(self, deceleration: float | None = None) -> None:
-        """Every joint comes to rest with this [rad/s^2]; default: the model's stop_deceleration. Script functions that
-        wait for a motion see it as finished; force mode and freedrive end."""
+        """Bring every joint to rest; force mode and freedrive end, and script functions see their motion as finished.
+
+        Args:
+            deceleration: Deceleration [rad/s^2]; the model's `stop_deceleration` if None.
+        """
         self.compliance, self.freedrive = None, False
         if self._motion is not None:
             self._motion.done = True
@@ -177,20 +219,20 @@ class Machine:
         self._held = False
 
     def end_program(self) -> None:
-        """A program is over: a moving arm decelerates, force mode, freedrive and watchdogs end."""
+        """Clean up after a program: a moving arm decelerates; force mode, freedrive and watchdogs end."""
         self.watchdogs.clear()
         self.external_sensor, self.paused = False, False
         if self._motion is None or self._motion is not self._stop:
             self.stop()
 
     def end_compliance(self) -> None:
-        """End force mode or freedrive; what moves without a motion of its own comes to rest."""
+        """End force mode or freedrive; without a motion in progress the arm comes to rest."""
         self.compliance, self.freedrive = None, False
         if self._motion is None:
             self._motion = Brake(self.model.stop_deceleration)
 
     def step(self, dt: float) -> None:
-        """Advance the motion by one tick [s], command the plant and step it."""
+        """Advance the motion by one tick of dt [s], command the plant and step it."""
         wanted = 0.0 if self.paused else self.speed_fraction
         self._rate += max(-RATE_SLEW * dt, min(RATE_SLEW * dt, wanted - self._rate))
         try:
@@ -224,5 +266,5 @@ class Machine:
         return way
 
     def fed(self, variable: str) -> None:
-        """An RTDE client has written this input variable (its name in RTDE): feeds the script's watchdogs."""
+        """Reset the watchdog of an RTDE input variable that a client has written."""
         self.watchdogs.feed(variable)

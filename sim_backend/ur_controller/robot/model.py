@@ -1,6 +1,6 @@
-"""The two controllers that are stood in for, from `toolee_robot.arm_data`.
+"""The models that the stand-in simulates, from `toolee_robot.arm_data`.
 
-Accelerations are not published; those here are the stand-in's own.
+Accelerations are assumptions of the stand-in, since Universal Robots publishes none.
 """
 
 from __future__ import annotations
@@ -14,12 +14,22 @@ from toolee_robot.types import ArmModel
 
 @dataclass(frozen=True)
 class ControllerModel:
-    """version: major, minor, bugfix, build. rate: of RTDE and of the control loop [Hz]. a, d [m], alpha [rad]: standard
-    DH. position: joints may be within +- this [rad]. velocity [rad/s], torque [Nm]: joint limits. payload: most [kg].
+    """A model of controller and arm.
 
-    acceleration: no joint speeds up or slows down faster than this while it follows a script [rad/s^2].
-    stop_deceleration: of every joint when a program ends in mid-motion. safety_deceleration: the same when the safety
-    system stops the arm.
+    Attributes:
+        name: Name of the model.
+        version: Version of the software: major, minor, bugfix, build.
+        rate: Rate of RTDE and of the control loop [Hz].
+        a: Standard DH parameters a, (6,) [m].
+        d: Standard DH parameters d, (6,) [m].
+        velocity: Joint velocity limits, (6,) [rad/s].
+        torque: Joint torque limits, (6,) [Nm].
+        payload: Largest payload [kg].
+        alpha: Standard DH parameters alpha, (6,) [rad].
+        position: Joint position limits, (6,) [rad], in both directions.
+        acceleration: Joint acceleration limit while a script runs [rad/s^2].
+        stop_deceleration: Joint deceleration when a program ends during a motion [rad/s^2].
+        safety_deceleration: Joint deceleration when the safety system stops the arm [rad/s^2].
     """
 
     name: str
@@ -38,11 +48,12 @@ class ControllerModel:
 
     @property
     def e_series(self) -> bool:
+        """Whether it is an e-Series controller."""
         return self.version[0] > 3
 
     @property
     def period(self) -> float:
-        """One tick [s]."""
+        """Period of the control loop [s]."""
         return 1.0 / self.rate
 
 

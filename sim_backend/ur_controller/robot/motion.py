@@ -1,7 +1,7 @@
-"""Motions in joint space, and what all motions share. A motion says, tick by tick, how far the joints go.
+"""Motions in joint space, and the base classes of all motions. A motion computes the joints' displacement in each tick.
 
-Ways add up: a blended move runs out while the next one already starts. Accelerations are those asked for, capped by
-the model's; no motion has a jerk limit.
+Displacements add up: a blended move ends while the next one already starts. Accelerations are the requested ones,
+limited by the model's; no motion has a jerk limit.
 """
 
 from __future__ import annotations
@@ -16,15 +16,20 @@ from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
 
-STANDSTILL = 1e-9  # [rad/s]
+STANDSTILL = 1e-9  # [rad/s] joint speed below which a joint counts as standing
 
 
 class MotionError(TooleeError):
-    """The arm cannot do this motion."""
+    """The arm cannot execute a motion."""
 
 
 class Motion(ABC):
-    """done: nothing more to come. stays: goes on by itself when the script function that began it is over."""
+    """A motion of the arm.
+
+    Attributes:
+        done: Whether the motion is finished.
+        stays: Whether it continues when the script function that started it has ended.
+    """
 
     stays = False
 
@@ -33,16 +38,27 @@ class Motion(ABC):
 
     @abstractmethod
     def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:
-        """The way (6,) [rad] of one tick of dt [s], from the set-point q, qd (6,).
+        """Compute the displacement of one tick.
 
-        scaled [s]: dt, slowed down by slider and pause. Raises MotionError when the arm cannot follow.
+        Args:
+            q: Set-point, (6,) [rad].
+            qd: Velocity of the set-point, (6,) [rad/s].
+            scaled: Length of the tick, scaled by slider and pause [s].
+            dt: Length of the tick [s].
+
+        Returns:
+            Displacement of the joints, (6,) [rad].
+
+        Raises:
+            MotionError: The arm cannot follow.
         """
 
 
 class Brake(Motion):
-    """To rest along the present direction in joint space, whatever slider and pause say.
+    """Brings the arm to rest along its current direction in joint space, independent of slider and pause.
 
-    deceleration [rad/s^2]: of the fastest joint.
+    Args:
+        deceleration: Deceleration of the fastest joint [rad/s^2].
     """
 
     stays = True
@@ -51,8 +67,8 @@ class Brake(Motion):
         super().__init__()
         self._deceleration = deceleration
 
-    def speed(self, q: Array, qd: Array) -> float:  # noqa: ARG002  (a stopl looks at q)
-        """What falls at the deceleration."""
+    def speed(self, q: Array, qd: Array) -> float:  # noqa: ARG002  (`StopL` uses q)
+        """The speed that decreases at the deceleration: here that of the fastest joint [rad/s]."""
         return float(np.abs(qd).max())
 
     def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:  # noqa: ARG002
@@ -62,64 +78,14 @@ class Brake(Motion):
         return np.zeros(6) if self.done else qd * (left / speed * dt)
 
 
-class ServoJ(Motion):
-    """`servoj`: the joints go evenly to q_goal (6,) [rad] and are there at the end of `time` [s], then wait there.
-
-    The speed is (goal - set-point) / time left, so a stream of set-points, each due one tick later, is followed
-    exactly: the servo's lag is the one tick. lookahead_time and gain do not filter (a real arm lags by about its
-    lookahead). A goal that would take more than the model's acceleration or speed, or that stands still, is approached
-    within those, relative to the speed of the goal itself, and without overshoot (but for a grain of acceleration
-    dt^2 / 8); an arm that is already too fast for that passes it and comes back. A goal that stands still for a tick
-    in a stream, because a packet was late, costs a tick or two until the stream is followed again.
-
-    The joints share what they are short of: the speed of all of them changes along one line, at the real-time factor of
-    the joint that has most to change. One gain and one lookahead for all joints, which is all that a real servoj has,
-    make its error shrink along one line, too; the Script Manual has stopj, in the same words, "linear in joint
-    space"."""
-
-    stays = True
-
-    def __init__(self, model: ControllerModel, q_goal: Array, time: float) -> None:
-        super().__init__()
-        self._goal, self._left = q_goal, time
-        self._velocity, self._acceleration = np.array(model.velocity), model.acceleration
-        self._standing = False
-        self._since, self._goal_speed = 0.0, np.zeros(6)
-
-    def follow(self, before: ServoJ) -> None:
-        """Takes the place of this one: the same goal stands still, another one moves on as fast as it came here since
-        it last changed."""
-        self._standing = bool(np.all(self._goal == before._goal))
-        if self._standing:
-            self._since = before._since
-        elif before._since > 0.0:
-            self._goal_speed = self._within((self._goal - before._goal) / before._since)
-
-    def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:
-        way = self._goal - q
-        share = 1.0 if self._left <= dt * (1 + 1e-6) else dt / self._left
-        wanted = way * (share * (scaled / dt) / dt)
-        change = self._acceleration * dt
-        too_hard = float(np.abs(wanted - qd).max()) > change * (1 + 1e-9)
-        too_fast = bool(np.any(np.abs(wanted) > self._velocity))
-        careful = too_hard or too_fast or self._standing or self._left < 0.5 * dt
-        self._left -= scaled
-        self._since += scaled
-        if not careful:
-            return wanted * dt
-        ahead = self._goal_speed
-        behind = float(np.abs(way - ahead * dt).max())
-        brakable = sqrt(2 * self._acceleration * behind + (change / 2) ** 2) - change / 2
-        calm = self._within(approach(ahead, wanted, brakable))
-        return approach(qd, calm, change) * dt
-
-    def _within(self, speed: Array) -> Array:
-        """Slowed down, all joints alike, to what the fastest joint may."""
-        return speed / max(1.0, float((np.abs(speed) / self._velocity).max()))
-
-
 class SpeedJ(Motion):
-    """`speedj`: to the joint speeds qd_goal (6,) [rad/s], the joint that has the longest way at `acceleration`."""
+    """`speedj`: accelerates the joints to velocities.
+
+    Args:
+        model: The robot's model.
+        qd_goal: Joint velocities, (6,) [rad/s].
+        acceleration: Acceleration of the joint with the largest change [rad/s^2].
+    """
 
     def __init__(self, model: ControllerModel, qd_goal: Array, acceleration: float) -> None:
         super().__init__()
@@ -129,6 +95,7 @@ class SpeedJ(Motion):
         self._speed: Array | None = None  # at a full slider
 
     def reached(self) -> bool:
+        """Whether the velocities are reached."""
         return self._speed is not None and bool(np.all(self._speed == self._goal))
 
     def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:  # noqa: ARG002
@@ -139,17 +106,27 @@ class SpeedJ(Motion):
 
 
 def approach(value: Array, goal: Array, most: float) -> Array:
-    """value moved straight towards goal; no component changes by more than `most`."""
+    """`value` moved straight towards `goal`, with no component changing by more than `most`."""
     way = goal - value
     longest = float(np.abs(way).max())
     return goal if longest <= most else value + way * (most / longest)
 
 
 class Trapezoid:
-    """A way of a length from rest to rest: `speed` at most, `acceleration` at both ends; duration [s]."""
+    """A trapezoidal velocity profile from rest to rest.
+
+    Args:
+        length: Length of the path.
+        speed: Largest speed.
+        acceleration: Acceleration and deceleration.
+        duration: Duration [s] instead of speed and acceleration, a third of it for each phase; 0 for none.
+
+    Attributes:
+        length: Length of the path.
+        duration: Duration [s].
+    """
 
     def __init__(self, length: float, speed: float, acceleration: float, duration: float = 0.0) -> None:
-        """duration: takes the place of speed and acceleration if it is not 0: a third each way up, even and down."""
         if duration > 0.0:
             speed, acceleration = 1.5 * length / duration, 4.5 * length / duration**2
         self.length = length
@@ -159,7 +136,7 @@ class Trapezoid:
         self.duration = self._ramp + length / self._peak if length > 0.0 else 0.0
 
     def at(self, time: float) -> float:
-        """How far it is at `time` [s]."""
+        """Length covered at `time` [s]."""
         left = self.duration - time
         if left <= 0.0:
             return self.length
@@ -170,13 +147,21 @@ class Trapezoid:
         return self._peak * (time - 0.5 * self._ramp)
 
     def slowing(self, time: float) -> bool:
+        """Whether it decelerates at `time` [s]."""
         return self.duration - time <= self._ramp
 
 
 class Move(Motion):
-    """From rest to rest on a way that is planned once the arm stands still (a moving arm brakes first).
+    """A move from rest to rest, planned once the arm stands; a moving arm brakes first.
 
-    blend [m]: the move counts as finished at this distance of the TCP from its end, as soon as it slows down.
+    Args:
+        model: The robot's model.
+        X_flange_tcp: Pose of the TCP in the flange frame, 4x4.
+        acceleration: Deceleration of the braking [rad/s^2], limited by the model's.
+        blend: Distance of the TCP from the end, while decelerating, at which the move counts as finished [m].
+
+    Attributes:
+        blending: Whether the next move may start.
     """
 
     def __init__(self, model: ControllerModel, X_flange_tcp: Array, acceleration: float, blend: float) -> None:
@@ -188,20 +173,20 @@ class Move(Motion):
         self._planned = False
 
     def start(self, q: Array) -> None:
-        """Plan from q (6,) at once: the end of the move that runs out."""
+        """Plan from joint positions q (6,) [rad] at once: the end of the previous, blended move."""
         self._profile, self._q, self._planned = self._plan(q), q, True
 
     @property
     @abstractmethod
     def q_end(self) -> Array:
-        """Where it ends (6,) [rad]."""
+        """Joint positions at the end, (6,) [rad]."""
 
     @abstractmethod
     def _plan(self, q: Array) -> Trapezoid: ...
 
     @abstractmethod
     def _at(self, way: float, near: Array, dt: float) -> Array:
-        """Joints (6,) at this length on the way; near: one tick of dt [s] before."""
+        """Joint positions (6,) [rad] at a path length; near: those of one tick of dt [s] before."""
 
     def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:
         if not self._planned:
@@ -216,13 +201,23 @@ class Move(Motion):
         return self._q - before
 
     def _to_go(self) -> float:
-        """Of the TCP to the end [m]."""
+        """Distance of the TCP from the end [m]."""
         here, end = (forward(self._model, q) @ self._X_flange_tcp for q in (self._q, self.q_end))
         return float(np.linalg.norm(end[:3, 3] - here[:3, 3]))
 
 
 class JointMove(Move):
-    """`movej`: all joints start and stop together; speed [rad/s] and acceleration [rad/s^2] are the leading joint's."""
+    """`movej`: moves all joints so that they start and stop together.
+
+    Args:
+        model: The robot's model.
+        X_flange_tcp: Pose of the TCP in the flange frame, 4x4.
+        q_goal: Goal, (6,) [rad].
+        acceleration: Acceleration of the leading joint [rad/s^2].
+        speed: Speed of the leading joint [rad/s].
+        time: Duration [s] instead of speed and acceleration; 0 for none.
+        blend: Distance of the TCP from the end at which the next move may start [m].
+    """
 
     def __init__(
         self,
@@ -241,6 +236,7 @@ class JointMove(Move):
 
     @property
     def q_end(self) -> Array:
+        """The goal, (6,) [rad]."""
         return self._goal
 
     def _plan(self, q: Array) -> Trapezoid:
@@ -250,7 +246,7 @@ class JointMove(Move):
         share = np.abs(self._direction) / np.array(self._model.velocity)
         allowed = 1.0 / float(share.max()) if length > 0.0 else self._speed
         if self._duration > 0.0 and 1.5 * length > allowed * self._duration:
-            raise MotionError(f"movej: {self._duration:.3f} s are too short for this way")
+            raise MotionError(f"movej: {self._duration:.3f} s are too short for this path")
         return Trapezoid(length, min(self._speed, allowed), self._acceleration, self._duration)
 
     def _at(self, way: float, near: Array, dt: float) -> Array:  # noqa: ARG002

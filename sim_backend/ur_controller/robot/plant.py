@@ -1,4 +1,4 @@
-"""What moves when the controller commands: the contract between the controller stand-in and the physics behind it."""
+"""The interface between the controller stand-in and the physics that it controls."""
 
 from __future__ import annotations
 
@@ -10,27 +10,36 @@ from toolee_robot.frames import Array
 class Plant(Protocol):
     """Six joints that follow set-points.
 
-    q [rad], qd [rad/s], both (6,): measured. wrench (6,) [N, Nm]: what the environment puts on the flange, at the
-    flange's origin, in the axes of the controller's base, payload's weight and inertia compensated.
-    external_force (6,) [N, Nm], same point and axes: an extra wrench for faults and for pushing the arm by hand.
+    Attributes:
+        external_force: Additional wrench at the flange's origin, (6,) [N, Nm], axes of the controller's base; for
+            faults and for pushing the arm by hand.
     """
 
     external_force: Array
 
     @property
-    def q(self) -> Array: ...
+    def q(self) -> Array:
+        """Measured joint positions, (6,) [rad]."""
+        ...
 
     @property
-    def qd(self) -> Array: ...
+    def qd(self) -> Array:
+        """Measured joint velocities, (6,) [rad/s]."""
+        ...
 
     @property
-    def wrench(self) -> Array: ...
+    def wrench(self) -> Array:
+        """Wrench of the environment at the flange's origin, (6,) [N, Nm], axes of the controller's base.
+
+        Compensated for the payload's weight and inertia.
+        """
+        ...
 
     def command(self, q: Array, qd: Array) -> None:
-        """Set-point (6,) [rad], [rad/s], due at the end of the next `step`."""
+        """Set the set-point (6,) [rad], [rad/s], due at the end of the next `step`."""
 
     def step(self, dt: float) -> None:
-        """Let dt [s] pass."""
+        """Advance by dt [s]."""
 
     def set_payload(self, mass: float, cog: Array) -> None:
-        """What the controller believes hangs at the flange: mass [kg], centre of gravity (3,) [m] in the flange."""
+        """Set the payload to compensate: mass [kg], centre of gravity (3,) [m] in the flange frame."""

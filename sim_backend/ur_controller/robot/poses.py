@@ -1,4 +1,4 @@
-"""Poses as URScript has them: six numbers, position [m] and rotation vector [rad]."""
+"""Poses as in URScript: six numbers, position [m] and rotation vector [rad]."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from toolee_robot.frames import Array
 
 Vector = Sequence[float] | Array
-"""Six numbers (three where said so)."""
+"""Six numbers, or three where stated."""
 
 
 def rotation(v: Vector) -> Array:
-    """3x3 rotation of a rotation vector (3,)."""
+    """Rotation matrix (3, 3) of a rotation vector (3,) [rad]."""
     x, y, z = float(v[0]), float(v[1]), float(v[2])
     angle = sqrt(x * x + y * y + z * z)
     if angle < 1e-12:
@@ -32,7 +32,8 @@ def rotation(v: Vector) -> Array:
 
 
 def rotation_vector(R: Array) -> list[float]:
-    """Rotation vector (3,) of a 3x3 rotation, angle 0..pi, accurate everywhere (by way of the quaternion)."""
+    """Rotation vector (3,) [rad] of a rotation matrix (3, 3), of an angle of 0 to pi; accurate for all angles, since it
+    is computed from the quaternion."""
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()
     trace = a + e + i
     if trace > max(a, e, i):
@@ -51,7 +52,7 @@ def rotation_vector(R: Array) -> list[float]:
 
 
 def matrix(pose: Vector) -> Array:
-    """X_AB (4x4) of a pose."""
+    """The matrix X_AB, 4x4, of a pose (6,)."""
     X = np.eye(4)
     X[:3, :3] = rotation(pose[3:])
     X[:3, 3] = pose[:3]
@@ -59,12 +60,12 @@ def matrix(pose: Vector) -> Array:
 
 
 def vector(X: Array) -> list[float]:
-    """The pose of X_AB (4x4)."""
+    """The pose (6,) of a matrix X_AB, 4x4."""
     return [*X[:3, 3].tolist(), *rotation_vector(X[:3, :3])]
 
 
 def inverse(X: Array) -> Array:
-    """X_BA (4x4) from X_AB."""
+    """The inverse X_BA, 4x4, of X_AB."""
     Y = np.eye(4)
     Y[:3, :3] = X[:3, :3].T
     Y[:3, 3] = -X[:3, :3].T @ X[:3, 3]
@@ -72,7 +73,7 @@ def inverse(X: Array) -> Array:
 
 
 def moved(X: Array, twist: Vector) -> Array:
-    """X (4x4) after the displacement twist (6,): a translation [m] and then a rotation vector [rad], base axes."""
+    """A pose X (4x4) displaced by a twist (6,): translation [m] and rotation vector [rad], base axes."""
     Y = X.copy()
     Y[:3, 3] += twist[:3]
     Y[:3, :3] = rotation(twist[3:]) @ X[:3, :3]
@@ -80,10 +81,10 @@ def moved(X: Array, twist: Vector) -> Array:
 
 
 def difference(X_from: Array, X_to: Array) -> Array:
-    """The twist (6,) that `moved` needs to bring X_from to X_to."""
+    """The twist (6,) with which `moved` takes X_from (4x4) to X_to (4x4)."""
     return np.array([*(X_to[:3, 3] - X_from[:3, 3]), *rotation_vector(X_to[:3, :3] @ X_from[:3, :3].T)])
 
 
 def interpolated(X_from: Array, X_to: Array, alpha: float) -> Array:
-    """The pose at alpha (0..1) of the straight way, at constant rates."""
+    """The pose (4x4) at a fraction alpha (0 to 1) of the straight path from X_from to X_to."""
     return moved(X_from, alpha * difference(X_from, X_to))

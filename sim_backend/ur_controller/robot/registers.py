@@ -1,4 +1,4 @@
-"""The controller's general purpose registers, which the script and the RTDE clients share."""
+"""The controller's general purpose registers, shared by the script and the RTDE clients."""
 
 from __future__ import annotations
 
@@ -6,7 +6,17 @@ REGISTERS = 48
 
 
 class Registers:
-    """Inputs are written by RTDE clients, outputs by the script; 128 booleans, 48 integers and 48 doubles each way."""
+    """The registers; RTDE clients write the inputs, the script writes the outputs.
+
+    Attributes:
+        bool_in: 128 boolean inputs.
+        bool_out: 128 boolean outputs.
+        int_in: 48 integer inputs.
+        int_out: 48 integer outputs.
+        float_in: 48 floating-point inputs.
+        float_out: 48 floating-point outputs.
+        external_force_torque: Wrench of an external sensor, six values [N, Nm].
+    """
 
     def __init__(self) -> None:
         self.bool_in, self.bool_out = [False] * 128, [False] * 128

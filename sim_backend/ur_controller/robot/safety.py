@@ -1,7 +1,7 @@
-"""The safety system and the power of the arm: modes, stops, limits. What it says is what RTDE and the dashboard say.
+"""The safety system and the power of the arm: modes, stops, limits; reported by RTDE and the dashboard.
 
-Modelled after the behaviour that UR documents; it is for tests of programs, and says nothing about a real robot's
-safety functions.
+Modelled after the behaviour that Universal Robots documents, for tests of programs; it is no statement about a real
+robot's safety functions.
 """
 
 from __future__ import annotations
@@ -15,11 +15,13 @@ import numpy as np
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
 
-UNLOCK_DELAY = 5.0  # [s] for which a protective stop cannot be unlocked, as on a real robot
-SETTLE_SPEED = 1e-3  # [rad/s] below which the arm counts as standing, and its power is cut after an emergency stop
+UNLOCK_DELAY = 5.0  # [s] after a protective stop during which it cannot be unlocked, as on a real robot
+SETTLE_SPEED = 1e-3  # [rad/s] below which the arm counts as standing and is powered off after an emergency stop
 
 
 class RobotMode(IntEnum):
+    """RTDE's robot_mode."""
+
     NO_CONTROLLER = -1
     DISCONNECTED = 0
     CONFIRM_SAFETY = 1
@@ -32,6 +34,8 @@ class RobotMode(IntEnum):
 
 
 class SafetyMode(IntEnum):
+    """RTDE's safety_mode."""
+
     NORMAL = 1
     REDUCED = 2
     PROTECTIVE_STOP = 3
@@ -51,11 +55,14 @@ _RUNS = (SafetyMode.NORMAL, SafetyMode.REDUCED)
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """What stops the arm protectively.
+    """Limits whose violation causes a protective stop.
 
-    force [N]: of what the environment puts on the flange, smoothed over force_time [s] (the controller estimates it
-    from joint currents: it does not see a strike of a few milliseconds at full height). following_error [rad]: of a
-    joint from its set-point. joint_speed: fraction of the model's limit. tcp_speed [m/s].
+    Attributes:
+        force: Force on the flange [N], low-pass filtered: as estimated from joint currents, a strike appears weaker.
+        force_time: Time constant of that filter [s].
+        following_error: Deviation of a joint from its set-point [rad].
+        joint_speed: Joint velocity as a fraction of the model's limit.
+        tcp_speed: Speed of the TCP [m/s].
     """
 
     force: float = 150.0
@@ -66,10 +73,22 @@ class SafetyLimits:
 
 
 class Safety:
-    """Robot mode, safety mode and what leads from one to the other.
+    """Robot mode, safety mode and their transitions.
 
-    stop_program: ends the running program. pause_program: pauses it. power_time [s]: that powering on takes, and
-    releasing the brakes again.
+    Args:
+        machine: The robot.
+        limits: Limits that cause a protective stop.
+        log: Called with each line of the log.
+        stop_program: Ends the running program.
+        pause_program: Pauses the running program.
+        power_time: Duration of powering on, and of releasing the brakes [s].
+
+    Attributes:
+        limits: Limits that cause a protective stop.
+        robot_mode: Robot mode.
+        mode: Safety mode.
+        reason: Reason of the last stop.
+        remote: Whether an e-Series controller is in remote control.
     """
 
     def __init__(
@@ -95,14 +114,17 @@ class Safety:
 
     @property
     def powered(self) -> bool:
+        """Whether the arm is powered on."""
         return self.robot_mode >= RobotMode.POWER_ON
 
     @property
     def emergency(self) -> bool:
+        """Whether an emergency stop is pressed."""
         return self.mode in _EMERGENCY
 
     @property
     def status_bits(self) -> int:
+        """RTDE's safety_status_bits."""
         bits = 1 << _STATUS_BIT[self.mode]
         if self.emergency:
             bits |= 1 << 7
@@ -111,7 +133,7 @@ class Safety:
         return bits
 
     def forbidden(self) -> str:
-        """Why the arm must not move now; empty if it may."""
+        """Why the arm must not move; empty if it may."""
         if self.mode not in _RUNS:
             return f"safety mode is {self.mode.name}"
         if self.robot_mode is not RobotMode.RUNNING:
@@ -121,40 +143,40 @@ class Safety:
     # -- stops
 
     def protective_stop(self, reason: str) -> None:
-        """Stop and hold; the program ends. Released by a person through the dashboard, after UNLOCK_DELAY."""
+        """Stop and hold; the program ends. Unlocked through the dashboard after UNLOCK_DELAY."""
         if self.mode in _RUNS:
             self._stop(SafetyMode.PROTECTIVE_STOP, reason)
 
     def emergency_stop(self, system: bool = False) -> None:
-        """The button is pressed: stop, then power off. The program ends."""
+        """Press the emergency stop: the arm stops and is powered off, the program ends."""
         if not self.emergency:
             mode = SafetyMode.SYSTEM_EMERGENCY_STOP if system else SafetyMode.ROBOT_EMERGENCY_STOP
             self._stop(mode, "emergency stop pressed")
 
     def release_emergency_stop(self) -> None:
-        """The button is pulled out again: the arm stays off until someone powers it on."""
+        """Release the emergency stop; the arm stays off until it is powered on."""
         if self.emergency:
             self._enter(SafetyMode.NORMAL, "")
             self._power(RobotMode.POWER_OFF)
 
     def safeguard_stop(self) -> None:
-        """The light curtain is broken: the program pauses, the arm stops on its path."""
+        """Open the safeguard: the program pauses, the arm stops on its path."""
         if self.mode in _RUNS:
             self._pause_program()
             self._enter(SafetyMode.SAFEGUARD_STOP, "safeguard input")
 
     def release_safeguard_stop(self) -> None:
-        """The safeguard is closed and reset: the program stays paused until someone plays it."""
+        """Close and reset the safeguard; the program stays paused until it is resumed."""
         if self.mode is SafetyMode.SAFEGUARD_STOP:
             self._enter(SafetyMode.NORMAL, "")
 
     def fault(self, violation: bool = False) -> None:
-        """The safety system has stopped the arm and needs a restart (`restart safety`)."""
+        """Enter FAULT or VIOLATION: the arm stops, and the safety system must be restarted (`restart safety`)."""
         self._stop(SafetyMode.VIOLATION if violation else SafetyMode.FAULT, "safety system")
         self._power(RobotMode.POWER_OFF)
 
     def unlock(self) -> str:
-        """Release a protective stop; returns the dashboard's refusal, empty if done."""
+        """Unlock a protective stop; returns the dashboard's refusal, empty if done."""
         if self.mode is not SafetyMode.PROTECTIVE_STOP:
             return ""
         if self._since_stop < UNLOCK_DELAY:
@@ -167,18 +189,18 @@ class Safety:
         return ""
 
     def age(self, seconds: float) -> None:
-        """Let the last stop be so much longer ago."""
+        """Increase the time since the last stop by `seconds`."""
         self._since_stop += seconds
 
     def restore(self) -> None:
-        """As started: normal and running."""
+        """Restore the initial state: normal and running."""
         self._force = np.zeros(3)
         if self.mode is not SafetyMode.NORMAL:
             self._enter(SafetyMode.NORMAL, "")
         self._power(RobotMode.RUNNING)
 
     def restart(self) -> None:
-        """`restart safety`: out of a fault or violation; the arm is off afterwards."""
+        """`restart safety`: leave a fault or violation; the arm is off afterwards."""
         if self.mode in (SafetyMode.FAULT, SafetyMode.VIOLATION):
             self._enter(SafetyMode.NORMAL, "")
         self._power(RobotMode.POWER_OFF)
@@ -186,21 +208,28 @@ class Safety:
     # -- power
 
     def power_on(self) -> bool:
-        """Towards IDLE; False while the safety system forbids it."""
+        """Power on, to IDLE; False if the safety system forbids it."""
         return self._begin(RobotMode.IDLE)
 
     def brake_release(self) -> bool:
-        """Towards RUNNING, powering on first if need be; False while the safety system forbids it."""
+        """Release the brakes, to RUNNING, powering on first if necessary; False if the safety system forbids it."""
         return self._begin(RobotMode.RUNNING)
 
     def power_off(self) -> None:
+        """Stop the program and power off."""
         self._stop_program()
         self._power(RobotMode.POWER_OFF)
 
     # -- the tick
 
     def step(self, dt: float, q: Array, tcp_speed: float) -> None:
-        """A tick of dt [s] is done. q (6,): measured joints [rad]. tcp_speed [m/s]."""
+        """Check the limits after a tick.
+
+        Args:
+            dt: Length of the tick [s].
+            q: Measured joint positions, (6,) [rad].
+            tcp_speed: Speed of the TCP [m/s].
+        """
         self._since_stop += dt
         self._step_power(dt)
         if self.emergency and self.powered and not np.any(np.abs(self._machine.plant.qd) > SETTLE_SPEED):

@@ -1,4 +1,4 @@
-"""RTDE watchdogs: a script asks that an input variable be written often enough."""
+"""RTDE watchdogs: a script requires a minimum frequency of writes to an input variable."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from enum import StrEnum
 
 
 class Action(StrEnum):
+    """What to do when a variable is not written in time."""
+
     IGNORE = "ignore"
     PAUSE = "pause"
     STOP = "stop"
@@ -14,30 +16,40 @@ class Action(StrEnum):
 
 @dataclass
 class _Watchdog:
+    """Longest and current time without a write [s], and what to do."""
+
     patience: float
     action: Action
     silent: float = 0.0
 
 
 class Watchdogs:
-    """One per variable; they end with the program that set them."""
+    """The watchdogs of a program, at most one per variable."""
 
     def __init__(self) -> None:
         self._of: dict[str, _Watchdog] = {}
 
     def set(self, variable: str, min_frequency: float, action: Action) -> None:
-        """From now on the variable has to be written at least with min_frequency [Hz]."""
+        """Set a watchdog.
+
+        Args:
+            variable: Name of the RTDE input variable.
+            min_frequency: Minimum frequency of writes [Hz].
+            action: What to do when it is not met.
+        """
         self._of[variable] = _Watchdog(1.0 / min_frequency, action)
 
     def feed(self, variable: str) -> None:
+        """Record a write to a variable."""
         if variable in self._of:
             self._of[variable].silent = 0.0
 
     def clear(self) -> None:
+        """Remove all watchdogs."""
         self._of.clear()
 
     def step(self, dt: float) -> tuple[str, Action] | None:
-        """After dt [s] more: the variable that was silent for too long and what is to be done; reported once."""
+        """Advance by dt [s]; returns a variable that was not written in time and its action, once, or None."""
         for variable, dog in self._of.items():
             before = dog.silent
             dog.silent += dt

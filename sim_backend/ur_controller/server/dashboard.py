@@ -1,6 +1,6 @@
-"""The dashboard server, port 29999: one client's session. A line in, a line out (UR, "Dashboard server").
+"""The dashboard server, port 29999: a client's session, one line in, one line out (UR, "Dashboard server").
 
-Answers are the real ones' wording, since clients compare their beginnings.
+Answers have the wording of a real controller, since clients compare their beginnings.
 """
 
 from __future__ import annotations
@@ -18,7 +18,12 @@ _ROLES = ("locked", "programmer", "operator", "none", "restricted")
 
 
 class DashboardSession:
-    """One client."""
+    """A client's session on the dashboard server.
+
+    Args:
+        sink: The client's connection.
+        robot: The robot.
+    """
 
     def __init__(self, sink: Sink, robot: Robot) -> None:
         self._sink, self._robot = sink, robot
@@ -28,6 +33,7 @@ class DashboardSession:
         self._say(GREETING)
 
     def feed(self, data: bytes) -> None:
+        """Take received bytes and answer each complete line."""
         self._buffer += data
         while not self._ended and (end := self._buffer.find(b"\n")) >= 0:
             line = self._buffer[:end].decode("utf-8", "replace").strip()
@@ -40,9 +46,11 @@ class DashboardSession:
             self._ended = True
             self._sink.close()
 
-    def tick(self) -> None: ...
+    def tick(self) -> None:
+        """Nothing to do."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Nothing to release."""
 
     def _say(self, line: str) -> None:
         self._sink.send(line.encode() + b"\n")
@@ -59,7 +67,7 @@ class DashboardSession:
         return f'could not understand: "{line}"'
 
     def _locked(self, command: str) -> bool:
-        """Only an e-Series controller in remote control takes orders; in local control it answers questions."""
+        """Whether the command is refused: an e-Series controller in local control only answers queries."""
         return self._robot.model.e_series and not self._robot.safety.remote and command in _ORDERS
 
     # -- program

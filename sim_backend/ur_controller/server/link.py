@@ -1,4 +1,4 @@
-"""One accepted connection: non-blocking, with the faults that a network or a controller's port can have."""
+"""An accepted connection: non-blocking, with injectable faults of the network."""
 
 from __future__ import annotations
 
@@ -10,17 +10,20 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Protocol
 
-PENDING_LIMIT = 4 << 20  # [bytes] that a client may leave unread before it is dropped
-READ_SIZE = 4096  # [bytes] at a time: a flood of tiny packets must not hold up the tick
+PENDING_LIMIT = 4 << 20  # [bytes] unread by the client above which it is dropped
+READ_SIZE = 4096  # [bytes] per read: a flood of tiny packets must not delay the tick
 
 
 @dataclass
 class LinkFaults:
-    """What is wrong with a port, for all its connections.
+    """Network faults of a port, for all its connections.
 
-    stalled_until [s]: nothing is read or sent before; it all comes in one burst afterwards, as after a stuck network.
-    delay [s]: everything sent arrives this much later. coalesce: so many sends leave as one. truncate [bytes]: the
-    next send loses everything after its first so many bytes; None: whole.
+    Attributes:
+        stalled_until: Time before which nothing is read or sent [s of `time.monotonic()`]; afterwards everything comes
+            in one burst.
+        delay: Delay of everything sent [s].
+        coalesce: Number of sends that are combined into one.
+        truncate: Length to which the next send is truncated [bytes]; None for no truncation.
     """
 
     stalled_until: float = 0.0
@@ -34,16 +37,31 @@ class Sink(Protocol):
 
     @property
     def backlog(self) -> int:
-        """Bytes that the client has not taken yet."""
+        """Bytes that the client has not read yet."""
         ...
 
-    def send(self, data: bytes) -> None: ...
+    def send(self, data: bytes) -> None:
+        """Send without blocking."""
+        ...
 
-    def close(self, reset: bool = False) -> None: ...
+    def close(self, reset: bool = False) -> None:
+        """Close the connection, with RST if `reset`."""
+        ...
 
 
 class Connection:
-    """A client's socket. half_open: nothing is read or sent any more, the socket stays open (a dead network)."""
+    """A client's socket.
+
+    Args:
+        sock: The accepted socket.
+        peer: The client's address, for the log.
+        faults: Faults of the port.
+
+    Attributes:
+        peer: The client's address, for the log.
+        open: Whether the connection is open.
+        half_open: Fault: whether nothing is read or sent although the socket stays open, as with a dead network.
+    """
 
     def __init__(self, sock: socket.socket, peer: str, faults: LinkFaults) -> None:
         sock.setblocking(False)
@@ -54,23 +72,24 @@ class Connection:
         self.half_open = False
         self._sock, self._faults = sock, faults
         self._queue: deque[tuple[float, bytes]] = deque()  # due [s], data
-        self._pending = bytearray()  # due, and not taken by the kernel yet
+        self._pending = bytearray()  # due, and not accepted by the kernel yet
         self._held: list[bytes] = []  # waiting to be coalesced
 
     def fileno(self) -> int:
+        """The socket's descriptor."""
         return self._sock.fileno()
 
     def readable(self, now: float) -> bool:
-        """Whether the loop should wait on it."""
+        """Whether the loop should wait for data on it at time `now` [s]."""
         return self.open and not self.half_open and now >= self._faults.stalled_until
 
     @property
     def backlog(self) -> int:
-        """Bytes that the client has not taken yet."""
+        """Bytes that the client has not read yet."""
         return len(self._pending) + sum(len(data) for _, data in self._queue)
 
     def receive(self) -> bytes | None:
-        """What has come; empty if nothing has; None when the client has closed or reset the connection."""
+        """Received bytes, possibly none; None once the client has closed or reset the connection."""
         try:
             data = self._sock.recv(READ_SIZE)
         except BlockingIOError:
@@ -80,7 +99,7 @@ class Connection:
         return data or None
 
     def send(self, data: bytes) -> None:
-        """Send what the faults leave of it, now or later. Never blocks; a client that does not read is dropped."""
+        """Send, subject to the faults, without blocking; a client that does not read is dropped."""
         if not self.open or self.half_open:
             return
         faults, now = self._faults, time.monotonic()
@@ -100,7 +119,7 @@ class Connection:
             self.close()
 
     def flush(self) -> None:
-        """Send what has become due."""
+        """Send what is due."""
         now = time.monotonic()
         if not self.open or self.half_open or now < self._faults.stalled_until:
             return
@@ -110,7 +129,7 @@ class Connection:
             self._write(self._queue.popleft()[1])
 
     def _write(self, data: bytes) -> None:
-        # Not joined and sent again for every little packet: with megabytes waiting that would hold up the tick.
+        # Data behind unsent data are only queued: a send per packet would delay the tick with megabytes queued.
         full = bool(self._pending) and bool(data)
         self._pending += data
         if full or not self._pending:
@@ -123,7 +142,7 @@ class Connection:
             self.close()
 
     def close(self, reset: bool = False) -> None:
-        """End the connection: with FIN, or with RST if `reset`."""
+        """Close the connection: with FIN, or with RST if `reset`."""
         if not self.open:
             return
         self.open = False

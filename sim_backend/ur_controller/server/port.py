@@ -10,25 +10,40 @@ from typing import Protocol
 from toolee_robot.errors import UserError
 from toolee_robot.sim_backend.ur_controller.server.link import Connection, LinkFaults
 
-CLIENTS = 16  # connections a port serves at once; more are closed at the door
-WAITING = 128  # connections that wait for the door; the kernel has the others try again a second later
+CLIENTS = 16  # connections of a port at once; further ones are closed
+WAITING = 128  # length of the listen queue; the kernel lets further clients retry after a second
 
 
 class Session(Protocol):
     """One client's side of a protocol."""
 
     def feed(self, data: bytes) -> None:
-        """Bytes from the client, cut anywhere."""
+        """Take received bytes, split anywhere."""
 
     def tick(self) -> None:
-        """A controller tick has been done."""
+        """Called after each tick of the controller."""
 
     def close(self) -> None:
-        """The client has gone."""
+        """Called when the client has closed the connection."""
 
 
 class Port:
-    """A Service for one TCP port. session: makes the protocol's side of a new connection."""
+    """A `Service` for one TCP port.
+
+    Args:
+        name: Name of the port.
+        host: Address to listen on.
+        number: TCP port.
+        session: Creates the session of a new connection.
+        log: Called with each line of the log.
+
+    Attributes:
+        name: Name of the port.
+        host: Address to listen on.
+        number: TCP port.
+        faults: Network faults of the port.
+        clients: Open connections and their sessions.
+    """
 
     def __init__(
         self,
@@ -45,7 +60,7 @@ class Port:
         self._listener: socket.socket | None = None
 
     def listen(self) -> None:
-        """Raises UserError when the port is taken or the address is not this machine's."""
+        """Open the port. Raises UserError if it is taken, or if the address is not this machine's."""
         if self._listener is not None:
             return
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -57,7 +72,8 @@ class Port:
             listener.close()
             raise UserError(
                 f"cannot listen on {self.host}:{self.number} ({self.name}): {error.strerror}. Is another controller "
-                "running there? End it, or choose another address, for example --host 127.0.0.3."
+                "running there? End it, or choose another address, for example --host 127.0.0.3.",
+                code="user.port_taken",
             ) from error
         listener.setblocking(False)
         self._listener = listener
@@ -69,6 +85,7 @@ class Port:
             self._listener = None
 
     def filenos(self) -> Sequence[int]:
+        """Descriptors of the listener and the connections."""
         now = time.monotonic()
         found = [connection.fileno() for connection, _ in self.clients if connection.readable(now)]
         if self._listener is not None and now >= self.faults.stalled_until:
@@ -76,6 +93,7 @@ class Port:
         return found
 
     def on_readable(self, fd: int) -> None:
+        """Accept a connection, or read from one."""
         if self._listener is not None and fd == self._listener.fileno():
             self._accept(self._listener)
             return
@@ -90,6 +108,7 @@ class Port:
         self._forget_closed()
 
     def on_tick(self, dt: float) -> None:  # noqa: ARG002
+        """Send what is due, and let the sessions publish."""
         for connection, session in self.clients:
             connection.flush()
             session.tick()
@@ -102,16 +121,17 @@ class Port:
         self._forget_closed()
 
     def close(self) -> None:
+        """Close the listener and every connection."""
         self.refuse()
         self.drop()
 
     def _accept(self, listener: socket.socket) -> None:
         try:
             sock, (host, port) = listener.accept()
-        except OSError:  # the client has gone again
+        except OSError:  # the client has already gone
             return
         if len(self.clients) >= CLIENTS:
-            self._log(f"{self.name}: {CLIENTS} clients are connected, {host} is turned away")
+            self._log(f"{self.name}: {CLIENTS} clients are connected, {host} is refused")
             sock.close()
             return
         connection = Connection(sock, f"{host}:{port}", self.faults)

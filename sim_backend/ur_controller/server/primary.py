@@ -1,6 +1,6 @@
 """Messages of the primary and secondary interfaces, ports 30001 and 30002: version, robot state, text.
 
-Layout: Universal Robots, "Client interface" (3.15 and 5.11). Of the robot state, the packages that clients look for:
+Layout: Universal Robots, "Client interface" (3.15 and 5.11). The robot state contains the packages that clients use:
 robot mode, joints, tool pose, and at the start the kinematics of the factory calibration.
 """
 
@@ -15,7 +15,7 @@ from toolee_robot.sim_backend.ur_controller.server.script_ports import ScriptSes
 from toolee_robot.sim_backend.ur_controller.urscript.program import RuntimeState
 
 STATE_RATE = 10.0  # [Hz]
-SKIP_BACKLOG = 65536  # [bytes] unread by the client over which messages are left out
+SKIP_BACKLOG = 65536  # [bytes] unread by the client above which messages are omitted
 _ROBOT_STATE, _ROBOT_MESSAGE = 16, 20
 _VERSION_MESSAGE, _TEXT_MESSAGE = 3, 0
 _MODE, _JOINTS, _CARTESIAN, _KINEMATICS = 0, 1, 4, 5
@@ -23,7 +23,12 @@ _JOINT_RUNNING, _JOINT_OFF = 253, 239
 
 
 class StateSession(ScriptSession):
-    """A client of port 30001 or 30002: uploads programs, and is told the robot's state."""
+    """A client's session on port 30001 or 30002: takes programs, and sends the robot's state.
+
+    Args:
+        sink: The client's connection.
+        robot: The robot.
+    """
 
     def __init__(self, sink: Sink, robot: Robot) -> None:
         super().__init__(sink, robot)
@@ -33,6 +38,7 @@ class StateSession(ScriptSession):
         self._sink.send(version_message(robot))
 
     def tick(self) -> None:
+        """Send state and messages at STATE_RATE."""
         robot = self._robot
         if robot.ticks % self._every or self._sink.backlog > SKIP_BACKLOG:
             return
@@ -45,7 +51,7 @@ class StateSession(ScriptSession):
 
 
 def version_message(robot: Robot) -> bytes:
-    """Robot message: project name and version of the controller software; the first thing a client gets."""
+    """The robot message with project name and version of the software, the first message to a client."""
     project = b"URControl"
     major, minor, bugfix, build = robot.identity.version
     body = bytes([len(project)]) + project + struct.pack(">BBii", major & 255, minor & 255, bugfix, build)
@@ -53,12 +59,20 @@ def version_message(robot: Robot) -> bytes:
 
 
 def text_message(robot: Robot, text: str) -> bytes:
-    """Robot message: what a program has printed."""
+    """A robot message with text that a program has printed."""
     return _robot_message(robot, _TEXT_MESSAGE, text.encode("ascii", "replace"))
 
 
 def robot_state(robot: Robot, kinematics: bool) -> bytes:
-    """Robot state with the packages of this module; kinematics: with the factory calibration."""
+    """The robot state message.
+
+    Args:
+        robot: The robot.
+        kinematics: Whether to include the factory calibration.
+
+    Returns:
+        The message.
+    """
     packages = _mode(robot) + _joints(robot) + _cartesian(robot)
     if kinematics:
         packages += _kinematics(robot)

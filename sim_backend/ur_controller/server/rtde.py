@@ -1,8 +1,7 @@
-"""Real-Time Data Exchange, port 30004: one client's session (UR, "RTDE guide"; protocol versions 1 and 2).
+"""Real-Time Data Exchange, port 30004: a client's session (UR, "RTDE guide"; protocol versions 1 and 2).
 
-Two details matter to clients that read exactly one packet after each request: lists of names may end with a comma,
-and nothing but the answer is sent between a request and its answer; no data or text at all before the start is
-acknowledged.
+Two details matter to clients that read exactly one packet after each request: lists of names may end with a comma, and
+nothing is sent between a request and its answer, nor any data or text before the start is acknowledged.
 """
 
 from __future__ import annotations
@@ -20,19 +19,21 @@ from toolee_robot.sim_backend.ur_controller.server.rtde_types import Recipe
 from toolee_robot.sim_backend.ur_controller.server.rtde_variables import Outputs
 
 MAX_RECIPES = 255  # an id is a byte, 0 means refused
-MAX_NAMES = 512  # in a recipe: more than there are, and neither answer nor data outgrow a packet; for more it hangs up
-QUEUE = 512  # packets of a stream that wait for their ticks, at most
-MAX_WAITING = 1 << 20  # [bytes] from a client that could not be taken yet; one that sends more is dropped
-SKIP_BACKLOG = 65536  # [bytes] unread by the client over which data packets are left out
+MAX_NAMES = 512  # names in a recipe, above which the client is dropped: more than exist, less than a packet can hold
+QUEUE = 512  # packets of a stream that may wait for their ticks
+MAX_WAITING = 1 << 20  # [bytes] of unprocessed data from a client above which it is dropped
+SKIP_BACKLOG = 65536  # [bytes] unread by the client above which data packets are omitted
 _WARNING = 2  # level of a text message
 
 
 @dataclass
 class RtdeFaults:
-    """What is wrong with the RTDE server.
+    """Faults of the RTDE server.
 
-    drop_after: the next client to connect is dropped when
-    it has sent so many packets, that is in the middle of its handshake; None: it is not. reset: with RST.
+    Attributes:
+        drop_after: Number of packets after which the next client is dropped, in the middle of its handshake; None for
+            no fault.
+        reset: Whether it is dropped with RST.
     """
 
     drop_after: int | None = None
@@ -40,7 +41,18 @@ class RtdeFaults:
 
 
 class RtdeSession:
-    """One client. skipped: data packets left out because the client does not read."""
+    """A client's session on the RTDE server.
+
+    Args:
+        sink: The client's connection.
+        robot: The robot.
+        outputs: Output variables.
+        inputs: Input variables.
+        faults: Faults of the server.
+
+    Attributes:
+        skipped: Data packets omitted because the client does not read.
+    """
 
     def __init__(self, sink: Sink, robot: Robot, outputs: Outputs, inputs: Inputs, faults: RtdeFaults) -> None:
         self.skipped = 0
@@ -54,9 +66,10 @@ class RtdeSession:
         self._to_skip = 0
         self._drop_after, faults.drop_after = faults.drop_after, None
         self._ended = False
-        self._written = 0  # the input recipe that came last since the last tick
+        self._written = 0  # the last input recipe written since the last tick; 0 for none
 
     def feed(self, data: bytes) -> None:
+        """Take received bytes and handle each complete packet."""
         self._buffer += data
         if len(self._buffer) > MAX_WAITING:
             self._end()
@@ -74,14 +87,17 @@ class RtdeSession:
             self._handle(kind, payload)
 
     def tick(self) -> None:
-        """Publish what the client has subscribed to, if it is due; take what it had to wait with."""
+        """Send the subscribed data if due, and handle packets that had to wait for this tick."""
         self._publish()
         self._written = 0
         self.feed(b"")
 
     def _must_wait(self, size: int) -> bool:
-        """Whether the next packet is of a stream of which one has been taken in this tick, while ticks are caught up.
-        There may be fewer of those than packets: time that the schedule gave up is not caught up."""
+        """Whether the next packet must wait for a later tick.
+
+        While ticks are caught up, one packet of a stream is taken per tick. There may be fewer such ticks than packets,
+        since the schedule does not catch up all lost time.
+        """
         if not (self._written and self._inputs.catching_up) or len(self._buffer) > QUEUE * size:
             return False
         return len(self._buffer) > wire.HEADER.size and self._buffer[wire.HEADER.size] == self._written
@@ -90,7 +106,7 @@ class RtdeSession:
         recipe = self._output
         if not self._started or recipe is None or self._ended or self._robot.ticks < self._due:
             return
-        # On the grid of the ticks: a rate that does not divide the controller's is met on average.
+        # On the grid of the ticks, so a rate that does not divide the controller's is met on average.
         self._due = max(self._due + self._every, self._robot.ticks + 1.0 - self._every)
         if self._to_skip > 0:
             self._to_skip -= 1
@@ -103,11 +119,16 @@ class RtdeSession:
         self._sink.send(wire.packet(wire.DATA, prefix + data))
 
     def skip(self, packets: int) -> None:
-        """Leave out the next so many data packets."""
+        """Omit the next `packets` data packets."""
         self._to_skip = packets
 
     def text(self, message: str, level: int = _WARNING) -> None:
-        """A message for the client's log; only once data flows."""
+        """Send a text message, once data have been started.
+
+        Args:
+            message: The text.
+            level: Level of the message: 0 exception, 1 error, 2 warning, 3 info.
+        """
         if not self._started:
             return
         body = message.encode("ascii", "replace")[:255]
@@ -119,7 +140,7 @@ class RtdeSession:
         self._sink.send(wire.packet(wire.TEXT, payload))
 
     def close(self) -> None:
-        """The client has gone: its variables are free again."""
+        """Release the client's input variables."""
         self._ended = True
         self._inputs.release(self)
 

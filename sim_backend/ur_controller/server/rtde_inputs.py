@@ -1,4 +1,4 @@
-"""What RTDE clients can write: names, types, what a write does, and who owns which variable."""
+"""RTDE input variables: names, types, effects of a write, and ownership."""
 
 from __future__ import annotations
 
@@ -38,11 +38,16 @@ _LAST_DIGITAL = 18
 
 
 class Inputs:
-    """Input variables of one controller. owners: variable -> who has claimed it; any hashable object is an owner.
+    """Input variables of one controller.
 
-    catching_up: the next tick is overdue, since the computer was late. What a client streamed meanwhile is then taken
-    one packet a tick, as it would have come: all at once, a servo's path would have a step. With the ticks on time
-    again the newest counts, as in a real controller: what was still left would make every later packet late.
+    Args:
+        robot: The robot.
+
+    Attributes:
+        catching_up: Whether the next tick is overdue because the computer was late. Streamed packets are then taken one
+            per tick, as they would have arrived; all at once, a servoed path would have a step. When the ticks are on
+            time again, the newest packet counts, as in a real controller; otherwise every later packet would be late.
+        owners: The owner of each claimed variable, any hashable object.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -51,7 +56,15 @@ class Inputs:
         self._robot = robot
 
     def claim(self, name: str, owner: object) -> str:
-        """RTDE's type of the variable, which now belongs to `owner`; NOT_FOUND or IN_USE if it cannot."""
+        """Claim a variable.
+
+        Args:
+            name: Name of the variable.
+            owner: The new owner.
+
+        Returns:
+            RTDE's type of the variable; NOT_FOUND or IN_USE if it cannot be claimed.
+        """
         if name not in INPUTS:
             return "NOT_FOUND"
         if self.owners.setdefault(name, owner) is not owner:
@@ -59,12 +72,18 @@ class Inputs:
         return INPUTS[name]
 
     def release(self, owner: object) -> None:
-        """Free all that `owner` has claimed."""
+        """Release all variables of `owner`."""
         self.owners = {name: other for name, other in self.owners.items() if other is not owner}
 
     def write(self, names: Sequence[str], numbers: Sequence[float]) -> None:
-        """Take over a data packet: seen by the script and the outputs from the next tick on. Numbers that are not
-        finite reach the registers as they are, since a controller does not check them either."""
+        """Write a data packet, which has its effect from the next tick on.
+
+        Numbers that are not finite are written to the registers unchanged, as a real controller does.
+
+        Args:
+            names: Names of the variables.
+            numbers: Their values, those of vectors one after the other.
+        """
         robot, at = self._robot, 0
         registers, by_name = robot.registers, dict[str, float]()
         for name in names:

@@ -1,4 +1,4 @@
-"""Variable types of the Real-Time Data Exchange and their big-endian encoding (UR, "RTDE guide")."""
+"""Types of RTDE variables and their big-endian encoding (UR, "RTDE guide")."""
 
 from __future__ import annotations
 
@@ -27,19 +27,25 @@ FORMATS = {
 
 
 def width(type_name: str) -> int:
-    """How many numbers a variable of this type holds."""
+    """Number of values of a variable of this type."""
     return 6 if type_name.startswith("VECTOR6") else 3 if type_name == "VECTOR3D" else 1
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """Names and types of the variables of a data packet, in order."""
+    """The variables of a data packet, in order.
+
+    Attributes:
+        names: Names of the variables.
+        types: Their RTDE types.
+    """
 
     names: tuple[str, ...]
     types: tuple[str, ...]
 
     @property
     def layout(self) -> struct.Struct:
+        """Binary layout of the values."""
         return _layout(self.types)
 
 
@@ -49,10 +55,18 @@ def _layout(types: tuple[str, ...]) -> struct.Struct:
 
 
 def packet(kind: int, payload: bytes = b"") -> bytes:
-    """A packet with its header."""
+    """Encode a packet.
+
+    Args:
+        kind: Type of the packet.
+        payload: Its payload.
+
+    Returns:
+        The packet with its header.
+    """
     return HEADER.pack(HEADER.size + len(payload), kind) + payload
 
 
 def split_names(payload: bytes) -> tuple[str, ...]:
-    """A list of variable names; clients end it with a comma. Undecodable bytes become names that do not exist."""
+    """Split a list of variable names, which clients may end with a comma. Undecodable bytes give unknown names."""
     return tuple(name for name in payload.decode("ascii", "replace").split(",") if name)

@@ -1,4 +1,4 @@
-"""What RTDE clients can read: names, types, since which version, and where the values come from.
+"""RTDE output variables: names, types, first versions, and how their values are read.
 
 Names and types: Universal Robots, "Real-Time Data Exchange (RTDE) guide", controller outputs.
 """
@@ -14,13 +14,20 @@ from toolee_robot.sim_backend.ur_controller.server.rtde_types import width
 
 Value = int | float | bool | Iterable[float]
 BIT_REGISTERS = 128
-_JOINT_RUNNING = 253  # joint_mode of a joint that is powered and free
+_JOINT_RUNNING = 253  # joint_mode of a powered joint
 _JOINT_OFF = 239
 
 
 @dataclass(frozen=True)
 class Output:
-    """cb3, e_series: first version (major, minor) that has it, None where it does not exist."""
+    """An output variable.
+
+    Attributes:
+        type_name: RTDE's type.
+        read: Reads its value.
+        cb3: First version (major, minor) of a CB3 controller that has it; None for no such version.
+        e_series: First version (major, minor) of an e-Series controller that has it; None for no such version.
+    """
 
     type_name: str
     read: Callable[[Robot], Value]
@@ -33,7 +40,7 @@ def _bits(flags: Iterable[bool]) -> int:
 
 
 def _no_torque(_: Robot) -> list[float]:
-    """Joint torques and currents are not modelled: 0 [Nm], [A]."""
+    """Zero: joint torques [Nm] and currents [A] are not modelled."""
     return [0.0] * 6
 
 
@@ -107,10 +114,15 @@ OUTPUTS |= {f"output_bit_register_{i}": _boolean(i) for i in range(64, BIT_REGIS
 
 
 class Outputs:
-    """The variables of one controller as of its last tick; each is worked out at most once a tick.
+    """Output variables of one controller at its last tick; each is computed at most once per tick.
 
-    missing: names that the controller denies to have. not_a_number: name -> ticks for which it still reads NaN.
-    frozen_timestamp [s]: instead of the true one, None for the truth (all three are faults).
+    Args:
+        robot: The robot.
+
+    Attributes:
+        missing: Names of hidden variables; a fault.
+        not_a_number: Ticks for which each of these variables reads NaN; a fault.
+        frozen_timestamp: Reported timestamp [s]; None for the true one. A fault.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -122,7 +134,7 @@ class Outputs:
         self._tick = -1
 
     def type_of(self, name: str) -> str:
-        """RTDE's type, or NOT_FOUND."""
+        """RTDE's type of a variable, or NOT_FOUND."""
         output = OUTPUTS.get(name)
         if output is None or name in self.missing:
             return "NOT_FOUND"
@@ -131,7 +143,7 @@ class Outputs:
         return output.type_name if first is not None and version >= first else "NOT_FOUND"
 
     def values(self, names: Iterable[str]) -> list[float]:
-        """The numbers of these variables, one after the other."""
+        """The values of these variables, one after the other."""
         if self._tick != self._robot.ticks:
             self._tick = self._robot.ticks
             self._cache.clear()

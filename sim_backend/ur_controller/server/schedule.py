@@ -1,4 +1,4 @@
-"""The controller's clock: ticks on an absolute schedule, and what is known about how well it was kept."""
+"""The controller's ticks on an absolute schedule, and statistics of their timing."""
 
 from __future__ import annotations
 
@@ -6,14 +6,20 @@ from dataclasses import dataclass
 
 from toolee_robot.runtime.clock import HostClock
 
-CATCH_UP = 0.05  # [s] of being late that is caught up by ticks back to back; beyond it the schedule moves
+CATCH_UP = 0.05  # [s] of delay that is caught up by back-to-back ticks; beyond it the schedule is shifted
 
 
 @dataclass
 class TickStatistics:
-    """ticks: done. late: begun later than half a period after their time. slipped: periods by which the schedule had
-    to be moved, because the machine or the physics was too slow for the real-time factor. worst_late [s]. busy [s]: of
-    the processor, spent on all ticks."""
+    """Statistics of the ticks.
+
+    Attributes:
+        ticks: Number of ticks.
+        late: Ticks that began more than half a period late.
+        slipped: Periods by which the schedule was shifted, because machine or physics were too slow.
+        worst_late: Largest delay of a tick [s].
+        busy: CPU time spent on all ticks [s].
+    """
 
     ticks: int = 0
     late: int = 0
@@ -23,11 +29,20 @@ class TickStatistics:
 
 
 class Schedule:
-    """When the next tick is due. Times are of `clock` [s].
+    """The schedule of the ticks.
 
-    A late tick is followed by the next ones without a pause until the schedule is met again, so that the rate is kept
-    on average; after more than CATCH_UP the schedule moves by whole periods instead, which is counted: robot time
-    then runs behind the clock, and no tick is left out.
+    After a late tick the next ones follow without a pause until the schedule is met again, so that the rate is kept on
+    average. After a delay of more than CATCH_UP the schedule is shifted by whole periods instead: no tick is omitted,
+    but the robot's time falls behind the clock.
+
+    Args:
+        period: Period of the ticks [s].
+        clock: The robot's clock.
+
+    Attributes:
+        period: Period of the ticks [s].
+        clock: The robot's clock.
+        statistics: Statistics of the ticks.
     """
 
     def __init__(self, period: float, clock: HostClock) -> None:
@@ -37,7 +52,7 @@ class Schedule:
 
     @property
     def due(self) -> float:
-        """Time of the next tick."""
+        """Time of the next tick [s]."""
         return self._start + self._count * self.period
 
     @property
@@ -46,7 +61,7 @@ class Schedule:
         return self.clock.now() > self.due
 
     def begin(self) -> float:
-        """The tick that is due begins; returns its time on the schedule."""
+        """Begin the tick that is due; returns its scheduled time [s]."""
         due, statistics = self.due, self.statistics
         late = self.clock.now() - due
         if late > CATCH_UP:
@@ -60,9 +75,9 @@ class Schedule:
         return due
 
     def restart(self) -> None:
-        """The first tick is due now."""
+        """Restart the schedule with the first tick now."""
         self._start, self._count = self.clock.now(), 0
 
     def reset(self) -> None:
-        """Forget the statistics."""
+        """Reset the statistics."""
         self.statistics = TickStatistics()

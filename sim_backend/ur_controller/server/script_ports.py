@@ -1,16 +1,15 @@
-"""Ports 30001 (primary), 30002 (secondary) and 30003 (real-time): they take URScript; the first two also tell the
-robot's state ten times a second (see `primary`)."""
+"""URScript upload on ports 30001 (primary), 30002 (secondary) and 30003 (real-time)."""
 
 from __future__ import annotations
 
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server.link import Sink
 
-MAX_SCRIPT = 256 << 10  # [bytes] of one program; who sends more is dropped
+MAX_SCRIPT = 256 << 10  # [bytes] of one program above which the client is dropped
 
 
 class ScriptReader:
-    """Cuts a stream of bytes into programs: from `def` or `sec` to an `end` in column 0, or a single line."""
+    """Splits a byte stream into programs: from `def` or `sec` to an `end` in column 0, or a single line."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
@@ -19,11 +18,18 @@ class ScriptReader:
 
     @property
     def size(self) -> int:
-        """Bytes of the unfinished program."""
+        """Bytes of the incomplete program."""
         return self._size + len(self._buffer)
 
     def feed(self, data: bytes) -> list[str]:
-        """The programs that these bytes complete. Single statements become programs of one line."""
+        """Take received bytes.
+
+        Args:
+            data: The bytes.
+
+        Returns:
+            The programs that they complete; a single statement becomes a program of one line.
+        """
         self._buffer += data
         done: list[str] = []
         *lines, rest = self._buffer.split(b"\n")
@@ -44,13 +50,19 @@ class ScriptReader:
 
 
 class ScriptSession:
-    """A client of port 30003: it may upload programs, and gets nothing back."""
+    """A client's session on port 30003: takes programs, sends nothing.
+
+    Args:
+        sink: The client's connection.
+        robot: The robot.
+    """
 
     def __init__(self, sink: Sink, robot: Robot) -> None:
         self._sink, self._robot = sink, robot
         self._reader = ScriptReader()
 
     def feed(self, data: bytes) -> None:
+        """Take received bytes and upload each complete program."""
         for source in self._reader.feed(data):
             if self._robot.model.e_series and not self._robot.safety.remote:
                 self._robot.log("script ignored: the robot is in local control")
@@ -59,6 +71,8 @@ class ScriptSession:
         if self._reader.size > MAX_SCRIPT:
             self._sink.close()
 
-    def tick(self) -> None: ...
+    def tick(self) -> None:
+        """Nothing to do."""
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Nothing to release."""

@@ -1,4 +1,4 @@
-"""What can be hooked into the controller's tick loop: ports, the fault port, a simulated world's own service."""
+"""The interface of services in the controller's tick loop: ports, the fault port, a simulated world's service."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from typing import Protocol
 
 
 class Service(Protocol):
-    """File descriptors that the loop waits on, and a callback in every tick. Neither callback may block."""
+    """File descriptors that the loop waits on, and callbacks, which must not block."""
 
     def filenos(self) -> Sequence[int]:
-        """Descriptors to wait on for reading, now."""
+        """Descriptors to wait on for reading."""
         ...
 
     def on_readable(self, fd: int) -> None:
-        """One of `filenos()` can be read."""
+        """Called when a descriptor of `filenos()` is readable."""
 
     def on_tick(self, dt: float) -> None:
-        """A tick of dt [s] has been done: physics and safety are up to date."""
+        """Called after each tick of dt [s], with physics and safety up to date."""
 
     def close(self) -> None:
-        """The controller ends."""
+        """Called when the controller ends."""

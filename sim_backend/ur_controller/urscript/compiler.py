@@ -1,9 +1,9 @@
-"""From the tree to Python's own byte code, by way of Python's `ast`.
+"""Compiler from the syntax tree to Python byte code, through Python's `ast`.
 
-Every function that may wait (`sync`, a motion, ...) becomes a generator that yields once per controller tick; every
-other one a plain function. Lines of the byte code are lines of the script, so a traceback names them. Bindings are
-static, as the URScript manual has them: `local` and parameters are local, a name that is declared `global` anywhere is
-global, any other is local to its function; nested functions do not see the locals of the one around them.
+Every function that may wait (`sync`, a motion, ...) becomes a generator that yields once per tick of the controller,
+every other one a plain function. Lines of the byte code are lines of the script, so tracebacks contain them. Bindings
+are static, as in the URScript manual: `local` names and parameters are local, a name that is declared `global` anywhere
+is global, any other name is local to its function; nested functions do not see the locals of the enclosing one.
 """
 
 from __future__ import annotations
@@ -52,14 +52,19 @@ HELPERS: dict[str, Callable[..., Any]] = {
 
 @dataclass(frozen=True)
 class Builtin:
-    """A function that the script may call. waits: it is a generator function."""
+    """A built-in function.
+
+    Attributes:
+        signature: Its signature.
+        waits: Whether it is a generator function.
+    """
 
     signature: inspect.Signature
     waits: bool
 
     @classmethod
     def of(cls, function: Callable[..., Any], method: bool = False) -> Builtin:
-        """method: the first parameter is not the script's."""
+        """Describe a function; of a `method`, without its first parameter."""
         signature = inspect.signature(function)
         if method:
             signature = signature.replace(parameters=list(signature.parameters.values())[1:])
@@ -68,8 +73,14 @@ class Builtin:
 
 @dataclass(frozen=True)
 class Compiled:
-    """code: to be executed with `HELPERS`, the built-in functions as `b_...` and the scheduler's `_budget`, `_run`,
-    `_kill`, `_join`, `_critical` and `_halt` as its globals; it defines the generator function `MAIN`."""
+    """A compiled program.
+
+    Attributes:
+        code: Code that defines the generator function `MAIN`. Its globals must contain `HELPERS`, the built-in
+            functions as `b_...`, and the scheduler's `_budget`, `_run`, `_kill`, `_join`, `_critical` and `_halt`.
+        name: Name of the program.
+        secondary: Whether it is a `sec`.
+    """
 
     code: CodeType
     name: str
@@ -77,7 +88,18 @@ class Compiled:
 
 
 def compile_script(source: str, builtins: Mapping[str, Builtin]) -> Compiled:
-    """builtins: by name. Raises ScriptError."""
+    """Compile a program.
+
+    Args:
+        source: Text of the program.
+        builtins: The built-in functions, by name.
+
+    Returns:
+        The compiled program.
+
+    Raises:
+        ScriptError: It does not parse, or calls a function that does not exist.
+    """
     program = parse(source)
     try:
         module = _Compiler(program, builtins).module()
@@ -88,7 +110,7 @@ def compile_script(source: str, builtins: Mapping[str, Builtin]) -> Compiled:
 
 
 def _nodes(tree: Any) -> Iterator[Any]:
-    """Every node of a tree of `syntax`, the order does not matter."""
+    """All nodes of a syntax tree, in any order."""
     waiting = [tree]
     while waiting:
         node = waiting.pop()
@@ -111,7 +133,7 @@ class _Compiler:
         self._assigned: set[str] = set()
 
     def _find_waiting(self) -> set[str]:
-        """Names of the functions, of the script and built in, that may wait."""
+        """Names of the functions that may wait, of the script and built-in ones."""
         waiting = {name for name, builtin in self._builtins.items() if builtin.waits}
         if self._program.main.kind == "sec":
             for node in _nodes(tuple(self._all)):
@@ -225,7 +247,7 @@ class _Compiler:
         return f"l_{name}" if name in self._locals else f"g_{name}"
 
     def _value(self, e: syntax.Expression) -> ast.expr:
-        """To be kept: a list that something else holds is copied."""
+        """An expression to be stored: a list of another variable is copied."""
         value = self._expression(e)
         return _call("_copied", value) if isinstance(e, syntax.Name | syntax.Index) else value
 
@@ -313,7 +335,7 @@ class _Compiler:
 
 
 def _bind(call: syntax.Call, signature: inspect.Signature) -> None:
-    """Raises ScriptError when the arguments do not fit."""
+    """Check a call's arguments. Raises ScriptError if they do not fit."""
     names = [name for name, _ in call.named]
     try:
         if len(set(names)) < len(names):

@@ -1,7 +1,7 @@
-"""Programs are compiled beside the controller's ticks, in a child process: a long one takes half a second.
+"""Background compilation of programs in a child process, since a long one takes half a second.
 
-The child has the controller's priority, so that a client does not wait for its program behind whatever else keeps the
-machine busy; it needs a second processor.
+The child has the controller's priority, so that other load on the machine does not delay it; it needs a second
+processor.
 """
 
 from __future__ import annotations
@@ -18,16 +18,27 @@ from toolee_robot.sim_backend.ur_controller.urscript.library import LIBRARY
 from toolee_robot.sim_backend.ur_controller.urscript.robot_functions import RobotFunctions, function_names
 
 SHORT = 512
-"""[characters] What is no longer compiles in the time that it takes to start a child."""
+"""[characters] Length up to which compiling takes no longer than starting a child."""
 KEPT = 16
-"""Compiled programs that are kept: a client uploads the same one again and again."""
+"""Size of the cache of compiled programs; clients upload the same one repeatedly."""
 _MAX_FILES = 1 << 16
 
 _kept: dict[tuple[str, bool], Compiled] = {}
 
 
 def compiled(source: str, e_series: bool) -> Compiled:
-    """Here and now. Raises ScriptError."""
+    """Compile a program in this process, unless it is in the cache.
+
+    Args:
+        source: Text of the program.
+        e_series: Whether it is for an e-Series controller.
+
+    Returns:
+        The compiled program.
+
+    Raises:
+        ScriptError: It does not parse, or calls a function that does not exist.
+    """
     if (found := _kept.get((source, e_series))) is None:
         found = compile_script(source, _builtins(e_series))
         _keep(source, e_series, found)
@@ -48,8 +59,18 @@ def _builtins(e_series: bool) -> dict[str, Builtin]:
 
 
 class Compiling:
-    """One program on its way; error: what is wrong with it. Once it is `done`, `compiled` answers at once, or raises.
-    Only the thread that ticks may use it; `cancel` one that is not done."""
+    """The compilation of one program. Once it is `done`, `compiled` returns or raises at once.
+
+    Use it only in the thread of the ticks; `cancel` one that is not done.
+
+    Args:
+        source: Text of the program.
+        e_series: Whether it is for an e-Series controller.
+
+    Attributes:
+        source: Text of the program.
+        error: The program's error, or None.
+    """
 
     def __init__(self, source: str, e_series: bool) -> None:
         self.source, self._e_series = source, e_series
@@ -57,7 +78,7 @@ class Compiling:
         self._child, self._file = 0, -1
 
     def done(self) -> bool:
-        """Begins when it is asked first; never waits."""
+        """Whether the compilation has finished; the first call starts it. Never waits."""
         if self.error is not None or len(self.source) <= SHORT or (self.source, self._e_series) in _kept:
             return True
         if not self._child:
@@ -82,6 +103,7 @@ class Compiling:
         return True
 
     def cancel(self) -> None:
+        """End the child process, if there is one."""
         if self._child:
             with suppress(ProcessLookupError):
                 os.kill(self._child, signal.SIGKILL)
@@ -91,7 +113,8 @@ class Compiling:
 
 
 def _compile_into(file: int, source: str, e_series: bool) -> None:
-    """The child: what it inherits of the controller's connections would keep them open. Does not return."""
+    """Compile in the child process and exit. Inherited descriptors are closed, since they would keep the controller's
+    connections open."""
     try:
         os.closerange(3, file)
         os.closerange(file + 1, _MAX_FILES)

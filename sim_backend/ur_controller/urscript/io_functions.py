@@ -1,4 +1,4 @@
-"""URScript's functions for time, messages, registers, digital and analogue channels. As in the Script Manual."""
+"""URScript functions for time, messages, registers, digital and analog channels, as in the Script Manual."""
 
 from __future__ import annotations
 
@@ -11,17 +11,23 @@ from toolee_robot.sim_backend.ur_controller.robot.watchdog import Action
 from toolee_robot.sim_backend.ur_controller.urscript.values import fitting, numbers, text
 
 CONFIGURABLE, TOOL = 8, 16
-"""Where these digital channels begin in the machine's lists."""
+"""Index of the first configurable and the first tool channel in the machine's lists."""
 
 
 class IoFunctions:
+    """Functions for time, messages and channels.
+
+    Args:
+        machine: The robot.
+    """
+
     def __init__(self, machine: Machine) -> None:
         self._machine = machine
 
     # -- time and messages
 
     def sync(self) -> Generator[None, None, None]:
-        """The rest of the tick."""
+        """Wait for the next tick."""
         yield
 
     def sleep(self, t: float) -> Generator[None, None, None]:
@@ -40,7 +46,7 @@ class IoFunctions:
     def popup(
         self, s: Any, title: str = "Popup", warning: bool = False, error: bool = False, blocking: bool = False
     ) -> None:
-        """blocking: the program pauses until a person lets it go on."""
+        """Show a popup; if blocking, the program pauses until it is resumed."""
         del warning, error
         self._event(EventKind.POPUP, f"{title}: {text(s)}")
         if blocking:
@@ -55,7 +61,7 @@ class IoFunctions:
     # -- RTDE
 
     def rtde_set_watchdog(self, variable_name: str, min_frequency: float, action: str = "pause") -> None:
-        """The variable has to be written at min_frequency [Hz] or the action is taken: ignore, pause or stop."""
+        """Require a minimum frequency of writes to a variable [Hz], else ignore, pause or stop."""
         numbers(min_frequency, 0)
         if not min_frequency > 0:
             raise ValueError(f"a watchdog of {min_frequency} Hz")
@@ -138,7 +144,7 @@ class IoFunctions:
         return _at(self._machine.analog_out[:2], n)
 
     def set_standard_analog_out(self, n: int, f: float) -> None:
-        """f: 0..1 of the range."""
+        """Set an analog output to a fraction of its range, 0 to 1."""
         numbers(f, 0)
         _at(self._machine.analog_out[:2], n)
         _put(self._machine.analog_out, n, min(1.0, max(0.0, float(f))))

@@ -1,5 +1,7 @@
-"""URScript's functions that need no robot: mathematics, poses, lists and texts. Names, arguments and meaning as in
-Universal Robots' Script Manual; their names are the script's names."""
+"""URScript functions that need no robot: mathematics, poses, lists and strings.
+
+Names, arguments and semantics are those of Universal Robots' Script Manual.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ def _float(f: float) -> float:
 
 
 def six(values: Any, what: str = "value") -> list[float]:
-    """Six finite numbers of a pose or list. Raises TypeError or ValueError."""
+    """Six finite numbers of a pose or list, called `what` in messages. Raises TypeError or ValueError."""
     if not isinstance(values, list) or len(values) != 6:
         raise TypeError(f"the {what} has to be a pose or a list of 6 numbers, not {text(values)}")
     found = [_float(each) for each in values]
@@ -37,11 +39,12 @@ def six(values: Any, what: str = "value") -> list[float]:
 
 
 def matrix(pose: Any) -> Any:
+    """Matrix, 4x4, of the script's value of a pose. Raises TypeError or ValueError."""
     return poses.matrix(six(pose, "pose"))
 
 
 def as_pose(X: Any) -> Pose:
-    """The script's value of a 4x4 pose."""
+    """The script's value of a pose, 4x4."""
     return Pose(poses.vector(X))
 
 
@@ -62,7 +65,7 @@ def atan(f: float) -> float:
 
 @_function
 def atan2(x: float, y: float) -> float:
-    """The manual calls the first argument x; it is the opposite side all the same."""
+    """Angle of the point (y, x) [rad]; the manual calls the ordinate, which comes first, x."""
     return math.atan2(_float(x), _float(y))
 
 
@@ -93,7 +96,7 @@ def pow(base: float, exponent: float) -> float:
 
 @_function
 def log(b: float, f: float) -> float:
-    """Of f, to the base b."""
+    """Logarithm of f to the base b."""
     return math.log(_float(f)) / math.log(_float(b))
 
 
@@ -124,7 +127,7 @@ def random() -> float:
 
 @_function
 def norm(a: Any) -> float:
-    """Of a list the Euclidean length, of a number its size."""
+    """Euclidean norm of a list, absolute value of a number."""
     if isinstance(a, list):
         return math.hypot(*(_float(each) for each in a))
     return abs(_float(a))
@@ -144,7 +147,7 @@ def get_list_length(v: Any) -> int:
 
 @_function
 def binary_list_to_integer(l: Any) -> int:
-    """The first boolean is the least significant bit."""
+    """Integer of a list of bits, the least significant first."""
     if not isinstance(l, list) or not all(isinstance(bit, bool) for bit in l) or len(l) > 32:
         raise TypeError("expected a list of at most 32 booleans")
     value = sum(bit << i for i, bit in enumerate(l))
@@ -165,7 +168,7 @@ def point_dist(p_from: Any, p_to: Any) -> float:
 
 @_function
 def pose_dist(p_from: Any, p_to: Any) -> float:
-    """Of the positions [m]."""
+    """Distance of the positions [m]."""
     return math.dist(six(p_from, "pose")[:3], six(p_to, "pose")[:3])
 
 
@@ -181,27 +184,27 @@ def pose_inv(p_from: Any) -> Pose:
 
 @_function
 def pose_add(p_1: Any, p_2: Any) -> Pose:
-    """Positions are added, rotations multiplied."""
+    """Sum of two poses: positions are added, rotations multiplied."""
     X, Y = matrix(p_1), matrix(p_2)
     return Pose([*(X[:3, 3] + Y[:3, 3]).tolist(), *poses.rotation_vector(X[:3, :3] @ Y[:3, :3])])
 
 
 @_function
 def pose_sub(p_to: Any, p_from: Any) -> Pose:
-    """What `pose_add` has to add to p_from to get p_to."""
+    """The pose that `pose_add` adds to p_from to give p_to."""
     X, Y = matrix(p_to), matrix(p_from)
     return Pose([*(X[:3, 3] - Y[:3, 3]).tolist(), *poses.rotation_vector(Y[:3, :3].T @ X[:3, :3])])
 
 
 @_function
 def interpolate_pose(p_from: Any, p_to: Any, alpha: float) -> Pose:
-    """At alpha 0 p_from, at 1 p_to; straight, and beyond them further on the same way."""
+    """The pose at a fraction alpha of the straight path; extrapolates outside of 0 to 1."""
     return as_pose(poses.interpolated(matrix(p_from), matrix(p_to), _float(alpha)))
 
 
 @_function
 def wrench_trans(T_from_to: Any, w_from: Any) -> list[float]:
-    """The wrench, measured in `from`, as it is seen in `to`."""
+    """Transform a wrench from frame `from` to frame `to`."""
     X, w = matrix(T_from_to), np.array(six(w_from, "wrench"))
     R, p = X[:3, :3], X[:3, 3]
     return [*(R.T @ w[:3]).tolist(), *(R.T @ (w[3:] - np.cross(p, w[:3]))).tolist()]
@@ -266,7 +269,7 @@ def str_at(src: Any, index: int) -> str:
 
 @_function
 def str_sub(src: Any, index: int, len: int = -1) -> str:
-    """len characters from index; all that follow without it."""
+    """`len` characters from `index`, or all that follow if it is negative."""
     if type(index) is not int or type(len) is not int or index < 0:
         raise IndexError(f"character {text(index)} is outside the text")
     return _text(src)[index : index + len if len >= 0 else None]
@@ -274,7 +277,7 @@ def str_sub(src: Any, index: int, len: int = -1) -> str:
 
 @_function
 def str_find(src: Any, target: Any, start_from: int = 0) -> int:
-    """Where it begins, -1 if nowhere."""
+    """Index of the first occurrence, or -1."""
     if type(start_from) is not int or start_from < 0:
         raise IndexError(f"character {text(start_from)} is outside the text")
     return _text(src).find(_text(target), start_from)

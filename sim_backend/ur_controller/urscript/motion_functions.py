@@ -1,4 +1,4 @@
-"""URScript's functions that move the arm. Names, arguments, defaults and units as in the Script Manual."""
+"""URScript functions that move the arm, with arguments, defaults and units of the Script Manual."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from toolee_robot.sim_backend.ur_controller.robot.motion import (
     Motion,
     MotionError,
     Move,
-    ServoJ,
     SpeedJ,
 )
+from toolee_robot.sim_backend.ur_controller.robot.servoj import ServoJ
 from toolee_robot.sim_backend.ur_controller.urscript.library import matrix, six
 from toolee_robot.sim_backend.ur_controller.urscript.values import Pose, numbers
 
@@ -30,7 +30,7 @@ Wait = Generator[None, None, None]
 
 
 def positive(value: Any, what: str) -> float:
-    """A finite number above 0. Raises TypeError or ValueError."""
+    """The value as a float; raises TypeError or ValueError unless it is a finite number above 0."""
     numbers(value, 0)
     if not (isfinite(value) and value > 0):
         raise ValueError(f"{what} has to be above 0, not {value}")
@@ -38,7 +38,11 @@ def positive(value: Any, what: str) -> float:
 
 
 class MotionFunctions:
-    """Functions that wait are generators: one `yield` for every tick."""
+    """Functions for motions; those that wait are generators with one `yield` per tick.
+
+    Args:
+        machine: The robot.
+    """
 
     def __init__(self, machine: Machine) -> None:
         self._machine = machine
@@ -58,11 +62,11 @@ class MotionFunctions:
         yield from self._path(lambda start: line(start, X), a, v, t, r)
 
     def movep(self, pose: Any, a: float = 1.2, v: float = 0.25, r: float = 0) -> Wait:
-        """As `movel`: the speed is kept through the blends as far as blending does."""
+        """As `movel`."""
         yield from self.movel(pose, a, v, 0, r)
 
     def movec(self, pose_via: Any, pose_to: Any, a: float = 1.2, v: float = 0.25, r: float = 0, mode: int = 0) -> Wait:
-        """mode 0: turning evenly; 1: the orientation is fixed to the circle."""
+        """Move on a circle; mode 0: constant rotation axis, 1: orientation fixed relative to the circle."""
         via, X = self._pose(pose_via)[:3, 3], self._pose(pose_to)
         yield from self._path(lambda start: arc(start, via, X, mode == 1), a, v, 0, r)
 
@@ -80,7 +84,7 @@ class MotionFunctions:
             self._machine.release(move)
 
     def _joints(self, q: Any) -> Array:
-        """Of joints or a pose, as a move takes either."""
+        """Joint positions of joints or a pose. Raises MotionError out of reach."""
         if isinstance(q, Pose):
             return np.array(self._reach(matrix(q)))
         goal = np.array(six(q, "joint vector"))
@@ -89,7 +93,7 @@ class MotionFunctions:
         return goal
 
     def _pose(self, pose: Any) -> Array:
-        """X_base_tcp of a pose or of joints. Raises MotionError out of reach."""
+        """X_base_tcp, 4x4, of a pose or joints. Raises MotionError out of reach."""
         if isinstance(pose, Pose):
             X = matrix(pose)
             self._reach(X)
@@ -114,7 +118,7 @@ class MotionFunctions:
         lookahead_time: float = 0.1,
         gain: float = 300,
     ) -> Wait:
-        """a and v are not used, as on the robot; lookahead_time and gain: see `ServoJ`."""
+        """Servo to joint positions. a and v are not used, as on the robot; lookahead_time and gain: see `ServoJ`."""
         numbers(a, v)
         numbers(lookahead_time, gain)
         goal = self._joints(list(six(q, "joint vector")))
@@ -145,7 +149,7 @@ class MotionFunctions:
         yield from self._for(motion, t, motion.reached)
 
     def _for(self, motion: Motion, t: float, reached: Callable[[], bool] = bool) -> Wait:
-        """Wait for t [s], at least a tick; with t = 0 until the speed is reached."""
+        """Run a motion for t [s], at least a tick, or for t = 0 until its speed is reached."""
         numbers(t, 0)
         if not (isfinite(t) and t >= 0):
             raise ValueError(f"t has to be 0 or more, not {t}")
@@ -166,7 +170,7 @@ class MotionFunctions:
         yield from self._until_rest(Brake(min(positive(a, "a"), self._machine.model.acceleration)))
 
     def stopl(self, a: float = 2.0, aRot: Any = "a") -> Wait:  # noqa: ARG002
-        """The TCP turns and goes as one: aRot is not used."""
+        """Stop the TCP; aRot is not used, since translation and rotation stop together."""
         machine = self._machine
         yield from self._until_rest(StopL(machine.model, machine.X_flange_tcp, positive(a, "a")))
 
@@ -179,10 +183,10 @@ class MotionFunctions:
         finally:
             machine.release(motion)
 
-    # -- giving way
+    # -- compliance
 
     def force_mode(self, task_frame: Any, selection_vector: Any, wrench: Any, type: int, limits: Any) -> None:
-        """type 2 only: the task frame as it is given."""
+        """Start force mode; only type 2, an unmodified task frame, is supported."""
         if type != 2:
             raise ValueError(f"force_mode of type {type}: the stand-in has type 2 only")
         machine = self._machine
@@ -199,11 +203,11 @@ class MotionFunctions:
         self._machine.end_compliance()
 
     def force_mode_set_damping(self, damping: float) -> None:
-        """0..1; accepted, the stand-in's time constant is fixed."""
+        """Accept a damping of 0 to 1; the stand-in's time constant is fixed."""
         numbers(damping, 0)
 
     def force_mode_set_gain_scaling(self, scaling: float) -> None:
-        """0..2."""
+        """Set the gain of force mode, 0 to 2."""
         numbers(scaling, 0)
         self._machine.force_gain = max(0.0, min(2.0, float(scaling)))
 
@@ -218,7 +222,7 @@ class MotionFunctions:
         self.end_force_mode()
 
     def get_freedrive_status(self) -> int:
-        """0: as it should be, also when it is off."""
+        """Return 0: normal, also when freedrive is off."""
         return 0
 
     def teach_mode(self) -> None:

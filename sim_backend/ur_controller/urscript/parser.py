@@ -1,4 +1,4 @@
-"""From URScript to its tree. Line ends and indentation mean nothing: a block lasts until its `end`."""
+"""Parser of URScript. Line ends and indentation have no meaning: a block ends with `end`."""
 
 from __future__ import annotations
 
@@ -28,13 +28,23 @@ from toolee_robot.sim_backend.ur_controller.urscript.syntax import (
 from toolee_robot.sim_backend.ur_controller.urscript.tokens import Kind, Token, number, tokenise
 
 DEPTH = 40
-"""Blocks and brackets may be nested this deep."""
+"""Largest nesting depth of blocks and brackets."""
 BINARY = (("or",), ("xor",), ("and",), ("==", "!=", "<", "<=", ">", ">="), ("+", "-"), ("*", "/", "%"))
-"""Operators of two operands, the loosest first."""
+"""Binary operators, in the order of increasing precedence."""
 
 
 def parse(source: str) -> Program:
-    """A program is one `def` or `sec` with everything inside it, or bare statements. Raises ScriptError."""
+    """Parse a program: one `def` or `sec`, or bare statements.
+
+    Args:
+        source: Text of the program.
+
+    Returns:
+        The syntax tree.
+
+    Raises:
+        ScriptError: It does not parse.
+    """
     return _Parser(tokenise(source)).program()
 
 
@@ -176,7 +186,7 @@ class _Parser:
         raise self._unexpected("a statement")
 
     def _ends(self, line: int) -> bool:
-        """No expression follows on this line."""
+        """Whether no expression follows on this line."""
         return self._peek().line != line or self._peek().kind is Kind.END or self._is("end", "elif", "else")
 
     def _if(self) -> If:
@@ -239,7 +249,7 @@ class _Parser:
         return operand
 
     def _continues(self) -> bool:
-        """A sign belongs to the expression before it, except a `-` that opens a new line."""
+        """Whether an operator continues the expression; a `-` at the start of a line does not."""
         return not self._is("-") or self._peek().line == self._tokens[self._at - 1].line
 
     def _unary(self) -> Expression:

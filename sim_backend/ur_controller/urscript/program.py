@@ -1,4 +1,4 @@
-"""The one program that a controller runs, and the small ones (`sec`) beside it: upload, start, pause, stop."""
+"""The program that a controller runs, and secondary programs (`sec`) beside it: upload, start, pause, stop."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
 from toolee_robot.sim_backend.ur_controller.urscript import Compiling, ScriptError, ScriptRuntime
 
 WAITING = 20
-"""So many uploads may wait for their compiling."""
+"""Largest number of uploads that wait to be compiled."""
 
 
 class RuntimeState(IntEnum):
-    """As RTDE's `runtime_state` says it; the stand-in passes through the transitions within a tick."""
+    """RTDE's runtime_state; the stand-in passes the transitional states within a tick."""
 
     STOPPED = 1
     PLAYING = 2
@@ -22,10 +22,19 @@ class RuntimeState(IntEnum):
 
 
 class Program:
-    """What is being executed.
+    """The programs of a controller.
 
-    forbidden: says why no program may run now, empty if one may. start_delay [s]: from the upload to the first line.
-    rejections: so many uploads to come are thrown away, as if they did not parse (a fault).
+    Args:
+        machine: The robot.
+        forbidden: Returns why no program may run; empty if one may.
+        log: Called with each line of the log.
+
+    Attributes:
+        state: Runtime state.
+        start_delay: Delay from the upload to the first line [s]; a fault.
+        rejections: Number of uploads to discard as if they did not parse; a fault.
+        uploads: Number of uploads so far.
+        last_error: Message of the last failure.
     """
 
     def __init__(self, machine: Machine, forbidden: Callable[[], str], log: Callable[[str], None]) -> None:
@@ -38,21 +47,27 @@ class Program:
         self._main: ScriptRuntime | None = None
         self._secondary: list[ScriptRuntime] = []
         self._uploaded: deque[Compiling] = deque()
-        self._starting: tuple[float, ScriptRuntime] | None = None  # still to wait [s], what then
+        self._starting: tuple[float, ScriptRuntime] | None = None  # remaining delay [s], program
 
     @property
     def name(self) -> str:
+        """Name of the running program; empty if none runs."""
         return self._main.name if self._main is not None else ""
 
     @property
     def starting(self) -> bool:
-        """A program has come and waits for its start."""
+        """Whether an uploaded program waits to start."""
         return bool(self._uploaded) or self._starting is not None
 
     def upload(self, source: str) -> None:
-        """A program as it came over a script port. A `def` ends the running program and takes its place; a `sec` runs
-        beside it. One that does not parse, or that may not run now, is dropped with a message, as a controller does. A
-        long one is compiled first, while the ticks and the running program go on."""
+        """Upload a program.
+
+        A `def` replaces the running program; a `sec` runs beside it. As on a real controller, a program that does not
+        parse or may not run is discarded with a message. A long program is compiled in the background.
+
+        Args:
+            source: Text of the program, as received on a script port.
+        """
         self.uploads += 1
         if reason := self._forbidden():
             self._fail(f"script not started: {reason}")
@@ -68,7 +83,7 @@ class Program:
         self._take_compiled()
 
     def _take_compiled(self) -> None:
-        """In the order in which they came."""
+        """Start or discard the compiled uploads, in their order."""
         while self._uploaded and self._uploaded[0].done():
             source, error = self._uploaded[0].source, self._uploaded[0].error
             self._uploaded.popleft()
@@ -86,7 +101,7 @@ class Program:
                 self._starting = (self.start_delay, runtime)
 
     def stop(self) -> None:
-        """End what runs or waits; a moving arm decelerates."""
+        """End all running and waiting programs; a moving arm decelerates."""
         for waiting in self._uploaded:
             waiting.cancel()
         self._uploaded.clear()
@@ -103,7 +118,7 @@ class Program:
         self._enter(RuntimeState.STOPPED)
 
     def pause(self) -> bool:
-        """Decelerate and wait; returns whether a program was playing."""
+        """Pause the program; returns whether one was playing."""
         if self.state is not RuntimeState.PLAYING:
             return False
         self._machine.paused = True
@@ -111,7 +126,7 @@ class Program:
         return True
 
     def resume(self) -> bool:
-        """Go on after a pause; returns whether that was possible."""
+        """Resume a paused program; returns whether that was possible."""
         if self.state is not RuntimeState.PAUSED or self._forbidden():
             return False
         self._machine.paused = False
@@ -119,7 +134,7 @@ class Program:
         return True
 
     def step(self, dt: float) -> None:
-        """One tick of dt [s]: start what is due, run every thread of what is playing."""
+        """Execute one tick of dt [s]: start programs that are due, run the threads of those that are playing."""
         self._take_compiled()
         if self._starting is not None:
             wait, runtime = self._starting

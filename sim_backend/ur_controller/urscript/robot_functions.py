@@ -1,4 +1,4 @@
-"""What a script may ask of a robot: every public method is a function of URScript by that name."""
+"""The URScript functions that need a robot: every public method is a function of that name."""
 
 from __future__ import annotations
 
@@ -17,10 +17,14 @@ E_SERIES_ONLY = frozenset(
 
 
 class RobotFunctions(MotionFunctions, StateFunctions, IoFunctions):
-    """The functions of one `Machine`."""
+    """The functions of one robot.
+
+    Args:
+        machine: The robot.
+    """
 
 
 def function_names(e_series: bool) -> list[str]:
-    """Of the functions that a controller of this generation has."""
+    """Names of the functions of a CB3 or an e-Series controller."""
     names = [name for name in dir(RobotFunctions) if not name.startswith("_")]
     return [name for name in names if e_series or name not in E_SERIES_ONLY]

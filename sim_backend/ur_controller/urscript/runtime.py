@@ -1,4 +1,4 @@
-"""One running program: its threads, stepped once a controller tick."""
+"""A running program: its threads, stepped once per tick of the controller."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from toolee_robot.sim_backend.ur_controller.urscript.library import LIBRARY
 from toolee_robot.sim_backend.ur_controller.urscript.robot_functions import RobotFunctions, function_names
 
 BUDGET = 20_000
-"""So many loop passes and calls may a thread make in one tick; more is an endless loop without `sync()`."""
+"""Loop iterations and calls per tick and thread, above which a thread is in an endless loop without `sync()`."""
 THREADS = 100
-"""So many threads may a program have; those that ended count until the end of the tick."""
+"""Largest number of threads of a program; ended threads count until the end of the tick."""
 SCRIPT_FAULTS = (
     ArithmeticError,
     IndexError,
@@ -31,24 +31,34 @@ SCRIPT_FAULTS = (
 
 
 class _End(Exception):
-    """`halt`, or a thread that kills itself."""
+    """Raised by `halt`, and by a thread that kills itself."""
 
 
 class _Thread:
+    """A thread of a program: its generator, and whether it has not ended."""
+
     def __init__(self, generator: Generator[None, None, Any]) -> None:
         self.generator, self.alive = generator, True
 
 
 class ScriptRuntime:
-    """A program on a controller.
+    """A program on a controller; it starts with the next `step`.
 
-    source: text of one program (`def name(): ... end`, or `sec`, or bare statements) as it came over port
-    30001..30003; it starts with the next `step`. Raises ScriptError when it does not parse or calls what does not
-    exist (a controller then shows the message and runs nothing).
+    Threads are scheduled in the order of their start; within a tick each runs until it waits. During a critical section
+    only its thread runs. The program ends with its main function.
 
-    name: of the program. secondary: it is a `sec`: it takes no time and leaves the arm alone. error: why it ended.
-    Threads take turns in the order of their start; within a tick each runs until it waits. In a critical section only
-    the thread that is in it runs. The program ends with its main function.
+    Args:
+        source: Text of one program (`def name(): ... end`, or `sec`, or bare statements).
+        machine: The robot.
+
+    Attributes:
+        name: Name of the program.
+        secondary: Whether it is a `sec`, which takes no time and does not move the arm.
+        error: Error that ended the program, or None.
+        running: Whether it has not ended.
+
+    Raises:
+        ScriptError: It does not parse, or calls a function that does not exist.
     """
 
     def __init__(self, source: str, machine: Machine) -> None:
@@ -77,9 +87,12 @@ class ScriptRuntime:
         self._left = BUDGET
 
     def step(self, dt: float) -> None:
-        """Run every thread until it blocks or syncs; dt [s]: since the last step.
+        """Run every thread until it waits.
 
-        On a script error the program ends: `running` falls, `error` is set and the arm decelerates.
+        On a script error the program ends: `running` becomes False, `error` is set, and the arm decelerates.
+
+        Args:
+            dt: Time since the last step [s].
         """
         if not self.running or (not self.secondary and self._silent(dt)):
             return
@@ -96,7 +109,7 @@ class ScriptRuntime:
         self._threads = [thread for thread in self._threads if thread.alive]
 
     def stop(self) -> None:
-        """End the program (stop button, dashboard, fault): threads end and the arm decelerates."""
+        """End the program and its threads; the arm decelerates."""
         if not self.running:
             return
         self.running = False
@@ -143,7 +156,7 @@ class ScriptRuntime:
         return thread
 
     def _kill(self, thread: Any) -> None:
-        """Scripts keep a 0 where no thread runs: killing that is nothing."""
+        """End a thread. Other values are ignored: scripts use 0 for "no thread"."""
         if not isinstance(thread, _Thread) or not thread.alive:
             return
         thread.alive = False
@@ -165,7 +178,7 @@ class ScriptRuntime:
 
 
 def _described(error: Exception) -> ScriptError:
-    """With the script's line, out of the traceback."""
+    """Convert an error to a ScriptError with the script's line from the traceback."""
     line = 0
     trace: TracebackType | None = error.__traceback__
     while trace is not None:

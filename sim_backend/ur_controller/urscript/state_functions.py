@@ -1,4 +1,4 @@
-"""URScript's functions that ask for the arm's state or change its settings. As in the Script Manual."""
+"""URScript functions that read the arm's state or change its settings, as in the Script Manual."""
 
 from __future__ import annotations
 
@@ -14,11 +14,17 @@ from toolee_robot.sim_backend.ur_controller.robot.motion import MotionError
 from toolee_robot.sim_backend.ur_controller.urscript.library import as_pose, matrix, six
 from toolee_robot.sim_backend.ur_controller.urscript.values import Pose, numbers
 
-CONTACT = 20.0  # [N] against the direction that count as contact
+CONTACT = 20.0  # [N] against the direction above which there is contact
 CONTACT_START = 5.0  # [N] above which a contact has begun
 
 
 class StateFunctions:
+    """Functions for state and settings.
+
+    Args:
+        machine: The robot.
+    """
+
     def __init__(self, machine: Machine) -> None:
         self._machine = machine
 
@@ -37,7 +43,7 @@ class StateFunctions:
         return _list(self._machine.qd_target)
 
     def get_actual_joint_positions_history(self, steps: int = 0) -> list[float]:
-        """So many ticks ago."""
+        """Joint positions a number of ticks ago."""
         history = self._machine.history
         if type(steps) is not int or not 0 <= steps < len(history):
             raise ValueError(f"there is no history of {steps} steps")
@@ -59,7 +65,7 @@ class StateFunctions:
         return _list(self._machine.tcp_speed(target=True))
 
     def get_target_waypoint(self) -> Pose:
-        """Where the present move leads."""
+        """Pose of the TCP at the end of the current move."""
         goal = self._machine.goal()
         return as_pose(forward(self._machine.model, goal) @ self._machine.X_flange_tcp)
 
@@ -80,7 +86,8 @@ class StateFunctions:
         maxOrientationError: float = 1e-10,
         tcp: Any = "active_tcp",
     ) -> list[float]:
-        """The kinematics are exact: the tolerances are not used. Ends the program when nothing reaches x."""
+        """Inverse kinematics; ends the program if x is out of reach. The tolerances are not used, as the solution is
+        exact."""
         numbers(maxPositionError, maxOrientationError)
         q = self._inverse(x, qnear, tcp)
         if q is None:
@@ -106,7 +113,7 @@ class StateFunctions:
         return self._machine.X_flange_tcp if isinstance(tcp, str) else matrix(tcp)
 
     def is_within_safety_limits(self, pose: Any) -> bool:
-        """Of a pose or of joints: reachable within the joint limits."""
+        """Whether a pose or joint positions are within the joint limits."""
         if isinstance(pose, Pose):
             return self._inverse(pose, "", "") is not None
         return bool(np.all(np.abs(six(pose, "joint vector")) <= np.array(self._machine.model.position)))
@@ -126,8 +133,11 @@ class StateFunctions:
         self._machine.zero_wrench()
 
     def tool_contact(self, direction: Any = None) -> int:
-        """Ticks back to just before a contact began that pushes against the direction (base axes; all zero or without
-        one: any); 0 without contact."""
+        """Number of ticks since just before the current contact began; 0 without contact.
+
+        Args:
+            direction: Direction in base axes against which the contact acts; None or zeros for any direction.
+        """
         axis = np.array(six([0.0] * 6 if direction is None else direction, "direction")[:3])
         length = float(np.linalg.norm(axis))
         steps = 0
@@ -143,7 +153,7 @@ class StateFunctions:
     def ft_rtde_input_enable(
         self, enable: Any, sensor_mass: float = 0, sensor_measuring_offset: Any = None, sensor_cog: Any = None
     ) -> None:
-        """The wrench is RTDE's external_force_torque, flange axes, at the flange; the sensor weighs nothing."""
+        """Use RTDE's external_force_torque, at the flange in its axes, as the wrench; the sensor's mass is ignored."""
         del sensor_measuring_offset, sensor_cog
         numbers(sensor_mass, 0)
         self._machine.external_sensor = enable is True
@@ -163,7 +173,7 @@ class StateFunctions:
         return Pose(_list(self._machine.tcp))
 
     def set_payload(self, m: float, cog: Any = None) -> None:
-        """Without a centre of gravity: the flange's origin, [m]."""
+        """Set the payload; the centre of gravity [m] defaults to the flange's origin."""
         self._machine.set_payload(self._mass(m), _three([0.0] * 3 if cog is None else cog))
 
     def set_payload_mass(self, m: float) -> None:
@@ -192,7 +202,7 @@ class StateFunctions:
         return _list(self._machine.payload_inertia)
 
     def set_gravity(self, d: Any) -> None:
-        """Upwards [m/s^2], base axes."""
+        """Set the acceleration equivalent to gravity [m/s^2], base axes; points upwards."""
         self._machine.gravity = _three(d)
 
     def get_joint_temp(self, j: int) -> float:

@@ -1,4 +1,4 @@
-"""A script as a tree."""
+"""Syntax tree of a script. `line` of every node is its line in the script, 1-based."""
 
 from __future__ import annotations
 
@@ -7,19 +7,23 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True)
 class Literal:
+    """A number, boolean or string."""
+
     value: int | float | bool | str
     line: int
 
 
 @dataclass(frozen=True, slots=True)
 class Name:
+    """A variable."""
+
     name: str
     line: int
 
 
 @dataclass(frozen=True, slots=True)
 class ListOf:
-    """A list, or with `pose` the six numbers of `p[...]`."""
+    """A list, or with `pose` a pose `p[...]`."""
 
     items: tuple[Expression, ...]
     pose: bool
@@ -28,6 +32,8 @@ class ListOf:
 
 @dataclass(frozen=True, slots=True)
 class Index:
+    """An element of a list: base[index]."""
+
     base: Expression
     index: Expression
     line: int
@@ -35,7 +41,7 @@ class Index:
 
 @dataclass(frozen=True, slots=True)
 class Unary:
-    """operator: "-" or "not"."""
+    """A unary operation; operator: "-" or "not"."""
 
     operator: str
     operand: Expression
@@ -44,6 +50,8 @@ class Unary:
 
 @dataclass(frozen=True, slots=True)
 class Binary:
+    """A binary operation."""
+
     operator: str
     left: Expression
     right: Expression
@@ -52,7 +60,15 @@ class Binary:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """thread: `run` stands before it."""
+    """A function call.
+
+    Attributes:
+        name: Name of the function.
+        arguments: Positional arguments.
+        named: Named arguments.
+        thread: Whether it starts a thread (`run`).
+        line: Line of the script.
+    """
 
     name: str
     arguments: tuple[Expression, ...]
@@ -66,7 +82,7 @@ Expression = Literal | Name | ListOf | Index | Unary | Binary | Call
 
 @dataclass(frozen=True, slots=True)
 class Assign:
-    """scope: "global", "local" or "" (what is global keeps being global)."""
+    """An assignment; scope: "global", "local", or "" for none, with which a global variable stays global."""
 
     name: str
     scope: str
@@ -76,7 +92,7 @@ class Assign:
 
 @dataclass(frozen=True, slots=True)
 class AssignItem:
-    """name[i][j]... = value."""
+    """An assignment to an element: name[i][j]... = value."""
 
     name: str
     indices: tuple[Expression, ...]
@@ -86,7 +102,7 @@ class AssignItem:
 
 @dataclass(frozen=True, slots=True)
 class Evaluate:
-    """A call for its effect."""
+    """A call as a statement."""
 
     call: Call
     line: int
@@ -94,6 +110,8 @@ class Evaluate:
 
 @dataclass(frozen=True, slots=True)
 class If:
+    """if, elif, else: conditions with their blocks, and the block of else."""
+
     branches: tuple[tuple[Expression, Block], ...]
     otherwise: Block
     line: int
@@ -101,6 +119,8 @@ class If:
 
 @dataclass(frozen=True, slots=True)
 class While:
+    """A while loop."""
+
     condition: Expression
     body: Block
     line: int
@@ -108,13 +128,15 @@ class While:
 
 @dataclass(frozen=True, slots=True)
 class Return:
+    """A return statement."""
+
     value: Expression | None
     line: int
 
 
 @dataclass(frozen=True, slots=True)
 class Keyword:
-    """break, continue, halt, enter_critical or exit_critical."""
+    """A statement of one keyword: break, continue, halt, enter_critical or exit_critical."""
 
     word: str
     line: int
@@ -122,7 +144,7 @@ class Keyword:
 
 @dataclass(frozen=True, slots=True)
 class Thread:
-    """kill or join: what is done with a running thread."""
+    """A kill or join statement."""
 
     word: str
     thread: Expression
@@ -135,7 +157,16 @@ Block = tuple[Statement, ...]
 
 @dataclass(frozen=True, slots=True)
 class Function:
-    """kind: "def", "sec" or "thread". defaults: of the last parameters."""
+    """A function definition.
+
+    Attributes:
+        kind: "def", "sec" or "thread".
+        name: Name of the function.
+        parameters: Names of the parameters.
+        defaults: Default values of the last parameters.
+        body: Statements.
+        line: Line of the script.
+    """
 
     kind: str
     name: str
@@ -147,7 +178,12 @@ class Function:
 
 @dataclass(slots=True)
 class Program:
-    """main: what runs. functions: all that are defined anywhere in it, by name."""
+    """A program.
+
+    Attributes:
+        main: The function that runs.
+        functions: All functions defined anywhere in it, by name.
+    """
 
     main: Function
     functions: dict[str, Function] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""URScript's words."""
+"""Tokens of URScript."""
 
 from __future__ import annotations
 
@@ -19,17 +19,25 @@ INT_MAX = 2**31 - 1
 
 
 class Kind(Enum):
+    """Kind of a token."""
+
     NUMBER = auto()
     STRING = auto()
     NAME = auto()
     WORD = auto()
-    """A keyword or a sign."""
+    """A keyword or an operator."""
     END = auto()
 
 
 @dataclass(frozen=True, slots=True)
 class Token:
-    """text: as written; of a string without its quotes. line: 1-based."""
+    """A token.
+
+    Attributes:
+        kind: Kind of the token.
+        text: Its text; of a string, without the quotes.
+        line: Line of the script, 1-based.
+    """
 
     kind: Kind
     text: str
@@ -48,7 +56,17 @@ _PATTERN = re.compile(
 
 
 def tokenise(source: str) -> list[Token]:
-    """All tokens of a script, the last of kind END. Raises ScriptError at what is no word of the language."""
+    """Split a script into tokens.
+
+    Args:
+        source: The script.
+
+    Returns:
+        The tokens, the last of kind END.
+
+    Raises:
+        ScriptError: There is a character that does not belong to the language.
+    """
     tokens: list[Token] = []
     line, at = 1, 0
     while at < len(source):
@@ -71,7 +89,7 @@ def tokenise(source: str) -> list[Token]:
 
 
 def number(token: Token) -> int | float:
-    """The value of a NUMBER: whole numbers are 32-bit integers. Raises ScriptError outside the range."""
+    """Value of a NUMBER token: a 32-bit integer or a float. Raises ScriptError outside the range."""
     text = token.text
     if text[:2] in ("0x", "0X"):
         value: int | float = int(text, 16)

@@ -1,8 +1,8 @@
-"""Values of a script and what the language does with them.
+"""Values of a script and the operations on them.
 
-Numbers are 32-bit integers and floats; there are booleans, texts, lists and poses. Nothing is converted silently: a
-boolean is no number, and an integer that does not fit 32 bits is an error. Lists and poses are values: assigning one
-copies it.
+Types are 32-bit integers, floats, booleans, strings, lists and poses. There are no implicit conversions: a boolean is
+not a number, and an integer that does not fit 32 bits is an error. Lists and poses have value semantics: assignment
+copies.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ _NUMBERS = frozenset({int, float})
 
 
 class Pose(list[float]):
-    """p[x, y, z, rx, ry, rz]."""
+    """A pose `p[x, y, z, rx, ry, rz]`: position [m], rotation vector [rad]."""
 
 
 def kind(value: Any) -> str:
-    """What a message calls a value."""
+    """Name of a value's type in messages."""
     if value is None:
         return "nothing"
     names = {bool: "a boolean", int: "an integer", float: "a float", str: "a text", list: "a list", Pose: "a pose"}
@@ -27,49 +27,56 @@ def kind(value: Any) -> str:
 
 
 def numbers(a: Any, b: Any) -> None:
+    """Raise TypeError unless both values are numbers."""
     if type(a) not in _NUMBERS or type(b) not in _NUMBERS:
         raise TypeError(f"expected two numbers, got {kind(a)} and {kind(b)}")
 
 
 def fitting(value: Any) -> Any:
+    """The value; raises OverflowError for an integer that does not fit 32 bits."""
     if type(value) is int and not -INT_MAX - 1 <= value <= INT_MAX:
         raise OverflowError("an integer does not fit 32 bits")
     return value
 
 
 def add(a: Any, b: Any) -> Any:
+    """a + b."""
     numbers(a, b)
     return fitting(a + b)
 
 
 def subtract(a: Any, b: Any) -> Any:
+    """a - b."""
     numbers(a, b)
     return fitting(a - b)
 
 
 def multiply(a: Any, b: Any) -> Any:
+    """a * b."""
     numbers(a, b)
     return fitting(a * b)
 
 
 def divide(a: Any, b: Any) -> Any:
-    """Always a float."""
+    """a / b; always a float."""
     numbers(a, b)
     return a / b
 
 
 def modulo(a: Any, b: Any) -> Any:
-    """The remainder with the divisor's sign."""
+    """a % b; has the divisor's sign."""
     numbers(a, b)
     return a % b
 
 
 def negate(a: Any) -> Any:
+    """-a."""
     numbers(a, 0)
     return fitting(-a)
 
 
 def truth(value: Any) -> bool:
+    """The value; raises TypeError unless it is a boolean."""
     if value is True or value is False:
         return value
     raise TypeError(f"expected a boolean, got {kind(value)}")
@@ -86,17 +93,19 @@ def _position(values: Any, index: Any) -> int:
 
 
 def item(values: Any, index: Any) -> Any:
+    """values[index]; raises TypeError or IndexError."""
     return values[_position(values, index)]
 
 
 def flat(value: Any) -> Any:
-    """The value, unless it is a list of lists: those are not put into lists again. Raises TypeError."""
+    """The value; raises TypeError for a list of lists, which must not be an element of a list."""
     if isinstance(value, list) and any(isinstance(each, list) for each in value):
         raise TypeError("lists are nested twice at most")
     return value
 
 
 def set_item(values: Any, index: Any, value: Any) -> None:
+    """values[index] = value; raises TypeError or IndexError."""
     at = _position(values, index)
     flat(value)
     if type(values) is Pose:
@@ -105,20 +114,21 @@ def set_item(values: Any, index: Any, value: Any) -> None:
 
 
 def pose(*items: Any) -> Pose:
+    """A pose of numbers; raises TypeError."""
     for value in items:
         numbers(value, 0)
     return Pose(items)
 
 
 def copied(value: Any) -> Any:
-    """The value itself, or a copy of a list."""
+    """The value, or a deep copy of a list."""
     if isinstance(value, list):
         return type(value)(copied(each) for each in value)
     return value
 
 
 def text(value: Any) -> str:
-    """As `textmsg` and `to_str` write it."""
+    """The value as `textmsg` and `to_str` format it."""
     if isinstance(value, list):
         return ("p[" if type(value) is Pose else "[") + ", ".join(map(text, value)) + "]"
     if type(value) is float:

@@ -10,8 +10,8 @@ from tests.examples import examples
 from toolee_robot.findings import Level, worst
 from toolee_robot.frames import Array
 from toolee_robot.hardware.ur.checks import UrExpected, check
-from toolee_robot.hardware.ur.probe import PortState, RtdeQuality, UrReport, UrState
 from toolee_robot.hardware.ur.protocols.primary import UrKinematics
+from toolee_robot.hardware.ur.report import PortState, RtdeQuality, UrReport, UrState
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.types import ArmModel, Payload
 

@@ -12,6 +12,7 @@ from functools import partial
 
 import pytest
 
+from tests.errors import raises
 from tests.hardware.ur.swings import SLACK, Stop, braked, shortest_stop, stop_after, swing, wait_for_mid_swing
 from tests.stand_in import HOME, PATIENT, held, patient, stand_in
 from toolee_robot.config import ArmLimits
@@ -111,7 +112,7 @@ def test_emergency_stop(arm: UrArm, controller: ControllerProcess) -> None:
     assert isinstance(error, EmergencyStopError)
     assert stop.time < 0.3 + SLACK
     expect_latch(arm)
-    with pytest.raises(NotReadyError, match="emergency"):
+    with raises(NotReadyError, code="not_ready.emergency_stop"):
         arm.reset()
 
 

@@ -15,7 +15,8 @@ import pytest
 from toolee_robot.findings import Finding, Level
 from toolee_robot.hardware.ur.checks import UrExpected, check
 from toolee_robot.hardware.ur.kinematics import calibration_of
-from toolee_robot.hardware.ur.probe import UrReport, probe
+from toolee_robot.hardware.ur.probe import probe
+from toolee_robot.hardware.ur.report import UrReport
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel, Payload
 
@@ -124,8 +125,8 @@ _FAULTS: list[tuple[str, dict[str, Any], str, Level, str]] = [
     ("safety_fault", {"violation": True}, "safety", Level.FAIL, "violation"),
     ("kinematics", {"a": [0, 2e-3, -1e-3, 0, 0, 0], "d": [1e-3] + [0] * 5}, "kinematics", Level.WARN, "nominal"),
     ("kinematics", {"a": [0, 0.05, 0, 0, 0, 0], "d": [0] * 6}, "kinematics", Level.FAIL, "mm off"),
-    ("missing", {"variables": ["payload", "payload_cog"]}, "payload", Level.WARN, "does not tell"),
-    ("missing", {"variables": ["tcp_offset"]}, "TCP", Level.WARN, "does not tell"),
+    ("missing", {"variables": ["payload", "payload_cog"]}, "payload", Level.WARN, "does not report"),
+    ("missing", {"variables": ["tcp_offset"]}, "TCP", Level.WARN, "does not report"),
     ("missing", {"variables": ["actual_q"]}, "RTDE", Level.FAIL, "actual_q"),
     ("nan", {"variables": ["actual_q"], "ticks": 10_000}, "RTDE", Level.FAIL, "not finite"),
     ("nan", {"variables": ["tcp_offset"], "ticks": 10_000}, "RTDE", Level.FAIL, "not finite"),

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from tests.errors import raises
 from toolee_robot.config import CameraConfig
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.frames import inverse, transform
@@ -84,10 +85,10 @@ def test_a_frozen_or_closed_camera_raises() -> None:
     with camera:
         camera.read()
         camera.freeze()
-        with pytest.raises(StaleDataError, match="no new frame"):
+        with raises(StaleDataError, code="stale_data.camera"):
             camera.read(max_age=0.2)
         assert clock.now() >= 0.2
         camera.thaw()
         assert camera.read().stamp >= 0.2
-    with pytest.raises(DeviceError, match="closed"):
+    with raises(DeviceError, code="device.closed"):
         camera.read()

@@ -13,16 +13,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from toolee_robot.frames import Array, transform
-from toolee_robot.sim_backend.physics import grip as grip_module
+from toolee_robot.sim_backend.physics import grip_gains
 from toolee_robot.sim_backend.physics.bullet import pb
-from toolee_robot.sim_backend.physics.grip import (
+from toolee_robot.sim_backend.physics.grip import AssistedGrip, GripLimits
+from toolee_robot.sim_backend.physics.grip_gains import (
     ANGULAR_DAMPING,
     ANGULAR_STIFFNESS,
     DAMPING,
     STIFFNESS,
-    AssistedGrip,
     GripGains,
-    GripLimits,
 )
 from toolee_robot.sim_backend.physics.impact_steps import IMPACT, StepSettings
 from toolee_robot.sim_backend.station import draw_hammer
@@ -120,7 +119,7 @@ def test_a_slipping_grip_takes_energy_out() -> None:
 
 
 def test_gains_that_ignore_the_inertia_would_spin_a_light_hammer_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grip_module, "STABILITY_NUMBER", np.inf)
+    monkeypatch.setattr(grip_gains, "STABILITY_NUMBER", np.inf)
     energies = kinetic_energies(body_of(151), NORMAL)
     assert energies.max() > 10.0 * energies[0]
 

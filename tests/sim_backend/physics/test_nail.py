@@ -10,6 +10,7 @@ import pybullet as pb
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.errors import raises
 from tests.sim_backend.physics.energy_balance import driven_by
 from toolee_robot.config import WorkConfig
 from toolee_robot.end_effectors import Category
@@ -249,15 +250,15 @@ def test_denser_wood_resists_more_and_a_pilot_hole_less() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    ("wrong", "code"),
     [
-        {"diameter": 2.5},
-        {"protrusion": 0.05},
-        {"pilot_diameter": 0.003},
-        {"specific_gravity": 420.0},
-        {"head_diameter": 0.002},
+        ({"diameter": 2.5}, "config.nail_diameter"),
+        ({"protrusion": 0.05}, "config.nail_protrusion"),
+        ({"pilot_diameter": 0.003}, "config.pilot_hole"),
+        ({"specific_gravity": 420.0}, "config.specific_gravity"),
+        ({"head_diameter": 0.002}, "config.nail_head"),
     ],
 )
-def test_impossible_nails_are_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(ConfigError):
+def test_impossible_nails_are_refused(wrong: dict[str, float], code: str) -> None:
+    with raises(ConfigError, code=code):
         NailSpec(**wrong)

@@ -141,9 +141,9 @@ def _stick(s: Scene) -> None:
 
 
 HAND = (
-    JobFault(15, "hand does not open in time", REST, STANDS, _hang, None, FAULT, "its grip too", 0, None),
+    JobFault(15, "hand does not open in time", REST, STANDS, _hang, None, FAULT, "its grip", 0, None),
     JobFault(
-        15, "hand does not close in time", REST, STANDS, _hang, Stage.GRIP, FAULT, "its grip too", 0, "to the handover"
+        15, "hand does not close in time", REST, STANDS, _hang, Stage.GRIP, FAULT, "its grip", 0, "to the handover"
     ),
     JobFault(
         15, "hand falls silent", SWING, BRAKES_ONLY, lambda s: s.bench.sim_hand.cut_link(), IN_STRIKE,
@@ -226,9 +226,9 @@ ARM = (
         JobFault(number, name, SWING, BRAKES, inject, IN_STRIKE, FAULT, message, 1, "strike", braking=braking,
                  job_latches=True, arm_latches=True, person=person)
         for number, name, inject, message, braking, person in (
-            (7, "a joint sticks", _stick, "where it was sent", Braking(8, arm_off=True), False),
+            (7, "a joint sticks", _stick, "away from its command", Braking(8, arm_off=True), False),
             (9, "network link cut", lambda s: s.bench.arm.cut_link(), "network link", Braking(4), True),
-            (10, "commands go out late", lambda s: s.bench.arm.delay_commands(50), "went out late", Braking(5), False),
+            (10, "commands go out late", lambda s: s.bench.arm.delay_commands(50), "sent late", Braking(5), False),
             (12, "protective stop", lambda s: s.bench.arm.protective_stop(), "protective", Braking(1), True),
             (13, "emergency stop", lambda s: s.bench.arm.emergency_stop(), "emergency", Braking(1), True),
         )

@@ -1,6 +1,6 @@
-"""Is this robot the one that was configured, and ready? Each line of the answer says what to do.
+"""Checks that a robot is the configured one and ready; every failed finding contains its remedy.
 
-Software checks are no safety functions: they find mistakes before motion, they protect nobody.
+These checks are not safety functions: they find mistakes before a motion, they protect nobody.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from toolee_robot.findings import Finding, fail, ok, warn
-from toolee_robot.hardware.ur.probe import RtdeQuality, UrReport, UrState
 from toolee_robot.hardware.ur.protocols.rtde import RTDE_PORT
+from toolee_robot.hardware.ur.report import RtdeQuality, UrReport, UrState
 from toolee_robot.hardware.ur.setup_checks import UrExpected, check_kinematics, check_payload, check_tcp
 from toolee_robot.types import ArmModel
 
@@ -59,18 +59,26 @@ _SAFETY_REMEDY = {
 }
 
 IMPLAUSIBLE = 100.0
-"""No joint [rad, rad/s] and no TCP [m, rad] reads so much, and arithmetic with what is far more would overflow."""
+"""Bound of plausible joint [rad, rad/s] and TCP [m, rad] readings; far larger values would overflow in arithmetic."""
 
 LOST = 0.3
-"""Share of a second's readings whose loss is not a busy machine any more."""
-CLOCK_OFF, CLOCK_WRONG = 0.02, 0.3
-"""Seconds per second: one stutter of either machine while listening, and a controller that is not in real time."""
+"""Fraction of lost readings above which load on this machine is no explanation."""
+CLOCK_WARNING, CLOCK_FAILURE = 0.02, 0.3
+"""Deviation of the clock ratio from 1: more than a stall of either machine explains, and not in real time at all."""
 
 __all__ = ["UrExpected", "check"]
 
 
 def check(report: UrReport, expected: UrExpected) -> list[Finding]:
-    """One finding per thing checked, in the order in which a person would mend them."""
+    """Check a robot against its configuration.
+
+    Args:
+        report: What a probe has read from the robot.
+        expected: What the configuration requires.
+
+    Returns:
+        One finding per check, in the order in which a person would fix them.
+    """
     findings = list(_network(report))
     if not report.reachable:
         return findings
@@ -81,7 +89,7 @@ def check(report: UrReport, expected: UrExpected) -> list[Finding]:
         return [*findings, fail("RTDE", why, f"check that port {RTDE_PORT} is open on the robot (Settings, Security)")]
     offset = np.zeros(6) if state.tcp_offset is None else state.tcp_offset
     if not all(np.all(np.abs(v) < IMPLAUSIBLE) for v in (state.q, state.qd, state.tcp_pose, offset)):
-        return [*findings, fail("RTDE", "joints or TCP are not finite, or absurd", "restart the controller")]
+        return [*findings, fail("RTDE", "joints or TCP are not finite, or implausible", "restart the controller")]
     findings += [
         _robot_mode(state),
         _safety(state),
@@ -146,7 +154,7 @@ def _version(version: tuple[int, int, int, int]) -> Finding:
         return fail(name, f"{message} is not supported", "use PolyScope 3.15 (CB3) or 5.11 to 5.22 (e-Series)")
     if (major == 3 and minor < 15) or (major == 5 and not 11 <= minor < 23):
         return warn(
-            name, f"{message} was never tried", "3.15 and 5.11 to 5.22 are: test slowly first, or change version"
+            name, f"{message} is untested", "3.15 and 5.11 to 5.22 are tested: move slowly first, or change version"
         )
     return ok(name, message)
 
@@ -163,7 +171,8 @@ def _model(report: UrReport, version: tuple[int, int, int, int], expected: UrExp
             "set arm.model in the station file, or connect to the right robot",
         )
     if report.model is None:
-        return warn("robot model", f"this PolyScope does not tell it; the controller is {generation}", "see kinematics")
+        message = f"this PolyScope does not report it; the controller is {generation}"
+        return warn("robot model", message, "see kinematics")
     return ok("robot model", f"{named} ({generation})")
 
 
@@ -189,7 +198,8 @@ def _remote_control(report: UrReport) -> Finding:
     if report.version is not None and report.version[0] <= 3:
         return ok(name, "a CB3 controller has no local mode")
     if report.remote_control is None:
-        return warn(name, "the dashboard does not tell", "switch the robot to remote control, top right on the pendant")
+        remedy = "switch the robot to remote control, top right on the pendant"
+        return warn(name, "the dashboard does not report it", remedy)
     if not report.remote_control:
         return fail(name, "the robot is in local control", "switch it to remote control, top right on the pendant")
     return ok(name, "on")
@@ -198,13 +208,13 @@ def _remote_control(report: UrReport) -> Finding:
 def _motion(state: UrState) -> Iterator[Finding]:
     fastest = float(np.max(np.abs(state.qd)))
     if fastest > 0.02:
-        yield fail("standstill", f"a joint moves at {fastest:.2f} rad/s", "stop whatever moves the robot")
+        yield fail("standstill", f"a joint moves at {fastest:.2f} rad/s", "stop what moves the robot")
     else:
-        yield ok("standstill", "the arm stands")
+        yield ok("standstill", "the arm is at rest")
     if state.robot_status_bits & _TEACH_BIT:
         yield fail("freedrive", "the teach button is pressed", "let go of it")
     if state.runtime_state == _PLAYING:
-        yield warn("program", "a program runs on the robot", "stop it: connecting will, and takes its place")
+        yield warn("program", "a program runs on the robot", "stop it: connecting stops and replaces it")
     else:
         yield ok("program", "none runs")
 
@@ -218,9 +228,9 @@ def _slider(state: UrState) -> Finding:
 
 def _data(quality: RtdeQuality) -> Iterator[Finding]:
     q = quality
-    network = "use a cable of its own and stop other RTDE clients and other programs"
+    network = "use a dedicated cable and stop other RTDE clients and other programs"
     if not abs(q.rate / q.asked - 1.0) <= 0.02:
-        yield fail("RTDE rate", f"{q.rate:.1f} Hz, {q.asked:.0f} Hz was asked for", network)
+        yield fail("RTDE rate", f"{q.rate:.1f} Hz, {q.asked:.0f} Hz requested", network)
     else:
         yield ok("RTDE rate", f"{q.rate:.1f} Hz")
     period = 1.0 / q.asked
@@ -235,9 +245,9 @@ def _data(quality: RtdeQuality) -> Iterator[Finding]:
     else:
         yield ok("RTDE jitter", message)
     drift = f"the controller's clock runs at {q.clock_ratio:.4f} of this machine's"
-    if not abs(q.clock_ratio - 1.0) <= CLOCK_WRONG:
+    if not abs(q.clock_ratio - 1.0) <= CLOCK_FAILURE:
         yield fail("clock", drift, "the controller does not run in real time: restart it, or the simulator is too slow")
-    elif not abs(q.clock_ratio - 1.0) <= CLOCK_OFF:
-        yield warn("clock", drift, "look for load on this machine and on the network, and try again")
+    elif not abs(q.clock_ratio - 1.0) <= CLOCK_WARNING:
+        yield warn("clock", drift, "reduce the load on this machine and on the network, and try again")
     else:
         yield ok("clock", drift)

@@ -1,4 +1,4 @@
-"""What a UR arm's driver has to know about its robot, its network and its servo."""
+"""Configuration of the UR driver: robot address, servo settings, timeouts."""
 
 from __future__ import annotations
 
@@ -11,22 +11,32 @@ from toolee_robot.types import Payload
 
 @dataclass(frozen=True)
 class UrArmConfig:
-    """host: the controller's address. The ports are fixed by the controller.
+    """Settings of one UR arm's driver.
 
-    lookahead [s] (0.03 to 0.2) and gain (100 to 2000): of servoj; the smallest lookahead follows a strike best.
-    lag: the most by which a measured position comes later than its command [s], network and servo included; it is taken
-    off before a tracking error is judged. None: as `servo_lag` says.
-    watchdog: the robot stops the program when it gets no command for 1/watchdog [Hz].
-    connect_timeout: for the connection, once the servo process runs [s]. handshake_timeout: for anything that the
-    control script has to acknowledge: payload, freedrive, the end [s]. link_timeout: at rest, no new data for so long
-    is a lost link [s]; ur_rtde itself gives up after 2.5 s and is then not to be trusted. hang_timeout: in motion, no
-    sign of life of the servo process for so long is a crash [s]. heartbeat_timeout: the task's process shows no life
-    for so long, and the arm brakes [s]. longest_motion [s].
-    payload, tcp: what the robot's installation must say at the start, tcp as x, y, z [m] and rotation vector [rad] in
-    the flange frame; None where it is not looked at: the driver sets its own, but what the pendant's programs run with
-    is the installation's.
-    real_time_factor: of the station's clock, on which all these times are, but for link_timeout, which is the wall's as
-    ur_rtde's own is; other than 1 only for a stand-in on a loopback address that runs at the same real-time factor."""
+    All times are on the station's clock, except `link_timeout`, which is on the wall clock as ur_rtde's own timeout is.
+
+    Attributes:
+        host: Address of the controller; its ports are fixed.
+        lookahead: Lookahead time of servoj [s], 0.03 to 0.2. The smallest value follows a strike best.
+        gain: Gain of servoj, 100 to 2000.
+        lag: Upper bound of the delay of a measured position behind its command [s], network and servo included; the
+            tracking error is evaluated with this delay allowed for. None for the default of `servo_lag`.
+        watchdog: Rate of the robot's watchdog [Hz]: the robot stops the program when no command comes for 1/watchdog s.
+        connect_timeout: Timeout of the connection [s], from the start of the servo process's attempt.
+        handshake_timeout: Timeout of every call that the control script acknowledges (payload, freedrive, end of the
+            program) [s].
+        link_timeout: Time without new data at rest after which the link counts as lost [s]; below 2.5 s, after which
+            ur_rtde itself reconnects.
+        hang_timeout: Time without progress of the servo loop after which the servo process counts as hung [s].
+        heartbeat_timeout: Time without a heartbeat of the task's process after which the arm stops [s].
+        longest_motion: Longest duration of one motion [s].
+        payload: Payload that the robot's installation must have at the start, or None for no check. The driver sets its
+            own; the installation's applies to programs that are started at the pendant.
+        tcp: TCP that the robot's installation must have at the start: x, y, z [m] and rotation vector [rad] in the
+            flange frame. None for no check.
+        real_time_factor: Real-time factor of the station's clock. Other than 1 only for a stand-in on a loopback
+            address that runs at the same factor.
+    """
 
     host: str
     lookahead: float = 0.03
@@ -44,27 +54,46 @@ class UrArmConfig:
     real_time_factor: float = 1.0
 
     def __post_init__(self) -> None:
-        """Raises ConfigError, or UserError for the real-time factor."""
+        """Check the values.
+
+        Raises:
+            ConfigError: A value is out of range.
+            UserError: The real-time factor is invalid for this host.
+        """
         check_real_time_factor(self.real_time_factor, self.host)
         if not 0.03 <= self.lookahead <= 0.2:
-            raise ConfigError(f"lookahead {self.lookahead} s: servoj takes 0.03 to 0.2")
+            raise ConfigError(f"lookahead {self.lookahead} s: servoj takes 0.03 to 0.2", code="config.lookahead")
         if not 100 <= self.gain <= 2000:
-            raise ConfigError(f"gain {self.gain}: servoj takes 100 to 2000")
+            raise ConfigError(f"gain {self.gain}: servoj takes 100 to 2000", code="config.gain")
         if not 0 < self.link_timeout < 2.5:
-            raise ConfigError(f"link_timeout {self.link_timeout} s: must be under 2.5, when ur_rtde gives up")
+            raise ConfigError(
+                f"link_timeout {self.link_timeout} s: must be between 0 and 2.5, when ur_rtde reconnects",
+                code="config.link_timeout",
+            )
         positive = (
             *(self.watchdog, self.connect_timeout, self.handshake_timeout),
             *(self.hang_timeout, self.heartbeat_timeout, self.longest_motion),
         )
         if min(positive) <= 0 or (self.lag is not None and self.lag < 0):
-            raise ConfigError("timeouts, the watchdog's rate and longest_motion must be positive, the lag not negative")
+            raise ConfigError(
+                "timeouts, the watchdog's rate and longest_motion must be positive, the lag not negative",
+                code="config.ur_timing",
+            )
 
     @property
     def clock(self) -> HostClock:
-        """Of everything that this driver does."""
+        """The station's clock, which the driver uses for all its times."""
         return HostClock(self.real_time_factor)
 
 
 def servo_lag(config: UrArmConfig, rate: float) -> float:
-    """[s] The configured lag, or the usual one: servoj's lookahead and three cycles."""
+    """Upper bound of the servo's delay.
+
+    Args:
+        config: The driver's settings.
+        rate: The controller's rate [Hz].
+
+    Returns:
+        The configured lag, or by default servoj's lookahead plus three cycles [s].
+    """
     return config.lookahead + 3.0 / rate if config.lag is None else config.lag

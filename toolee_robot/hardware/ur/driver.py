@@ -1,11 +1,12 @@
-"""A UR10 or UR10e over ur_rtde: `hal.Arm`, whose servo loop runs in a process of its own.
+"""Driver of a UR10 or UR10e over ur_rtde: a `hal.Arm` whose servo loop runs in a process of its own.
 
     limits = ArmLimits(model=ArmModel.UR10)
     with UrArm(UrArmConfig("192.168.1.10"), limits) as arm:
         q = arm.state().q_commanded
         arm.execute(joint_move(q, q_goal, ...))
 
-None of this is a safety function: the robot's own safety system is, with its limits set for this task.
+Nothing here is a safety function: people are protected by the robot's own safety system, with its limits set for this
+task.
 """
 
 from __future__ import annotations
@@ -28,15 +29,14 @@ from toolee_robot.errors import (
     ServoCrashError,
     StaleDataError,
 )
-from toolee_robot.findings import Level
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ArmStatus, ContactGuard, MotionReport, MotionWatch
-from toolee_robot.hardware.ur.checks import UrExpected, check
 from toolee_robot.hardware.ur.config import UrArmConfig, servo_lag
-from toolee_robot.hardware.ur.probe import nominal_rate, probe
+from toolee_robot.hardware.ur.probe import nominal_rate
+from toolee_robot.hardware.ur.readiness import require_ready
 from toolee_robot.hardware.ur.servo.client import ServoClient
 from toolee_robot.hardware.ur.servo.clock import Realtime
-from toolee_robot.hardware.ur.servo.messages import Cause, Freedrive, MotionEnded, MotionRequest, SetPayload
+from toolee_robot.hardware.ur.servo.messages import Cause, Freedrive, MotionRequest, SetPayload
 from toolee_robot.hardware.ur.servo.report import build_report, fault
 from toolee_robot.hardware.ur.servo.shared_memory import StateColumn, Word
 from toolee_robot.hardware.ur.status import advice, arm_status
@@ -44,15 +44,17 @@ from toolee_robot.motion.trajectory_checks import check_payload, check_trajector
 from toolee_robot.runtime.gc_pause import gc_paused
 from toolee_robot.types import JointState, Payload, Trajectory
 
-POSITION: Final = np.array([2.0, 2.0, 1.0, 2.0, 2.0, 2.0]) * np.pi  # [rad], either way; the elbow as modelled
-PROBES: Final = 3
-TIMING: Final = {"RTDE rate", "RTDE jitter", "clock"}
-"""Findings that may be this machine's fault, and are looked into up to PROBES times."""
-_POLL: Final = 0.02  # [s]
+POSITION_LIMIT: Final = np.array([2.0, 2.0, 1.0, 2.0, 2.0, 2.0]) * np.pi
+"""[rad] Of the six joints, in both directions; the elbow's as in the robot model."""
 
 
 class UrArm:
-    """See the module. rate [Hz], realtime: known once the context is entered."""
+    """A UR10 or UR10e: `hal.Arm`. `rate`, `lag` and `realtime` are known once the context is entered.
+
+    Args:
+        config: Address, servo settings, timeouts and expected installation of the robot.
+        limits: Model, calibration and motion limits of the arm.
+    """
 
     def __init__(self, config: UrArmConfig, limits: ArmLimits) -> None:
         self._config, self._limits, self._clock = config, limits, config.clock
@@ -64,23 +66,15 @@ class UrArm:
         self._busy = threading.Lock()
 
     def __enter__(self) -> Self:
-        """Check the robot and connect; nothing moves. Raises NotReadyError, naming all that a person must do first, and
-        what `reset` raises."""
-        tcp = None if self._config.tcp is None else np.array(self._config.tcp)
-        expected = UrExpected(self._limits.model, self._limits.calibration, self._config.payload, tcp)
-        for _ in range(PROBES):
-            report = probe(self._config.host, clock=self._clock)
-            failed = [finding for finding in check(report, expected) if finding.level is Level.FAIL]
-            # A second in which this machine was busy says nothing of the robot; a clock that goes back, or does not
-            # come at all, does.
-            quality = report.quality
-            ours = quality is not None and not quality.backward and all(f.name in TIMING for f in failed)
-            if not failed or not ours:
-                break
-        if failed or report.version is None:
-            lines = "\n  ".join(map(str, failed))
-            raise NotReadyError(f"the robot at {self._config.host} is not ready:\n  {lines}")
-        self._rate = nominal_rate(report.version)
+        """Check the robot and connect; nothing moves.
+
+        Raises:
+            NotReadyError: A check failed; the message lists everything a person must do first.
+            DeviceError: The robot does not answer or refuses the connection.
+            ServoCrashError: The servo process died or hung while it connected.
+        """
+        version = require_ready(self._config, self._limits)
+        self._rate = nominal_rate(version)
         self._lag = servo_lag(self._config, self._rate)
         self._fault = None
         self._servo = ServoClient(self._config, self._rate)
@@ -96,30 +90,43 @@ class UrArm:
 
     @property
     def rate(self) -> float:
+        """Rate of the servo commands [Hz]: the controller's RTDE rate."""
         return self._rate
 
     @property
     def lag(self) -> float:
-        """[s] The most by which a measured position comes later than its command, as assumed here."""
+        """Assumed upper bound of the delay of a measured position behind its command [s]."""
         return self._lag
 
     @property
     def realtime(self) -> Realtime:
-        """What the system granted the servo process."""
+        """The real-time privileges that the operating system granted to the servo process."""
         return self._open().realtime
 
     @property
     def servo_pid(self) -> int:
-        """Of the process that talks to the robot."""
+        """Process id of the servo process, which talks to the robot."""
         return self._open().pid
 
     def state(self, max_age: float = 0.1) -> ArmState:
-        """The newest reading, stamped with the station's clock when it came. Raises StaleDataError."""
+        """The newest reading of the arm.
+
+        Args:
+            max_age: Largest accepted age of the reading [s].
+
+        Returns:
+            The state, stamped on the station's clock with the time at which the reading was received.
+
+        Raises:
+            StaleDataError: The newest reading is older than `max_age`.
+            DeviceError: The arm is closed.
+        """
         state = self._open().memory.read_state()
         age = self._clock.now() - state[StateColumn.SEEN]
         if age > max_age:
             raise StaleDataError(
-                f"the arm's newest state is {age:.2f} s old: check the robot and its network cable, then reset the arm"
+                f"the arm's newest state is {age:.2f} s old: check the robot and its network cable, then reset the arm",
+                code="stale_data.arm",
             )
         joints = JointState(state[StateColumn.Q], state[StateColumn.QD], float(state[StateColumn.SEEN]))
         return ArmState(joints, state[StateColumn.COMMANDED], state[StateColumn.WRENCH], _status(state))
@@ -127,11 +134,28 @@ class UrArm:
     def execute(
         self, trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None
     ) -> MotionReport:
-        """See `hal.Arm`. Ctrl-C brakes the arm on the path first, and is raised when it stands."""
+        """Execute a trajectory and block until standstill; see `hal.Arm`.
+
+        Ctrl-C stops the arm on the path first, and is raised once it stands.
+
+        Args:
+            trajectory: Joint trajectory that starts at the state's `q_commanded`.
+            guard: Contact at which to stop; None for no contact detection.
+            watch: Bounds checked in every cycle; the defaults of `MotionWatch` if None.
+
+        Returns:
+            What was sent and measured, one row per command cycle.
+
+        Raises:
+            LimitError: The trajectory breaks a limit, does not start where the arm is, or is too long.
+            LatchedError: An earlier fault has not been reset.
+            MotionFaultError: A fault stopped the arm; it is latched from now on.
+            DeviceError: The arm is closed or busy.
+        """
         with self._exclusive():
             servo = self._ready()
             q_commanded = servo.memory.read_state()[StateColumn.COMMANDED]
-            check_trajectory(trajectory, q_commanded, -POSITION, POSITION, self._velocity)
+            check_trajectory(trajectory, q_commanded, -POSITION_LIMIT, POSITION_LIMIT, self._velocity)
             samples, knots = servo.memory.write_path(trajectory, self._rate)
             limits = self._limits
             request = MotionRequest(
@@ -147,7 +171,7 @@ class UrArm:
             servo.memory.words[Word.ROWS] = 0
             try:
                 with gc_paused():
-                    cause = self._move(servo, request)
+                    cause = servo.execute(request)
             except ServoCrashError as error:
                 raise self._latch(ServoCrashError(str(error), build_report(servo.memory, Cause.LINK))) from error
         report = build_report(servo.memory, cause)
@@ -156,8 +180,15 @@ class UrArm:
         return report
 
     def set_payload(self, payload: Payload) -> None:
-        """Tell the controller what the flange carries. Raises LimitError for what this arm may not carry, DeviceError
-        when the controller does not report it back."""
+        """Set the payload at the flange in the controller.
+
+        Args:
+            payload: Mass [kg] and centre of mass [m] in the flange frame, hand and tool together.
+
+        Raises:
+            LimitError: The arm may not carry this payload.
+            DeviceError: The controller does not report the payload back, or the arm is closed, busy or latched.
+        """
         check_payload(payload, ARM_DATA[self._limits.model].payload)
         with self._exclusive():
             self._ask(_payload_request(payload))
@@ -165,8 +196,11 @@ class UrArm:
 
     @contextmanager
     def freedrive(self) -> Iterator[None]:
-        """A person moves the arm by hand inside this context, and nothing else does; it holds its place afterwards.
-        Raises DeviceError when the robot refuses."""
+        """Freedrive: inside this context a person can move the arm by hand; afterwards it holds its position.
+
+        Raises:
+            DeviceError: The robot refuses, or the arm is closed, busy or latched.
+        """
         with self._exclusive():
             self._ask(Freedrive(True))
             try:
@@ -175,13 +209,18 @@ class UrArm:
                 self._ask(Freedrive(False))
 
     def stop(self) -> None:
-        """See `hal.Arm`: any thread, any time; `execute` then returns."""
+        """Stop the arm on its path; callable at any time from any thread. `execute` then returns; see `hal.Arm`."""
         if self._servo is not None:
             self._servo.ask_to_stop()
 
     def reset(self) -> None:
-        """See `hal.Arm`. A latched arm gets a new servo process and connection. Raises NotReadyError as long as a
-        person has to make the robot ready, DeviceError when it does not answer, ServoCrashError."""
+        """Clear a latched fault with a new servo process and connection; does nothing where none is latched.
+
+        Raises:
+            NotReadyError: A person must make the robot ready first.
+            DeviceError: The robot does not answer or refuses the connection, or the arm is closed or busy.
+            ServoCrashError: The new servo process died or hung while it connected.
+        """
         with self._exclusive():
             servo = self._open()
             self._notice(servo)
@@ -190,7 +229,7 @@ class UrArm:
             with suppress(StaleDataError):
                 status = self.state().status
                 if status is not ArmStatus.READY:
-                    raise NotReadyError(advice(status))
+                    raise NotReadyError(advice(status), code=f"not_ready.{status}")
             servo.close()
             self._servo = servo = ServoClient(self._config, self._rate)
             self._fault = None
@@ -199,20 +238,20 @@ class UrArm:
 
     def _open(self) -> ServoClient:
         if self._servo is None:
-            raise DeviceError("the arm is closed: use it inside its `with` block")
+            raise DeviceError("the arm is closed: use it inside its `with` block", code="device.closed")
         return self._servo
 
     @contextmanager
     def _exclusive(self) -> Iterator[None]:
         if not self._busy.acquire(blocking=False):
-            raise DeviceError("the arm is busy with another motion, or in freedrive")
+            raise DeviceError("the arm is busy with another motion, or in freedrive", code="device.busy")
         try:
             yield
         finally:
             self._busy.release()
 
     def _ready(self) -> ServoClient:
-        """The servo process of an arm that may move."""
+        """The servo process, if nothing is latched. Raises LatchedError otherwise."""
         servo = self._open()
         self._notice(servo)
         if self._fault is not None:
@@ -220,7 +259,7 @@ class UrArm:
         return servo
 
     def _notice(self, servo: ServoClient) -> None:
-        """Latch what has happened at rest."""
+        """Latch a fault that has occurred at rest."""
         if self._fault is not None:
             return
         cause = Cause(int(servo.memory.words[Word.CAUSE]))
@@ -241,33 +280,6 @@ class UrArm:
             self._ready().ask(request)
         except ServoCrashError as error:
             raise self._latch(error) from error
-
-    def _move(self, servo: ServoClient, request: MotionRequest) -> Cause:
-        """Request a motion and wait for its end, as long as the servo process gives signs of life."""
-        try:
-            servo.send(request)
-            return self._await(servo)
-        except BaseException as error:
-            # Ctrl-C, or anything else that hits this thread: the arm stands before it is raised.
-            if not isinstance(error, MotionFaultError):
-                servo.ask_to_stop()
-                self._await(servo)
-            raise
-
-    def _await(self, servo: ServoClient) -> Cause:
-        cycles, since = -1, self._clock.now()
-        while True:
-            reply = servo.receive(_POLL)
-            if isinstance(reply, MotionEnded):
-                return reply.cause
-            if reply is not None:
-                servo.kill()
-                raise ServoCrashError(f"the servo process answered {reply!r} to a motion: reset the arm")
-            now, done = self._clock.now(), int(servo.memory.words[Word.CYCLES])
-            if done != cycles:
-                cycles, since = done, now
-            elif now - since > self._config.hang_timeout:
-                raise servo.crash(hung=True)
 
     @staticmethod
     def _status_now(servo: ServoClient) -> ArmStatus:

@@ -1,4 +1,4 @@
-"""Is our model of the arm the controller's own? Compared by where they put the flange or the TCP."""
+"""Comparison of arm kinematics by the flange or TCP poses that they predict."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from toolee_robot.robots.dh import DhParameters
 from toolee_robot.types import ArmModel, DhCalibration
 
 ANGLE_ARM = 0.1
-"""[m] An error of orientation counts as what it moves a point so far away: the hand's length."""
+"""[m] Lever arm by which an orientation error is converted to a distance: the hand's length."""
 
 
 def pose_matrix(pose: Array) -> Array:
@@ -24,27 +24,42 @@ def angle_between(a: Array, b: Array) -> float:
 
 
 def pose_error(X: Array, Y: Array) -> float:
-    """Distance [m] of two poses (4x4), their orientations counted with ANGLE_ARM."""
+    """Distance [m] between two poses (4x4), with the rotation weighted by ANGLE_ARM."""
     turned = Rotation.from_matrix(X[:3, :3].T @ Y[:3, :3]).magnitude()
     return float(np.hypot(np.linalg.norm(X[:3, 3] - Y[:3, 3]), ANGLE_ARM * turned))
 
 
 def tcp_error(dh: DhParameters, q: Array, tcp_offset: Array, tcp_pose: Array) -> float:
-    """How far [m] the TCP is, by these parameters at q (6,), from where the controller says that it is.
+    """Deviation of a predicted TCP pose from the one that the controller reports.
 
-    tcp_offset: (6,) in the flange. tcp_pose: (6,) in the controller's base.
+    Args:
+        dh: Kinematic parameters of the arm.
+        q: Joint positions, (6,) [rad].
+        tcp_offset: TCP in the flange frame, (6,): position [m], rotation vector [rad].
+        tcp_pose: TCP in the controller's base, (6,), likewise.
+
+    Returns:
+        The deviation [m], see `pose_error`.
     """
     return pose_error(dh.fk(q) @ pose_matrix(tcp_offset), pose_matrix(tcp_pose))
 
 
 def worst_error(a: DhParameters, b: DhParameters) -> float:
-    """How far [m] two arms' flanges are apart at most, over postures all over the work space."""
+    """Largest deviation [m] between two arms' flange poses over 30 random configurations."""
     qs = np.random.default_rng(0).uniform(-np.pi, np.pi, (30, 6))
     return max(pose_error(a.fk(q), b.fk(q)) for q in qs)
 
 
 def calibration_of(dh: DhParameters, model: ArmModel) -> DhCalibration:
-    """What `arm.calibration` in the station file has to say for an arm of this model with these parameters."""
+    """The calibration of an arm: the value of `arm.calibration` in the station file.
+
+    Args:
+        dh: Calibrated kinematic parameters of the arm.
+        model: Model of the arm.
+
+    Returns:
+        Differences from the model's nominal parameters.
+    """
     nominal = DhParameters.of(model)
 
     def delta(own: Array, of_model: Array) -> tuple[float, float, float, float, float, float]:

@@ -1,17 +1,16 @@
-"""What a UR controller says of itself, read without moving anything.
+"""Read-only probe of a UR controller: identity, state, data quality.
 
     report = probe("192.168.1.10")
     findings = check(report, UrExpected(model=ArmModel.UR10))  # checks.py
 
-Asks the dashboard server, listens to the primary interface until it has told the arm's kinematics, and to RTDE for a
-second. Uploads no script, takes no input register, and never raises for what the robot does or does not answer: what
-stayed unknown is None, and `problems` says why.
+Queries the dashboard server, reads the arm's kinematics from the primary interface, and receives RTDE data for a
+second. It uploads no script and takes no input register. It raises nothing for what the robot does or does not answer:
+unknown values are None, and `problems` tells why.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,9 +18,10 @@ from toolee_robot.arm_data import CB3_RATE, E_SERIES_RATE
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.hardware.ur.protocols.dashboard import DASHBOARD_PORT, Question, ask_all
-from toolee_robot.hardware.ur.protocols.primary import PRIMARY_PORT, UrKinematics, read_kinematics
+from toolee_robot.hardware.ur.protocols.primary import PRIMARY_PORT, read_kinematics
 from toolee_robot.hardware.ur.protocols.rtde import RTDE_PORT, RtdeReader, RtdeSample, Value
 from toolee_robot.hardware.ur.protocols.tcp import connect
+from toolee_robot.hardware.ur.report import PortState, RtdeQuality, UrReport, UrState
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.types import Payload
 
@@ -46,84 +46,26 @@ _ALWAYS = (
     "speed_scaling",
     "target_speed_fraction",
 )
-_WHERE_KNOWN = ("tcp_offset", "payload", "payload_cog")  # payload since 3.11 and 5.5.1
-
-
-@dataclass(frozen=True)
-class PortState:
-    """latency: time to connect [s], None where it failed; problem: why, empty where it worked."""
-
-    latency: float | None
-    problem: str = ""
-
-
-@dataclass(frozen=True)
-class UrState:
-    """One reading. q, qd (6,) [rad, rad/s]. tcp_pose: (6,) the TCP in the controller's base, position [m] and rotation
-    vector [rad]. tcp_offset: (6,) the TCP in the flange, likewise; None where this PolyScope does not tell. payload:
-    likewise None. robot_mode, safety_mode, runtime_state, *_bits: RTDE's numbers. speed_slider in 0..1."""
-
-    q: Array
-    qd: Array
-    tcp_pose: Array
-    tcp_offset: Array | None
-    payload: Payload | None
-    robot_mode: int
-    safety_mode: int
-    runtime_state: int
-    robot_status_bits: int
-    safety_status_bits: int
-    speed_slider: float
-    speed_scaling: float
-
-
-@dataclass(frozen=True)
-class RtdeQuality:
-    """About a second of data. asked: the rate asked for [Hz]. rate: by the controller's timestamps [Hz]. lost: samples
-    that the timestamps skip; samples: those that came. backward: timestamps that did not advance. gap_p99, gap_max:
-    between arrivals at this machine [s]. clock_ratio: the controller's seconds per second of this machine's."""
-
-    asked: float
-    rate: float
-    samples: int
-    lost: int
-    backward: int
-    gap_p99: float
-    gap_max: float
-    clock_ratio: float
-
-
-@dataclass(frozen=True)
-class UrReport:
-    """version: URControl's major, minor, bugfix, build. model: as the dashboard names it, without the e of the
-    e-Series. serial, polyscope: as the dashboard says. remote_control: None where it does not say (CB3 has no local
-    mode). kinematics: the arm's own. problems: what could not be read, and why."""
-
-    host: str
-    ports: dict[int, PortState]
-    version: tuple[int, int, int, int] | None
-    polyscope: str | None
-    model: str | None
-    serial: str | None
-    remote_control: bool | None
-    state: UrState | None
-    quality: RtdeQuality | None
-    kinematics: UrKinematics | None
-    problems: tuple[str, ...]
-
-    @property
-    def reachable(self) -> bool:
-        return any(port.latency is not None for port in self.ports.values())
+_OPTIONAL = ("tcp_offset", "payload", "payload_cog")  # payload since 3.11 and 5.5.1
 
 
 def nominal_rate(version: tuple[int, int, int, int]) -> float:
-    """RTDE and servo rate [Hz] of a controller generation."""
+    """RTDE and servo rate [Hz] of a controller with this version of URControl (major, minor, bugfix, build)."""
     return E_SERIES_RATE if version[0] > 3 else CB3_RATE
 
 
 def probe(host: str, timeout: float = 3.0, listen: float = 1.0, clock: HostClock | None = None) -> UrReport:
-    """Ask, and listen to RTDE for `listen` [s]; for at most `timeout` [s] in all. Takes about 1.2 s on a robot that
-    answers. clock: the robot's, on which all of these times are; the wall's if None."""
+    """Probe a controller; takes about 1.2 s on a robot that answers.
+
+    Args:
+        host: Address of the controller.
+        timeout: Longest duration in all [s].
+        listen: Duration of receiving RTDE data [s].
+        clock: The clock of these times, the robot's; the wall clock if None.
+
+    Returns:
+        What was read.
+    """
     clock = clock or HostClock()
     timeout, listen = clock.to_wall_time(timeout), clock.to_wall_time(listen)
     deadline = time.monotonic() + timeout
@@ -191,9 +133,9 @@ def _version(host: str, deadline: float) -> tuple[tuple[int, int, int, int], flo
 
 
 def _listen(host: str, rate: float, deadline: float, duration: float) -> list[RtdeSample]:
-    """Data of about `duration` [s], less where the deadline comes first; a recipe with an unknown name is not mended
-    on its connection but asked for anew."""
-    names = [*_ALWAYS, *_WHERE_KNOWN]
+    """Receive data for about `duration` [s], less if the deadline comes first. Without outputs that the controller does
+    not know: a recipe cannot be corrected on its connection, so a second one is made."""
+    names = [*_ALWAYS, *_OPTIONAL]
     for _ in range(2):
         with RtdeReader.connect(host, deadline) as reader:
             unknown = reader.subscribe(names, rate, deadline)
@@ -204,8 +146,9 @@ def _listen(host: str, rate: float, deadline: float, duration: float) -> list[Rt
                 return samples
         names = [name for name in names if name not in unknown]
         if missing := set(_ALWAYS) - set(names):
-            raise DeviceError(f"this controller does not know {', '.join(sorted(missing))}: update PolyScope")
-    raise DeviceError("the controller changes its mind on which variables it knows")
+            message = f"this controller does not know {', '.join(sorted(missing))}: update PolyScope"
+            raise DeviceError(message, code="device.unknown_outputs")
+    raise DeviceError("the controller's set of known outputs changed", code="device.unknown_outputs")
 
 
 def _state(values: dict[str, Value]) -> UrState:
@@ -230,18 +173,18 @@ def _state(values: dict[str, Value]) -> UrState:
 
 def _number(value: Value) -> float:
     if isinstance(value, tuple):
-        raise TypeError(f"a number was due, not {len(value)} of them")
+        raise TypeError(f"expected one number, not {len(value)}")
     return float(value)
 
 
 def _vector(value: Value, n: int) -> Array:
     if not isinstance(value, tuple) or len(value) != n:
-        raise TypeError(f"{n} numbers were due")
+        raise TypeError(f"expected {n} numbers")
     return np.array(value, float)
 
 
 def _quality(samples: list[RtdeSample], asked: float, clock: HostClock) -> RtdeQuality | None:
-    """None where there is too little to judge by."""
+    """Timing of the samples; None if there are too few."""
     if len(samples) < 10:
         return None
     stamps = np.array([_number(s.values["timestamp"]) for s in samples])

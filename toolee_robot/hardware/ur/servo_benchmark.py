@@ -1,9 +1,9 @@
-"""How well the servo loop keeps its time: one long motion, measured by what was really sent.
+"""Benchmark of the servo loop's timing: one long motion, evaluated by the times of its commands.
 
     with UrArm(UrArmConfig("127.0.0.2", longest_motion=660.0), limits) as arm:
         figures, report = servo_benchmark(arm, seconds=600.0)
 
-The arm moves all the while: not for a robot with people or things around it.
+The arm moves all the time: run it only on a robot with nobody and nothing within reach.
 """
 
 from __future__ import annotations
@@ -22,18 +22,31 @@ from toolee_robot.hardware.ur.driver import UrArm
 from toolee_robot.types import Trajectory
 
 AMPLITUDE: Final = 0.1  # [rad]
-FREQUENCIES: Final = (0.20, 0.23, 0.29, 0.31, 0.37, 0.41)  # [Hz] of the joints: they never all stand at once
+FREQUENCIES: Final = (0.20, 0.23, 0.29, 0.31, 0.37, 0.41)
+"""[Hz] Of the joints; different, so that they are never all at rest at once."""
 SAMPLE_PERIOD: Final = 0.004  # [s] of the trajectory
 _PATIENT: Final = MotionWatch(tracking_error=1.0, data_cycles=500.0, overruns=500)
-WARM_UP: Final = 2.0  # [s] after which memory is first looked at
+WARM_UP: Final = 2.0  # [s] before the first measurement of memory
 
 
 @dataclass(frozen=True)
 class ServoFigures:
-    """rate [Hz]. cycles: commands sent. period_error_*: of the time between two commands from its nominal value [s].
-    overruns: cycles that the driver itself reported as late by half a cycle or more. drift: of the schedule from the
-    first second to the last [s], see `drift`. memory_growth: of the servo process from WARM_UP to the end [bytes], what
-    it shares left out. cpu: cores' worth of time that it took. fifo, locked: what the system granted it."""
+    """Results of the benchmark.
+
+    Attributes:
+        rate: Nominal rate [Hz].
+        seconds: Time from the first command to the last [s].
+        cycles: Commands sent.
+        period_error_p50: Median deviation of the time between two commands from the period [s].
+        period_error_p99: 99th percentile of that deviation [s].
+        period_error_max: Largest deviation [s].
+        overruns: Cycles that the driver reported as late by half a cycle or more.
+        drift: Drift of the schedule from the first second to the last [s], see `drift`.
+        memory_growth: Growth of the servo process's private memory from WARM_UP to the end [bytes].
+        cpu: Mean CPU usage of the servo process [cores].
+        fifo: Whether it ran under SCHED_FIFO.
+        locked: Whether its memory was locked.
+    """
 
     rate: float
     seconds: float
@@ -50,7 +63,15 @@ class ServoFigures:
 
 
 def wave(q: Array, seconds: float) -> Trajectory:
-    """From rest at q (6,) to rest at q, every joint along its own cosine; [s]."""
+    """A benchmark motion: every joint follows a cosine of its own frequency and returns to its start, at rest.
+
+    Args:
+        q: Start and end, (6,) [rad].
+        seconds: Duration [s].
+
+    Returns:
+        The trajectory.
+    """
     turns = np.maximum(np.round(np.array(FREQUENCIES) * seconds), 1.0)
     omega = 2 * np.pi * turns / seconds
     times = np.linspace(0.0, seconds, round(seconds / SAMPLE_PERIOD) + 1)
@@ -64,18 +85,29 @@ def wave(q: Array, seconds: float) -> Trajectory:
 
 
 def servo_benchmark(arm: UrArm, seconds: float) -> tuple[ServoFigures, MotionReport]:
-    """Drive `wave` for so long [s], without stopping for a late cycle. Raises what `UrArm.execute` raises."""
+    """Execute `wave` without stopping for late cycles, and measure the timing.
+
+    Args:
+        arm: A connected arm.
+        seconds: Duration of the motion [s].
+
+    Returns:
+        The results, and the motion's report.
+
+    Raises:
+        DeviceError: As `UrArm.execute` raises it.
+    """
     pid, realtime = arm.servo_pid, arm.realtime
     memory: list[int] = []
     ended = threading.Event()
 
-    def look() -> None:
+    def sample_memory() -> None:
         ended.wait(WARM_UP)
         memory.append(_private_memory(pid))
         ended.wait()
         memory.append(_private_memory(pid))
 
-    watcher = threading.Thread(target=look, daemon=True)
+    watcher = threading.Thread(target=sample_memory, daemon=True)
     cpu = cpu_time(pid)
     watcher.start()
     try:
@@ -106,10 +138,21 @@ def servo_benchmark(arm: UrArm, seconds: float) -> tuple[ServoFigures, MotionRep
 
 
 def drift(stamps: Array, period: float) -> float:
-    """By how much the last whole second's commands, sent at stamps (N,) [s], are off the first second's grid [s].
+    """Drift of a command schedule from its first second to its last whole second.
 
-    A command counts by its place within its period, followed from second to second: late and missed ones change
-    nothing, a schedule that wanders does, by whole periods too. Raises ValueError for less than two seconds."""
+    The commands' mean phase within the period is tracked from second to second, so that single late or missed commands
+    have no effect, while a drift of more than a period is still measured.
+
+    Args:
+        stamps: Times of the commands, (N,) [s].
+        period: Nominal period [s].
+
+    Returns:
+        The drift [s].
+
+    Raises:
+        ValueError: The stamps cover less than two seconds.
+    """
     turn = np.exp(2j * np.pi * (stamps - stamps[0]) / period)
     phases = []
     for part in np.split(turn, np.searchsorted(stamps, np.arange(stamps[0] + 1.0, stamps[-1])))[:-1]:
@@ -121,7 +164,7 @@ def drift(stamps: Array, period: float) -> float:
 
 
 def _private_memory(pid: int) -> int:
-    """Resident and not shared [bytes]."""
+    """Resident memory of a process that is not shared [bytes]."""
     for line in Path(f"/proc/{pid}/status").read_text().splitlines():
         if line.startswith("RssAnon:"):
             return 1024 * int(line.split()[1])
@@ -129,6 +172,6 @@ def _private_memory(pid: int) -> int:
 
 
 def cpu_time(pid: int) -> float:
-    """[s] that a process has run."""
+    """CPU time that a process has used [s]."""
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

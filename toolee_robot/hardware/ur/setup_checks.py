@@ -1,4 +1,4 @@
-"""What a person enters once into a robot's installation, and the factory into its arm: payload, TCP, kinematics."""
+"""Checks of a robot's installation (payload, TCP) and of its arm's calibrated kinematics."""
 
 from __future__ import annotations
 
@@ -9,20 +9,27 @@ import numpy as np
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.frames import Array
 from toolee_robot.hardware.ur.kinematics import angle_between, tcp_error, worst_error
-from toolee_robot.hardware.ur.probe import UrReport, UrState
+from toolee_robot.hardware.ur.report import UrReport, UrState
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.types import ArmModel, DhCalibration, Payload
 
 MASS_TOLERANCE, COG_TOLERANCE = 0.1, 0.02  # [kg], [m]
 TCP_TOLERANCE, TCP_ANGLE_TOLERANCE = 1e-3, np.deg2rad(0.5)  # [m], [rad]
-FITS, FITS_NOMINALLY = 1e-3, 0.02
-"""[m] What agrees; and how far an arm may be from its nominal model. UR10 and UR10e are 50 mm apart."""
+KINEMATICS_TOLERANCE, NOMINAL_TOLERANCE = 1e-3, 0.02
+"""[m] Agreement of two kinematics, and of an arm with its nominal model. UR10 and UR10e differ by 50 mm."""
 
 
 @dataclass(frozen=True)
 class UrExpected:
-    """What the configuration says. calibration: the arm's own kinematics, None for the nominal ones. payload, tcp (6,)
-    ([m], rotation vector [rad], flange frame), serial: None where it is not to be checked."""
+    """What the configuration requires of a robot; None for no check.
+
+    Attributes:
+        model: Arm model.
+        calibration: Calibrated kinematics; None for the nominal ones.
+        payload: Payload in the installation, in the flange frame.
+        tcp: TCP in the installation, (6,): position [m], rotation vector [rad], flange frame.
+        serial: Serial number.
+    """
 
     model: ArmModel
     calibration: DhCalibration | None = None
@@ -32,15 +39,23 @@ class UrExpected:
 
 
 def check_payload(state: UrState, expected: UrExpected) -> Finding:
-    """Mass and centre of gravity in the installation, as it is before any program sets its own."""
+    """Check mass and centre of gravity in the installation, read before any program sets its own.
+
+    Args:
+        state: The robot's state.
+        expected: What the configuration requires.
+
+    Returns:
+        The finding.
+    """
     name, is_, wanted = "payload", state.payload, expected.payload
     if is_ is None:
-        return warn(name, "this PolyScope does not tell it", "compare payload and centre of gravity on the pendant")
+        return warn(name, "this PolyScope does not report it", "compare payload and centre of gravity on the pendant")
     message = _payload_text(is_)
     if wanted is None:
         return ok(name, message)
     off = float(np.linalg.norm(is_.center_of_mass - wanted.center_of_mass))
-    # Where next to nothing hangs, its place does not matter.
+    # The centre of gravity of a negligible mass does not matter.
     if not (abs(is_.mass - wanted.mass) <= MASS_TOLERANCE and (off <= COG_TOLERANCE or wanted.mass <= MASS_TOLERANCE)):
         return fail(
             name,
@@ -56,10 +71,18 @@ def _payload_text(payload: Payload) -> str:
 
 
 def check_tcp(state: UrState, expected: UrExpected) -> Finding:
-    """Its place in the flange."""
+    """Check the TCP in the flange frame.
+
+    Args:
+        state: The robot's state.
+        expected: What the configuration requires.
+
+    Returns:
+        The finding.
+    """
     tcp, wanted = state.tcp_offset, expected.tcp
     if tcp is None:
-        return warn("TCP", "this PolyScope does not tell its offset", "compare it on the teach pendant")
+        return warn("TCP", "this PolyScope does not report its offset", "compare it on the teach pendant")
     if wanted is None:
         return ok("TCP", _tcp_text(tcp))
     apart, turned = float(np.linalg.norm(tcp[:3] - wanted[:3])), angle_between(tcp[3:], wanted[3:])
@@ -70,7 +93,16 @@ def check_tcp(state: UrState, expected: UrExpected) -> Finding:
 
 
 def check_kinematics(report: UrReport, state: UrState, expected: UrExpected) -> Finding:
-    """By the controller's own parameters where it tells them, otherwise by where it says that the TCP is now."""
+    """Check the arm's kinematics: by the controller's parameters if it reports them, else by its TCP pose.
+
+    Args:
+        report: What a probe has read from the robot.
+        state: The robot's state.
+        expected: What the configuration requires.
+
+    Returns:
+        The finding.
+    """
     name = "kinematics"
 
     def error(dh: DhParameters) -> float:
@@ -85,13 +117,13 @@ def check_kinematics(report: UrReport, state: UrState, expected: UrExpected) -> 
     message = (
         f"the {'calibrated' if calibrated else 'nominal'} {expected.model} is {off * 1e3:.1f} mm off the arm {where}"
     )
-    if off <= FITS:
+    if off <= KINEMATICS_TOLERANCE:
         return ok(name, message)
-    if off <= FITS_NOMINALLY and not calibrated:
+    if off <= NOMINAL_TOLERANCE and not calibrated:
         return warn(name, message, "set arm.calibration to this arm's own: `toolee doctor --json` prints it")
     fits = {model: error(DhParameters.of(model)) for model in ArmModel}
     best = min(fits, key=lambda model: fits[model])
-    if fits[best] <= FITS_NOMINALLY and best is not expected.model:
+    if fits[best] <= NOMINAL_TOLERANCE and best is not expected.model:
         return fail(name, f"{message}; {best} fits to {fits[best] * 1e3:.1f} mm", "set arm.model in the station file")
     if calibrated:
         return fail(name, message, "arm.calibration is of another arm: `toolee doctor --json` prints this one's")

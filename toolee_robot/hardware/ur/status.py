@@ -1,4 +1,4 @@
-"""The controller's words for its state, and ours."""
+"""Conversion of the controller's status numbers to `hal.ArmStatus`, and advice for each status."""
 
 from __future__ import annotations
 
@@ -26,7 +26,15 @@ _ADVICE = {
 
 
 def arm_status(safety_bits: int, robot_mode: int) -> ArmStatus:
-    """From RTDE's safety_status_bits and robot_mode; the worst wins."""
+    """Convert RTDE's status numbers.
+
+    Args:
+        safety_bits: RTDE's safety_status_bits.
+        robot_mode: RTDE's robot_mode.
+
+    Returns:
+        The most severe status that applies.
+    """
     if safety_bits & _FAULT:
         return ArmStatus.FAULT
     if safety_bits & _EMERGENCY_STOP:
@@ -42,5 +50,5 @@ def arm_status(safety_bits: int, robot_mode: int) -> ArmStatus:
 
 
 def advice(status: ArmStatus) -> str:
-    """What has happened, and what a person has to do; not for READY."""
+    """What has happened and what a person must do, for every status but READY."""
     return _ADVICE[status]

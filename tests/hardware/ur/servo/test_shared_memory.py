@@ -17,6 +17,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.errors import raises
 from tests.examples import examples
 from toolee_robot.errors import DeviceError, LimitError
 from toolee_robot.frames import Array
@@ -58,7 +59,7 @@ def test_the_path_arrives_as_it_was(trajectory: Trajectory) -> None:
 def test_a_motion_that_is_too_long_is_refused() -> None:
     memory = ServoMemory.create(longest=1.0)
     still = np.zeros((2, 6))
-    with pytest.raises(LimitError, match="at once"):
+    with raises(LimitError, code="limit.trajectory_length"):
         memory.write_path(Trajectory(np.array([0.0, 1.5]), still, still, still), 500.0)
     memory.close()
 
@@ -86,7 +87,7 @@ def test_a_state_is_read_whole_while_it_is_written() -> None:
 def test_a_writer_that_died_in_mid_write_is_an_error_not_a_hang() -> None:
     memory = ServoMemory.create(longest=0.1)
     memory.words[Word.STATE_SEQUENCE] += 1
-    with pytest.raises(DeviceError, match="reset"):
+    with raises(DeviceError, code="device.torn_state"):
         memory.read_state()
 
 

@@ -66,7 +66,7 @@ def upload(source: str) -> None:
 
 
 def test_every_hook_is_documented(controller: ControllerProcess) -> None:
-    page = (Path(__file__).parents[4] / "docs" / "ur_controller.md").read_text()
+    page = (Path(__file__).parents[4] / "docs" / "reference" / "ur_controller.md").read_text()
     with pytest.raises(UserError, match="choose one of") as caught:
         controller.fault("explode")
     names = str(caught.value).split("choose one of ")[1].split(", ")

@@ -1,6 +1,7 @@
-"""Questions to the dashboard server (port 29999) that change nothing: model, serial number, modes.
+"""Read-only client of the dashboard server (port 29999): model, serial number, modes.
 
-A question is a line, its answer is a line; the server greets first. The whole conversation ends by its deadline.
+The server greets with a line, and answers each line with one. All calls end by their deadline, a value of
+`time.monotonic()`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from toolee_robot.errors import ProtocolError
 from toolee_robot.hardware.ur.protocols.tcp import connect, receive, send
 
 DASHBOARD_PORT = 29999
-_LONGEST = 4096  # [bytes] of a line
+_MAX_LINE = 4096  # [bytes]
 
 Question = Literal[
     "PolyscopeVersion",
@@ -27,39 +28,75 @@ Question = Literal[
 
 
 class DashboardReader:
-    """One connection; the greeting has been read."""
+    """A connection to the dashboard server whose greeting has been read.
+
+    Args:
+        sock: Connected socket; the caller closes it.
+        deadline: Deadline of the greeting [s], a value of `time.monotonic()`.
+
+    Raises:
+        NoAnswerError: There is no greeting in time.
+        ProtocolError: The peer is no dashboard server.
+    """
 
     def __init__(self, sock: socket.socket, deadline: float) -> None:
-        """sock: connected, owned from here. Raises NoAnswerError, ProtocolError."""
         self._sock = sock
         self._bytes = bytearray()
         greeting = self._line(deadline)
         if "dashboard" not in greeting.lower():
-            raise ProtocolError(f"port {DASHBOARD_PORT} greets with {greeting[:60]!r}: this is no dashboard server")
+            message = f"port {DASHBOARD_PORT} greets with {greeting[:60]!r}: this is no dashboard server"
+            raise ProtocolError(message, code="protocol.dashboard")
 
     def ask(self, question: Question, deadline: float) -> str | None:
-        """The answer, or None where this PolyScope does not know the question."""
+        """Ask one question.
+
+        Args:
+            question: The command to send.
+            deadline: Deadline of the answer [s], a value of `time.monotonic()`.
+
+        Returns:
+            The answer, or None if this version of PolyScope does not know the question.
+
+        Raises:
+            NoAnswerError: There is no answer in time.
+            ProtocolError: The answer is not a line of text.
+        """
         send(self._sock, question.encode() + b"\n", deadline)
         answer = self._line(deadline).strip()
         return None if answer.lower().startswith(("could not understand", "unknown command")) else answer
 
     def _line(self, deadline: float) -> str:
         while b"\n" not in self._bytes:
-            if len(self._bytes) > _LONGEST:
-                raise ProtocolError("the dashboard server sends a line without end: this is no dashboard server")
+            if len(self._bytes) > _MAX_LINE:
+                message = "the dashboard server sends a line without end: this is no dashboard server"
+                raise ProtocolError(message, code="protocol.line_too_long")
             self._bytes += receive(self._sock, deadline)
         line, _, rest = self._bytes.partition(b"\n")
         self._bytes = bytearray(rest)
         try:
             return line.decode("utf-8")
         except UnicodeDecodeError as error:
-            raise ProtocolError("the dashboard server's answer is not text") from error
+            raise ProtocolError("the dashboard server's answer is not text", code="protocol.not_text") from error
 
 
 def ask_all(
     host: str, questions: Sequence[Question], deadline: float, port: int = DASHBOARD_PORT
 ) -> dict[Question, str | None]:
-    """Every question's answer (None: not known to this PolyScope). Raises NoAnswerError, ProtocolError."""
+    """Connect and ask several questions.
+
+    Args:
+        host: Address of the controller.
+        questions: The commands to send.
+        deadline: Deadline of all answers [s], a value of `time.monotonic()`.
+        port: The dashboard server's port.
+
+    Returns:
+        The answer to each question; None where this version of PolyScope does not know it.
+
+    Raises:
+        NoAnswerError: The server does not answer in time.
+        ProtocolError: The peer is no dashboard server.
+    """
     sock = connect(host, port, deadline)
     with sock:
         reader = DashboardReader(sock, deadline)

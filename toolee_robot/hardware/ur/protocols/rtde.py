@@ -1,13 +1,13 @@
-"""A small read-only RTDE client: it asks for outputs, never for an input register, and moves nothing.
+"""A small read-only RTDE client: it subscribes to outputs, never to an input register, and moves nothing.
 
     with RtdeReader.connect("192.168.1.10", deadline=time.monotonic() + 2.0) as reader:
         version = reader.version(deadline)
         reader.subscribe(["timestamp", "actual_q"], 125.0, deadline)
         sample = reader.read(deadline)
 
-Used before any motion, where ur_rtde's constructors, which hold the interpreter's lock and cannot be given
-a time limit, are of no use. Every call ends by its deadline (a value of `time.monotonic()`), whatever the other side
-sends: with `ProtocolError` for bytes that are no RTDE, with `NoAnswerError` for silence or a closed connection.
+Used before any motion instead of ur_rtde, whose constructors hold the interpreter's lock and have no time limit. Every
+call ends by its deadline (a value of `time.monotonic()`) whatever the peer sends: with `ProtocolError` for bytes that
+are no RTDE, with `NoAnswerError` for silence or a closed connection.
 
 Protocol: Universal Robots' Real-Time Data Exchange guide, protocol version 2, port 30004. A packet is a big-endian u16
 size (header included), a u8 type, and the payload.
@@ -49,18 +49,29 @@ Value = bool | int | float | tuple[float, ...]
 
 
 class PacketBuffer:
-    """Bytes as they come in, packets as they are whole; a stream cut anywhere gives the same packets."""
+    """Assembles packets from a byte stream that may be split anywhere."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
 
     def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """Yield (type, payload) of every packet that `data` completes. Raises ProtocolError for an impossible size."""
+        """Append received bytes and yield the packets that they complete.
+
+        Args:
+            data: Received bytes.
+
+        Yields:
+            Type and payload of each complete packet.
+
+        Raises:
+            ProtocolError: A packet's size is impossible.
+        """
         self._bytes += data
         while len(self._bytes) >= _HEADER.size:
             size, kind = _HEADER.unpack_from(self._bytes)
             if size < _HEADER.size:
-                raise ProtocolError(f"an RTDE packet says that it is {size} bytes long: this is no RTDE server")
+                message = f"an RTDE packet of size {size}: this is no RTDE server"
+                raise ProtocolError(message, code="protocol.message_size")
             if len(self._bytes) < size:
                 return
             payload = bytes(self._bytes[_HEADER.size : size])
@@ -70,18 +81,26 @@ class PacketBuffer:
 
 @dataclass(frozen=True)
 class RtdeSample:
-    """One data packet. received: when the last of its bytes came, or, waited for, were read, a value of
-    `time.monotonic()` [s]. values: by name."""
+    """One data packet.
+
+    Attributes:
+        received: When its last byte arrived, for `RtdeReader.arrived`, or was read, for `RtdeReader.read` [s]; a value
+            of `time.monotonic()`.
+        values: Value of each output by its name.
+    """
 
     received: float
     values: dict[str, Value]
 
 
 class RtdeReader:
-    """One connection. Not for several threads."""
+    """A connection to an RTDE server; not thread-safe.
+
+    Args:
+        sock: Connected socket, which the reader closes.
+    """
 
     def __init__(self, sock: socket.socket) -> None:
-        """sock: connected; the reader owns it from here."""
         self._sock = sock
         self._buffer = PacketBuffer()
         self._packets: deque[tuple[float, int, bytes]] = deque()
@@ -91,7 +110,20 @@ class RtdeReader:
 
     @classmethod
     def connect(cls, host: str, deadline: float, port: int = RTDE_PORT) -> Self:
-        """Connect and agree on protocol version 2. Raises NoAnswerError or ProtocolError."""
+        """Connect and negotiate protocol version 2.
+
+        Args:
+            host: Address of the controller.
+            deadline: Deadline [s], a value of `time.monotonic()`.
+            port: The RTDE server's port.
+
+        Returns:
+            The connected reader.
+
+        Raises:
+            NoAnswerError: The server does not answer in time.
+            ProtocolError: The peer is no RTDE server, or refuses the version.
+        """
         reader = cls(connect(host, port, deadline))
         try:
             reader.negotiate(deadline)
@@ -101,52 +133,80 @@ class RtdeReader:
         return reader
 
     def negotiate(self, deadline: float) -> None:
-        """Ask for protocol version 2, once, first of all. Raises ProtocolError where the controller refuses it."""
+        """Request protocol version 2; must be the first request. Raises ProtocolError if it is refused."""
         if self._request(_PROTOCOL, struct.pack(">H", 2), deadline, "B") != (1,):
-            raise ProtocolError("the controller refuses RTDE protocol version 2: update PolyScope (3.4 or newer)")
+            message = "the controller refuses RTDE protocol version 2: update PolyScope (3.4 or newer)"
+            raise ProtocolError(message, code="protocol.rtde_version")
 
     def version(self, deadline: float) -> tuple[int, int, int, int]:
-        """URControl's major, minor, bugfix, build."""
+        """Version of URControl: major, minor, bugfix, build."""
         major, minor, bugfix, build = self._request(_VERSION, b"", deadline, "4I")
         return int(major), int(minor), int(bugfix), int(build)
 
     def subscribe(self, names: Sequence[str], rate: float, deadline: float) -> list[str]:
-        """Ask for outputs at a rate [Hz] and start them. Returns the names that this controller does not know; where
-        there are any, nothing is started and the connection has to be closed."""
+        """Subscribe to outputs and start them.
+
+        Args:
+            names: Names of the outputs.
+            rate: Rate of the data packets [Hz].
+            deadline: Deadline [s], a value of `time.monotonic()`.
+
+        Returns:
+            Names that this controller does not know. If there are any, nothing was started and the connection must be
+            closed.
+
+        Raises:
+            NoAnswerError: The server does not answer in time.
+            ProtocolError: The reply is malformed, or the server refuses to start.
+        """
         payload = struct.pack(">d", rate) + ",".join(names).encode() + b","
         reply = self._reply(_OUTPUTS, payload, deadline)
         types = _ascii(reply[1:]).rstrip(",").split(",") if reply else []
         if len(types) != len(names):
-            raise ProtocolError(f"asked for {len(names)} RTDE outputs, the reply names {len(types)} types")
+            message = f"{len(names)} RTDE outputs requested, the reply has {len(types)} types"
+            raise ProtocolError(message, code="protocol.rtde_reply")
         unknown = [name for name, kind in zip(names, types, strict=True) if kind == NOT_FOUND]
         if unknown:
             return unknown
         odd = [kind for kind in types if kind not in _FORMATS]
         if odd:
-            raise ProtocolError(f"RTDE type {odd[0][:40]!r} is unknown: update toolee_robot")
+            message = f"RTDE type {odd[0][:40]!r} is unknown: update toolee_robot"
+            raise ProtocolError(message, code="protocol.rtde_type")
         self._recipe = reply[0]
         formats = [_FORMATS[kind] for kind in types]
         self._layout = [(name, int(f[:-1] or 1)) for name, f in zip(names, formats, strict=True)]
         self._struct = struct.Struct(">" + "".join(formats))
         if self._request(_START, b"", deadline, "B") != (1,):
-            raise ProtocolError("the controller refuses to start RTDE: too many RTDE clients may be connected")
+            message = "the controller refuses to start RTDE: too many RTDE clients may be connected"
+            raise ProtocolError(message, code="protocol.rtde_refused")
         return []
 
     def read(self, deadline: float) -> RtdeSample:
-        """The next data packet; text messages in between are passed over."""
+        """Wait for the next data packet; text messages are skipped.
+
+        Raises:
+            NoAnswerError: None arrives by `deadline` [s], a value of `time.monotonic()`.
+            ProtocolError: The server sends anything else.
+        """
         while True:
             sample = self._sample(*self._packet(deadline))
             if sample is not None:
                 return sample
 
     def arrived(self) -> list[RtdeSample]:
-        """The data packets that have come by now, the oldest first. Never waits. Raises as `read`."""
+        """The data packets that have arrived, the oldest first; never waits.
+
+        Raises:
+            NoAnswerError: The connection is broken or closed.
+            ProtocolError: The server sends anything but data and text.
+        """
         self._fill(*receive_now(self._sock))
         samples = [self._sample(*packet) for packet in self._packets]
         self._packets.clear()
         return [sample for sample in samples if sample is not None]
 
     def close(self) -> None:
+        """Close the connection."""
         self._sock.close()
 
     def __enter__(self) -> Self:
@@ -158,13 +218,13 @@ class RtdeReader:
         self.close()
 
     def _sample(self, received: float, kind: int, payload: bytes) -> RtdeSample | None:
-        """None for a text message."""
+        """Decode a packet; None for a text message."""
         if kind == _TEXT:
             return None
         if kind != _DATA or len(payload) != 1 + self._struct.size or payload[0] != self._recipe:
             raise ProtocolError(
-                f"an RTDE packet of type {kind} with {len(payload)} bytes where data with {1 + self._struct.size} "
-                "was due"
+                f"an RTDE packet of type {kind} with {len(payload)} bytes, expected data with {1 + self._struct.size}",
+                code="protocol.rtde_packet",
             )
         return RtdeSample(received, self._unpack(payload[1:]))
 
@@ -178,7 +238,8 @@ class RtdeReader:
     def _request(self, kind: int, payload: bytes, deadline: float, layout: str) -> tuple[int, ...]:
         reply = self._reply(kind, payload, deadline)
         if len(reply) != struct.calcsize(">" + layout):
-            raise ProtocolError(f"the RTDE reply of type {chr(kind)!r} has {len(reply)} bytes: this is no RTDE server")
+            message = f"the RTDE reply of type {chr(kind)!r} has {len(reply)} bytes: this is no RTDE server"
+            raise ProtocolError(message, code="protocol.rtde_reply")
         return struct.unpack(">" + layout, reply)
 
     def _reply(self, kind: int, payload: bytes, deadline: float) -> bytes:
@@ -188,14 +249,15 @@ class RtdeReader:
             if answered == _TEXT:
                 continue
             if answered != kind:
-                raise ProtocolError(f"the RTDE reply has type {answered} where {kind} was due")
+                raise ProtocolError(f"the RTDE reply has type {answered}, expected {kind}", code="protocol.rtde_reply")
             return reply
 
     def _packet(self, deadline: float) -> tuple[float, int, bytes]:
         while not self._packets:
             self._fill(receive(self._sock, deadline), time.monotonic())
-        if time.monotonic() > deadline:  # a flood of packets that are passed over must end as well
-            raise NoAnswerError("the RTDE server sends, but not what was asked for in time")
+        if time.monotonic() > deadline:  # bounds a flood of skipped packets as well
+            message = "the RTDE server sends data, but not the requested data in time"
+            raise NoAnswerError(message, code="no_answer.timeout")
         return self._packets.popleft()
 
     def _fill(self, data: bytes, received: float) -> None:
@@ -206,4 +268,4 @@ def _ascii(data: bytes) -> str:
     try:
         return data.decode("ascii")
     except UnicodeDecodeError as error:
-        raise ProtocolError("an RTDE reply is not text where names of types were due") from error
+        raise ProtocolError("an RTDE reply is not text, expected names of types", code="protocol.not_text") from error

@@ -1,4 +1,4 @@
-"""TCP with a deadline: every call ends by it, and what the network says becomes one of our errors."""
+"""TCP with deadlines (values of `time.monotonic()`); network errors are raised as `NoAnswerError`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from contextlib import suppress
 from toolee_robot.errors import NoAnswerError
 
 _CHUNK = 65536
-_SO_TIMESTAMPNS, _STAMP = 35, struct.Struct("@qq")  # Linux, socket(7); of the wall's clock
+_SO_TIMESTAMPNS, _STAMP = 35, struct.Struct("@qq")  # Linux, socket(7); on the wall clock
 
 
 def remaining(deadline: float) -> float:
@@ -21,7 +21,18 @@ def remaining(deadline: float) -> float:
 
 
 def resolve(host: str, deadline: float) -> str:
-    """IPv4 address of a host; the resolver, which takes no time limit, runs beside. Raises NoAnswerError."""
+    """Resolve a host name in a thread, since the system's resolver has no time limit.
+
+    Args:
+        host: Host name or IPv4 address.
+        deadline: Deadline [s], a value of `time.monotonic()`.
+
+    Returns:
+        The IPv4 address.
+
+    Raises:
+        NoAnswerError: The name is unknown, or not resolved in time.
+    """
     with suppress(OSError):
         socket.inet_pton(socket.AF_INET, host)
         return host
@@ -35,59 +46,83 @@ def resolve(host: str, deadline: float) -> str:
     thread.start()
     thread.join(remaining(deadline))
     if not found:
-        raise NoAnswerError(f"no address is known for the host {host!r}: give the robot's IP address")
+        message = f"no address is known for the host {host!r}: give the robot's IP address"
+        raise NoAnswerError(message, code="no_answer.host_unknown")
     return found[0]
 
 
 def connect(host: str, port: int, deadline: float) -> socket.socket:
-    """A connected socket with Nagle's algorithm off. Raises NoAnswerError."""
+    """Connect, with Nagle's algorithm disabled and receive time stamps enabled.
+
+    Args:
+        host: Host name or IPv4 address.
+        port: TCP port.
+        deadline: Deadline [s], a value of `time.monotonic()`.
+
+    Returns:
+        The connected socket.
+
+    Raises:
+        NoAnswerError: The connection is refused or not established in time.
+    """
     address = resolve(host, deadline)
     try:
         sock = socket.create_connection((address, port), timeout=remaining(deadline))
     except TimeoutError as error:
-        raise NoAnswerError(f"{host}:{port} does not answer") from error
+        raise NoAnswerError(f"{host}:{port} does not answer", code="no_answer.timeout") from error
     except OSError as error:
-        raise NoAnswerError(f"{host}:{port}: {error.strerror or error}") from error
+        raise NoAnswerError(f"{host}:{port}: {error.strerror or error}", code="no_answer.connect") from error
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
     return sock
 
 
 def send(sock: socket.socket, data: bytes, deadline: float) -> None:
-    """Send all of it. Raises NoAnswerError."""
+    """Send all of `data` by `deadline` [s]. Raises NoAnswerError."""
     try:
         sock.settimeout(remaining(deadline))
         sock.sendall(data)
     except OSError as error:
-        raise NoAnswerError(f"the connection broke while sending: {error.strerror or error}") from error
+        message = f"the connection broke while sending: {error.strerror or error}"
+        raise NoAnswerError(message, code="no_answer.connection_lost") from error
 
 
 def receive(sock: socket.socket, deadline: float) -> bytes:
-    """Whatever has come, at least one byte. Raises NoAnswerError."""
+    """Receive at least one byte by `deadline` [s]. Raises NoAnswerError."""
     try:
         ready, _, _ = select.select([sock], [], [], remaining(deadline))
         data = sock.recv(_CHUNK) if ready else None
     except (OSError, ValueError) as error:
-        raise NoAnswerError(f"the connection broke: {error}") from error
+        raise NoAnswerError(f"the connection broke: {error}", code="no_answer.connection_lost") from error
     if data is None:
-        raise NoAnswerError("no answer in time")
+        raise NoAnswerError("no answer in time", code="no_answer.timeout")
     if not data:
-        raise NoAnswerError("the other side closed the connection")
+        raise NoAnswerError("the peer closed the connection", code="no_answer.connection_lost")
     return data
 
 
 def receive_now(sock: socket.socket) -> tuple[bytes, float]:
-    """Whatever has come, which may be nothing, and when the last of it did, a value of `time.monotonic()`: by the
-    kernel's own stamp, however late this is called. Never waits. Raises NoAnswerError."""
+    """Receive what has arrived; never waits.
+
+    Args:
+        sock: Connected socket, made by `connect`.
+
+    Returns:
+        The bytes, possibly none, and when the last of them arrived, by the kernel's time stamp [s]; a value of
+        `time.monotonic()`.
+
+    Raises:
+        NoAnswerError: The connection is broken or closed.
+    """
     sock.setblocking(False)
     try:
         data, control, _, _ = sock.recvmsg(_CHUNK, socket.CMSG_SPACE(_STAMP.size))
     except BlockingIOError:
         return b"", time.monotonic()
     except OSError as error:
-        raise NoAnswerError(f"the connection broke: {error}") from error
+        raise NoAnswerError(f"the connection broke: {error}", code="no_answer.connection_lost") from error
     if not data:
-        raise NoAnswerError("the other side closed the connection")
+        raise NoAnswerError("the peer closed the connection", code="no_answer.connection_lost")
     for level, kind, stamp in control:
         if (level, kind) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS) and len(stamp) == _STAMP.size:
             seconds, nanoseconds = _STAMP.unpack(stamp)

@@ -1,5 +1,4 @@
-"""The task's side of the servo process: start it, show it that the task lives, send it requests, and never wait for it
-longer than agreed."""
+"""The task's side of the servo process: starts it, sends it heartbeats and requests, and bounds every wait for it."""
 
 from __future__ import annotations
 
@@ -15,34 +14,58 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Final
 
-from toolee_robot.errors import DeviceError, NotReadyError, ServoCrashError
+from toolee_robot.errors import DeviceError, MotionFaultError, ServoCrashError
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.servo.clock import Realtime
-from toolee_robot.hardware.ur.servo.messages import Close, Connect, Connected, Refused, Reply, Request
+from toolee_robot.hardware.ur.servo.messages import (
+    Cause,
+    Close,
+    Connect,
+    Connected,
+    MotionEnded,
+    MotionRequest,
+    Refused,
+    Reply,
+    Request,
+)
 from toolee_robot.hardware.ur.servo.shared_memory import ServoMemory, Word
 
 HEARTBEAT_PERIOD: Final = 0.01  # [s]
 START_TIMEOUT: Final = 15.0
-"""[s] of the wall. For Python and numpy in the new process: the host's matter, not the robot's."""
-MORE: Final = 1.0
-"""[s] of the wall. The servo process ends itself when the robot does not answer in time; so much later it is killed."""
-_LAST_WORDS: Final = 600  # characters
+"""[s] on the wall clock, for loading Python and numpy in the new process; independent of the robot."""
+KILL_MARGIN: Final = 1.0
+"""[s] on the wall clock. The servo process ends itself when the robot does not answer in time; if it does not, it is
+killed this much later."""
+_POLL: Final = 0.02  # [s] between two checks that the servo loop runs
+_STDERR_TAIL: Final = 600  # characters of the servo process's error output in a crash's message
 
 _PROGRAM = "from toolee_robot.hardware.ur.servo.process import main; main()"
 
 
 class ServoClient:
-    """A running servo process, connected to the robot. realtime: what the system granted it. memory: shared with it."""
+    """A running servo process, connected to the robot.
+
+    Args:
+        config: The driver's settings.
+        rate: The controller's rate [Hz].
+
+    Attributes:
+        memory: Memory shared with the servo process.
+        realtime: Real-time privileges that the operating system granted to it.
+
+    Raises:
+        NotReadyError: The robot must be made ready first.
+        DeviceError: The robot refuses the connection.
+        ServoCrashError: The process died or hung while it connected.
+    """
 
     def __init__(self, config: UrArmConfig, rate: float) -> None:
-        """Start and connect. Raises NotReadyError when the robot must be made ready first, DeviceError when it refuses,
-        ServoCrashError when the process dies or hangs meanwhile."""
         self._config, self._clock = config, config.clock
         self.memory = ServoMemory.create(config.longest_motion)
         ours, theirs = socket.socketpair()
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (its reader is the message of a crash, later)
-        # A fresh interpreter, in a session of its own: no Ctrl-C of the terminal reaches it, and none of the task's
-        # threads, locks and libraries are in it.
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (read later, for a crash's message)
+        # A fresh interpreter in its own session: the terminal's Ctrl-C does not reach it, and it inherits none of the
+        # task's threads, locks and libraries.
         self._process = subprocess.Popen(
             [sys.executable, "-c", _PROGRAM, str(theirs.fileno()), str(self.memory.fd), str(config.longest_motion)],
             pass_fds=(theirs.fileno(), self.memory.fd),
@@ -66,14 +89,16 @@ class ServoClient:
 
     @property
     def pid(self) -> int:
+        """Process id of the servo process."""
         return self._process.pid
 
     @property
     def alive(self) -> bool:
+        """Whether the servo process exists."""
         return self._process.poll() is None
 
     def cycles_within(self, timeout: float) -> bool:
-        """Whether its loop does another cycle within so long [s]; comes back as soon as it has."""
+        """Whether the servo loop completes another cycle within `timeout` [s]; returns as soon as it has."""
         done, deadline = int(self.memory.words[Word.CYCLES]), self._clock.now() + timeout
         while int(self.memory.words[Word.CYCLES]) == done:
             if self._clock.now() > deadline:
@@ -82,28 +107,38 @@ class ServoClient:
         return True
 
     def ask_to_stop(self) -> None:
-        """Brake in the next cycle; any thread."""
+        """Request a path stop in the next cycle; callable from any thread."""
         self.memory.words[Word.STOP] += 1
 
     def ask(self, request: Request) -> Reply:
-        """A short request and its reply. Raises DeviceError when refused, ServoCrashError when there is no answer."""
+        """Send a request other than a motion and wait for its reply.
+
+        Raises:
+            DeviceError: The robot or the servo process refused it.
+            ServoCrashError: There was no reply in time.
+        """
         self.send(request)
         # The payload is acknowledged, then read back.
-        reply = self.receive(self._clock.to_wall_time(2 * self._config.handshake_timeout) + MORE)
+        reply = self.receive(self._clock.to_wall_time(2 * self._config.handshake_timeout) + KILL_MARGIN)
         if reply is None:
             raise self.crash(hung=True)
         if isinstance(reply, Refused):
-            raise (NotReadyError if reply.not_ready else DeviceError)(reply.message)
+            raise reply.error()
         return reply
 
     def send(self, request: Request) -> None:
+        """Send a request without waiting. Raises ServoCrashError if the process is gone."""
         try:
             self._pipe.send(request)
         except OSError as error:
             raise self.crash() from error
 
     def receive(self, timeout: float) -> Reply | None:
-        """The next answer, or None after `timeout` [s] of the wall. Raises ServoCrashError when the process is gone."""
+        """The next reply, or None after `timeout` [s] on the wall clock.
+
+        Raises:
+            ServoCrashError: The process is gone.
+        """
         try:
             if not self._pipe.poll(timeout):
                 return None
@@ -112,32 +147,61 @@ class ServoClient:
             raise self.crash() from error
         return reply
 
+    def execute(self, request: MotionRequest) -> Cause:
+        """Execute the path in the shared memory and wait for its end while the servo loop keeps running.
+
+        Args:
+            request: The motion's parameters.
+
+        Returns:
+            Why the motion ended.
+
+        Raises:
+            ServoCrashError: The servo process died or hung.
+        """
+        try:
+            self.send(request)
+            return self._await_end()
+        except BaseException as error:
+            # Ctrl-C, or any other exception in this thread: bring the arm to a standstill before raising it.
+            if not isinstance(error, MotionFaultError):
+                self.ask_to_stop()
+                self._await_end()
+            raise
+
     def crash(self, hung: bool = False) -> ServoCrashError:
-        """The error for a process that is gone, or hangs, with its last words; makes sure that it is gone."""
+        """Kill the servo process if it still runs, and build the error that describes its end.
+
+        Args:
+            hung: Whether it is to be treated as hung; it is made to print its stack traces first.
+
+        Returns:
+            The error, with the end of the process's error output.
+        """
         if hung:
-            self._process.send_signal(signal.SIGABRT)  # it then says where it is
+            self._process.send_signal(signal.SIGABRT)  # faulthandler prints the stack traces
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(0.2)
         code = self._process.poll()
         self.kill()
         how = "hung" if hung or code is None else f"ended with code {code}" if code >= 0 else _signal_name(-code)
         self._errors.seek(0)
-        words = self._errors.read().decode(errors="replace").split("Extension modules")[0].strip()[-_LAST_WORDS:]
+        words = self._errors.read().decode(errors="replace").split("Extension modules")[0].strip()[-_STDERR_TAIL:]
         return ServoCrashError(
-            f"the process that talks to the arm {how}; the robot's watchdog stops the arm. See to it, then reset"
-            + (f" (its last words: {words})" if words else "")
+            f"the servo process {how}; the robot's watchdog stops the arm. Look at the robot, then reset the arm"
+            + (f" (the process's error output: {words})" if words else "")
         )
 
     def close(self) -> None:
-        """End the robot's program and the process; kill what does not end in time."""
+        """End the robot's program and the servo process, which is killed if it does not end in time."""
         with suppress(DeviceError):
             self.send(Close())
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(self._clock.to_wall_time(self._config.handshake_timeout) + MORE)
+            self._process.wait(self._clock.to_wall_time(self._config.handshake_timeout) + KILL_MARGIN)
         self.kill()
 
     def kill(self) -> None:
-        """End the process at once; the kernel closes its connections. Any number of times."""
+        """Kill the process; the kernel closes its connections. Idempotent."""
         self._ended.set()
         self._process.kill()
         self._process.wait()
@@ -149,17 +213,35 @@ class ServoClient:
         while (reply := self.receive(0.05)) is None:
             if time.monotonic() > deadline:
                 raise ServoCrashError(
-                    "the robot did not answer while it was connected to: check the network, then reset"
+                    "the robot did not answer while connecting: check the network, then reset"
                     if self.memory.words[Word.CONNECTING]
-                    else "the servo process did not start: the machine is overloaded"
+                    else "the servo process did not start: the machine is overloaded",
+                    code="servo_crash.start",
                 )
             if started := int(self.memory.words[Word.CONNECTING]):
-                deadline = min(deadline, started * 1e-9 + self._clock.to_wall_time(self._config.connect_timeout) + MORE)
+                connecting = self._clock.to_wall_time(self._config.connect_timeout)
+                deadline = min(deadline, started * 1e-9 + connecting + KILL_MARGIN)
         if isinstance(reply, Refused):
-            raise (NotReadyError if reply.not_ready else DeviceError)(reply.message)
+            raise reply.error()
         if not isinstance(reply, Connected):
-            raise ServoCrashError(f"the servo process answered {reply!r} to Connect")
+            raise ServoCrashError(f"the servo process answered {reply!r} to Connect", code="servo_crash.protocol")
         return reply.realtime
+
+    def _await_end(self) -> Cause:
+        cycles, since = -1, self._clock.now()
+        while True:
+            reply = self.receive(_POLL)
+            if isinstance(reply, MotionEnded):
+                return reply.cause
+            if reply is not None:
+                self.kill()
+                message = f"the servo process answered {reply!r} to a motion: reset the arm"
+                raise ServoCrashError(message, code="servo_crash.protocol")
+            now, done = self._clock.now(), int(self.memory.words[Word.CYCLES])
+            if done != cycles:
+                cycles, since = done, now
+            elif now - since > self._config.hang_timeout:
+                raise self.crash(hung=True)
 
     def _beat(self) -> None:
         try:

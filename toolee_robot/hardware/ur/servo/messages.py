@@ -1,17 +1,34 @@
-"""Messages between the task's process and the servo process: requests, and replies to them."""
+"""Messages between the task's process and the servo process: requests and their replies."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
 
+from toolee_robot.errors import DeviceError, NotReadyError
 from toolee_robot.hal import ContactGuard, MotionWatch
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.servo.clock import Realtime
 
 
 class Cause(IntEnum):
-    """Why a motion ended. From DATA on it is a fault; from PROGRAM_ENDED on nothing may be sent any more."""
+    """Why a motion ended, in the order of severity.
+
+    Values from DATA on are faults, which latch; from PROGRAM_ENDED on no command may be sent.
+
+    Attributes:
+        NONE: The path was completed.
+        CONTACT: The contact guard was triggered.
+        STOP: `stop` was called.
+        TASK_ENDED: The task's process ended, or this process was asked to terminate.
+        DATA: The robot's data were late or implausible.
+        TRACKING: The tracking error was too large.
+        OVERRUN: Too many commands in a row were late.
+        TASK_STALLED: The task's heartbeat stopped.
+        PROGRAM_ENDED: The robot's control script ended, or ur_rtde refused to send.
+        STOPPED_BY_ROBOT: The robot's safety system stopped it, or it left its running mode.
+        LINK: The connection was lost.
+    """
 
     NONE = 0
     CONTACT = 1
@@ -28,8 +45,18 @@ class Cause(IntEnum):
 
 @dataclass(frozen=True)
 class MotionRequest:
-    """What the task sends with a path. samples, knots: as `ServoMemory.write_path` returned them. stop: the value of
-    the task's stop counter when it was sent. acceleration, jerk: of braking. lag [s]: the most of the servo."""
+    """Request to execute the path in the shared memory.
+
+    Attributes:
+        samples: Number of command samples, as `ServoMemory.write_path` returned it.
+        knots: Number of trajectory samples, as `ServoMemory.write_path` returned it.
+        guard: Contact at which to stop, or None.
+        watch: Bounds to check in every cycle.
+        acceleration: Joint deceleration of a path stop [rad/s^2].
+        jerk: Joint jerk of a path stop [rad/s^3].
+        lag: Upper bound of the servo's delay [s].
+        stop: Value of the task's stop counter when the request was sent; the arm stops when it changes.
+    """
 
     samples: int
     knots: int
@@ -43,7 +70,12 @@ class MotionRequest:
 
 @dataclass(frozen=True)
 class Connect:
-    """The first request. rate: the controller's [Hz]."""
+    """Request to connect to the robot; the first one.
+
+    Attributes:
+        config: The driver's settings.
+        rate: The controller's rate [Hz].
+    """
 
     config: UrArmConfig
     rate: float
@@ -51,7 +83,12 @@ class Connect:
 
 @dataclass(frozen=True)
 class SetPayload:
-    """mass [kg], center_of_mass [m] in the flange."""
+    """Request to set the payload.
+
+    Attributes:
+        mass: Mass [kg].
+        center_of_mass: x, y, z [m] in the flange frame.
+    """
 
     mass: float
     center_of_mass: list[float]
@@ -59,11 +96,17 @@ class SetPayload:
 
 @dataclass(frozen=True)
 class Freedrive:
+    """Request to enter or leave freedrive.
+
+    Attributes:
+        on: True to enter, False to leave.
+    """
+
     on: bool
 
 
 class Close:
-    """End the robot's program and this process."""
+    """Request to end the robot's program and the servo process; there is no reply."""
 
 
 Request = Connect | MotionRequest | SetPayload | Freedrive | Close
@@ -71,25 +114,53 @@ Request = Connect | MotionRequest | SetPayload | Freedrive | Close
 
 @dataclass(frozen=True)
 class Connected:
+    """Reply to `Connect`.
+
+    Attributes:
+        realtime: Real-time privileges that the operating system granted.
+    """
+
     realtime: Realtime
 
 
 @dataclass(frozen=True)
 class MotionEnded:
+    """Reply to `MotionRequest`, once the arm stands.
+
+    Attributes:
+        cause: Why the motion ended.
+    """
+
     cause: Cause
 
 
 @dataclass(frozen=True)
 class Done:
-    pass
+    """Reply to `SetPayload` and `Freedrive`: the robot has acknowledged the request."""
 
 
 @dataclass(frozen=True)
 class Refused:
-    """not_ready: the robot has to be made ready first."""
+    """Reply to a request that failed.
+
+    Attributes:
+        message: What happened, and what to do about it.
+        not_ready: Whether a person must make the robot ready first.
+        code: The error's code.
+    """
 
     message: str
     not_ready: bool
+    code: str
+
+    @classmethod
+    def from_error(cls, error: DeviceError) -> Refused:
+        """The reply that reports an error of the servo process."""
+        return cls(str(error), isinstance(error, NotReadyError), error.code)
+
+    def error(self) -> DeviceError:
+        """The error to raise in the task's process."""
+        return (NotReadyError if self.not_ready else DeviceError)(self.message, code=self.code)
 
 
 Reply = Connected | MotionEnded | Done | Refused

@@ -1,4 +1,4 @@
-"""One motion in the servo process: send the path, watch the robot, and brake on the path for every reason to stop."""
+"""One motion in the servo process: sends the path, monitors the robot, stops on the path at a contact or fault."""
 
 from __future__ import annotations
 
@@ -17,20 +17,29 @@ from toolee_robot.hardware.ur.servo.shared_memory import Column, ServoMemory, St
 from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.runtime.clock import HostClock
 
-STANDSTILL: Final = 2e-3  # [rad/s]
-SETTLE_TIME: Final = 1.0  # [s] at most, after the last command
-SETTLE_CYCLES: Final = 5  # at least
+STANDSTILL: Final = 2e-3  # [rad/s] joint speed below which a joint counts as standing
+SETTLE_TIME: Final = 1.0  # [s] longest wait for standstill after the last command
+SETTLE_CYCLES: Final = 5  # consecutive cycles at standstill before the motion ends
 
 
 class TaskLife(Protocol):
-    """Whether the task's process still lives."""
+    """Supervision of the task's process."""
 
     def lost(self) -> Cause:
-        """TASK_ENDED, TASK_STALLED or NONE."""
+        """TASK_ENDED, TASK_STALLED, or NONE while the process runs."""
 
 
 class Motion:
-    """From the first sample to standstill; `run` returns the cause of the end."""
+    """One motion, from the first sample to standstill.
+
+    Args:
+        link: Connection to the robot.
+        memory: Shared memory with the path; the log is written to it.
+        request: The motion's parameters.
+        schedule: Command slots.
+        alive: Supervision of the task's process.
+        clock: The station's clock.
+    """
 
     def __init__(
         self,
@@ -51,10 +60,11 @@ class Motion:
         self._lag_cycles = request.lag / self._period
         self._window = int(self._lag_cycles + request.watch.data_cycles) + 8
         self._wrenches: list[Array] = []
-        over = 0.0 if request.guard is None else request.guard.averaging_window
-        self._felt: deque[Array] = deque(maxlen=max(round(over / self._period), 1))
+        window = 0.0 if request.guard is None else request.guard.averaging_window
+        self._forces: deque[Array] = deque(maxlen=max(round(window / self._period), 1))
 
     def run(self) -> Cause:
+        """Execute the motion and return why it ended."""
         words, link = self._memory.words, self._link
         words[Word.ROWS] = words[Word.OVERRUNS] = 0
         words[Word.CAUSE], words[Word.CONTACT_ROW] = Cause.NONE, -1
@@ -80,7 +90,7 @@ class Motion:
         return self._cause
 
     def _judge(self, lateness: float, missed: int) -> None:
-        """Every reason to stop. The first one counts, unless a later one forbids to send at all."""
+        """Check every reason to stop. The first one is reported, unless a later one forbids sending."""
         words, watch = self._memory.words, self._request.watch
         late = missed + (lateness >= self._period / 2)
         words[Word.OVERRUNS] += late
@@ -97,7 +107,7 @@ class Motion:
         if self._cause is not Cause.NONE:
             return
         if self._streak >= watch.overruns:
-            # After a gap the arm has already come to rest where it was last sent: there it stays.
+            # After such a gap the arm has already come to rest at the last command and is held there.
             self._end(Cause.OVERRUN, hold=missed >= watch.overruns)
         elif self._tracking_error() > watch.tracking_error:
             self._end(Cause.TRACKING)
@@ -113,7 +123,7 @@ class Motion:
         if cause >= Cause.PROGRAM_ENDED:
             self._silent = True
         if cause is Cause.PROGRAM_ENDED and self._cause >= Cause.DATA:
-            return  # the program ended because of the fault, which is what a person has to know
+            return  # the program ended because of the earlier fault, which is the one to report
         if cause <= self._cause or (self._cause > Cause.NONE and cause < Cause.PROGRAM_ENDED):
             return
         self._cause = cause
@@ -134,17 +144,17 @@ class Motion:
             yield q
 
     def _touches(self) -> bool:
-        """Whether the guard's force is in any of the new readings, averaged with those before it."""
+        """Whether the averaged force exceeds the guard's at any of the new readings."""
         guard, touches = self._request.guard, False
         for wrench in self._wrenches:
-            self._felt.append(wrench[:3])
-            force = np.mean(self._felt, axis=0)
-            full = len(self._felt) == self._felt.maxlen
+            self._forces.append(wrench[:3])
+            force = np.mean(self._forces, axis=0)
+            full = len(self._forces) == self._forces.maxlen
             touches |= guard is not None and full and float(np.sqrt(force @ force)) > guard.force
         return touches and guard is not None and self._time >= guard.ignore_before and not self._brakes
 
     def _tracking_error(self) -> float:
-        """[rad] How far the newest reading lies outside of what was commanded within the servo's lag before it."""
+        """Distance [rad] of the newest reading from the range of commands sent within the servo's lag before it."""
         reading = self._link.reading
         rows = self._memory.rows[max(self._row - self._window, 0) : self._row]
         sent = rows[:, Column.SENT]
@@ -155,8 +165,8 @@ class Motion:
         return float(np.maximum(q - commanded.max(axis=0), commanded.min(axis=0) - q).max())
 
     def _at_rest(self, settled: int) -> bool:
-        """Standstill, seen in fresh data and after the servo's lag, or no more time to wait for it. An arm that swings
-        stands for a moment at every turn: it has to stand for SETTLE_CYCLES."""
+        """Whether the arm stands, by fresh data and after the servo's lag, or the wait for it is over. An oscillating
+        arm is at rest for a moment at each turning point, so standstill must last SETTLE_CYCLES."""
         if settled > SETTLE_TIME / self._period or self._cause is Cause.LINK:
             return True
         reading = self._link.reading

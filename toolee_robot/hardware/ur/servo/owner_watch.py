@@ -1,8 +1,8 @@
-"""How the servo process learns that the task's process has died, in the kernel's first step of its end.
+"""Early detection of the death of the task's process, by a robust mutex in the shared memory.
 
-The other end of a pipe is closed only after the dead process's memory has been given back: 3 to 6 ms after a SIGKILL
-have been measured, more with more memory. A robust mutex that one of its threads holds is marked before that, after
-0.3 ms (robust futexes: `man 3 pthread_mutexattr_setrobust`). Nobody ever waits for it.
+The kernel closes a dead process's end of a pipe only after it has released its memory: 3 to 6 ms after a SIGKILL, more
+with more memory. A robust mutex held by one of its threads is marked before that, after about 0.3 ms (robust futexes:
+`man 3 pthread_mutexattr_setrobust`). No process ever blocks on the mutex.
 """
 
 from __future__ import annotations
@@ -13,21 +13,25 @@ import mmap
 from typing import Final
 
 SIZE: Final = 64
-"""[bytes] of shared memory; a pthread_mutex_t takes 40 or 48 of them, a multiple of 16 from its start."""
+"""[bytes] of shared memory; a pthread_mutex_t takes 40 or 48 of them."""
 
 _PROCESS_SHARED = _ROBUST = 1
 _libc = ctypes.CDLL(None)
 
 
 class OwnerWatch:
-    """On the first SIZE bytes of memory that both processes map."""
+    """Watch over the process that owns the servo process.
+
+    Args:
+        memory: Memory mapped by both processes, of which the first SIZE bytes are used.
+    """
 
     def __init__(self, memory: mmap.mmap) -> None:
         self._mutex = (ctypes.c_char * SIZE).from_buffer(memory)
         self._died = False
 
     def prepare(self) -> None:
-        """The task's process, once, before the other one looks."""
+        """Initialize the mutex: once, in the task's process, before the servo process starts."""
         attributes = (ctypes.c_char * SIZE)()
         _call("pthread_mutexattr_init", attributes)
         _call("pthread_mutexattr_setpshared", attributes, _PROCESS_SHARED)
@@ -35,14 +39,16 @@ class OwnerWatch:
         _call("pthread_mutex_init", self._mutex, attributes)
 
     def hold(self) -> None:
-        """The task's process: released when the calling thread ends, however it ends. Until then its memory stays
-        mapped."""
+        """Lock the mutex, in the task's process. It is released when the calling thread ends, however it ends; until
+        then the memory must stay mapped."""
         _call("pthread_mutex_lock", self._mutex)
 
     @property
     def owner_alive(self) -> bool:
-        """The servo process: whether the thread that holds it lives. False once, it stays so, and the mutex is
-        this thread's: its memory stays mapped. A microsecond."""
+        """Whether the thread that called `hold` is alive, for the servo process; takes about a microsecond.
+
+        Once False it stays False; this thread then holds the mutex, so the memory must stay mapped.
+        """
         self._died = self._died or _libc.pthread_mutex_trylock(self._mutex) == errno.EOWNERDEAD
         return not self._died
 

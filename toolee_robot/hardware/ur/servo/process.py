@@ -1,7 +1,7 @@
-"""The servo process: it alone talks to the robot, in cycles of the controller's rate, and handles the task's requests.
+"""The servo process: the only process that talks to the robot, at the controller's rate; handles the task's requests.
 
-Started by `ServoClient`. It may crash, hang or be killed at any time: the robot's watchdog stops the robot, and the
-task gets a typed error. When the task's process ends or stalls it is this one that brakes, along the path.
+Started by `ServoClient`. If it crashes, hangs or is killed, the robot's watchdog stops the robot and the task gets a
+typed error. If the task's process ends or stalls, this process stops the arm on its path.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any
 
-from toolee_robot.errors import DeviceError, NotReadyError
+from toolee_robot.errors import DeviceError
 from toolee_robot.hal import ArmStatus
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.servo.clock import SEEK, Schedule, become_realtime
@@ -40,11 +40,19 @@ from toolee_robot.hardware.ur.servo.rtde_link import UrLink
 from toolee_robot.hardware.ur.servo.shared_memory import ServoMemory, StateColumn, Word
 
 EXIT_LINK_LOST = 3
-_FRESH, _PATIENCE = 3, 5  # readings, cycles
+_FRESH_READINGS = 3  # new readings before a motion begins
+_FRESH_CYCLES = 5  # cycles to wait for them, at most
 
 
 class ServoProcess:
-    """The loop at rest; motions run in `Motion`."""
+    """The servo loop at rest; motions run in `Motion`.
+
+    Args:
+        pipe: Connection to the task's process.
+        memory: Memory shared with the task's process.
+        link: Connection to the robot.
+        config: The driver's settings.
+    """
 
     def __init__(self, pipe: Connection, memory: ServoMemory, link: UrLink, config: UrArmConfig) -> None:
         self._pipe, self._memory, self._link, self._config = pipe, memory, link, config
@@ -57,7 +65,7 @@ class ServoProcess:
         signal.signal(signal.SIGTERM, self._terminate)
 
     def run(self) -> None:
-        """Until the task ends it, is gone, or the link is lost. Does not return."""
+        """Run until the task requests the end or is gone, or the link is lost. Does not return: the process exits."""
         link, memory = self._link, self._memory
         schedule = Schedule(self._clock.now(), 1.0 / link.rate, self._clock)
         schedule.follow(link.arrived, 0.5)
@@ -68,8 +76,8 @@ class ServoProcess:
             schedule.follow(link.arrived, SEEK)
             link.unread_wrenches()
             self._judge()
-            # A kick that meets an ended program would wait for it in vain. One for each reading: what is sent to a
-            # controller that pauses waits there, and so would every command after it.
+            # Without a running program ur_rtde would block in the call. At most one for each reading: what is sent to
+            # a paused controller queues up there and delays every later command.
             if self._fault < Cause.PROGRAM_ENDED and link.playing and link.reading[StateColumn.TIMESTAMP] > answered:
                 link.kick()
                 answered = float(link.reading[StateColumn.TIMESTAMP])
@@ -81,7 +89,7 @@ class ServoProcess:
                 self._handle(schedule)
 
     def _judge(self) -> None:
-        """What happens at rest latches as well: nothing moves before a reset."""
+        """Latch faults at rest as well: nothing moves before a reset."""
         link = self._link
         if not link.connected or self._clock.to_wall_time(link.age) > self._config.link_timeout:
             self._latch(Cause.LINK)
@@ -109,7 +117,7 @@ class ServoProcess:
                 reply = (
                     MotionEnded(self._fault)
                     if isinstance(request, MotionRequest)
-                    else Refused("the arm is latched", False)
+                    else Refused("the arm is latched", False, "device.latched")
                 )
             elif isinstance(request, MotionRequest):
                 self._await_data(schedule)
@@ -119,7 +127,7 @@ class ServoProcess:
             schedule.resume()
             self._pipe.send(reply)
         except (EOFError, OSError):
-            # The task's process is gone; the arm stands.
+            # The task's process is gone and the arm is at rest.
             link.close()
 
     def _move(self, request: MotionRequest, schedule: Schedule) -> Cause:
@@ -143,12 +151,12 @@ class ServoProcess:
                 else:
                     self._link.end_freedrive()
         except DeviceError as error:
-            return Refused(str(error), False)
-        self._memory.write_state(self._link.reading)  # whoever gets the answer plans from this
+            return Refused.from_error(error)
+        self._memory.write_state(self._link.reading)  # the task plans from this state once it has the reply
         return Done()
 
     def lost(self) -> Cause:
-        """See `servo_motion.TaskLife`: its life line holds, its end of the pipe is open, and its heartbeat goes on."""
+        """See `motion.TaskLife`: checks the owner watch, the task's end of the pipe, and its heartbeat."""
         now, beat = self._clock.now(), int(self._memory.words[Word.HEARTBEAT])
         if beat != self._beat:
             self._beat, self._since = beat, now
@@ -158,11 +166,10 @@ class ServoProcess:
         return Cause.TASK_STALLED if now - self._since > self._config.heartbeat_timeout else Cause.NONE
 
     def _await_data(self, schedule: Schedule) -> None:
-        """Up to three new readings, within _PATIENCE cycles at most: a motion does not begin with data that were old
-        before it."""
-        end = schedule.deadline + _PATIENCE / self._link.rate
+        """Wait for new readings, a bounded time: a motion must not start on data from before its request."""
+        end = schedule.deadline + _FRESH_CYCLES / self._link.rate
         fresh = 0
-        while fresh < _FRESH and schedule.deadline < end:
+        while fresh < _FRESH_READINGS and schedule.deadline < end:
             schedule.resume()
             schedule.wait()
             if self._link.read():
@@ -176,12 +183,15 @@ class ServoProcess:
 
 
 def main() -> None:
-    """Arguments: the file descriptors of the pipe and of the shared memory, and the longest motion [s]."""
-    # Ctrl-C goes to every process of the terminal; this one waits for what the task says.
+    """Run the servo process.
+
+    Command-line arguments: file descriptor of the pipe, file descriptor of the shared memory, longest motion [s].
+    """
+    # The terminal sends Ctrl-C to all its processes; this one only follows the task's requests.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     sys.excepthook = _die
-    faulthandler.enable()  # ur_rtde's crashes say where they were
+    faulthandler.enable()  # stack traces of crashes inside ur_rtde
     pipe = Connection(int(sys.argv[1]))
     memory = ServoMemory(int(sys.argv[2]), float(sys.argv[3]))
     request: Any = pipe.recv()
@@ -192,8 +202,8 @@ def main() -> None:
     try:
         link = UrLink(request.config, request.rate)
     except DeviceError as error:
-        pipe.send(Refused(str(error), isinstance(error, NotReadyError)))
-        # ur_rtde's objects are left to the kernel.
+        pipe.send(Refused.from_error(error))
+        # No destructors: ur_rtde's may hang.
         os._exit(0)
     process = ServoProcess(pipe, memory, link, request.config)
     memory.write_state(link.reading)
@@ -202,8 +212,7 @@ def main() -> None:
 
 
 def _die(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """What an error that nobody expected comes to. Not the interpreter's own end: ur_rtde's destructors may hang, or
-    connect again."""
+    """Print an unexpected error and exit without running destructors: ur_rtde's may hang or reconnect."""
     traceback.print_exception(kind, error, trace)
     os._exit(1)
 

@@ -1,4 +1,4 @@
-"""What the servo process left in the shared memory, as a report, and the error that a cause of an end becomes."""
+"""Motion reports from the shared memory, and the errors for the causes of a motion's end."""
 
 from __future__ import annotations
 
@@ -20,12 +20,20 @@ _OUTCOME = {Cause.NONE: MotionOutcome.COMPLETED, Cause.CONTACT: MotionOutcome.CO
 
 
 def build_report(memory: ServoMemory, cause: Cause) -> MotionReport:
-    """Of the motion that ended last, with copies of all that was sent and measured; stamps are of sending."""
+    """Report on the last motion.
+
+    Args:
+        memory: Shared memory with the motion's log, which is copied.
+        cause: Why the motion ended.
+
+    Returns:
+        The report; its stamps are the times of sending.
+    """
     rows = memory.rows[: int(memory.words[Word.ROWS])].copy()
-    touched = int(memory.words[Word.CONTACT_ROW])
+    contact_row = int(memory.words[Word.CONTACT_ROW])
     contact = None
-    if cause is Cause.CONTACT and 0 <= touched < len(rows):
-        row = rows[touched]
+    if cause is Cause.CONTACT and 0 <= contact_row < len(rows):
+        row = rows[contact_row]
         contact = JointState(row[Column.Q], row[Column.QD], float(row[Column.SEEN]))
     return MotionReport(
         outcome=_OUTCOME.get(cause, MotionOutcome.STOPPED),
@@ -39,28 +47,42 @@ def build_report(memory: ServoMemory, cause: Cause) -> MotionReport:
 
 
 def fault(cause: Cause, status: ArmStatus, report: MotionReport | None) -> MotionFaultError:
-    """cause: from `Cause.DATA` on. status: what the robot's safety system said last."""
+    """The error for a motion that ended with a fault.
+
+    Args:
+        cause: Why the motion ended; `Cause.DATA` or more severe.
+        status: Latest status of the robot.
+        report: What was done until then; None for a fault at rest.
+
+    Returns:
+        The error to raise.
+    """
     if cause is Cause.STOPPED_BY_ROBOT:
         if status is ArmStatus.PROTECTIVE_STOP:
             return ProtectiveStopError(advice(status), report)
         if status in (ArmStatus.EMERGENCY_STOP, ArmStatus.SAFEGUARD_STOP):
             return EmergencyStopError(advice(status), report)
-        # It may be ready again by now; that it was not is what counts.
+        # The robot may be ready again by now.
         status = status if status is not ArmStatus.READY else ArmStatus.NOT_READY
-        return MotionFaultError(advice(status), report)
+        return MotionFaultError(advice(status), report, code="motion_fault.robot_status")
     if cause is Cause.DATA:
         return LinkLostError(
-            "the robot's data came late or made no sense, and the arm was stopped: check the network, reset", report
+            "the robot's data were late or implausible, and the arm was stopped: check the network, then reset",
+            report,
+            code="link_lost.data",
         )
     if cause is Cause.LINK:
-        return LinkLostError("the link to the robot is lost; its watchdog stops it: check the network, reset", report)
+        message = "the link to the robot is lost; its watchdog stops it: check the network, then reset"
+        return LinkLostError(message, report, code="link_lost.connection")
     if cause is Cause.TRACKING:
-        return TrackingError("the arm did not follow its commands, and was stopped: look what is in its way", report)
+        return TrackingError("the arm did not follow its commands and was stopped: look for an obstacle", report)
     if cause is Cause.OVERRUN:
-        return OverrunError("commands went out late, and the arm was stopped: take load off this machine", report)
+        return OverrunError("commands were sent late and the arm was stopped: reduce the load on this machine", report)
     if cause is Cause.TASK_STALLED:
-        return MotionFaultError("the task's process stood still, and the arm was stopped: see what held it up", report)
+        message = "the task's process stalled and the arm was stopped: look what blocked it"
+        return MotionFaultError(message, report, code="motion_fault.task_stalled")
     return MotionFaultError(
         "the robot's program has ended (the pendant, its watchdog, another program): see the robot's log, then reset",
         report,
+        code="motion_fault.program_ended",
     )

@@ -1,10 +1,8 @@
-"""ur_rtde's control interface, in the servo process, and the stream of the robot's state beside it: nothing
-else in the project touches ur_rtde.
+"""The servo process's link to the robot: ur_rtde's control interface and a separate stream of the robot's state.
 
-What ur_rtde returns is not believed: its calls answer True long after the link is gone. Only the advance of the
-controller's timestamp says that a reading is new. Calls that shake hands with the control script can block for minutes,
-so each runs under a timer whose signal ends this process: nothing here is worth waiting for, and the robot's watchdog
-stops the robot.
+This is the only module that uses ur_rtde. Its return values are not relied on: calls return True long after the link is
+lost. A reading is new only if the controller's timestamp has advanced. Calls that wait for the control script can block
+for minutes, so each runs under a timer whose signal ends this process; the robot's watchdog then stops the robot.
 """
 
 from __future__ import annotations
@@ -30,15 +28,16 @@ from toolee_robot.hardware.ur.status import RUNTIME_PLAYING, advice, arm_status
 from toolee_robot.motion.trajectory_checks import START_TOLERANCE
 
 PAYLOAD_TOLERANCE = 1e-3
-"""[kg], [m] Between what was set and what the controller reports."""
+"""[kg], [m] Largest difference between the payload set and the payload reported by the controller."""
 
-_CATCH_UP = 100  # times, of what has come during a handshake
-_HELD = 5  # readings with one set-point
+_CATCH_UP_READS = 100  # reads after a handshake, at most
+_HELD_READINGS = 5  # consecutive readings with one set-point, after which the arm counts as held
 
 
 @contextmanager
 def bounded(seconds: float) -> Iterator[None]:
-    """End this process, by SIGALRM's own default action, if the body takes longer: no interpreter is needed for it."""
+    """Kill this process if the body takes longer than `seconds` on the wall clock: by SIGALRM's default action, which
+    needs no interpreter."""
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
@@ -48,15 +47,28 @@ def bounded(seconds: float) -> Iterator[None]:
 
 
 class UrLink:
-    """rate [Hz]: the controller's. reading: (StateColumn.COUNT,), the newest; its commanded position is what went out
-    last, or, while nothing is servoed, where the controller holds the arm. refused: True for good once ur_rtde did
-    not send a position, since it believes that the robot's program has ended, whatever the receiving end says. status,
-    playing: what the robot says of its safety and of its program. servoing: the control script's servo thread runs, and
-    holds the last position sent."""
+    """A connection to the robot for commands and state. Connecting moves nothing.
+
+    Args:
+        config: The driver's settings.
+        rate: The controller's rate [Hz].
+
+    Attributes:
+        rate: The controller's rate [Hz].
+        reading: Newest state, (StateColumn.COUNT,). Its commanded position is the one sent last or, while the arm is
+            not servoed, the one at which the controller holds it.
+        refused: Whether ur_rtde has refused to send a position because it takes the robot's program as ended; stays
+            True.
+        status: Status of the robot's safety system and mode.
+        playing: Whether the robot's program runs.
+        servoing: Whether the control script's servo thread runs, which holds the last position sent.
+
+    Raises:
+        NotReadyError: The robot's safety system or mode forbids motion.
+        DeviceError: ur_rtde cannot connect, or the robot's data are implausible.
+    """
 
     def __init__(self, config: UrArmConfig, rate: float) -> None:
-        """Connect; nothing moves. Raises NotReadyError while the robot's safety system or mode forbids motion, and
-        DeviceError for what ur_rtde throws."""
         self._config, self.rate, self._clock = config, rate, config.clock
         self.reading: Array = np.zeros(StateColumn.COUNT)
         self.refused, self._lost = False, False
@@ -69,9 +81,9 @@ class UrLink:
                 )
                 self._show_newest()
                 if self.status is not ArmStatus.READY:
-                    raise NotReadyError(advice(self.status))
+                    raise NotReadyError(advice(self.status), code=f"not_ready.{self.status}")
                 self._control = RTDEControlInterface(config.host)
-                # Forces are wanted at the flange: whatever tool the pendant has set is taken off.
+                # Wrenches are to be reported at the flange, whatever TCP the installation has.
                 self._control.setTcp([0.0] * 6)
                 while not self.playing:
                     self.read()
@@ -80,36 +92,41 @@ class UrLink:
                 self._control.setWatchdog(config.watchdog)
                 self._catch_up()
                 self._sockets = UrRtdeSockets(RTDE_PORT)
-            except (RuntimeError, ValueError, IndexError, MemoryError) as error:  # whatever C++ may throw
-                raise DeviceError(_explain(str(error), config.host)) from error
+            except (RuntimeError, ValueError, IndexError, MemoryError) as error:  # C++ exceptions
+                raise DeviceError(_explain(str(error), config.host), code="device.connection_refused") from error
 
     @property
     def connected(self) -> bool:
-        """Whether all connections are there, the ones of the beginning. True says nothing; False is the truth."""
+        """Whether all connections seem to be the original ones. Only False is certain."""
         return not (self._lost or self._stream.lost) and bool(self._control.isConnected() and self._sockets.same)
 
     @property
     def plausible(self) -> bool:
-        """False for good once data made no sense; they are never taken in."""
+        """Whether all data so far were plausible; once False it stays False. Implausible data are discarded."""
         return self._stream.plausible
 
     @property
     def age(self) -> float:
-        """[s] Of the newest reading."""
+        """Age of the newest reading [s]."""
         return self._clock.now() - self._stream.seen
 
     @property
     def arrived(self) -> float:
-        """[s] When the newest reading came in, not when it was taken: by it, the controller's cycle."""
+        """When the newest reading arrived at this machine [s], as opposed to when it was read: tells the controller's
+        cycle."""
         return self._stream.arrived
 
     def unread_wrenches(self) -> list[Array]:
-        """All (6,) that have come since this was last asked, the oldest first."""
+        """All wrenches (6,) [N, Nm] since the last call, the oldest first."""
         unread, self._wrenches = self._wrenches, []
         return unread
 
     def read(self) -> bool:
-        """Take in what has come; False when nothing new has, or something that makes no sense. Never waits."""
+        """Take the readings that have arrived; never waits.
+
+        Returns:
+            Whether there were new and plausible readings.
+        """
         readings = self._stream.take()
         if not readings:
             return False
@@ -123,13 +140,13 @@ class UrLink:
         reading[:5] = self._stream.seen, newest.timestamp, safety, mode, runtime
         reading[StateColumn.Q], reading[StateColumn.QD] = newest.q, newest.qd
         reading[StateColumn.WRENCH] = newest.wrench
-        if not self.servoing:  # a person may move it, and it may still come to rest after a program's end
+        if not self.servoing:  # a person may move it, or it may still be decelerating after a program's end
             reading[StateColumn.COMMANDED] = newest.target
         self.status = arm_status(safety, mode)
         self.playing = runtime == RUNTIME_PLAYING
 
     def servo(self, q: Array) -> None:
-        """Send one position (6,) [rad]; feeds the robot's watchdog as well."""
+        """Send a joint position (6,) [rad]; this resets the robot's watchdog as well."""
         with self._while_connected():
             sent = self._control.servoJ(
                 q.tolist(), 0.0, 0.0, 1.0 / self.rate, self._config.lookahead, self._config.gain
@@ -139,17 +156,29 @@ class UrLink:
         self.servoing = True
 
     def kick(self) -> None:
-        """Feed the robot's watchdog. Not in a cycle that has sent a position: of two commands that reach the robot in
-        one of its cycles it takes the later. Not without a program: ur_rtde may wait 3 s for it to get ready."""
+        """Reset the robot's watchdog.
+
+        Not in a cycle that has sent a position: of two commands in one of its cycles the robot takes the later. Not
+        without a running program: ur_rtde may wait 3 s for one.
+        """
         with self._while_connected():
             self._control.kickWatchdog()
 
     def set_payload(self, mass: float, center_of_mass: list[float]) -> None:
-        """[kg], [m] in the flange. Raises DeviceError unless the controller reports it back, where its version can."""
+        """Set the payload and wait until the controller reports it, if its version does.
+
+        Args:
+            mass: Mass [kg].
+            center_of_mass: x, y, z [m] in the flange frame.
+
+        Raises:
+            DeviceError: The robot's program does not run, or the controller reports another payload.
+        """
         with bounded(self._clock.to_wall_time(self._config.handshake_timeout)):
             accepted = self._control.setPayload(mass, center_of_mass)
         if not accepted:
-            raise DeviceError("the robot did not take the payload: its program does not run; reset the arm")
+            message = "the robot did not accept the payload: its program does not run; reset the arm"
+            raise DeviceError(message, code="device.program_stopped")
         deadline = self._clock.now() + self._config.handshake_timeout
         while True:
             self.kick()
@@ -162,24 +191,27 @@ class UrLink:
             if self._clock.now() > deadline:
                 raise DeviceError(
                     f"the payload was set to {mass:.3f} kg at {np.round(center_of_mass, 3)} m, but the robot reports "
-                    f"{reported[0]:.3f} kg at {np.round(reported[1:], 3)} m"
+                    f"{reported[0]:.3f} kg at {np.round(reported[1:], 3)} m",
+                    code="device.payload_mismatch",
                 )
 
     def start_freedrive(self) -> None:
+        """Enter freedrive. Raises DeviceError if the robot's program does not run."""
         with bounded(self._clock.to_wall_time(self._config.handshake_timeout)):
             if self.servoing:
                 self._control.servoStop()
                 self.servoing = False
             if not self._control.teachMode():
-                raise DeviceError("the robot did not go into freedrive: its program does not run; reset the arm")
+                message = "the robot did not enter freedrive: its program does not run; reset the arm"
+                raise DeviceError(message, code="device.program_stopped")
 
     def end_freedrive(self) -> None:
-        """Returns when the controller holds the arm at one place: let go of in mid-motion, it brakes first."""
+        """Leave freedrive and wait until the controller holds the arm; an arm that still moves brakes first."""
         with bounded(self._clock.to_wall_time(self._config.handshake_timeout)):
             self._control.endTeachMode()
             self._catch_up()
             held = 0
-            while held < _HELD:
+            while held < _HELD_READINGS:
                 before = self.reading[StateColumn.COMMANDED].copy()
                 self.kick()
                 self._clock.sleep(1.0 / self.rate)
@@ -189,33 +221,35 @@ class UrLink:
                 self._expect_plausible()
 
     def close(self) -> None:
-        """End the robot's program, at rest, and the connections; whatever does not end by itself ends the process."""
+        """End the robot's program, at rest, and this process with all its connections."""
         with bounded(self._clock.to_wall_time(self._config.handshake_timeout)):
             if self.connected and self.playing and self.status is ArmStatus.READY:
                 if self.servoing:
                     self._control.servoStop()
                 self._control.stopScript()
-        # ur_rtde's own clean-up may hang, reconnect or crash; the kernel's does not.
+        # No destructors: ur_rtde's may hang, reconnect or crash. The kernel closes the connections.
         os._exit(0)
 
     @contextmanager
     def _while_connected(self) -> Iterator[None]:
-        """A command that finds the connection gone makes ur_rtde try for another one, which it cannot have."""
+        """Record a lost connection. A command on one makes ur_rtde try to reconnect, which `UrRtdeSockets` prevents and
+        which therefore raises RuntimeError."""
         try:
             yield
         except RuntimeError:
             self._lost = True
 
     def _catch_up(self) -> None:
-        """Take in all that came during a handshake."""
-        for _ in range(_CATCH_UP):
+        """Take all readings that arrived during a handshake."""
+        for _ in range(_CATCH_UP_READS):
             if not self.read():
                 break
         self._expect_plausible()
 
     def _expect_plausible(self) -> None:
         if not self.plausible:
-            raise DeviceError("the robot's data make no sense (joints, forces or time): restart its controller")
+            message = "the robot's data are implausible (joints, forces or time): restart its controller"
+            raise DeviceError(message, code="device.implausible_data")
 
 
 def _explain(message: str, host: str) -> str:

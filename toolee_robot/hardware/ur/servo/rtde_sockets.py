@@ -1,13 +1,12 @@
-"""ur_rtde's connections to the robot, as the kernel knows them.
+"""Supervision of ur_rtde's sockets through the kernel.
 
-Its control interface connects again by itself when it has lost the robot, and says nothing of it: within a few
-milliseconds it ends the robot's program, which the robot's watchdog would have ended with the arm held where it was
-sent, and starts another. A lost connection has to end a motion, and nothing may resume by itself. So the sockets are
-watched, and no other may take their place.
+ur_rtde's control interface reconnects silently when it has lost the robot: within a few milliseconds it ends the
+robot's program and starts another. But a lost connection must end a motion, and nothing may resume by itself. So the
+original sockets are monitored, and the process is prevented from opening others.
 
-It also turns Nagle's algorithm off too early: its library makes another socket when it connects. With the algorithm on,
-a command waits until the one before it has been acknowledged, which a controller does with its next packet: once a
-command is late, all of them reach the robot a cycle later from then on.
+ur_rtde also disables Nagle's algorithm on a socket that it replaces when it connects, so it stays enabled. A command
+then waits for the acknowledgement of the previous one, which a controller sends with its next packet: after one late
+command, every later one would arrive a cycle late.
 """
 
 from __future__ import annotations
@@ -19,21 +18,23 @@ import stat
 from contextlib import suppress
 from pathlib import Path
 
-# poll() itself refuses more descriptors than may be open; the one that is left is 0, which is in use.
-_OPEN_FILES = 1
+_OPEN_FILES = 1  # not 0: poll() refuses more descriptors than the limit. Descriptor 0 itself is in use.
 
 
 class UrRtdeSockets:
-    """The sockets of this process that are connected to this TCP port of a peer at the time of construction.
+    """The sockets of this process that are connected to a peer's TCP port at the time of construction.
 
-    From then on they send at once what they are given, and this process can open no file and no socket any more:
-    whoever wants to connect anew starts another.
+    Construction disables Nagle's algorithm on them and prevents this process from opening any more files or sockets; a
+    new connection needs a new process.
+
+    Args:
+        port: The peer's TCP port.
     """
 
     def __init__(self, port: int) -> None:
         self._inodes: dict[int, int] = {}
         for entry in Path("/proc/self/fd").iterdir():
-            with suppress(OSError):  # not connected, or the listing's own
+            with suppress(OSError):  # not connected, or the descriptor of the listing itself
                 fd, state = int(entry.name), os.fstat(int(entry.name))
                 if stat.S_ISSOCK(state.st_mode) and _claim(fd, port):
                     self._inodes[fd] = state.st_ino
@@ -41,7 +42,7 @@ class UrRtdeSockets:
 
     @property
     def same(self) -> bool:
-        """Whether all of them are still those of the beginning. Some microseconds."""
+        """Whether all of them are still the original ones; takes some microseconds."""
         try:
             return all(os.fstat(fd).st_ino == inode for fd, inode in self._inodes.items())
         except OSError:
@@ -49,7 +50,7 @@ class UrRtdeSockets:
 
 
 def _claim(fd: int, port: int) -> bool:
-    """Whether it is connected to this port; Nagle's algorithm is off then."""
+    """Disable Nagle's algorithm if the socket is connected to this port; returns whether it is."""
     with socket.socket(fileno=os.dup(fd)) as sock:
         if sock.family not in (socket.AF_INET, socket.AF_INET6) or sock.getpeername()[1] != port:
             return False

@@ -1,7 +1,7 @@
-"""Memory that the task's process and the servo process share: the command path, the robot's state, what was sent.
+"""Memory shared by the task's process and the servo process: command path, robot state, log of the motion.
 
-An anonymous file, mapped by both: it is gone with the last of them, however that one ends. Nobody ever waits for a
-lock here: a task that is stopped or killed while it writes must not hold up the servo loop.
+An anonymous file mapped by both, which disappears with the last of them, however it ends. Access never waits for a
+lock: a task that is stopped or killed while it writes must not delay the servo loop.
 """
 
 from __future__ import annotations
@@ -20,14 +20,25 @@ from toolee_robot.hardware.ur.servo.owner_watch import SIZE as OWNER_WATCH_SIZE
 from toolee_robot.hardware.ur.servo.owner_watch import OwnerWatch
 from toolee_robot.types import Trajectory
 
-FASTEST: Final = 500.0  # [Hz]
-AFTERWARDS: Final = 5.0  # [s] of braking and settling after the longest path
-KNOT_RATE: Final = 1000.0  # [Hz] samples of a trajectory that fit, on average
+MAX_RATE: Final = 500.0  # [Hz] highest controller rate
+SETTLE_ALLOWANCE: Final = 5.0  # [s] of braking and settling after the longest path that the log can hold
+KNOT_RATE: Final = 1000.0  # [Hz] highest average sample rate of a trajectory
 
 
 class Word(IntEnum):
-    """Integers. HEARTBEAT and STOP are the task's, the rest is the servo process's. CONNECTING: when the servo process
-    began to connect [ns of `time.monotonic_ns()`]. CYCLES goes on as long as its loop does."""
+    """Index of the shared 64-bit integers. The task writes HEARTBEAT and STOP, the servo process the others.
+
+    Attributes:
+        HEARTBEAT: Counter that advances while the task's process runs.
+        STOP: Counter of stop requests.
+        CYCLES: Counter of the servo loop's cycles.
+        ROWS: Rows of the log that are valid.
+        OVERRUNS: Late or missed cycles of the motion.
+        CAUSE: `Cause` of the last end of a motion, or of a fault at rest.
+        STATE_SEQUENCE: Sequence counter of the state; odd while it is being written.
+        CONTACT_ROW: Row of the log at the contact, or -1.
+        CONNECTING: When the servo process began to connect [ns of `time.monotonic_ns()`]; 0 until then.
+    """
 
     HEARTBEAT = 0
     STOP = 1
@@ -41,25 +52,49 @@ class Word(IntEnum):
 
 
 class Column:
-    """Of a row of the log, one for each command cycle. Times in seconds on the station's clock."""
+    """Columns of the log, which has one row per command cycle. Times in seconds on the station's clock.
+
+    Attributes:
+        SENT: When the command was sent [s].
+        LATENESS: Delay of the cycle behind its slot [s].
+        SEEN: When the newest reading was received [s].
+        TIMESTAMP: The controller's timestamp of that reading [s].
+        PATH_TIME: Time on the trajectory [s].
+        COMMANDED: Joint positions sent, (6,) [rad].
+        Q: Measured joint positions, (6,) [rad].
+        QD: Measured joint velocities, (6,) [rad/s].
+        WRENCH: Wrench at the flange, (6,) [N, Nm]: of the readings since the previous row, the one with the largest
+            force.
+        COUNT: Number of columns.
+    """
 
     SENT = 0
     LATENESS = 1
     SEEN = 2
-    """When the reading was first seen here."""
     TIMESTAMP = 3
-    """The controller's own, of that reading."""
     PATH_TIME = 4
     COMMANDED = slice(5, 11)
     Q = slice(11, 17)
     QD = slice(17, 23)
     WRENCH = slice(23, 29)
-    """With the greatest force of those that came since the row before."""
     COUNT = 29
 
 
 class StateColumn:
-    """Of the newest reading."""
+    """Elements of the newest reading.
+
+    Attributes:
+        SEEN: When it was received [s] on the station's clock.
+        TIMESTAMP: The controller's timestamp [s].
+        SAFETY_BITS: RTDE's safety_status_bits.
+        ROBOT_MODE: RTDE's robot_mode.
+        RUNTIME_STATE: RTDE's runtime_state.
+        Q: Measured joint positions, (6,) [rad].
+        QD: Measured joint velocities, (6,) [rad/s].
+        WRENCH: Wrench at the flange, (6,) [N, Nm], axes of `base`.
+        COMMANDED: Joint positions sent last, or held by the controller, (6,) [rad].
+        COUNT: Number of elements.
+    """
 
     SEEN = 0
     TIMESTAMP = 1
@@ -74,17 +109,30 @@ class StateColumn:
 
 
 class ServoMemory:
-    """fd: of the anonymous file, to hand to the other process. longest: the longest motion that fits [s]. life: the
-    task's, of which the servo process sees the end."""
+    """The shared memory, mapped into this process.
+
+    Args:
+        fd: Descriptor of the anonymous file; both processes need it.
+        longest: Duration of the longest motion that fits [s].
+
+    Attributes:
+        fd: Descriptor of the anonymous file.
+        longest: Duration of the longest motion that fits [s].
+        owner: Watch over the task's process.
+        words: Integers, indexed by `Word`.
+        reference: Command path, (samples, 6) [rad], at the controller's rate.
+        knots: Trajectory, (knots, 19): time, q, qd, qdd.
+        rows: Log of the motion, (rows, Column.COUNT).
+    """
 
     def __init__(self, fd: int, longest: float) -> None:
         self.fd, self.longest = fd, longest
-        samples, knots = int(longest * FASTEST) + 2, int(longest * KNOT_RATE) + 2
+        samples, knots = int(longest * MAX_RATE) + 2, int(longest * KNOT_RATE) + 2
         shapes = {
             "state": (StateColumn.COUNT,),
             "reference": (samples, 6),
             "knots": (knots, 19),
-            "rows": (samples + int(AFTERWARDS * FASTEST), Column.COUNT),
+            "rows": (samples + int(SETTLE_ALLOWANCE * MAX_RATE), Column.COUNT),
         }
         words = OWNER_WATCH_SIZE + 8 * len(Word)
         size = words + sum(8 * int(np.prod(shape)) for shape in shapes.values())
@@ -104,38 +152,55 @@ class ServoMemory:
 
     @classmethod
     def create(cls, longest: float) -> ServoMemory:
-        """The task's, before it starts the servo process."""
+        """Create the memory, in the task's process, for motions of at most `longest` [s]."""
         memory = cls(os.memfd_create("toolee-servo", os.MFD_CLOEXEC), longest)
         memory.owner.prepare()
         return memory
 
     def close(self) -> None:
-        """Give up the file; the mapping goes with its last array."""
+        """Close the file; the mapping lives as long as an array uses it."""
         os.close(self.fd)
 
     def write_state(self, state: Array) -> None:
-        """state: (StateColumn.COUNT,). The sequence is odd while it is being written."""
+        """Publish a state (StateColumn.COUNT,). The sequence counter is odd while it is being written (a seqlock)."""
         sequence = int(self.words[Word.STATE_SEQUENCE])
         self.words[Word.STATE_SEQUENCE] = sequence + 1
         self._state[:] = state
         self.words[Word.STATE_SEQUENCE] = sequence + 2
 
     def read_state(self) -> Array:
-        """A copy of one whole state. Raises DeviceError when its writer died, or hangs, in mid-write."""
+        """A consistent copy of the state (StateColumn.COUNT,).
+
+        Raises:
+            DeviceError: The writer died or hangs in the middle of a write.
+        """
         for _ in range(1000):
             before = int(self.words[Word.STATE_SEQUENCE])
             state = self._state.copy()
             if before % 2 == 0 and before == int(self.words[Word.STATE_SEQUENCE]):
                 return state
-        raise DeviceError("the servo process stopped while it wrote the arm's state: reset the arm")
+        message = "the servo process stopped while it wrote the arm's state: reset the arm"
+        raise DeviceError(message, code="device.torn_state")
 
     def write_path(self, trajectory: Trajectory, rate: float) -> tuple[int, int]:
-        """Put a trajectory in, on the grid of `rate` [Hz] and as it is. Returns the numbers of samples of both."""
+        """Store a trajectory, both sampled at the command rate and unchanged.
+
+        Args:
+            trajectory: The trajectory.
+            rate: The command rate [Hz].
+
+        Returns:
+            Number of command samples and number of trajectory samples.
+
+        Raises:
+            LimitError: The trajectory does not fit.
+        """
         grid = presample(trajectory, rate)
         if trajectory.duration > self.longest or len(trajectory.times) > len(self.knots):
             raise LimitError(
                 f"the trajectory takes {trajectory.duration:.1f} s with {len(trajectory.times)} samples; the arm takes "
-                f"{self.longest:.0f} s and {len(self.knots)} samples at once: send it in parts"
+                f"{self.longest:.0f} s and {len(self.knots)} samples at once: send it in parts",
+                code="limit.trajectory_length",
             )
         n = len(trajectory.times)
         self.reference[: len(grid)] = grid
@@ -144,13 +209,21 @@ class ServoMemory:
         return len(grid), n
 
     def path(self, knots: int) -> Trajectory:
-        """The trajectory that `write_path` put in."""
+        """The trajectory of `knots` samples that `write_path` stored."""
         table = self.knots[:knots].copy()
         return Trajectory(table[:, 0], table[:, 1:7], table[:, 7:13], table[:, 13:19])
 
 
 def presample(trajectory: Trajectory, rate: float) -> Array:
-    """q (n, 6) at k / rate [s] for k = 1, 2, ... and at the end: `Trajectory.sample`, for all times at once."""
+    """Sample a trajectory at a fixed rate, with the cubic Hermite interpolation of `Trajectory.sample`.
+
+    Args:
+        trajectory: The trajectory.
+        rate: Sampling rate [Hz].
+
+    Returns:
+        Joint positions (n, 6) [rad] at k / rate [s] for k = 1, 2, ..., and at the trajectory's end.
+    """
     count = max(int(np.ceil(trajectory.duration * rate - 1e-9)), 1)
     t = np.minimum(np.arange(1, count + 1) / rate, trajectory.duration)
     times, q, qd = trajectory.times, trajectory.q, trajectory.qd

@@ -1,8 +1,8 @@
-"""Every reading of the robot's state, none left out.
+"""A gap-free stream of the robot's state.
 
-ur_rtde's receiver keeps the newest of what has come and drops the rest: of two readings that a busy network delivers
-at once it shows one, and a strike, or a reading that makes no sense, may be in the other. So the state comes over a
-connection of our own, which only reads, and on which readings wait in the order in which they were sent.
+ur_rtde's receiver keeps only the newest reading: of two that the network delivers at once it drops one, which may
+contain a strike's force or an implausible value. The state is therefore read over a separate read-only connection, on
+which readings queue in the order in which they were sent.
 """
 
 from __future__ import annotations
@@ -28,22 +28,33 @@ _ALWAYS = (
     "robot_mode",
     "runtime_state",
 )
-_WHERE_KNOWN = ("payload", "payload_cog")  # since 3.11 and 5.5.1
+_OPTIONAL = ("payload", "payload_cog")  # since 3.11 and 5.5.1
 
 _IMPLAUSIBLE = 100.0
-"""[rad], [rad/s] No joint of a robot reads so much, nor what is not a number."""
+"""[rad], [rad/s] Bound of plausible joint readings."""
 _IMPLAUSIBLE_WRENCH = 1e4
-"""[N, Nm]"""
+"""[N, Nm] Bound of plausible wrench readings."""
 
-# The controller's base is our base_link turned by pi about z: forces and torques change sign in x and y.
+# The controller's base is `base` rotated by pi about z: forces and torques change sign in x and y.
 _TURN = np.array([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class Reading:
-    """timestamp: the controller's [s]. q, qd, target: (6,) joints, and where the controller holds them [rad, rad/s].
-    wrench: (6,) [N, Nm] at the flange, in `base`. safety_bits, robot_mode, runtime_state: RTDE's numbers. payload: mass
-    and centre of gravity in the flange [kg, m], None from a controller that does not report them."""
+    """One reading of the robot's state.
+
+    Attributes:
+        timestamp: The controller's time [s].
+        q: Measured joint positions, (6,) [rad].
+        qd: Measured joint velocities, (6,) [rad/s].
+        target: Joint positions at which the controller holds the arm, (6,) [rad].
+        wrench: Wrench at the flange, (6,) [N, Nm], axes of `base`.
+        safety_bits: RTDE's safety_status_bits.
+        robot_mode: RTDE's robot_mode.
+        runtime_state: RTDE's runtime_state.
+        payload: Mass [kg] and centre of gravity x, y, z [m] in the flange frame; None from a controller that does not
+            report them.
+    """
 
     timestamp: float
     q: Array
@@ -57,28 +68,48 @@ class Reading:
 
 
 class StateStream:
-    """newest: the reading that came last; arrived: when it came, seen: when it was taken in [s]. lost: True for good
-    once the connection is gone. sane: False for good once data made no sense; they are never taken in."""
+    """A connection on which the controller sends its state at its rate.
+
+    Args:
+        host: Address of the controller.
+        rate: Rate of the readings [Hz].
+        timeout: Timeout of connecting and of the first reading [s] on the wall clock.
+        clock: The station's clock.
+
+    Attributes:
+        newest: The last reading.
+        arrived: When it arrived at this machine [s] on the station's clock.
+        seen: When it was read [s] on the station's clock.
+        lost: Whether the connection is lost; stays True.
+        plausible: Whether all data were plausible; stays False. Implausible data are discarded.
+
+    Raises:
+        NoAnswerError: The controller does not answer in time.
+        ProtocolError: It sends what RTDE does not allow, or implausible data.
+        NotReadyError: It does not report an output that is needed.
+    """
 
     def __init__(self, host: str, rate: float, timeout: float, clock: HostClock) -> None:
-        """Connect, and wait for the first reading; timeout [s] of the wall. Raises NoAnswerError, ProtocolError, and
-        NotReadyError for a controller that does not report what is needed."""
         deadline = time.monotonic() + timeout
         self._clock = clock
         self.lost, self.plausible = False, True
         self._reader = RtdeReader.connect(host, deadline)
-        if self._reader.subscribe(_ALWAYS + _WHERE_KNOWN, rate, deadline):
+        if self._reader.subscribe(_ALWAYS + _OPTIONAL, rate, deadline):
             self._reader.close()
             self._reader = RtdeReader.connect(host, deadline)
             if unknown := self._reader.subscribe(_ALWAYS, rate, deadline):
-                raise NotReadyError(f"the controller does not report {', '.join(unknown)}: update PolyScope")
+                message = f"the controller does not report {', '.join(unknown)}: update PolyScope"
+                raise NotReadyError(message, code="not_ready.polyscope_version")
         first = self._reader.read(deadline)
         self.newest, self.seen = _reading(first), clock.now()
         self.arrived = first.received * clock.real_time_factor
 
     def take(self) -> list[Reading]:
-        """Those that have come since, the oldest first; none of them once the stream is lost or not sane. Never
-        waits."""
+        """The readings that have arrived since the last call, the oldest first; never waits.
+
+        Returns:
+            The readings; none once the stream is lost or implausible.
+        """
         if self.lost or not self.plausible:
             return []
         try:
@@ -95,28 +126,28 @@ class StateStream:
             if reading.timestamp == self.newest.timestamp:
                 continue
             if reading.timestamp < self.newest.timestamp:
-                raise ProtocolError("the robot's time goes back")
+                raise ProtocolError("the robot's time runs backwards", code="protocol.implausible")
             self.newest, self.seen = reading, self._clock.now()
             self.arrived = sample.received * self._clock.real_time_factor
             yield reading
 
 
 def _reading(sample: RtdeSample) -> Reading:
-    """Raises ProtocolError for what no robot measures."""
+    """Convert a sample. Raises ProtocolError for implausible values."""
     values = sample.values
     timestamp, wrench = _numbers(values["timestamp"]), _numbers(values["actual_TCP_force"])
     q, qd, target = (_numbers(values[name]) for name in ("actual_q", "actual_qd", "target_q"))
     # NaN fails every comparison.
     if timestamp.shape != (1,) or not abs(timestamp[0]) < np.inf:
-        raise ProtocolError("the robot's time is no number")
+        raise ProtocolError("the robot's time is not a finite number", code="protocol.implausible")
     if not all(joints.shape == (6,) and np.all(np.abs(joints) < _IMPLAUSIBLE) for joints in (q, qd, target)):
-        raise ProtocolError("the robot's joints are no joints")
+        raise ProtocolError("the robot's joint readings are implausible", code="protocol.implausible")
     if not (wrench.shape == (6,) and np.all(np.abs(wrench) < _IMPLAUSIBLE_WRENCH)):
-        raise ProtocolError("the robot's forces are no forces")
+        raise ProtocolError("the robot's wrench readings are implausible", code="protocol.implausible")
     safety, mode, runtime = (int(_numbers(values[name])[0]) for name in _ALWAYS[-3:])
     payload = None
-    if _WHERE_KNOWN[0] in values:
-        mass, x, y, z = np.hstack([_numbers(values[name]) for name in _WHERE_KNOWN]).tolist()
+    if _OPTIONAL[0] in values:
+        mass, x, y, z = np.hstack([_numbers(values[name]) for name in _OPTIONAL]).tolist()
         payload = (mass, x, y, z)
     return Reading(float(timestamp[0]), q, qd, target, wrench * _TURN, safety, mode, runtime, payload)
 

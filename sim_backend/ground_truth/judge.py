@@ -1,0 +1,235 @@
+"""The judge: ground truth about a run, for the command line's report and the tests, never for the task.
+
+It observes every step of the simulated world and determines the error of an in-hand estimate of the end effector (EE)
+at its time, where and how fast the face met the nail at each strike, and the nail's outcome.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from toolee_robot.errors import TooleeError
+from toolee_robot.frames import Array, inverse, transform
+from toolee_robot.sim_backend.ground_truth.verdict import (
+    PoseError,
+    StrikeTruth,
+    Verdict,
+    pose_error,
+    strike_offset,
+    strike_tilt,
+)
+from toolee_robot.sim_backend.physics.bullet import pb
+from toolee_robot.sim_backend.physics.nail import SLIDE, Nail
+from toolee_robot.sim_backend.physics.wood import driving_work
+from toolee_robot.types import InHandEstimate
+
+HISTORY_PERIOD = 1 / 240  # [s] between recorded poses
+STRIKE_SPEED = 0.15  # [m/s] approach speed above which a contact is a strike, not a touch
+REARM_GAP = 0.010  # [m] distance to which the face must retract from the head before the next strike
+MISS_DEPTH = 0.003  # [m] below the head's top at which a face without contact has missed
+FAR = 0.10  # [m] distance between face and nail beyond which strikes are not looked for
+
+
+class TruthSource(Protocol):
+    """What the judge needs of the world. Poses are 4x4 in `base` at the current step."""
+
+    @property
+    def client(self) -> int:
+        """Id of pybullet's physics client."""
+        ...
+
+    @property
+    def time(self) -> float:
+        """Time on the station's clock [s]."""
+        ...
+
+    @property
+    def nail(self) -> Nail:
+        """The nail."""
+        ...
+
+    @property
+    def tool_body(self) -> int:
+        """pybullet's id of the tool, a single free body."""
+        ...
+
+    def X_base_hand(self) -> Array:
+        """Pose of the palm."""
+        ...
+
+    def X_base_ee(self) -> Array:
+        """Pose of the tool's end effector."""
+        ...
+
+
+class Judge:
+    """Observes a world; `after_step` must be called after every step.
+
+    Args:
+        world: The world.
+    """
+
+    def __init__(self, world: TruthSource) -> None:
+        self._world = world
+        self._stamps: list[float] = []
+        self._Xs_hand_ee: list[Array] = []
+        self._strikes: list[StrikeTruth] = []
+        self._open = False  # the last of the strikes is still going on
+        self._armed = False
+        self._approach_speed = 0.0  # [m/s], and the protrusion [m], before the contact
+        self._protrusion_before = world.nail.protrusion
+
+    def after_step(self) -> None:
+        """Record the result of a step."""
+        now = self._world.time
+        X_base_ee = self._world.X_base_ee()
+        if not self._stamps or now - self._stamps[-1] >= HISTORY_PERIOD:
+            self._stamps.append(now)
+            self._Xs_hand_ee.append(inverse(self._world.X_base_hand()) @ X_base_ee)
+        self._watch_strike(now, X_base_ee)
+
+    def _watch_strike(self, now: float, X_base_ee: Array) -> None:
+        nail = self._world.nail
+        if np.linalg.norm(X_base_ee[:3, 3] - nail.X_world_surface[:3, 3]) > FAR:  # the usual case, kept cheap
+            self._armed, self._open = True, False
+            return
+        X_base_nail = nail.head_pose()
+        p_nail_ee = (inverse(X_base_nail) @ X_base_ee)[:3, 3]
+        gap = -float(p_nail_ee[2])
+        if gap > REARM_GAP:
+            self._armed, self._open = True, False
+            self._approach_speed = self._speed_along(X_base_ee, X_base_nail)
+            return
+        force = self._contact_force()
+        if self._open:
+            last = self._strikes[-1]
+            protrusion = nail.protrusion
+            self._strikes[-1] = replace(
+                last,
+                peak_force=max(last.peak_force, force),
+                protrusion_mm=protrusion * 1e3,
+                work=driving_work(nail.spec, last.protrusion_before_mm * 1e-3, protrusion),
+            )
+        elif self._armed and (force > 0.0 or gap < -MISS_DEPTH):
+            self._armed = False
+            if self._approach_speed >= STRIKE_SPEED:
+                self._begin(now, force, X_base_ee, X_base_nail)
+        else:
+            self._approach_speed = self._speed_along(X_base_ee, X_base_nail)
+
+    def _begin(self, now: float, force: float, X_base_ee: Array, X_base_nail: Array) -> None:
+        world = self._world
+        mass = float(pb.getDynamicsInfo(world.tool_body, -1, physicsClientId=world.client)[0])
+        before = self._protrusion_before * 1e3
+        self._strikes.append(
+            StrikeTruth(
+                stamp=now,
+                hit=force > 0.0,
+                offset_mm=strike_offset(X_base_nail, X_base_ee) * 1e3,
+                tilt_deg=float(np.rad2deg(strike_tilt(X_base_nail, X_base_ee))),
+                speed=self._approach_speed,
+                energy=0.5 * mass * self._approach_speed**2,
+                work=0.0,
+                peak_force=force,
+                protrusion_before_mm=before,
+                protrusion_mm=world.nail.protrusion * 1e3,
+            )
+        )
+        self._open = force > 0.0
+
+    def _speed_along(self, X_base_ee: Array, X_base_nail: Array) -> float:
+        """Speed [m/s] of the face's centre along the nail's axis; also remembers the protrusion before contact."""
+        world = self._world
+        self._protrusion_before = world.nail.protrusion
+        p_com = pb.getBasePositionAndOrientation(world.tool_body, physicsClientId=world.client)[0]
+        v, w = pb.getBaseVelocity(world.tool_body, physicsClientId=world.client)
+        return float((np.asarray(v) + np.cross(w, X_base_ee[:3, 3] - np.asarray(p_com))) @ X_base_nail[:3, 2])
+
+    def _contact_force(self) -> float:
+        """Sum of the normal forces [N] of tool on nail in the last step."""
+        world = self._world
+        contacts = pb.getContactPoints(
+            bodyA=world.tool_body, bodyB=world.nail.body, linkIndexB=SLIDE, physicsClientId=world.client
+        )
+        return float(sum(contact[9] for contact in contacts))
+
+    @property
+    def strikes(self) -> tuple[StrikeTruth, ...]:
+        """All strikes so far; the last one may still be going on."""
+        return tuple(self._strikes)
+
+    @property
+    def protrusion_mm(self) -> float:
+        """Current protrusion of the nail [mm]."""
+        return self._world.nail.protrusion * 1e3
+
+    def X_hand_ee(self, stamp: float) -> Array:
+        """The true pose of the EE in the hand, interpolated.
+
+        Args:
+            stamp: Time [s].
+
+        Returns:
+            X_hand_ee, 4x4.
+
+        Raises:
+            TooleeError: The time lies outside of the run.
+        """
+        margin = 2 * HISTORY_PERIOD
+        if not self._stamps or not self._stamps[0] - margin <= stamp <= self._stamps[-1] + margin:
+            message = f"there is no ground truth at {stamp:.3f} s: give a time within the run"
+            raise TooleeError(message, code="toolee.outside_of_run")
+        i = bisect_left(self._stamps, stamp)
+        if i == 0 or i == len(self._stamps):
+            return self._Xs_hand_ee[min(i, len(self._stamps) - 1)].copy()
+        s = (stamp - self._stamps[i - 1]) / (self._stamps[i] - self._stamps[i - 1])
+        A, B = self._Xs_hand_ee[i - 1], self._Xs_hand_ee[i]
+        R = Slerp([0.0, 1.0], Rotation.from_matrix(np.stack([A[:3, :3], B[:3, :3]])))(s)
+        return transform(R, (1 - s) * A[:3, 3] + s * B[:3, 3])
+
+    def estimate_error(self, stamp: float, estimate: InHandEstimate) -> PoseError:
+        """Error of an estimate.
+
+        Args:
+            stamp: Time of the frames of which it was made [s].
+            estimate: The estimate.
+
+        Returns:
+            The error.
+        """
+        return pose_error(estimate.X_hand_ee, self.X_hand_ee(stamp), estimate.category)
+
+    def verdict(self, estimates: Sequence[tuple[float, InHandEstimate]] = ()) -> Verdict:
+        """The figures of the run so far.
+
+        Args:
+            estimates: Stamp [s] and estimate of each in-hand pose, in the order in which they were made.
+
+        Returns:
+            The figures.
+        """
+        first_strike = self._strikes[0].stamp if self._strikes else np.inf
+        known = [e for e in estimates if np.all(np.isfinite(e[1].X_hand_ee))]
+        candidates = [e for e in known if e[0] <= first_strike] or known
+        candidates = [e for e in candidates if e[1].usable] or candidates
+        error = self.estimate_error(*candidates[-1]) if candidates else None
+        strikes = self._strikes
+        nail = self._world.nail
+        return Verdict(
+            nail_outcome=nail.outcome.value,
+            protrusion_mm=nail.protrusion * 1e3,
+            bend_deg=float(np.rad2deg(nail.bend_angle)),
+            pose_error_mm=error.position_mm if error else None,
+            pose_error_deg=error.angle_deg if error else None,
+            strike_offset_mm=float(np.median([b.offset_mm for b in strikes])) if strikes else None,
+            strike_tilt_deg=float(np.median([b.tilt_deg for b in strikes])) if strikes else None,
+            contact_speed=float(np.median([b.speed for b in strikes])) if strikes else None,
+            hits=sum(b.hit for b in strikes),
+            misses=sum(not b.hit for b in strikes),
+        )

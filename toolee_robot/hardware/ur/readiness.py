@@ -1,0 +1,50 @@
+"""The check that a robot is ready, before the driver connects."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from toolee_robot.config import ArmLimits
+from toolee_robot.errors import NotReadyError
+from toolee_robot.findings import Level
+from toolee_robot.hardware.ur.checks import UrExpected, check
+from toolee_robot.hardware.ur.config import UrArmConfig
+from toolee_robot.hardware.ur.probe import probe
+
+PROBES: Final = 3
+TIMING: Final = {"RTDE rate", "RTDE jitter", "clock"}
+"""Names of the findings that load on this machine can cause; if only these fail, the probe is repeated, up to PROBES
+times in all."""
+
+
+def require_ready(config: UrArmConfig, limits: ArmLimits) -> tuple[int, int, int, int]:
+    """Probe the robot and check it against the configuration; nothing moves.
+
+    Args:
+        config: Address and expected installation of the robot.
+        limits: Expected model and calibration.
+
+    Returns:
+        Version of the controller's software: major, minor, bugfix, build.
+
+    Raises:
+        NotReadyError: A check failed; the message lists everything a person must do first.
+    """
+    tcp = None if config.tcp is None else np.array(config.tcp)
+    expected = UrExpected(limits.model, limits.calibration, config.payload, tcp)
+    for _ in range(PROBES):
+        report = probe(config.host, clock=config.clock)
+        failed = [finding for finding in check(report, expected) if finding.level is Level.FAIL]
+        # Load on this machine during the probe is no fault of the robot; a controller clock that runs backwards or is
+        # not reported is.
+        quality = report.quality
+        load_only = quality is not None and not quality.backward and all(f.name in TIMING for f in failed)
+        if not failed or not load_only:
+            break
+    if failed or report.version is None:
+        lines = "\n  ".join(map(str, failed))
+        message = f"the robot at {config.host} is not ready:\n  {lines}"
+        raise NotReadyError(message, code="not_ready.checks_failed")
+    return report.version
