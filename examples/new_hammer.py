@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from toolee_robot import HammeringTask, StationConfig, ToolPerception
+from toolee_robot import HammeringTask, StationConfig, ToolPerception, open_station
 from toolee_robot.frames import frame_from_axes
 from toolee_robot.hal import Station
 from toolee_robot.robots import hand_model
-from toolee_robot.sim_backend import SimOptions, SimStation
+from toolee_robot.sim_backend import SimOptions
 from toolee_robot.tasks.common.outcome import HammerResult
 from toolee_robot.tasks.hammering.grasp import Grasp
 from toolee_robot.tools import ToolKind, make_tool
@@ -29,5 +29,5 @@ def drive_nail(station: Station, perception: ToolPerception, config: StationConf
 if __name__ == "__main__":
     config = StationConfig()
     hammer = make_tool(ToolKind.BALL_PEEN_HAMMER, 9)  # what the simulated person hands over
-    with SimStation.build(config, seed=0, options=SimOptions(tool=hammer)) as simulation:
-        print(drive_nail(simulation.station, ToolPerception.load(), config).reason)
+    with open_station(config, options=SimOptions(tool=hammer)) as simulated:
+        print(drive_nail(simulated.station, ToolPerception.load(), config).reason)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from toolee_robot.errors import TooleeError
     from toolee_robot.perception.pipeline import ToolPerception
     from toolee_robot.recording.recorder import RunRecorder
+    from toolee_robot.stations.simulated import open_station
     from toolee_robot.tasks.hammering.grasp import nominal_grasp
     from toolee_robot.tasks.hammering.task import HammeringTask
     from toolee_robot.types import CameraIntrinsics, RgbdFrame
@@ -39,6 +40,7 @@ __all__ = [
     "TooleeError",
     "load_station",
     "nominal_grasp",
+    "open_station",
 ]
 
 _MODULES = {
@@ -51,6 +53,7 @@ _MODULES = {
     "ToolPerception": "toolee_robot.perception.pipeline",
     "TooleeError": "toolee_robot.errors",
     "load_station": "toolee_robot.config",
+    "open_station": "toolee_robot.stations.simulated",
     "nominal_grasp": "toolee_robot.tasks.hammering.grasp",
 }
 

@@ -1,4 +1,4 @@
-"""Backends of a job: the simulated station, or one whose arm is driven through a controller stand-in."""
+"""Simulated stations: the arm simulated directly, or driven through a controller stand-in."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from toolee_robot.sim_backend.station import SimStation
 from toolee_robot.tools import Tool
 
 
-class Backend(Protocol):
+class SimulatedStation(Protocol):
     """A station together with the ground truth of its simulation; valid inside its context."""
 
     @property
@@ -52,15 +52,28 @@ class StandIn:
     real_time_factor: float
 
 
-def open_backend(config: StationConfig, seed: int, options: SimOptions, stand_in: StandIn | None) -> Backend:
-    """Build the backend of a job.
+def open_station(
+    config: StationConfig, seed: int = 0, options: SimOptions | None = None, stand_in: StandIn | None = None
+) -> SimulatedStation:
+    """Build the simulated station of a job; enter its context to use the devices.
+
+        with open_station(StationConfig(), seed=3) as simulated:
+            task = HammeringTask(simulated.station, ...)
 
     Args:
         config: Configuration of the station.
         seed: Seed of tool, grasp and scene.
-        options: Options of the simulation.
-        stand_in: The controller stand-in; None to drive the simulated arm directly.
+        options: Options of the simulation; None for the defaults.
+        stand_in: Controller stand-in behind which the arm is driven by the real arm's driver, over ur_rtde; None to
+            drive the simulated arm directly.
+
+    Returns:
+        The station, not yet entered.
+
+    Raises:
+        UserError: The seed or an option is unusable.
     """
+    options = SimOptions() if options is None else options
     if stand_in is None:
         return SimStation.build(config, seed, options)
     from toolee_robot.stations.ur_rehearsal import UrStation  # imported only where driver and stand-in are used

@@ -77,7 +77,7 @@ class Process(Protocol):
         ...
 
     def tau(self, t: Tensor) -> Tensor:
-        """The integration variable tau(t), in which trajectories are straightest."""
+        """Integration variable as a function of time, in which trajectories are straightest."""
         ...
 
     def rate(self, t: Tensor) -> Tensor:

@@ -26,7 +26,7 @@ from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.ground_truth.verdict import StrikeTruth, Verdict
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.stations.simulated import StandIn, open_backend
+from toolee_robot.stations.simulated import StandIn, open_station
 from toolee_robot.tasks.common.observer import Observers
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
@@ -95,7 +95,7 @@ class HammerJob:
         metadata = {"seed": str(self.seed), "correction": str(self.correction)}
         with (
             nullcontext() if self.stand_in is None else LatencyMonitor() as machine,
-            open_backend(self.config, self.seed, SimOptions(gui=self.gui), self.stand_in) as sim,
+            open_station(self.config, self.seed, SimOptions(gui=self.gui), self.stand_in) as sim,
             RunRecorder(folder / "recording.mcap", metadata) as recorder,
         ):
             console.print(f"[bold]{_words(sim.tool)}[/bold]  [dim]seed {self.seed}{self._mode()}[/dim]")
