@@ -109,7 +109,7 @@ class _Parser:
     # -- statements
 
     def _function(self) -> Function:
-        """def | sec | thread name(a, b=1): ... end"""
+        """Parse `def | sec | thread name(a, b=1): ... end`."""
         word = self._next()
         name = self._name()
         parameters: list[str] = []
