@@ -111,7 +111,7 @@ class SimWorld:
 
     @property
     def tool_body(self) -> int:
-        """pybullet's id of the tool's body."""
+        """Id of the tool's body in pybullet."""
         return self.tool.body
 
     def X_base_hand(self) -> Array:
@@ -170,8 +170,10 @@ class SimWorld:
                 observer(sample)
 
     def _strike_near(self) -> bool:
-        """Whether the tool is hitting the nail or about to: close to its head and fast. A tool that is lowered onto the
-        nail, or turns on it, needs no short steps."""
+        """Whether the tool is hitting the nail or about to: close to its head and fast.
+
+        A tool that is lowered onto the nail, or turns on it, needs no short steps.
+        """
         face = self.X_base_ee()[:3, 3] - self.nail.X_world_surface[:3, 3]
         if face @ face > NEAR_NAIL**2:
             return False

@@ -12,8 +12,10 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ROOMS = [
     "control",
+    "sim_backend",
     "toolee_robot/config",
     "toolee_robot/hal",
+    "toolee_robot/hardware",
     "toolee_robot/motion",
     "toolee_robot/recording",
     "toolee_robot/runtime",

@@ -172,8 +172,7 @@ class SimHand:
             raise DeviceError(message, code="device.timeout")
 
     def _move(self, joints: tuple[str, ...], goal: np.ndarray, timeout: float) -> None:
-        """Move some joints to their goals or until they are blocked. Raises DeviceError on time-out, and keeps the
-        targets."""
+        """Move some joints to their goals or until they are blocked; raises DeviceError on time-out."""
         index = np.array(self._model.index(joints))
         began = self._world.time
         end = began + timeout

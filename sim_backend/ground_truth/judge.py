@@ -56,7 +56,7 @@ class TruthSource(Protocol):
 
     @property
     def tool_body(self) -> int:
-        """pybullet's id of the tool, a single free body."""
+        """Id of the tool's body in pybullet, a single free body."""
         ...
 
     def X_base_hand(self) -> Array:

@@ -38,7 +38,7 @@ class HostTimedTruth:
 
     @property
     def tool_body(self) -> int:
-        """pybullet's id of the tool."""
+        """Id of the tool's body in pybullet."""
         return self._world.tool_body
 
     def X_base_hand(self) -> Array:

@@ -52,8 +52,9 @@ class WorldJob:
         return WorldPlant(self._service.world, model.period)
 
     def setup(self, controller: Controller) -> None:
-        """Add the world's service to the controller's loop, and set the robot up as at the pendant: the payload is the
-        bare hand, the kinematics are the arm's calibration.
+        """Add the world's service to the controller's loop, and set the robot up as at the pendant.
+
+        The payload is the bare hand, the kinematics are the arm's calibration.
 
         Args:
             controller: The controller, which does not listen yet.

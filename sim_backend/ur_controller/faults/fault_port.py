@@ -65,7 +65,9 @@ class _Reset(HookGroup):
 
     @hook
     def reset(self) -> None:
-        """End all faults and restore the robot's initial state: running, no program, normal safety mode. Joints,
-        registers and connections stay as they are."""
+        """End all faults and restore the robot's initial state: running, no program, normal safety mode.
+
+        Joints, registers and connections stay as they are.
+        """
         for group in self._groups:
             group.end()

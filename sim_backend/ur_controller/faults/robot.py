@@ -162,8 +162,10 @@ class RobotFaults(HookGroup):
 
     @hook
     def kinematics(self, a: Six, d: Six) -> None:
-        """Change the arm's DH parameters by differences from the nominal ones [m], in the reported kinematics, with
-        another checksum, and in its motions."""
+        """Change the arm's DH parameters by differences from the nominal ones [m].
+
+        They apply to the reported kinematics, with another checksum, and to the arm's motions.
+        """
         nominal = MODELS[self._controller.options.model]
         self._robot.calibrate(
             replace(
@@ -175,8 +177,11 @@ class RobotFaults(HookGroup):
 
     @hook
     def reboot(self, seconds: Seconds = 1.0, powered: bool = False) -> None:
-        """Restart the controller: connections are reset, ports are closed for a time [s], program and registers are
-        lost, and the arm is off afterwards unless `powered`."""
+        """Restart the controller.
+
+        Connections are reset, ports are closed for a time [s], program and registers are lost, and the arm is off
+        afterwards unless `powered`.
+        """
         self._network.down()
         self._robot.reboot()
         self._robot.safety.robot_mode = RobotMode.BOOTING

@@ -32,8 +32,10 @@ def rotation(v: Vector) -> Array:
 
 
 def rotation_vector(R: Array) -> list[float]:
-    """Rotation vector (3,) [rad] of a rotation matrix (3, 3), of an angle of 0 to pi; accurate for all angles, since it
-    is computed from the quaternion."""
+    """Rotation vector (3,) [rad] of a rotation matrix (3, 3), of an angle of 0 to pi.
+
+    Accurate for all angles, since it is computed from the quaternion.
+    """
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()
     trace = a + e + i
     if trace > max(a, e, i):

@@ -41,8 +41,11 @@ class ServoJ(Motion):
         self._since, self._goal_speed = 0.0, np.zeros(6)
 
     def follow(self, before: ServoJ) -> None:
-        """Replace the previous `servoj`: the same goal stands still; another one is assumed to continue at the velocity
-        with which it moved since its last change."""
+        """Replace the previous `servoj`.
+
+        The same goal stands still; another one is assumed to continue at the velocity with which it moved since its
+        last change.
+        """
         self._standing = bool(np.all(self._goal == before._goal))
         if self._standing:
             self._since = before._since

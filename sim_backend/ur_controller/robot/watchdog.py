@@ -16,7 +16,13 @@ class Action(StrEnum):
 
 @dataclass
 class _Watchdog:
-    """Longest and current time without a write [s], and what to do."""
+    """The watchdog of one variable.
+
+    Attributes:
+        patience: Longest time without a write [s].
+        action: What to do after it.
+        silent: Current time without a write [s].
+    """
 
     patience: float
     action: Action

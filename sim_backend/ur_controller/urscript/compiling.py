@@ -113,8 +113,10 @@ class Compiling:
 
 
 def _compile_into(file: int, source: str, e_series: bool) -> None:
-    """Compile in the child process and exit. Inherited descriptors are closed, since they would keep the controller's
-    connections open."""
+    """Compile in the child process and exit.
+
+    Inherited descriptors are closed, since they would keep the controller's connections open.
+    """
     try:
         os.closerange(3, file)
         os.closerange(file + 1, _MAX_FILES)

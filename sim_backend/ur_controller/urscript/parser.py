@@ -25,10 +25,8 @@ from toolee_robot.sim_backend.ur_controller.urscript.syntax import (
     Unary,
     While,
 )
-from toolee_robot.sim_backend.ur_controller.urscript.tokens import Kind, Token, number, tokenise
+from toolee_robot.sim_backend.ur_controller.urscript.tokens import Kind, Token, TokenReader, number, tokenise
 
-DEPTH = 40
-"""Largest nesting depth of blocks and brackets."""
 BINARY = (("or",), ("xor",), ("and",), ("==", "!=", "<", "<=", ">", ">="), ("+", "-"), ("*", "/", "%"))
 """Binary operators, in the order of increasing precedence."""
 
@@ -48,9 +46,9 @@ def parse(source: str) -> Program:
     return _Parser(tokenise(source)).program()
 
 
-class _Parser:
+class _Parser(TokenReader):
     def __init__(self, tokens: list[Token]) -> None:
-        self._tokens, self._at, self._depth = tokens, 0, 0
+        super().__init__(tokens)
         self._functions: dict[str, Function] = {}
 
     def program(self) -> Program:
@@ -67,49 +65,10 @@ class _Parser:
             raise ScriptError("the script does nothing")
         return Program(Function("def", "unnamed", (), (), body, first.line), self._functions)
 
-    # -- tokens
-
-    def _peek(self, ahead: int = 0) -> Token:
-        return self._tokens[min(self._at + ahead, len(self._tokens) - 1)]
-
-    def _next(self) -> Token:
-        token = self._peek()
-        self._at += 1
-        return token
-
-    def _is(self, *words: str) -> bool:
-        token = self._peek()
-        return token.kind is Kind.WORD and token.text in words
-
-    def _accept(self, word: str) -> bool:
-        if self._is(word):
-            self._at += 1
-            return True
-        return False
-
-    def _expect(self, word: str) -> Token:
-        if not self._is(word):
-            raise self._unexpected(f"'{word}'")
-        return self._next()
-
-    def _name(self) -> str:
-        if self._peek().kind is not Kind.NAME:
-            raise self._unexpected("a name")
-        return self._next().text
-
-    def _unexpected(self, wanted: str) -> ScriptError:
-        token = self._peek()
-        return ScriptError(f"expected {wanted}, found {token.text[:40]!r}", token.line)
-
-    def _deeper(self) -> None:
-        self._depth += 1
-        if self._depth > DEPTH:
-            raise ScriptError("nested too deeply", self._peek().line)
-
     # -- statements
 
     def _function(self) -> Function:
-        """def | sec | thread name(a, b=1): ... end"""
+        """Parse `def | sec | thread name(a, b=1): ... end`."""
         word = self._next()
         name = self._name()
         parameters: list[str] = []

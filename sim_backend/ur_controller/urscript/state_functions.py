@@ -86,8 +86,10 @@ class StateFunctions:
         maxOrientationError: float = 1e-10,
         tcp: Any = "active_tcp",
     ) -> list[float]:
-        """Inverse kinematics; ends the program if x is out of reach. The tolerances are not used, as the solution is
-        exact."""
+        """Inverse kinematics; ends the program if x is out of reach.
+
+        The tolerances are not used, as the solution is exact.
+        """
         numbers(maxPositionError, maxOrientationError)
         q = self._inverse(x, qnear, tcp)
         if q is None:

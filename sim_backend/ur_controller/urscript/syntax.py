@@ -1,4 +1,4 @@
-"""Syntax tree of a script. `line` of every node is its line in the script, 1-based."""
+"""Syntax tree of a script; lines are counted from 1."""
 
 from __future__ import annotations
 
@@ -7,7 +7,12 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True)
 class Literal:
-    """A number, boolean or string."""
+    """A number, boolean or string.
+
+    Attributes:
+        value: Its value.
+        line: Line of the script.
+    """
 
     value: int | float | bool | str
     line: int
@@ -15,7 +20,12 @@ class Literal:
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """A variable."""
+    """A variable.
+
+    Attributes:
+        name: Name of the variable.
+        line: Line of the script.
+    """
 
     name: str
     line: int
@@ -23,7 +33,13 @@ class Name:
 
 @dataclass(frozen=True, slots=True)
 class ListOf:
-    """A list, or with `pose` a pose `p[...]`."""
+    """A list or a pose.
+
+    Attributes:
+        items: Elements.
+        pose: Whether it is a pose `p[...]`.
+        line: Line of the script.
+    """
 
     items: tuple[Expression, ...]
     pose: bool
@@ -32,7 +48,13 @@ class ListOf:
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """An element of a list: base[index]."""
+    """An element of a list: base[index].
+
+    Attributes:
+        base: The list.
+        index: The index.
+        line: Line of the script.
+    """
 
     base: Expression
     index: Expression
@@ -41,7 +63,13 @@ class Index:
 
 @dataclass(frozen=True, slots=True)
 class Unary:
-    """A unary operation; operator: "-" or "not"."""
+    """A unary operation.
+
+    Attributes:
+        operator: "-" or "not".
+        operand: The operand.
+        line: Line of the script.
+    """
 
     operator: str
     operand: Expression
@@ -50,7 +78,14 @@ class Unary:
 
 @dataclass(frozen=True, slots=True)
 class Binary:
-    """A binary operation."""
+    """A binary operation.
+
+    Attributes:
+        operator: The operator.
+        left: Left operand.
+        right: Right operand.
+        line: Line of the script.
+    """
 
     operator: str
     left: Expression
@@ -82,7 +117,14 @@ Expression = Literal | Name | ListOf | Index | Unary | Binary | Call
 
 @dataclass(frozen=True, slots=True)
 class Assign:
-    """An assignment; scope: "global", "local", or "" for none, with which a global variable stays global."""
+    """An assignment.
+
+    Attributes:
+        name: Name of the variable.
+        scope: "global", "local", or "" for none, with which a global variable stays global.
+        value: The value.
+        line: Line of the script.
+    """
 
     name: str
     scope: str
@@ -92,7 +134,14 @@ class Assign:
 
 @dataclass(frozen=True, slots=True)
 class AssignItem:
-    """An assignment to an element: name[i][j]... = value."""
+    """An assignment to an element: name[i][j]... = value.
+
+    Attributes:
+        name: Name of the list.
+        indices: Indices.
+        value: The value.
+        line: Line of the script.
+    """
 
     name: str
     indices: tuple[Expression, ...]
@@ -102,7 +151,12 @@ class AssignItem:
 
 @dataclass(frozen=True, slots=True)
 class Evaluate:
-    """A call as a statement."""
+    """A call as a statement.
+
+    Attributes:
+        call: The call.
+        line: Line of the script.
+    """
 
     call: Call
     line: int
@@ -110,7 +164,13 @@ class Evaluate:
 
 @dataclass(frozen=True, slots=True)
 class If:
-    """if, elif, else: conditions with their blocks, and the block of else."""
+    """A conditional statement.
+
+    Attributes:
+        branches: Conditions and blocks of `if` and `elif`.
+        otherwise: Block of `else`.
+        line: Line of the script.
+    """
 
     branches: tuple[tuple[Expression, Block], ...]
     otherwise: Block
@@ -119,7 +179,13 @@ class If:
 
 @dataclass(frozen=True, slots=True)
 class While:
-    """A while loop."""
+    """A while loop.
+
+    Attributes:
+        condition: The condition.
+        body: The block.
+        line: Line of the script.
+    """
 
     condition: Expression
     body: Block
@@ -128,7 +194,12 @@ class While:
 
 @dataclass(frozen=True, slots=True)
 class Return:
-    """A return statement."""
+    """A return statement.
+
+    Attributes:
+        value: The value, or None.
+        line: Line of the script.
+    """
 
     value: Expression | None
     line: int
@@ -136,7 +207,12 @@ class Return:
 
 @dataclass(frozen=True, slots=True)
 class Keyword:
-    """A statement of one keyword: break, continue, halt, enter_critical or exit_critical."""
+    """A statement of one keyword.
+
+    Attributes:
+        word: "break", "continue", "halt", "enter_critical" or "exit_critical".
+        line: Line of the script.
+    """
 
     word: str
     line: int
@@ -144,7 +220,13 @@ class Keyword:
 
 @dataclass(frozen=True, slots=True)
 class Thread:
-    """A kill or join statement."""
+    """A statement about a thread.
+
+    Attributes:
+        word: "kill" or "join".
+        thread: The thread.
+        line: Line of the script.
+    """
 
     word: str
     thread: Expression

@@ -16,6 +16,8 @@ KEYWORDS = frozenset(
     }
 )
 INT_MAX = 2**31 - 1
+DEPTH = 40
+"""Largest nesting depth of blocks and brackets."""
 
 
 class Kind(Enum):
@@ -100,3 +102,59 @@ def number(token: Token) -> int | float:
     if value > INT_MAX and (isinstance(value, int) or value == float("inf")):
         raise ScriptError(f"the number {text[:20]} is too large", token.line)
     return value
+
+
+class TokenReader:
+    """Reads a list of tokens from its start to its end; the base class of the parser.
+
+    Args:
+        tokens: The tokens, the last of kind END.
+    """
+
+    def __init__(self, tokens: list[Token]) -> None:
+        self._tokens, self._at, self._depth = tokens, 0, 0
+
+    def _peek(self, ahead: int = 0) -> Token:
+        """The token `ahead` tokens after the next one."""
+        return self._tokens[min(self._at + ahead, len(self._tokens) - 1)]
+
+    def _next(self) -> Token:
+        """Take the next token."""
+        token = self._peek()
+        self._at += 1
+        return token
+
+    def _is(self, *words: str) -> bool:
+        """Whether the next token is one of these keywords or operators."""
+        token = self._peek()
+        return token.kind is Kind.WORD and token.text in words
+
+    def _accept(self, word: str) -> bool:
+        """Take the next token if it is this keyword or operator; returns whether it was."""
+        if self._is(word):
+            self._at += 1
+            return True
+        return False
+
+    def _expect(self, word: str) -> Token:
+        """Take the next token; raises ScriptError unless it is this keyword or operator."""
+        if not self._is(word):
+            raise self._unexpected(f"'{word}'")
+        return self._next()
+
+    def _name(self) -> str:
+        """Take a name; raises ScriptError unless the next token is one."""
+        if self._peek().kind is not Kind.NAME:
+            raise self._unexpected("a name")
+        return self._next().text
+
+    def _unexpected(self, wanted: str) -> ScriptError:
+        """The error for the next token, where `wanted` was expected."""
+        token = self._peek()
+        return ScriptError(f"expected {wanted}, found {token.text[:40]!r}", token.line)
+
+    def _deeper(self) -> None:
+        """Enter a block or bracket; raises ScriptError beyond DEPTH."""
+        self._depth += 1
+        if self._depth > DEPTH:
+            raise ScriptError("nested too deeply", self._peek().line)

@@ -40,37 +40,37 @@ def fitting(value: Any) -> Any:
 
 
 def add(a: Any, b: Any) -> Any:
-    """a + b."""
+    """Sum a + b."""
     numbers(a, b)
     return fitting(a + b)
 
 
 def subtract(a: Any, b: Any) -> Any:
-    """a - b."""
+    """Difference a - b."""
     numbers(a, b)
     return fitting(a - b)
 
 
 def multiply(a: Any, b: Any) -> Any:
-    """a * b."""
+    """Product a * b."""
     numbers(a, b)
     return fitting(a * b)
 
 
 def divide(a: Any, b: Any) -> Any:
-    """a / b; always a float."""
+    """Quotient a / b; always a float."""
     numbers(a, b)
     return a / b
 
 
 def modulo(a: Any, b: Any) -> Any:
-    """a % b; has the divisor's sign."""
+    """Remainder a % b; has the divisor's sign."""
     numbers(a, b)
     return a % b
 
 
 def negate(a: Any) -> Any:
-    """-a."""
+    """Negation -a."""
     numbers(a, 0)
     return fitting(-a)
 
@@ -93,7 +93,7 @@ def _position(values: Any, index: Any) -> int:
 
 
 def item(values: Any, index: Any) -> Any:
-    """values[index]; raises TypeError or IndexError."""
+    """Element values[index]; raises TypeError or IndexError."""
     return values[_position(values, index)]
 
 
@@ -105,7 +105,7 @@ def flat(value: Any) -> Any:
 
 
 def set_item(values: Any, index: Any, value: Any) -> None:
-    """values[index] = value; raises TypeError or IndexError."""
+    """Assign values[index] = value; raises TypeError or IndexError."""
     at = _position(values, index)
     flat(value)
     if type(values) is Pose:

@@ -133,8 +133,10 @@ def _version(host: str, deadline: float) -> tuple[tuple[int, int, int, int], flo
 
 
 def _listen(host: str, rate: float, deadline: float, duration: float) -> list[RtdeSample]:
-    """Receive data for about `duration` [s], less if the deadline comes first. Without outputs that the controller does
-    not know: a recipe cannot be corrected on its connection, so a second one is made."""
+    """Receive data for about `duration` [s], less if the deadline comes first.
+
+    Outputs that the controller does not know are omitted on a second connection, since a recipe cannot be corrected.
+    """
     names = [*_ALWAYS, *_OPTIONAL]
     for _ in range(2):
         with RtdeReader.connect(host, deadline) as reader:

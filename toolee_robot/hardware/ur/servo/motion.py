@@ -165,8 +165,10 @@ class Motion:
         return float(np.maximum(q - commanded.max(axis=0), commanded.min(axis=0) - q).max())
 
     def _at_rest(self, settled: int) -> bool:
-        """Whether the arm stands, by fresh data and after the servo's lag, or the wait for it is over. An oscillating
-        arm is at rest for a moment at each turning point, so standstill must last SETTLE_CYCLES."""
+        """Whether the arm stands, by fresh data and after the servo's lag, or the wait for it is over.
+
+        An oscillating arm is at rest for a moment at each turning point, so standstill must last SETTLE_CYCLES.
+        """
         if settled > SETTLE_TIME / self._period or self._cause is Cause.LINK:
             return True
         reading = self._link.reading

@@ -39,8 +39,10 @@ class OwnerWatch:
         _call("pthread_mutex_init", self._mutex, attributes)
 
     def hold(self) -> None:
-        """Lock the mutex, in the task's process. It is released when the calling thread ends, however it ends; until
-        then the memory must stay mapped."""
+        """Lock the mutex, in the task's process.
+
+        It is released when the calling thread ends, however it ends; until then the memory must stay mapped.
+        """
         _call("pthread_mutex_lock", self._mutex)
 
     @property

@@ -36,8 +36,10 @@ _HELD_READINGS = 5  # consecutive readings with one set-point, after which the a
 
 @contextmanager
 def bounded(seconds: float) -> Iterator[None]:
-    """Kill this process if the body takes longer than `seconds` on the wall clock: by SIGALRM's default action, which
-    needs no interpreter."""
+    """Kill this process if the body takes longer than `seconds` on the wall clock.
+
+    SIGALRM's default action needs no interpreter.
+    """
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
@@ -112,8 +114,7 @@ class UrLink:
 
     @property
     def arrived(self) -> float:
-        """When the newest reading arrived at this machine [s], as opposed to when it was read: tells the controller's
-        cycle."""
+        """When the newest reading arrived at this machine [s], which shows the controller's cycle."""
         return self._stream.arrived
 
     def unread_wrenches(self) -> list[Array]:
@@ -232,8 +233,10 @@ class UrLink:
 
     @contextmanager
     def _while_connected(self) -> Iterator[None]:
-        """Record a lost connection. A command on one makes ur_rtde try to reconnect, which `UrRtdeSockets` prevents and
-        which therefore raises RuntimeError."""
+        """Record a lost connection.
+
+        A command on one makes ur_rtde try to reconnect, which `UrRtdeSockets` prevents, and so raises RuntimeError.
+        """
         try:
             yield
         except RuntimeError:
