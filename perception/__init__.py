@@ -25,8 +25,9 @@ _HOME = {"Segmenter": "detection.segmenter", "StageTimes": "pipeline", "ToolPerc
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name on first use: training and data generation import this package without inference's
-    libraries.
+    """Import a public name on first use.
+
+    Training and data generation import this package without inference's libraries.
     """
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -48,9 +48,7 @@ class EeCloud:
 
     @property
     def direction(self) -> Array | None:
-        """Unit vector (3,), camera frame, from the points' centroid to the rest of the tool; None where the rest is not
-        seen.
-        """
+        """Unit vector (3,), camera frame, from the points' centroid to the rest of the tool; None if unseen."""
         if not self.usable or len(self.rest) < REST_MIN:
             return None
         to_rest = np.median(self.rest, axis=0) - self.points.mean(axis=0)

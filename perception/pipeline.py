@@ -1,9 +1,8 @@
-"""The perception pipeline: from one frame to the poses of the end effectors in it, from several to the pose in the
-hand.
+"""The perception pipeline: from frames to the poses of the end effectors, in the camera and in the hand.
 
-    perception = ToolPerception.load()
-    estimates = perception.estimate(frame, HoldingHand(X_camera_hand, R_hand_tool))  # one frame
-    in_hand = perception.fuse([estimates_1, estimates_2], [X_camera_hand_1, X_camera_hand_2])
+perception = ToolPerception.load()
+estimates = perception.estimate(frame, HoldingHand(X_camera_hand, R_hand_tool))  # one frame
+in_hand = perception.fuse([estimates_1, estimates_2], [X_camera_hand_1, X_camera_hand_2])
 """
 
 from __future__ import annotations

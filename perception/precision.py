@@ -1,5 +1,6 @@
-"""Precision of inference on a CPU: bfloat16 where it has matrix units for it (Intel AMX, servers since 2023), which
-halves the time per image; float32 elsewhere. Both networks are trained in bfloat16.
+"""Precision of inference on a CPU: bfloat16 where it has matrix units for it, float32 elsewhere.
+
+Matrix units (Intel AMX, servers since 2023) halve the time per image. Both networks are trained in bfloat16.
 """
 
 from __future__ import annotations
@@ -41,8 +42,9 @@ def fold_normalisation(network: nn.Module) -> None:
 
 
 def in_bfloat16(network: nn.Module) -> None:
-    """Convert a network's products to bfloat16, in place, for inference on a CPU: `torch.autocast` alone would convert
-    the weights in each call.
+    """Convert a network's products to bfloat16, in place, for inference on a CPU.
+
+    `torch.autocast` alone would convert the weights in each call.
     """
     for module in list(network.modules()):
         if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
@@ -70,7 +72,7 @@ class Bfloat16Linear(nn.Module):
         self._bias = layer.bias
 
     def forward(self, x: Tensor) -> Tensor:
-        """x (..., in) of any floating type -> (..., out) in bfloat16."""
+        """Map x (..., in) of any floating type to (..., out) in bfloat16."""
         x = x.to(torch.bfloat16)
         if not self._packed:
             return nn.functional.linear(x, self._weight, self._bias)
@@ -80,8 +82,9 @@ class Bfloat16Linear(nn.Module):
 
 @contextmanager
 def single_thread() -> Iterator[None]:
-    """Run the block with a single torch thread: for work too small to gain from others, which may have to wait for busy
-    cores.
+    """Run the block with a single torch thread.
+
+    For work too small to gain from other threads, which may have to wait for busy cores.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(1)

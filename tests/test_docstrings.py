@@ -12,6 +12,16 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ROOMS = [
     "control",
+    "perception/detection",
+    "perception/evaluation",
+    "perception/pose",
+    "perception/research",
+    "perception/training",
+    "perception/cloud.py",
+    "perception/fit_trust.py",
+    "perception/io.py",
+    "perception/pipeline.py",
+    "perception/trust.py",
     "sim_backend",
     "toolee_robot/config",
     "toolee_robot/hal",

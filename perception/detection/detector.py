@@ -231,9 +231,7 @@ class Detector(nn.Module):
         return torch.cat([image[keep, None].to(box.dtype), box[keep]], 1), score[keep], label[keep]
 
     def _mirrored_outputs(self, batch: RgbdBatch, rois: Tensor, labels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Class probabilities (R,), mask logits (R, MASK_SIZE, MASK_SIZE) and quality logits (R,) of rois (R, 5) with
-        their `labels` (R,), from the mirrored images; masks are mirrored back.
-        """
+        """Class probabilities and mask and quality logits of rois (R, 5) with `labels` (R,) in the mirrored images."""
         images, index = torch.unique(rois[:, 0].long(), return_inverse=True)
         mirrored = mirror(batch, images)
         pyramid = self.backbone(mirrored.pixels)

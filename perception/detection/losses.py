@@ -251,8 +251,10 @@ def mask_overlap(a: Tensor, b: Tensor) -> Tensor:
 
 
 def _mask_losses(logits: Tensor, quality: Tensor, truth: Tensor) -> dict[str, Tensor]:
-    """Losses of masks (R, S, S): cross entropy; Dice, in which small instances weigh as much as large ones; cross
-    entropy of the predicted IoU, quality (R,), with the actual one.
+    """Losses of masks (R, S, S) with their predicted quality (R,).
+
+    Cross entropy; Dice, in which small instances weigh as much as large ones; and cross entropy of the predicted IoU
+    with the actual one.
     """
     bce, dice, iou = outline_losses(logits, truth)
     expected = F.binary_cross_entropy_with_logits(quality, iou, reduction="none")
@@ -261,9 +263,7 @@ def _mask_losses(logits: Tensor, quality: Tensor, truth: Tensor) -> dict[str, Te
 
 @torch.no_grad()
 def _mask_targets(instances: InstanceTargets, rois: Tensor, instance: Tensor, sub: int = 2) -> Tensor:
-    """Coverage of MASK_SIZE x MASK_SIZE cells of the `mask_boxes` of rois (R, 5) by `instance` (R,), read from the
-    maps.
-    """
+    """Coverage of the cells of the `mask_boxes` of rois (R, 5) by `instance` (R,), read from the maps."""
     image, boxes = rois[:, 0].long(), mask_boxes(rois[:, 1:])
     plane, ids = instances.plane[image, instance], instances.ids[image, instance]
     height, width = instances.maps.shape[-2:]

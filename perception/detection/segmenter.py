@@ -60,8 +60,7 @@ class Segmenter:
     def load(
         cls, weights_dir: Path | None = None, device: torch.device | str = "cpu", bfloat16: bool | None = None
     ) -> Segmenter:
-        """Load the shipped detector, or the one that a training left in a folder, with the refiner beside it where
-        there is one.
+        """Load the shipped detector, or the one of a training, with the refiner beside it where there is one.
 
         Args:
             weights_dir: Folder of weights; None: the shipped ones.

@@ -115,8 +115,9 @@ def joined(examples: Iterable[Examples]) -> Examples:
 
 
 def collect(folder: Path, detector: EeDetector | None = None, limit: int | None = None) -> Examples:
-    """Read a data set or one split's folder. One scene is in memory at a time; only clouds and frames without tools are
-    kept.
+    """Read a data set or one split's folder.
+
+    One scene is in memory at a time; only clouds and frames without tools are kept.
 
     Args:
         folder: Folder of the data set or split.

@@ -75,8 +75,9 @@ def risk_coverage_curves(reports: dict[str, dict[str, Any]], title: str) -> byte
 
 
 def reliability_diagram(reports: dict[str, dict[str, Any]], title: str) -> bytes:
-    """Share of successes (10 deg, 2 cm) over the confidence in ten bins, on the diagonal if calibrated. Bars: 95 %
-    interval (Wilson); areas: number of estimates.
+    """Share of successes (10 deg, 2 cm) over the confidence in ten bins, on the diagonal if calibrated.
+
+    Bars: 95 % interval (Wilson); areas: number of estimates.
 
     Args:
         reports: Label to the result of `pose.confidence`.

@@ -83,7 +83,9 @@ def _bop(e: Estimates) -> dict[str, float]:
 
 
 def _symmetry(e: Estimates) -> dict[str, Any]:
-    """Share of views whose predicted S is the class's constant; of those that may show the spin, such as a hammer
+    """Accuracy of the predicted symmetry.
+
+    The share of views whose predicted S is the class's constant; of those that may show the spin, such as a hammer
     head's, the share whose spin is rightly called observable.
     """
     cued = [i for i, category in enumerate(CATEGORIES) if category.spec.spin_cues]
@@ -103,8 +105,10 @@ def _symmetry(e: Estimates) -> dict[str, Any]:
 
 
 def confidence(e: Estimates) -> dict[str, Any] | None:
-    """Calibration and usefulness of the confidence over the estimates that were made; None for an estimator
-    without one.
+    """Calibration and usefulness of the confidence over the estimates that were made.
+
+    Returns:
+        The figures; None for an estimator without a confidence.
     """
     made = e.rows(e.made)
     if len(made) < 2 or np.ptp(made.confidence) == 0:
@@ -131,8 +135,9 @@ def confidence(e: Estimates) -> dict[str, Any] | None:
 
 
 def _kept(e: Estimates) -> dict[str, Any]:
-    """Errors of the EE's origin [mm] and z axis [deg] (a hammer's face: centre and normal) of the usable
-    estimates, and of the most confident 85 %.
+    """Errors of the usable estimates, and of the most confident 85 %.
+
+    Of the EE's origin [mm] and of its z axis [deg] (a hammer's face: centre and normal).
     """
     order = np.argsort(-e.confidence, kind="stable")
     best = np.zeros(len(e), dtype=bool)

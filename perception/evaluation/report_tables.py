@@ -62,8 +62,9 @@ def error_table(out: Page, found: dict[str, Any]) -> None:
 
 
 def confidence_tables(out: Page, found: dict[str, Any]) -> None:
-    """Add calibration and usefulness of the confidence, symmetry, and errors of confident estimates; arguments as
-    `accuracy_table`.
+    """Add calibration and usefulness of the confidence, symmetry, and errors of confident estimates.
+
+    Arguments as `accuracy_table`.
     """
     out.heading("Confidence and symmetry")
     head = ["estimator", "calibration error", "usable", "right at 10° 2 cm", "right at 5° 1 cm"]

@@ -1,10 +1,10 @@
-"""From the partial cloud of an end effector to its 6D pose: network, sampler, pooling, symmetry fix, confidence,
-fusion.
+"""From the partial cloud of an end effector to its 6D pose.
 
     from toolee_robot.perception.pose import PoseEstimator
     result = PoseEstimator.load().estimate(points, category, rest)
 
-Only numpy, scipy, torch and safetensors are needed here, so that training runs on a bare GPU machine.
+Network, sampler, pooling, symmetry fix, confidence and fusion. Only numpy, scipy, torch and safetensors are needed
+here, so that training runs on a bare GPU machine.
 """
 
 from toolee_robot.perception.pose.cloud_estimator import CloudEstimator, PoseResult

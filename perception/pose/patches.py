@@ -50,9 +50,7 @@ class Patches(nn.Module):
 
     @torch.no_grad()
     def _patches(self, centres: Tensor, points: Tensor, marks: Tensor | None) -> Tensor:
-        """(B, count, neighbours, 3 or 4): neighbours relative to the centre in units of the ball's radius, the mark
-        last.
-        """
+        """Patches (B, count, neighbours, 3 or 4) relative to their centres, in radii of the ball; the mark last."""
         # Summed per coordinate: a reduction over an axis of three takes 2.5 times as long.
         x, y, z = ((centres[:, :, None, k] - points[:, None, :, k]).square() for k in range(3))
         squared = x + y + z

@@ -45,8 +45,9 @@ class SegmentationImages(Protocol):
 
 
 class DeviceStore:
-    """A data set, or one rank's part of it, as bytes on the device. It may grow: of its M rows the first `len` are
-    images.
+    """A data set, or one rank's part of it, as bytes on the device.
+
+    It may grow: of its M rows the first `len` are images.
 
     Args:
         device: torch device.

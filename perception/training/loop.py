@@ -137,8 +137,10 @@ class TrainingRun(ABC):
         self._checkpoint()
 
     def record(self, values: dict[str, Any]) -> None:
-        """Write an entry to the terminal, the log and the curves; entries without an "event" are also kept in
-        memory.
+        """Write an entry to the terminal, the log and the curves.
+
+        Args:
+            values: The entry; one without an "event" is also kept in memory.
         """
         if not self.distributed.first:
             return

@@ -31,6 +31,7 @@ class TrainingOptions:
     """
 
     USUAL_MINUTES: ClassVar[float] = 12.0
+    """Default budget [min]."""
 
     minutes: float | None = None
     max_steps: int | None = None

@@ -69,8 +69,10 @@ class Squares:
         return torch.cat([self.centre - half, self.centre + half], 1)
 
     def offsets(self) -> tuple[Tensor, Tensor]:
-        """Offsets [px] of the cells' centres from the square's centre along its own axes: x (N, 1, CELLS), y (N, CELLS,
-        1).
+        """Offsets [px] of the cells' centres from the square's centre along its own axes.
+
+        Returns:
+            x (N, 1, CELLS) and y (N, CELLS, 1).
         """
         steps = (torch.arange(CELLS, device=self.side.device) + 0.5) / CELLS - 0.5
         span = steps * self.side[:, None]

@@ -37,16 +37,20 @@ _AT_ONCE = 256
 
 @dataclass(frozen=True, kw_only=True)
 class RefinementTraining(ImageTraining):
-    """A training of the refiner. The budget begins with the first scenes; `batch` counts detections per rank.
+    """A training of the refiner. The budget begins with the first scenes.
 
     Attributes:
+        batch: Detections per step and rank, at least 2 (batch normalisation).
+        lr: See `TrainingOptions`, as the next three.
+        warmup_steps: Steps over which the learning rate rises.
+        clip_norm: Largest norm of the gradient.
+        log_every: Steps between readings of the clock and the loss.
         detector: Folder of the detector's weights; None: the shipped ones.
         model: Architecture of the refiner.
-
-    The other fields are those of `ImageTraining` and `TrainingOptions`, with defaults for this network.
     """
 
     USUAL_MINUTES: ClassVar[float] = 15.0
+    """Default budget [min]."""
 
     batch: int = 512
     lr: float = 2e-3
@@ -165,8 +169,10 @@ class _Run(ImageTrainingRun):
 
     @torch.inference_mode()
     def validate(self) -> dict[str, float]:
-        """Mean IoU before and after, and losses, of the averaged network on the validation images; empty where they
-        have no EE.
+        """Evaluate the averaged network on the validation images.
+
+        Returns:
+            Mean IoU of the masks before and after, and losses; empty where the images have no EE.
         """
         refiner = Refiner(self.config.model).to(self.distributed.device).to(memory_format=torch.channels_last)
         load_refiner(refiner, self.averaged())

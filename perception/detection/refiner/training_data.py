@@ -229,8 +229,14 @@ class RefinementData:
         return self._matched(detections, categories[of[ees]])
 
     def _matched(self, detections: Detections, categories: Tensor) -> Detections:
-        """Detections with `truth` and `counts`; categories (N, E): class index of EE ids 1..E in each detection's
-        image.
+        """Detections with `truth` and `counts`.
+
+        Args:
+            detections: The detections.
+            categories: Class index of EE ids 1..E in each detection's image, (N, E).
+
+        Returns:
+            The detections with both fields.
         """
         if not len(detections):
             return detections
@@ -250,8 +256,9 @@ class RefinementData:
 
 
 def zoom_of(image: Tensor) -> Tensor:
-    """Magnification at which the detector sees images (N,): two of each in turn, so that the validation images have
-    both.
+    """Magnification at which the detector sees images (N,).
+
+    Two of each in turn, so that the validation images have both.
     """
     return image.new_tensor(_ZOOMS, dtype=torch.float64)[image // 2 % len(_ZOOMS)]
 

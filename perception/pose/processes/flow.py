@@ -60,11 +60,11 @@ class Process(Protocol):
         ...
 
     def prior(self, noise: Tensor) -> Tensor:
-        """u at t = start from standard normal noise."""
+        """State u at t = start from standard normal noise."""
         ...
 
     def velocity(self, field: Field, u: Tensor, t: Tensor) -> Tensor:
-        """du / dtau from the network's output.
+        """The velocity du / dtau from the network's output.
 
         Args:
             field: The network.
@@ -77,11 +77,11 @@ class Process(Protocol):
         ...
 
     def tau(self, t: Tensor) -> Tensor:
-        """Integration variable as a function of time, in which trajectories are straightest."""
+        """The integration variable at t, in which trajectories are straightest."""
         ...
 
     def rate(self, t: Tensor) -> Tensor:
-        """dtau / dt."""
+        """The derivative dtau / dt."""
         ...
 
     def finish(self, field: Field, u: Tensor) -> Tensor:

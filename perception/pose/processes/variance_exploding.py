@@ -13,10 +13,10 @@ from toolee_robot.perception.pose.processes.flow import Field, Noised
 
 @dataclass(frozen=True)
 class VarianceExploding:
-    """u_t = data + sigma(t) z with sigma(t) = low (high / low)^t; the network predicts sigma times the score, which is
-    -z.
+    """The process u_t = data + sigma(t) z with sigma(t) = low (high / low)^t.
 
-    Sampled from t = start, where sigma is about 1, down to t = end, with one denoising step at the end.
+    The network predicts sigma times the score, which is -z. Sampled from t = start, where sigma is about 1, down to t =
+    end, with one denoising step at the end.
 
     Attributes:
         low: Lowest noise level.

@@ -81,8 +81,10 @@ class CloudConfig:
 
     @classmethod
     def paper(cls) -> CloudConfig:
-        """The paper's protocol, as `dataset.paper` renders it: exact depth and masks, an upright tool in one
-        grasp, the EE a circle in the image. Without negatives, which the paper's estimator does not use.
+        """The paper's protocol, as `dataset.paper` renders it.
+
+        Exact depth and masks, an upright tool in one grasp, the EE a circle in the image; without negatives, which the
+        paper's estimator does not use.
         """
         return cls(
             distance=(0.42, 0.98),

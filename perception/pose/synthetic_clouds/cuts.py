@@ -90,8 +90,9 @@ class Cut:
 
 @dataclass(frozen=True)
 class Border:
-    """The border of an image, along u or v. A ray (x, y, 1) is inside where its product with the normal is under the
-    limit.
+    """The border of an image, along u or v.
+
+    A ray (x, y, 1) is inside where its product with the normal is under the limit.
 
     Attributes:
         normal: (B, 2).

@@ -160,9 +160,7 @@ class CloudGenerator(CloudSource):
         return result.select(shows)
 
     def _with_rest(self, cloud: CanonicalCloud, placed: Placement, target: Target) -> CanonicalCloud:
-        """Add the rest of the tools, seen by the same camera through a window that holds the whole tool; its
-        pixels are coarser than the camera's, because the network takes few points.
-        """
+        """Add the rest of the tools, seen by the same camera through a coarser window that holds the whole tool."""
         c, torch_rng = self.config, self._torch_rng
         middle = placed.rest.mean(1)
         size = (placed.rest - middle[:, None]).norm(dim=-1).amax(1).clamp_min(0.06)

@@ -34,8 +34,9 @@ def cleaned(depth: Tensor, share: float, torch_rng: TorchRng) -> Tensor:
 
 
 def imperfect(target: Tensor, error_share: float, chunk_share: float, torch_rng: TorchRng) -> Tensor:
-    """Make masks as a detector predicts them: grown or shrunk by up to three pixels, ragged, shifted, sometimes a piece
-    missing.
+    """Make masks as a detector predicts them.
+
+    Grown or shrunk by up to three pixels, ragged, shifted, sometimes a piece missing.
 
     Args:
         target: True masks, (B, GRID, GRID) bool.

@@ -80,8 +80,13 @@ class RenderedClouds:
         return cls(*(np.concatenate([getattr(each, f.name) for each in many]) for f in fields(cls)))
 
     def check_kind(self, of_tool: bool) -> None:
-        """Check that all clouds are of whole tools (`of_tool`) or all of end effectors. Raises UserError where
-        some are not.
+        """Check that all clouds are of whole tools, or all of end effectors.
+
+        Args:
+            of_tool: Whether they must be of whole tools.
+
+        Raises:
+            UserError: Some are of the other kind.
         """
         if (self.of_tool != of_tool).any():
             wanted, given = ("whole tools", "end effectors") if of_tool else ("end effectors", "whole tools")
@@ -205,8 +210,9 @@ class RenderedSource(CloudSource):
         return torch.where(valid[..., None], flat[rows], 0.0), valid
 
     def _direction(self, cloud: CanonicalCloud, rest: Tensor, valid: Tensor, p_hand: Tensor) -> Tensor:
-        """Direction tokens (B, 5) as the estimator makes them: to the median of the rest, or else to the hand,
-        where known.
+        """Direction tokens (B, 5) as the estimator makes them.
+
+        To the median of the rest, or else to the hand, where known.
         """
         by_hand = ~cloud.rest_known
         goal = torch.where(by_hand[:, None], p_hand, masked_median(rest, valid))

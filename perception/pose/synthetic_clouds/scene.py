@@ -106,8 +106,9 @@ def draw_backgrounds(buffer: ZBuffer, focus: Tensor, rays: Tensor, torch_rng: To
 
 
 def directions(placed: Placement, centre: Tensor, R_canonical: Tensor, torch_rng: TorchRng) -> Tensor:
-    """Noisy direction tokens: from the cloud's centre to the mean of a visible part of the rest of the tool, or to the
-    hand.
+    """Noisy direction tokens.
+
+    From the cloud's centre to the mean of a visible part of the rest of the tool, or to the hand.
 
     Args:
         placed: The tools.

@@ -1,5 +1,6 @@
-"""Dense surface samples of tools and hands, of which the synthetic clouds are made. numpy only, in several
-processes.
+"""Dense surface samples of tools and hands, of which the synthetic clouds are made.
+
+numpy only, in several processes.
 """
 
 from __future__ import annotations

@@ -11,8 +11,9 @@ from torch import nn
 
 
 def freeze_batchnorm(net: nn.Module, frozen: bool) -> None:
-    """Switch layers of batch normalisation between running statistics, kept, and their batch's. Their weights learn
-    either way.
+    """Switch layers of batch normalisation between running statistics, kept, and their batch's.
+
+    Their weights learn either way.
 
     Args:
         net: The network.

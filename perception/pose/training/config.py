@@ -13,6 +13,10 @@ class TrainConfig(TrainingOptions):
     """The options of a training of the pose network.
 
     Attributes:
+        batch: Clouds per step and rank.
+        warmup_steps: See `TrainingOptions`, as the next two.
+        weight_decay: Weight decay of AdamW.
+        clip_norm: Largest norm of the gradient.
         reuse: How often a cloud is shown.
         chunk: Clouds generated at a time.
         capacity: Clouds in the replay buffer.
@@ -26,10 +30,10 @@ class TrainConfig(TrainingOptions):
         init_share: Share of the initial weights in the final ones, where the training starts from weights (Wortsman et
             al., "Robust fine-tuning of zero-shot models", CVPR 2022).
 
-    The other fields are those of `TrainingOptions`, with defaults for this network.
     """
 
     USUAL_MINUTES: ClassVar[float] = 9.0
+    """Default budget [min]."""
 
     batch: int = 512
     warmup_steps: int = 300

@@ -78,8 +78,10 @@ class Trainer(TrainingRun, Generic[Net]):
         self._g = torch.Generator(distributed.device).manual_seed(self._seed(2))
 
     def run(self) -> dict[str, Any]:
-        """Train until the budget is used up, then validate, calibrate and write the weights. Returns the report,
-        empty for ranks other than the first.
+        """Train until the budget is used up, then validate, calibrate and write the weights.
+
+        Returns:
+            The report; empty for ranks other than the first.
         """
         self.loop()
         return {} if self._held_out is None else self.finish(self._held_out)
@@ -138,7 +140,9 @@ class Trainer(TrainingRun, Generic[Net]):
 
     def calibrate(self) -> dict[str, Any]:
         """Validate and calibrate the weights in `out`, on any machine, after a training that ran out of time.
-        Returns the report.
+
+        Returns:
+            The report.
         """
         self._take_average(self.recipe.load(self.out).state_dict())
         self._init = {}  # already mixed into the weights
@@ -170,8 +174,9 @@ class Trainer(TrainingRun, Generic[Net]):
         return self.recipe.with_ee_truth(clouds, self._test_samples)
 
     def export(self) -> Net:
-        """The averaged network, mixed with its share of the initial weights, rounded to half precision as it will
-        be stored.
+        """The averaged network, mixed with its share of the initial weights.
+
+        It is rounded to half precision, as it will be stored.
         """
         net = copy.deepcopy(self.net).requires_grad_(False)
         net.load_state_dict(self.average)

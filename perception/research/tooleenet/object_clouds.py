@@ -57,8 +57,10 @@ def first_ends(samples: SurfaceSamples) -> Array:
 
 
 def category_priors(samples: SurfaceSamples) -> Array:
-    """Mean X_tool_ee of each category over the sampled tools, modulo its group: (4, 4, 4); the identity where
-    there are none.
+    """Mean X_tool_ee of each category over the sampled tools, modulo its group.
+
+    Returns:
+        (4, 4, 4); the identity where there are none.
     """
     priors = np.tile(np.eye(4), (len(Category), 1, 1))
     first = first_ends(samples) > 0

@@ -64,8 +64,13 @@ class PointNet2(nn.Module):
         self.size = channels
 
     def forward(self, points: Tensor) -> Tensor:
-        """Feature (B, size) of clouds (B, N, 3) [m] whose first `levels[0].centres` points are farthest-point
-        samples.
+        """Encode clouds.
+
+        Args:
+            points: (B, N, 3) [m]; the first `levels[0].centres` are farthest-point samples.
+
+        Returns:
+            Feature (B, size).
         """
         feature: Tensor | None = None
         for level, stage in zip(self.levels, self.stages, strict=True):

@@ -11,8 +11,10 @@ from toolee_robot.symmetry import SymmetryGroup
 
 
 def mean_pose(Xs: Array, group: SymmetryGroup | None = None) -> Array:
-    """Mean of poses: the largest eigenvector of the quaternions' second moments (Markley et al., 2007) and the
-    arithmetic mean of the positions.
+    """Mean of poses.
+
+    The largest eigenvector of the quaternions' second moments (Markley et al., 2007) and the arithmetic mean of the
+    positions.
 
     Args:
         Xs: Poses (K, 4, 4).
