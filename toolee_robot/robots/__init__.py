@@ -6,7 +6,8 @@
     SHADOW_HAND.grasp.X_hand_tool(0.016)  # nominal pose of a handle of this radius [m]
     SHADOW_HAND.link_poses(q_hand)        # plain numpy, link -> X_hand_link
 
-Each hand is a `HandModel` record in `toolee_robot.robots.hands`. This package does not import a physics engine or Pinocchio.
+Each hand is a `HandModel` record in `toolee_robot.robots.hands`. This package imports neither a physics engine nor
+Pinocchio.
 """
 
 from toolee_robot.robots.description import (

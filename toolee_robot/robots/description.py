@@ -42,7 +42,7 @@ class RobotDescription:
     model: ArmModel
     """Model of the arm."""
     calibrated: bool
-    """Whether the kinematics use the factory calibration of the arm; the nominal ones err by 1 to 2 mm at the flange."""
+    """Whether the kinematics are factory-calibrated; the nominal ones err by 1 to 2 mm at the flange."""
     hand: HandModel
     """Model of the hand on the flange."""
     urdf_path: Path
@@ -52,7 +52,7 @@ class RobotDescription:
     tree: Tree
     """All links, those of the arm first."""
     arm_joints: tuple[str, ...]
-    """Joint names of the arm in the URDF (6). pybullet keeps this order; Pinocchio sorts sibling joints: map by name."""
+    """Joint names of the arm (6) in URDF order, as in pybullet. Pinocchio sorts sibling joints: map by name there."""
     base_frame: str
     """Name of the root link."""
     flange_frame: str
