@@ -28,8 +28,8 @@ SCENES = ("hard", "station", "empty", "paper")
 """Kinds of scenes; `Example.scene` is an index into it. hard: random tools, poses and clutter; station: a UR10 with a
 hand shows a tool; empty: no tool; paper: the protocol of the paper."""
 POSES = {"m2c": "X_camera_ee", "t2c": "X_camera_tool", "h2c": "X_camera_hand"}
-"""Suffix of cam_R_ and cam_t_ in scene_gt -> field of `EeTable`: pose of the EE (the model in BOP), the tool and the hand
-in the camera frame."""
+"""Suffix of cam_R_ and cam_t_ in scene_gt -> field of `EeTable`: pose of the EE (the model in BOP), of the tool and
+of the hand in the camera frame."""
 
 FloatArray = NDArray[np.float32]
 

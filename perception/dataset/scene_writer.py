@@ -9,8 +9,8 @@
     train/000000/clouds.npz                see `clouds`
     train/000000/SHA256SUMS
 
-Training reads these files directly (`scene_reader`). BOP fields have the meaning and units (mm) of BOP; additional fields
-have names of their own.
+Training reads these files directly (`scene_reader`). BOP fields have the meaning and units (mm) of BOP; additional
+fields have names of their own.
 """
 
 from __future__ import annotations
