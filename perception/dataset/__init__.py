@@ -4,6 +4,6 @@
     from toolee_robot.perception.dataset.scene_reader import load
     images = load(Path("data/hard/train"))
 
-The format: `spec` (what is asked for), `scene_writer` and `scene_reader` (BOP scenes), `index_files` (the folder),
-`validation`, `figures` (looking at it). Data sets are made by `toolee_robot.perception.synthesis`.
+Modules: `spec` (specification), `scene_writer` and `scene_reader` (BOP scenes), `index_files` (files of the whole data
+set), `validation`, `figures` (inspection). `toolee_robot.perception.synthesis` generates data sets.
 """

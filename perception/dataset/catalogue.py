@@ -1,4 +1,4 @@
-"""The tools that a data set shows, by number: the generated ones, or a user's own."""
+"""Catalogues of the tools of a data set, by number: generated or custom tools."""
 
 from __future__ import annotations
 
@@ -22,56 +22,63 @@ from toolee_robot.tools.catalog import split as split_of
 
 _KINDS = tuple(TOOL_SPECS)
 _CUSTOM = len(_KINDS) * INSTANCES
-"""Numbers from here on are a user's own tools."""
+"""Number of the first custom tool."""
 _POOL = 12
-"""Tools that a scene folder's examples draw from."""
+"""Size of the pool of tools of a scene folder."""
 _DRAWN = (*[Family.HAMMERS] * 4, *[Family.SCREWDRIVERS] * 5, *[Family.WRENCHES] * 3)
-"""The families of those tools; the station's scenes add to the hammers."""
+"""Families of the tools in the pool; station scenes show additional hammers."""
 
 
 class Catalogue(ABC):
-    """Every method but `numbers` and `pool` takes a tool's number and raises UserError where there is none."""
+    """Tools of a data set by number.
+
+    Every method with an argument `number` raises UserError if there is no tool of this number.
+    """
 
     @abstractmethod
     def numbers(self, split: str) -> list[int]:
-        """All tools of a split, "train" or "test"."""
+        """Numbers of all tools of a split, "train" or "test"."""
 
     @abstractmethod
     def pool(self, rng: np.random.Generator, split: str) -> tuple[int, ...]:
-        """About a dozen tools of the split for one scene folder."""
+        """Random numbers of about a dozen tools of a split, for one scene folder."""
 
     @abstractmethod
     def name(self, number: int) -> str:
-        """As `ToolShape.name`, without making the tool."""
+        """`ToolShape.name` of a tool, without generating it."""
 
     @abstractmethod
     def split(self, number: int) -> str:
-        """Which split the tool belongs to."""
+        """Split of a tool, "train" or "test"."""
 
     @abstractmethod
     def categories(self, number: int) -> tuple[Category, ...]:
-        """Of the tool's EEs."""
+        """Distinct categories of the EEs of a tool, the working end first."""
 
     @abstractmethod
     def about(self, number: int) -> dict[str, Any]:
-        """What scene_instances.json tells of the tool beside its objects."""
+        """Fields of a tool in scene_instances.json, besides its objects."""
 
     @abstractmethod
     def tool(self, number: int) -> ToolShape:
-        """The tool; the same object each time while it is in use."""
+        """The tool; repeated calls return the same object while it is cached."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StoredTool(ToolShape):
-    """What is seen and held of a tool that was drawn before. number: in the catalogue; part_meshes: what
-    `bodies.tool_meshes` makes of its surface."""
+    """A tool loaded from the cache of generated tools.
+
+    Attributes:
+        number: Number in the catalogue.
+        part_meshes: Render mesh of each part (`bodies.tool_meshes`), `tool` frame [m].
+    """
 
     number: int
     part_meshes: tuple[Mesh, ...]
 
 
 def number_of(tool: ToolShape) -> int:
-    """The number of a generated or a data set's own tool."""
+    """Number of a tool in its catalogue."""
     if isinstance(tool, StoredTool):
         return tool.number
     if isinstance(tool, CustomTool):
@@ -81,10 +88,10 @@ def number_of(tool: ToolShape) -> int:
 
 
 class GeneratedTools(Catalogue):
-    """150 tools of each of 13 kinds; every fifth is held out."""
+    """Generated tools: `INSTANCES` of each kind; each fifth is held out."""
 
     def __reduce__(self) -> str:
-        # There is only one, in every process.
+        # Unpickle to the module's instance: one per process.
         return "GENERATED"
 
     def numbers(self, split: str) -> list[int]:
@@ -127,21 +134,26 @@ GENERATED = GeneratedTools()
 
 @dataclass(frozen=True, eq=False)
 class CustomTools(Catalogue):
-    """A user's tools in the data set's folder `root`, all held out."""
+    """Custom tools of a data set, all held out.
+
+    Attributes:
+        root: Folder of the data set.
+        records: Descriptions of the tools, in the order of their numbers.
+    """
 
     root: Path
     records: tuple[CustomToolRecord, ...]
     _made: dict[int, CustomTool] = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # One for each folder in every process, that what is known of its tools is worked out once.
+        # Unpickle to one instance per folder and process, so that derived data of its tools is cached once.
         return _custom_tools, (self.root, self.records)
 
     def numbers(self, split: str) -> list[int]:
         return [_CUSTOM + i for i in range(len(self.records))] if split == "test" else []
 
     def pool(self, rng: np.random.Generator, split: str) -> tuple[int, ...]:
-        """A dozen of them, or all."""
+        """Numbers of `_POOL` random tools, or of all if there are fewer."""
         numbers = self.numbers(split)
         return tuple(numbers[int(i)] for i in rng.permutation(len(numbers))[:_POOL])
 
@@ -159,7 +171,12 @@ class CustomTools(Catalogue):
         return {}
 
     def tool(self, number: int) -> CustomTool:
-        """Raises AssetError where the mesh is missing or broken."""
+        """The tool of a number.
+
+        Raises:
+            AssetError: The mesh is missing or corrupt.
+            UserError: There is no tool of this number.
+        """
         record = self._record(number)
         if number not in self._made:
             vertices, faces = read_ply(tool_path(self.root, record.name))

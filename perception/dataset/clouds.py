@@ -1,9 +1,4 @@
-"""The clouds of a scene: what the depth camera sees of each EE, in `clouds.npz`.
-
-image, gt (M,) int32: which EE of which image (the place in scene_gt). ends (M,) int64: cloud m is
-points[ends[m-1]:ends[m]]. points (sum, 3) float32 [m], camera frame, a random 1024 of the mask's pixels at most.
-count (M,) int32: how many pixels had a depth.
-"""
+"""Point clouds of the EEs of a scene, stored in `clouds.npz` with the arrays of `Clouds`."""
 
 from __future__ import annotations
 
@@ -20,24 +15,41 @@ from toolee_robot.perception.dataset.records import Example, FloatArray
 from toolee_robot.types import CameraIntrinsics
 
 MAX_POINTS = 1024
+"""Maximum number of points of a cloud; larger clouds are sampled randomly."""
 
 
 def back_projected(mask: NDArray[np.bool_], depth_mm: NDArray[np.uint16], K: CameraIntrinsics) -> FloatArray:
-    """Points (N, 3) [m], camera frame, of the mask's pixels that have a depth."""
+    """Back-project the pixels of a mask that have a depth.
+
+    Args:
+        mask: Pixels to project (H, W).
+        depth_mm: Depth (H, W) [mm]; 0 where unknown.
+        K: Intrinsics of the camera.
+
+    Returns:
+        Points (N, 3) [m], camera frame, in row-major order of the pixels.
+    """
     rows, columns = pixels_of(mask & (depth_mm > 0))
     z = depth_mm[rows, columns] * 1e-3
     return np.column_stack([(columns - K.cx) / K.fx * z, (rows - K.cy) / K.fy * z, z]).astype(np.float32)
 
 
 class CloudWriter:
-    """Collects the clouds of a scene."""
+    """Collector of the clouds of a scene."""
 
     def __init__(self) -> None:
         self._where: list[tuple[int, int, int]] = []
         self._points: list[FloatArray] = []
 
     def add(self, image: int, gt: int, mask: NDArray[np.bool_], e: Example) -> None:
-        """The cloud of one EE."""
+        """Add the cloud of one EE.
+
+        Args:
+            image: Index of the image in the scene.
+            gt: Index of the EE in the entry of the image in scene_gt.
+            mask: Visible mask of the EE (H, W).
+            e: The example.
+        """
         points = back_projected(mask, e.depth_mm, e.intrinsics)
         count = len(points)
         if count > MAX_POINTS:
@@ -46,7 +58,7 @@ class CloudWriter:
         self._points.append(points)
 
     def to_bytes(self) -> bytes:
-        """The file."""
+        """Content of `clouds.npz`."""
         where = np.array(self._where, np.int32).reshape(-1, 3)
         points = np.concatenate([np.zeros((0, 3), np.float32), *self._points])
         ends = np.cumsum([len(p) for p in self._points], dtype=np.int64)
@@ -57,7 +69,15 @@ class CloudWriter:
 
 @dataclass(frozen=True, eq=False)
 class Clouds:
-    """The clouds of one scene; see the module."""
+    """The M clouds of one scene.
+
+    Attributes:
+        image: Index of the image of each cloud (M,).
+        gt: Index of the EE in scene_gt of each cloud (M,).
+        count: Pixels with a depth in the mask of each cloud (M,), before sampling.
+        ends: End of each cloud in `points` (M,): cloud m is points[ends[m - 1] : ends[m]].
+        points: Points of all clouds (sum, 3) [m], camera frame; at most `MAX_POINTS` of each cloud.
+    """
 
     image: NDArray[np.int32]
     gt: NDArray[np.int32]
@@ -69,12 +89,19 @@ class Clouds:
         return len(self.image)
 
     def __getitem__(self, m: int) -> FloatArray:
-        """(n, 3) cloud m, n up to 1024."""
+        """Points (n, 3) [m] of cloud m, n <= `MAX_POINTS`."""
         return self.points[int(self.ends[m - 1]) if m else 0 : int(self.ends[m])]
 
 
 def read_clouds(scene: Path) -> Clouds:
-    """The clouds of a scene's folder. Raises AssetError naming the file."""
+    """Read the clouds of a scene.
+
+    Args:
+        scene: Folder of the scene.
+
+    Raises:
+        AssetError: The file is missing or corrupt; the message names it.
+    """
     path = scene / "clouds.npz"
     try:
         with np.load(path, allow_pickle=False) as file:

@@ -1,4 +1,4 @@
-"""A user's own tools as a data set holds them: a record in `dataset.json`, the mesh in `tools/`."""
+"""Custom tools of a data set: a record in `dataset.json` and a mesh in `tools/`."""
 
 from __future__ import annotations
 
@@ -14,18 +14,27 @@ from toolee_robot.frames import Array, inverse, transform_points
 from toolee_robot.tools import EndEffector, Handle, Material, Part, ToolShape, materials
 
 MATERIALS: dict[str, Material] = {m.name: m for m in vars(materials).values() if isinstance(m, Material)}
-"""What a handle or a head may be made of."""
+"""Name -> material that a handle or a head can have."""
 HANDLE, HEAD, CLAW = "handle", "head", "claw"
 _FINE, _CUTS = 0.006, 10
-"""Triangles across a border of parts are halved until their edges are that short [m], at most so many times."""
+"""Triangles across the border of two parts are subdivided to this edge length [m], in at most this many passes."""
 _ON_HANDLE = 1.5
-"""A surface belongs to the handle up to this factor of the handle's half-widths."""
+"""Surface points within this factor of the half-widths of the handle belong to the handle."""
 
 
 @dataclass(frozen=True)
 class CustomToolRecord:
-    """mesh_sha256: of the mesh in `tools/`. Xs_tool_ee: 16 numbers row by row for each of `categories`; sections: z,
-    half-widths along x and along y as in `Handle`. handle_material, head_material: names in `MATERIALS`."""
+    """Description of a custom tool.
+
+    Attributes:
+        name: Name of the tool and stem of its mesh file.
+        mesh_sha256: SHA-256 of the mesh file in `tools/`.
+        categories: Category of each EE, the working end first.
+        Xs_tool_ee: Pose of each EE in the `tool` frame, 4x4 [m] as 16 numbers in row-major order.
+        sections: z, half-widths along x and half-widths along y [m], as in `Handle`.
+        handle_material: Material of the handle, a key of `MATERIALS`.
+        head_material: Material of head and claw, a key of `MATERIALS`.
+    """
 
     name: str
     mesh_sha256: str
@@ -37,15 +46,17 @@ class CustomToolRecord:
 
     @property
     def ees(self) -> tuple[EndEffector, ...]:
+        """End effectors, the working end first."""
         rows = zip(self.categories, self.Xs_tool_ee, strict=True)
         return tuple(EndEffector(category, np.reshape(X, (4, 4))) for category, X in rows)
 
     @property
     def handle(self) -> Handle:
+        """Grippable section."""
         return Handle(*(np.array(row) for row in self.sections))
 
     def to_json(self) -> dict[str, Any]:
-        """Plain lists, for `dataset.json`."""
+        """Entry of the tool in `dataset.json`."""
         return {
             "name": self.name,
             "mesh_sha256": self.mesh_sha256,
@@ -59,7 +70,13 @@ class CustomToolRecord:
 
     @staticmethod
     def from_json(data: dict[str, Any]) -> CustomToolRecord:
-        """Raises KeyError, TypeError, ValueError."""
+        """Parse an entry of `dataset.json`.
+
+        Raises:
+            KeyError: A field is missing.
+            TypeError: A field has another type.
+            ValueError: A value is invalid.
+        """
         z, x, y = (tuple(map(float, data["handle"][k])) for k in ("z", "radii_x", "radii_y"))
         return CustomToolRecord(
             data["name"],
@@ -74,7 +91,12 @@ class CustomToolRecord:
 
 @dataclass(frozen=True, eq=False)
 class CustomMesh:
-    """A tool as it was read from its user's folder. ply: its mesh, `tool` frame [mm], as `tools/` is to hold it."""
+    """A custom tool read from the folder of the user.
+
+    Attributes:
+        record: Its description.
+        ply: Mesh in the `tool` frame [mm], the content of its file in `tools/`.
+    """
 
     record: CustomToolRecord
     ply: bytes
@@ -82,10 +104,14 @@ class CustomMesh:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CustomTool(ToolShape):
-    """A tool that a user brought. index: its place among the data set's own tools.
+    """A custom tool.
 
-    Its parts are a handle, a head and, if it has a grip, a claw: what lies along the handle's axis, what is near the
-    grip's origin and not on the other side of that axis, and the rest.
+    Its parts are handle, head and claw. The handle is the surface along the axis of the handle; the claw is the surface
+    near the origin of a grip EE, on the same side of that axis; the head is the rest.
+
+    Attributes:
+        index: Index among the custom tools of the data set.
+        record: Its description.
     """
 
     index: int
@@ -93,7 +119,14 @@ class CustomTool(ToolShape):
 
     @staticmethod
     def build(record: CustomToolRecord, index: int, vertices: Array, faces: NDArray[np.int64]) -> CustomTool:
-        """vertices (V, 3): `tool` frame [m]."""
+        """Build a tool from its mesh.
+
+        Args:
+            record: Its description.
+            index: Index among the custom tools of the data set.
+            vertices: Vertices (V, 3) [m], `tool` frame.
+            faces: Faces (F, 3).
+        """
         head = MATERIALS[record.head_material]
         parts = (Part(HANDLE, MATERIALS[record.handle_material]), Part(HEAD, head), Part(CLAW, head))
         mesh = trimesh.Trimesh(vertices, faces, process=False)
@@ -105,8 +138,16 @@ class CustomTool(ToolShape):
 def cut_at_parts(
     record: CustomToolRecord, vertices: Array, faces: NDArray[np.int64]
 ) -> tuple[Array, NDArray[np.int64]]:
-    """The same surface, `tool` frame [m], the triangles across a border of parts cut until they are small: a drawing's
-    may run from head to claw."""
+    """Subdivide the triangles across borders of parts; triangles of a CAD mesh can extend from head to claw.
+
+    Args:
+        record: Description of the tool.
+        vertices: Vertices (V, 3) [m], `tool` frame.
+        faces: Faces (F, 3).
+
+    Returns:
+        Vertices and faces of the same surface.
+    """
     for _ in range(_CUTS):
         owner = _owners(vertices, record.ees, record.handle)[faces]
         corners = vertices[faces]
@@ -119,7 +160,7 @@ def cut_at_parts(
 
 
 def _owners(points: Array, ees: tuple[EndEffector, ...], handle: Handle) -> NDArray[np.int64]:
-    """Index into the parts of each point (N, 3) of the surface, `tool` frame."""
+    """Index into the parts (N,) of surface points (N, 3) [m], `tool` frame."""
     owner = np.full(len(points), 1)
     for ee in (ee for ee in ees if ee.category is Category.HAMMER_GRIP):
         local = transform_points(inverse(ee.X_tool_ee), points)

@@ -20,34 +20,42 @@ from toolee_robot.tools import ToolShape
 MODELS, TOOLS = "models", "tools"
 _EES = 4
 _EDGE = 0.008
-"""Longest edge [m] where an EE's mesh is cut out of its tool's."""
+"""Maximum edge length [m] of the mesh of an EE."""
 
 
 def object_id(tool: int, ee: int) -> int:
-    """The BOP obj_id (1 or more) of EE `ee` (its place in `ToolShape.ees`) of a tool, by the tool's number in its
-    catalogue. Object: one EE of one tool."""
+    """BOP obj_id (1 or more); an object is one EE of one tool.
+
+    Args:
+        tool: Number of the tool in its catalogue.
+        ee: Index into `ToolShape.ees`.
+    """
     return tool * _EES + ee + 1
 
 
 def object_of(obj_id: int) -> tuple[int, int]:
-    """Number of the tool and EE of an obj_id. Raises UserError for numbers that are none."""
+    """Number of the tool and index of the EE of an obj_id.
+
+    Raises:
+        UserError: obj_id is less than 1.
+    """
     if obj_id < 1:
         raise UserError(f"there is no object {obj_id}")
     return divmod(obj_id - 1, _EES)
 
 
 def model_path(root: Path, obj_id: int) -> Path:
-    """The EE's mesh, in its own frame [mm]."""
+    """File of the mesh of an EE, EE frame [mm], in the data set at `root`."""
     return root / MODELS / f"obj_{obj_id:06d}.ply"
 
 
 def tool_path(root: Path, name: str) -> Path:
-    """The tool's mesh, `tool` frame [mm]."""
+    """File of the mesh of a tool, `tool` frame [mm], in the data set at `root`."""
     return root / TOOLS / f"{name}.ply"
 
 
 def ee_mesh(tool: ToolShape, ee: int) -> trimesh.Trimesh:
-    """The part of the tool's surface within `EndEffectorSpec.radius` of the EE's origin, in the EE's frame [mm]."""
+    """Surface of the tool within `EndEffectorSpec.radius` of the origin of EE `ee`, EE frame [mm]."""
     end = tool.ees[ee]
     radius = end.category.spec.radius
     X = inverse(end.X_tool_ee)
@@ -65,7 +73,7 @@ def ee_mesh(tool: ToolShape, ee: int) -> trimesh.Trimesh:
 
 
 def ply_bytes(vertices: Array, faces: NDArray[np.int64]) -> bytes:
-    """A binary PLY file: float32 vertices (V, 3), int32 faces (F, 3)."""
+    """Content of a binary PLY file: float32 vertices (V, 3), int32 faces (F, 3)."""
     header = (
         "ply\nformat binary_little_endian 1.0\n"
         f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
@@ -77,7 +85,14 @@ def ply_bytes(vertices: Array, faces: NDArray[np.int64]) -> bytes:
 
 
 def read_ply(path: Path) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices (V, 3) float64 [mm] and faces (F, 3) of a mesh that `ply_bytes` wrote. Raises AssetError."""
+    """Read a mesh written by `ply_bytes`.
+
+    Returns:
+        Vertices (V, 3) [mm] and faces (F, 3).
+
+    Raises:
+        AssetError: The file is missing or corrupt.
+    """
     try:
         data = path.read_bytes()
         end = data.index(b"end_header\n") + len(b"end_header\n")
@@ -96,7 +111,7 @@ def read_ply(path: Path) -> tuple[Array, NDArray[np.int64]]:
 
 
 def model_info(vertices: Array, category: Category) -> dict[str, Any]:
-    """A model's entry in models_info.json: diameter, bounding box [mm], symmetries about the EE's axes."""
+    """Entry of a model in models_info.json from its vertices (V, 3) [mm]: diameter, bounding box, symmetries."""
     try:
         hull = ConvexHull(vertices)
     except QhullError:  # flat
@@ -110,7 +125,7 @@ def model_info(vertices: Array, category: Category) -> dict[str, Any]:
     if group.kind is SymmetryKind.CINF:
         info["symmetries_continuous"] = [{"axis": axis.tolist(), "offset": [0.0, 0.0, 0.0]}]
     elif group.kind is SymmetryKind.C2:
-        # A half turn about a unit axis; exact for the coordinate axes that are meant here.
+        # Rotation by 180 degrees about a unit axis; exact for coordinate axes.
         half_turn = transform(2.0 * np.outer(axis, axis) - np.eye(3))
         info["symmetries_discrete"] = [[float(v) for v in half_turn.reshape(-1)]]
     return info

@@ -1,4 +1,4 @@
-"""The meshes of the tools that a data set shows: `models/` (BOP's: one EE of one tool each) and `tools/` (whole)."""
+"""Mesh files of a data set: `models/` (BOP models, one EE of one tool each) and `tools/` (whole tools)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from toolee_robot.runtime.files import write_atomic
 
 
 def write_models(root: Path, catalogue: Catalogue, obj_ids: Iterable[int]) -> None:
-    """The meshes of these objects and of their tools, where they are not there yet."""
+    """Write the missing meshes of objects (by obj_id) and of their tools to the data set at `root`."""
     for number in sorted({object_of(obj_id)[0] for obj_id in obj_ids}):
         tool = catalogue.tool(number)
         for k in range(len(tool.ees)):
@@ -40,14 +40,18 @@ def write_models(root: Path, catalogue: Catalogue, obj_ids: Iterable[int]) -> No
 
 
 def model_entry(root: Path, catalogue: Catalogue, obj_id: int, category: Category) -> dict[str, Any]:
-    """An object's entry in models_info.json. Raises AssetError when its mesh is missing or broken."""
+    """Entry of an object in models_info.json.
+
+    Raises:
+        AssetError: The mesh is missing or corrupt.
+    """
     number, _ = object_of(obj_id)
     info = model_info(read_ply(model_path(root, obj_id))[0], category)
     return {**info, "category": str(category), "instance": catalogue.name(number), "split": catalogue.split(number)}
 
 
 def write_models_info(out: Path, entries: dict[int, dict[str, Any]]) -> None:
-    """models_info.json of these objects (obj_id -> entry), in `out`."""
+    """Write models_info.json with the entries (obj_id -> entry) to the folder `out`."""
     _write(out / MODELS / "models_info.json", json_by_line({str(k): entries[k] for k in sorted(entries)}))
 
 

@@ -1,4 +1,4 @@
-"""One call for each scene, on several processes, each pinned to a core."""
+"""Parallel execution of scene jobs on local processes, each pinned to a core."""
 
 from __future__ import annotations
 
@@ -16,13 +16,25 @@ from toolee_robot.runtime.process_pool import WorkerPool
 
 T = TypeVar("T")
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Embree and BLAS would each start a thread per core, and the workers fight over them."""
+"""Environment of the workers: without it, Embree and BLAS start one thread per core in each of them."""
 
 
 def on_processes(make: Callable[[SceneJob], T], jobs: list[SceneJob], workers: int) -> Generator[T]:
-    """make(job) for every job on so many processes, as they are done.
+    """Run make(job) for every job on worker processes.
 
-    Processes of their own, even a single one: it computes with one thread whatever this one was started with."""
+    A single worker is also a separate process, because the number of threads is fixed when a process starts.
+
+    Args:
+        make: Function of a job; it must be picklable.
+        jobs: The jobs.
+        workers: Maximum number of processes.
+
+    Yields:
+        The results, in order of completion.
+
+    Raises:
+        TooleeError: A worker process died.
+    """
     if not jobs:
         return
     cores = multiprocessing.get_context("spawn").Queue()
@@ -36,13 +48,14 @@ def on_processes(make: Callable[[SceneJob], T], jobs: list[SceneJob], workers: i
                 yield future.result()
         except BrokenProcessPool as error:
             raise TooleeError(
-                "a worker process died (out of memory?): run the same command again, with fewer --workers; it resumes"
+                "a worker process died (out of memory?): run the same command again, with fewer --workers; it resumes",
+                code="toolee.worker_died",
             ) from error
 
 
 @contextlib.contextmanager
 def _environment(variables: dict[str, str]) -> Iterator[None]:
-    """These environment variables, for the processes started inside."""
+    """Set environment variables for the processes that are started in this context."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:
@@ -56,9 +69,9 @@ def _environment(variables: dict[str, str]) -> Iterator[None]:
 
 
 def _prepare(cores: multiprocessing.Queue[int]) -> None:
-    """Pin this worker to a core."""
+    """Pin this worker process to a core."""
     number = cores.get()
     if hasattr(os, "sched_setaffinity"):
         own = sorted(os.sched_getaffinity(0))
-        with contextlib.suppress(OSError):  # some containers forbid it: then the workers are only slower
+        with contextlib.suppress(OSError):  # forbidden in some containers; affects only speed
             os.sched_setaffinity(0, {own[number % len(own)]})

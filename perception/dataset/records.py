@@ -1,4 +1,4 @@
-"""The record of one synthetic example, and how its end effectors (EE) are numbered."""
+"""Records of one synthetic example and the numbering of its end effectors (EE)."""
 
 from __future__ import annotations
 
@@ -11,36 +11,43 @@ from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 HEIGHT, WIDTH = 424, 512
-"""Every image of the data set has this size [px]."""
+"""Size [px] of every image of the data set."""
 MAX_EES = 8
-"""EE ids are 1..MAX_EES."""
+"""Maximum number of EEs in an image; EE ids are 1..MAX_EES."""
 MIN_POINTS = 50
-"""An EE with fewer visible pixels counts as not labelled: neither to be found nor a false alarm."""
+"""Minimum visible pixels of a labelled EE; with fewer it is ignored: neither a target nor a false positive."""
 NEAREST, FARTHEST = 0.4, 1.1
-"""Depths [m] at which EEs are placed."""
+"""Range of depths [m] at which EEs are placed."""
 SHOWN_HAND = SHADOW_HAND
-"""The hand that holds the tools, or its mirror image; `X_camera_hand` is its frame."""
+"""Hand model that holds the tools, possibly mirrored; `X_camera_hand` is the pose of its hand frame."""
 MAX_OCCLUSION = 0.7
-"""An EE of which more is hidden is no target."""
+"""Maximum occluded fraction of a target."""
 INSTANCES = 150
-"""Tools of each kind, by seed; every fifth is held out."""
+"""Tools of each kind, with seeds from 0; each fifth is held out."""
 SCENES = ("hard", "station", "empty", "paper")
-"""Kinds of scenes; `Example.scene` is an index in it. Hard: anything, anywhere; station: a UR10 and a hand show a
-tool; empty: no tool."""
+"""Kinds of scenes; `Example.scene` is an index into it. hard: random tools, poses and clutter; station: a UR10 with a
+hand shows a tool; empty: no tool; paper: the protocol of the paper."""
 POSES = {"m2c": "X_camera_ee", "t2c": "X_camera_tool", "h2c": "X_camera_hand"}
-"""Suffix of scene_gt's cam_R_ and cam_t_ -> pose in `EeTable`: EE (BOP's model), tool, hand to camera."""
+"""Suffix of cam_R_ and cam_t_ in scene_gt -> field of `EeTable`: pose of the EE (the model in BOP), of the tool and
+of the hand in the camera frame."""
 
 FloatArray = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class EeTable:
-    """What is known of the EEs of one image (leading shape (8,)) or of N (leading shape (N, 8)); id k is row k - 1.
+    """Labels of the EEs of one image (leading shape (8,)) or of N images (leading shape (N, 8)); EE id k is row k - 1.
 
-    category: uint8 class index, 0 where there is no EE. tool: uint8 id of its tool (1..3). obj_id: int32,
-    BOP's: which EE of which tool (`instances.object_of`). X_camera_ee, X_camera_tool, X_camera_hand: (..., 4, 4)
-    float32, the hand's NaN where no hand holds the tool. mirrored: bool, a left hand. visible: int32 pixels of its
-    mask; unoccluded: how many there would be without anything in front.
+    Attributes:
+        category: Class index, uint8; 0 where there is no EE.
+        tool: Id of the tool in the image (1..3), uint8.
+        obj_id: BOP object id, int32: an EE of a tool (`instances.object_of`).
+        X_camera_ee: Pose of the EE in the camera frame (..., 4, 4) [m], float32.
+        X_camera_tool: Pose of the tool in the camera frame (..., 4, 4) [m], float32.
+        X_camera_hand: Pose of the hand in the camera frame (..., 4, 4) [m], float32; NaN where no hand holds the tool.
+        mirrored: Whether the hand is a left hand.
+        visible: Pixels of the visible mask, int32.
+        unoccluded: Pixels of the mask with the tool alone in the scene, int32.
     """
 
     category: NDArray[np.uint8]
@@ -55,7 +62,7 @@ class EeTable:
 
     @staticmethod
     def empty() -> EeTable:
-        """A table of eight rows without any EE."""
+        """A table of one image without EEs."""
         pose = np.full((MAX_EES, 4, 4), np.nan, np.float32)
         return EeTable(
             np.zeros(MAX_EES, np.uint8),
@@ -71,14 +78,14 @@ class EeTable:
 
     @property
     def occlusion(self) -> FloatArray:
-        """Share of each EE's in-image mask that something hides, in [0, 1]."""
+        """Occluded fraction of the in-image mask of each EE, in [0, 1]."""
         full = np.maximum(self.unoccluded, 1)
         return np.clip(1.0 - self.visible / full, 0.0, 1.0).astype(np.float32)
 
     @property
     def targets(self) -> NDArray[np.bool_]:
-        """The EEs that are to be found and whose pose is asked for: at least 50 pixels seen, at most 70 % hidden, 0.4
-        to 1.1 m away."""
+        """Whether each EE is a target of detection and pose estimation: at least 50 visible pixels, at most 70 %
+        occluded, depth 0.4 to 1.1 m."""
         depth = self.X_camera_ee[..., 2, 3]
         known = (self.category > 0) & (self.visible >= MIN_POINTS) & (self.occlusion <= MAX_OCCLUSION)
         with np.errstate(invalid="ignore"):
@@ -87,10 +94,19 @@ class EeTable:
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """rgb (H, W, 3) uint8. depth_mm (H, W) uint16, the noisy sensor's, 0 where unknown. ee (H, W) uint8: id of the EE
-    whose sphere (`EndEffectorSpec.radius`) holds the tool's pixel (the nearer one where two overlap), 0 for
-    none. tool (H, W) uint8: id of the tool, 0 for none. scene: index in `SCENES`. full (H, W) uint8: bit k - 1 is set
-    where EE k would be seen if nothing but its tool were there."""
+    """A synthetic image with labels.
+
+    Attributes:
+        rgb: Colour image (H, W, 3), sRGB.
+        depth_mm: Depth with sensor noise (H, W) [mm]; 0 where unknown.
+        ee: Id of the EE at each pixel (H, W), 0 for none. A pixel of a tool belongs to the EE whose sphere
+            (`EndEffectorSpec.radius`) contains it; where spheres overlap, to the relatively nearer one.
+        tool: Id of the tool at each pixel (H, W), 0 for none.
+        table: Labels of the EEs.
+        intrinsics: Intrinsics of the camera.
+        scene: Kind of scene, an index into `SCENES`.
+        full: Unoccluded masks (H, W): bit k - 1 is set where EE k is visible with its tool alone in the scene.
+    """
 
     rgb: NDArray[np.uint8]
     depth_mm: NDArray[np.uint16]
@@ -103,5 +119,5 @@ class Example:
 
     @property
     def frame(self) -> RgbdFrame:
-        """As a camera would deliver it."""
+        """The image as a camera frame, depth in metres."""
         return RgbdFrame(self.rgb, self.depth_mm.astype(np.float32) * np.float32(1e-3), self.intrinsics)

@@ -1,4 +1,4 @@
-"""Read scenes back, for training and for those who look at them: `scene_writer` has their layout."""
+"""Reading of BOP scenes, for training and inspection; `scene_writer` describes the layout."""
 
 from __future__ import annotations
 
@@ -23,9 +23,17 @@ _TABLE = tuple(field.name for field in fields(EeTable))
 
 @dataclass(frozen=True, eq=False)
 class SegmentationSet:
-    """A loaded data set of N images. rgb (N, H, W, 3) uint8; depth_mm (N, H, W) uint16;
-    ee, tool (N, H, W) uint8 ids, 0 for none; table: `EeTable` with leading shape (N, 8); intrinsics (N, 4): fx, fy, cx,
-    cy [px]; scene (N,): index in `records.SCENES`."""
+    """A loaded data set of N images.
+
+    Attributes:
+        rgb: Colour images (N, H, W, 3), sRGB.
+        depth_mm: Depth images (N, H, W) [mm]; 0 where unknown.
+        ee: Id of the EE at each pixel (N, H, W), 0 for none.
+        tool: Id of the tool at each pixel (N, H, W), 0 for none.
+        table: Labels of the EEs, leading shape (N, 8).
+        intrinsics: fx, fy, cx, cy of each image (N, 4) [px].
+        scene: Kind of scene of each image (N,), indices into `records.SCENES`.
+    """
 
     rgb: NDArray[np.uint8]
     depth_mm: NDArray[np.uint16]
@@ -40,36 +48,55 @@ class SegmentationSet:
 
     @property
     def categories(self) -> NDArray[np.uint8]:
-        """(N, 8) class index (1..4, the order of `Category`) of EE id 1..8, 0 where there is none."""
+        """Class index (N, 8) of EE ids 1..8: 1..4 in the order of `Category`, 0 where there is no EE."""
         return self.table.category
 
     def camera(self, i: int) -> CameraIntrinsics:
-        """Of image i."""
+        """Intrinsics of image i."""
         fx, fy, cx, cy = (float(v) for v in self.intrinsics[i])
         return CameraIntrinsics(fx, fy, cx, cy, WIDTH, HEIGHT)
 
     def row(self, i: int) -> EeTable:
-        """The table of image i."""
+        """Labels of image i, leading shape (8,)."""
         return EeTable(**{name: getattr(self.table, name)[i] for name in _TABLE})
 
 
 def scene_folders(split: Path) -> list[Path]:
-    """The finished scenes of a split's folder, by number."""
+    """Folders of the complete scenes of a split, sorted by number."""
     return sorted(p for p in split.glob("[0-9]*") if (p / SUMS).is_file())
 
 
 def load(folder: Path, limit: int | None = None, threads: int = 8) -> SegmentationSet:
-    """Read (the first `limit` images of) a split. Raises AssetError naming a missing or broken file."""
+    """Read a split.
+
+    Args:
+        folder: Folder of the split.
+        limit: Maximum number of images; None: all.
+        threads: Number of decoding threads.
+
+    Raises:
+        AssetError: There is no complete scene, or a file is missing or corrupt; the message names it.
+    """
     scenes = scene_folders(folder)
     if not scenes:
         raise AssetError(
-            f"no BOP scene in {folder}: give the folder train or test of a data set made by `toolee dataset generate`"
+            f"no BOP scene in {folder}: give the folder train or test of a data set made by `toolee dataset generate`",
+            code="asset.no_scene",
         )
     return load_scenes(scenes, limit, threads)
 
 
 def load_scenes(scenes: Sequence[Path], limit: int | None = None, threads: int = 8) -> SegmentationSet:
-    """Read (the first `limit` images of) some scenes. Raises AssetError naming a missing or broken file."""
+    """Read scenes.
+
+    Args:
+        scenes: Folders of the scenes.
+        limit: Maximum number of images; None: all.
+        threads: Number of decoding threads.
+
+    Raises:
+        AssetError: A file is missing or corrupt; the message names it.
+    """
     jobs: list[tuple[Path, int]] = []
     described: list[_Description] = []
     for scene in scenes:
@@ -102,20 +129,32 @@ def load_scenes(scenes: Sequence[Path], limit: int | None = None, threads: int =
 
 
 def read_image(path: Path) -> NDArray[Any]:
-    """The pixels of a scene's file. Raises AssetError naming it when it is missing, broken or of another size."""
+    """Pixels of an image file of a scene, (H, W) or (H, W, 3).
+
+    Raises:
+        AssetError: The file is missing, corrupt or of another size; the message names it.
+    """
     try:
         with Image.open(path) as image:
             pixels = np.asarray(image)
     except (OSError, ValueError, SyntaxError) as error:
         raise AssetError(f"cannot read {path}: {error}; delete its scene and generate the data set again") from error
     if pixels.shape[:2] != (HEIGHT, WIDTH):
-        raise AssetError(f"{path} is {pixels.shape[1]}x{pixels.shape[0]}, not {WIDTH}x{HEIGHT}")
+        raise AssetError(
+            f"{path} is {pixels.shape[1]}x{pixels.shape[0]}, not {WIDTH}x{HEIGHT}", code="asset.image_size"
+        )
     return pixels
 
 
 @dataclass(frozen=True)
 class _Description:
-    """What a scene's JSON files say, as arrays over its images."""
+    """The JSON files of a scene of N images as arrays.
+
+    Attributes:
+        table: Labels of the EEs, leading shape (N, 8).
+        intrinsics: fx, fy, cx, cy of each image (N, 4) [px].
+        scene: Kind of scene of each image (N,), indices into `records.SCENES`.
+    """
 
     table: EeTable
     intrinsics: NDArray[np.float64]
@@ -137,7 +176,16 @@ class _Description:
 
 
 def table_of(gt: list[dict[str, Any]], info: list[dict[str, Any]]) -> EeTable:
-    """The EEs of one image from its entries in scene_gt and scene_gt_info. Raises KeyError, ValueError."""
+    """Labels of the EEs of one image.
+
+    Args:
+        gt: Entries of the image in scene_gt.
+        info: Entries of the image in scene_gt_info, in the same order.
+
+    Raises:
+        KeyError: A field is missing.
+        ValueError: The lists differ in length or a pose has another shape.
+    """
     table = EeTable.empty()
     for row, (entry, seen) in enumerate(zip(gt, info, strict=True)):
         table.category[row], table.tool[row] = entry["category_id"], entry["tool_id"]
@@ -151,7 +199,19 @@ def table_of(gt: list[dict[str, Any]], info: list[dict[str, Any]]) -> EeTable:
 
 
 def pose_of(entry: dict[str, Any], suffix: str = "m2c") -> FloatArray:
-    """X_camera_* (4x4) [m] of an entry of scene_gt. Raises KeyError, ValueError."""
+    """Pose of an entry of scene_gt.
+
+    Args:
+        entry: The entry; its translations are in millimetres.
+        suffix: Key of `records.POSES`.
+
+    Returns:
+        X_camera_* (4x4) [m].
+
+    Raises:
+        KeyError: The entry has no such pose.
+        ValueError: The pose has another shape.
+    """
     X = np.eye(4)
     X[:3, :3] = np.reshape(entry[f"cam_R_{suffix}"], (3, 3))
     X[:3, 3] = np.reshape(entry[f"cam_t_{suffix}"], 3) * 1e-3
@@ -159,7 +219,11 @@ def pose_of(entry: dict[str, Any], suffix: str = "m2c") -> FloatArray:
 
 
 def read_json(path: Path) -> Any:
-    """Raises AssetError naming the file."""
+    """Read a JSON file.
+
+    Raises:
+        AssetError: The file is missing or not valid JSON; the message names it.
+    """
     try:
         return json.loads(path.read_text())
     except (OSError, ValueError) as error:

@@ -1,16 +1,16 @@
-"""Write examples as a scene on disk in BOP's layout. Equal examples give equal bytes.
+"""Writing of examples as a scene in the BOP layout. Equal examples give identical bytes.
 
     train/000000/rgb/000000.jpg            quality 95, full chroma
     train/000000/depth/000000.png          uint16 [mm], 0 where unknown
     train/000000/tool/000000.png           id of the tool at each pixel, 0 for none
-    train/000000/mask/000000_000000.png    the EE (its place in scene_gt), nothing in front of its tool
-    train/000000/mask_visib/...            the EE as far as it is seen
+    train/000000/mask/000000_000000.png    unoccluded mask of an EE (image, index in scene_gt)
+    train/000000/mask_visib/...            visible mask of the EE
     train/000000/scene_{camera,gt,gt_info,gt_coco,instances}.json
     train/000000/clouds.npz                see `clouds`
     train/000000/SHA256SUMS
 
-This is the one storage: training reads these files (`scene_reader`). BOP's fields have BOP's meaning and units (mm);
-what BOP has no field for stands beside them under other names.
+Training reads these files directly (`scene_reader`). BOP fields have the meaning and units (mm) of BOP; additional
+fields have names of their own.
 """
 
 from __future__ import annotations
@@ -56,10 +56,13 @@ def write_scene(
     write_models: Callable[[Iterable[int]], None] | None = None,
     catalogue: Catalogue = GENERATED,
 ) -> None:
-    """Write examples as the BOP scene `folder` (its name is the scene's number), whole or not at all.
+    """Write examples as one BOP scene, atomically: the folder appears only when it is complete.
 
-    write_models is called with the obj_ids of all that is in it before the folder appears. catalogue: the tools that
-    the examples show.
+    Args:
+        folder: Folder of the scene; its name is the number of the scene.
+        examples: The examples, in order.
+        write_models: Called with the obj_ids of the scene before the folder appears.
+        catalogue: Tools of the examples.
     """
     scratch = folder.with_name(f".{folder.name}.{os.getpid()}.part")
     shutil.rmtree(scratch, ignore_errors=True)
@@ -74,11 +77,11 @@ def write_scene(
     except OSError:
         if not folder.exists():
             raise
-        shutil.rmtree(scratch)  # somebody else was as quick: the same bytes
+        shutil.rmtree(scratch)  # another process wrote the same scene meanwhile
 
 
 class _SceneWriter:
-    """Takes one example after another; only their descriptions stay in memory."""
+    """Incremental writer of a scene; only the labels of its examples stay in memory."""
 
     def __init__(self, folder: Path, catalogue: Catalogue) -> None:
         self._folder, self._catalogue = folder, catalogue
@@ -93,7 +96,7 @@ class _SceneWriter:
             (folder / name).mkdir(parents=True)
 
     def add(self, e: Example) -> None:
-        """The next example."""
+        """Write the next example."""
         im_id = len(self._camera)
         key, name = str(im_id), f"{im_id:06d}"
         self._file(f"rgb/{name}.jpg", _jpeg(e.rgb))
@@ -127,11 +130,11 @@ class _SceneWriter:
 
     @property
     def objects(self) -> set[int]:
-        """The obj_ids met so far."""
+        """The obj_ids of the examples written so far."""
         return {entry["obj_id"] for entries in self._gt.values() for entry in entries}
 
     def close(self) -> None:
-        """Write what is known of the whole scene."""
+        """Write the files that describe the whole scene, the checksums last."""
         images = [
             {"id": i, "file_name": f"rgb/{i:06d}.jpg", "width": WIDTH, "height": HEIGHT}
             for i in range(len(self._camera))
@@ -152,7 +155,7 @@ class _SceneWriter:
     def _annotate(
         self, mask: NDArray[np.bool_], box: list[int], im_id: int, category: int, more: dict[str, Any]
     ) -> None:
-        """A COCO annotation; what shows too little to be found is crowd: neither found nor missed."""
+        """Add a COCO annotation; masks below `MIN_POINTS` are marked as crowd, which evaluation ignores."""
         area = int(np.count_nonzero(mask))
         entry = {"id": len(self._annotations), "image_id": im_id, "category_id": category, "bbox": box}
         crowd = int(area < MIN_POINTS)
@@ -164,7 +167,7 @@ def _gt_entry(table: EeTable, row: int, instance: str) -> dict[str, Any]:
     for suffix, name in POSES.items():
         X = np.asarray(getattr(table, name)[row], np.float64)
         if np.all(np.isfinite(X)):
-            # Nine digits give a float32 back exactly.
+            # Nine significant digits restore a float32 exactly.
             entry[f"cam_R_{suffix}"] = [float(f"{v:.9g}") for v in X[:3, :3].reshape(-1).tolist()]
             entry[f"cam_t_{suffix}"] = [float(f"{1e3 * v:.9g}") for v in X[:3, 3].tolist()]
     more = {"category_id": int(table.category[row]), "tool_id": int(table.tool[row])}
@@ -187,7 +190,7 @@ def _info_entry(
 
 
 def bbox(mask: NDArray[np.bool_]) -> list[int]:
-    """x, y, width, height [px] of a mask; -1 everywhere for an empty one, as BOP writes it."""
+    """Bounding box x, y, width, height [px] of a mask (H, W); all -1 for an empty mask, as in BOP."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     if not len(rows):
         return [-1, -1, -1, -1]
@@ -195,7 +198,7 @@ def bbox(mask: NDArray[np.bool_]) -> list[int]:
 
 
 def json_by_line(entries: dict[str, Any]) -> bytes:
-    """A JSON object with an entry a line: a person can read it, a difference shows."""
+    """A JSON object with one entry per line, for readable files and diffs."""
     lines = [f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in entries.items()]
     return ("{\n" + ",\n".join(lines) + "\n}\n").encode()
 

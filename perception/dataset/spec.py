@@ -1,4 +1,4 @@
-"""What a data set is asked to be, and into which scenes that divides."""
+"""Specification of a data set and its division into scenes."""
 
 from __future__ import annotations
 
@@ -13,16 +13,28 @@ from toolee_robot.perception.dataset.catalogue import GENERATED, Catalogue, Cust
 from toolee_robot.perception.dataset.custom_tools import CustomToolRecord
 
 CONFIGS = ("paper", "hard", "paper-claws")
+"""Scene configurations."""
 SPLITS = ("train", "test")
+"""Splits; "test" shows held-out instances, textures and backgrounds."""
 DEVICES = ("cpu", "cuda")
+"""Rendering devices."""
 LICENCE = "MIT"
 FORMAT = 1
+"""Version of the format, a field of `DESCRIPTION`."""
 DESCRIPTION = "dataset.json"
+"""File with the specification, in the folder of the data set."""
 
 
 @dataclass(frozen=True)
 class SceneJob:
-    """Examples first .. last - 1 of a split, written as one BOP scene."""
+    """The examples of one BOP scene.
+
+    Attributes:
+        split: "train" or "test".
+        scene: Number of the scene in the split.
+        first: Index of the first example in the split.
+        last: Index after the last example.
+    """
 
     split: str
     scene: int
@@ -30,15 +42,26 @@ class SceneJob:
     last: int
 
     def folder(self, root: Path) -> Path:
+        """Folder of the scene in the data set at `root`."""
         return root / self.split / f"{self.scene:06d}"
 
 
 @dataclass(frozen=True)
 class DatasetSpec:
-    """config: one of `CONFIGS`. size: examples in all; test_share of them show held-out instances, textures and
-    backgrounds. scene_size: examples in a BOP scene, which share a dozen tools. tools: a user's own, instead of the
-    generated ones; all of them are held out. device: what renders, "cpu" or "cuda": they round differently. Equal specs
-    give equal bytes."""
+    """Specification of a data set. Equal specifications give identical bytes.
+
+    Attributes:
+        config: Scene configuration, one of `CONFIGS`.
+        size: Number of examples in both splits.
+        seed: Random seed, 0 to 2^31 - 1.
+        test_share: Share of the test split, in [0, 1]; it shows held-out instances, textures and backgrounds.
+        scene_size: Examples in a BOP scene; they share a pool of about a dozen tools.
+        tools: Custom tools, which replace the generated ones; all of them are held out.
+        device: Rendering device, "cpu" or "cuda"; the two differ by rounding.
+
+    Raises:
+        UserError: A value is out of range, or custom tools are combined with a training split.
+    """
 
     config: str
     size: int
@@ -66,14 +89,14 @@ class DatasetSpec:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Examples of each split."""
+        """Number of examples of each split."""
         test = round(self.size * self.test_share)
         if 0.0 < self.test_share < 1.0 and self.size > 1:
             test = min(max(test, 1), self.size - 1)
         return {"train": self.size - test, "test": test}
 
     def jobs(self) -> list[SceneJob]:
-        """Every scene, those of the test split last."""
+        """All scenes, those of the test split last."""
         step = self.scene_size
         return [
             SceneJob(split, k, first, min(first + step, count))
@@ -82,17 +105,25 @@ class DatasetSpec:
         ]
 
     def to_json(self) -> dict[str, Any]:
+        """Content of `DESCRIPTION`."""
         asked = {k: getattr(self, k) for k in ("config", "size", "seed", "test_share", "scene_size", "device")}
         data = {"format": FORMAT, **asked, "generator": f"toolee_robot {__version__}", "licence": LICENCE}
         return {**data, "tools": [tool.to_json() for tool in self.tools]} if self.tools else data
 
     def catalogue(self, root: Path) -> Catalogue:
-        """The tools that the data set in the folder `root` shows."""
+        """Catalogue of the tools of the data set in the folder `root`."""
         return CustomTools(root, self.tools) if self.tools else GENERATED
 
     @staticmethod
     def read(root: Path) -> DatasetSpec:
-        """The spec of the data set in a folder. Raises UserError where there is none or another version's."""
+        """Read the specification of a data set.
+
+        Args:
+            root: Folder of the data set.
+
+        Raises:
+            UserError: The folder has no data set, its specification is unreadable, or it has another format version.
+        """
         path = root / DESCRIPTION
         try:
             data = json.loads(path.read_text())
@@ -117,7 +148,14 @@ class DatasetSpec:
 
 
 def catalogue_of(folder: Path) -> Catalogue:
-    """The tools that a data set, or one split of it, shows; the generated ones where nothing tells of others."""
+    """Catalogue of the tools of a data set or one of its splits.
+
+    Args:
+        folder: Folder of the data set or of a split.
+
+    Returns:
+        The catalogue that the specification names; the generated tools if there is no specification.
+    """
     for root in (folder, folder.resolve().parent):
         if (root / DESCRIPTION).is_file():
             return DatasetSpec.read(root).catalogue(root)

@@ -1,4 +1,4 @@
-"""Tools, hands and arms as bodies the renderer can draw. Meshes are built once a process and kept."""
+"""Render bodies of tools, hands and arms. Meshes are cached per process."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 @lru_cache(maxsize=128)
 def tool_meshes(tool: ToolShape) -> tuple[Mesh, ...]:
-    """One mesh for each part of the tool: its share of the outer surface, `tool` frame."""
+    """Render mesh of each part of a tool that has a share of the outer surface, `tool` frame [m]."""
     if isinstance(tool, StoredTool):
         return tool.part_meshes
     faces = np.asarray(tool.mesh.faces)
@@ -34,11 +34,11 @@ def tool_meshes(tool: ToolShape) -> tuple[Mesh, ...]:
     )
 
 
-atexit.register(tool_meshes.cache_clear)  # as `make_tool`'s
+atexit.register(tool_meshes.cache_clear)  # release before manifold3d is unloaded, as in `tools.catalog`
 
 
 def forget_tools() -> None:
-    """Free the tools made so far: another block of examples has others."""
+    """Clear the caches of tools; another block of examples uses other tools."""
     tool_meshes.cache_clear()
     make_tool.cache_clear()
 
@@ -46,7 +46,15 @@ def forget_tools() -> None:
 def tool_bodies(
     tool: ToolShape, X_world_tool: Array, body_id: int, rng: np.random.Generator, repaint: bool | None = None
 ) -> list[Body]:
-    """The tool in its own colours or (repaint None: half of the time) in others."""
+    """Render bodies of a tool, one for each part.
+
+    Args:
+        tool: The tool.
+        X_world_tool: Pose of the tool in the world frame, 4x4 [m].
+        body_id: Body id of all parts.
+        rng: Random generator.
+        repaint: Whether to replace its colours by random ones; None: with probability 0.5.
+    """
     if repaint is None:
         repaint = bool(rng.random() < 0.5)
     bodies = []
@@ -75,7 +83,13 @@ def _steel_color(rng: np.random.Generator) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """How a right hand holds a handle: X_hand_tool (4x4) and q_hand (n,) [rad]. radius [m] it was made for."""
+    """Grasp of a handle by a right hand.
+
+    Attributes:
+        X_hand_tool: Pose of the tool in the hand frame, 4x4 [m].
+        q_hand: Joint positions of the hand (n,) [rad].
+        radius: Radius of the handle [m] for which the grasp was computed.
+    """
 
     X_hand_tool: Array
     q_hand: Array
@@ -83,7 +97,7 @@ class Grasp:
 
 
 def random_grasp(radius: float, rng: np.random.Generator) -> Grasp:
-    """A hand closed around a handle of that radius [m]: shifted, turned and tilted in the hand, seldom half open."""
+    """Random grasp of a handle of `radius` [m]: shifted, rotated and tilted in the hand; rarely open or half open."""
     p = rng.normal(0.0, [0.006, 0.002, 0.006])
     p[0] += rng.uniform(-0.03, 0.03)
     spin = rng.normal(0.0, 0.25)
@@ -99,7 +113,7 @@ def random_grasp(radius: float, rng: np.random.Generator) -> Grasp:
     X = frame_from_axes(z=axis * (1.0 if rng.random() < 0.9 else -1.0), x=reference, p=X[:3, 3] + p)
     q = _closed(wrap_fingers(SHOWN_HAND, X, radius))
     if rng.random() < 0.08:
-        # The open hand, the tool lying in it: as during the handover.
+        # Open or half-open hand with the tool in it, as during a handover.
         q = SHOWN_HAND.posture("open" if rng.random() < 0.5 else "preshape")
     q[len(SHOWN_HAND.wrist) :] += rng.normal(0.0, 0.04, len(SHOWN_HAND.finger_joints))
     q[SHOWN_HAND.wrist_index] = rng.uniform(*np.transpose([joint.shown for joint in SHOWN_HAND.wrist]))
@@ -107,7 +121,7 @@ def random_grasp(radius: float, rng: np.random.Generator) -> Grasp:
 
 
 def _closed(q_hand: Array) -> Array:
-    """Fingers that a slanting handle kept from closing (they began inside of it) bend as far as the others do."""
+    """Close fingers that initially penetrate an oblique handle, and therefore stayed open, as far as the others."""
     q = q_hand.copy()
     together = [joints for joints in SHOWN_HAND.wrapping_order if len(joints) == len(SHOWN_HAND.fingers) - 1]
     rows = np.array([SHOWN_HAND.index(joints) for joints in together]).T
@@ -119,8 +133,14 @@ def _closed(q_hand: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class HandStyle:
-    """mirrored: a left hand. materials by part: "skin" of the fingers and palm, "tips" of the finger ends, "sleeve"
-    of the wrist and forearm."""
+    """Appearance of a hand.
+
+    Attributes:
+        mirrored: Whether it is a left hand.
+        palm: Material of palm and fingers.
+        tips: Material of the finger tips.
+        sleeve: Material of wrist and forearm.
+    """
 
     mirrored: bool
     palm: Material
@@ -129,9 +149,9 @@ class HandStyle:
 
     @staticmethod
     def random(rng: np.random.Generator) -> HandStyle:
-        """A robot's hand (black, grey, metal or coloured) or one with skin and a sleeve or a glove."""
+        """A random robot hand (black, grey, metal or coloured), human hand with sleeve, or glove."""
         kind = rng.random()
-        if kind < 0.4:  # as the Shadow hand is: dark shells, grey or light finger pads
+        if kind < 0.4:  # Shadow Hand: dark shells, grey or light finger pads
             palm = finish("plastic", (0.10, 0.10, 0.11), float(rng.uniform(0.3, 0.6)), 0.0, rng)
             tips = finish("rubber", tuple_of(rng.uniform(0.1, 0.8)), 0.7, 0.0, rng)
             sleeve = finish("aluminium", tuple_of(rng.uniform(0.05, 0.7)), 0.4, float(rng.random() < 0.5), rng)
@@ -148,7 +168,7 @@ class HandStyle:
 
 
 def tuple_of(grey: float) -> tuple[float, float, float]:
-    """The grey of that sRGB value."""
+    """Grey of an sRGB value in [0, 1] as a colour."""
     return (float(grey), float(grey), float(grey))
 
 
@@ -159,7 +179,15 @@ def _hand_render_meshes(mirrored: bool) -> dict[str, Mesh]:
 
 
 def hand_bodies(grasp: Grasp, style: HandStyle, X_world_hand: Array, body_id: int, forearm: bool = True) -> list[Body]:
-    """Hand (and forearm) at the pose of its palm; for a mirrored style, `X_world_hand` is the left palm's."""
+    """Render bodies of a hand.
+
+    Args:
+        grasp: Grasp, which gives the joint positions.
+        style: Appearance.
+        X_world_hand: Pose of the hand frame in the world frame, 4x4 [m]; that of the left hand if mirrored.
+        body_id: Body id of all links.
+        forearm: Whether to include the forearm.
+    """
     bodies = []
     meshes = _hand_render_meshes(style.mirrored)
     for name, X in SHOWN_HAND.link_poses(grasp.q_hand).items():
@@ -176,16 +204,16 @@ def hand_bodies(grasp: Grasp, style: HandStyle, X_world_hand: Array, body_id: in
 
 
 def X_hand_tool_of(grasp: Grasp, mirrored: bool) -> Array:
-    """Pose of the tool in the palm's frame; a left hand holds the mirror image of the handle's axis."""
+    """Pose (4x4) [m] of the tool in the hand frame; a left hand holds the mirrored axis of the handle."""
     if not mirrored:
         return grasp.X_hand_tool
-    # Mirrored on both sides, in y on the tool's: a proper rotation that keeps the tool's z and x on the handle.
+    # Mirroring in hand x and in tool y gives a proper rotation that keeps z and x of the tool on the handle.
     X = _MIRROR @ grasp.X_hand_tool @ np.diag([1.0, -1.0, 1.0, 1.0])
     return np.asarray(X)
 
 
 def X_base_hand_of(q_arm: Array, q_hand: Array) -> Array:
-    """Pose of the palm in the arm's base at q_arm (6,), q_hand (n,) [rad]."""
+    """Pose (4x4) [m] of the hand frame in `base_link` at q_arm (6,), q_hand (n,) [rad]."""
     return robot_tree().link_poses(np.concatenate([q_arm, q_hand]))[SHOWN_HAND.frame]
 
 
@@ -195,7 +223,14 @@ def _arm_parts() -> dict[str, tuple[LookPart, ...]]:
 
 
 def arm_bodies(q_arm: Array, X_world_base: Array, body_id: int, rng: np.random.Generator) -> list[Body]:
-    """The UR10 in its own colours, somewhat varied, or (one in five) in others."""
+    """Render bodies of the UR10 in varied original colours or, with probability 0.2, in random ones.
+
+    Args:
+        q_arm: Joint positions (6,) [rad].
+        X_world_base: Pose of `base_link` in the world frame, 4x4 [m].
+        body_id: Body id of all links.
+        rng: Random generator.
+    """
     own = rng.random() < 0.8
     bodies = []
     paint = any_color(rng)

@@ -1,4 +1,4 @@
-"""One example from its seed: scene, rendering, sensor noise, masks and poses."""
+"""Generation of an example from its seed: scene, rendering, sensor noise, masks and poses."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from toolee_robot.render.sensors.depth_camera import measure_depth
 from toolee_robot.types import CameraIntrinsics
 
 EMPTY_SHARE, STATION_SHARE = 0.10, 0.30
+"""Shares of scenes without tools and of station scenes in the configuration "hard"."""
 _ATTEMPTS = 50
 
 
@@ -36,9 +37,14 @@ def _pool(seed: int, block: int, split: str, catalogue: Catalogue) -> Pool:
 
 @dataclass(frozen=True)
 class Series:
-    """What examples are drawn from; they depend on nothing else but their index.
+    """A series of examples; an example is determined by its series and index.
 
-    split: "train" or "test" (held-out tools). block: so many consecutive examples share a dozen tools of the catalogue.
+    Attributes:
+        seed: Random seed.
+        split: "train" or "test" (held-out tools).
+        config: Scene configuration, one of `spec.CONFIGS`.
+        block: Number of consecutive examples that share a pool of tools.
+        catalogue: Catalogue of the tools.
     """
 
     seed: int
@@ -49,7 +55,7 @@ class Series:
 
 
 def make_example(series: Series, index: int, device: str = "cpu") -> Example:
-    """Example `index` of a series, rendered on a device (see `render`)."""
+    """Generate example `index` of a series on a device ("cpu" or "cuda")."""
     taken = render_example(series, index, device)
     sample, shot, rng = taken.sample, taken.shot, taken.rng
     ee, tool, full, table = taken.labels
@@ -65,7 +71,18 @@ def make_example(series: Series, index: int, device: str = "cpu") -> Example:
 def expose(
     shot: Shot, intrinsics: CameraIntrinsics, exposure: float, automatic: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Depth (H, W) [m] and RGB (H, W, 3) of a random sensor and a random camera; the rest as `render` takes it."""
+    """Apply a random depth sensor and a random colour camera to a rendered scene.
+
+    Args:
+        shot: The rendered scene.
+        intrinsics: Intrinsics of the camera.
+        exposure: Factor on the linear colour.
+        automatic: Strength of the automatic exposure, in [0, 1].
+        rng: Random generator.
+
+    Returns:
+        Depth (H, W) [m] and RGB (H, W, 3).
+    """
     image = shot.develop(exposure=exposure, auto_exposure=automatic)
     surface = (image.depth, image.cos_incidence, image.shininess)
     depth = measure_depth(*surface, intrinsics, DepthNoise.random(rng), rng, shot.device)
@@ -77,8 +94,14 @@ Labels = tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8], EeTable]
 
 @dataclass(frozen=True, eq=False)
 class RenderedExample:
-    """The scene of an example, what its camera sees of it (with labels), and the generator that camera and sensor
-    continue with."""
+    """An example before sensor effects.
+
+    Attributes:
+        sample: Scene, camera and tools.
+        shot: The rendered scene.
+        labels: EE ids, tool ids, unoccluded masks and table of the EEs.
+        rng: Random generator for the sensor effects.
+    """
 
     sample: SceneSample
     shot: Shot
@@ -87,9 +110,9 @@ class RenderedExample:
 
 
 def render_example(series: Series, index: int, device: str = "cpu") -> RenderedExample:
-    """Example `index` of a series before it is developed.
+    """Generate example `index` of a series without sensor effects.
 
-    A scene with tools none of whose EEs is a target (`EeTable.targets`) is drawn again.
+    A scene with tools but without a target (`EeTable.targets`) is rejected and drawn again, up to 50 times.
     """
     seed, split, config = series.seed, SPLITS.index(series.split), CONFIGS.index(series.config)
     pool = _pool(series.seed, index // series.block, series.split, series.catalogue)
@@ -106,7 +129,7 @@ def render_example(series: Series, index: int, device: str = "cpu") -> RenderedE
 def examples_of(
     spec: DatasetSpec, split: str, first: int, last: int, catalogue: Catalogue = GENERATED
 ) -> Iterator[Example]:
-    """Examples first .. last - 1 of a split, one at a time."""
+    """Generate examples first .. last - 1 of a split of a data set."""
     series = Series(spec.seed, split, spec.config, spec.scene_size, catalogue)
     for i in range(first, last):
         yield make_example(series, i, spec.device)
@@ -132,8 +155,11 @@ _SCENES: dict[str, Callable[[np.random.Generator, Pool], SceneSample]] = {
 
 
 def label(sample: SceneSample, shot: Shot) -> Labels:
-    """EE ids, tool ids, unoccluded EEs as bits (H, W) as in `Example`, and the table of the EEs, from a scene's exact
-    depth and body ids."""
+    """Label a scene from its exact depth and body ids.
+
+    Returns:
+        EE ids, tool ids and unoccluded masks (H, W) as in `Example`, and the table of the EEs.
+    """
     depth, body_ids = shot.depth, shot.body_ids
     tool_ids, ee_ids, full = (np.zeros(body_ids.shape, np.uint8) for _ in range(3))
     tool_rows, tool_columns = pixels_of((body_ids >= 1) & (body_ids <= len(sample.tools)))
@@ -169,7 +195,7 @@ def label(sample: SceneSample, shot: Shot) -> Labels:
 
 
 class _Reach:
-    """What belongs to the EEs of one tool: its pixels within a sphere about the EE's origin, or within a circle."""
+    """Assignment of the pixels of one tool to its EEs, by a sphere (or a circle) about each EE origin."""
 
     def __init__(self, Xs_camera_ee: list[Array], radii: Array, circle: float | None) -> None:
         self.Xs_camera_ee, self.radii, self.circle = Xs_camera_ee, radii, circle
@@ -181,7 +207,7 @@ class _Reach:
         columns: NDArray[np.int64],
         intrinsics: CameraIntrinsics,
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Of the tool's pixels those that belong to an EE: rows, columns, and to which (the relatively nearer one)."""
+        """Select the pixels of the tool that belong to an EE: rows, columns and index of the relatively nearest EE."""
         K = intrinsics
         if self.circle is None:
             z = depth[rows, columns].astype(np.float64)
@@ -196,13 +222,13 @@ class _Reach:
         return rows[inside], columns[inside], relative[:, inside].argmin(axis=0)
 
     def region(self, intrinsics: CameraIntrinsics) -> tuple[int, int, int, int] | None:
-        """x0, y0, x1, y1 [px] around the EEs, cut with the image; None where nothing is left."""
+        """Bounding box x0, y0, x1, y1 [px] of the EEs, clipped to the image; None if it is empty."""
         boxes = []
         for X, radius in zip(self.Xs_camera_ee, self.radii, strict=True):
             x, y, z = X[:3, 3]
             if z < radius + 0.05:
                 return 0, 0, WIDTH, HEIGHT
-            # A little more than the sphere's outline, which perspective stretches off the axis.
+            # Margin on the outline of the sphere, which perspective stretches off the optical axis.
             half = 1.3 * radius * intrinsics.fx / (z - radius) if self.circle is None else self.circle + 1.0
             u, v = intrinsics.fx * x / z + intrinsics.cx, intrinsics.fy * y / z + intrinsics.cy
             boxes.append([u - half, v - half, u + half, v + half])
@@ -214,7 +240,7 @@ class _Reach:
 def _alone(
     shot: Shot, body_id: int, reach: _Reach, K: CameraIntrinsics, full: NDArray[np.uint8], first_id: int
 ) -> NDArray[np.int64]:
-    """How many pixels each EE's mask would have if nothing but its tool were there; sets their bits in `full`."""
+    """Number of pixels of each unoccluded EE mask, with the tool alone in the scene; sets their bits in `full`."""
     region = reach.region(K)
     if region is None:
         return np.zeros(len(reach.radii), np.int64)

@@ -1,6 +1,6 @@
-"""Generate a data set on several processes, or on a Ray cluster; the same bytes for any number of them.
+"""Parallel generation of a data set on local processes or a Ray cluster; the result does not depend on their number.
 
-A run that was killed goes on where it stopped when it is started again.
+An interrupted run resumes when it is started again.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from toolee_robot.render.device import checked
 from toolee_robot.runtime.files import write_atomic
 
 Progress = Callable[[int, int], None]
-"""Called with the examples that are there and those wanted."""
+"""Called with the numbers of finished and of all examples."""
 CLUSTERS = ("local", "ray")
 
 
@@ -43,11 +43,23 @@ def generate(
     cluster: str = "local",
     custom_tools: Sequence[CustomMesh] = (),
 ) -> bool:
-    """Write the data set into the folder `out`; False if it was there already. Scenes that exist are kept.
+    """Generate a data set; scenes that exist are kept.
 
-    custom_tools: the meshes of `spec.tools`. cluster: "local" for `workers` processes here; "ray" for as many on a Ray
-    cluster, whose machines share `out`. Raises UserError when `out` holds another data set or there is no such device,
-    TooleeError when a worker dies."""
+    Args:
+        spec: Specification of the data set.
+        out: Folder of the data set; all machines of a cluster must share it.
+        workers: Number of processes.
+        progress: Called after each scene.
+        cluster: "local" or "ray".
+        custom_tools: Meshes of `spec.tools`.
+
+    Returns:
+        False if the data set was already complete.
+
+    Raises:
+        UserError: An option is invalid, `out` holds something else, or the device is not available.
+        TooleeError: A worker process died.
+    """
     if workers < 1:
         raise UserError(f"--workers {workers}: give 1 or more")
     if cluster not in CLUSTERS:
@@ -75,18 +87,22 @@ def generate(
                 done += job.last - job.first
                 if progress is not None:
                     progress(done, spec.size)
-                # By what is seen of it: a folder that machines share may show a scene some time after it was made.
+                # A shared folder may show a scene with a delay: add it when its files are visible here.
                 while waiting and (waiting[0].folder(out) / SUMS).exists():
                     summary.add(waiting.popleft())
         for job in waiting:
             summary.add(job)
-    _clear(out)  # a killed run's workers outlive it by a moment
+    _clear(out)  # workers of a killed run may still have written files
     finish(out)
     return True
 
 
 def begin(spec: DatasetSpec, out: Path, custom_tools: Sequence[CustomMesh] = ()) -> None:
-    """Make or check the folder, put a user's meshes into it, and clear away what a killed run left half done."""
+    """Create or check the folder `out`, write the custom meshes, and remove incomplete scenes of an interrupted run.
+
+    Raises:
+        UserError: `out` cannot be created or holds something else.
+    """
     try:
         for split in SPLITS:
             (out / split).mkdir(parents=True, exist_ok=True)
@@ -115,10 +131,10 @@ def begin(spec: DatasetSpec, out: Path, custom_tools: Sequence[CustomMesh] = ())
 
 
 def _clear(out: Path) -> None:
-    """Remove what killed processes left half written."""
+    """Remove partial files of killed processes."""
     for left in [*out.glob(".*.part"), *out.glob("*/.*.part")]:
         if left.is_dir():
-            # Moved away before it is emptied: a worker that still writes there must fail, not finish what is half gone.
+            # Rename before deletion: a worker that still writes there must fail rather than complete a partial scene.
             with contextlib.suppress(FileNotFoundError):
                 shutil.rmtree(left.rename(left.with_suffix(f".{os.getpid()}.gone.part")), ignore_errors=True)
         else:

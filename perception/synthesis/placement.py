@@ -1,4 +1,4 @@
-"""Where things stand in a synthetic scene: poses in front of a camera, on a table, in a hand; the pool of tools."""
+"""Placement in synthetic scenes: poses in the view of a camera, on a table, in a hand; the pool of tools."""
 
 from __future__ import annotations
 
@@ -32,8 +32,15 @@ _GRASPS_EACH = 2
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """The tools and grasps that one scene folder's examples draw from: making them costs more than rendering them, so
-    they are made when first drawn and kept. tools: their numbers in the catalogue."""
+    """Tools and grasps shared by the examples of one scene folder.
+
+    They are created on first use and cached, because creating them takes longer than rendering an example.
+
+    Attributes:
+        catalogue: Catalogue of the tools.
+        tools: Numbers of the tools in the catalogue.
+        surfaces: Surfaces of the split.
+    """
 
     catalogue: Catalogue
     tools: tuple[int, ...]
@@ -43,15 +50,15 @@ class Pool:
 
     @staticmethod
     def random(rng: np.random.Generator, split: str, catalogue: Catalogue = GENERATED) -> Pool:
-        """Tools and surfaces of a split, "train" or "test" (held out)."""
+        """A random pool of a split, "train" or "test" (held out)."""
         return Pool(catalogue, catalogue.pool(rng, split), Surfaces(split), int(rng.integers(2**31)), {})
 
     def tool(self, rng: np.random.Generator) -> ToolShape:
-        """Any tool of the pool."""
+        """A random tool of the pool."""
         return self._any(self.tools, rng)
 
     def tool_with(self, ee: Category, rng: np.random.Generator) -> ToolShape:
-        """Any tool of the pool that has such an EE, or any tool where none has."""
+        """A random tool of the pool with an EE of a category; of all tools if none has one."""
         such = [n for n in self.tools if ee in self.catalogue.categories(n)]
         return self._any(such or self.tools, rng)
 
@@ -59,13 +66,13 @@ class Pool:
         return self.catalogue.tool(numbers[int(rng.integers(len(numbers)))])
 
     def grasp(self, tool: ToolShape, rng: np.random.Generator) -> Grasp:
-        """A grasp made for about the radius of the tool's handle."""
+        """A random grasp for approximately the radius of the handle of a tool."""
         radius = tool.handle.grip_radius
         nearest = int(np.argmin(np.abs(np.asarray(_GRASP_RADII) - radius)))
         return self._grasp(nearest * _GRASPS_EACH + int(rng.integers(_GRASPS_EACH)))
 
     def any_grasp(self, rng: np.random.Generator) -> Grasp:
-        """A grasp of whatever radius."""
+        """A random grasp for any radius."""
         return self._grasp(int(rng.integers(len(_GRASP_RADII) * _GRASPS_EACH)))
 
     def _grasp(self, number: int) -> Grasp:
@@ -77,7 +84,15 @@ class Pool:
 
 @dataclass(frozen=True, eq=False)
 class PlacedTool:
-    """X_world_tool; X_world_hand or None; body_id: the tool's id (1..3) in the images."""
+    """A tool in a scene.
+
+    Attributes:
+        tool: The tool.
+        X_world_tool: Pose of the tool in the world frame, 4x4 [m].
+        X_world_hand: Pose of the hand frame in the world frame, 4x4 [m]; None if no hand holds the tool.
+        mirrored: Whether a left hand holds it.
+        body_id: Id of the tool in the images, 1..3.
+    """
 
     tool: ToolShape
     X_world_tool: Array
@@ -88,8 +103,17 @@ class PlacedTool:
 
 @dataclass(frozen=True, eq=False)
 class SceneSample:
-    """A scene to be rendered, and what is in it. kind: index in `records.SCENES`. circle: an EE is what its tool shows
-    within this many pixels of the EE's origin, instead of within `EndEffectorSpec.radius`; None for the latter."""
+    """A scene to be rendered, with its camera and tools.
+
+    Attributes:
+        scene: The scene.
+        intrinsics: Intrinsics of the camera.
+        X_world_camera: Pose of the camera in the world frame, 4x4 [m].
+        tools: Tools in the scene.
+        kind: Kind of scene, an index into `records.SCENES`.
+        circle: Radius [px] about the EE origin that delimits the mask of an EE; None: a sphere of
+            `EndEffectorSpec.radius` delimits it.
+    """
 
     scene: Scene
     intrinsics: CameraIntrinsics
@@ -100,14 +124,23 @@ class SceneSample:
 
 
 def random_intrinsics(rng: np.random.Generator) -> CameraIntrinsics:
-    """Focal length 0.6 to 1.3 image widths (a third: a Kinect v2's), the centre a little off."""
+    """Random intrinsics: focal length 0.6 to 1.3 image widths, or that of a Kinect v2 (one third); centre perturbed."""
     f = 365.5 * np.exp(rng.normal(0.0, 0.01)) if rng.random() < 0.33 else WIDTH * rng.uniform(0.6, 1.3)
     cx, cy = rng.normal([WIDTH / 2 - 0.5, HEIGHT / 2 - 0.5], [8.0, 8.0])
     return CameraIntrinsics(float(f), float(f), float(cx), float(cy), WIDTH, HEIGHT)
 
 
 def look(position: Array, target: Array, roll: float) -> Array:
-    """X_world_camera (OpenCV axes) at `position`, looking at `target`, image up towards world z, rolled [rad]."""
+    """Pose of a camera from its viewing direction.
+
+    Args:
+        position: Position of the camera (3,) [m], world frame.
+        target: Point on the optical axis (3,) [m], world frame.
+        roll: Rotation about the optical axis [rad]; at 0, the up direction of the image is towards world z.
+
+    Returns:
+        X_world_camera (4x4) [m], OpenCV axes.
+    """
     z = np.asarray(target) - np.asarray(position)
     right = np.cross(z, [0.0, 0.0, 1.0])
     if np.linalg.norm(right) < 1e-6 * np.linalg.norm(z):
@@ -116,19 +149,25 @@ def look(position: Array, target: Array, roll: float) -> Array:
 
 
 def ray(intrinsics: CameraIntrinsics, pixel: Array) -> Array:
-    """(3,) with z = 1, camera frame, through the pixel (x, y)."""
+    """Ray (3,) with z = 1 through a pixel (x, y) [px], camera frame."""
     x, y = pixel
     return np.array([(x - intrinsics.cx) / intrinsics.fx, (y - intrinsics.cy) / intrinsics.fy, 1.0])
 
 
 def random_pixel(rng: np.random.Generator, margin: float = 0.08) -> Array:
-    """(x, y) uniform in the image less a margin [share of the side]; negative margins reach outside."""
+    """Random pixel (x, y), uniform in the image without a margin [share of the side]; a negative margin extends it."""
     return rng.uniform([margin * WIDTH, margin * HEIGHT], [(1 - margin) * WIDTH, (1 - margin) * HEIGHT])
 
 
 def tool_in_view(tool: ToolShape, intrinsics: CameraIntrinsics, rng: np.random.Generator) -> Array:
-    """X_camera_tool: any orientation, with one of its EEs (or, a quarter of the time, its grip) at a pixel of the
-    image, 0.4 to 1.1 m away."""
+    """Random pose of a tool in view of the camera.
+
+    The orientation is uniform; an EE or, with probability 0.25, the grip centre projects into the image at a depth of
+    0.4 to 1.1 m.
+
+    Returns:
+        X_camera_tool (4x4) [m].
+    """
     R = random_rotation(rng)
     anchor = np.zeros(3)
     if rng.random() < 0.75:
@@ -138,7 +177,7 @@ def tool_in_view(tool: ToolShape, intrinsics: CameraIntrinsics, rng: np.random.G
 
 
 def lying(tool: ToolShape, point: Array, rng: np.random.Generator) -> Array:
-    """X_world_tool of a tool that lies flat on a horizontal plane at `point` (3,), on one of its four sides."""
+    """X_world_tool (4x4) [m] of a tool that lies on one of its four sides on a horizontal plane at `point` (3,) [m]."""
     quarter = Rotation.from_euler("z", int(rng.integers(4)) * np.pi / 2)
     R = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)) * Rotation.from_euler("y", np.pi / 2) * quarter
     X = transform(R, point)
@@ -154,7 +193,19 @@ def on_plane(
     nearest: float = 0.3,
     farthest: float = 1.6,
 ) -> Array | None:
-    """(3,) where the ray through the pixel meets the plane z = height, `nearest` to `farthest` [m] deep, or None."""
+    """Intersection of the ray through a pixel with a horizontal plane.
+
+    Args:
+        intrinsics: Intrinsics of the camera.
+        X_world_camera: Pose of the camera in the world frame, 4x4 [m].
+        height: Height of the plane [m], world frame.
+        pixel: Pixel (x, y) [px].
+        nearest: Minimum depth [m].
+        farthest: Maximum depth [m].
+
+    Returns:
+        The point (3,) [m], world frame; None if there is none in the range of depths.
+    """
     direction = X_world_camera[:3, :3] @ ray(intrinsics, pixel)
     if direction[2] > -1e-3:
         return None
@@ -165,7 +216,7 @@ def on_plane(
 
 
 def sees_an_ee(tool: ToolShape, X_camera_tool: Array, intrinsics: CameraIntrinsics) -> bool:
-    """Whether the origin of one of the tool's EEs is in the image and 0.4 to 1.1 m away."""
+    """Whether the origin of an EE of the tool is in the image at a depth of 0.4 to 1.1 m."""
     for ee in tool.ees:
         x, y, z = (X_camera_tool @ ee.X_tool_ee)[:3, 3]
         u, v = intrinsics.fx * x / z + intrinsics.cx, intrinsics.fy * y / z + intrinsics.cy
@@ -175,5 +226,5 @@ def sees_an_ee(tool: ToolShape, X_camera_tool: Array, intrinsics: CameraIntrinsi
 
 
 def X_world_hand_of(X_world_tool: Array, X_hand_tool: Array) -> Array:
-    """The palm's pose from the tool's."""
+    """X_world_hand (4x4) [m] from the poses of the tool in the world and in the hand frame."""
     return X_world_tool @ inverse(X_hand_tool)

@@ -1,5 +1,4 @@
-"""Textures, rooms and backdrops by number, every fifth of them held out: what surrounds the tools in the test split
-never surrounds them in training."""
+"""Textures, rooms and backdrops by number; each fifth is held out: the splits share no surroundings."""
 
 from __future__ import annotations
 
@@ -20,31 +19,35 @@ _SCALE = 0.03
 
 @dataclass(frozen=True)
 class Surfaces:
-    """The surfaces of one split, "train" or "test"."""
+    """Surfaces of one split.
+
+    Attributes:
+        split: "train" or "test".
+    """
 
     split: str
 
     def material(self, rng: np.random.Generator, scale: float = _SCALE) -> Material:
-        """A texture, its pattern's features about `scale` [m] large, placed anywhere."""
+        """A random texture with random offset and a feature size of about `scale` [m]."""
         texture = _texture(draw(rng, self.split, TEXTURES))
         x, y, z = (float(v) for v in rng.uniform(-1.0, 1.0, 3))
         return replace(texture, scale=texture.scale * scale / _SCALE, offset=(x, y, z))
 
     def room(self, rng: np.random.Generator) -> int:
-        """A room's number, on which alone depends what is in it: see `room_rng`."""
+        """Random number of a room; it determines the content of the room (`room_rng`)."""
         return draw(rng, self.split, ROOMS)
 
     def laboratory(self, rng: np.random.Generator, body_id: int) -> Surroundings:
-        """A furnished room."""
+        """A random furnished room; its bodies have the id `body_id`."""
         return _laboratory(self.room(rng), body_id)
 
     def backdrop(self, rng: np.random.Generator) -> np.random.Generator:
-        """The generator of a flat backdrop, likewise."""
+        """Random generator of a backdrop, determined by its number."""
         return np.random.default_rng([_BACKDROP, draw(rng, self.split, BACKDROPS)])
 
 
 def room_rng(room: int) -> np.random.Generator:
-    """What a room is made with."""
+    """Random generator of a room, determined by its number."""
     return np.random.default_rng([_ROOM, room])
 
 
@@ -55,7 +58,7 @@ def _laboratory(room: int, body_id: int) -> Surroundings:
 
 @lru_cache(maxsize=TEXTURES)
 def _texture(number: int) -> Material:
-    """Any plain or patterned surface."""
+    """A plain or patterned texture by number."""
     rng = np.random.default_rng([_TEXTURE, number])
     if rng.random() < 0.4:
         name = str(rng.choice(_FINISHES))

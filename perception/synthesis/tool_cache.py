@@ -1,5 +1,7 @@
-"""Generated tools that a run has made once, each in a file until the run ends: to draw one anew takes ten times as long
-as to read it, and a large data set shows each of them in many scenes."""
+"""File cache of generated tools for the duration of a run.
+
+Reading a tool is ten times faster than generating it, and a large data set shows each tool in many scenes.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +22,18 @@ from toolee_robot.runtime.files import write_atomic
 from toolee_robot.tools import EndEffector, Handle, Material, Part, ToolShape
 
 TOOL_CACHE = ".tools.part"
-"""The files' folder in a data set's; what ends so is cleared away when a run begins or ends."""
+"""Folder of the cache in the data set; everything with this suffix is removed when a run begins or ends."""
 
 
 class ToolCache(Catalogue):
-    """The tools of another catalogue, drawn once by whichever process needs one first."""
+    """Cache of another catalogue, shared by the processes of a run.
+
+    Args:
+        source: Catalogue that generates the tools.
+        root: Folder of the data set.
+    """
 
     def __init__(self, source: Catalogue, root: Path) -> None:
-        """root: the data set's folder."""
         self._source, self._folder = source, root / TOOL_CACHE
         self._made: dict[int, StoredTool] = {}
 

@@ -1,5 +1,7 @@
-"""One renderer for the simulated camera and the synthetic data: rays by embree on the processor or by Warp on a GPU,
-and Warp's kernels, on either, that shade what they hit."""
+"""Ray-casting renderer of the simulated camera and the synthetic data.
+
+Embree (CPU) or Warp (GPU) intersects the rays; Warp kernels shade the hits on either device.
+"""
 
 from toolee_robot.render.material import Material, Pattern
 from toolee_robot.render.mesh import Mesh

@@ -1,7 +1,7 @@
-"""A scene placed in one camera's frame: where rays hit it and what light comes back along them.
+"""Ray casting and shading of a scene in the camera frame.
 
-Everything is computed in the camera frame, where float32 is precise: rays are (u, v, 1) from the origin, so that the
-ray parameter of a hit is its depth.
+The camera frame keeps float32 precise. Rays are (u, v, 1) from the origin, so that the ray parameter of a hit is its
+depth.
 """
 
 from __future__ import annotations
@@ -24,12 +24,18 @@ from toolee_robot.render.scene import Light, Scene
 from toolee_robot.render.surroundings import sky_maps
 
 _SHADOW_BLUR = 2
-"""Soft shadows are smoothed over this many pixels to each side."""
+"""Radius [px] of the smoothing of soft shadows."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """What N rays (3, N) show: colors (N,), linear RGB; cosine of the angle of incidence and shininess (N,)."""
+    """Shading of N rays.
+
+    Attributes:
+        colors: Linear RGB (N,) vec3.
+        cos_incidence: Cosine of the angle of incidence (N,).
+        shininess: Share of specular reflection (N,), in [0, 1].
+    """
 
     colors: DeviceArray
     cos_incidence: DeviceArray
@@ -37,7 +43,13 @@ class Hits:
 
 
 class Caster:
-    """A scene placed in one camera's frame, ready to be shot at."""
+    """A scene in the camera frame, prepared for ray casting.
+
+    Args:
+        scene: The scene.
+        X_world_camera: Pose of the camera in the world frame, 4x4 [m].
+        device: "cpu" or "cuda".
+    """
 
     def __init__(self, scene: Scene, X_world_camera: Array, device: str) -> None:
         self.scene, self.device = scene, device
@@ -46,8 +58,15 @@ class Caster:
         self._tracer = tracer_of(self._meshes, device)
 
     def closest(self, rays: DeviceArray, only: Sequence[int] | None = None) -> Found:
-        """What rays (3, N) with z = 1 hit; meshes are numbered as the scene's bodies, or as those named in `only`, if
-        nothing else is to be there."""
+        """Find the closest hits of rays.
+
+        Args:
+            rays: Ray directions (3, N) with z = 1, camera frame.
+            only: Indices of the bodies to consider; None: all.
+
+        Returns:
+            The hits; mesh numbers are indices into the bodies of the scene, or into `only`.
+        """
         if only is None:
             return self._tracer.closest(rays)
         return tracer_of([self._meshes[k] for k in only], self.device).closest(rays)
@@ -61,12 +80,15 @@ class Caster:
         pixels: DeviceArray | None = None,
         first: int = 0,
     ) -> Hits:
-        """Shade what the rays (3, N) found.
+        """Shade the hits of rays.
 
-        grid: (H, W) of the image whose pixels they are: soft shadows are smoothed over neighbours in it. Without it the
-        rays stand for themselves, and `pixels` (P,) int32 are theirs, over and over. first: the number of the first
-        ray, by which it chooses its point of a soft lamp. background (H * W,): what is behind the pixels, if not the
-        environment.
+        Args:
+            rays: Ray directions (3, N) with z = 1, camera frame.
+            found: Their hits.
+            grid: (H, W) of the image if the rays are its pixels; soft shadows are then smoothed over adjacent pixels.
+            background: Background image (H * W,) vec3; None: the environment.
+            pixels: Without a grid, pixel indices (P,) int32 of the rays, repeated cyclically.
+            first: Number of the first ray; it selects the sample point of each ray on a soft lamp.
         """
         n, device, look = rays.shape[1], self.device, self._look
         points, normals, colors = (empty(n, wp.vec3, device) for _ in range(3))
@@ -84,7 +106,7 @@ class Caster:
     def _seen(
         self, found: Found, points: DeviceArray, normals: DeviceArray, grid: tuple[int, int] | None, first: int
     ) -> DeviceArray:
-        """(L, N) share of each lamp seen from each hit; of one that casts a shadow, 0 where the surface faces away."""
+        """Visible share (L, N) of each lamp at each hit; for a lamp with shadows, 0 where the surface faces away."""
         n, device, look = found.ids.shape[1], self.device, self._look
         seen = empty((len(self.scene.lights), n), wp.float32, device)
         origins, directions = empty((3, n), wp.float32, device), empty((3, n), wp.float32, device)
@@ -106,7 +128,7 @@ class Caster:
 
     @cached_property
     def _look(self) -> _Look:
-        """Not made where only depths are asked for."""
+        """Shading data, computed on first use: depth images do not need it."""
         scene, device = self.scene, self.device
         posed = zip(scene.bodies, self._meshes, strict=True)
         surfaces = [(X[:3, :3], X[:3, 3], *body.material.row) for body, (_, X) in posed]
@@ -124,7 +146,7 @@ class Caster:
         )
 
     def _place(self, light: Light) -> Array:
-        """Unit direction of a far lamp, position [m] of a near one, (3,), camera frame."""
+        """Unit direction of a distant lamp or position [m] of a near lamp (3,), camera frame."""
         X = self._X_camera_world
         if light.position is not None:
             return np.asarray(X[:3, :3] @ np.asarray(light.position) + X[:3, 3])
@@ -134,7 +156,17 @@ class Caster:
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """What shading needs of a scene, on the device. nobody, nothing: empty arrays of indices and colours."""
+    """Shading data of a scene on the device.
+
+    Attributes:
+        surfaces: `Surface` of each body.
+        lamps: `Lamp` of each light.
+        first_face: Index of the first face of each body, and the total.
+        corner_normals: Corner normals of all faces, flattened, body frames.
+        sky: Environment maps (`sky_maps`).
+        nobody: Empty array of indices.
+        nothing: Empty array of colours.
+    """
 
     surfaces: DeviceArray
     lamps: DeviceArray

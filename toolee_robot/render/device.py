@@ -1,4 +1,4 @@
-"""The devices that kernels run on: "cpu", or a GPU of NVIDIA's as "cuda"."""
+"""Compute devices of the kernels: "cpu", or "cuda" for an NVIDIA GPU."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from toolee_robot.errors import UserError
 
 DeviceArray = Any
-"""A `warp.array`: on "cpu" it and its `numpy()` are the same memory."""
+"""A `warp.array`; on "cpu" it shares its memory with its `numpy()`."""
 _BLOCKING_SYNC = 4
 """CU_CTX_SCHED_BLOCKING_SYNC"""
 
@@ -26,7 +26,7 @@ _BLOCKING_SYNC = 4
 @lru_cache(maxsize=1)
 def _start() -> None:
     wp.config.log_level = wp.LOG_WARNING
-    # Warp's library warns of a missing driver whoever asks for the processor.
+    # Without a CUDA driver Warp prints a warning, even if only the CPU is used.
     with _no_stderr() if ctypes.util.find_library("cuda") is None else nullcontext():
         wp.init()  # type: ignore[no-untyped-call]
 
@@ -46,10 +46,20 @@ def _no_stderr() -> Iterator[None]:
 
 @lru_cache
 def checked(device: str) -> str:
-    """The device's name, when it can be used. Raises UserError when it cannot."""
+    """Initialize a device.
+
+    Args:
+        device: "cpu" or "cuda".
+
+    Returns:
+        The name of the device.
+
+    Raises:
+        UserError: The name is unknown, or there is no usable GPU.
+    """
     _start()
     if device not in ("cpu", "cuda"):
-        raise UserError(f"--device {device}: choose cpu or cuda")
+        raise UserError(f"--device {device}: choose cpu or cuda", code="user.device_unknown")
     if device == "cuda":
         if not wp.is_cuda_available():
             raise UserError("--device cuda: Warp finds no GPU of NVIDIA's, or too old a driver; choose cpu")
@@ -58,21 +68,21 @@ def checked(device: str) -> str:
 
 
 def _take_gpu(number: int) -> None:
-    """Make "cuda" that GPU, and let this process sleep while it waits for it: others need the core."""
-    # Only before the first use; Warp has no call for it.
+    """Select a GPU as "cuda"; this process sleeps while it waits for the GPU, which leaves the core to others."""
+    # Must precede the first use of the GPU; Warp has no function for it.
     ctypes.CDLL("libcuda.so.1").cuDevicePrimaryCtxSetFlags(number, _BLOCKING_SYNC)
     wp.set_device(f"cuda:{number}")
 
 
 def put(values: NDArray[Any] | DeviceArray, dtype: Any, device: str) -> DeviceArray:
-    """An array on the device; on "cpu" without a copy where its memory can be shared."""
+    """Values as an array on the device; not copied on "cpu" if the memory can be shared."""
     if isinstance(values, wp.array):
         return values
     return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device, copy=device != "cpu")
 
 
 def rows_of(struct: Any, rows: Sequence[tuple[Any, ...]]) -> NDArray[Any]:
-    """Those values of the fields of a `warp.struct`, as `put` takes them."""
+    """Rows of field values of a `warp.struct` as a structured array for `put`."""
     return np.array(rows, _layout(struct))
 
 
@@ -83,11 +93,11 @@ def _layout(struct: Any) -> np.dtype[Any]:
 
 
 def empty(shape: int | tuple[int, ...], dtype: Any, device: str) -> DeviceArray:
-    """An array on the device, its values undefined."""
+    """An uninitialized array on the device."""
     return wp.empty(shape, dtype=dtype, device=device)
 
 
 def launch(kernel: Any, shape: int | tuple[int, ...], *arguments: Any, device: str) -> None:
-    """Run a kernel for each index of `shape`; nothing at all where there is none."""
+    """Run a kernel for each index of `shape`; an empty shape is a no-op."""
     if np.prod(shape) > 0:
         wp.launch(kernel, dim=shape, inputs=arguments, device=device)

@@ -1,6 +1,6 @@
-"""A laboratory around a robot on a table: floor, walls, table top, shelves, lamps. Varied by the generator.
+"""Random laboratory around a robot on a table: floor, walls, table top, furniture, lamps.
 
-The world frame is the robot's base: z up, the table's top is z = 0.
+The world frame is the base of the robot: z up, table top at z = 0.
 """
 
 from __future__ import annotations
@@ -19,7 +19,13 @@ from toolee_robot.render.scene import Body, Environment, Light, Lobe
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Static bodies (all with the given body id), lamps and environment of a room."""
+    """A room.
+
+    Attributes:
+        bodies: Static bodies, all with one body id.
+        lights: Lamps.
+        environment: Ambient light.
+    """
 
     bodies: tuple[Body, ...]
     lights: tuple[Light, ...]
@@ -27,7 +33,7 @@ class Surroundings:
 
 
 def laboratory(rng: np.random.Generator, body_id: int) -> Surroundings:
-    """A plausible room: grey floor, light walls, a table, furniture along the walls."""
+    """A random room with grey floor, light walls, a table and furniture; its bodies have the id `body_id`."""
     bodies = [_wall_or_floor(np.eye(3), (0.0, 0.0, -0.8), _floor(rng), body_id)]
     wall = _wall(rng)
     for yaw in np.arange(4) * np.pi / 2:
@@ -54,7 +60,7 @@ def laboratory(rng: np.random.Generator, body_id: int) -> Surroundings:
 
 
 def lamps(rng: np.random.Generator) -> tuple[Light, ...]:
-    """One to three lamps: ceiling or window, of a plausible strength and colour temperature."""
+    """One to three random distant lamps (ceiling or window)."""
     lights = []
     share = rng.dirichlet(np.full(3, 1.5))[: rng.integers(1, 4)]
     strengths = np.sort(share / share.sum() * rng.uniform(0.45, 1.0))[::-1]
@@ -69,14 +75,14 @@ def lamps(rng: np.random.Generator) -> tuple[Light, ...]:
                 (float(color[0]), float(color[1]), float(color[2])),
                 direction=(float(direction[0]), float(direction[1]), float(direction[2])),
                 softness=float(rng.uniform(0.02, 0.15)),
-                shadow=k < 2,  # a third lamp's shadow is too faint to pay for
+                shadow=k < 2,  # the shadow of the weakest lamp is too faint to be worth its cost
             )
         )
     return tuple(lights)
 
 
 def environment(rng: np.random.Generator) -> Environment:
-    """Light from the room itself, with windows and lamps that metal reflects."""
+    """Random ambient light of a room, with windows and lamps that metal reflects."""
     level = rng.uniform(0.25, 0.6)
     lobes = []
     for _ in range(rng.integers(2, 6)):
@@ -117,7 +123,7 @@ def _wall(rng: np.random.Generator) -> Material:
 
 
 def _furniture(rng: np.random.Generator, yaw: float, wall_distance: float, body_id: int) -> Body:
-    """A cabinet, board, shelf or bin before the wall."""
+    """A cabinet, board, shelf or bin in front of a wall."""
     size = rng.uniform((0.05, 0.15, 0.15), (0.5, 1.2, 1.4))
     side = rng.uniform(-1.6, 1.6)
     height = rng.uniform(-0.5, 1.2) if rng.random() < 0.6 else size[2] / 2 - 0.8

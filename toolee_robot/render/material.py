@@ -1,4 +1,4 @@
-"""Surface materials: a two-colour procedural pattern in the body's frame and a metallic-roughness reflection."""
+"""Surface materials: two-colour procedural patterns in the body frame, metallic-roughness reflection."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from toolee_robot.render.kernels import texture
 
 
 class Pattern(StrEnum):
-    """How the second colour is mixed into the first."""
+    """Procedural patterns that mix the two colours of a material."""
 
     SOLID = "solid"
     CLOUD = "cloud"
@@ -25,9 +25,19 @@ class Pattern(StrEnum):
 
 @dataclass(frozen=True)
 class Material:
-    """color, color2: linear RGB in [0, 1]. scale: feature size of the pattern [m]. axis: the body axis (0, 1, 2) of
-    grain, stripes and scratches. roughness, metallic in [0, 1]. wear: strength in [0, 1] of large-scale dirt.
-    offset: shifts the pattern [m], so that equal bodies differ."""
+    """A surface material.
+
+    Attributes:
+        color: First colour, linear RGB in [0, 1].
+        color2: Second colour, linear RGB in [0, 1].
+        pattern: Pattern of the two colours.
+        scale: Feature size of the pattern [m].
+        axis: Body axis (0, 1, 2) of grain, stripes and scratches.
+        roughness: Roughness in [0, 1].
+        metallic: Metalness in [0, 1].
+        wear: Strength of large-scale dirt in [0, 1].
+        offset: Offset of the pattern in the body frame [m]; it makes equal bodies differ.
+    """
 
     color: tuple[float, float, float] = (0.6, 0.6, 0.6)
     color2: tuple[float, float, float] = (0.4, 0.4, 0.4)
@@ -41,7 +51,7 @@ class Material:
 
     @property
     def row(self) -> tuple[Any, ...]:
-        """The last fields of `kernels.texture.Surface`."""
+        """Values of the material fields, the last ones, of `kernels.texture.Surface`."""
         pattern = _PATTERNS[self.pattern]
         colors = (self.color, self.color2, self.offset)
         return (*colors, pattern, self.axis, 1.0 / self.scale, self.roughness, self.metallic, self.wear)

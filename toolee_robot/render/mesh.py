@@ -1,4 +1,4 @@
-"""Triangle meshes as the renderer wants them: float32, with a normal per corner that respects creases."""
+"""Triangle meshes of the renderer: float32, with corner normals that preserve creases."""
 
 from __future__ import annotations
 
@@ -15,13 +15,19 @@ from toolee_robot.frames import Array
 FloatArray = NDArray[np.float32]
 IntArray = NDArray[np.int32]
 _MAX_PARTNERS = 48
-"""Corners at a vertex that count for a normal: the tip of a fan has more, and a 49th changes nothing visible."""
+"""Maximum number of corners at a vertex that contribute to a normal; only the tips of fans have more."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """vertices (V, 3) [m] in the body's frame; faces (F, 3) int32, counter-clockwise seen from outside;
-    corner_normals (F, 3, 3) unit. lasting: many scenes show it, so that what is worked out of it is worth keeping."""
+    """A triangle mesh.
+
+    Attributes:
+        vertices: Vertices (V, 3) [m], body frame.
+        faces: Vertex indices (F, 3), counter-clockwise seen from outside.
+        corner_normals: Unit normals of the corners (F, 3, 3), body frame.
+        lasting: Whether many scenes use the mesh, so that derived data is cached.
+    """
 
     vertices: FloatArray
     faces: NDArray[np.int32]
@@ -30,8 +36,18 @@ class Mesh:
 
     @staticmethod
     def build(vertices: object, faces: object, crease_deg: float = 35.0) -> Mesh:
-        """Lasting mesh with normals smoothed across edges flatter than `crease_deg`; corners that coincide to 1 um
-        share their normals even where the file stores them as separate vertices (STL)."""
+        """Build a lasting mesh with smoothed normals.
+
+        Vertices that coincide to 1 um share their normals even if they are stored separately, as in STL files.
+
+        Args:
+            vertices: Vertices (V, 3) [m], body frame.
+            faces: Vertex indices (F, 3), counter-clockwise seen from outside.
+            crease_deg: Maximum angle [deg] between smoothed faces.
+
+        Raises:
+            ValueError: Vertices are not finite or faces refer to missing vertices.
+        """
         v = np.ascontiguousarray(np.asarray(vertices, dtype=np.float32).reshape(-1, 3))
         f = np.ascontiguousarray(np.asarray(faces, dtype=np.int32).reshape(-1, 3))
         if not np.all(np.isfinite(v)) or (f.size and (f.min() < 0 or f.max() >= len(v))):
@@ -39,7 +55,7 @@ class Mesh:
         return Mesh(v, f, corner_normals(v, f, crease_deg), True)
 
     def mirrored(self) -> Mesh:
-        """The mesh reflected in x = 0 (a right hand's link as a left hand's), winding kept outward."""
+        """The mesh mirrored at x = 0 with outward winding; it turns a link of a right hand into that of a left hand."""
         flip = np.array([-1.0, 1.0, 1.0], np.float32)
         order = [0, 2, 1]
         return Mesh(
@@ -55,7 +71,7 @@ class Mesh:
 
 
 def corner_normals(vertices: FloatArray, faces: NDArray[np.int32], crease_deg: float) -> FloatArray:
-    """(F, 3, 3) area-weighted means over the faces around a vertex that lie within `crease_deg` of the corner's."""
+    """Corner normals (F, 3, 3): area-weighted means over the faces at a vertex within `crease_deg` of the face."""
     if len(faces) == 0:
         return np.zeros((0, 3, 3), np.float32)
     (ax, ay, az), (bx, by, bz) = (vertices[faces[:, k]].T - vertices[faces[:, 0]].T for k in (1, 2))
@@ -83,13 +99,13 @@ def corner_normals(vertices: FloatArray, faces: NDArray[np.int32], crease_deg: f
 
 
 def _lengths(vectors: FloatArray) -> FloatArray:
-    """(N, 1) of (N, 3); np.linalg.norm takes several times as long for so short rows."""
+    """Lengths (N, 1) of vectors (N, 3); np.linalg.norm is several times slower for rows this short."""
     x, y, z = vectors.T
     return np.asarray(np.sqrt(x * x + y * y + z * z)[:, None])
 
 
 def _merged(vertices: FloatArray, faces: NDArray[np.int32]) -> NDArray[np.int64]:
-    """(F, 3) numbers of the faces' vertices from 0 on, the same one for those that coincide to 1 um."""
+    """Indices (F, 3) of the distinct vertices of faces; vertices that coincide to 1 um share an index."""
     used = np.zeros(len(vertices), np.bool_)
     used[faces] = True
     x, y, z = np.round(vertices[used].T.astype(np.float64) * 1e6)
@@ -141,7 +157,7 @@ def cylinder(radius: float, length: float, sections: int = 24, top_radius: float
     vertices[:sections, :2], vertices[sections : 2 * sections, :2] = radius * ring, top * ring
     vertices[:sections, 2] = vertices[2 * sections, 2] = -length / 2
     vertices[sections : 2 * sections, 2] = vertices[2 * sections + 1, 2] = length / 2
-    # The sides' normals lean by the frustum's slope.
+    # The side normals follow the slope of the frustum.
     slope = np.hypot(length, radius - top)
     side = np.empty((sections, 3), np.float32)
     side[:, :2], side[:, 2] = length / slope * ring, (radius - top) / slope
@@ -160,7 +176,7 @@ def _ring(sections: int) -> FloatArray:
 
 @lru_cache(maxsize=16)
 def _cylinder_faces(n: int) -> NDArray[np.int32]:
-    """Sides, then lower and upper end."""
+    """Faces (4 n, 3): the sides, then the lower and the upper end."""
     i = np.arange(n)
     j = (i + 1) % n
     low, high = np.full(n, 2 * n), np.full(n, 2 * n + 1)
@@ -170,7 +186,7 @@ def _cylinder_faces(n: int) -> NDArray[np.int32]:
 
 @lru_cache(maxsize=16)
 def _cylinder_sides(n: int) -> NDArray[np.int32]:
-    """(2 n, 3) places on the ring of the sides' corners."""
+    """Ring indices (2 n, 3) of the corners of the sides."""
     return _cylinder_faces(n)[: 2 * n] % n
 
 

@@ -1,4 +1,4 @@
-"""Smooth three-dimensional noise as a table: the base of every procedural texture."""
+"""Table of smooth three-dimensional noise, the basis of the procedural textures."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from toolee_robot.render.device import DeviceArray, put
 from toolee_robot.render.kernels.texture import TABLE_SIZE
 
 _BLUR = 16.0 / 3
-"""Standard deviation [cells]: features are about 16 cells large."""
+"""Standard deviation of the blur [cells]; features have a size of about 16 cells."""
 
 
 @lru_cache

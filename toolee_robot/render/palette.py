@@ -1,4 +1,4 @@
-"""From a plain description (what it is called, its sRGB colour) to a material with the right texture."""
+"""Materials by name and sRGB colour, and random colours."""
 
 from __future__ import annotations
 
@@ -23,10 +23,15 @@ def _linear(value: float) -> float:
 def finish(
     name: str, srgb: Color, roughness: float, metallic: float, rng: np.random.Generator, axis: int = 2
 ) -> Material:
-    """The material of a surface called `name` (as in `toolee_robot.tools.materials`, or "wood_block", "skin",
-    "concrete", "steel", "plastic", ...): wood gets a grain along `axis`, steel scratches, rubber and skin mottling.
+    """A material with the texture of a named substance: grain on wood, scratches on metal, mottling on rubber and skin.
 
-    srgb in [0, 1]; roughness, metallic in [0, 1]. The generator places the pattern and ages the surface.
+    Args:
+        name: Name as in `toolee_robot.tools.materials`, or another one such as "wood_block", "skin" or "concrete".
+        srgb: Base colour, sRGB in [0, 1].
+        roughness: Roughness in [0, 1] before ageing.
+        metallic: Metalness in [0, 1].
+        rng: Random generator of the pattern offset and the age of the surface.
+        axis: Body axis (0, 1, 2) of grain and scratches.
     """
     r, g, b = linear(srgb)
     x, y, z = rng.uniform(-1.0, 1.0, 3).tolist()
@@ -55,14 +60,14 @@ def finish(
 
 
 def skin_tone(rng: np.random.Generator) -> Color:
-    """An sRGB skin colour, light to dark."""
+    """A random skin colour, sRGB in [0, 1]."""
     light, dark = np.array([0.92, 0.74, 0.64]), np.array([0.28, 0.17, 0.12])
     c = np.clip(dark + rng.uniform() * (light - dark) + rng.normal(0.0, 0.02, 3), 0.0, 1.0)
     return float(c[0]), float(c[1]), float(c[2])
 
 
 def any_color(rng: np.random.Generator) -> Color:
-    """An sRGB colour: half of the time nearly grey, as most things in a workshop are."""
+    """A random colour, sRGB in [0, 1]; nearly grey with probability 0.5, as many objects in a workshop are."""
     value = rng.uniform(0.03, 0.95)
     saturation = rng.uniform(0.0, 0.12) if rng.random() < 0.5 else rng.uniform(0.2, 0.9)
     hue = rng.uniform(0.0, 6.0)

@@ -1,5 +1,6 @@
-"""The renderer: rays find what is seen, kernels shade it. No OpenGL, no system library; equal calls on one device give
-equal bytes.
+"""The renderer: ray casting and shading without OpenGL or system libraries.
+
+Equal calls on one device give identical bytes.
 
 rendering = render(Scene([Body(box((0.1, 0.1, 0.1)), X_world_box)]), intrinsics, X_world_camera)
 """
@@ -23,9 +24,9 @@ from toolee_robot.render.surroundings import picture
 from toolee_robot.types import CameraIntrinsics
 
 _MIDDLE_GREY = 0.2
-"""Linear brightness that automatic exposure aims at."""
+"""Target of the automatic exposure: mean linear brightness."""
 _SUBPIXELS = np.array([(-0.33, -0.17), (0.33, 0.17)], np.float32)
-"""Further rays through a pixel on an outline [px from its centre]."""
+"""Offsets of the additional rays of outline pixels from the pixel centre [px]."""
 
 Region = tuple[int, int, int, int]
 """The pixels x0 <= x < x1, y0 <= y < y1."""
@@ -42,10 +43,18 @@ def render(
 ) -> Rendering:
     """Render the scene from a camera (OpenCV axes: x right, y down, z forward).
 
-    antialias: shoot two more rays through each pixel on an outline (colour only; depth and ids stay those of the
-    pixel's centre). exposure: factor on the linear colour before the sRGB curve.
-    auto_exposure: in [0, 1], how much the camera makes up for a dark or bright scene.
-    device: "cpu", or an NVIDIA GPU's: "cuda". Raises UserError where there is none.
+    Args:
+        scene: The scene.
+        intrinsics: Intrinsics of the camera.
+        X_world_camera: Pose of the camera in the world frame, 4x4 [m].
+        antialias: Cast two additional rays through each outline pixel, for the colour only; depth and ids are those of
+            the pixel centre.
+        exposure: Factor on the linear colour before the sRGB curve.
+        auto_exposure: Strength of the compensation of dark and bright scenes, in [0, 1].
+        device: "cpu", or "cuda" for an NVIDIA GPU.
+
+    Raises:
+        UserError: The device is not available.
     """
     shot = Shot(scene, intrinsics, X_world_camera, device)
     image = shot.develop(antialias, exposure, auto_exposure)

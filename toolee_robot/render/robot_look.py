@@ -1,4 +1,4 @@
-"""How a UR arm's links are coloured: light grey tubes, dark joint rings, blue end caps, found from the shapes alone."""
+"""Colours of the links of a UR arm, assigned by geometry: light grey tubes, dark flange, blue end caps."""
 
 from __future__ import annotations
 
@@ -9,12 +9,20 @@ import numpy as np
 from toolee_robot.render.mesh import Mesh
 
 _CAP = 0.012
-"""What lies within this [m] of a joint housing's closed end belongs to the cap."""
+"""Faces within this distance [m] of the closed end of a joint housing belong to the cap."""
 
 
 @dataclass(frozen=True, eq=False)
 class LookPart:
-    """A piece of a link in one colour: color sRGB in [0, 1], roughness and metallic as in `Material`."""
+    """A part of a link in one colour.
+
+    Attributes:
+        mesh: Mesh in the link frame [m].
+        color: Colour, sRGB in [0, 1].
+        roughness: Roughness in [0, 1].
+        metallic: Metalness in [0, 1].
+        finish: Name of the surface for `palette.finish`.
+    """
 
     mesh: Mesh
     color: tuple[float, float, float]
@@ -35,7 +43,7 @@ _GREY, _BLUE, _DARK = (0.76, 0.77, 0.78), (0.36, 0.56, 0.72), (0.17, 0.17, 0.18)
 
 
 def arm_link_parts(link: str, vertices: object, faces: object) -> tuple[LookPart, ...]:
-    """The coloured pieces of a UR10 link; vertices (V, 3) [m] and faces (F, 3) in the link's frame."""
+    """Coloured parts of a UR10 link with vertices (V, 3) [m], link frame, and faces (F, 3)."""
     v = np.asarray(vertices, np.float32)
     f = np.asarray(faces, np.int32)
     if link in ("base_link", "wrist_3_link", "tool0"):

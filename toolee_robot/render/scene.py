@@ -1,4 +1,4 @@
-"""What the renderer draws: bodies, lights and surroundings, all in the world frame."""
+"""Scene description of the renderer: bodies, lights and environment, all in the world frame."""
 
 from __future__ import annotations
 
@@ -15,8 +15,14 @@ from toolee_robot.render.mesh import FloatArray, Mesh
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A rigid mesh at X_world_body (4x4). body_id (0..32766) is what `Rendering.body_ids` shows; several bodies may
-    share one."""
+    """A rigid mesh with a material.
+
+    Attributes:
+        mesh: Mesh in the body frame [m].
+        X_world_body: Pose of the body in the world frame, 4x4 [m].
+        material: Surface material.
+        body_id: Value of its pixels in `Rendering.body_ids`, 0..32766; several bodies may share an id.
+    """
 
     mesh: Mesh
     X_world_body: Array
@@ -26,9 +32,18 @@ class Body:
 
 @dataclass(frozen=True)
 class Light:
-    """A lamp. direction (3,): unit, towards the lamp, if it is far; position (3,) [m], if it is near (give one).
-    color: radiance at the surface, at 1 m for a near lamp. softness: half-angle [rad] (radius [m]) of a far (near)
-    lamp, blurs its shadow; shadow: whether it casts one."""
+    """A lamp, either distant (with a direction) or near (with a position).
+
+    Attributes:
+        color: Linear RGB radiance at the surface; for a near lamp, at a distance of 1 m.
+        direction: Unit vector (3,) towards a distant lamp, world frame.
+        position: Position (3,) [m] of a near lamp, world frame.
+        softness: Half-angle [rad] of a distant lamp or radius [m] of a near lamp; it blurs the shadow.
+        shadow: Whether the lamp casts shadows.
+
+    Raises:
+        ValueError: Neither or both of direction and position are given.
+    """
 
     color: tuple[float, float, float]
     direction: tuple[float, float, float] | None = None
@@ -43,7 +58,13 @@ class Light:
 
 @dataclass(frozen=True)
 class Lobe:
-    """A bright patch of the surroundings (a window, a lamp): direction (3,) unit, half-width [rad], linear RGB."""
+    """A bright region of the environment, such as a window or a lamp.
+
+    Attributes:
+        direction: Unit vector (3,) towards its centre, world frame.
+        width: Half-width [rad].
+        color: Linear RGB.
+    """
 
     direction: tuple[float, float, float]
     width: float
@@ -52,7 +73,14 @@ class Lobe:
 
 @dataclass(frozen=True)
 class Environment:
-    """The light from all around: linear RGB overhead, at the horizon and from below (world z is up), and patches."""
+    """Ambient light, a vertical gradient (world z is up) with bright regions.
+
+    Attributes:
+        zenith: Linear RGB from above.
+        horizon: Linear RGB from the horizon.
+        ground: Linear RGB from below.
+        lobes: Bright regions.
+    """
 
     zenith: tuple[float, float, float] = (0.55, 0.58, 0.62)
     horizon: tuple[float, float, float] = (0.40, 0.40, 0.40)
@@ -62,8 +90,15 @@ class Environment:
 
 @dataclass(frozen=True)
 class Patch:
-    """An ellipse (oval) or a rectangle of one colour in an image. centre, half_axes: x and y in widths of the image;
-    angle: of the first half axis against x [rad]. color: linear RGB."""
+    """An ellipse or a rectangle of one colour in an image.
+
+    Attributes:
+        centre: x and y of the centre [image widths].
+        half_axes: Half axes [image widths].
+        angle: Angle between the first half axis and x [rad].
+        oval: Whether it is an ellipse.
+        color: Linear RGB.
+    """
 
     centre: tuple[float, float]
     half_axes: tuple[float, float]
@@ -74,8 +109,14 @@ class Patch:
 
 @dataclass(frozen=True)
 class Backdrop:
-    """A flat picture behind everything, without depth: linear RGB in the image's upper left corner, what is added to it
-    over one width of the image to the right and down, and patches, the last one on top."""
+    """A background image without depth: a linear gradient with patches.
+
+    Attributes:
+        corner: Linear RGB in the upper left corner.
+        right: Change of the colour over one image width to the right.
+        down: Change of the colour over one image width downwards.
+        patches: Patches, the last one on top.
+    """
 
     corner: tuple[float, float, float]
     right: tuple[float, float, float]
@@ -85,7 +126,14 @@ class Backdrop:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """background: shown where no body is hit; None for the environment itself."""
+    """A scene to be rendered.
+
+    Attributes:
+        bodies: Bodies in the world frame.
+        lights: Lamps.
+        environment: Ambient light.
+        background: Image where no body is hit; None: the environment.
+    """
 
     bodies: Sequence[Body]
     lights: Sequence[Light] = ()
@@ -95,9 +143,15 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """rgb (H, W, 3) uint8 sRGB. depth (H, W) float32 [m] along the optical axis, 0 where nothing is hit.
-    body_ids (H, W) int16, -1 where nothing is hit. cos_incidence (H, W) float32 in [0, 1]: cosine between the ray and
-    the surface's normal. shininess (H, W) float32 in [0, 1]: how much of the light is reflected as by a mirror."""
+    """A rendered image.
+
+    Attributes:
+        rgb: Colour (H, W, 3), sRGB.
+        depth: Depth along the optical axis (H, W) [m]; 0 where nothing is hit.
+        body_ids: `Body.body_id` (H, W); -1 where nothing is hit.
+        cos_incidence: Cosine of the angle between ray and surface normal (H, W), in [0, 1].
+        shininess: Share of specular reflection (H, W), in [0, 1].
+    """
 
     rgb: NDArray[np.uint8]
     depth: FloatArray

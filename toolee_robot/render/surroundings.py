@@ -1,4 +1,4 @@
-"""The light from all around and the picture behind everything, on a device."""
+"""Environment maps and background images on a device."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from toolee_robot.render.kernels import surroundings as kernels
 from toolee_robot.render.scene import Backdrop, Environment
 
 _BLURS = (0.05, 0.25, 0.6, 1.0)
-"""Half-widths [rad] of the maps; the last one serves as the diffuse irradiance."""
+"""Blur half-widths [rad] of the maps; the last map is the diffuse irradiance."""
 assert len(_BLURS) == kernels.SKY_LEVELS
 
 
 def sky_maps(environment: Environment, device: str) -> DeviceArray:
-    """(4 * 64 * 64,) vec3: the maps one after another, cells row by row, as `kernels.surroundings.sky` reads them."""
+    """Blurred environment maps (4 * 64 * 64,) vec3, row-major, in the layout of `kernels.surroundings.sky`."""
     lobes = rows_of(kernels.Lobe, [(lobe.direction, lobe.width, lobe.color) for lobe in environment.lobes])
     maps = empty(kernels.SKY_LEVELS * kernels.SKY_SIZE**2, wp.vec3, device)
     colors = (wp.vec3(c) for c in (environment.zenith, environment.horizon, environment.ground))
@@ -26,7 +26,7 @@ def sky_maps(environment: Environment, device: str) -> DeviceArray:
 
 
 def picture(backdrop: Backdrop, height: int, width: int, device: str) -> DeviceArray:
-    """(H * W,) vec3, linear RGB."""
+    """Background image (H * W,) vec3, linear RGB, row-major."""
     rows = [(p.centre, p.half_axes, np.cos(p.angle), np.sin(p.angle), p.oval, p.color) for p in backdrop.patches]
     patches = rows_of(kernels.Patch, rows)
     out = empty(height * width, wp.vec3, device)

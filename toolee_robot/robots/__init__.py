@@ -3,10 +3,11 @@
     from toolee_robot.robots import SHADOW_HAND, load_robot
     robot = load_robot()                  # robot.urdf_path works in Pinocchio and in pybullet
     X_flange_hand = robot.X_flange_hand(q_hand)
-    SHADOW_HAND.grasp.X_hand_tool(0.016)  # where a handle of that radius [m] nominally lies
+    SHADOW_HAND.grasp.X_hand_tool(0.016)  # nominal pose of a handle of this radius [m]
     SHADOW_HAND.link_poses(q_hand)        # plain numpy, link -> X_hand_link
 
-A hand is a record: `HandModel`, in `toolee_robot.robots.hands`. Nothing here imports a physics engine or Pinocchio.
+Each hand is a `HandModel` record in `toolee_robot.robots.hands`. This package imports neither a physics engine nor
+Pinocchio.
 """
 
 from toolee_robot.robots.description import (

@@ -1,4 +1,4 @@
-"""Where the robots' model files are, and where the merged robot is cached."""
+"""Paths of the model files and of the cache of merged robots."""
 
 from __future__ import annotations
 
@@ -7,14 +7,18 @@ import tempfile
 from pathlib import Path
 
 MODELS = Path(__file__).parent / "models"
-"""Model files of arms and hands, a folder each, with their licences."""
+"""Model files and licences of arms and hands, one folder each."""
 UR10_URDF = MODELS / "ur10" / "ur10_robot.urdf"
 SHADOW_HAND_MJCF = MODELS / "shadow_hand" / "robot.xml"
 
 
 def cache_folder() -> Path:
-    """$XDG_CACHE_HOME/toolee_robot, ~/.cache/toolee_robot, or a folder in the temporary directory if neither can be
-    written."""
+    """The cache folder; it is created if it does not exist.
+
+    Returns:
+        $XDG_CACHE_HOME/toolee_robot or, if the variable is not set, ~/.cache/toolee_robot; a folder in the temporary
+        directory if that is not writable.
+    """
     base = os.environ.get("XDG_CACHE_HOME")
     folder = (Path(base) if base else Path.home() / ".cache") / "toolee_robot"
     try:

@@ -28,31 +28,31 @@ ARM_JOINTS = (
 )  # fmt: skip
 
 _ARM_CELL = 0.012
-"""The arm's meshes are thinned to this size [m]."""
+"""Cell size [m] of the vertex clustering that simplifies the meshes of the arm."""
 
 
 @dataclass(frozen=True, eq=False)
 class RobotDescription:
     """Arm and hand as one kinematic tree rooted in `base` (the UR base_link).
 
-    A UR10e has its own kinematics, but the UR10's meshes and inertias, which are an approximation: its base stands
-    53 mm lower in them than the arm does.
+    A UR10e has its own kinematics but, as an approximation, the meshes and inertias of the UR10: their base is 53 mm
+    lower than that of the arm.
     """
 
     model: ArmModel
-    """The arm's."""
+    """Model of the arm."""
     calibrated: bool
-    """Whether the kinematics are this very arm's; the nominal ones are a millimetre or two off at the flange."""
+    """Whether the kinematics are factory-calibrated; the nominal ones err by 1 to 2 mm at the flange."""
     hand: HandModel
-    """The hand on the flange."""
+    """Model of the hand on the flange."""
     urdf_path: Path
     """The merged URDF, with absolute mesh paths."""
     package_dirs: tuple[Path, ...]
-    """For Pinocchio's loaders."""
+    """Package folders for the loaders of Pinocchio."""
     tree: Tree
-    """All links, the arm's first."""
+    """All links, those of the arm first."""
     arm_joints: tuple[str, ...]
-    """The URDF's joint names (6). pybullet keeps this order, Pinocchio sorts sibling joints: map by name there."""
+    """Joint names of the arm (6) in URDF order, as in pybullet. Pinocchio sorts sibling joints: map by name there."""
     base_frame: str
     """Name of the root link."""
     flange_frame: str
@@ -60,7 +60,7 @@ class RobotDescription:
     hand_open: Array
     """Joint positions of the open hand (n,) [rad]."""
     hand_closed: Array
-    """Joint positions of the closed hand (n,) [rad], bent further than any handle allows."""
+    """Joint positions of the closed hand (n,) [rad], flexed further than any handle allows."""
     lower: Array
     """Lower position limits of arm and hand (6 + n,) [rad]."""
     upper: Array
@@ -81,16 +81,31 @@ class RobotDescription:
         return self.hand.frame
 
     def link_poses(self, q_arm: Array, q_hand: Array) -> dict[str, Array]:
-        """X_base_link of every link; q_arm (6,), q_hand (n,) [rad]."""
+        """Forward kinematics of all links.
+
+        Args:
+            q_arm: Joint positions of the arm (6,) [rad].
+            q_hand: Joint positions of the hand (n,) [rad].
+
+        Returns:
+            Link name -> X_base_link (4x4) [m].
+        """
         return self.tree.link_poses(np.concatenate([q_arm, q_hand]))
 
     def X_flange_hand(self, q_hand: Array) -> Array:
-        """Pose of the palm in the flange, 4x4; only the wrist of q_hand (n,) matters."""
+        """Pose of the hand frame in the flange, 4x4 [m]; of q_hand (n,) [rad] only the wrist joints matter."""
         poses = self.tree.link_poses(np.concatenate([np.zeros(len(self.arm_joints)), q_hand]))
         return inverse(poses[self.flange_frame]) @ poses[self.hand_frame]
 
     def hand_payload(self, q_hand: Array) -> Payload:
-        """Mass and centre of mass of the hand, with its forearm and its mounting plate, as the flange carries them."""
+        """Payload of the flange: the hand with its forearm and mounting plate.
+
+        Args:
+            q_hand: Joint positions of the hand (n,) [rad].
+
+        Returns:
+            Mass [kg] and centre of mass (3,) [m] in the flange frame.
+        """
         poses = self.tree.link_poses(np.concatenate([np.zeros(len(self.arm_joints)), q_hand]))
         X_flange_base = inverse(poses[self.flange_frame])
         mass, moment = 0.0, np.zeros(3)
@@ -104,7 +119,15 @@ class RobotDescription:
 
 @lru_cache(maxsize=4)
 def arm_tree(model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None = None) -> Tree:
-    """The arm's links, from its base to its flange."""
+    """The links of the arm from base to flange.
+
+    Args:
+        model: The arm.
+        calibration: Factory calibration of the arm; None: nominal kinematics.
+
+    Raises:
+        AssetError: The model file is missing, unreadable or has other joints.
+    """
     links = read_ur10(UR10_URDF).links
     if model is not ArmModel.UR10 or calibration is not None:
         origins = joint_origins([link.X_parent_joint for link in links[1:]], model, calibration)
@@ -112,7 +135,9 @@ def arm_tree(model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None 
         links = (links[0], *moved)
     tree = Tree(links)
     if tree.joints != ARM_JOINTS:
-        raise AssetError(f"{UR10_URDF} has other joints: {tree.joints}; install toolee_robot again")
+        raise AssetError(
+            f"{UR10_URDF} has unexpected joints: {tree.joints}; reinstall toolee_robot", code="asset.joints"
+        )
     return tree
 
 
@@ -120,16 +145,28 @@ def arm_tree(model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None 
 def robot_tree(
     model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None = None, hand: HandModel = SHADOW_HAND
 ) -> Tree:
-    """The merged kinematic tree. Raises AssetError when a model file is missing or cannot be read."""
+    """The merged kinematic tree of arm and hand.
+
+    Args:
+        model: The arm.
+        calibration: Factory calibration of the arm; None: nominal kinematics.
+        hand: The hand on the flange.
+
+    Raises:
+        AssetError: A model file is missing or unreadable, or arm and hand share link names.
+    """
     arm = arm_tree(model, calibration)
     shared = arm.by_name.keys() & hand.tree.by_name.keys()
     if shared:
-        raise AssetError(f"arm and {hand.label} both have links named {sorted(shared)}: rename them in {hand.source}")
+        raise AssetError(
+            f"arm and {hand.label} both have links named {sorted(shared)}: rename them in {hand.source}",
+            code="asset.duplicate_links",
+        )
     return Tree((*arm.links, *hand.tree.links))
 
 
 def _install(name: str, tree: Tree) -> Path:
-    """Write URDF and meshes into the cache, once per content; returns the URDF's path."""
+    """Write URDF and meshes into the cache unless present (keyed by content) and return the path of the URDF."""
     files = {shape.mesh: link for link in tree.links for shape in (*link.visuals, *link.collisions) if shape.mesh}
     probe = hashlib.sha256(write_urdf(name, tree, lambda shape: Path(shape.mesh.name if shape.mesh else "")).encode())
     for file in files:
@@ -153,7 +190,7 @@ def _install(name: str, tree: Tree) -> Path:
     (scratch / urdf.name).write_text(write_urdf(name, tree, place))
     try:
         scratch.replace(folder)
-    except OSError:  # another process was first
+    except OSError:  # another process installed it meanwhile
         shutil.rmtree(scratch, ignore_errors=True)
         if not urdf.is_file():
             raise
@@ -163,11 +200,11 @@ def _install(name: str, tree: Tree) -> Path:
 def load_robot(
     model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None = None, hand: str = SHADOW_HAND.name
 ) -> RobotDescription:
-    """Build (or find in the cache) the merged robot.
+    """Build the merged robot, or load it from the cache.
 
     Args:
         model: The arm.
-        calibration: The arm's own, where it is known.
+        calibration: Factory calibration of the arm; None: nominal kinematics.
         hand: Name of the hand, see `toolee_robot.robots.hands.HANDS`.
 
     Raises:
@@ -203,13 +240,13 @@ def _load_robot(model: ArmModel, calibration: DhCalibration | None, hand: HandMo
 
 
 def arm_link_poses(q_arm: Array) -> dict[str, Array]:
-    """X_base_link (4x4) of every link of the arm at q_arm (6,) [rad]."""
+    """Link name -> X_base_link (4x4) [m] of the nominal UR10 at q_arm (6,) [rad]."""
     return arm_tree().link_poses(q_arm)
 
 
 @cache
 def arm_meshes() -> dict[str, trimesh.Trimesh]:
-    """Link -> mesh in the link's frame [m] of the arm."""
+    """Link name -> simplified mesh of the UR10 in the link frame [m]."""
     found = {}
     for link in arm_tree().links:
         mesh = link_mesh(link, _ARM_CELL)

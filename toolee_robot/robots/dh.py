@@ -1,8 +1,8 @@
-"""Denavit-Hartenberg parameters of the UR arms, and how a URDF's joint origins follow from them.
+"""Denavit-Hartenberg parameters of the UR arms, and the URDF joint origins derived from them.
 
-X_base_flange(q) = prod_i Rz(q_i + theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i), where `base` is the controller's base, which is
-our `base_link` turned by half a turn about z, and `flange` is `tool0`. A factory calibration adds a delta to every one
-of them.
+X_base_flange(q) = prod_i Rz(q_i + theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i), where `base` is the base frame of the UR
+controller, `base_link` rotated by 180 degrees about z, and `flange` is `tool0`. A factory calibration adds a delta to
+each parameter.
 """
 
 from __future__ import annotations
@@ -17,12 +17,19 @@ from toolee_robot.frames import Array, inverse
 from toolee_robot.types import ArmModel, DhCalibration
 
 HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
-"""X_baselink_base: the UR controller's base in the URDF's `base_link`."""
+"""X_baselink_base (4x4): pose of the base frame of the UR controller in the `base_link` of the URDF."""
 
 
 @dataclass(frozen=True)
 class DhParameters:
-    """d, a [m] and theta, alpha [rad] of the six joints, (6,) each, standard (distal) convention."""
+    """DH parameters of the six joints, standard (distal) convention.
+
+    Attributes:
+        d: Link offsets (6,) [m].
+        a: Link lengths (6,) [m].
+        alpha: Link twists (6,) [rad].
+        theta: Joint angle offsets (6,) [rad].
+    """
 
     d: Array
     a: Array
@@ -31,7 +38,7 @@ class DhParameters:
 
     @classmethod
     def of(cls, model: ArmModel, calibration: DhCalibration | None = None) -> DhParameters:
-        """Those of a model, nominal or with an arm's own calibration."""
+        """Parameters of an arm model, with the deltas of a factory calibration if one is given."""
         data = ARM_DATA[model]
         nominal = cls(np.array(data.d), np.array(data.a), np.array(data.alpha), np.zeros(6))
         if calibration is None:
@@ -40,7 +47,7 @@ class DhParameters:
         return cls(nominal.d + c.delta_d, nominal.a + c.delta_a, nominal.alpha + c.delta_alpha, np.array(c.delta_theta))
 
     def joint(self, i: int, q: float = 0.0) -> Array:
-        """Pose (4x4) of frame i + 1 in frame i at the joint angle q [rad], i from 0."""
+        """Pose (4x4) [m] of DH frame i + 1 in frame i at joint angle q [rad]; i = 0..5."""
         c, s, ca, sa = (
             np.cos(q + self.theta[i]),
             np.sin(q + self.theta[i]),
@@ -57,15 +64,15 @@ class DhParameters:
         )
 
     def fk(self, q: Array) -> Array:
-        """The flange (4x4) in the controller's base at q (6,) [rad]."""
+        """Pose (4x4) [m] of the flange in the base frame of the controller at q (6,) [rad]."""
         X = np.eye(4)
         for i in range(6):
             X = X @ self.joint(i, float(q[i]))
         return X
 
     def zero_frames(self) -> list[Array]:
-        """Poses (4x4) in the controller's base, at q = 0, of the frames that turn about their z with joints 1 to 6,
-        and of the flange: 7."""
+        """Poses (4x4) [m] in the base frame of the controller, at q = 0, of the six joint frames (joint axis along z)
+        and of the flange: 7 in total."""
         frames = [np.eye(4)]
         for i in range(6):
             frames.append(frames[-1] @ self.joint(i))
@@ -73,11 +80,19 @@ class DhParameters:
 
 
 def joint_origins(origins: list[Array], model: ArmModel, calibration: DhCalibration | None) -> list[Array]:
-    """Joint origins (7 of 4x4, the last one the flange's) of `base_link` to `tool0` for a model and a calibration.
+    """Joint origins from `base_link` to `tool0` for a model and a calibration.
 
-    origins: those of a UR10's URDF. Every link's frame stays fixed to what turns with its joint, and the links' shapes
-    and inertias with it. A calibration may put the parallel joints' frames metres away along their axes, and turn them
-    about these; a link's frame stays as near as it can to where it nominally is.
+    Each link frame, with the shapes and inertia of the link, stays fixed to the body that its joint moves. A
+    calibration may shift the frames of parallel joints by metres along their axes and rotate them about these; each
+    link frame is placed as close to its nominal pose as this freedom allows.
+
+    Args:
+        origins: Joint origins (7 of 4x4) of the URDF of a UR10, the flange last.
+        model: The arm.
+        calibration: Factory calibration of the arm; None: nominal kinematics.
+
+    Returns:
+        Joint origins (7 of 4x4) [m], the flange last.
     """
     ur10, nominal, own = DhParameters.of(ArmModel.UR10), DhParameters.of(model), DhParameters.of(model, calibration)
     X_dh_link = HALF_TURN
@@ -85,14 +100,14 @@ def joint_origins(origins: list[Array], model: ArmModel, calibration: DhCalibrat
     for i, (was, wanted, will) in enumerate(zip(*(p.zero_frames() for p in (ur10, nominal, own)), strict=True)):
         X_dh_link = X_dh_link @ origins[i]
         X_turning_link = inverse(was) @ X_dh_link
-        if i == 0:  # the shoulder stands on the base, not at its own frame: it rises with what it carries
+        if i == 0:  # the shoulder geometry moves with the shoulder joint height d_1
             X_turning_link[2, 3] += nominal.d[0] - ur10.d[0]
         placed.append(will @ (_about_z(inverse(will) @ wanted) if i < 6 else np.eye(4)) @ X_turning_link)
     return [inverse(a) @ b for a, b in pairwise(placed)]
 
 
 def _about_z(X: Array) -> Array:
-    """What of X (4x4), nearly a screw about z, is a screw about z."""
+    """The screw about z (rotation and translation) closest to X (4x4), which is nearly one."""
     turn = np.arctan2(X[1, 0] - X[0, 1], X[0, 0] + X[1, 1])
     screw = np.eye(4)
     screw[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]

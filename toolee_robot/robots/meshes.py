@@ -1,4 +1,4 @@
-"""Link meshes in metres, thinned for rendering."""
+"""Link meshes in metres, simplified for rendering."""
 
 from __future__ import annotations
 
@@ -10,7 +10,15 @@ from toolee_robot.robots.tree import Link, Shape
 
 
 def cluster_vertices(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
-    """Merge the vertices of each cube of edge `cell` [m] into their mean and drop faces that vanish."""
+    """Simplify a mesh by vertex clustering.
+
+    Args:
+        mesh: The mesh [m].
+        cell: Edge of the cubes [m] whose vertices are merged into their mean.
+
+    Returns:
+        The mesh without degenerate and duplicate faces.
+    """
     keys = np.floor(mesh.vertices / cell).astype(np.int64)
     _, index = np.unique(keys, axis=0, return_inverse=True)
     index = index.reshape(-1)
@@ -24,7 +32,18 @@ def cluster_vertices(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
 
 
 def link_mesh(link: Link, cell: float | None) -> trimesh.Trimesh | None:
-    """The link's visual in the link's frame [m], thinned to `cell` [m] (None: as it is); None without a visual."""
+    """The visual mesh of a link.
+
+    Args:
+        link: The link.
+        cell: Cell size [m] of `cluster_vertices`; None: no simplification.
+
+    Returns:
+        The mesh in the link frame [m]; None if the link has no visual.
+
+    Raises:
+        AssetError: A mesh file is missing or unreadable.
+    """
     parts = []
     for shape in link.visuals:
         mesh = _shape_mesh(shape)
@@ -40,7 +59,7 @@ def link_mesh(link: Link, cell: float | None) -> trimesh.Trimesh | None:
 
 
 def _shape_mesh(shape: Shape) -> trimesh.Trimesh:
-    """In the shape's own frame [m]."""
+    """The mesh of a shape in its own frame [m]."""
     match shape.kind:
         case "box":
             return trimesh.creation.box(shape.size)

@@ -18,7 +18,10 @@ FLANGE_FRAME = "tool0"
 
 
 def _rotations(axes: Array, angles: Array) -> Array:
-    """Rodrigues' formula, (n, 3, 3) of axes (n, 3) and angles (n,); scipy's Rotation costs ten times as much."""
+    """Rotation matrices (n, 3, 3) of unit axes (n, 3) and angles (n,) [rad] by Rodrigues' formula.
+
+    scipy's Rotation takes ten times as long.
+    """
     x, y, z = axes.T
     c, s = np.cos(angles), np.sin(angles)
     t = 1.0 - c
@@ -32,8 +35,15 @@ def _rotations(axes: Array, angles: Array) -> Array:
 
 @dataclass(frozen=True)
 class Shape:
-    """A shape on a link. kind: "box" (size: full extents), "cylinder" (radius, length; along z), "sphere" (radius)
-    or "mesh" (size: empty; `mesh` names an STL file, `scale` turns it into metres). X_link_shape: 4x4."""
+    """A visual or collision shape of a link.
+
+    Attributes:
+        kind: "box", "cylinder" (along z), "sphere" or "mesh".
+        size: Full extents of a box, radius and length of a cylinder, radius of a sphere [m]; empty for a mesh.
+        X_link_shape: Pose of the shape in the link frame, 4x4 [m].
+        mesh: STL file of a mesh; None for other kinds.
+        scale: Factor from the unit of the STL file to metres.
+    """
 
     kind: str
     size: tuple[float, ...]
@@ -44,7 +54,13 @@ class Shape:
 
 @dataclass(frozen=True)
 class Inertial:
-    """mass [kg], centre of mass and principal axes X_link_com, principal moments (3,) [kg m^2]."""
+    """Inertia of a link.
+
+    Attributes:
+        mass: Mass [kg].
+        X_link_com: Pose of the principal axes at the centre of mass in the link frame, 4x4 [m].
+        moments: Principal moments of inertia (3,) [kg m^2].
+    """
 
     mass: float
     X_link_com: Array
@@ -53,10 +69,21 @@ class Inertial:
 
 @dataclass(frozen=True)
 class Link:
-    """A link and the joint that carries it.
+    """A link and the joint that connects it to its parent.
 
-    X_parent_joint: the joint's frame in the parent, which is the link's frame at q = 0. axis: (3,) unit vector of a
-    revolute joint, or None for a fixed one. lower, upper [rad], effort [Nm], velocity [rad/s]: the joint's limits.
+    Attributes:
+        name: Name of the link.
+        parent: Name of the parent link; None for the root.
+        X_parent_joint: Pose of the joint frame, the link frame at q = 0, in the parent link, 4x4 [m].
+        joint: Name of the joint.
+        axis: Unit vector (3,) of a revolute joint in the joint frame; None for a fixed joint.
+        lower: Lower position limit [rad].
+        upper: Upper position limit [rad].
+        effort: Torque limit [Nm].
+        velocity: Velocity limit [rad/s].
+        inertial: Inertia; None without mass.
+        visuals: Shapes for rendering.
+        collisions: Shapes for collision checks.
     """
 
     name: str
@@ -75,7 +102,12 @@ class Link:
 
 @dataclass(frozen=True)
 class Tree:
-    """Links, parents before children."""
+    """A kinematic tree.
+
+    Attributes:
+        links: Links, parents before children.
+        by_name: Link name -> link.
+    """
 
     links: tuple[Link, ...]
     by_name: Mapping[str, Link] = field(init=False)
@@ -90,7 +122,7 @@ class Tree:
         set_("by_name", {link.name: link for link in self.links})
         axes = [link.axis for link in self.links if link.axis is not None]
         set_("_axes", np.reshape(axes, (-1, 3)))
-        # Links as deep as each other (the fingers' joints) are computed together: rows by depth.
+        # Rows are ordered by depth: links of equal depth (the joints of the fingers) are computed together.
         depth: dict[str, int] = {}
         for link in self.links:
             depth[link.name] = depth[link.parent] + 1 if link.parent in depth else 0
@@ -112,11 +144,11 @@ class Tree:
         return tuple(link.joint for link in self.links if link.axis is not None)
 
     def carried_by(self, joint: str) -> str:
-        """Name of the link that a joint carries."""
+        """Name of the child link of a joint."""
         return next(link.name for link in self.links if link.joint == joint)
 
     def ancestors(self, link: str) -> list[str]:
-        """Names of the links from this one up to the root, itself first."""
+        """Names of the links from `link` (first) up to the root."""
         found = [link]
         while (parent := self.by_name[found[-1]].parent) in self.by_name:
             found.append(parent or "")
@@ -128,7 +160,17 @@ class Tree:
         return np.array([link.lower for link in movable]), np.array([link.upper for link in movable])
 
     def link_poses(self, q: Array) -> dict[str, Array]:
-        """Pose (4x4) of every link in the root's parent frame at q (n,) [rad], in the order of `joints`."""
+        """Forward kinematics of all links.
+
+        Args:
+            q: Joint positions (n,) [rad], in the order of `joints`.
+
+        Returns:
+            Link name -> pose (4x4) [m] in the parent frame of the root.
+
+        Raises:
+            ValueError: q has another shape.
+        """
         q = np.asarray(q, dtype=np.float64)
         if q.shape != (len(self._axes),):
             raise ValueError(f"q must have shape ({len(self._axes)},), got {q.shape}")

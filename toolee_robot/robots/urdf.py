@@ -1,4 +1,4 @@
-"""Read a URDF into a `Tree`, and write a `Tree` as URDF."""
+"""Conversion between URDF and `Tree`."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ UR10_FRAMES = (
     "tool0",
 )
 
-# Stands for the plate between the flange and the hand; pybullet would give a link without inertia 1 kg and 1 kg m^2.
+# The plate between flange and hand; pybullet assigns 1 kg and 1 kg m^2 to a link without inertia.
 _MOUNTING_PLATE = Inertial(0.1, transform(p=[0.0, 0.0, 0.005]), (5e-5, 5e-5, 1e-4))
 _NEARLY_MASSLESS = Inertial(1e-3, np.eye(4), (1e-7, 1e-7, 1e-7))
-"""Of a link for which a URDF states no mass."""
+"""Inertia of a link without mass in the URDF."""
 
 
 def _numbers(text: str) -> Array:
@@ -47,12 +47,12 @@ def _origin(parent: Element) -> Array:
 def _require(parent: Element, tag: str) -> Element:
     element = parent.find(tag)
     if element is None:
-        raise AssetError(f"the URDF lacks <{tag}> in {parent.get('name')}")
+        raise AssetError(f"the URDF lacks <{tag}> in {parent.get('name')}", code="asset.urdf_element_missing")
     return element
 
 
 def _parse(path: Path) -> tuple[dict[str, Element], dict[str, Element]]:
-    """Links by name, and joints by the name of the link that they carry."""
+    """Links by name, and joints by the name of their child link."""
     try:
         root = ElementTree.parse(path).getroot()
     except (OSError, ElementTree.ParseError) as error:
@@ -62,7 +62,7 @@ def _parse(path: Path) -> tuple[dict[str, Element], dict[str, Element]]:
 
 
 def _inertial(element: Element) -> Inertial | None:
-    """Of a link; None without a mass."""
+    """Inertia of a link element; None without mass."""
     body = element.find("inertial")
     mass = 0.0 if body is None else float(_require(body, "mass").get("value", "0"))
     if body is None or mass <= 0:
@@ -84,7 +84,10 @@ def _with_joint(link: Link, joint: Element) -> Link:
         joint=joint.get("name", ""),
     )
     if joint.get("type") not in ("revolute", "fixed"):
-        raise AssetError(f"joint {link.joint} is {joint.get('type')}: only revolute and fixed joints are known")
+        raise AssetError(
+            f"joint {link.joint} is {joint.get('type')}: only revolute and fixed joints are supported",
+            code="asset.joint_type",
+        )
     if joint.get("type") == "fixed":
         return link
     limit, axis = _require(joint, "limit"), _numbers(_require(joint, "axis").get("xyz", ""))
@@ -99,8 +102,16 @@ def _with_joint(link: Link, joint: Element) -> Link:
 
 
 def read_ur10(path: Path) -> Tree:
-    """The UR10's links from `base_link` to `tool0`; the collision meshes, in `meshes` beside the file, serve as visuals
-    too. Raises AssetError."""
+    """Read the links of the UR10 from `base_link` to `tool0`.
+
+    The collision meshes, in `meshes` next to the file, are also used as visuals.
+
+    Args:
+        path: The URDF file.
+
+    Raises:
+        AssetError: The file is missing, unreadable or incomplete.
+    """
     elements, joints = _parse(path)
     links = []
     for i, name in enumerate(UR10_FRAMES):
@@ -117,19 +128,19 @@ def read_ur10(path: Path) -> Tree:
 
 
 def read_urdf(path: Path, parent: str, X_parent_root: Array) -> Tree:
-    """A hand's links from its URDF.
+    """Read the links of a hand from its URDF.
 
-    Meshes are looked for at the path that the file names, with `package://` taken off, from the file's folder and from
-    each folder above it. A link without visuals is shown as its collision shapes, and the other way round. Mimic
-    joints count as joints of their own.
+    Mesh paths, without `package://`, are resolved relative to the folder of the file and to each folder above it. A
+    link without visuals uses its collision shapes as visuals, and vice versa. Mimic joints are treated as independent
+    joints.
 
     Args:
         path: The URDF file. Its joints must be revolute or fixed, its mesh files STL.
-        parent: Name of the link that carries the root link.
-        X_parent_root: Pose of the root link in it, 4x4.
+        parent: Name of the parent link of the root link.
+        X_parent_root: Pose of the root link in the parent link, 4x4 [m].
 
     Raises:
-        AssetError: A file is missing or cannot be read.
+        AssetError: A file is missing or unreadable, or the URDF has no single root link or an unsupported joint.
     """
     elements, joints = _parse(path)
     children: dict[str, list[str]] = {}
@@ -151,13 +162,13 @@ def read_urdf(path: Path, parent: str, X_parent_root: Array) -> Tree:
 
     roots = [name for name in elements if name not in joints]
     if len(roots) != 1:
-        raise AssetError(f"{path} must have one root link, it has {roots}")
+        raise AssetError(f"{path} must have one root link, it has {roots}", code="asset.root_links")
     add(roots[0])
     return Tree(tuple(links))
 
 
 def _shape(path: Path, element: Element) -> Shape:
-    """A <visual> or <collision>."""
+    """The shape of a <visual> or <collision> element."""
     X, geometry = _origin(element), _require(element, "geometry")
     for kind, keys in (("box", ("size",)), ("cylinder", ("radius", "length")), ("sphere", ("radius",))):
         found = geometry.find(kind)
@@ -169,7 +180,9 @@ def _shape(path: Path, element: Element) -> Shape:
     for folder in path.absolute().parents:
         if (folder / name).is_file():
             return Shape("mesh", (), X, folder / name, scale)
-    raise AssetError(f"{path} names the mesh {name}, which is neither in its folder nor above it")
+    raise AssetError(
+        f"{path} names the mesh {name}, which is neither in its folder nor above it", code="asset.mesh_missing"
+    )
 
 
 def _add_origin(parent: Element, X: Array) -> None:
@@ -177,7 +190,7 @@ def _add_origin(parent: Element, X: Array) -> None:
 
 
 def _rpy(R: Array) -> Array:
-    """Fixed-axis roll, pitch, yaw [rad]; at a pitch of 90 deg the yaw is 0."""
+    """Fixed-axis roll, pitch, yaw (3,) [rad] of a rotation matrix; at a pitch of +-90 degrees the yaw is 0."""
     horizontal = np.hypot(R[0, 0], R[1, 0])
     pitch = np.arctan2(-R[2, 0], horizontal)
     if horizontal < 1e-9:
@@ -212,7 +225,16 @@ def _add_inertial(parent: Element, inertial: Inertial) -> None:
 
 
 def write_urdf(name: str, tree: Tree, mesh_path: Callable[[Shape], Path]) -> str:
-    """URDF text of the tree; `mesh_path` gives the file to name for a mesh shape."""
+    """Write a tree as URDF.
+
+    Args:
+        name: Name of the robot.
+        tree: The tree.
+        mesh_path: File name to write for a mesh shape.
+
+    Returns:
+        The URDF as text.
+    """
     root = Element("robot", name=name)
     for link in tree.links:
         element = SubElement(root, "link", name=link.name)

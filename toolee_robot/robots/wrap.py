@@ -1,4 +1,4 @@
-"""Bend the fingers around a handle without a physics engine: for posed hands in synthetic data and for displays."""
+"""Finger postures around a handle without a physics engine, for synthetic data and displays."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _ALONG = np.linspace(0.0, 1.0, 7)
 def wrap_fingers(
     hand: HandModel, X_hand_tool: Array, handle_radius: float, half_length: float = 0.06, press: float = 0.0005
 ) -> Array:
-    """Close a hand around a round handle: its joints close group after group, each as far as the handle lets it.
+    """Close a hand around a round handle: the joint groups close in turn, each until contact with the handle.
 
     Args:
-        hand: The hand; it closes in its `wrapping_order`.
-        X_hand_tool: Pose of the tool in the hand, 4x4.
+        hand: The hand; its `wrapping_order` gives the joint groups.
+        X_hand_tool: Pose of the tool in the hand frame, 4x4 [m].
         handle_radius: Radius of the handle [m].
-        half_length: How far the handle reaches to each side of the tool's origin [m].
-        press: Depth by which a finger may sink in [m].
+        half_length: Half-length of the handle, centred on the origin of the tool [m].
+        press: Permitted penetration of a finger into the handle [m].
 
     Returns:
         Joint positions (n,) [rad].
@@ -53,10 +53,13 @@ def _finger(hand: HandModel, link: str) -> Finger:
 def _circles(
     hand: HandModel, q_hand: Array, X_hand_tool: Array, fingers: list[Finger], links: list[str]
 ) -> tuple[Array, Array, Array]:
-    """Where the points of the phalanges' axes go as a joint of each finger turns by `a` from q_hand (n,) [rad]: to
-    centre + cos(a) cosine + sin(a) sine, (fingers, phalanges, 7 points, 3) [m] each, in the tool's frame.
+    """Circles of the points on the phalanx axes as one joint of each finger rotates by `a` from q_hand (n,) [rad].
 
-    The joint turns its link of `links` and moves the phalanges from there on.
+    The point positions are centre + cos(a) cosine + sin(a) sine. The joint of each link in `links` moves the phalanges
+    from that link on.
+
+    Returns:
+        centre, cosine and sine, each (fingers, phalanges, 7 points, 3) [m], `tool` frame.
     """
     tree = hand.tree
     poses = tree.link_poses(q_hand)

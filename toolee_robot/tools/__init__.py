@@ -4,7 +4,7 @@
     hammer = make_tool(ToolKind.CLAW_HAMMER, test_seeds(1)[0])
     hammer.ee(Category.HAMMER_HEAD).X_tool_ee
 
-The kinds of tools are records in `catalog`; the frames of their ends are those of `toolee_robot.end_effectors`.
+Each kind of tool is a record in `catalog`; `toolee_robot.end_effectors` defines the end-effector frames.
 """
 
 from toolee_robot.tools.catalog import (

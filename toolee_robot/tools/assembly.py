@@ -1,4 +1,4 @@
-"""From overlapping pieces to a Tool: one outer surface, and what each piece is made of."""
+"""Assembly of overlapping pieces into a `Tool` with one outer surface and one material per part."""
 
 from __future__ import annotations
 
@@ -7,7 +7,20 @@ from toolee_robot.tools.solids import Piece, unite
 
 
 def assemble(kind: ToolKind, seed: int, pieces: list[Piece], ees: tuple[EndEffector, ...], handle: Handle) -> Tool:
-    """Where two pieces overlap, the later one keeps the volume (a handle fills the eye of its head)."""
+    """Unite overlapping pieces into a tool.
+
+    Where two pieces overlap, the volume belongs to the later one: a handle fills the eye of its head.
+
+    Args:
+        kind: Kind of the tool.
+        seed: Seed of the tool, 0 or more.
+        pieces: Solids in the `tool` frame [m].
+        ees: End effectors, the working end first.
+        handle: Grippable section of the tool.
+
+    Returns:
+        The tool; its parts have the order of `pieces`.
+    """
     mesh, owner = unite([piece.solid for piece in pieces])
     later = [tuple(piece.solid for piece in pieces[i + 1 :]) for i in range(len(pieces))]
     return Tool(

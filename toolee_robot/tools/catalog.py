@@ -1,7 +1,7 @@
-"""The kinds of tools, one `ToolSpec` each; tools by kind and seed, and the split into training and held-out instances.
+"""Catalog of tool kinds (`ToolSpec`), tools by kind and seed, and the split into training and held-out instances.
 
-A new kind is a `ToolKind`, a record in `TOOL_SPECS` and, unless a generator's parameters do, a shape in its generator
-(`hammers`, `screwdrivers`, `wrenches`).
+A new kind needs a `ToolKind`, a record in `TOOL_SPECS` and, if the parameters of an existing generator (`hammers`,
+`screwdrivers`, `wrenches`) do not cover it, a shape in that generator.
 """
 
 from __future__ import annotations
@@ -30,36 +30,36 @@ from toolee_robot.tools.screwdrivers import make_screwdriver, nut_tip, phillips_
 from toolee_robot.tools.wrenches import make_wrench
 
 SWUNG_MASS = (0.4, 1.05)
-"""Mass [kg] of the hammers that one hand swings."""
+"""Range of the mass [kg] of hammers for one-handed swinging."""
 
 
 @dataclass(frozen=True)
 class ToolSpec:
-    """What is known of a kind of tool beforehand."""
+    """Static properties of a kind of tool."""
 
     kind: ToolKind
     """The kind."""
     number: int
-    """Counts in the seeds of its random numbers and in the object ids of data sets: it stays as it is, and a new kind
-    gets the next one."""
+    """Unique number of the kind. It enters the random seeds and the object ids of data sets: never change or reuse it;
+    a new kind takes the next free number."""
     family: Family
-    """The family, whose generator makes it."""
+    """The family; kinds of one family share a generator."""
     end_effectors: tuple[Category, ...]
-    """The categories of its end effectors, the working end first. A tool may have two ends of one category."""
+    """Distinct categories of its end effectors, the working end first. A tool may have two ends of one category."""
     make: Callable[[ToolKind, int, np.random.Generator], Tool]
-    """Its generator, called with the kind, the seed and the tool's own random numbers."""
+    """Generator, called with the kind, the seed and the random generator of the tool."""
     drives_nails: bool = False
-    """Whether the simulated person hands it over to drive a nail, and the doctor plans strikes with it."""
+    """Whether it can drive a nail: used by the simulated person's hand-overs and the strike checks of the doctor."""
     draw_weight: float = 1.0
-    """How often data sets draw it, next to the other kinds of its family."""
+    """Relative sampling weight in data sets, among the kinds of its family."""
     training_share: int = 1
-    """So many times as many of its tools are sampled for training."""
+    """Factor on the number of its tools that are sampled for training."""
 
 
 TOOL_SPECS: dict[ToolKind, ToolSpec] = {
     spec.kind: spec
     for spec in (
-        # The only kind with a claw: drawn more often, that the claws are not few.
+        # The only kind with a claw: a higher weight balances the classes.
         ToolSpec(
             ToolKind.CLAW_HAMMER,
             0,
@@ -123,43 +123,56 @@ TOOL_SPECS: dict[ToolKind, ToolSpec] = {
         ToolSpec(ToolKind.SOCKET_WRENCH, 12, Family.WRENCHES, (Category.WRENCH_HEAD,), make_wrench),
     )
 }
-"""All kinds, in the order of their numbers."""
+"""All kinds, ordered by `ToolSpec.number`."""
 
 NAIL_DRIVERS: tuple[ToolKind, ...] = tuple(kind for kind, spec in TOOL_SPECS.items() if spec.drives_nails)
-"""Kinds that drive a nail: hammers with a hard face."""
+"""Kinds that can drive a nail: hammers with a hard face."""
 
 
 def kinds_of(family: Family) -> tuple[ToolKind, ...]:
-    """The kinds of a family."""
+    """The kinds of a family, ordered by number."""
     return tuple(kind for kind, spec in TOOL_SPECS.items() if spec.family is family)
 
 
 @lru_cache(maxsize=512)
 def make_tool(kind: ToolKind, seed: int) -> Tool:
-    """The tool of that kind and seed (0 or more), always the same one. Tools are shared: do not change their meshes."""
+    """The tool of a kind and a seed; equal arguments give equal tools.
+
+    Tools are cached and shared between callers: do not modify their meshes.
+
+    Args:
+        kind: Kind of the tool.
+        seed: Instance number, 0 or more.
+
+    Returns:
+        The tool, in its `tool` frame [m].
+
+    Raises:
+        UserError: The seed is negative.
+    """
     if seed < 0:
-        raise UserError(f"the seed must be 0 or more, got {seed}")
+        raise UserError(f"the seed must be 0 or more, got {seed}", code="user.seed_negative")
     spec = TOOL_SPECS[ToolKind(kind)]
     return spec.make(spec.kind, seed, np.random.default_rng([spec.number, seed]))
 
 
-# Before the interpreter takes manifold's module down, which would count the tools' solids as leaked.
+# Release the solids before manifold3d is unloaded at exit; it would report them as leaked.
 atexit.register(make_tool.cache_clear)
 
 
 def split(seed: int) -> Literal["train", "test"]:
-    """Every fifth seed, of every kind, is held out from training."""
+    """The split of a seed, for every kind: each fifth seed is held out from training ("test")."""
     return "test" if seed % 5 == 4 else "train"
 
 
 def train_seeds(n: int) -> tuple[int, ...]:
-    """The first n seeds for training."""
+    """The first n training seeds, ascending."""
     return tuple(islice((s for s in count() if split(s) == "train"), n))
 
 
 def test_seeds(n: int) -> tuple[int, ...]:
-    """The first n held-out seeds."""
+    """The first n held-out seeds, ascending."""
     return tuple(islice((s for s in count() if split(s) == "test"), n))
 
 
-test_seeds.__test__ = False  # type: ignore[attr-defined]  # pytest would collect it
+test_seeds.__test__ = False  # type: ignore[attr-defined]  # not a pytest test

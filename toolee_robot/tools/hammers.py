@@ -1,7 +1,7 @@
 """Claw, ball-peen, cross-peen and club hammers, and mallets.
 
-A head is made in the axes of its striking face's EE frame: z along the head, out of the face; x towards the butt of
-the handle; the origin where the handle's centre line crosses the head's.
+Head axes are parallel to the EE frame of the striking face: z along the head, out of the face; x towards the butt of
+the handle; origin at the intersection of the centre lines of handle and head.
 """
 
 from __future__ import annotations
@@ -30,7 +30,14 @@ from toolee_robot.tools.solids import (
 
 @dataclass(frozen=True, eq=False)
 class Head:
-    """pieces and ees in head axes. half_height: the cheek's half-extent along the handle; eye: half-widths (z, y)."""
+    """A hammer head in head axes.
+
+    Attributes:
+        pieces: Solids of the head [m].
+        ees: Category and pose (4x4) of each end effector, the working end first.
+        half_height: Half-extent of the cheek along the handle [m].
+        eye: Half-widths [m] of the eye along head z and y.
+    """
 
     pieces: list[Piece]
     ees: tuple[tuple[Category, Array], ...]
@@ -40,18 +47,31 @@ class Head:
 
 @dataclass(frozen=True)
 class HammerShape:
-    """What tells one kind of hammer from another."""
+    """Parameters of a kind of hammer."""
 
     head: Callable[[np.random.Generator], Head]
-    """Draws its head."""
+    """Generator of the head."""
     length: tuple[float, float] = (0.23, 0.36)
-    """Range of its length from butt to the head's axis [m]."""
+    """Range of the length from the butt to the axis of the head [m]."""
     wooden: float = 0.0
-    """Share that has a wooden handle whatever the others have."""
+    """Probability of forcing a wooden handle; otherwise wood, fibreglass and steel are equally likely."""
 
 
 def make_hammer(shape: HammerShape, kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
-    """A hammer of 0.3 to 1.5 kg; draws again (deterministically) when the mass falls outside."""
+    """Generate a hammer of 0.3 to 1.5 kg; a draw with another mass is rejected and repeated, up to 20 times.
+
+    Args:
+        shape: Parameters of the kind.
+        kind: Kind of the tool.
+        seed: Seed that the tool is named after.
+        rng: Random generator of the tool; equal states give equal tools.
+
+    Returns:
+        The hammer, `tool` frame [m].
+
+    Raises:
+        AssertionError: No draw has a mass in the range.
+    """
     for _ in range(20):
         tool = _draw(shape, kind, seed, rng)
         if tool.mass_within(0.3, 1.5):
@@ -90,7 +110,7 @@ def _face_section(rng: np.random.Generator, shapes: tuple[str, ...] = ("round", 
 
 
 def _body(rng: np.random.Generator, half: float, height: float, width: float, material: Material) -> Piece:
-    """The cheeks around the eye: z from -half to half, half-extents `height` along the handle and `width` across."""
+    """Cheeks around the eye: z from -half to half; half-extents `height` along the handle, `width` across it; [m]."""
     bevel = rng.uniform(0.001, 0.003)
     z = np.array([-half, -half + bevel, half - bevel, half])
     inset = np.array([bevel, 0.0, 0.0, bevel])
@@ -102,7 +122,7 @@ def _poll(
     rng: np.random.Generator, start: float, end: float, root: tuple[float, float], radius: float, section: Array,
     material: Material, *, necked: bool, label: str = "face",
 ) -> Piece:  # fmt: skip
-    """From the body (z = start, half-extents `root`) over a neck to the striking face at z = end."""
+    """The poll: from the body (z = start, half-extents `root`) over a neck to the striking face at z = end; all [m]."""
     length = end - start
     chamfer = rng.uniform(0.04, 0.16) * radius
     face_thickness = min(rng.uniform(0.25, 0.6) * length, length - 0.006)
@@ -143,7 +163,7 @@ def _claw_hammer(rng: np.random.Generator) -> Head:
 def _claw(
     rng: np.random.Generator, half: float, reach: float, height: float, width: float, material: Material
 ) -> tuple[Piece, Array]:
-    """The claw behind the body and its EE pose: a plate along a curve that bends towards the handle, slotted."""
+    """The claw behind the body, a slotted plate along a curve that bends towards the handle, and its EE pose (4x4)."""
     n = 26
     turn = np.deg2rad(rng.uniform(4.0, 25.0) if rng.uniform() < 0.35 else rng.uniform(25.0, 80.0))
     start_angle = np.deg2rad(rng.uniform(-8.0, 5.0))
@@ -155,7 +175,7 @@ def _claw(
     curve = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, 0)])
     arc = (reach + 0.004) / -curve[:, 2].min()
     root_thickness = height * rng.uniform(0.5, 0.95)
-    # The claw's back is about flush with the body's top (x is towards the handle).
+    # The back of the claw is about flush with the top of the body (x points towards the handle).
     curve = curve * arc + [-(height - root_thickness) * rng.uniform(0.4, 1.0), 0.0, -half + 0.004]
     away = np.column_stack([-np.cos(phi), np.zeros(n), -np.sin(phi)])
     tip_thickness = rng.uniform(0.0008, 0.0018)
@@ -237,7 +257,7 @@ def _cross_peen_hammer(rng: np.random.Generator) -> Head:
     narrow = np.array([0.6 * edge, edge, 0.85 * height, 0.85 * height])
     broad = np.array([0.85, 0.92, 0.9, 0.9]) * width
     a, b = (narrow, broad) if rng.uniform() < 0.75 else (broad, narrow)
-    # Some wedges have one straight side: their edge stands high or low.
+    # Some wedges have one straight side, so that the edge is off centre.
     drop = rng.uniform(-0.95, 0.5) * np.array([height, height, 0.0, 0.0]) * (rng.uniform() < 0.5) * (a is narrow)
     rings = stack(z, a, b, superellipse(rng.uniform(4.0, 8.0)), drop)
     peen = loft_piece("peen", rings, material)
@@ -253,7 +273,7 @@ def _one_faced(
 
 
 def _double_faced(pieces: list[Piece], front: float, back: float, height: float, eye: tuple[float, float]) -> Head:
-    """Both faces strike; the second one's frame is the first's turned half round the handle."""
+    """A head with two striking faces; the second frame is the first one rotated by 180 degrees about the handle."""
     turned = transform(np.diag([1.0, -1.0, -1.0]), [0.0, 0.0, -back])
     faces = ((Category.HAMMER_HEAD, transform(None, [0.0, 0.0, front])), (Category.HAMMER_HEAD, turned))
     return Head(pieces, faces, height, eye)
@@ -277,7 +297,7 @@ def _club_hammer(rng: np.random.Generator) -> Head:
 
 
 def _mallet(rng: np.random.Generator) -> Head:
-    """Rubber or wood in one piece, or a metal body with soft caps."""
+    """A mallet head: one piece of rubber or wood, or a metal body with soft caps."""
     length = rng.uniform(0.080, 0.130)
     half = length / 2
     if rng.uniform() < 0.65:

@@ -15,7 +15,14 @@ from toolee_robot.tools.solids import Piece, loft_piece, stack, superellipse
 
 @dataclass(frozen=True, eq=False)
 class HammerHandle:
-    """pieces: overlapping, in the tool frame. x_head: the centre line's x [m] at the head; slope: its dx/dz there."""
+    """A hammer handle in the `tool` frame.
+
+    Attributes:
+        pieces: Overlapping solids [m].
+        handle: Grippable section.
+        x_head: x of the centre line at the head [m].
+        slope: Slope dx/dz of the centre line at the head.
+    """
 
     pieces: list[Piece]
     handle: Handle
@@ -27,10 +34,16 @@ def hammer_handle(
     rng: np.random.Generator, *, z_head: float, reach: float, eye: tuple[float, float], free: float, butt: float,
     style: str,
 ) -> HammerHandle:  # fmt: skip
-    """A handle from z = -butt to the head's middle at z_head and `reach` beyond it.
+    """Generate a handle from z = -butt to z = z_head + reach.
 
-    eye: half-widths (along x, along y) of the section inside the head. free: height of the head's half that the
-    handle passes through, so that the grippable part ends at z_head - free. style: "wood", "fiberglass" or "steel".
+    Args:
+        rng: Random generator of the tool.
+        z_head: z of the centre of the head [m].
+        reach: Length of the handle beyond the centre of the head [m].
+        eye: Half-widths [m] along x and y of the section inside the head.
+        free: Half-height of the head [m]; the grippable section ends at z_head - free.
+        butt: Distance of the butt from the grip centre [m].
+        style: "wood", "fiberglass" or "steel".
     """
     bend = rng.uniform(0.0, 0.010) / z_head**2 * (rng.uniform() < 0.35) * rng.choice([-1.0, 1.0])
     top = z_head + reach
@@ -82,7 +95,7 @@ def _shaft(
 def _grip(
     rng: np.random.Generator, butt: float, entry: float, a: float, b: float, bend: float, exponent: float
 ) -> tuple[Piece, Array, Array, Array]:
-    """A rubber sleeve from the butt, with a flared end, a waist or swell, rings, and a flared or tapered front."""
+    """A rubber sleeve from the butt on: flared end, waist or swell, optional rings, flared or tapered front."""
     end = min(rng.uniform(0.045, 0.085), entry - 0.03)
     flare = rng.uniform(1.0, 1.25)
     front = rng.uniform(0.8, 1.2)
@@ -95,7 +108,7 @@ def _grip(
         waves = np.sin(2 * np.pi * rng.integers(4, 9) * (z + butt) / (end + butt))
         scale = scale - rng.uniform(0.02, 0.06) * np.maximum(0.0, waves)
     scale[[0, -1]] -= rng.uniform(0.1, 0.25)
-    # Never less than an ellipse around the shaft: a squarer shaft must stay inside.
+    # At least as square as the section of the shaft, so that the shaft stays inside the sleeve.
     rings = stack(
         z, a * scale, b * scale, superellipse(max(exponent, float(rng.choice([2.0, 2.4, 3.0])))), bend * z * np.abs(z)
     )

@@ -11,8 +11,14 @@ from toolee_robot.frames import Array
 
 
 def mass_properties(bodies: Iterable[tuple[trimesh.Trimesh, float]]) -> tuple[float, Array, Array]:
-    """Mass [kg], centre of mass (3,) [m] and inertia 3x3 [kg m^2] about it, of closed meshes with their densities
-    [kg/m^3]."""
+    """Mass properties of a set of homogeneous bodies.
+
+    Args:
+        bodies: Closed, outward-oriented meshes [m], each with its density [kg/m^3].
+
+    Returns:
+        Mass [kg], centre of mass (3,) [m] and inertia about it (3, 3) [kg m^2], in the axes of the meshes.
+    """
     mass, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
     for mesh, density in bodies:
         m, c, S = _moments(mesh)

@@ -1,8 +1,8 @@
-"""The records of a tool: parts, end effectors, handle; of a generated one also its mass properties.
+"""Records of a tool: parts, end effectors, handle and, for a generated tool, mass properties.
 
-`tool` frame: origin at the grip centre of the handle (where a hand nominally holds it), z along the handle from the
-butt to the working end, x to the working side (a hammer's: along the striking face's normal; a wrench's y is the
-normal of its flat sides).
+`tool` frame: origin at the grip centre of the handle (the nominal position of the hand), z along the handle from the
+butt to the working end, x to the working side (hammers: the normal of the striking face). The y axis of a wrench is
+the normal of its flat sides.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from toolee_robot.tools.solids import Convex, hull, signed_volume, to_trimesh, w
 
 
 class Family(StrEnum):
-    """Kinds of tools that one generator makes."""
+    """Families of tools; each has one generator."""
 
     HAMMERS = "hammers"
     SCREWDRIVERS = "screwdrivers"
@@ -33,7 +33,7 @@ class Family(StrEnum):
 
 
 class ToolKind(StrEnum):
-    """What `make_tool` can make: a record each in `catalog.TOOL_SPECS`."""
+    """Kinds of tools that `make_tool` generates; `catalog.TOOL_SPECS` holds a record for each."""
 
     CLAW_HAMMER = "claw_hammer"
     BALL_PEEN_HAMMER = "ball_peen_hammer"
@@ -51,13 +51,18 @@ class ToolKind(StrEnum):
 
 
 def tool_name(kind: ToolKind, seed: int) -> str:
-    """The name of a generated tool."""
+    """Name of a generated tool: kind and four-digit seed."""
     return f"{kind}-{seed:04d}"
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One labelled piece of one material."""
+    """A labelled part of one material.
+
+    Attributes:
+        label: Name of the part, such as "handle" or "face".
+        material: Its material.
+    """
 
     label: str
     material: Material
@@ -65,26 +70,36 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class SolidPart(Part):
-    """A part as a body. Parts do not overlap: a handle's eye is a hole in the head."""
+    """A part with its volume. Parts of a tool do not overlap: the eye for the handle is a hole in the head.
+
+    Attributes:
+        _solid: manifold3d solid before the overlap is removed, `tool` frame [m].
+        _others: Solids that take precedence where they overlap this one.
+    """
 
     _solid: Any
     _others: tuple[Any, ...]
 
     @cached_property
     def mesh(self) -> trimesh.Trimesh:
-        """Watertight, `tool` frame [m]. Cut out when first asked for: a picture of the tool does not need it, and it
-        takes as long as the tool's surface."""
+        """Watertight mesh, `tool` frame [m]. Computed on first access: it takes as long as the outer surface, and
+        rendering does not need it."""
         return to_trimesh(without(self._solid, self._others))
 
     @property
     def density(self) -> float:
-        """[kg/m^3]"""
+        """Density [kg/m^3]."""
         return self.material.density
 
 
 @dataclass(frozen=True, eq=False)
 class EndEffector:
-    """X_tool_ee: 4x4, as the category defines the frame. A tool with two like ends has two of one category."""
+    """An end effector of a tool. A tool with two equal ends has two of the same category.
+
+    Attributes:
+        category: Category, which defines the frame.
+        X_tool_ee: Pose of the EE frame in the `tool` frame, 4x4 [m].
+    """
 
     category: Category
     X_tool_ee: Array
@@ -92,9 +107,12 @@ class EndEffector:
 
 @dataclass(frozen=True, eq=False)
 class Handle:
-    """What a hand can close around: from z_min (the butt) to z_max on the tool's z axis [m].
+    """The grippable section of a tool, from z_min (the butt) to z_max along tool z.
 
-    z, radii_x, radii_y: (N,) half-widths [m] of the section along the handle, z increasing.
+    Attributes:
+        z: Heights of N sections (N,) [m], `tool` frame, increasing.
+        radii_x: Half-widths of the sections along tool x (N,) [m].
+        radii_y: Half-widths of the sections along tool y (N,) [m].
     """
 
     z: Array
@@ -103,28 +121,35 @@ class Handle:
 
     @property
     def z_min(self) -> float:
+        """Lower end, the butt [m]."""
         return float(self.z[0])
 
     @property
     def z_max(self) -> float:
+        """Upper end [m]."""
         return float(self.z[-1])
 
     @property
     def grip_radius(self) -> float:
-        """Mean half-width at the grip centre [m]: the radius that a hand closes around."""
+        """Mean half-width at the grip centre [m], used as the radius of the handle in grasp planning."""
         return float(np.mean(self.radii_at(0.0)))
 
     def radii_at(self, z: float = 0.0) -> tuple[float, float]:
-        """Half-widths [m] along tool x and y at height z; the grip centre is z = 0."""
+        """Half-widths [m] along tool x and y at height z [m], interpolated linearly; the grip centre is z = 0."""
         return float(np.interp(z, self.z, self.radii_x)), float(np.interp(z, self.z, self.radii_y))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ToolShape:
-    """What is seen and held of a rigid tool, all in the `tool` frame, SI units.
+    """Geometry of a rigid tool in the `tool` frame, SI units.
 
-    name: of the instance. mesh: the outer surface of all parts. face_parts: (F,) index into `parts` of each of the
-    mesh's faces. ees[0] is the working end.
+    Attributes:
+        name: Name of the instance.
+        parts: Labelled parts.
+        mesh: Outer surface of all parts [m].
+        face_parts: Index into `parts` of each face of the mesh (F,).
+        ees: End effectors; ees[0] is the working end.
+        handle: Grippable section.
     """
 
     name: str
@@ -136,17 +161,32 @@ class ToolShape:
 
     @property
     def categories(self) -> tuple[Category, ...]:
+        """Distinct categories of the end effectors, the working end first."""
         return tuple(dict.fromkeys(ee.category for ee in self.ees))
 
     def ee(self, category: Category) -> EndEffector:
-        """The first (working) EE of that category. Raises UserError if the tool has none."""
+        """The first EE of a category.
+
+        Raises:
+            UserError: The tool has no EE of this category.
+        """
         for ee in self.ees:
             if ee.category == category:
                 return ee
-        raise UserError(f"{self.name} has no {category}; it has {', '.join(self.categories)}")
+        raise UserError(
+            f"{self.name} has no {category}; it has {', '.join(self.categories)}", code="user.category_missing"
+        )
 
     def sample_surface(self, n: int, rng: np.random.Generator) -> tuple[Array, Array, NDArray[np.int64]]:
-        """n points uniform on the outer surface: points (n, 3), outward unit normals (n, 3), part indices (n,)."""
+        """Sample the outer surface uniformly.
+
+        Args:
+            n: Number of points.
+            rng: Random generator.
+
+        Returns:
+            Points (n, 3) [m], outward unit normals (n, 3), both in the `tool` frame, and indices into `parts` (n,).
+        """
         cumulative = self._cumulative_area
         faces = np.searchsorted(cumulative, rng.uniform(0.0, cumulative[-1], n), side="right")
         faces = np.minimum(faces, len(cumulative) - 1)
@@ -173,7 +213,14 @@ class ToolShape:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tool(ToolShape):
-    """A generated tool. mesh: the union of all parts, watertight, without inner surfaces."""
+    """A generated tool; its mesh is watertight and has no inner surfaces.
+
+    Attributes:
+        kind: Kind of the tool.
+        seed: Seed of the instance, 0 or more.
+        parts: Parts with volume and density.
+        _convex: Label and collision shape of each convex piece, `tool` frame [m].
+    """
 
     kind: ToolKind
     seed: int
@@ -185,19 +232,20 @@ class Tool(ToolShape):
 
     @property
     def mass(self) -> float:
-        """[kg]"""
+        """Mass [kg]."""
         return self._mass_properties[0]
 
     def mass_within(self, low: float, high: float) -> bool:
-        """Whether the mass [kg] is; told without cutting the parts apart where that is clear.
+        """Whether low <= mass <= high [kg].
 
-        Each point where parts overlap is counted too often, by densities between the least and the greatest.
+        Bounds decide first, because the exact mass needs the parts without their overlap: the sum over the
+        overlapping solids exceeds the mass by the overlap volume times a density between the least and the greatest.
         """
         densities = [part.density for part in self.parts]
         volumes = [float(part._solid.volume()) for part in self.parts]
         counted = float(np.dot(densities, volumes))
         overlap = sum(volumes) - signed_volume(self.mesh.vertices.view(np.ndarray), self.mesh.faces.view(np.ndarray))
-        slack = 1e-3 * counted  # the surface is in single precision
+        slack = 1e-3 * counted  # single precision of the surface
         least, greatest = counted - max(densities) * overlap - slack, counted - min(densities) * overlap + slack
         if low <= least and greatest <= high:
             return True
@@ -205,12 +253,12 @@ class Tool(ToolShape):
 
     @property
     def center_of_mass(self) -> Array:
-        """(3,) [m], `tool` frame."""
+        """Centre of mass (3,) [m], `tool` frame."""
         return self._mass_properties[1]
 
     @property
     def inertia(self) -> Array:
-        """3x3 [kg m^2] about the centre of mass, tool axes."""
+        """Inertia about the centre of mass (3, 3) [kg m^2], tool axes."""
         return self._mass_properties[2]
 
     @cached_property
@@ -218,9 +266,10 @@ class Tool(ToolShape):
         return mass_properties((part.mesh, part.density) for part in self.parts)
 
     def collision_parts(self) -> list[trimesh.Trimesh]:
-        """Convex meshes whose union covers the tool, `tool` frame; `metadata["label"]` names each one's part.
+        """Convex collision meshes whose union covers the tool, `tool` frame [m].
 
-        A hammer's striking face is exactly flat in them; holes are filled, slots and jaws are not.
+        `metadata["label"]` of each mesh is the label of its part. The striking face of a hammer is exactly flat;
+        holes are filled, slots and jaws are not.
         """
         return list(self._collision_parts)
 

@@ -1,4 +1,4 @@
-"""Slotted and Phillips screwdrivers, and nut drivers: a shaft, its tip, and a handle of many profiles."""
+"""Slotted and Phillips screwdrivers, and nut drivers: a shaft, a tip, and a handle with one of several profiles."""
 
 from __future__ import annotations
 
@@ -36,12 +36,22 @@ from toolee_robot.tools.solids import (
 )
 
 TipShape = Callable[[np.random.Generator, float, float, Material], tuple[Piece, float]]
-"""Draws a tip: random numbers, the shaft's radius [m], where the tip ends along the tool's z [m], its material; returns
-it and its length [m]."""
+"""Generator of a tip: takes the random generator, the radius of the shaft [m], tool z of the end of the tip [m] and the
+material; returns the tip and its length [m]."""
 
 
 def make_screwdriver(tip_shape: TipShape, kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
-    """A screwdriver with such a tip, its shaft 3 to 10 mm thick."""
+    """Generate a screwdriver with a shaft of 3 to 10 mm diameter.
+
+    Args:
+        tip_shape: Generator of the tip.
+        kind: Kind of the screwdriver.
+        seed: Seed that the tool is named after.
+        rng: Random generator of the tool; equal states give equal tools.
+
+    Returns:
+        The screwdriver, `tool` frame [m].
+    """
     radius = rng.uniform(0.0015, 0.005)
     length = float(np.clip(rng.uniform(15, 50) * radius * 2, 0.060, 0.250))
     handle_length = rng.uniform(0.080, 0.125)
@@ -61,7 +71,7 @@ def make_screwdriver(tip_shape: TipShape, kind: ToolKind, seed: int, rng: np.ran
 
 
 def _handle(rng: np.random.Generator, length: float, shaft_radius: float) -> tuple[list[Piece], Handle]:
-    """The gripped part, centred on the origin: a profile of stations times a section, perhaps with a rubber sleeve."""
+    """The handle, centred on the origin: a width profile times a section, optionally with a rubber sleeve."""
     radius = max(rng.uniform(0.0085, 0.0185), 2.2 * shaft_radius)
     profile = {
         "bulb": ([0.0, 0.03, 0.12, 0.35, 0.6, 0.8, 0.93, 1.0], [0.55, 0.82, 1.0, 1.0, 0.9, 0.66, 0.72, 0.62]),
@@ -88,14 +98,14 @@ def _handle(rng: np.random.Generator, length: float, shaft_radius: float) -> tup
         lobes(int(rng.integers(5, 9)), rng.uniform(0.06, 0.16), n),
     ][rng.choice(5, p=[0.2, 0.25, 0.1, 0.15, 0.3])]
     section = section / np.linalg.norm(section, axis=1).max()
-    # Flutes and flats fade out towards both ends.
+    # Blend flutes and flats into a circle towards both ends.
     fade = np.clip(np.minimum(u / 0.12, (1 - u) / 0.2), 0.0, 1.0)[:, None, None]
     sections = fade * section + (1 - fade) * superellipse(2.0, n)
     rings = stack(z, radius * scale, None, sections)
     base = varied(WOOD if rng.uniform() < 0.12 else PLASTIC, rng)
     pieces = [loft_piece("handle", rings, base, 0.1)]
     if base.name != "wood" and rng.uniform() < 0.4:
-        # A soft sleeve over the middle of the handle, a fraction of a millimetre proud.
+        # A soft sleeve over the middle of the handle, 0.5 mm thick.
         low, high = sorted(rng.choice(np.arange(2, len(z) - 3), 2, replace=False))
         high = max(high, low + 4)
         sleeve = stack(z[low:high], radius * scale[low:high] + 0.0005, None, sections[low:high])
@@ -113,7 +123,7 @@ def _bolster(rng: np.random.Generator, handle: Handle, radius: float, material: 
 
 
 def slotted_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
-    """The shaft flattens into a blade: flared wider than the shaft, or ground down from it (cabinet tip)."""
+    """A flat blade: flared wider than the shaft, or ground down from it (cabinet tip); arguments as in `TipShape`."""
     width = radius * (rng.uniform(1.05, 1.5) if rng.uniform() < 0.6 else rng.uniform(0.85, 1.0))
     thickness = rng.uniform(0.10, 0.22) * radius + 0.0001
     length = rng.uniform(3.5, 6.0) * radius
@@ -126,14 +136,14 @@ def slotted_tip(rng: np.random.Generator, radius: float, z_tip: float, material:
 
 
 def phillips_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
-    """A blunted cone with four flutes at right angles that run out on the shaft behind it."""
+    """A blunted cone with four flutes at right angles that run out on the shaft; arguments as in `TipShape`."""
     blunt = rng.uniform(0.2, 0.32) * radius
     cone = (radius - blunt) / np.tan(np.deg2rad(rng.uniform(24.0, 28.0)))
     length = cone * rng.uniform(1.7, 2.3)
     z = z_tip - np.array([length + 0.001, cone, 0.15 * blunt, 0.0])
     rings = stack(z, np.array([radius, radius, blunt, 0.8 * blunt]))
     solid = loft(rings)
-    # One flute's section: a quadrant whose corner moves outwards from the wings' thickness to the shaft's surface.
+    # Section of a flute: a quadrant whose corner moves outwards from the wing thickness to the surface of the shaft.
     tip_corner, end_corner = rng.uniform(0.09, 0.14) * radius, 0.75 * radius
     quadrant = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]) * radius
     beyond = 0.001
@@ -150,7 +160,7 @@ def phillips_tip(rng: np.random.Generator, radius: float, z_tip: float, material
 
 
 def nut_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
-    """A cup with a hexagonal hole: the EE's origin is the hole's centre in the mouth's plane."""
+    """A cup with a hexagonal hole; the EE origin is the centre of the hole in the plane of the mouth."""
     hole = hexagon(rng.uniform(0.007, 0.015))
     outer = max(hole[0, 0] * rng.uniform(1.12, 1.3), radius + 0.0005)
     length = rng.uniform(0.014, 0.036)

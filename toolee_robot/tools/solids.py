@@ -22,24 +22,35 @@ from toolee_robot.tools.materials import Material
 
 @dataclass(frozen=True, eq=False)
 class Convex:
-    """Points (K, 3) standing for their hull or, with a tolerance, the rings (N, M, 3) of a loft standing for a few
-    hulls: an inner ring may lie inside its hull by at most `tolerance` of its own size."""
+    """A collision shape made of convex hulls.
+
+    Attributes:
+        points: Points (K, 3) [m] of one hull or, with a tolerance, the rings (N, M, 3) [m] of a loft.
+        tolerance: Largest relative distance of an inner ring to the hull of its run of rings; None: one hull.
+    """
 
     points: Array
     tolerance: float | None = None
 
     def placed(self, X: Array) -> Convex:
-        """The same moved by a 4x4 pose."""
+        """The shape transformed by a pose, 4x4."""
         return replace(self, points=move(self.points, X))
 
     def hulls(self) -> list[Array]:
-        """Point sets (K, 3)."""
+        """Point sets (K, 3) [m], one for each hull."""
         return [self.points] if self.tolerance is None else _convex_runs(self.points, self.tolerance)
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A labelled solid before assembly. convex: what stands for it in collisions."""
+    """A labelled solid before assembly.
+
+    Attributes:
+        label: Name of the part.
+        solid: manifold3d solid [m].
+        material: Its material.
+        convex: Its collision shapes.
+    """
 
     label: str
     solid: Any
@@ -47,19 +58,19 @@ class Piece:
     convex: tuple[Convex, ...]
 
     def placed(self, X: Array) -> Piece:
-        """The piece moved by a 4x4 pose."""
+        """The piece transformed by a pose, 4x4."""
         return replace(self, solid=place(self.solid, X), convex=tuple(c.placed(X) for c in self.convex))
 
 
 def superellipse(exponent: float, points: int = 32) -> Array:
-    """Unit section (M, 2): 2 is a circle, 4 and more a rounded square."""
+    """Unit superellipse (M, 2); exponent 2 is a circle, 4 and above a rounded square."""
     t = 2 * np.pi * np.arange(points) / points
     c, s = np.cos(t), np.sin(t)
     return np.column_stack([np.sign(c) * np.abs(c) ** (2 / exponent), np.sign(s) * np.abs(s) ** (2 / exponent)])
 
 
 def regular_polygon(sides: int, points: int = 32, corner: float = 0.0) -> Array:
-    """Unit section (M, 2) with flats at distance 1 on the x axis' side; `corner` in [0, 1) rounds towards a circle."""
+    """Regular polygon (M, 2) with inradius 1 and one side normal to x; `corner` in [0, 1) blends it with a circle."""
     t = 2 * np.pi * np.arange(points) / points
     half = np.pi / sides
     r = 1.0 / np.cos((t + half) % (2 * half) - half)
@@ -81,9 +92,17 @@ def lobes(count: int, depth: float, points: int = 48) -> Array:
 
 
 def stack(z: Any, a: Any, b: Any = None, section: Array | None = None, x: Any = 0.0) -> Array:
-    """Rings (N, M, 3) at heights z (N,), half-widths a (along x) and b (along y; a if None), centred at x.
+    """Rings of a loft along z.
 
-    section: unit sections, (M, 2) or (N, M, 2); a circle if None.
+    Args:
+        z: Heights of the rings (N,) [m].
+        a: Half-widths along x, scalar or (N,) [m].
+        b: Half-widths along y, scalar or (N,) [m]; `a` if None.
+        section: Unit sections, (M, 2) or (N, M, 2); a circle if None.
+        x: Centres of the rings along x, scalar or (N,) [m].
+
+    Returns:
+        Rings (N, M, 3) [m].
     """
     z = np.asarray(z, dtype=np.float64)
     a = np.broadcast_to(np.asarray(a, dtype=np.float64), z.shape)
@@ -98,12 +117,12 @@ def stack(z: Any, a: Any, b: Any = None, section: Array | None = None, x: Any = 
 
 
 def loft_piece(label: str, rings: Array, material: Material, tolerance: float = 0.04) -> Piece:
-    """The loft as a piece; tolerance as in `Convex`."""
+    """A loft through rings (N, M, 3) as a piece; `tolerance` as in `Convex`."""
     return Piece(label, loft(rings), material, (Convex(rings, tolerance),))
 
 
 def loft(rings: Array) -> Any:
-    """The solid through the rings, closed by flat fans; rings may turn either way."""
+    """The solid through rings (N, M, 3) of either orientation, closed by flat fans."""
     n, m, _ = rings.shape
     vertices = np.concatenate([rings.reshape(-1, 3), rings[0].mean(0)[None], rings[-1].mean(0)[None]])
     faces = _loft_faces(n, m)
@@ -114,7 +133,7 @@ def loft(rings: Array) -> Any:
 
 @lru_cache(maxsize=256)
 def _loft_faces(n: int, m: int) -> NDArray[np.int64]:
-    """Of n rings of m points, with the middles of the first and the last ring after them."""
+    """Faces (F, 3) of a loft of n rings of m points, followed by the centres of the first and the last ring."""
     j = np.arange(m)
     k = (j + 1) % m
     base = (np.arange(n - 1) * m)[:, None]
@@ -131,7 +150,11 @@ def _loft_faces(n: int, m: int) -> NDArray[np.int64]:
 
 
 def solid_from(vertices: Array, faces: NDArray[np.int64]) -> Any:
-    """A manifold from a closed mesh. Raises ValueError if it is not one."""
+    """A manifold3d solid from vertices (V, 3) and faces (F, 3).
+
+    Raises:
+        ValueError: The mesh is empty or not closed.
+    """
     solid = manifold3d.Manifold(
         manifold3d.Mesh(np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.uint32))
     )
@@ -141,41 +164,41 @@ def solid_from(vertices: Array, faces: NDArray[np.int64]) -> Any:
 
 
 def signed_volume(vertices: Array, faces: NDArray[np.int64]) -> float:
-    """[m^3], positive when the faces turn outwards."""
+    """Enclosed volume [m^3]; positive for outward-oriented faces."""
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = (vertices[faces[:, i]].T for i in range(3))
     return float((ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)).sum() / 6.0)
 
 
 def extrude(polygons: Any, z_min: float, z_max: float) -> Any:
-    """A CrossSection, or one polygon (M, 2), as a prism between two heights."""
+    """A prism from a CrossSection or one polygon (M, 2), between two heights [m]."""
     if not isinstance(polygons, manifold3d.CrossSection):
         polygons = cross_section(polygons)
     return polygons.extrude(z_max - z_min).translate((0.0, 0.0, z_min))
 
 
 def cross_section(polygon: Any) -> Any:
-    """A planar region from one closed polygon (M, 2), whichever way it turns."""
+    """A planar region from one closed polygon (M, 2) of either orientation."""
     return manifold3d.CrossSection([np.asarray(polygon, dtype=np.float64)], manifold3d.FillRule.NonZero)
 
 
 def prism_points(polygon: Any, z_min: float, z_max: float) -> Array:
-    """The corners (2M, 3) of a prism."""
+    """The corners (2M, 3) of a prism over a polygon (M, 2), between two heights [m]."""
     p = np.asarray(polygon, dtype=np.float64)
     return np.concatenate([np.column_stack([p, np.full(len(p), z)]) for z in (z_min, z_max)])
 
 
 def place(solid: Any, X: Array) -> Any:
-    """The solid moved by a 4x4 pose."""
+    """The solid transformed by a pose, 4x4."""
     return solid.transform(X[:3].tolist())
 
 
 def move(points: Array, X: Array) -> Array:
-    """Points (..., 3) moved by a 4x4 pose."""
+    """Points (..., 3) transformed by a pose, 4x4."""
     return transform_points(X, points.reshape(-1, 3)).reshape(points.shape)
 
 
 def _convex_runs(rings: Array, tolerance: float) -> list[Array]:
-    """Split a loft into few runs of rings that are nearly convex; runs share their border ring."""
+    """Split a loft greedily into nearly convex runs of rings; adjacent runs share a ring."""
     sizes = np.linalg.norm(rings - rings.mean(1, keepdims=True), axis=2).max(1)
     runs, start = [], 0
     while start < len(rings) - 1:
@@ -188,7 +211,7 @@ def _convex_runs(rings: Array, tolerance: float) -> list[Array]:
 
 
 def _stays_convex(rings: Array, sizes: Array, tolerance: float) -> bool:
-    """Whether every inner ring reaches out to the straight lines between the last ring and each ring before it."""
+    """Whether each inner ring reaches the lines from the last ring to the rings before it, within the tolerance."""
     centers = rings.mean(1)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centers, axis=0), axis=1) + 1e-12)])
     i, j = np.triu_indices(len(rings) - 1, 1)
@@ -206,7 +229,7 @@ def hull(points: Array) -> trimesh.Trimesh:
 
 
 def without(solid: Any, others: Iterable[Any]) -> Any:
-    """The solid less the others."""
+    """The solid minus the others."""
     for other in others:
         box, other_box = np.array(solid.bounding_box()), np.array(other.bounding_box())
         if np.all(box[:3] <= other_box[3:]) and np.all(other_box[:3] <= box[3:]):
@@ -215,6 +238,7 @@ def without(solid: Any, others: Iterable[Any]) -> Any:
 
 
 def to_trimesh(solid: Any) -> trimesh.Trimesh:
+    """The surface of a manifold3d solid."""
     mesh = solid.to_mesh()
     return trimesh.Trimesh(
         np.asarray(mesh.vert_properties[:, :3], dtype=np.float64), np.asarray(mesh.tri_verts), process=False
@@ -222,7 +246,7 @@ def to_trimesh(solid: Any) -> trimesh.Trimesh:
 
 
 def unite(pieces: list[Any]) -> tuple[trimesh.Trimesh, NDArray[np.int64]]:
-    """The union of the solids and, for each of its faces, the index of the solid it comes from."""
+    """The union of solids, and the index of the source solid of each of its faces (F,)."""
     originals = [piece.as_original() for piece in pieces]
     index = {original.original_id(): i for i, original in enumerate(originals)}
     mesh = manifold3d.Manifold.batch_boolean(originals, manifold3d.OpType.Add).to_mesh()

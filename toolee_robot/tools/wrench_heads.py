@@ -1,7 +1,7 @@
 """Open, ring and adjustable wrench heads.
 
-A head is made in its own axes: x out of the jaw's mouth, y across the flats, z the nut's axis; the origin is the
-nut's centre.
+Head axes: x out of the mouth of the jaw, y across the flats, z along the axis of the nut; origin at the centre of the
+nut.
 """
 
 from __future__ import annotations
@@ -30,10 +30,15 @@ from toolee_robot.tools.solids import (
 
 @dataclass(frozen=True, eq=False)
 class WrenchHead:
-    """A head in its own axes [m].
+    """A wrench head in head axes.
 
-    ee_x: the EE's origin on the x axis. pivot_x: the point of the x axis that lies on the handle's axis however the
-    head is turned. join: where the handle ends, so much behind the pivot. radius: half of the head's width.
+    Attributes:
+        pieces: Solids of the head [m].
+        ee_x: x of the EE origin [m].
+        pivot_x: x of the pivot [m], the point that lies on the axis of the handle at every head angle.
+        join: Distance [m] from the pivot back to the end of the handle.
+        radius: Half of the width of the head [m].
+        half_thickness: Half of the thickness along z [m].
     """
 
     pieces: list[Piece]
@@ -45,8 +50,16 @@ class WrenchHead:
 
 
 def open_head(rng: np.random.Generator, size: float, material: Material) -> WrenchHead:
-    """A round head with a slot of parallel flats; the throat is flat, a V of 120 degrees, or round; the mouth is cut
-    square or askew, so that one flat may be shorter."""
+    """A round head with a slot between parallel flats.
+
+    The throat is flat, a V of 120 degrees, or round; the mouth is cut square or oblique, so that one flat may be
+    shorter.
+
+    Args:
+        rng: Random generator of the tool.
+        size: Width across flats [m].
+        material: Material of the head.
+    """
     half = 0.5 * size
     wall = half * rng.uniform(0.7, 1.2)
     radius = half + wall
@@ -121,7 +134,13 @@ def ring_head(rng: np.random.Generator, size: float, material: Material) -> Wren
 
 
 def adjustable_head(rng: np.random.Generator, material: Material, scale: float) -> WrenchHead:
-    """A fixed jaw with the body, a sliding jaw on its rail, and the worm that moves it, at a random opening."""
+    """An adjustable head at a random opening: fixed jaw with body, sliding jaw on its rail, and worm.
+
+    Args:
+        rng: Random generator of the tool.
+        material: Material of the jaws.
+        scale: Size factor; 1 has a capacity of 30 mm.
+    """
     capacity = 0.030 * scale
     opening = max(rng.uniform(0.15, 1.0) * capacity, 0.004)
     half, throat = 0.5 * opening, 0.5 * capacity * rng.uniform(0.75, 1.0)
@@ -130,7 +149,7 @@ def adjustable_head(rng: np.random.Generator, material: Material, scale: float) 
     half_thickness = float(np.clip(0.0065 * scale * rng.uniform(0.85, 1.2), 0.0035, 0.0085))
     neck = capacity * rng.uniform(0.34, 0.42)
     pivot = -throat - capacity * rng.uniform(0.85, 1.15)
-    # The rail, at x = -throat, reaches as far as the sliding jaw goes at its widest.
+    # The rail, at x = -throat, covers the travel of the sliding jaw.
     rail = capacity - half + rng.uniform(0.2, 0.5) * wall
     low = -half - wall
     blob = [
@@ -157,7 +176,7 @@ def adjustable_head(rng: np.random.Generator, material: Material, scale: float) 
         [-0.5 * throat, end], [-throat + 0.0002, end], [-throat + 0.0002, half],
     ])  # fmt: skip
     thin = half_thickness * rng.uniform(0.8, 0.97)
-    # The sliding jaw's rack runs inside the body, down to the worm.
+    # The rack of the sliding jaw runs inside the body, down to the worm.
     rack = np.array([
         [-throat - 0.2 * capacity, half], [-throat + 0.001, half],
         [-throat + 0.001, min(end, rail)], [-throat - 0.2 * capacity, min(end, rail)],

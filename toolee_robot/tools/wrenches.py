@@ -25,7 +25,16 @@ from toolee_robot.tools.wrench_heads import WrenchHead, adjustable_head, open_he
 
 
 def make_wrench(kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
-    """For nuts of 8 to 32 mm (4 to 37 mm for an adjustable one, as it happens to be open)."""
+    """Generate a wrench for nuts of 8 to 32 mm (adjustable: opening of 4 to 37 mm).
+
+    Args:
+        kind: Kind of the wrench.
+        seed: Seed that the tool is named after.
+        rng: Random generator of the tool; equal states give equal tools.
+
+    Returns:
+        The wrench, `tool` frame [m].
+    """
     size = rng.uniform(0.008, 0.032)
     material = varied(STEEL_BRIGHT if rng.uniform() < 0.7 else STEEL_DARK, rng)
     if kind is ToolKind.SOCKET_WRENCH:
@@ -67,8 +76,8 @@ def make_wrench(kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
 
 
 def _X_tool_head(head: WrenchHead, z: float, turn: float, side: float, pitch: float) -> Array:
-    """Pose of a head whose pivot is at height z: its x out along side * tool z, turned about the nut's axis (tool y),
-    pitched out of the handle's plane."""
+    """Pose (4x4) of a head in the `tool` frame: pivot at height z [m], head x along side * tool z, rotated by `turn`
+    [rad] about the axis of the nut (tool y) and by `pitch` [rad] out of the plane of the handle."""
     c, s, cp, sp = np.cos(turn), np.sin(turn), np.cos(pitch), np.sin(pitch)
     out, normal = np.array([side * s, 0.0, side * c]), np.array([0.0, 1.0, 0.0])
     x, n = cp * out + sp * normal, cp * normal - sp * out
@@ -85,8 +94,8 @@ def _handle(
     kind: ToolKind, rng: np.random.Generator, near: WrenchHead, far: WrenchHead | None, length: float,
     material: Material,
 ) -> tuple[list[Piece], Handle]:  # fmt: skip
-    """A bar from head to head or, with one head, to a rounded butt: waisted, tapered, perhaps with a panel sunk into
-    both flat sides, a hole to hang it by, or a sleeve."""
+    """A bar of `length` [m] between two heads or from one head to a rounded butt: waisted and tapered, optionally with
+    sunk panels on both flat sides, a hanging hole or a sleeve."""
     top, bottom = 0.5 * length - near.join, -0.5 * length + (far.join if far else 0.0)
     adjustable = kind is ToolKind.ADJUSTABLE_WRENCH
     half_y = min(near.half_thickness, far.half_thickness if far else 1.0) * rng.uniform(0.55, 0.9)
@@ -98,7 +107,7 @@ def _handle(
     if far:
         flare = flare + rng.uniform(0.0, 0.35) * np.clip((0.15 - u) / 0.15, 0, 1) ** 2
     a = widest * (taper + (1 - taper) * u) * (1.0 - rng.uniform(0.0, 0.2) * np.sin(np.pi * u)) * flare
-    if not adjustable:  # the ends stay inside the heads' outlines
+    if not adjustable:  # keep the ends inside the outlines of the heads
         a = a - max(a[-1] - _chord(near), 0.0) * np.clip((u - 0.5) / 0.5, 0, 1)
     if far:
         a = a - max(a[0] - _chord(far), 0.0) * np.clip((0.5 - u) / 0.5, 0, 1)
@@ -134,7 +143,7 @@ def _handle(
 
 
 def _socket_wrench(seed: int, rng: np.random.Generator, size: float, material: Material) -> Tool:
-    """A ratchet with a socket on it: the nut's axis stands across the handle, the EE is inside the socket."""
+    """A ratchet with a socket: the axis of the nut is perpendicular to the handle, the EE lies inside the socket."""
     length = rng.uniform(0.14, 0.26)
     outer = size * rng.uniform(0.66, 0.75) + 0.0008
     drive, drive_half = rng.uniform(0.0125, 0.0190), rng.uniform(0.006, 0.010)
@@ -180,7 +189,7 @@ def _socket_wrench(seed: int, rng: np.random.Generator, size: float, material: M
         soft = u < grip_end
         sleeve_z, radii = z[soft] - 0.002, np.maximum(a[soft], bar_a[soft] + 0.001)
         pieces.insert(0, loft_piece("grip", stack(sleeve_z, radii, None, section), sleeve_material, 0.12))
-        # The grippable surface is the sleeve's and, beyond it, the bar's.
+        # The grippable surface is the sleeve and, above it, the bar.
         z, a, b = (
             np.concatenate([sleeve, bar[~soft]]) for sleeve, bar in ((sleeve_z, z), (radii, bar_a), (radii, bar_b))
         )
