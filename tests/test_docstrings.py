@@ -12,8 +12,11 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ROOMS = [
     "control",
+    "scripts",
     "sim_backend",
+    "toolee_robot/cli",
     "toolee_robot/config",
+    "toolee_robot/doctor",
     "toolee_robot/hal",
     "toolee_robot/hardware",
     "toolee_robot/motion",
