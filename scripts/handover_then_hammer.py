@@ -1,5 +1,7 @@
 """The whole job in Python: a simulated station, the camera's perception, one hammer, one nail.
-Example: `python scripts/handover_then_hammer.py --seed 7`"""
+
+Example: `python scripts/handover_then_hammer.py --seed 7`
+"""
 
 import tyro
 

@@ -1,7 +1,9 @@
 """Success rate of the simulated hammering job over many seeds, with and without the in-hand correction.
+
 Example: `python scripts/success_rate_trials.py --first-seed 100 --trials 20 --jobs 2 --out trials.json`
 `toolee hammer`'s own options come last: `... --no-baseline -- --arm ur-rtde --robot-host 127.0.0.2 --world pybullet`.
-Through the driver a job is done again, and counted, that ended because this machine itself stalled for too long."""
+With the driver, a job that ended because the machine itself stalled is repeated, and counted.
+"""
 
 import json
 import subprocess
@@ -15,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest
 
-AGAIN = 5  # times at most
+AGAIN = 5  # repetitions at most
 OUR_OWN = {"--seed", "--no-correction", "--json"}  # of `toolee hammer`, set by the trials
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.errors import raises
 from toolee_robot.config import SIMULATED, CalibrationConfig, StationConfig, load_station
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import is_rigid
@@ -61,10 +62,10 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, expected_text: str) -
 
 
 def test_a_missing_file_and_a_binary_one_are_the_users_fault(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot read"):
+    with raises(ConfigError, code="config.unreadable"):
         load_station(tmp_path / "none.yaml")
     (tmp_path / "image.yaml").write_bytes(b"\x89PNG\xff\xfe\x00")
-    with pytest.raises(ConfigError, match="cannot read"):
+    with raises(ConfigError, code="config.unreadable"):
         load_station(tmp_path / "image.yaml")
 
 

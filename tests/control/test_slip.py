@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests.errors import raises
 from toolee_robot.config import WorkConfig
 from toolee_robot.control import merge, protrusion, slip
 from toolee_robot.end_effectors import Category
@@ -42,7 +43,7 @@ def test_protrusion_is_where_the_faces_plane_cuts_the_axis(
 def test_a_face_turned_away_is_no_contact() -> None:
     work = WorkConfig()
     upside_down = work.X_base_nail() @ transform(Rotation.from_euler("x", np.pi))
-    with pytest.raises(UserError, match="points away"):
+    with raises(UserError, code="user.face_direction"):
         protrusion(upside_down, work.X_base_nail(0.0))
 
 
@@ -60,7 +61,7 @@ def test_a_claw_has_no_free_spin_and_is_no_face() -> None:
     spun = transform(Rotation.from_euler("z", 0.3))
     _, angle = slip(estimate(np.eye(4), Category.HAMMER_GRIP), estimate(spun, Category.HAMMER_GRIP))
     assert angle == pytest.approx(0.3)
-    with pytest.raises(UserError, match="same end"):
+    with raises(UserError, code="user.different_categories"):
         slip(estimate(np.eye(4)), estimate(np.eye(4), Category.HAMMER_GRIP))
 
 

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests.errors import raises
 from tests.examples import examples
 from toolee_robot.config import StationConfig, WorkConfig
 from toolee_robot.control import (
@@ -200,7 +201,7 @@ def test_a_nail_out_of_reach_says_so(
 ) -> None:
     far = replace(config, work=replace(config.work, nail_xy=(1.9, 0.0)))
     world = CollisionWorld(robot, far, q_hand, X_hand_ee)
-    with pytest.raises(UnreachableError, match="move the block"):
+    with raises(UnreachableError, code="unreachable.nail"):
         plan_strike(robot, far, world, home, q_hand, X_hand_ee, far.work.X_base_nail())
 
 
@@ -217,7 +218,7 @@ def test_a_wall_in_the_way_of_the_strike_is_named(
 def test_a_broken_pose_is_refused(
     robot: RobotModel, config: StationConfig, world: CollisionWorld, home: Array, q_hand: Array, X_hand_ee: Array
 ) -> None:
-    with pytest.raises(UserError, match="rigid"):
+    with raises(UserError, code="user.not_rigid"):
         plan_strike(robot, config, world, home, q_hand, X_hand_ee * np.nan, config.work.X_base_nail())
 
 

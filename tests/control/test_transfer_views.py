@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.errors import raises
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, ViewPlan, plan_handover, plan_transfer, plan_views
 from toolee_robot.control.collision_shapes import box_body
@@ -50,7 +51,7 @@ def test_a_goal_inside_the_table_is_refused(
 ) -> None:
     with pytest.raises(CollisionError, match="table"):
         plan_transfer(robot, config, world, home, home + np.array([0, 0.6, 0, 0, 0, 0]))
-    with pytest.raises(UserError, match="finite"):
+    with raises(UserError, code="user.joint_positions"):
         plan_transfer(robot, config, world, home, home * np.nan)
 
 
@@ -64,7 +65,7 @@ def test_handover_shows_the_palm_to_the_person(robot: RobotModel, config: Statio
     to_person = np.subtract(config.scene.person_center, config.scene.handover_position)
     assert angle_between(-X_base_hand[:3, 1], to_person * [1, 1, 0]) < np.deg2rad(30)
     unreachable = replace(config, scene=replace(config.scene, handover_position=(0.4, -3.0, 0.6)))
-    with pytest.raises(UnreachableError, match="handover_position"):
+    with raises(UnreachableError, code="unreachable.handover"):
         plan_handover(robot, unreachable, world, home, q_open)
 
 
@@ -134,5 +135,5 @@ def test_a_camera_out_of_reach_is_named(
     robot: RobotModel, config: StationConfig, world: CollisionWorld, home: Array, q_hand: Array, X_hand_ee: Array
 ) -> None:
     away = replace(config, camera=replace(config.camera, position=(4.0, -4.0, 1.0), target=(3.0, -3.0, 1.0)))
-    with pytest.raises(UnreachableError, match="move the camera"):
+    with raises(UnreachableError, code="unreachable.views"):
         plan_views(robot, away, world, home, q_hand, X_hand_ee)

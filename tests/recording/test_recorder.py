@@ -13,6 +13,7 @@ import pytest
 from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
+from tests.errors import raises
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
 from toolee_robot.hal import MotionOutcome, MotionReport
@@ -137,7 +138,7 @@ def test_nothing_is_left_when_the_file_cannot_be_finished(tmp_path: Path) -> Non
 
 
 def test_unwritable_place_and_bad_stamp_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="cannot write"), RunRecorder(tmp_path / "no" / "such" / "run.mcap"):
+    with raises(UserError, code="user.recording_not_writable"), RunRecorder(tmp_path / "no" / "such" / "run.mcap"):
         pass
     with RunRecorder(tmp_path / "run.mcap") as recorder, pytest.raises(ValueError, match="clock"):
         recorder.record_event(float("nan"), "started")

@@ -8,6 +8,7 @@ from contextlib import closing
 
 import pytest
 
+from tests.errors import raises
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.runtime.process_map import ProcessMap
 
@@ -35,7 +36,7 @@ def test_a_process_map_keeps_the_order_and_the_errors_and_takes_from_endless_ite
         assert os.getpid() not in {pid for pid, _ in found}
         with pytest.raises(AssetError, match="item 100"):
             list(processes.map(ask, range(90, 110)))
-        with pytest.raises(TooleeError, match="fewer --workers"):
+        with raises(TooleeError, code="toolee.worker_died"):
             list(processes.map(ask, [200]))
-    with pytest.raises(UserError, match="--workers"):
+    with raises(UserError, code="user.workers"):
         ProcessMap(begin, 0)

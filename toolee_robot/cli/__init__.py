@@ -1,4 +1,4 @@
-"""The command line, `toolee`: what the person sees. The only layer that may know that a station is simulated."""
+"""The command line, `toolee`; the only layer that knows whether a station is simulated."""
 
 from toolee_robot.cli.app import main
 

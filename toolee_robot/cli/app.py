@@ -1,6 +1,6 @@
-"""Entry point: reads the arguments, runs the command, turns errors into messages and exit codes.
+"""Entry point: parses the arguments, runs the command, converts errors to messages and exit codes.
 
-Exit codes: 0 done; 1 the job failed; 2 the user's fault (an option, a file); 130 interrupted (the arm was stopped).
+Exit codes: 0 done; 1 the job failed; 2 invalid input (an option, a file); 130 interrupted (the arm was stopped).
 """
 
 from __future__ import annotations
@@ -48,20 +48,28 @@ AnyCommand = Hammer | Estimate | Bench | BenchServo | Dataset | Doctor | Evaluat
 
 
 def main(args: Sequence[str] | None = None) -> None:
-    """Run `toolee` with `args` (the process's own if None) and exit with the command's code."""
+    """Run `toolee` and exit with the command's exit code.
+
+    Args:
+        args: The arguments; None for those of the process.
+    """
     _let_threads_sleep()
     try:
         code = run(args)
         sys.stdout.flush()
     except BrokenPipeError:
-        # The reader of our output has gone (`| head`): keep the interpreter's own flush at exit from complaining.
+        # The reader of the output has closed the pipe (`| head`): prevent an error in the interpreter's final flush.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = EXIT_FAILED
     sys.exit(code)
 
 
 def run(args: Sequence[str] | None = None) -> int:
-    """As `main`, but returns the exit code; only the parser itself exits (0 for --help, 2 for a bad option)."""
+    """Run `toolee` and return the exit code; only the parser itself exits (0 for --help, 2 for a bad option).
+
+    Args:
+        args: The arguments; None for those of the process.
+    """
     command: AnyCommand = tyro.cli(
         Command,
         prog="toolee",
@@ -70,7 +78,7 @@ def run(args: Sequence[str] | None = None) -> int:
         config=(tyro.conf.FlagCreatePairsOff,),
     )
     console = Console(stderr=True, highlight=False)
-    previous = signal.signal(signal.SIGTERM, _terminate)  # a polite kill stops the arm as Ctrl-C does
+    previous = signal.signal(signal.SIGTERM, _terminate)  # SIGTERM stops the arm as Ctrl-C does
     try:
         return command.run()
     except UserError as error:
@@ -87,10 +95,12 @@ def run(args: Sequence[str] | None = None) -> int:
 
 
 def _let_threads_sleep() -> None:
-    """Torch's waiting threads spin for some tens of microseconds, then sleep, unless the user's environment says
-    otherwise. Measured on 2 cores of a virtual machine, medians for a pose: 26 ms so, 52 with a tenth of the spins, 21
-    where they spin for good; beside a program that keeps one core busy 77, 40 and 225 ms. OpenMP reads this once, when
-    torch is first imported, which no module of the command line does before its command runs."""
+    """Let torch's waiting threads spin for some tens of microseconds, then sleep, unless the environment is set.
+
+    Medians for a pose on 2 cores of a virtual machine: 26 ms with this setting, 52 ms with a tenth of the spins, 21 ms
+    with endless spinning; beside a program that keeps one core busy 77, 40 and 225 ms. OpenMP reads the setting once,
+    when torch is first imported, which no module of the command line does before its command runs.
+    """
     if "OMP_WAIT_POLICY" not in os.environ:
         os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
         os.environ.setdefault("GOMP_SPINCOUNT", "10000")
@@ -106,7 +116,7 @@ def _complain(
     error: TooleeError,
     outcome: str,
 ) -> None:
-    # Not wrapped: a path that is cut in two cannot be copied or searched for.
+    # Not wrapped, so that paths can be copied and searched for.
     console.print(f"[bold red]error:[/bold red] {escape(str(error))}", soft_wrap=True)
     if isinstance(command, Hammer) and command.json:
         failure = {"success": False, "outcome": outcome, "code": error.code, "reason": str(error), "seed": command.seed}

@@ -1,4 +1,4 @@
-"""`toolee dataset`: make a data set, look at it, check it."""
+"""`toolee dataset`: generate, inspect and validate data sets."""
 
 from __future__ import annotations
 
@@ -103,8 +103,14 @@ class Generate:
 
 @dataclass(frozen=True)
 class _Cost:
-    """What making `examples` took, start and end of the run included: examples a second, CPU time of the worker
-    processes for each, and the most memory that one of them held."""
+    """Cost of generating examples, including start and end of the run.
+
+    Attributes:
+        examples: Number of generated examples.
+        per_second: Examples per second.
+        cpu_ms: CPU time of the worker processes per example [ms].
+        worker_mb: Largest memory of a worker process [MB].
+    """
 
     examples: int
     per_second: float
@@ -113,7 +119,7 @@ class _Cost:
 
     @staticmethod
     def of_workers(examples: int, seconds: float) -> _Cost | None:
-        """From this process's children, which have ended; None where none was needed."""
+        """Measure the cost from the ended child processes; None where nothing was generated."""
         if examples == 0:
             return None
         used = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -144,7 +150,7 @@ class Inspect:
 
     def run(self) -> int:
         if self.count < 1 or self.pairs < 1:
-            raise UserError("--count and --pairs must be 1 or more")
+            raise UserError("--count and --pairs must be 1 or more", code="user.count")
         from toolee_robot.perception.dataset import index_files
         from toolee_robot.perception.dataset.figures import pictures, plots, shape_distances
         from toolee_robot.perception.dataset.scene_reader import read_json, scene_folders
@@ -152,7 +158,10 @@ class Inspect:
 
         spec = DatasetSpec.read(self.folder)
         if not index_files.is_finished(self.folder):
-            raise UserError(f"{self.folder} is not finished: run its `toolee dataset generate` again")
+            raise UserError(
+                f"{self.folder} is not finished: run its `toolee dataset generate` again",
+                code="user.dataset_unfinished",
+            )
         out = self.folder.with_name(f"{self.folder.resolve().name}-inspection") if self.out is None else self.out
         out.mkdir(parents=True, exist_ok=True)
         console = Console(stderr=self.json, highlight=False)
@@ -197,7 +206,7 @@ class Validate:
         from toolee_robot.perception.dataset.validation.validate import validate
 
         if self.workers < 1:
-            raise UserError(f"--workers {self.workers}: give 1 or more")
+            raise UserError(f"--workers {self.workers}: give 1 or more", code="user.workers")
         console = Console(stderr=self.json, highlight=False)
         with progress_bars(console) as report:
             faults = validate(self.folder, self.workers, partial(report, "checking"))
@@ -225,6 +234,7 @@ class Dataset:
     """
 
     action: Annotated[_Action, tyro.conf.arg(name="")]
+    """The subcommand."""
 
     def run(self) -> int:
         return self.action.run()

@@ -1,4 +1,4 @@
-"""`toolee doctor`: is everything as it must be, before anything moves?"""
+"""`toolee doctor`: checks a station before any motion."""
 
 from __future__ import annotations
 
@@ -30,28 +30,31 @@ class Doctor:
 
     Example: toolee doctor --config lab.yaml --arm ur-rtde --robot-host 192.168.1.10
 
-    Exit code 0: ready, or warnings only; 1: something must be mended first, the line says what; 2: the input was wrong.
+    Exit code 0: ready, or warnings only; 1: a fault must be repaired first; 2: invalid input.
     """
 
     arm: Literal["sim", "ur-rtde"] = "sim"
     """The simulated station, or a UR controller on the network (a real one, or `toolee ur-controller`)."""
     robot_host: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="")] = None
-    """Of the UR controller, with --arm ur-rtde."""
+    """Address of the UR controller, with --arm ur-rtde."""
     world: Annotated[Literal["pybullet"] | None, tyro.conf.arg(metavar="pybullet", help_behavior_hint="")] = None
     """A rehearsal: a controller stand-in is started at that loopback address, the simulated station behind it."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """A station: any subset of the fields in docs/reference/station_file.md."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
-    """Where recordings would go."""
+    """Folder for recordings, whose free space is checked."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
         if self.arm == "ur-rtde" and not self.robot_host:
-            raise UserError("--arm ur-rtde needs --robot-host: the controller's address, as on its About page")
+            raise UserError(
+                "--arm ur-rtde needs --robot-host: the controller's address, as on its About page",
+                code="user.no_robot_host",
+            )
         for option, given in (("--robot-host", self.robot_host), ("--world", self.world)):
             if self.arm == "sim" and given:
-                raise UserError(f"{option} without --arm ur-rtde: the simulated arm needs none")
+                raise UserError(f"{option} without --arm ur-rtde: the simulated arm needs none", code="user.option")
         config = StationConfig() if self.config is None else load_station(self.config)
         console = Console(stderr=self.json, highlight=False)
         with console.status("loading"):
@@ -82,7 +85,7 @@ class Doctor:
 
 
 def _table(findings: Iterable[Finding]) -> Table:
-    """A line each; what to do stands under what is wrong."""
+    """Format the findings, one per line, with the remedy below."""
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(width=3, justify="right")
     table.add_column(min_width=18)

@@ -1,4 +1,4 @@
-"""What `toolee doctor` looks at, section by section; takes seconds to import."""
+"""Sections of `toolee doctor`; the import takes seconds."""
 
 from __future__ import annotations
 
@@ -28,10 +28,15 @@ _SEED = 0
 
 @dataclass
 class DoctorReport:
-    """host: of a UR controller, None for the simulated arm. with_world: a stand-in is started on that host, with the
-    simulated station behind it. out: where recordings would go. doing: shows what takes its time.
+    """Runs the checks of `toolee doctor`.
 
-    facts: what was learnt besides the findings, for --json.
+    Attributes:
+        config: Configuration of the station.
+        host: Address of a UR controller; None for the simulated arm.
+        with_world: Whether a controller stand-in is started on that host, with the simulated station behind it.
+        out: Folder for recordings.
+        doing: Context manager that shows what is in progress.
+        facts: Further results for --json.
     """
 
     config: StationConfig
@@ -45,7 +50,7 @@ class DoctorReport:
     _camera_serial: str | None = field(default=None, init=False)
 
     def sections(self) -> Iterator[Section]:
-        """The robot first: it is what a person is waiting for."""
+        """Run the checks and yield the findings, section by section, the robot first."""
         yield from self._simulated() if self.host is None else self._controller(self.host)
         config = self.config
         with self.doing("planning"):
@@ -87,7 +92,7 @@ class DoctorReport:
             yield "Devices", findings
 
     def _devices_behind(self, host: str, world: RemoteWorld) -> Iterator[Finding]:
-        """The arm through its driver, the rest from the simulated world."""
+        """Check the arm through its driver and the other devices of the simulated world."""
         tool, _ = draw_handover(_SEED, SimOptions())
         try:
             with UrArm(UrArmConfig(host), self.config.arm) as arm:

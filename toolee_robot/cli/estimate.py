@@ -1,4 +1,4 @@
-"""`toolee estimate`: the perception on files from any camera."""
+"""`toolee estimate`: pose estimation on the files of any RGB-D camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`toolee evaluate`: the benchmark's tables, pictures and report."""
+"""`toolee evaluate`: tables, figures and report of the benchmark."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class EvaluateSamplers:
         from toolee_robot.perception.evaluation.samplers import sampler_table
 
         if self.clouds < 1:
-            raise UserError(f"--clouds {self.clouds}: give 1 or more")
+            raise UserError(f"--clouds {self.clouds}: give 1 or more", code="user.count")
         console = Console(stderr=self.json, highlight=False)
         estimator = load_estimator(self.weights, self.device)
         with progress_bars(console) as report:
@@ -191,6 +191,7 @@ class Evaluate:
         | Annotated[EvaluateSegmentation, tyro.conf.subcommand("segmentation")]
         | Annotated[EvaluateSamplers, tyro.conf.subcommand("samplers")]
     ]
+    """The subcommand."""
 
     def run(self) -> int:
         return self.what.run()

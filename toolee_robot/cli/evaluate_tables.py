@@ -10,11 +10,18 @@ from rich.table import Table
 from toolee_robot.end_effectors import label_of
 
 _SHOWN = ("5deg2cm", "10deg5cm", "5deg1cm", "5deg5mm")
-"""What the terminal shows; the report has all thresholds."""
+"""Thresholds shown on the terminal; the report has all."""
 
 
 def text_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> Table:
-    """A table of text; the first `left` columns are words, the others numbers."""
+    """Build a table.
+
+    Args:
+        title: Title of the table.
+        columns: Headings of the columns.
+        rows: Cells of each row.
+        left: Number of left-aligned columns.
+    """
     table = Table(title=title, title_justify="left")
     for i, column in enumerate(columns):
         table.add_column(column, justify="left" if i < left else "right", no_wrap=True)
@@ -24,7 +31,7 @@ def text_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
 
 
 def pose_tables(report: dict[str, Any]) -> Iterator[Table]:
-    """Accuracy for each group and kind of masks, and what else was evaluated."""
+    """Yield the tables of a report: accuracy per group and kind of masks, and the further evaluations."""
     for masks in ("truth", "predicted"):
         for group in ("held-out", "seen"):
             rows = [
@@ -51,7 +58,7 @@ def pose_tables(report: dict[str, Any]) -> Iterator[Table]:
 
 
 def printed_samplers(samplers: list[dict[str, Any]]) -> Table:
-    """One row a sampler."""
+    """Build the table of the samplers."""
     rows = []
     for r in samplers:
         shares = [f"{r['average'][k]:.3f}" for k in ("5deg2cm", "5deg1cm", "5deg5mm")]
@@ -63,7 +70,7 @@ def printed_samplers(samplers: list[dict[str, Any]]) -> Table:
 
 
 def segmentation_rows(found: dict[str, Any]) -> list[list[str]]:
-    """Class, instances and COCO's statistics in percent."""
+    """Build the rows of the segmentation table: class, instances, COCO's statistics [%]."""
     from toolee_robot.perception.evaluation.segmentation import STATISTICS
 
     return [

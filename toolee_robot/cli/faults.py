@@ -1,4 +1,4 @@
-"""`toolee faults`: the fault matrix, measured and printed."""
+"""`toolee faults`: measures and prints the fault matrix."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What this machine is, and how long things take on it."""
+"""Description of the machine, and latency measurements."""
 
 from __future__ import annotations
 
@@ -17,8 +17,18 @@ _PACKAGES = ("toolee_robot", "numpy", "scipy", "torch", "torchvision", "pin", "c
 
 @dataclass(frozen=True)
 class Machine:
-    """Enough to judge a latency by. cores: those this process may use; memory_gb: all of it; arithmetic: of the
-    networks on the processor."""
+    """Description of the machine.
+
+    Attributes:
+        cpu: Name of the processor.
+        cores: Number of cores that this process may use.
+        memory_gb: Memory of the machine [GiB].
+        system: Operating system, its version, and the architecture.
+        python: Version of Python.
+        torch_threads: Number of torch's threads.
+        arithmetic: Floating-point format of the networks on the processor.
+        versions: Versions of the packages that matter, by name.
+    """
 
     cpu: str
     cores: int
@@ -31,7 +41,7 @@ class Machine:
 
 
 def describe_machine() -> Machine:
-    """Read it from the operating system; "unknown" where that does not tell."""
+    """Read the description from the operating system; "unknown" where it is not available."""
     import torch
 
     from toolee_robot.perception.precision import prefers_bfloat16
@@ -63,7 +73,15 @@ def describe_machine() -> Machine:
 
 @dataclass(frozen=True)
 class Latency:
-    """Wall-clock times of repeated calls [ms]."""
+    """Wall-clock times of repeated calls.
+
+    Attributes:
+        name: What was measured.
+        median_ms: Median [ms].
+        p90_ms: 90th percentile [ms].
+        repeats: Number of calls.
+        target_ms: Largest acceptable median [ms]; None without a target.
+    """
 
     name: str
     median_ms: float
@@ -80,7 +98,15 @@ class Latency:
 def measure(
     name: str, call: Callable[[], object], *, repeats: int, warm_up: int = 2, target_ms: float | None = None
 ) -> Latency:
-    """Time `call` after `warm_up` calls that do not count."""
+    """Measure the latency of a call.
+
+    Args:
+        name: What is measured.
+        call: The call.
+        repeats: Number of measured calls.
+        warm_up: Number of preceding calls that are not measured.
+        target_ms: Largest acceptable median [ms].
+    """
     for _ in range(warm_up):
         call()
     times = []

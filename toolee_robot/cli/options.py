@@ -1,4 +1,4 @@
-"""How options are written in the help."""
+"""Types of command-line options."""
 
 from __future__ import annotations
 
@@ -7,4 +7,4 @@ from typing import Annotated
 import tyro
 
 Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
-"""A switch that is off unless given."""
+"""A flag, off by default."""

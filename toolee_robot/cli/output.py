@@ -1,4 +1,4 @@
-"""Formatting shared by the commands: JSON."""
+"""JSON output of the commands."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 def json_line(value: Any) -> str:
-    """One line of strict JSON: no NaN, no Infinity (they become null)."""
+    """Format a value as one line of strict JSON; NaN and infinity become null."""
     return json.dumps(_finite(value), allow_nan=False)
 
 

@@ -1,4 +1,4 @@
-"""How far a long command is."""
+"""Progress display of long commands."""
 
 from __future__ import annotations
 
@@ -19,24 +19,23 @@ from rich.progress import (
 
 Report = Callable[[str, int, int], None]
 """report(what, done, total)."""
-_BETWEEN = 10.0  # [s] between lines on a stream that is no terminal
+_BETWEEN = 10.0  # [s] between lines on a stream that is not a terminal
 
 
 @contextmanager
 def progress_bars(console: Console) -> Iterator[Report]:
-    """A bar for everything that is reported, with an estimate of the time left; on a stream that is no terminal a line
-    now and then.
+    """Context that shows progress: bars with the estimated remaining time on a terminal, else a line every 10 s.
 
     Args:
-        console: Where they are shown.
+        console: The console.
 
     Yields:
-        What to call with the name of the work, how much of it is done, and how much there is in all.
+        The function to call with the name of the work, the amount done, and the total.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     remaining = (TextColumn("left"), TimeRemainingColumn())
     live = console.is_terminal
-    # Results come in bursts: the mean over a long time tells more than that over 30 s.
+    # Results come in bursts: a long averaging period gives the better estimate.
     bars = Progress(
         *columns, *remaining, console=console, speed_estimate_period=600.0, transient=True, disable=not live
     )

@@ -1,4 +1,4 @@
-"""`toolee ur-controller`: a stand-in for a Universal Robots controller, for programs that use ur_rtde."""
+"""`toolee ur-controller`: stand-in of a Universal Robots controller for programs that use ur_rtde."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class UrController:
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.2"
     """A loopback address; every robot on this machine needs its own (127.0.0.2, 127.0.0.3, ...)."""
     fault_port: Annotated[int, tyro.conf.arg(metavar="PORT")] = 30020
-    """Where faults are asked for, a JSON object a line."""
+    """Port for fault injection: one JSON object per line."""
     speed_slider: Annotated[float, tyro.conf.arg(metavar="0..1")] = 1.0
     """Position of the speed slider."""
     local: Flag = False
@@ -38,13 +38,13 @@ class UrController:
     off: Flag = False
     """Start with the arm switched off: clients must power it on and release the brakes."""
     force_limit: Annotated[float, NEWTONS] = 150.0
-    """Force on the flange, smoothed over 20 ms, that makes a protective stop."""
+    """Force on the flange, smoothed over 20 ms, that triggers a protective stop."""
     following_error: Annotated[float, RADIANS] = 0.2
-    """Distance of a joint from its set-point that makes a protective stop."""
+    """Deviation of a joint from its set-point that triggers a protective stop."""
     tcp_speed_limit: Annotated[float, METRES_PER_SECOND] = 5.0
-    """Speed of the TCP that makes a protective stop."""
+    """Speed of the TCP that triggers a protective stop."""
     real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 1.0
-    """Seconds of the robot for one of the wall's clock, for all that it does; its clients must count likewise."""
+    """Rate of the robot's time relative to wall-clock time; clients must use the same."""
 
     def run(self) -> int:
         from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions

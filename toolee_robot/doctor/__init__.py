@@ -1,4 +1,4 @@
-"""Is everything as it must be before the first motion? Each check is a line that says what to do; nothing moves."""
+"""Checks of a station before the first motion. Each finding states its remedy; nothing is moved."""
 
 from toolee_robot.doctor.configuration import check_calibration, check_limits
 from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_person

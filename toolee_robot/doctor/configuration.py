@@ -1,4 +1,4 @@
-"""The station file: do its figures fit together, and is its calibration of these devices?"""
+"""Checks of the station file: consistency of its values, and validity of its calibration."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.tools import SWUNG_MASS
 
 REDUCED_SPEED = 0.25
-"""[m/s] ISO 10218-1's reduced speed, the most with a person in reach."""
+"""Reduced speed of ISO 10218-1, the largest with a person in reach [m/s]."""
 USUAL_SPEED = 1.5
-"""[m/s] Above it, a UR's own safety settings usually stop the arm."""
+"""Speed above which a UR's own safety settings usually stop the arm [m/s]."""
 
 
 def check_limits(config: StationConfig) -> Iterator[Finding]:
-    """Whether the planner's limits are within the arm's, the places within the workspace, and the load carried."""
+    """Check the planner's limits against the arm's, the positions against the workspace, and the load."""
     robot = RobotModel.of_station(config)
     model, arm, supervisor = robot.description, config.arm, config.supervisor
     wrong = []
@@ -54,7 +54,14 @@ def check_limits(config: StationConfig) -> Iterator[Finding]:
 def check_calibration(
     config: StationConfig, robot_serial: str | None, camera_serial: str | None, today: date
 ) -> Finding:
-    """robot_serial, camera_serial: what the devices say; None where one does not tell or was not asked."""
+    """Check whether the calibration is valid for the connected devices.
+
+    Args:
+        config: Configuration of the station.
+        robot_serial: Serial number that the robot reports; None if unknown.
+        camera_serial: Serial number that the camera reports; None if unknown.
+        today: The present date.
+    """
     calibration = config.calibration
     if calibration is None:
         return fail("calibration", "none", "calibrate the camera to the robot, enter it in the station file")

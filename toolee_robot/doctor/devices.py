@@ -1,4 +1,4 @@
-"""Arm, hand, camera and person through the hardware abstraction: read, never moved."""
+"""Checks of arm, hand, camera and person through the hardware abstraction; nothing is moved."""
 
 from __future__ import annotations
 
@@ -13,13 +13,21 @@ from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.hal import Arm, ArmStatus, Clock, Hand, Person, RgbdCamera
 
 DEPTH_KNOWN = 0.3
-"""Share of an image whose depth must be known."""
-EARLY, SLOW = 0.05, 0.5
-"""[s] A frame may seem exposed so long before it was asked for, clocks being what they are; and longer is slow."""
+"""Least share of an image with known depth."""
+EARLY = 0.05
+"""Tolerated deviation of a frame's stamp, since clocks differ [s]."""
+SLOW = 0.5
+"""Duration of reading a frame above which the camera counts as slow [s]."""
 
 
 def check_arm(arm: Arm, hand: Hand, config: StationConfig) -> Finding:
-    """Its status, and whether it can be planned for from where it stands."""
+    """Check the arm's status, and whether a motion can be planned from its present position.
+
+    Args:
+        arm: The arm.
+        hand: The hand on it.
+        config: Configuration of the station.
+    """
     try:
         state = arm.state(config.supervisor.max_data_age)
         q_hand = hand.state().joints.q
@@ -44,7 +52,7 @@ def check_arm(arm: Arm, hand: Hand, config: StationConfig) -> Finding:
 
 
 def check_hand(hand: Hand, config: StationConfig) -> Finding:
-    """Its joints, its own complaints and its temperature."""
+    """Check the hand's joints, faults and temperature."""
     robot = RobotModel.of_station(config)
     try:
         state = hand.state()
@@ -65,7 +73,13 @@ def check_hand(hand: Hand, config: StationConfig) -> Finding:
 
 
 def check_camera(camera: RgbdCamera, clock: Clock, config: StationConfig) -> Iterator[Finding]:
-    """Whether frames come, new ones each time, with depth, of the configured camera."""
+    """Check that the camera delivers new frames with depth, and that its intrinsics are the configured ones.
+
+    Args:
+        camera: The camera.
+        clock: The station's clock.
+        config: Configuration of the station.
+    """
     name = "camera"
     try:
         first = camera.read()
@@ -99,7 +113,7 @@ def check_camera(camera: RgbdCamera, clock: Clock, config: StationConfig) -> Ite
 
 
 def check_person(person: Person) -> Finding:
-    """Whether anybody is inside: no mistake before a handover, but nothing fast moves then."""
+    """Report whether a person is in the zone, which is no fault before a handover but prevents fast motion."""
     if person.zone_occupied():
         return ok("person", "somebody is inside, or the station cannot tell: nothing fast will move")
     return ok("person", "nobody is inside")

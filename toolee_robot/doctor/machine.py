@@ -1,4 +1,4 @@
-"""This computer: can it keep a robot's rate, and is there room for the recordings?"""
+"""Checks of the computer: timing for a servo loop, and disk space for recordings."""
 
 from __future__ import annotations
 
@@ -17,14 +17,20 @@ from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.hardware.ur.servo.clock import PRIORITY
 
 CPUS = 4
-"""The servo process, the task with its planner, the perception, and the rest of the system."""
-DISK_FULL, DISK_LOW = 200 << 20, 5 << 30  # [bytes]; a job's recording takes some tens of megabytes
-LATE = 1e-3  # [s] that a command may be late
+"""Recommended number of cores: servo process, task with planner, perception, and the rest of the system."""
+DISK_FULL, DISK_LOW = 200 << 20, 5 << 30
+"""Free space below which the check fails and warns [bytes]; a job's recording takes some tens of megabytes."""
+LATE = 1e-3
+"""Tolerated lateness of a command [s]."""
 _GOVERNORS = "cpu*/cpufreq/scaling_governor"
 
 
 def check_processor(cpus: Path = Path("/sys/devices/system/cpu")) -> Iterator[Finding]:
-    """Cores that this process may use, and whether they run at full speed. cpus: the system's folder of them."""
+    """Check the number of cores that this process may use, and their frequency governor.
+
+    Args:
+        cpus: The system's folder of the cores.
+    """
     n = len(os.sched_getaffinity(0))
     if n < 2:
         yield fail("cores", f"{n}", "the servo loop needs one of its own: use a machine with 4")
@@ -49,7 +55,7 @@ def check_processor(cpus: Path = Path("/sys/devices/system/cpu")) -> Iterator[Fi
 
 
 def check_real_time(rate: float) -> Iterator[Finding]:
-    """What a servo loop at a rate [Hz] needs of the system; half a second of it is tried."""
+    """Check kernel, permissions and timing for a servo loop at `rate` [Hz]; timing is measured for 0.5 s."""
     kernel = "PREEMPT_RT" in platform.version() or _flag("/sys/kernel/realtime")
     if kernel:
         yield ok("kernel", "real-time (PREEMPT_RT)")
@@ -83,7 +89,7 @@ def check_real_time(rate: float) -> Iterator[Finding]:
 
 
 def check_disk(folder: Path) -> Finding:
-    """Room for the recordings in a folder that need not exist yet."""
+    """Check the free disk space of a folder, which need not exist yet."""
     there = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
     if not there.is_dir() or not os.access(there, os.W_OK):
         return fail("recordings", f"{there} cannot be written", "choose another --out")
@@ -97,7 +103,15 @@ def check_disk(folder: Path) -> Finding:
 
 
 def wake_up_lateness(rate: float, duration: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """How late [s] this process wakes up on an absolute schedule at a rate [Hz], (n,) over a duration [s]."""
+    """Measure how late this process wakes up on an absolute schedule.
+
+    Args:
+        rate: Rate of the schedule [Hz].
+        duration: Duration of the measurement [s].
+
+    Returns:
+        Lateness of every cycle, (n,) [s].
+    """
     n = int(rate * duration)
     due = time.monotonic() + np.arange(1, n + 1) / rate
     late = np.zeros(n)
@@ -114,7 +128,7 @@ def _flag(path: str) -> bool:
 
 
 def _may_schedule() -> bool:
-    """Tried as the servo process does, and undone at once: permissions come from too many places to be read."""
+    """Whether SCHED_FIFO is permitted; tried and undone at once, since permissions have too many sources to be read."""
     policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
@@ -125,7 +139,7 @@ def _may_schedule() -> bool:
 
 
 def _may_lock() -> bool:
-    """Likewise."""
+    """Whether locking memory is permitted; tried and undone at once."""
     before = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     try:
         resource.setrlimit(resource.RLIMIT_MEMLOCK, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))

@@ -1,4 +1,4 @@
-"""Can the planner do the job in this station? Handover, looking and strikes with the kinds of hammers there are."""
+"""Check that the planner solves handover, views and strikes in this station, with every kind of hammer."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from toolee_robot.frames import Array
 from toolee_robot.tools import NAIL_DRIVERS, SWUNG_MASS, Tool, ToolKind, make_tool
 
 SLOWER = 0.9
-"""A strike slower than this share of what is wanted is worth a line."""
+"""Share of the wanted speed below which a strike is reported as slow."""
 
 
 def check_reach(config: StationConfig) -> Iterator[Finding]:
-    """Plans from the home posture with every tool as it nominally lies in the hand; nothing is moved."""
+    """Plan handover, views and strikes from the home posture with nominal grasps; nothing is moved."""
     robot = RobotModel.of_station(config)
     home, model = np.array(config.scene.home), robot.description
     yield _handover(robot, config, home, model.hand_open)
@@ -30,7 +30,7 @@ def check_reach(config: StationConfig) -> Iterator[Finding]:
 
 
 def _seed(kind: ToolKind) -> int:
-    """The first hammer of a kind that one hand swings."""
+    """Seed of the first hammer of a kind whose mass suits one hand."""
     return next(seed for seed in range(100) if SWUNG_MASS[0] <= make_tool(kind, seed).mass <= SWUNG_MASS[1])
 
 

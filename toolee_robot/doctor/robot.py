@@ -1,4 +1,4 @@
-"""The UR controller on the network: the probe's report against the station file."""
+"""Check of a UR controller on the network against the station file."""
 
 from __future__ import annotations
 
@@ -18,8 +18,14 @@ from toolee_robot.types import DhCalibration
 
 @dataclass(frozen=True)
 class RobotCheck:
-    """serial: the robot's, None where it does not tell. rate: of its servo loop [Hz]. calibration: the arm's own
-    kinematics, ready for the station file, None where the controller does not tell them."""
+    """Result of the check of a UR controller.
+
+    Attributes:
+        findings: The findings.
+        serial: Serial number of the robot; None if unknown.
+        rate: Rate of its servo loop [Hz].
+        calibration: Factory calibration of the arm, in the form of the station file; None if unknown.
+    """
 
     findings: list[Finding]
     serial: str | None
@@ -28,7 +34,7 @@ class RobotCheck:
 
 
 def expected_robot(config: StationConfig) -> UrExpected:
-    """What a station file says of its robot: the bare hand as payload, the TCP at the flange."""
+    """Derive the expected state of the robot from a station file: payload of the bare hand, TCP at the flange."""
     model = RobotModel.of_station(config).description
     return UrExpected(
         model=config.arm.model,
@@ -39,7 +45,12 @@ def expected_robot(config: StationConfig) -> UrExpected:
 
 
 def examine_robot(host: str, config: StationConfig) -> RobotCheck:
-    """Ask the robot; its serial number is compared with the calibration's elsewhere."""
+    """Probe the controller and compare it with the station file, except for the serial number.
+
+    Args:
+        host: Address of the controller.
+        config: Configuration of the station.
+    """
     report = probe(host)
     own = None if report.kinematics is None else calibration_of(report.kinematics.dh, config.arm.model)
     rate = CB3_RATE if report.version is None else nominal_rate(report.version)

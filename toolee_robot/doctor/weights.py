@@ -1,4 +1,4 @@
-"""The networks: there, whole, and of this code."""
+"""Check of the networks' weights."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from toolee_robot.perception import ToolPerception
 
 
 def check_weights(folder: Path | None = None) -> Finding:
-    """Loads them; folder: the shipped ones if None."""
+    """Check that the weights can be loaded.
+
+    Args:
+        folder: Folder of the weights; None for the shipped ones.
+    """
     began = time.perf_counter()
     try:
         ToolPerception.load(folder)

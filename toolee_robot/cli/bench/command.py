@@ -1,4 +1,4 @@
-"""`toolee bench`: how long everything takes on this machine."""
+"""`toolee bench`: latencies on this machine."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Bench:
         from toolee_robot.cli.bench.scene import bench_scene
 
         with ExitStack() as stack:
-            # Its thread draws: not while something is measured.
+            # The status display uses a thread: not during measurements.
             with console.status("a hammer is handed over and brought before the camera"):
                 scene = stack.enter_context(bench_scene(_SEED))
             latencies = [*_perception(scene, self.repeats), *_planning(scene, self.repeats)]

@@ -1,4 +1,4 @@
-"""What the benchmark measures on: a hammer in the hand before the simulated camera, as in a job."""
+"""Scene of the benchmark: a hammer in the hand in front of the simulated camera, as in a job."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from toolee_robot.types import RgbdFrame, ToolEstimate
 
 
 class _SeenEnough(Exception):
-    """Ends the job once the tool is before the camera."""
+    """Ends the job at its first frame."""
 
 
 class _FirstFrame(TaskObserver):
@@ -36,7 +36,15 @@ class _FirstFrame(TaskObserver):
 
 
 class BenchScene:
-    """The station after the handover, at the first viewing pose."""
+    """The station after the handover, at the first view.
+
+    Args:
+        sim: The simulated station.
+        config: Its configuration.
+        grasp: Nominal grasp of the hammer.
+        frame: Frame of the first view.
+        X: Pose of the hand in the camera frame, (4, 4).
+    """
 
     def __init__(self, sim: SimStation, config: StationConfig, grasp: Grasp, frame: RgbdFrame, X: Array) -> None:
         self._sim, self._config, self._grasp = sim, config, grasp
@@ -46,13 +54,13 @@ class BenchScene:
         self.q_hand = sim.station.hand.state().joints.q
 
     def random_grasps(self, n: int) -> list[Array]:
-        """n poses X_hand_ee (4x4), as people would hand the hammer over."""
+        """Draw n poses of the end effector in the hand, (4, 4), as handed over by people."""
         rng = np.random.default_rng(0)
         nominal, X_tool_ee = self._grasp.X_hand_tool, self._grasp.X_tool_ee
         return [handed_over(nominal, InHandOffset.draw(rng)) @ X_tool_ee for _ in range(n)]
 
     def plan(self, X_hand_ee: Array) -> StrikePlan | None:
-        """The plan of a strike, or None where there is none; the time is spent either way."""
+        """Plan a strike with a pose of the end effector in the hand, (4, 4); None where there is no plan."""
         with suppress(PlanningError):
             world = CollisionWorld(self.robot, self._config, self.q_hand, X_hand_ee)
             X_base_nail = self._config.work.X_base_nail()
@@ -60,7 +68,7 @@ class BenchScene:
         return None
 
     def simulation_speed(self, seconds: float = 2.0) -> float:
-        """Simulated time over wall-clock time while the arm stands and the hand holds the hammer."""
+        """Measure the real-time factor of the simulation at standstill with the hammer held, over `seconds`."""
         start = time.perf_counter()
         self._sim.station.clock.sleep(seconds)
         return seconds / (time.perf_counter() - start)
@@ -68,7 +76,7 @@ class BenchScene:
 
 @contextmanager
 def bench_scene(seed: int) -> Iterator[BenchScene]:
-    """Run a job until its first frame. Poses come from the ground truth here: only times are measured."""
+    """Context of a job stopped at its first frame; poses come from the ground truth, since only times are measured."""
     config, observer = StationConfig(), _FirstFrame()
     with SimStation.build(config, seed) as sim:
         grasp = nominal_grasp(sim.tool, config)

@@ -1,4 +1,4 @@
-"""`toolee bench-servo`: how well the servo loop keeps its time on this machine."""
+"""`toolee bench-servo`: timing of the servo loop on this machine."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _PERIOD_TARGET_MS = 1.0
 _AROUND = 60.0  # [s] of the stand-in before and after the motion, at most
-_PAUSE = 0.005  # [s] of the witness: it takes little of the machine that it watches
+_PAUSE = 0.005  # [s] of the latency monitor, so that its own load stays small
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class BenchServo:
     model: Literal["UR10", "UR10e"] = "UR10"
     """UR10: 125 Hz; UR10e: 500 Hz."""
     seconds: Annotated[float, tyro.conf.arg(metavar="S")] = 30.0
-    """How long to servo."""
+    """Duration of the motion."""
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.29"
     """A loopback address of its own for the stand-in."""
     json: Flag = False
@@ -50,7 +50,7 @@ class BenchServo:
 
     def run(self) -> int:
         if not 5.0 <= self.seconds <= 3600.0:
-            raise UserError(f"--seconds {self.seconds:g}: give 5 to 3600")
+            raise UserError(f"--seconds {self.seconds:g}: give 5 to 3600", code="user.seconds")
         from toolee_robot.cli.bench.servo_trace import RecordedJoints, TraceMemory, compare
         from toolee_robot.hardware.ur.config import UrArmConfig
         from toolee_robot.hardware.ur.driver import UrArm
@@ -61,7 +61,7 @@ class BenchServo:
         from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
 
         console = Console(stderr=self.json, highlight=False)
-        # What is measured is the servo loop: this process may be held up without ending it.
+        # Only the servo loop is measured: delays of this process must not end it.
         config = UrArmConfig(self.host, longest_motion=self.seconds + 10.0, heartbeat_timeout=5.0, hang_timeout=5.0)
         load = os.getloadavg()[0]
         with (
@@ -105,7 +105,12 @@ class BenchServo:
 
 @dataclass(frozen=True)
 class Stalls:
-    """Of the machine itself, as a witness at a higher priority saw it: how many of more than 5 ms, the longest [s]."""
+    """Stalls of the machine itself, measured at a higher priority.
+
+    Attributes:
+        count: Number of stalls longer than 5 ms.
+        longest: Longest stall [s].
+    """
 
     count: int
     longest: float

@@ -1,4 +1,4 @@
-"""What was sent against what the controller stand-in's joints did: lost and doubled commands, lag, tracking."""
+"""Comparison of the sent commands with the joints of the controller stand-in: lost commands, lag, tracking."""
 
 from __future__ import annotations
 
@@ -20,21 +20,28 @@ _LATEST = 6  # cycles within which a command must have reached the robot
 _SETTLING = 5 * _LATEST  # cycles that the joints need to catch up, after what was late
 _EXACT = 1e-6  # [rad]
 _TRANSIT = 5e-4
-"""[s] From sending a command to the joints being there, at most: its way and the tick's own work, which took 0.2 to 0.5
-ms on two cores. What is sent later may or may not be in time."""
+"""Largest time from sending a command to the joints having moved [s]: transmission and the tick's work, 0.2 to 0.5 ms
+on two cores. A command sent later before a tick may or may not be in time for it."""
 
 
 @dataclass(frozen=True)
 class TraceFigures:
-    """ticks: of the robot during the motion. lag: the median time from sending to the joints being there [s].
-    lag_error: the most that the joints were off the command of that lag, in the share `followed` of the ticks: all but
-    those about an irregular, late or close one or a command that was sent late, and those in which the robot goes by an
-    older command than usual [rad]. held: ticks without a new command; skipped: commands that a later one overtook.
-    unreported: of the held, and of the skipped that do not just end the lateness which a held one began, those that
-    coincide neither with a cycle that the driver sent late (by half a cycle) nor with a tick of the stand-in that was
-    late (by a quarter, which is what a command sent in the middle of a cycle leaves) or close, nor show joints that
-    still catch up after one. late_ticks: those. close_ticks: those whose command was sent too shortly before to be
-    there for sure, or after: alone neither the driver nor the stand-in was late enough, together they were.
+    """Results of the comparison.
+
+    Attributes:
+        ticks: Number of the robot's ticks during the motion.
+        lag: Median time from sending a command to the joints having moved [s].
+        lag_error: Largest deviation of the joints from the command of that lag, over the `followed` ticks [rad].
+        followed: Share of the ticks that are compared: all but those near an irregular, late or close tick or a late
+            command, and those in which the robot executes an older command than usual.
+        held: Number of ticks without a new command.
+        skipped: Number of commands that a later one overtook before they were executed.
+        unreported: Number of held ticks and skipped commands without an explanation: near no command that was sent late
+            (by half a cycle), no tick of the stand-in that was late (by a quarter) or close, and no joints that still
+            catch up after one. A skipped command that only ends the delay of a held one does not count.
+        late_ticks: Number of the stand-in's ticks that were late by a quarter of a cycle or more.
+        close_ticks: Number of ticks whose command was sent too shortly before, or after: neither driver nor stand-in
+            was late enough alone, but both together were.
     """
 
     ticks: int
@@ -49,27 +56,39 @@ class TraceFigures:
 
 
 class TraceMemory:
-    """When and where the joints were after each tick: an anonymous file that the stand-in inherits and its plant writes
-    (`RecordedJoints`). Nothing is asked of the stand-in while it is measured: an answer between two ticks would have a
-    command wait for the tick after the next."""
+    """Times and joint positions after each tick, in an anonymous file that the stand-in's plant writes.
+
+    The stand-in inherits the file (see `RecordedJoints`). It is not queried during the measurement, since an answer
+    between two ticks would delay a command to the tick after the next.
+
+    Args:
+        ticks: Capacity in ticks.
+    """
 
     def __init__(self, ticks: int) -> None:
         self.fd = os.memfd_create("toolee-trace")
         os.truncate(self.fd, ticks * _ROW.itemsize)
-        _rows(self.fd)[:] = 0.0  # every page is there before it is needed
+        _rows(self.fd)[:] = 0.0  # map every page in advance
 
     def read(self) -> tuple[Array, Array]:
-        """stamps (N,) [s] and joints (N, 6) of all ticks so far."""
+        """Return the stamps, (N,) [s], and joint positions, (N, 6) [rad], of all ticks so far."""
         rows = _rows(self.fd)
         written = rows[rows["stamp"] > 0.0]
         return written["stamp"].copy(), written["q"].copy()
 
     def close(self) -> None:
+        """Close the file."""
         os.close(self.fd)
 
 
 class RecordedJoints(JointPlant):
-    """Ideal joints that start at q (6,) and write a row of the `TraceMemory` of the file descriptor `fd` a tick."""
+    """Ideal joints that write a row of a `TraceMemory` per tick.
+
+    Args:
+        model: The controller's model.
+        q: Initial joint positions, (6,) [rad].
+        fd: File descriptor of the `TraceMemory`.
+    """
 
     def __init__(self, model: ControllerModel, q: Array, fd: int) -> None:
         super().__init__(model, q)
@@ -87,10 +106,17 @@ def _rows(fd: int) -> NDArray[np.void]:
 
 
 def compare(report: MotionReport, stamps: Array, q: Array, rate: float) -> TraceFigures:
-    """report: of a motion in which no two commands are alike. stamps (N,) [s], q (N, 6): the trace. rate [Hz]."""
+    """Compare the commands of a motion with the trace of the joints.
+
+    Args:
+        report: Report of a motion in which no two commands are equal.
+        stamps: Times of the trace, (N,) [s].
+        q: Joint positions of the trace, (N, 6) [rad].
+        rate: Rate of the commands [Hz].
+    """
     period = 1.0 / rate
     sent, commanded = report.stamps, report.q_commanded
-    # Not the settling at its end, where all commands are alike.
+    # Without the settling at the end, where all commands are equal.
     moving = int(np.flatnonzero(np.abs(np.diff(commanded, axis=0)).max(axis=1) > 0)[-1]) + 1
     sent, commanded = sent[:moving], commanded[:moving]
     inside = (stamps > sent[0] + _LATEST * period) & (stamps < sent[-1])
@@ -110,7 +136,7 @@ def compare(report: MotionReport, stamps: Array, q: Array, rate: float) -> Trace
     excuses = np.sort(np.concatenate([late_sent, late_ticks, close_ticks]))
     behind = newest - k
     behind -= int(np.median(behind))
-    # Joints that catch up are between two commands, and the nearest one says little of which they were given.
+    # Joints that catch up are between two commands, so that the nearest one does not identify the executed command.
     between = error > _EXACT
     unreported = sum(
         not _near(excuses, stamps[i], (_SETTLING if between[i - 1 : i + 1].any() else _LATEST + 1) * period)

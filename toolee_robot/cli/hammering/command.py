@@ -19,8 +19,8 @@ from toolee_robot.runtime.clock import check_real_time_factor, is_loopback
 from toolee_robot.types import ArmModel
 
 WORLD_REAL_TIME_FACTOR = {ArmModel.UR10: 0.25, ArmModel.UR10E: 0.1}
-"""A cycle has 32 and 20 ms then: twice and more what the world needs for it at worst, in a strike, so that two busy
-cores keep the servo's schedule within a real robot's bounds."""
+"""Default real-time factors. A cycle then takes 32 and 20 ms, at least twice what the world needs for it in a strike,
+so that two busy cores keep the servo's schedule within a real robot's bounds."""
 
 
 @dataclass(frozen=True)
@@ -31,45 +31,50 @@ class Hammer:
 
     Example: toolee hammer --arm ur-rtde --robot-host 127.0.0.2 --world pybullet
 
-    Exit code 0: the nail is flush; 1: it is not, and the reason is said; 2: the input was wrong; 130: interrupted,
-    the arm was stopped.
+    Exit code 0: the nail is flush; 1: it is not, for the reason given; 2: invalid input; 130: interrupted, the arm was
+    stopped.
     """
 
     seed: int = 0
-    """Which hammer (none was used in training), which grasp, which noise."""
+    """Seed of the hammer (none was used in training), the grasp and the noise."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
     no_correction: Flag = False
-    """Strike as if the tool were where it nominally is in the hand: the baseline."""
+    """Strike with the nominal pose of the tool in the hand: the baseline."""
     arm: Literal["sim", "ur-rtde"] = "sim"
-    """The simulated arm itself, or a UR arm through the driver that a real one gets."""
+    """The simulated arm itself, or a UR arm through the driver of real ones."""
     robot_host: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="")] = None
-    """Of the UR controller, with --arm ur-rtde; with --world a loopback address, where a stand-in will serve."""
+    """Address of the UR controller, with --arm ur-rtde; with --world a loopback address for the stand-in."""
     world: Annotated[Literal["pybullet"] | None, tyro.conf.arg(metavar="pybullet", help_behavior_hint="")] = None
-    """What is behind the UR controller: a stand-in is started, with the simulated station as its world."""
+    """Start a stand-in of the UR controller, with the simulated station as its world."""
     real_time_factor: Annotated[
         float | None, tyro.conf.arg(metavar="0.05..1", help_behavior_hint="(default: UR10 0.25, UR10e 0.1)")
     ] = None
-    """With --world: seconds of the station, its robot and its world for one of the wall's clock. 1 is real time, which
-    a busy machine does not keep up with."""
+    """With --world: rate of the station's time relative to wall-clock time. 1 is real time, which a busy machine does
+    not sustain."""
     robot: Annotated[Literal["UR10", "UR10e"] | None, tyro.conf.arg(metavar="UR10|UR10e", help_behavior_hint="")] = None
-    """Which arm, instead of the configuration's."""
+    """Model of the arm, instead of the configured one."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """A station: any subset of the fields in docs/reference/station_file.md."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
-    """Where the run's folder goes: summary.json, recording.mcap, picture.png."""
+    """Parent of the run's folder, which holds summary.json, recording.mcap and picture.png."""
     gui: Flag = False
     """Show pybullet's window (needs a screen)."""
     perfect_perception: Flag = False
-    """For tests and the ablation only: poses from the simulation's ground truth instead of the camera."""
+    """For tests and ablations only: poses from the simulation's ground truth instead of the camera."""
 
     def run(self) -> int:
         if not 0 <= self.seed < 2**31:
-            raise UserError(f"--seed {self.seed}: give a whole number from 0 to {2**31 - 1}")
+            raise UserError(f"--seed {self.seed}: give a whole number from 0 to {2**31 - 1}", code="user.seed")
         if self.gui and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-            raise UserError("--gui needs a screen and DISPLAY is not set: leave it out, headless does the same job")
+            raise UserError(
+                "--gui needs a screen and DISPLAY is not set: leave it out, headless does the same job",
+                code="user.no_display",
+            )
         if self.perfect_perception and self.no_correction:
-            raise UserError("--perfect-perception with --no-correction changes nothing: leave one out")
+            raise UserError(
+                "--perfect-perception with --no-correction changes nothing: leave one out", code="user.option"
+            )
         config = StationConfig() if self.config is None else load_station(self.config)
         if self.robot is not None:
             config = replace(config, arm=replace(config.arm, model=ArmModel(self.robot)))
@@ -81,7 +86,7 @@ class Hammer:
         with run_folder(self.out, f"seed{self.seed}") as folder:
             console.print("[dim]loading the networks and building the station[/dim]")
             from toolee_robot.cli.hammering.job import (
-                HammerJob,  # seconds of loading: after everything that can be wrong at once
+                HammerJob,  # takes seconds to import: after the checks of the options
             )
             from toolee_robot.stations.simulated import StandIn
 
@@ -98,27 +103,35 @@ class Hammer:
         return report.exit_code
 
     def _address(self, model: ArmModel) -> tuple[str, float] | None:
-        """Host and real-time factor of the stand-in that the arm is driven through; None for the simulated arm
-        itself."""
+        """Host and real-time factor of the controller stand-in; None for the simulated arm itself."""
         if self.arm == "sim":
             if self.real_time_factor is not None:
                 raise UserError(
                     "--real-time-factor without --arm ur-rtde: the simulated arm itself needs none, its time waits "
-                    "for it"
+                    "for it",
+                    code="user.option",
                 )
             if self.robot_host is not None:
-                raise UserError("--robot-host without --arm ur-rtde: the simulated arm has no address")
+                raise UserError(
+                    "--robot-host without --arm ur-rtde: the simulated arm has no address", code="user.option"
+                )
             return None
         if self.world is None:
             raise UserError(
                 "--arm ur-rtde on a real robot: this project has no drivers for a real hand and a real camera yet, so "
                 "no job can be done there. Add --world pybullet for the simulated station behind the real driver; "
-                "`toolee doctor --arm ur-rtde --robot-host ...` checks a real arm"
+                "`toolee doctor --arm ur-rtde --robot-host ...` checks a real arm",
+                code="user.no_world",
             )
         if self.robot_host is None:
-            raise UserError("--arm ur-rtde needs --robot-host: a loopback address such as 127.0.0.2")
+            raise UserError(
+                "--arm ur-rtde needs --robot-host: a loopback address such as 127.0.0.2", code="user.no_robot_host"
+            )
         if not is_loopback(self.robot_host):
-            raise UserError(f"{self.robot_host!r} is not a loopback address: a stand-in serves this machine only")
+            raise UserError(
+                f"{self.robot_host!r} is not a loopback address: a stand-in serves this machine only",
+                code="user.not_loopback",
+            )
         real_time_factor = WORLD_REAL_TIME_FACTOR[model] if self.real_time_factor is None else self.real_time_factor
         check_real_time_factor(real_time_factor, self.robot_host)
         return self.robot_host, real_time_factor

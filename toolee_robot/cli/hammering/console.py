@@ -1,5 +1,5 @@
-"""What the person reads while the robot works, stage by stage."""
-# ruff: noqa: ARG002 - an observer is told more than it shows
+"""Console output of a running job, stage by stage."""
+# ruff: noqa: ARG002 - an observer receives more than it shows
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _PHASES = {
     Stage.STRIKE: "Drive the nail",
     Stage.PARK: "Park",
 }
-"""Stages that alternate are one phase to a person."""
+"""Phase of each stage in the output; stages that alternate are one phase."""
 _DOING = {
     Stage.HANDOVER: "waiting for the tool in the open hand",
     Stage.GRIP: "closing the fingers, confirming the hold",
@@ -43,10 +43,15 @@ _DOING = {
 
 
 class ConsoleObserver(TaskObserver):
-    """Writes the job to a rich console: stages, poses with their uncertainty, the nail after each strike."""
+    """Writes stages, poses with their uncertainty, and the nail after each strike to a console.
+
+    Args:
+        console: The console.
+        protrusion: Protrusion of the nail before the first strike [m].
+        flush: Largest protrusion that counts as flush [m].
+    """
 
     def __init__(self, console: Console, protrusion: float, flush: float) -> None:
-        """protrusion [m] of the nail before the first strike; flush [m], under which it is driven."""
         self._console = console
         self._start, self._flush = protrusion, flush
         self._last = protrusion
@@ -60,11 +65,11 @@ class ConsoleObserver(TaskObserver):
             transient=True,
         )
         self._task: TaskID | None = None
-        self._phase, self._phase_seconds, self._told_plan = "", 0.0, False
+        self._phase, self._phase_seconds, self._plan_shown = "", 0.0, False
 
     @contextmanager
     def live(self) -> Iterator[None]:
-        """Show the progress line while inside (on a terminal; a plain stream gets the lines only)."""
+        """Context in which a progress line is shown, if the console is a terminal."""
         if not self._console.is_terminal:
             yield
             return
@@ -75,7 +80,7 @@ class ConsoleObserver(TaskObserver):
     def stage_started(self, stage: Stage) -> None:
         if _PHASES[stage] != self._phase:
             self._close_phase()
-            self._phase, self._phase_seconds, self._told_plan = _PHASES[stage], 0.0, False
+            self._phase, self._phase_seconds, self._plan_shown = _PHASES[stage], 0.0, False
             self._console.print(f"[bold]{self._phase}[/bold]")
         if self._task is not None:
             self._progress.update(self._task, description=_DOING[stage])
@@ -129,8 +134,8 @@ class ConsoleObserver(TaskObserver):
             self._progress.update(self._task, completed=driven, protrusion=f"{strike.protrusion * 1e3:.1f} mm left")
 
     def planned(self, stamp: float, plan: StrikePlan) -> None:
-        if not self._told_plan:
-            self._told_plan = True
+        if not self._plan_shown:
+            self._plan_shown = True
             self._console.print(f"  plan: {plan_text(plan)}")
 
     def ended(self, result: HammerResult) -> None:
@@ -141,7 +146,7 @@ class ConsoleObserver(TaskObserver):
 
 
 def plan_text(plan: StrikePlan) -> str:
-    """A plan in a line, for a person."""
+    """Format a plan in one line."""
     lowered = f" (wanted {plan.wanted_speed:.1f})" if plan.speed < 0.99 * plan.wanted_speed else ""
     return (
         f"{plan.speed:.2f} m/s{lowered} at contact, spin {np.rad2deg(plan.theta):+.0f}°, "

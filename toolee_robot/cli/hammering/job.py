@@ -1,4 +1,4 @@
-"""One hammering job on a simulated station: put together, run, judged and written down."""
+"""One hammering job on a simulated station: setup, run, evaluation and records."""
 
 from __future__ import annotations
 
@@ -38,18 +38,23 @@ EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
 
 @dataclass(frozen=True)
 class HammerReport:
-    """What came of a job. figures: what --json prints, by name."""
+    """Result of a job.
+
+    Attributes:
+        figures: The values that --json prints, by name.
+    """
 
     figures: Mapping[str, Any]
 
     @property
     def exit_code(self) -> int:
+        """Exit code of the command."""
         if self.figures["outcome"] == Outcome.INTERRUPTED:
             return EXIT_INTERRUPTED
         return 0 if self.figures["success"] else EXIT_FAILED
 
     def panel(self, folder: Path) -> Panel:
-        """The last thing a person sees."""
+        """Format the summary for the console."""
         f = self.figures
         seconds = ", ".join(f"{name} {s:.1f}" for name, s in f["stage_seconds"].items())
         rows = [
@@ -70,8 +75,16 @@ class HammerReport:
 
 @dataclass(frozen=True)
 class HammerJob:
-    """What is to be done. perfect_perception: poses from the ground truth, for tests and the ablation only. stand_in:
-    what to drive the arm through, with the real driver; None: straight to the simulated station."""
+    """A job to run.
+
+    Attributes:
+        config: Configuration of the station.
+        seed: Seed of tool, grasp and noise.
+        correction: Whether the estimated in-hand pose is used.
+        perfect_perception: Whether poses come from the ground truth, for tests and ablations only.
+        gui: Whether pybullet's window is shown.
+        stand_in: Controller stand-in through which the real driver drives the arm; None for the simulated arm itself.
+    """
 
     config: StationConfig
     seed: int
@@ -81,9 +94,16 @@ class HammerJob:
     stand_in: StandIn | None = None
 
     def run(self, folder: Path, console: Console) -> HammerReport:
-        """Do the job and write summary.json, recording.mcap and picture.png into `folder`, whatever the ending.
+        """Do the job and write summary.json, recording.mcap and picture.png, whatever its outcome.
 
-        Raises TooleeError where the job could not begin. An interrupt stops the arm and is reported.
+        An interrupt stops the arm and is reported.
+
+        Args:
+            folder: Folder for the files.
+            console: The console.
+
+        Raises:
+            TooleeError: The job could not begin.
         """
         began = time.perf_counter()
         perception = None if self.perfect_perception else ToolPerception.load()
@@ -151,7 +171,7 @@ class HammerJob:
     ) -> dict[str, Any]:
         success, outcome, reason = result.success, str(result.outcome), result.reason
         if success and verdict.nail_outcome != "flush":
-            # The robot only feels the nail; the simulation knows.
+            # The robot measures the nail by touch; the simulation knows its true state.
             success = False
             reason = (
                 f"the robot takes the nail for flush ({reason}), but it is {verdict.nail_outcome.replace('_', ' ')}"

@@ -1,4 +1,4 @@
-"""The folder of one run: written beside its place and moved there when it is whole."""
+"""The folder of one run, written under a temporary name and renamed when it is complete."""
 
 from __future__ import annotations
 
@@ -12,14 +12,24 @@ from toolee_robot.errors import UserError
 
 
 class RunFolder:
-    """`path` is where files go now; `final` is where they will be. Leaving the context without `keep` removes all."""
+    """Folder of a run; without `keep` it is removed at the end of the context.
+
+    Args:
+        path: Present folder.
+        final: Folder after `keep`.
+
+    Attributes:
+        path: Present folder.
+        final: Folder after `keep`.
+        kept: Whether `keep` was called.
+    """
 
     def __init__(self, path: Path, final: Path) -> None:
         self.path, self.final = path, final
         self.kept = False
 
     def keep(self) -> Path:
-        """The run is told whole: move it to its place, with a number added should that be taken."""
+        """Move the complete run to its final folder, with a number appended if that exists."""
         target, n = self.final, 2
         while target.exists():
             target = self.final.with_name(f"{self.final.name}-{n}")
@@ -32,7 +42,15 @@ class RunFolder:
 
 @contextmanager
 def run_folder(out: Path, name: str) -> Iterator[RunFolder]:
-    """A folder `out/<time>-<name>` for a run. Raises UserError when `out` cannot be written."""
+    """Context with a folder `out/<time>-<name>` for a run.
+
+    Args:
+        out: Parent of the folder.
+        name: Name of the run.
+
+    Raises:
+        UserError: `out` cannot be written.
+    """
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     made_out = not out.exists()
     final = out / f"{stamp}-{name}"

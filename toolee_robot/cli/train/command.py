@@ -1,4 +1,4 @@
-"""`toolee train`: the detector, the mask refiner, the pose network, and how far they are to be trusted."""
+"""`toolee train`: trains the detector, the mask refiner and the pose network, and fits the trust model."""
 
 from __future__ import annotations
 
@@ -83,6 +83,7 @@ class Train:
     """
 
     action: Annotated[_Action, tyro.conf.arg(name="")]
+    """The subcommand."""
 
     def run(self) -> int:
         return self.action.run()

@@ -1,4 +1,4 @@
-"""`toolee train segmentation` and `toolee train refinement`: the networks that learn from images."""
+"""`toolee train segmentation` and `toolee train refinement`: the networks trained on images."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Training = TypeVar("Training", bound="ImageTraining")
 
 _REFINEMENT_CONFIG = "refinement_config.json"
-"""The refiner's, which may be trained into its detector's folder."""
+"""Configuration file of the refiner, which may share the detector's folder."""
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,15 @@ class _Data:
 
 @dataclass(frozen=True)
 class _ImageCommand(TrainingCommand, _Data):
-    """What both have."""
+    """Options that both commands share."""
 
     def _begin(
         self, kind: type[Training], checkpoint: str, config: str = CONFIG, **own: Path | None
     ) -> tuple[Training, bool]:
-        """The training, its options remembered, and whether it goes on from a checkpoint. own: further options, which
-        no file gives."""
+        """Set up a training and store its options.
+
+        Returns the training and whether it continues from a checkpoint; `own` are options that no file may give.
+        """
         if not self.data.is_dir():
             raise UserError(f"--data {self.data} is not a folder: make it with `toolee dataset generate`")
         names = {f.name for f in fields(kind)} - {"data", "out", "model", "init", *own}

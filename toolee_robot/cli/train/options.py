@@ -1,4 +1,4 @@
-"""Options of the trainings: from a file and the command line, kept beside the checkpoint."""
+"""Options of the trainings, from a file and the command line, stored beside the checkpoint."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_files import read_yaml
 
 CONFIG = "config.json"
-"""Beside the checkpoint: the configuration it was made with."""
+"""File beside the checkpoint with the configuration of the training."""
 CHECKPOINT = "checkpoint.pt"
-"""In the folder of a training, unless it may be another one's."""
+"""Name of the checkpoint in the folder of a training."""
 OutDir = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
@@ -31,7 +31,7 @@ _MAY_CHANGE = {"minutes", "max_steps", "session_minutes", "device", "checkpoint_
 
 @dataclass(frozen=True)
 class TrainingCommand:
-    """The options that every training has; what is special about one stands in its own class."""
+    """Options of every training."""
 
     out: OutDir
     """Checkpoint, weights with their configuration, log, TensorBoard curves (extra `train`)."""
@@ -57,31 +57,57 @@ class TrainingCommand:
     """Print one line of JSON last on standard output."""
 
     def end(self, resumed: bool, **more: Any) -> int:
-        """Say how it went, as --json asks; the exit code."""
+        """Print the result if --json is given, and return the exit code.
+
+        Args:
+            resumed: Whether the training continued from a checkpoint.
+            more: Further values to print.
+        """
         if self.json and is_first():
             print(json_line({"out": str(self.out), "resumed": resumed, **more}), flush=True)
         return 0
 
 
 def options_of(command: Any, file: Path | None, names: set[str]) -> dict[str, Any]:
-    """A training's options called `names`: those of the file, then those of the command, a dataclass."""
+    """Collect the options of a training; those of the command line override those of the file.
+
+    Args:
+        command: The command, a dataclass.
+        file: YAML or JSON file with options; None without one.
+        names: Names of the options.
+
+    Raises:
+        UserError: The file has an unknown option.
+    """
     options: dict[str, Any] = {}
     if file is not None:
         read = read_yaml(file, "options")
         if not isinstance(read, dict) or (unknown := sorted(set(map(str, read)) - names)):
             what = f"has no option {', '.join(unknown)}" if isinstance(read, dict) else "is no mapping of options"
-            raise UserError(f"--config {file}: {what}; there are {', '.join(sorted(names))}")
+            raise UserError(
+                f"--config {file}: {what}; there are {', '.join(sorted(names))}", code="user.unknown_option"
+            )
         options |= read
     given = {f.name: getattr(command, f.name) for f in fields(command) if f.name in names}
     return options | {name: value for name, value in given.items() if value is not None}
 
 
 def remember(out: Path, resume: bool, config: dict[str, Any], name: str = CONFIG) -> None:
-    """Store the configuration, or check that a run goes on with the one it began with."""
+    """Store the configuration, or check that a resumed run uses the one it started with.
+
+    Args:
+        out: Folder of the training.
+        resume: Whether the training continues from a checkpoint.
+        config: The configuration.
+        name: Name of the configuration file.
+
+    Raises:
+        UserError: The configuration has changed.
+    """
     path = out / name
     if resume and path.is_file():
         before = json.loads(path.read_text())
-        # How long it goes on may change; what is learnt from may not.
+        # The duration may change, what is learnt may not.
         changed = {k for k in before.keys() | config.keys() if before.get(k) != config.get(k)} - _MAY_CHANGE
         if changed:
             raise UserError(
@@ -98,8 +124,10 @@ def is_first() -> bool:
 
 
 def make_folder(folder: Path) -> None:
-    """Make it where it is missing. Raises UserError where that cannot be."""
+    """Make a folder if it is missing; raises UserError where that is impossible."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UserError(f"cannot make the folder {folder}: {error.strerror or error}") from error
+        raise UserError(
+            f"cannot make the folder {folder}: {error.strerror or error}", code="user.folder_not_writable"
+        ) from error

@@ -1,4 +1,4 @@
-"""`toolee train clouds` and `toolee train pose`: the pose network and what it learns from."""
+"""`toolee train clouds` and `toolee train pose`: training data and training of the pose network."""
 
 from __future__ import annotations
 
