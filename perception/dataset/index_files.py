@@ -23,7 +23,7 @@ README, CARD, CAMERA, TARGETS, COCO = "README.md", "card.json", "camera.json", "
 
 
 def is_finished(root: Path) -> bool:
-    """Whether the checksums of the whole, written last, are there."""
+    """Whether the data set at a folder is complete: its checksums, which are written last, exist."""
     return (root / SUMS).is_file()
 
 
@@ -33,7 +33,7 @@ def coco_path(root: Path, split: str) -> Path:
 
 
 def finish(root: Path) -> None:
-    """Write the checksums of the whole, when everything else is there."""
+    """Write the checksums of the whole data set; all other files must exist."""
     write_sums(root, {name: sha256(root / name) for name in listed(root)})
 
 

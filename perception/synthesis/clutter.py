@@ -1,4 +1,4 @@
-"""Things that are not tools: boxes, cans, balls, cables, rods and brackets, as background, distractor and occluder."""
+"""Objects other than tools, such as boxes, cans, cables and brackets, as background, distractors and occluders."""
 
 from __future__ import annotations
 
@@ -16,11 +16,19 @@ from toolee_robot.render.palette import any_color, linear
 from toolee_robot.render.scene import Backdrop, Patch
 
 _R_WALL = Rotation.from_euler("y", -np.pi / 2)
-"""Turns a plane's normal from z to -x."""
+"""Rotation of the normal of a plane from z to -x."""
 
 
 def any_object(rng: np.random.Generator, surfaces: Surfaces, X: Array, body_id: int, size: float) -> list[Body]:
-    """One object of about `size` [m] at X: a single shape, or a bracket, T or can of several."""
+    """A random object: a single shape, or a bracket, T or can composed of several.
+
+    Args:
+        rng: Random generator.
+        surfaces: Surfaces of the split.
+        X: Pose of the object in the world frame, 4x4 [m].
+        body_id: Body id of all shapes.
+        size: Approximate size [m].
+    """
     kind = rng.random()
     material = surfaces.material(rng)
     if kind < 0.3:
@@ -51,7 +59,7 @@ def any_object(rng: np.random.Generator, surfaces: Surfaces, X: Array, body_id: 
 
 
 def cable(rng: np.random.Generator, length: float, radius: float) -> Mesh:
-    """A smooth random cable [m] through the origin."""
+    """A smooth random cable through the origin [m]."""
     t = np.linspace(-1.0, 1.0, 32)[:, None]
     bends = rng.normal(0.0, 0.25, (3, 3))
     phases = rng.uniform(0.0, 2 * np.pi, 3)
@@ -61,7 +69,7 @@ def cable(rng: np.random.Generator, length: float, radius: float) -> Mesh:
 
 
 def walls(rng: np.random.Generator, surfaces: Surfaces, body_id: int, floor_height: float) -> list[Body]:
-    """A room of the split around the origin: floor at `floor_height` [m], four walls, a ceiling, things."""
+    """A random room around the origin: floor at `floor_height` [m], four walls, ceiling and objects."""
     floor, ceiling, around = _walls(surfaces, surfaces.room(rng), body_id)
     above = transform(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, floor_height + 3.5))
     below = Body(plane(14.0), transform(p=(0.0, 0.0, floor_height)), floor, body_id)
@@ -70,7 +78,7 @@ def walls(rng: np.random.Generator, surfaces: Surfaces, body_id: int, floor_heig
 
 @lru_cache(maxsize=ROOMS)
 def _walls(surfaces: Surfaces, room: int, body_id: int) -> tuple[Material, Material, tuple[Body, ...]]:
-    """What floor and ceiling are of, and the rest of the room."""
+    """Materials of floor and ceiling, and the other bodies of a room."""
     rng = room_rng(room)
     floor, ceiling = surfaces.material(rng, 0.2), surfaces.material(rng, 0.5)
     bodies: list[Body] = []
@@ -92,7 +100,7 @@ def _walls(surfaces: Surfaces, room: int, body_id: int) -> tuple[Material, Mater
 
 
 def backdrop(rng: np.random.Generator, surfaces: Surfaces) -> Backdrop:
-    """A gradient with random shapes."""
+    """A random backdrop: a gradient with patches."""
     rng = surfaces.backdrop(rng)
     corners = rng.uniform(0.0, 0.7, (3, 3))
     patches = []

@@ -1,4 +1,4 @@
-"""Read tools that a user brings: a folder for each with `tool.yaml` and a mesh; `docs/dataset.md` has an example."""
+"""Reading of custom tools: one folder each with `tool.yaml` and a mesh; `docs/dataset.md` has an example."""
 
 from __future__ import annotations
 
@@ -47,8 +47,14 @@ _Material = Annotated[str, AfterValidator(_known)]
 
 @dataclass(frozen=True)
 class EeConfig:
-    """position, z, x: of the category's frame (`EndEffectorSpec.frame`), in the mesh's frame and unit. x may be left
-    out where the category's symmetry leaves it open."""
+    """An end effector; its frame is that of the category (`EndEffectorSpec.frame`).
+
+    Attributes:
+        category: Category of the EE.
+        position: Origin (3,), frame and unit of the mesh.
+        z: Direction of the z axis (3,), frame of the mesh.
+        x: Direction of the x axis (3,), frame of the mesh; None where the symmetry of the category leaves it free.
+    """
 
     __pydantic_config__ = _STRICT
     category: Category
@@ -59,7 +65,12 @@ class EeConfig:
 
 @dataclass(frozen=True)
 class HandleConfig:
-    """butt: the middle of the handle's free end; end: where it ends towards the working end. Mesh's frame and unit."""
+    """The axis of the handle, in the frame and unit of the mesh.
+
+    Attributes:
+        butt: Centre of the free end (3,).
+        end: Centre of the end towards the working end (3,).
+    """
 
     __pydantic_config__ = _STRICT
     butt: _Vector
@@ -68,7 +79,12 @@ class HandleConfig:
 
 @dataclass(frozen=True)
 class MaterialsConfig:
-    """What handle and head look like; half of the images repaint them."""
+    """Materials of a tool; half of the images replace their colours.
+
+    Attributes:
+        handle: Material of the handle.
+        head: Material of the head.
+    """
 
     __pydantic_config__ = _STRICT
     handle: _Material = "plastic"
@@ -77,8 +93,15 @@ class MaterialsConfig:
 
 @dataclass(frozen=True)
 class ToolConfig:
-    """mesh: a file beside this one, of any format that trimesh reads. scale: metres per unit of the mesh. ees: one or
-    two, the working end first."""
+    """Content of `tool.yaml`.
+
+    Attributes:
+        mesh: Mesh file in the same folder, in a format that trimesh reads.
+        scale: Metres per unit of the mesh.
+        handle: Axis of the handle.
+        ees: One or two end effectors, the working end first.
+        materials: Materials of handle and head.
+    """
 
     __pydantic_config__ = _STRICT
     mesh: str
@@ -89,7 +112,14 @@ class ToolConfig:
 
 
 def read_custom_tools(folder: Path) -> tuple[CustomMesh, ...]:
-    """The tools in a folder of folders, by name. Raises ConfigError naming the file and what to change in it."""
+    """Read custom tools, sorted by name.
+
+    Args:
+        folder: Folder with one folder per tool.
+
+    Raises:
+        ConfigError: A tool is invalid; the message names the file and what to change.
+    """
     if not folder.is_dir():
         raise ConfigError(f"--tools {folder}: there is no such folder")
     folders = sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))

@@ -1,4 +1,4 @@
-"""The hard scenes: any orientation, any surroundings, hands, occluders; and scenes without tools."""
+"""Hard scenes: random orientations, surroundings, hands and occluders; also scenes without tools."""
 
 from __future__ import annotations
 
@@ -45,15 +45,21 @@ from toolee_robot.tools import ToolShape
 from toolee_robot.types import CameraIntrinsics
 
 ROOM, HAND, ARM, OBJECT = 100, 101, 102, 103
-"""Body ids of what is no tool."""
+"""Body ids of everything except tools."""
 _R_ROD = Rotation.from_euler("x", np.pi / 2).as_matrix()
-"""Lays a rod, made along z, along y."""
+"""Rotation from z to y, for rods that are modelled along z."""
 
 
 def hard_scene(rng: np.random.Generator, pool: Pool, with_tools: bool = True) -> SceneSample:
-    """Up to three tools, the first one mostly in a hand, among clutter. Without tools: the same, hands included."""
+    """Generate a hard scene: up to three tools in clutter, the first one mostly in a hand.
+
+    Args:
+        rng: Random generator.
+        pool: Tools, grasps and surfaces.
+        with_tools: Whether to include tools; without them, the scene still contains hands.
+    """
     intrinsics = random_intrinsics(rng)
-    # The camera stands in the origin of a world with z up; the table is put where it does not cut the held tools.
+    # The camera is at the origin of a world with z up; the table is placed so that it does not intersect held tools.
     pitch = np.deg2rad(rng.uniform(-85.0, 30.0))
     roll = rng.normal(0.0, 0.15) if rng.random() < 0.5 else rng.uniform(-np.pi, np.pi)
     X_world_camera = look(np.zeros(3), np.array([np.cos(pitch), 0.0, np.sin(pitch)]), roll)
@@ -106,7 +112,7 @@ def hard_scene(rng: np.random.Generator, pool: Pool, with_tools: bool = True) ->
 def _held(
     rng: np.random.Generator, pool: Pool, tool: ToolShape, X_world_tool: Array, body_id: int
 ) -> tuple[PlacedTool, list[Body], float]:
-    """A hand around the tool's handle, seldom the arm behind it, and the lowest height of either."""
+    """A hand around the handle, rarely with the arm, and the lowest height of both [m]."""
     grasp = pool.grasp(tool, rng)
     style = HandStyle.random(rng)
     along = transform(p=(0.0, 0.0, rng.uniform(-0.03, 0.04)))
@@ -121,7 +127,7 @@ def _held(
 
 
 def _table_height(rng: np.random.Generator, lowest: float) -> float | None:
-    """Height of a table below everything that is held and below the camera, or None."""
+    """Random height [m] of a table below all held bodies and the camera, or None."""
     if rng.random() < 0.3:
         return None
     drop = rng.uniform(0.0, 0.1) if rng.random() < 0.4 else rng.uniform(0.1, 0.6)
@@ -129,7 +135,7 @@ def _table_height(rng: np.random.Generator, lowest: float) -> float | None:
 
 
 def _table(rng: np.random.Generator, surfaces: Surfaces, X_world_camera: Array, height: float) -> Body:
-    """A table top (or the ground) under what the camera looks at."""
+    """A table top (or the ground) below the view of the camera."""
     size = rng.uniform(0.6, 2.5, 2)
     ahead = X_world_camera[:3, 2] * rng.uniform(0.3, 1.0)
     X = transform(rotation_z(rng.uniform(0, np.pi)), (ahead[0], ahead[1], height - 0.02))
@@ -143,7 +149,7 @@ def _settled(
     X_world_camera: Array,
     table: float | None,
 ) -> PlacedTool:
-    """The tool, put on the table (or in the air where the camera sees none) if it has no pose yet."""
+    """Place a tool without a pose on the table, or in the air if the camera does not see the table."""
     if np.all(np.isfinite(item.X_world_tool)):
         return item
     point = None if table is None else on_plane(intrinsics, X_world_camera, table, random_pixel(rng), NEAREST, FARTHEST)
@@ -158,7 +164,7 @@ def _objects(
     X_world_camera: Array,
     table: float | None,
 ) -> list[Body]:
-    """Things on the table and in the air."""
+    """Random objects on the table and in the air."""
     bodies: list[Body] = []
     for _ in range(rng.poisson(12.0 if rng.random() < 0.35 else 3.5)):
         size = float(np.exp(rng.uniform(np.log(0.03), np.log(0.35))))
@@ -177,7 +183,7 @@ def _objects(
 def _occluders(
     rng: np.random.Generator, surfaces: Surfaces, X_world_camera: Array, placed: list[PlacedTool]
 ) -> list[Body]:
-    """In most scenes something before most EEs, hiding 0 to about 70 % of each."""
+    """Occluders in front of most EEs of most scenes; each hides 0 to about 70 % of an EE."""
     bodies: list[Body] = []
     if rng.random() < 0.15:
         return bodies
@@ -186,14 +192,14 @@ def _occluders(
             continue
         sight = (item.X_world_tool @ ee.X_tool_ee)[:3, 3] - X_world_camera[:3, 3]
         share = rng.uniform(0.45, 0.93)
-        reach = share * ee.category.spec.radius  # of the EE as it looks at the occluder's distance
+        reach = share * ee.category.spec.radius  # of the EE, projected to the distance of the occluder
         R = frame_from_axes(z=sight, x=np.cross(sight, rng.normal(size=3)), p=np.zeros(3))[:3, :3]
         if rng.random() < 0.3:
             p = R[:, 0] * rng.uniform(0.2, 1.3) * reach
             X = transform(random_rotation(rng), X_world_camera[:3, 3] + share * sight + p)
             bodies += any_object(rng, surfaces, X, OBJECT, float(reach * rng.uniform(1.0, 3.0)))
             continue
-        # A board or a rod, one edge of which passes before the EE.
+        # A board or a rod with one edge in front of the EE.
         board = rng.random() < 0.6
         half = reach * (rng.uniform(0.8, 3.0) if board else rng.uniform(0.15, 0.7))
         size = (2.0 * half, reach * rng.uniform(2.0, 6.0), 0.01) if board else (half, reach * rng.uniform(3.0, 8.0))

@@ -1,7 +1,7 @@
-"""The paper's protocol: one upright tool in one hand, held one way, seen by a camera that is never rolled, exactly.
+"""Scenes of the protocol of the paper: one upright tool in one hand, fixed grasp, camera without roll.
 
-The paper's images are 1920x1080 with a field of view of about 90 degrees. Here they are 960x540 with the same field of
-view, of which the 512x424 window with the tool is rendered; the EE's circle of 60 pixels becomes one of 30.
+The images of the paper are 1920x1080 with a field of view of about 90 degrees. Here the full image is 960x540 with the
+same field of view; a window of 512x424 with the tool is rendered, and the EE circle of 60 pixels becomes one of 30.
 """
 
 from __future__ import annotations
@@ -31,11 +31,17 @@ _SKIN = Material(linear((0.78, 0.60, 0.50)), roughness=0.55)
 
 
 def paper_scene(rng: np.random.Generator, pool: Pool, claws: bool = False) -> SceneSample:
-    """One tool of the pool, its handle vertical, in a right hand that holds it in the nominal grasp up to 5 cm along
-    the handle; an EE 0.42 to 0.98 m deep; the camera level within -45 to 30 degrees, its roll 0.
+    """Generate a scene of the protocol.
 
-    claws: one that has a claw, of `_TURNS` about its handle the one that shows most of the face: the head stands before
-    the claw, the protocol's hardest view and a rare one."""
+    A right hand holds a tool with vertical handle in the nominal grasp, shifted by up to 5 cm along the handle. An EE
+    is at a depth of 0.42 to 0.98 m; the pitch of the camera is -45 to 30 degrees, its roll 0.
+
+    Args:
+        rng: Random generator.
+        pool: Tools, grasps and surfaces.
+        claws: Show a tool with a claw, and of `_TURNS` rotations about the handle the one with the best view of the
+            face: the head is in front of the claw, which is the hardest view of the protocol and a rare one.
+    """
     tool = pool.tool_with(Category.HAMMER_GRIP, rng) if claws else pool.tool(rng)
     pitch = np.deg2rad(rng.uniform(-45.0, 30.0))
     X_world_camera = look(np.zeros(3), np.array([np.cos(pitch), 0.0, np.sin(pitch)]), 0.0)
@@ -53,7 +59,7 @@ def paper_scene(rng: np.random.Generator, pool: Pool, claws: bool = False) -> Sc
     along = float(np.clip(rng.uniform(-_SHIFT, _SHIFT), tool.handle.z_min + 0.03, max(tool.handle.z_max, 0.0)))
     X_world_hand = X_world_hand_of(X_world_tool @ transform(p=(0.0, 0.0, along)), X_hand_tool)
 
-    # The window: the tool's middle in it, by chance left or right, within the full image.
+    # The window contains the centre of the tool with a random offset and lies within the full image.
     vertices = transform_points(np.linalg.inv(X_world_camera) @ X_world_tool, np.asarray(tool.mesh.vertices))
     pixels = vertices[:, :2] / np.maximum(vertices[:, 2:], 0.1) * FOCAL + [full.cx, full.cy]
     middle = 0.5 * (pixels.min(axis=0) + pixels.max(axis=0)) + rng.uniform([-80.0, -60.0], [80.0, 60.0])

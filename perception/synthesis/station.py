@@ -1,7 +1,7 @@
-"""Scenes that resemble the station: a UR10 with a Shadow hand shows a hammer to the fixed camera, over block and nail.
+"""Scenes of the station: a UR10 with a Shadow Hand shows a tool to the fixed camera, above block and nail.
 
-Lengths and places are those of `toolee_robot.config` (repeated here as the middle of random ranges: a training machine
-need not have the configuration's packages, and no lab stands exactly where the default says).
+Dimensions and positions are those of `toolee_robot.config`, repeated here as centres of random ranges: a training
+machine does not need the packages of the configuration, and a real station deviates from the defaults.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _POSTURES = 150_000
 
 @lru_cache(maxsize=1)
 def _postures() -> tuple[Array, Array]:
-    """Arm postures (N, 6) [rad] that hold the hand about where the camera looks, and Xs_base_flange (N, 4, 4)."""
+    """Arm postures (N, 6) [rad] with the hand near the view of the camera, and their X_base_flange (N, 4, 4) [m]."""
     rng = np.random.default_rng(7)
     q = rng.uniform([-3.1, -2.6, -2.6, -3.1, -3.1, -3.1], [3.1, -0.4, 2.6, 3.1, 3.1, 3.1], (_POSTURES, 6))
     X = np.broadcast_to(np.eye(4), (_POSTURES, 4, 4))
@@ -58,14 +58,14 @@ def _postures() -> tuple[Array, Array]:
     palm = X[:, :3, 3] + 0.27 * X[:, :3, 2]
     near = np.linalg.norm(palm - (0.15 * _CAMERA + 0.85 * _TARGET), axis=1) < 0.25
     clear = (np.min(heights[2:], axis=0) > 0.12) & (palm[:, 2] > 0.3)
-    # Not with the arm between hand and camera.
+    # The arm must not be between hand and camera.
     away = np.linalg.norm(palm - _CAMERA, axis=1) < np.linalg.norm(X[:, :3, 3] - _CAMERA, axis=1) + 0.15
     keep = near & clear & away
     return q[keep], X[keep]
 
 
 def station_scene(rng: np.random.Generator, pool: Pool) -> SceneSample | None:
-    """A station scene, or None where the chosen posture shows no EE to the camera."""
+    """A random station scene; None if the camera sees no EE in the chosen posture."""
     f = 365.5 * np.exp(rng.normal(0.0, 0.03))
     cx, cy = rng.normal([254.9, 205.4], 4.0)
     intrinsics = CameraIntrinsics(float(f), float(f), float(cx), float(cy), WIDTH, HEIGHT)
@@ -91,8 +91,11 @@ def station_scene(rng: np.random.Generator, pool: Pool) -> SceneSample | None:
 
 
 def _posture(rng: np.random.Generator, tool: ToolShape, grasp: Grasp, X_base_camera: Array) -> Array:
-    """Arm joints (6,) [rad]. Half of the time the working EE is shown as the planner of views would show it: near, its
-    z axis 20 to 65 deg off the line of sight; else anything, mostly with the forearm pointing down."""
+    """Random joint positions of the arm (6,) [rad].
+
+    With probability 0.5 the working EE is shown as by the view planner: near, z axis 20 to 65 deg off the line of
+    sight; otherwise the posture is random, mostly with the forearm pointing down.
+    """
     q, Xs_base_flange = _postures()
     if rng.random() < 0.5:
         X_flange_ee = inverse(Xs_base_flange[0]) @ X_base_hand_of(q[0], grasp.q_hand)
@@ -111,7 +114,7 @@ def _posture(rng: np.random.Generator, tool: ToolShape, grasp: Grasp, X_base_cam
 
 
 def _robot_hand(rng: np.random.Generator) -> HandStyle:
-    """Mostly the Shadow hand's black, else anything."""
+    """Appearance of the hand: mostly the black of the Shadow Hand, otherwise random."""
     style = HandStyle.random(rng)
     if rng.random() < 0.65:
         black = finish("plastic", tuple_of(rng.uniform(0.05, 0.35)), float(rng.uniform(0.3, 0.6)), 0.0, rng)
@@ -142,7 +145,7 @@ def _work(rng: np.random.Generator, surfaces: Surfaces) -> list[Body]:
 
 
 def _person(rng: np.random.Generator) -> list[Body]:
-    """Somebody standing behind the table: trunk, head and arms as simple solids."""
+    """A person behind the table: trunk, head and arms as simple solids."""
     angle = rng.uniform(0.3, 2.8)
     place = np.array([0.5, 0.2, 0.0]) + rng.uniform(0.6, 1.4) * np.array([np.cos(angle), np.sin(angle), 0.0])
     shirt = finish("rubber", any_color(rng), 0.9, 0.0, rng)
