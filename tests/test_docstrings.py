@@ -27,6 +27,7 @@ ROOMS = [
     "toolee_robot/cli",
     "toolee_robot/config",
     "toolee_robot/doctor",
+    "toolee_robot/faults",
     "toolee_robot/hal",
     "toolee_robot/hardware",
     "toolee_robot/motion",

@@ -1,4 +1,4 @@
-"""Inject every fault that the arm, the supervisor and the task must survive, and measure what they do about it.
+"""Injection of the faults that arm, supervisor and task must survive, and measurement of their reactions.
 
     for row in run_matrix(MatrixOptions()):
         print(row.number, row.fault, row.handled)

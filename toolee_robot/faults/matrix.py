@@ -1,4 +1,4 @@
-"""The whole matrix, row by row as it is measured."""
+"""The fault matrix, measured row by row."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ ELSEWHERE = {
 
 
 class Part(StrEnum):
-    """ARM: the driver and the supervisor on the controller stand-in. JOB: the task on the simulated station."""
+    """Parts of the matrix.
+
+    ARM: driver and supervisor on the controller stand-in. JOB: the task on the simulated station.
+    """
 
     ALL = "all"
     ARM = "arm"
@@ -38,8 +41,13 @@ class Part(StrEnum):
 
 @dataclass(frozen=True)
 class MatrixOptions:
-    """host: a loopback address for the stand-ins. models: under which the arm's faults are injected. part: of the
-    matrix."""
+    """Options of a run of the matrix.
+
+    Attributes:
+        host: Loopback address of the stand-ins.
+        models: Models of the arm under which the arm's faults are injected.
+        part: Part of the matrix.
+    """
 
     host: str = "127.0.0.70"
     models: tuple[ArmModel, ...] = (ArmModel.UR10, ArmModel.UR10E)
@@ -47,7 +55,7 @@ class MatrixOptions:
 
 
 def run_matrix(options: MatrixOptions) -> Iterator[FaultRow]:
-    """Every row, sorted by nothing but the order of measuring."""
+    """Measure the matrix and yield its rows in the order of measurement."""
     with CpuKeepalive(), LatencyMonitor() as machine:
         for measurement in _measurements(options):
             yield measurement.row(machine)

@@ -1,4 +1,4 @@
-"""A row of the matrix that is still to be measured, and how often it may be tried."""
+"""Measurement of a row of the matrix, with repetitions after stalls of the machine."""
 
 from __future__ import annotations
 
@@ -11,11 +11,21 @@ from toolee_robot.faults.rigs.driver_rig import MissedMomentError
 from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
 
 ATTEMPTS = 3
+"""Largest number of measurements of a row."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """number, fault, phase, on, expected: as in `FaultRow`. run: injects the fault and judges what comes of it."""
+    """A row that is to be measured.
+
+    Attributes:
+        number: See `FaultRow`.
+        fault: See `FaultRow`.
+        phase: See `FaultRow`.
+        on: See `FaultRow`.
+        expected: See `FaultRow`.
+        run: Injects the fault and judges the reaction.
+    """
 
     number: int
     fault: str
@@ -25,8 +35,13 @@ class Measurement:
     run: Callable[[], FaultRow]
 
     def row(self, machine: LatencyMonitor) -> FaultRow:
-        """Measured; and again, up to ATTEMPTS times in all, where it is not handled and the machine itself stalled
-        meanwhile or the moment for the fault was missed. What could not be measured is not handled."""
+        """Measure the row, and repeat it where it is not handled and the machine stalled or the moment was missed.
+
+        A row that cannot be measured counts as not handled.
+
+        Args:
+            machine: Running monitor of the machine's stalls.
+        """
         again = 0
         while True:
             machine.begin()

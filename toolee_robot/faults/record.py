@@ -1,4 +1,4 @@
-"""One row of the fault matrix: what was injected, when, and what came of it."""
+"""One row of the fault matrix: the fault, its time, and the reaction."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class Phase(StrEnum):
-    """When the fault comes."""
+    """When the fault is injected."""
 
     START = "at the start"
     REST = "at rest"
@@ -16,15 +16,24 @@ class Phase(StrEnum):
 
 @dataclass(frozen=True)
 class FaultRow:
-    """number: in the list of docs/concepts/safety.md. fault: what was injected. on: the arm it was injected under.
-    expected: the reaction it must get. got: the one it got.
+    """Result of one fault; times and distances are None where nothing moved or nothing is timed.
 
-    reaction: from the fault to the first tick in which the joints leave the uninterrupted motion [s]. standstill: from
-    the fault to rest [s]; allowed: the most that may take [s], which is the time to notice it, the braking that the
-    limits force, and two cycles. speed: of the fastest joint when it came [rad/s].
-    off_path: the most that the joints left the path afterwards [rad]. None where nothing moved or nothing is timed.
-    latched: whether the next motion was refused until a person's reset. handled: all of it as it must be; why: if not.
-    again: how often it was measured before, to no avail, while the machine itself stalled or the moment was missed.
+    Attributes:
+        number: Number in the list of docs/concepts/safety.md.
+        fault: The injected fault.
+        phase: When it was injected.
+        on: Arm or station under which it was injected.
+        expected: Required reaction.
+        got: Measured reaction.
+        latched: Whether the next motion was refused until a person's reset.
+        handled: Whether everything was as required.
+        why: What was not, if any.
+        reaction: Time from the fault to the first tick in which the joints leave the uninterrupted motion [s].
+        standstill: Time from the fault to rest [s].
+        allowed: Largest permitted `standstill`: time to detect the fault, braking time at the limits, two cycles [s].
+        speed: Speed of the fastest joint at the fault [rad/s].
+        off_path: Largest deviation of the joints from the path after the fault [rad].
+        again: Number of discarded measurements during which the machine stalled or the moment was missed.
     """
 
     number: int

@@ -1,4 +1,4 @@
-"""The real driver on the controller stand-in, swinging, with a fault at the right moment."""
+"""The real driver on the controller stand-in, with a fault injected during a swing."""
 
 from __future__ import annotations
 
@@ -30,13 +30,19 @@ START_TIME, SETTLE_TIME, RESET_TIME, NOTICE_TIME = 5.0, 0.6, 15.0, 0.2  # [s]
 
 
 class MissedMomentError(DeviceError):
-    """The swing was over, or had not begun, when the fault came."""
+    """The fault was injected before or after the swing."""
 
 
 @dataclass(frozen=True)
 class Happening:
-    """What came of a fault in mid-swing. stop: what the joints did. error: that `execute` raised. report: of the
-    motion. answer: what the injected action itself returned or raised."""
+    """Result of a fault injected during a swing.
+
+    Attributes:
+        stop: Motion of the joints.
+        error: Error that `execute` raised, or None.
+        report: Report of the motion, or None.
+        answer: What the injected action returned or raised.
+    """
 
     stop: Stop
     error: Exception | None
@@ -45,7 +51,13 @@ class Happening:
 
 
 class Rig:
-    """An entered UrArm at the beginning of a strike's swing."""
+    """A connected `UrArm` at the start of a swing.
+
+    Args:
+        controller: The controller stand-in.
+        arm: The driver.
+        swing: The planned swing.
+    """
 
     def __init__(self, controller: ControllerProcess, arm: UrArm, swing: Swing) -> None:
         self.controller, self.arm, self.swing = controller, arm, swing
@@ -60,7 +72,7 @@ class Rig:
 
     @property
     def q_commanded(self) -> Array:
-        """(6,) [rad] where the next motion starts, however old the arm's newest state is."""
+        """Joint positions where the next motion starts, (6,) [rad], from a state of any age."""
         return self.arm.state(np.inf).q_commanded
 
     @property
@@ -75,7 +87,17 @@ class Rig:
         guard: ContactGuard | None = None,
         execute: Callable[[Trajectory, ContactGuard | None, MotionWatch], MotionReport] | None = None,
     ) -> Happening:
-        """Swing, and do it when the face is at its fastest."""
+        """Swing, and inject a fault when the face is at its fastest.
+
+        Args:
+            action: Injects the fault.
+            watch: Bounds of the motion.
+            guard: Contact detection; None for none.
+            execute: Executes the motion; None for the driver's `execute`.
+
+        Raises:
+            MissedMomentError: The arm was not in mid-swing.
+        """
         self.prepare()
         before = self.controller.state()["tick"]
         at, answer = [0.0], [None]
@@ -109,8 +131,10 @@ class Rig:
             answer[0] = error
 
     def is_latched(self) -> bool:
-        """Whether the next motion is refused, without a tick of movement. A fault that came at rest may be noticed only
-        by the first attempt to move."""
+        """Whether the next motion is refused without any movement.
+
+        A fault at rest may be detected only by the first attempt to move.
+        """
         for _ in range(2):
             q = np.array(self.controller.state()["q_target"])
             try:
@@ -125,7 +149,7 @@ class Rig:
         return False
 
     def make_ready(self) -> None:
-        """What a person does: clear the robot, then reset the arm."""
+        """Clear the robot as a person would, then reset the arm."""
         self.controller.fault("reset")
         time.sleep(NOTICE_TIME)  # the reset ends the robot's program, which the arm has to see first
         deadline = time.monotonic() + RESET_TIME
@@ -139,7 +163,7 @@ class Rig:
                 time.sleep(0.1)
 
     def prepare(self) -> None:
-        """To the beginning of the swing, ready."""
+        """Make the arm ready and move it to the start of the swing."""
         self.make_ready()
         limits = self.swing.config.arm
         way = joint_move(
@@ -158,7 +182,12 @@ class Rig:
 
 @contextmanager
 def rig(model: ArmModel, host: str) -> Iterator[Rig]:
-    """A stand-in of this model on a loopback address, the driver connected to it, and a planned strike."""
+    """Context with a stand-in, the driver connected to it, and a planned swing.
+
+    Args:
+        model: Model of the arm.
+        host: Loopback address of the stand-in.
+    """
     swing = plan_swing(model)
     plant = partial(JointPlant, q=swing.plan.strike.q[0])
     with (

@@ -1,6 +1,6 @@
-"""A simulated station with the hammer already in the hand, put back between jobs, and people and observers for it.
+"""A simulated station with the hammer already in the hand, restored between jobs.
 
-Only the handover itself is cut short: arm, hand, grip, camera, nail and clock are the simulation's own.
+Only the handover is skipped: arm, hand, grip, camera, nail and clock are those of the simulation.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from toolee_robot.tasks.common.outcome import HammerResult, Stage
 from toolee_robot.tasks.hammering.grasp import Grasp, nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
 
-# Transfers are not what is examined: they may be fast.
+# Transfers are not examined and may be fast.
 CONFIG = StationConfig(
     task=TaskConfig(views=1, max_strikes=1, handover_timeout=2.0),
     arm=ArmLimits(transfer_velocity_scale=0.7, transfer_acceleration=5.0),
@@ -43,8 +43,15 @@ SEED = 101
 
 
 class ClosedHand:
-    """The simulated hand with the hammer in it: already closed, and it does not open. closed: whether it says so; it
-    feels what it holds only from then on."""
+    """The simulated hand closed around the hammer, which does not open.
+
+    Args:
+        hand: The simulated hand.
+
+    Attributes:
+        opened: Number of calls of `open`.
+        closed: Whether the hand reports that it is closed; it senses the tool only then.
+    """
 
     def __init__(self, hand: SimHand) -> None:
         self._hand = hand
@@ -85,8 +92,12 @@ def _nothing() -> None: ...
 
 
 class Log(TaskObserver):
-    """What a task said, in order. at: stage -> what to do when it first begins; after: the name of a motion -> what to
-    do when it has first ended."""
+    """Records the events of a task, and calls actions at given events.
+
+    Args:
+        at: Action at the first start of a stage.
+        after: Action after the first motion of a name.
+    """
 
     def __init__(
         self, at: dict[Stage, Callable[[], None]] | None = None, after: dict[str, Callable[[], None]] | None = None
@@ -117,7 +128,7 @@ class Log(TaskObserver):
 
 
 class Bench:
-    """The station with the hammer in the hand, at the handover; `reset` puts everything back."""
+    """The station with the hammer in the hand at the handover position; `reset` restores it."""
 
     def __init__(self) -> None:
         robot = RobotModel.of_station(CONFIG)
@@ -137,7 +148,7 @@ class Bench:
         self.reset()
 
     def keep(self) -> None:
-        """As things are now they will be after every `reset`."""
+        """Save the present state as the one that `reset` restores."""
         world = self.sim.world
         self._q_hand = world.robot.q_hand_target.copy()
         self._q = world.robot.q_arm_target.copy()
@@ -145,6 +156,7 @@ class Bench:
         self._state = pb.saveState(physicsClientId=world.client)
 
     def reset(self) -> None:
+        """Restore the saved state, with new devices and people."""
         world = self.sim.world
         world.observers.clear()
         world.before_step[:], world.after_step[:] = self._callbacks
@@ -161,7 +173,7 @@ class Bench:
         self.arm = SimArm(world)
         self.hand: ClosedHand = ClosedHand(self.sim_hand)
         self.people = People()
-        world.advance(0.1)  # the judge, too, has then seen only what is now
+        world.advance(0.1)  # so that the ground truth, too, reflects the restored state
 
     @property
     def station(self) -> Station:
@@ -169,20 +181,22 @@ class Bench:
         return replace(self.sim.station, arm=self.arm, hand=hand, person=self.people)
 
     def blind_task(self, log: TaskObserver, config: StationConfig = CONFIG) -> HammeringTask:
-        """A job that believes the grasp, which is the true one here: it needs no look."""
+        """Make a job that uses the true grasp without looking."""
         return HammeringTask(self.station, NoPerception(), config, self.true_grasp, correction=False, observer=log)
 
     def seeing_task(
         self, log: TaskObserver, config: StationConfig = CONFIG, perceiver: Perceiver | None = None
     ) -> HammeringTask:
-        """A job that looks and is told the truth, unless by another perceiver."""
+        """Make a job that looks; poses come from the ground truth unless another perceiver is given."""
         perceiver = perceiver or PerfectPerception(self.sim.judge)
         return HammeringTask(self.station, perceiver, config, nominal_grasp(self.sim.tool, config), observer=log)
 
     @contextmanager
     def in_real_time(self) -> Iterator[None]:
-        """Inside, no simulated step takes less time than it simulates: a thread notices things as soon as it would at
-        a robot. Time that was lost, in a plan's check for instance, is not caught up."""
+        """Context in which the simulation does not run faster than real time, so that watching threads keep up.
+
+        Lost time, for instance during planning, is not caught up.
+        """
         world = self.sim.world
         due = time.monotonic()
 
@@ -200,13 +214,13 @@ class Bench:
             world.before_step.remove(keep)
 
     def drop(self) -> None:
-        """The hand loses the hammer."""
+        """Let the hand lose the hammer."""
         assert self.sim.world.grip is not None
         self.sim.world.grip.release()
 
 
 class NoPerception:
-    """What must not be asked."""
+    """Perception that fails the test when it is used."""
 
     def estimate(self, *_args: Any, **_kwargs: Any) -> Any:
         raise AssertionError("perception was asked for an estimate")
@@ -216,7 +230,7 @@ class NoPerception:
 
 
 def at_rest(sim: SimStation) -> bool:
-    """Whether the arm stands where it was last commanded, and goes on standing there."""
+    """Whether the arm is at rest at its commanded position, and remains so for 0.2 s."""
     robot = sim.world.robot
     q, qd = robot.arm_state()
     still = np.abs(qd).max() < 5e-3 and not robot.qd_arm_target.any() and np.abs(q - robot.q_arm_target).max() < 5e-3

@@ -1,4 +1,4 @@
-"""What the simulated joints really did, step by step, and things that happen at a chosen step."""
+"""Recording of the simulated joints step by step, and actions at a chosen step."""
 
 from __future__ import annotations
 
@@ -16,7 +16,12 @@ from toolee_robot.types import Trajectory
 
 
 class JointWatch:
-    """Records from `begin` to `end`: joints as they are, and the arm's set-point, at every step of the simulation."""
+    """Records the true joints and the arm's set-point at every step of the simulation.
+
+    Args:
+        world: The simulated world.
+        arm: The simulated arm.
+    """
 
     def __init__(self, world: SimWorld, arm: SimArm) -> None:
         self._world, self._arm = world, arm
@@ -29,16 +34,16 @@ class JointWatch:
         world.after_step.append(self._after_step)
 
     def begin(self) -> None:
-        """From now on."""
+        """Start recording."""
         self._watching = True
         self._note()
 
     def end(self) -> None:
-        """No further."""
+        """End recording."""
         self._watching = False
 
     def at(self, stamp: float, act: Callable[[], None]) -> None:
-        """Do it in the first step that ends at `stamp` [s] or after."""
+        """Call `act` in the first step that ends at `stamp` [s] or later."""
         self._due.append((stamp, act))
 
     def _after_step(self) -> None:
@@ -56,24 +61,29 @@ class JointWatch:
         self._target.append(self._arm.q_commanded)
 
     def stop(self, trajectory: Trajectory, event: float, *, commanded: bool = False) -> Stop:
-        """The stop that followed the time `event` [s]. Path and reaction are those of the set-point; speed and
-        standstill are those of the joints, or of the set-point, too."""
+        """Analyse the stop after a fault; path and reaction are those of the set-point.
+
+        Args:
+            trajectory: The motion.
+            event: Time of the fault [s].
+            commanded: Whether speed and standstill are those of the set-point instead of the joints.
+        """
         target = np.array(self._target)
         trace = self._trace(target)
         if commanded:
-            # Until the last change a row is a cycle.
+            # Up to the last change one row is one cycle.
             change = np.diff(trace.q_target, axis=0, append=trace.q_target[-1:]) * RATE
             trace = replace(trace, qd=change)
         return stop_after(trace, trajectory, event)
 
     def off_path(self, trajectory: Trajectory, event: float) -> float:
-        """The most that the joints themselves left the path after `event` [rad]."""
+        """Compute the largest deviation of the true joints from the path after `event` [s], in rad."""
         return stop_after(self._trace(np.array(self._q)), trajectory, event).off_path
 
     def _trace(self, path: Array) -> Trace:
-        """A row for each of the arm's cycles, as a controller's trace has it; the arm goes on resting at its end."""
+        """Build a trace with one row per cycle of the arm, extended by rest at its end."""
         stamps, target = np.array(self._stamps), np.array(self._target)
-        # A set-point is due at the end of its cycle, where the next one replaces it.
+        # A set-point is to be reached at the end of its cycle, where the next one replaces it.
         replaced = np.abs(np.diff(target, axis=0)).max(axis=1) > 0.0
         ends = np.flatnonzero(replaced)
         if len(ends) == 0:

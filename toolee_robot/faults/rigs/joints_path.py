@@ -1,4 +1,4 @@
-"""What the joints did after a fault: read from the stand-in's own trace, not from what the driver says of itself."""
+"""Motion of the joints after a fault, from the stand-in's trace rather than from the driver's report."""
 
 from __future__ import annotations
 
@@ -22,9 +22,16 @@ REST_TICKS = 10
 
 @dataclass(frozen=True)
 class Stop:
-    """path_time: where on the trajectory it happened [s]. speed: of the fastest joint then [rad/s]. reaction,
-    standstill: from then on [s]. off_path: the most that the joints left the path [rad]. reached: the furthest point of
-    the trajectory [s]."""
+    """The stop after a fault.
+
+    Attributes:
+        path_time: Time on the trajectory at the fault [s].
+        speed: Speed of the fastest joint at the fault [rad/s].
+        reaction: Time from the fault to the first change of the motion [s]; None without one.
+        standstill: Time from the fault to rest [s].
+        off_path: Largest deviation of the joints from the path [rad].
+        reached: Furthest time on the trajectory that was reached [s].
+    """
 
     path_time: float
     speed: float
@@ -35,12 +42,18 @@ class Stop:
 
 
 def stop_after(trace: Trace, trajectory: Trajectory, event: float) -> Stop:
-    """The stop that follows the time `event` [s, time.monotonic] in a trace that begins before the motion.
+    """Analyse the stop after a fault.
 
-    The path is that of the controller's set-point, which the stand-in's joints follow exactly and which no fault of a
-    sensor changes; speeds are those of the joints.
+    The path is that of the controller's set-point, which the stand-in's joints follow exactly and which no sensor fault
+    changes; speeds are those of the joints.
 
-    Raises DeviceError when the trace does not cover it, or the arm still moves at its end.
+    Args:
+        trace: Trace that starts before the motion.
+        trajectory: The motion.
+        event: Time of the fault, time.monotonic [s].
+
+    Raises:
+        DeviceError: The trace does not cover the fault, or the arm still moves at its end.
     """
     i = int(np.searchsorted(trace.stamps, event))
     if not 0 < i < len(trace.stamps) - 1:
@@ -65,12 +78,22 @@ def stop_after(trace: Trace, trajectory: Trajectory, event: float) -> Stop:
 
 
 def braking_time(path: Trajectory, start: float, period: float, limits: ArmLimits) -> float:
-    """[s] The least that a stop on the path takes from time `start` [s] on it, in whole cycles of `period` [s]."""
+    """Compute the shortest duration of a stop on a path.
+
+    Args:
+        path: The trajectory.
+        start: Time on it at which the stop begins [s].
+        period: Cycle of the arm [s].
+        limits: Limits of the stop.
+
+    Returns:
+        The duration in whole cycles [s].
+    """
     return period * len(list(stop_on_path(path, start, period, limits.stop_acceleration, limits.stop_jerk)))
 
 
 def _projected(q: Array, trajectory: Trajectory) -> tuple[Array, Array]:
-    """Times (N,) [s] and distances (N,) [rad] of the nearest points of the trajectory."""
+    """Project joint positions on a trajectory; returns times, (N,) [s], and distances, (N,) [rad]."""
     grid = np.linspace(0.0, trajectory.duration, max(2, round(trajectory.duration / RESOLUTION)))
     dense = np.stack([np.interp(grid, trajectory.times, column) for column in trajectory.q.T], axis=1)
     distance, index = cKDTree(dense).query(q)

@@ -1,4 +1,4 @@
-"""The person at the station, who does what the matrix needs them to do."""
+"""A scripted person at the station."""
 
 from __future__ import annotations
 
@@ -6,8 +6,23 @@ from collections.abc import Callable
 
 
 class People:
-    """A `hal.Person` who answers as scripted, and remembers what was asked. is_inside: within the arm's reach.
-    holds_switch: holds the enabling switch. on_release: what they do when they let go."""
+    """A `hal.Person` with scripted answers, who records the questions.
+
+    Args:
+        gives: Answer to `request_handover`.
+        steps_back: Answer to `release`.
+        on_release: Called at `release`; None for nothing.
+
+    Attributes:
+        gives: Answer to `request_handover`.
+        steps_back: Answer to `release`.
+        takes: Answer to `take_tool`.
+        confirms: Answer to `confirm_swing`.
+        is_inside: Whether the person is within the arm's reach.
+        holds_switch: Whether the person holds the enabling switch.
+        on_release: Called at `release`.
+        asked: The questions so far.
+    """
 
     def __init__(
         self, gives: bool = True, steps_back: bool = True, on_release: Callable[[], None] | None = None

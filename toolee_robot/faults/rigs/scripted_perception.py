@@ -1,4 +1,4 @@
-"""Perception that answers with the truth, or as a script has it."""
+"""Perception from the ground truth, with scripted errors."""
 
 from __future__ import annotations
 
@@ -15,9 +15,16 @@ Change = Callable[[InHandEstimate], InHandEstimate]
 
 
 class ScriptedPerception(PerfectPerception):
-    """Perfect perception whose fused answers are changed, one of `changes` for each look, the last one for good.
+    """Perfect perception whose fused estimates are changed.
 
-    hands: where the hand was in the last frame of each look, as the camera saw it. sees: whether it finds anything.
+    Args:
+        judge: The ground truth.
+        changes: Change of each look's estimate; the last one applies to all further looks.
+
+    Attributes:
+        changes: The changes that remain.
+        hands: Pose of the hand in the camera frame at the last frame of each look, (4, 4).
+        sees: Whether anything is detected.
     """
 
     def __init__(self, judge: Truth, *changes: Change) -> None:
@@ -43,15 +50,15 @@ class ScriptedPerception(PerfectPerception):
 
 
 def right(estimate: InHandEstimate) -> InHandEstimate:
-    """As it is."""
+    """Leave the estimate unchanged."""
     return estimate
 
 
 def unsure(estimate: InHandEstimate) -> InHandEstimate:
-    """Not to be relied on."""
+    """Make the estimate unusable."""
     return replace(estimate, usable=False, reason="sigma 31 mm")
 
 
 def moved(p: Sequence[float]) -> Change:
-    """Displaced by p (3,) [m] along the face's own axes."""
+    """Displace the estimate by p, (3,) [m], along the face's own axes."""
     return lambda e: replace(e, X_hand_ee=e.X_hand_ee @ transform(p=p))

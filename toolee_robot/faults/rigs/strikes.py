@@ -1,4 +1,4 @@
-"""The swing that faults are injected into: a strike of the default station, planned as in a job."""
+"""The swing during which faults are injected: a strike in the default station, planned as in a job."""
 
 from __future__ import annotations
 
@@ -20,7 +20,16 @@ from toolee_robot.types import ArmModel
 
 @dataclass(frozen=True)
 class Swing:
-    """config: of the station. world: what must not be hit. plan: of the strike."""
+    """A planned swing.
+
+    Attributes:
+        config: Configuration of the station.
+        robot: Kinematic model of arm and hand.
+        world: Collision model with the held hammer.
+        q_hand: Joint positions of the hand, (n,) [rad].
+        X_hand_ee: Pose of the end effector in the hand, (4, 4).
+        plan: Plan of the strike.
+    """
 
     config: StationConfig
     robot: RobotModel
@@ -32,7 +41,7 @@ class Swing:
 
 @lru_cache(maxsize=2)
 def plan_swing(model: ArmModel) -> Swing:
-    """Of an arm of this model with a held-out hammer, nominally in the hand."""
+    """Plan the swing of an arm of this model with a held-out hammer in the nominal grasp."""
     config = StationConfig(arm=ArmLimits(model=model))
     robot = RobotModel.load(model)
     tool = draw_hammer(np.random.default_rng([0, 10]))

@@ -1,8 +1,8 @@
-"""A task in a process of its own, for faults that end or stall it.
+"""A task in a process of its own, for faults that kill or stall the process.
 
     python -m toolee_robot.faults.rigs.swinging_task HOST MODEL
 
-Says "ready" at the beginning of the swing; swings when a line comes on its standard input; then says how it ended.
+It prints "ready" at the start of the swing, swings when it reads a line from standard input, and prints the outcome.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from toolee_robot.types import ArmModel
 
 
 def main() -> None:
+    """Connect the arm, wait for the line, swing."""
     host, model = sys.argv[1], ArmModel(sys.argv[2])
     swing = plan_swing(model)
     with UrArm(UrArmConfig(host), swing.config.arm) as arm:

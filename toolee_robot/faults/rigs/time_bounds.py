@@ -1,6 +1,6 @@
-"""Bounds under which faults are injected: the matrix has to tell its faults from a machine that is busy with others.
+"""Motion bounds during fault injection, wide enough that a busy machine does not add faults of its own.
 
-Rows that are about late data or late commands bring their own.
+Rows about late data or late commands use the stricter bounds.
 """
 
 from __future__ import annotations
@@ -10,6 +10,10 @@ from dataclasses import replace
 from toolee_robot.hal import MotionWatch
 
 PATIENT = MotionWatch(tracking_error=0.05, data_cycles=100.0, overruns=100)
+"""Tolerates late data and late commands."""
 STRICT_AGE = replace(PATIENT, data_cycles=3.0)
+"""For late data."""
 SHORT_AGE = replace(PATIENT, data_cycles=10.0)
+"""For connections that stay open without data."""
 STRICT_LOOP = replace(PATIENT, tracking_error=0.3, overruns=3)
+"""For late commands."""

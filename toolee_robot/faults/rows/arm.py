@@ -31,20 +31,29 @@ from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
 
 AT_REST = 1e-4  # [rad]: what counts as standing still
 OFF_PATH = 5e-3  # [rad]
-OFF_PATH_BY_ROBOT = 20e-3  # [rad]: it brakes along the direction of the moment, from which the path bends away
+OFF_PATH_BY_ROBOT = 20e-3  # [rad]: the controller brakes along the present direction, and the path is curved
 WATCHDOG = 0.1  # [s] of silence after which the controller stops the program: `UrArmConfig.watchdog`
 HEARTBEAT = 0.1  # [s] `UrArmConfig.heartbeat_timeout`
-REST_TIME = 0.4  # [s] that a fault at rest gets to be noticed
-QUIET_TIME = 2.2  # [s] the same for a link that dies without a word: `UrArmConfig.link_timeout` and some
+REST_TIME = 0.4  # [s] until a fault at rest must be detected
+QUIET_TIME = 2.2  # [s] likewise for a silent link: a little more than `UrArmConfig.link_timeout`
 
 
 @dataclass(frozen=True)
 class ArmFault:
-    """number, fault: as in `FaultRow`. inject: does it. error: the type that the motion must raise, None for a motion
-    that reports STOPPED. notice: the time that noticing it may take [s]. by_robot: whether the controller brakes, by
-    its own deceleration, or the driver, along the path. at_rest: whether a fault at rest must latch; None where it is
-    no fault at rest. emergency: whether it brakes as its safety system does. watch: the bounds under which it is
-    injected. rest: how long a fault at rest may take to be noticed [s].
+    """A fault of the arm and the required reaction.
+
+    Attributes:
+        number: See `FaultRow`.
+        fault: See `FaultRow`.
+        expected: See `FaultRow`.
+        inject: Injects the fault.
+        error: Error that the motion must raise; None for a motion that reports STOPPED.
+        notice: Largest time until the fault is detected [s].
+        by_robot: Whether the controller brakes with its own deceleration, instead of the driver along the path.
+        emergency: Whether the controller brakes with the deceleration of its safety system.
+        at_rest: Whether the fault must latch at rest; None where it is no fault at rest.
+        watch: Bounds of the motion.
+        rest: Time until a fault at rest must be detected [s].
     """
 
     number: int
@@ -69,7 +78,7 @@ def _seconds(time: float) -> Callable[[Rig], float]:
 
 
 def _hold_up(rig: Rig, seconds: float) -> None:
-    """The servo process does not get the processor."""
+    """Suspend the servo process for some seconds."""
     pid = rig.arm.servo_pid
     os.kill(pid, signal.SIGSTOP)
     time.sleep(seconds)
@@ -140,7 +149,7 @@ ARM_FAULTS = (
 
 
 def arm_rows(rig: Rig) -> Iterator[Measurement]:
-    """Every arm fault in mid-swing and, where it is one there, at rest."""
+    """Yield every fault of the arm in mid-swing and, where applicable, at rest."""
     for fault in ARM_FAULTS:
         for phase, run in ((Phase.SWING, _in_swing), (Phase.REST, _at_rest)):
             if phase is Phase.SWING or fault.at_rest is not None:
@@ -179,7 +188,7 @@ def _wrong(fault: ArmFault, happened: Happening, latched: bool) -> list[str]:
 
 
 def _braking(fault: ArmFault, rig: Rig, happened: Happening) -> float:
-    """[s] The least time that braking takes from where and how fast the arm was."""
+    """Shortest braking time from the position and speed at the fault [s]."""
     limits = rig.swing.config.arm
     if fault.by_robot:
         model = MODELS[limits.model.value]

@@ -1,4 +1,4 @@
-"""Commands that must never reach an arm: each is a good motion with one thing wrong."""
+"""Faulty commands that must never reach an arm: valid motions with one defect each."""
 
 from __future__ import annotations
 
@@ -11,18 +11,24 @@ from toolee_robot.faults.rigs.strikes import Swing
 from toolee_robot.frames import Array
 from toolee_robot.types import Trajectory
 
-STEP = 0.004  # [s] between the samples of a hand-made trajectory
-BESIDE = 1e-3  # [rad] from where the arm was last commanded: about a millimetre at the tool
+STEP = 0.004  # [s], sample period
+BESIDE = 1e-3  # [rad], offset from the commanded position: about a millimetre at the tool
 
 
 def good(swing: Swing, q: Array, change: Array) -> Trajectory:
-    """A slow motion from q (6,) by `change` (6,) [rad], straight in joint space."""
+    """Make a valid, slow motion, straight in joint space.
+
+    Args:
+        swing: The swing, for its limits.
+        q: Joint positions at the start, (6,) [rad].
+        change: Change of the joint positions, (6,) [rad].
+    """
     limits = swing.config.arm
     return joint_move(q, q + change, np.full(6, 0.4), np.full(6, 2.0), np.full(6, limits.jerk))
 
 
 def not_finite(swing: Swing, q: Array, value: float) -> Trajectory:
-    """NaN or infinity in the middle of it."""
+    """Make a motion with NaN or infinity in its middle."""
     motion = good(swing, q, np.full(6, 0.02))
     broken = motion.q.copy()
     broken[len(broken) // 2, 3] = value
@@ -30,14 +36,14 @@ def not_finite(swing: Swing, q: Array, value: float) -> Trajectory:
 
 
 def beyond_joint_limit(swing: Swing, q: Array) -> Trajectory:
-    """The last joint turns on past two turns."""
+    """Make a motion of the last joint beyond its limit."""
     change = np.zeros(6)
     change[5] = 2 * np.pi + 0.2 - q[5]
     return good(swing, q, change)
 
 
 def _integrated(q: Array, qdd: Array) -> Trajectory:
-    """Joint 1 with these accelerations (N,) [rad/s^2], one a step."""
+    """Integrate accelerations of joint 1, (N,) [rad/s^2], one per sample."""
     n = len(qdd)
     speed = np.concatenate([[0.0], np.cumsum(qdd[:-1]) * STEP])
     way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1])) * STEP])
@@ -47,12 +53,12 @@ def _integrated(q: Array, qdd: Array) -> Trajectory:
 
 
 def beside_the_arm(swing: Swing, q: Array) -> Trajectory:
-    """A good motion, of an arm that stands BESIDE this one."""
+    """Make a valid motion that starts off the commanded position."""
     return good(swing, q + BESIDE, np.full(6, 0.02))
 
 
 def velocity_step(q: Array) -> Trajectory:
-    """From rest to 0.5 rad/s between two samples."""
+    """Make a motion with a velocity step of 0.5 rad/s."""
     qdd = np.zeros(60)
     motion = _integrated(q, qdd)
     way, speed = motion.q.copy(), motion.qd.copy()
@@ -62,37 +68,37 @@ def velocity_step(q: Array) -> Trajectory:
 
 
 def acceleration_step(swing: Swing, q: Array) -> Trajectory:
-    """Twice the joints' acceleration limit for a moment."""
+    """Make a motion with twice the acceleration limit."""
     most = swing.config.arm.acceleration
     return _integrated(q, np.concatenate([np.zeros(5), np.full(5, 2 * most), np.full(5, -2 * most), np.zeros(5)]))
 
 
 def jerk_step(swing: Swing, q: Array) -> Trajectory:
-    """Back and forth between the acceleration limits, which they never exceed."""
+    """Make a motion that alternates between the acceleration limits without exceeding them."""
     most = 0.8 * swing.config.arm.acceleration
     return _integrated(q, np.concatenate([np.zeros(4), np.tile([most, most, -most, -most], 6), np.zeros(4)]))
 
 
 def out_of_workspace(swing: Swing, q: Array) -> Trajectory:
-    """Turned around and stretched out, beyond the back of the workspace."""
+    """Make a motion beyond the back of the workspace."""
     target = np.array([np.pi, -0.4, 0.0, q[3], q[4], q[5]])
     return good(swing, q, target - q)
 
 
 def into_the_table(swing: Swing, q: Array) -> Trajectory:
-    """The shoulder goes on down."""
+    """Make a motion of the shoulder into the table."""
     change = np.zeros(6)
     change[1] = 0.6
     return good(swing, q, change)
 
 
 def into_itself(swing: Swing, q: Array) -> Trajectory:
-    """The elbow folds up."""
+    """Make a motion of the elbow into the arm itself."""
     change = np.zeros(6)
     change[2] = 2.95 - q[2]
     return good(swing, q, change)
 
 
 def too_fast_for_a_handover(swing: Swing) -> Trajectory:
-    """The strike itself."""
+    """Return the strike, which is too fast for HANDOVER mode."""
     return swing.plan.strike

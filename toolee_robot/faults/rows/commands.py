@@ -1,4 +1,4 @@
-"""Faults of the commands and of the person nearby: what the supervisor lets through, in front of the real driver."""
+"""Faulty commands and persons in reach: reaction of the supervisor in front of the real driver."""
 
 from __future__ import annotations
 
@@ -34,15 +34,22 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
 from toolee_robot.types import Trajectory
 
-FAR = 10.0  # [m] to a nail that no arm reaches
-WATCH = 0.01  # [s] between two questions whether a person is near
+FAR = 10.0  # [m], distance of an unreachable nail
+WATCH = 0.01  # [s], polling period of the person detection
 COMES, BRAKES = "a person comes into reach", "brakes on the path, latches"
 
 
 @dataclass(frozen=True)
 class CommandFault:
-    """send: gives the supervisor the command, q (6,) [rad] being where the arm was last commanded. latches: whether
-    the supervisor refuses everything after it, and stops what is moving."""
+    """A faulty command and the required reaction.
+
+    Attributes:
+        number: See `FaultRow`.
+        fault: See `FaultRow`.
+        error: Error that the supervisor must raise.
+        send: Sends the command to the supervisor, from the commanded joint positions, (6,) [rad].
+        latches: Whether the supervisor must stop the arm and latch.
+    """
 
     number: int
     fault: str
@@ -83,7 +90,7 @@ COMMAND_FAULTS = (
 
 
 def command_rows(rig: Rig) -> Iterator[Measurement]:
-    """Every command fault at rest and from another thread in mid-swing; then the person."""
+    """Yield every faulty command, at rest and from another thread in mid-swing, then the faults of the person."""
     for fault in COMMAND_FAULTS:
         for phase, run in ((Phase.SWING, _in_swing), (Phase.REST, _at_rest)):
             if phase is Phase.SWING and fault.number == 27:
@@ -95,9 +102,9 @@ def command_rows(rig: Rig) -> Iterator[Measurement]:
 
 
 def _supervised(rig: Rig) -> tuple[Supervisor, People]:
-    """A supervisor that lets strikes begin, and the person it asks."""
+    """Make a supervisor that permits strikes, and its scripted person."""
     swing = rig.swing
-    # A busy machine is not what these rows are about.
+    # Wide bounds, so that a busy machine adds no faults.
     bounds = replace(swing.config.supervisor, data_cycles=PATIENT.data_cycles, overruns=PATIENT.overruns)
     person = People()
     config = replace(swing.config, supervisor=bounds)
@@ -125,7 +132,7 @@ def _in_swing(fault: CommandFault, rig: Rig) -> FaultRow:
 
     happened = rig.inject(send, execute=_swing(supervisor, rig))
     error, took = happened.answer if isinstance(happened.answer, tuple) else (happened.answer, None)
-    # Whatever else is wrong with it, a command that comes while the arm moves is refused for that alone.
+    # A command during a motion may be refused for that reason alone.
     refused = isinstance(error, fault.error | NotReadyError)
     wrong = [] if refused else [f"{fault.error.__name__} expected, got {type(error).__name__}: {error}"]
     if fault.latches:
@@ -218,7 +225,7 @@ def _person_comes(rig: Rig) -> FaultRow:
 
 
 def _no_motion(rig: Rig, inside: bool, name: str) -> FaultRow:
-    """inside: a person is; else nobody has confirmed."""
+    """Measure a swing with a person in reach if `inside`, else without a confirmation."""
     rig.prepare()
     supervisor, person = _supervised(rig)
     person.is_inside = inside

@@ -1,6 +1,6 @@
 """Faults of hand, camera, perception, nail, person and arm under the real job on the simulated station.
 
-Poses come from the ground truth: what perception makes of a picture is not what these rows are about.
+Poses come from the ground truth, since these rows do not examine the perception.
 """
 
 from __future__ import annotations
@@ -40,14 +40,19 @@ STILL = 2e-3  # [rad]
 
 
 def job_rows(bench: Bench) -> Iterator[Measurement]:
-    """Each fault in a job of its own, on a station that is put back in between."""
+    """Yield each fault in a job of its own, on a station that is restored in between."""
     for fault in JOB_FAULTS:
         run = partial(job_row, fault, bench)
         yield Measurement(fault.number, fault.fault, fault.phase, ON, fault.expected, run)
 
 
 def job_row(fault: JobFault, bench: Bench) -> FaultRow:
-    """Inject one fault into one job."""
+    """Measure one fault in one job.
+
+    Args:
+        fault: The fault.
+        bench: The simulated station.
+    """
     bench.reset()
     scene = Scene(bench, Log(), ScriptedPerception(bench.sim.judge))
     try:
@@ -58,8 +63,13 @@ def job_row(fault: JobFault, bench: Bench) -> FaultRow:
 
 
 class _Row:
-    """One job with one fault in it. wrong: what was not as it must be. _strike: the strike that was watched; _hand:
-    where the palm was (3,) [m] when the tool was lost, at the latest when the strike had ended."""
+    """One job with one fault.
+
+    Attributes:
+        wrong: The violated requirements.
+        _strike: The recorded strike.
+        _hand: Position of the palm when the tool was lost, at the latest at the end of the strike, (3,) [m].
+    """
 
     _strike: Trajectory
     _hand: Array
@@ -89,7 +99,7 @@ class _Row:
         )  # fmt: skip
 
     def _prepare(self) -> None:
-        """Everything that happens on the way, the fault included."""
+        """Register the actions during the job, including the fault."""
         fault, log = self._fault, self._log
         log.after["strike"] = self._after_strike
         if fault.when is None:
@@ -120,7 +130,7 @@ class _Row:
         if self._fault.when == "to the run-up":
             self._inject()
         if self._fault.when == IN_STRIKE:
-            # Hand and people are watched by threads, which live in real time.
+            # Hand and people are watched by threads, which run in real time.
             self._real_time.enter_context(self._bench.in_real_time())
             self._watch.at(self._world.time + max(plan.contact_time - self._fault.before, 0.05), self._inject)
         self._strike = plan.strike
@@ -133,7 +143,7 @@ class _Row:
         if self._fault.when == "strike":
             self._inject()
 
-    # -- what must be so ---------------------------------------------------------------------------------------------
+    # -- requirements ---------------------------------------------------------------------------------------------
 
     def _check(self, good: bool, otherwise: str) -> None:
         if not good:
@@ -167,7 +177,7 @@ class _Row:
         self._check(after[2] - before[2] > HIGHER, f"the hand is {after[2] - before[2]:.3f} m higher only")
 
     def _check_braking(self) -> dict[str, Any]:
-        """What the joints did in the strike in which the fault came, as a `FaultRow` has it."""
+        """Check the disturbed strike; returns the measured fields of the `FaultRow`."""
         fault, happened = self._fault, self._scene.happened
         if happened is None:
             self._check(fault.braking is None and fault.when != IN_STRIKE, "the fault did not come")
@@ -216,7 +226,7 @@ class _Row:
         return False
 
     def _check_reset(self) -> None:
-        """A person's reset, and only that, takes the latch off."""
+        """Check that only a person's reset clears the latch."""
         arm = self._bench.arm
         if self._fault.person:
             try:

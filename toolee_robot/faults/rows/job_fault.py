@@ -1,4 +1,4 @@
-"""A fault of the job: where it comes, what it does, and what the job must do then."""
+"""Record of a fault of the job: its injection, and the required reaction."""
 
 from __future__ import annotations
 
@@ -12,12 +12,20 @@ from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 
 IN_STRIKE = "in mid-swing"
+"""Value of `JobFault.when` for a fault during the strike."""
 
 
 @dataclass
 class Scene:
-    """What a fault may touch. undo: what has to be put back that the bench's `reset` does not know of. happened: when
-    the fault came [s], if that is not when it was injected."""
+    """What the injection of a fault may change.
+
+    Attributes:
+        bench: The station.
+        log: Observer of the job.
+        perception: Perception of the job.
+        undo: Actions that revert what the bench's `reset` does not.
+        happened: Time of the fault, if it is not that of its injection [s].
+    """
 
     bench: Bench
     log: Log
@@ -28,9 +36,13 @@ class Scene:
 
 @dataclass(frozen=True)
 class Braking:
-    """A strike that must end before its end. cycles: of the arm, that noticing the fault may take; None where what
-    notices it runs in real time, which the simulation's is not. arm_off: whether the joints themselves cannot be on the
-    path, whatever they are told."""
+    """A strike that must be stopped before its end.
+
+    Attributes:
+        cycles: Largest number of the arm's cycles until the fault is detected; None where the detection runs in real
+            time rather than in simulated time.
+        arm_off: Whether the fault itself keeps the joints off the path.
+    """
 
     cycles: float | None
     arm_off: bool = False
@@ -38,14 +50,31 @@ class Braking:
 
 @dataclass(frozen=True)
 class JobFault:
-    """number, fault, phase, expected: as in `FaultRow`. inject: does it. when: the stage at whose beginning, or the
-    motion after whose end; IN_STRIKE: in mid-swing, `before` [s] before the face meets the nail; None: before the job.
+    """A fault of the job and the required reaction.
 
-    What must come of it. outcome and message, which the reason must contain. swings: how many strikes are swung, with
-    that which the fault disturbs. last: of the motions; None: no motion at all. keeps: the hand still holds the tool.
-    braking: of the strike in which it comes, None where that goes on to its end. job_latches, arm_latches: which of
-    them refuse to move until a reset; person: who must make the robot ready before that. looks_again: another look was
-    tried. meetings: of the strikes. Then, sees: whether the job looks at all; max_strikes: as many as it may make."""
+    Attributes:
+        number: See `FaultRow`.
+        fault: See `FaultRow`.
+        phase: See `FaultRow`.
+        expected: See `FaultRow`.
+        inject: Injects the fault.
+        when: Stage at whose start, or motion after whose end the fault is injected; IN_STRIKE for the strike, None for
+            before the job.
+        outcome: Required outcome of the job.
+        message: Text that the outcome's reason must contain.
+        swings: Required number of strikes, including the disturbed one.
+        last: Name of the required last motion; None for no motion at all.
+        keeps: Whether the hand must still hold the tool.
+        braking: Required stop of the disturbed strike; None where it continues to its end.
+        job_latches: Whether the job's supervisor must latch.
+        arm_latches: Whether the arm must latch.
+        person: Whether a person must make the robot ready before a reset.
+        looks_again: Whether the job must look again.
+        meetings: Required meetings of the strikes; None for any.
+        sees: Whether the job looks at the tool at all.
+        max_strikes: Largest number of strikes of the job.
+        before: Time before the contact at which a fault of the strike is injected [s].
+    """
 
     number: int
     fault: str

@@ -1,4 +1,4 @@
-"""The faults of hand, camera, perception, nail and person that a job must survive, and those of the arm under it."""
+"""Table of the faults of hand, camera, perception, nail, person and arm that a job must survive."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _cut(s: Scene) -> None:
 
 
 def _decline(*answers: str) -> Callable[[Scene], None]:
-    """The person says no to these."""
+    """Make the person refuse these requests."""
 
     def decline(s: Scene) -> None:
         for answer in answers:
@@ -80,7 +80,7 @@ def _lose_feeling(s: Scene) -> None:
 
 
 def _tell(change: Change) -> Callable[[Scene], None]:
-    """From now on perception answers so."""
+    """Change all further estimates of the perception."""
 
     def tell(s: Scene) -> None:
         s.perception.changes[:] = [change]
@@ -108,7 +108,7 @@ def _lay_a_plate(s: Scene) -> None:
 
 
 def _take_the_work_away(s: Scene) -> None:
-    """The tool meets neither nail nor block nor stand."""
+    """Disable the tool's collisions with nail, block and stand."""
     world = s.bench.sim.world
 
     def collide(enabled: int) -> None:
@@ -121,7 +121,7 @@ def _take_the_work_away(s: Scene) -> None:
 
 
 def _bend(joint: int, to: float) -> Callable[[Scene], None]:
-    """Its head sinks further than a strike can drive it, or is not where the face comes down."""
+    """Move the nail's head further than a strike can, or out of the face's way."""
 
     def bend(s: Scene) -> None:
         world = s.bench.sim.world

@@ -1,4 +1,4 @@
-"""Faults of the task's own process: Ctrl-C, SIGKILL, a stall. The servo process must bring the arm to rest."""
+"""Faults of the task's own process (Ctrl-C, SIGKILL, a stall), after which the servo process must stop the arm."""
 
 from __future__ import annotations
 
@@ -28,7 +28,13 @@ HEARTBEAT_PERIOD = 0.02  # [s] between two heartbeats
 
 @dataclass(frozen=True)
 class TaskFault:
-    """notice: how long the servo process may take to see it [s]."""
+    """A fault of the task's process.
+
+    Attributes:
+        fault: See `FaultRow`.
+        signal: Signal that is sent to the process.
+        notice: Largest time until the servo process detects it [s].
+    """
 
     fault: str
     signal: signal.Signals
@@ -36,16 +42,21 @@ class TaskFault:
 
 
 TASK_FAULTS = (
-    # The interpreter sees a signal between two bytecodes.
+    # The interpreter handles a signal between two bytecodes.
     TaskFault("task gets Ctrl-C", signal.SIGINT, 0.02),
-    # The kernel says so before it does anything else: `hardware/ur/servo/owner_watch.py`.
+    # The kernel reports it at once: `hardware/ur/servo/owner_watch.py`.
     TaskFault("task killed (SIGKILL)", signal.SIGKILL, 0.002),
     TaskFault("task stalls (SIGSTOP)", signal.SIGSTOP, HEARTBEAT + HEARTBEAT_PERIOD),
 )
 
 
 def process_rows(model: ArmModel, host: str) -> Iterator[Measurement]:
-    """Each task fault in mid-swing and at rest, each with a task and a stand-in of its own."""
+    """Yield each fault in mid-swing and at rest, each with its own task and stand-in.
+
+    Args:
+        model: Model of the arm.
+        host: Loopback address of the stand-ins.
+    """
     name = f"{model.value}, {500 if model is ArmModel.UR10E else 125} Hz"
     for fault in TASK_FAULTS:
         for phase in (Phase.SWING, Phase.REST):
@@ -110,7 +121,7 @@ def _row(fault: TaskFault, phase: Phase, model: ArmModel, host: str, name: str) 
 
 
 def _continued(task: subprocess.Popen[str]) -> str:
-    """What the task says of its motion once it goes on."""
+    """Continue the task and read the outcome of its motion."""
     assert task.stdout is not None
     task.send_signal(signal.SIGCONT)
     return task.stdout.readline().strip()

@@ -1,4 +1,4 @@
-"""Faults that must keep a job from starting: a robot that is not as configured, a calibration that does not hold."""
+"""Faults that must prevent the start: a robot that is not as configured, an invalid calibration."""
 
 from __future__ import annotations
 
@@ -22,14 +22,22 @@ from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.types import ArmModel, Payload
 
-HAND = Payload(4.2, np.array([0.0, 0.0, 0.12]))  # what the installation ought to say
+HAND = Payload(4.2, np.array([0.0, 0.0, 0.12]))  # the correct payload of the installation
 REFUSES = "refuses to start, nothing moves"
 
 
 @dataclass(frozen=True)
 class StartFault:
-    """hook, arguments: of the stand-in's fault port. says: in the driver's refusal, which must tell what to do, too;
-    e_series: whether there is such a thing on that generation only."""
+    """A fault that must prevent the start.
+
+    Attributes:
+        fault: See `FaultRow`.
+        hook: Command of the stand-in's fault port.
+        arguments: Arguments of the command.
+        message: Text that the driver's error must contain.
+        remedy: Text of the remedy that the error must contain.
+        e_series: Whether the fault exists on the e-Series only.
+    """
 
     fault: str
     hook: str
@@ -54,7 +62,12 @@ START_FAULTS = (
 
 
 def start_rows(model: ArmModel, host: str) -> Iterator[Measurement]:
-    """Each of them before the driver is entered, on one stand-in of this model."""
+    """Yield each fault, injected before the driver connects, on one stand-in.
+
+    Args:
+        model: Model of the arm.
+        host: Loopback address of the stand-in.
+    """
     with ControllerProcess(model=model.value, host=host) as controller:
         for fault in START_FAULTS:
             if fault.e_series and model is not ArmModel.UR10E:
@@ -64,7 +77,13 @@ def start_rows(model: ArmModel, host: str) -> Iterator[Measurement]:
 
 
 def start_row(fault: StartFault, model: ArmModel, controller: ControllerProcess) -> FaultRow:
-    """One of them. Raises what the stand-in's fault port raises."""
+    """Measure one fault.
+
+    Args:
+        fault: The fault.
+        model: Model of the arm.
+        controller: The running stand-in.
+    """
     _as_it_should_be(controller)
     controller.fault(fault.hook, **fault.arguments)
     config = replace(UrArmConfig(controller.host), payload=HAND, tcp=(0.0,) * 6)
@@ -113,14 +132,21 @@ CALIBRATIONS = (
 
 
 def calibration_rows(bench: Bench) -> Iterator[Measurement]:
-    """Each calibration that must keep the job from starting."""
+    """Yield each calibration that must prevent the start of a job."""
     for name, calibration, message in CALIBRATIONS:
         run = partial(calibration_row, bench, name, calibration, message)
         yield Measurement(24, name, Phase.START, ON, REFUSES, run)
 
 
 def calibration_row(bench: Bench, name: str, calibration: CalibrationConfig | None, message: str) -> FaultRow:
-    """A job with this calibration."""
+    """Measure a job with an invalid calibration.
+
+    Args:
+        bench: The simulated station.
+        name: Name of the fault.
+        calibration: The calibration.
+        message: Text that the outcome's reason must contain.
+    """
     bench.reset()
     log, before = Log(), bench.sim.world.robot.arm_state()[0]
     result = bench.blind_task(log, replace(CONFIG, calibration=calibration)).run()
