@@ -93,7 +93,8 @@ class InverseKinematics:
             p = X_base_flange[:3, 3]
             raise UnreachableError(
                 f"no joint configuration brings the flange to {np.round(p, 3).tolist()} m with that orientation "
-                f"({np.linalg.norm(p):.2f} m from the base): move the target or the base"
+                f"({np.linalg.norm(p):.2f} m from the base): move the target or the base",
+                code="unreachable.pose",
             )
         return sorted(q, key=lambda c: float(np.sum(np.abs(c - reference))))
 

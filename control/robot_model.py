@@ -39,7 +39,7 @@ class RobotModel:
         try:
             self.model = pin.buildModelFromUrdf(str(description.urdf_path))
         except ValueError as error:
-            raise AssetError(f"Pinocchio cannot read {description.urdf_path}: {error}") from error
+            raise AssetError(f"Pinocchio cannot read {description.urdf_path}: {error}", code="asset.urdf") from error
         self._data = self.model.createData()
         self._flange = self.model.getFrameId(description.flange_frame)
         self._hand = self.model.getFrameId(description.hand_frame)

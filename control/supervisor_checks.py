@@ -119,5 +119,6 @@ def check_clear(q: Array, world: CollisionWorld, exempt: frozenset[tuple[str, st
         return
     closest = world.closest(q[rows], CLEARANCE, exempt)
     raise CollisionError(
-        f"the motion would bring {closest} together: nothing was moved; clear the way or move the target"
+        f"the motion would bring {closest} together: nothing was moved; clear the way or move the target",
+        code="collision.motion",
     )

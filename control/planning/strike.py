@@ -223,7 +223,8 @@ def _solve_lines(
     if not clear:
         raise CollisionError(
             f"every strike at this nail would bring bodies together, the best one {nearest}: clear the way, move the "
-            "block, or use a higher stand"
+            "block, or use a higher stand",
+            code="collision.strike",
         )
     return sorted(clear, key=order)
 

@@ -90,7 +90,8 @@ def _path(
         line = _between(start, goal)
         closest = world.closest(line, max(need, 1e-6))
         raise CollisionError(
-            f"no way found for the transfer: on the straight one {closest} collide; clear the way or move the target"
+            f"no way found for the transfer: on the straight one {closest} collide; clear the way or move the target",
+            code="collision.no_path",
         )
     return path
 

@@ -83,7 +83,7 @@ def plan_handover(
             return plan_transfer(robot, config, world, q_start, q[i])
         except CollisionError as error:
             failure = failure or error
-    raise failure or CollisionError("no handover posture is free of collisions")
+    raise failure or CollisionError("no handover posture is free of collisions", code="collision.handover")
 
 
 def plan_views(
@@ -146,7 +146,8 @@ def plan_views(
         except CollisionError:
             continue
     raise CollisionError(
-        f"fewer than {count} views of the tool are free of collisions: clear the space before the camera or move it"
+        f"fewer than {count} views of the tool are free of collisions: clear the space before the camera or move it",
+        code="collision.views",
     )
 
 

@@ -212,8 +212,8 @@ def test_a_way_through_something_is_refused_though_its_ends_are_free(
     middle = robot.X_base_ee(move.sample(0.5 * move.duration)[0], q_hand, X_hand_ee)[:3, 3]
     post = box_body("post", tuple(middle), (0.03, 0.03, 0.03))
     desk.world = CollisionWorld(robot, config, q_hand, X_hand_ee, extra=(post,))
-    refused(desk, CollisionError, lambda: desk.supervisor.execute(move), "collision")
-    refused(desk, CollisionError, lambda: desk.supervisor.execute(move, at_work=True), "collision")
+    refused(desk, CollisionError, lambda: desk.supervisor.execute(move), "collision.motion")
+    refused(desk, CollisionError, lambda: desk.supervisor.execute(move, at_work=True), "collision.motion")
     desk.world = free  # the task says what holds now
     desk.supervisor.execute(move)
 
@@ -222,7 +222,7 @@ def test_only_the_tool_and_only_at_work_may_touch_the_block(desk: Desk, plan: St
     desk.supervisor.mode = Mode.UNATTENDED
     into = joint_move(plan.strike.q[0], plan.strike.q[-1], np.full(6, 0.2), np.full(6, 3.0), np.full(6, 30.0))
     desk.arm.q = into.q[0].copy()
-    refused(desk, CollisionError, lambda: desk.supervisor.execute(into), "collision")
+    refused(desk, CollisionError, lambda: desk.supervisor.execute(into), "collision.motion")
     desk.supervisor.execute(into, at_work=True)
 
 

@@ -63,14 +63,20 @@ class Estimate:
                 n for n in ("rgb", "depth", "depth_scale", "intrinsics", "hand_pose", "picture") if getattr(self, n)
             ]
             if given:
-                raise UserError(f"--bop reads everything from its folder: leave out --{given[0].replace('_', '-')}")
+                raise UserError(
+                    f"--bop reads everything from its folder: leave out --{given[0].replace('_', '-')}",
+                    code="user.option",
+                )
             return self._run_bop(console, self.bop)
         return self._run_frame(console)
 
     def _run_frame(self, console: Console) -> int:
         missing = [n for n in ("rgb", "depth", "depth_scale", "intrinsics") if getattr(self, n) is None]
         if self.rgb is None or self.depth is None or self.depth_scale is None or self.intrinsics is None:
-            raise UserError(f"also give {', '.join('--' + n.replace('_', '-') for n in missing)} (or --bop DIR)")
+            raise UserError(
+                f"also give {', '.join('--' + n.replace('_', '-') for n in missing)} (or --bop DIR)",
+                code="user.missing_option",
+            )
         from toolee_robot.perception import ToolPerception
         from toolee_robot.perception.io import read_frame, read_pose
 
@@ -125,7 +131,10 @@ class Estimate:
                 console.print(_table(estimates, f"image {image.im_id}: {elapsed_ms:.0f} ms"))
         console.print(f"{usable} of {len(images)} frames have a pose that may be used")
         if unreadable:
-            raise UserError(f"{unreadable} of {len(images)} frames could not be read; the messages above say why")
+            raise UserError(
+                f"{unreadable} of {len(images)} frames could not be read; the messages above say why",
+                code="user.unreadable_frames",
+            )
         return 0
 
 

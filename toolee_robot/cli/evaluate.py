@@ -215,7 +215,9 @@ def _labelled(weights: tuple[str, ...]) -> dict[str, Path | None]:
         path = Path(folder if equals else text)
         name = label if equals else path.name
         if name in labelled:
-            raise UserError(f"--weights: two trainings are called {name}; give each a label, LABEL=DIR")
+            raise UserError(
+                f"--weights: two trainings are called {name}; give each a label, LABEL=DIR", code="user.duplicate_label"
+            )
         labelled[name] = path
     return labelled
 
@@ -224,7 +226,10 @@ def _write(console: Console, out: Path, report: dict[str, Any], images: dict[str
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UserError(f"cannot make the folder {out}: {error.strerror or error}; choose another place") from error
+        raise UserError(
+            f"cannot make the folder {out}: {error.strerror or error}; choose another place",
+            code="user.folder_not_writable",
+        ) from error
     write_atomic(out / "report.json", json_line(report).encode() + b"\n")
     for name, data in images.items():
         write_atomic(out / name, data)

@@ -33,7 +33,9 @@ def written_whole(path: Path) -> Iterator[Path]:
             scratch.unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror or error}; choose another place") from error
+        raise UserError(
+            f"cannot write {path}: {error.strerror or error}; choose another place", code="user.not_writable"
+        ) from error
 
 
 def write_atomic(path: Path, data: bytes) -> None:

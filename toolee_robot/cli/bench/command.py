@@ -44,7 +44,7 @@ class Bench:
 
     def run(self) -> int:
         if self.repeats < 3:
-            raise UserError(f"--repeats {self.repeats}: give at least 3")
+            raise UserError(f"--repeats {self.repeats}: give at least 3", code="user.repeats")
         console = Console(stderr=self.json, highlight=False)
         machine = describe_machine()
         console.print(_describe(machine))
@@ -107,7 +107,10 @@ def _perception(scene: BenchScene, repeats: int) -> Iterator[Latency]:
     detections = perception.detector.detect(frame)
     usable = [(d, c) for d in detections if (c := ee_cloud(frame, d)).usable]
     if not usable:
-        raise TooleeError("the network sees no end effector in the benchmark's frame: its weights do not fit this code")
+        raise TooleeError(
+            "the network sees no end effector in the benchmark's frame: its weights do not fit this code",
+            code="toolee.bench_no_detection",
+        )
     detection, cloud = next((u for u in usable if u[0].category is Category.HAMMER_HEAD), usable[0])
     yield measure("cloud, one end effector", lambda: ee_cloud(frame, detection), repeats=repeats)
     for k in _CANDIDATES:

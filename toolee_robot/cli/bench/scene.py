@@ -84,5 +84,7 @@ def bench_scene(seed: int) -> Iterator[BenchScene]:
         with suppress(_SeenEnough):
             ended = task.run()
         if observer.seen is None:
-            raise TooleeError(f"the benchmark's job ended before its first frame: {ended.reason}")
+            raise TooleeError(
+                f"the benchmark's job ended before its first frame: {ended.reason}", code="toolee.bench_job_ended"
+            )
         yield BenchScene(sim, config, grasp, *observer.seen)

@@ -58,7 +58,10 @@ def run_folder(out: Path, name: str) -> Iterator[RunFolder]:
     try:
         path.mkdir(parents=True, exist_ok=False)
     except OSError as error:
-        raise UserError(f"cannot write runs to {out}: {error.strerror or error}; choose another --out") from error
+        raise UserError(
+            f"cannot write runs to {out}: {error.strerror or error}; choose another --out",
+            code="user.runs_not_writable",
+        ) from error
     folder = RunFolder(path, final)
     try:
         yield folder

@@ -53,7 +53,7 @@ class Ablations:
         names = list(ROWS) if self.rows is None else [name for name in self.rows.split(",") if name]
         unknown = [name for name in names if name not in ROWS]
         if unknown:
-            raise UserError(f"--rows {','.join(unknown)}: choose from {', '.join(ROWS)}")
+            raise UserError(f"--rows {','.join(unknown)}: choose from {', '.join(ROWS)}", code="user.rows")
         make_folder(self.out)
         if not self.table_only:
             given = {

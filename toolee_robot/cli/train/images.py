@@ -47,7 +47,10 @@ class _ImageCommand(TrainingCommand, _Data):
         Returns the training and whether it continues from a checkpoint; `own` are options that no file may give.
         """
         if not self.data.is_dir():
-            raise UserError(f"--data {self.data} is not a folder: make it with `toolee dataset generate`")
+            raise UserError(
+                f"--data {self.data} is not a folder: make it with `toolee dataset generate`",
+                code="user.data_not_a_folder",
+            )
         names = {f.name for f in fields(kind)} - {"data", "out", "model", "init", *own}
         options: dict[str, Any] = options_of(self, self.config, names) | own
         training = kind(self.data, self.out, init=self.init, **options)

@@ -111,7 +111,9 @@ def remember(out: Path, resume: bool, config: dict[str, Any], name: str = CONFIG
         changed = {k for k in before.keys() | config.keys() if before.get(k) != config.get(k)} - _MAY_CHANGE
         if changed:
             raise UserError(
-                f"{out} was begun with another {', '.join(sorted(changed))} ({path}): use those values or another --out"
+                f"{out} was begun with another {', '.join(sorted(changed))} ({path}): use those values or "
+                "another --out",
+                code="user.config_changed",
             )
     if is_first():
         make_folder(out)

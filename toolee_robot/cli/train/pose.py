@@ -65,7 +65,9 @@ class Clouds:
 
         column = column_of(self.estimator, self.column)
         if column is not None and self.weights is not None:
-            raise UserError("--weights: for --estimator paper the true masks are taken, no detector's")
+            raise UserError(
+                "--weights: for --estimator paper the true masks are taken, no detector's", code="user.option"
+            )
         # Before the work: it may take hours.
         make_folder(self.out.parent)
         with progress_bars(console) as report:
