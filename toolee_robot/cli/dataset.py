@@ -234,7 +234,7 @@ class Dataset:
     """
 
     action: Annotated[_Action, tyro.conf.arg(name="")]
-    """The subcommand."""
+    """What to do with the data set."""
 
     def run(self) -> int:
         return self.action.run()

@@ -191,7 +191,7 @@ class Evaluate:
         | Annotated[EvaluateSegmentation, tyro.conf.subcommand("segmentation")]
         | Annotated[EvaluateSamplers, tyro.conf.subcommand("samplers")]
     ]
-    """The subcommand."""
+    """What to evaluate."""
 
     def run(self) -> int:
         return self.what.run()

@@ -83,7 +83,7 @@ class Train:
     """
 
     action: Annotated[_Action, tyro.conf.arg(name="")]
-    """The subcommand."""
+    """What to train, or to prepare for a training."""
 
     def run(self) -> int:
         return self.action.run()
