@@ -15,8 +15,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-_PACKS: Final = hasattr(torch.ops.mkldnn, "_linear_pointwise")
-"""Whether this release of torch has the operator for products with packed weights that its own compiler uses."""
+_PACKS: Final = (
+    hasattr(torch.ops.mkldnn, "_linear_pointwise")
+    and hasattr(torch.ops.mkldnn, "_is_mkldnn_bf16_supported")
+    and torch.ops.mkldnn._is_mkldnn_bf16_supported()
+)
+"""Whether this release of torch has the operator for products with packed weights that its own compiler uses, and this
+CPU the instructions for it (AVX-512 or AVX-NE-CONVERT)."""
 
 
 def prefers_bfloat16(device: torch.device) -> bool:

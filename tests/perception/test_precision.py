@@ -74,12 +74,11 @@ def test_poses_are_the_same_to_a_fraction_of_their_error(folder: Path) -> None:
     assert seen >= 2
 
 
-@swift
-@pytest.mark.parametrize("packs", [True, False])
+@pytest.mark.parametrize("packs", [pytest.param(True, marks=swift), False])
 @pytest.mark.parametrize("bias", [True, False])
 def test_packed_weights_give_what_the_layer_gives(packs: bool, bias: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     if not packs:
-        monkeypatch.setattr(precision, "_PACKS", False)  # as in a release of torch without the operator
+        monkeypatch.setattr(precision, "_PACKS", False)  # as without the operator or the CPU instructions for it
     network = torch.nn.Sequential(torch.nn.Linear(40, 24, bias=bias), torch.nn.SiLU(), torch.nn.Linear(24, 7))
     x = torch.randn(2, 33, 40)
     wanted = copy.deepcopy(network).to(torch.bfloat16)(x.to(torch.bfloat16))
