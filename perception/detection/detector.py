@@ -111,7 +111,16 @@ class Detector(nn.Module):
         return scores, deltas
 
     def anchors(self, height: int, width: int, device: torch.device) -> list[Tensor]:
-        """Per level: anchor boxes (A_l, 4) of an input of this size."""
+        """Anchor boxes of an input.
+
+        Args:
+            height: Height of the input [px].
+            width: Width of the input [px].
+            device: torch device of the boxes.
+
+        Returns:
+            The anchor boxes of each pyramid level, (A_l, 4) [px].
+        """
         return anchor_boxes(self.config.anchor_sizes, height, width, device)
 
     @torch.no_grad()
@@ -146,7 +155,15 @@ class Detector(nn.Module):
         return torch.gather(boxes, 1, chosen.indices[..., None].expand(-1, -1, 4)), torch.isfinite(chosen.values)
 
     def box_outputs(self, pyramid: list[Tensor], rois: Tensor) -> tuple[Tensor, Tensor]:
-        """Class logits (R, C) and deltas (R, C, 4) of rois (R, 5): image index, box [px]."""
+        """Classify and refine regions of interest.
+
+        Args:
+            pyramid: Feature maps, finest level first.
+            rois: Regions, (R, 5): index of the image, then x0, y0, x1, y1 [px].
+
+        Returns:
+            Class logits (R, C) and, per class, deltas of the box (R, C, 4).
+        """
         x = self.box_head(pyramid_roi_align(pyramid[:4], rois, 7))
         return self.box_score(x), self.box_delta(x).unflatten(1, (len(CLASSES), 4))
 

@@ -44,6 +44,9 @@ def hammer_handle(
         free: Half-height of the head [m]; the grippable section ends at z_head - free.
         butt: Distance of the butt from the grip centre [m].
         style: "wood", "fiberglass" or "steel".
+
+    Returns:
+        The handle, in the `tool` frame.
     """
     bend = rng.uniform(0.0, 0.010) / z_head**2 * (rng.uniform() < 0.35) * rng.choice([-1.0, 1.0])
     top = z_head + reach

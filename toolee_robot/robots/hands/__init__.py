@@ -10,7 +10,14 @@ HANDS: dict[str, HandModel] = {hand.name: hand for hand in (SHADOW_HAND,)}
 
 
 def hand_model(name: str) -> HandModel:
-    """The hand of that name. Raises ConfigError naming those that are known."""
+    """Look up a hand.
+
+    Args:
+        name: Name of the hand, a key of `HANDS`.
+
+    Raises:
+        ConfigError: There is no such hand; the message names those that are known.
+    """
     try:
         return HANDS[name]
     except KeyError:

@@ -114,6 +114,9 @@ class HammeringTask:
         Args:
             outcome: How the job ended.
             reason: Why, for a person.
+
+        Returns:
+            The record.
         """
         return HammerResult(
             outcome,
@@ -146,8 +149,6 @@ class HammeringTask:
         except DeviceError as error:
             self._motions.stand_still()
             return Outcome.DEVICE_FAULT, str(error)
-
-    # -- stages ----------------------------------------------------------------------------------------------------
 
     def _check_calibration(self) -> None:
         """Refuse a station whose camera calibration is missing or invalid."""
@@ -258,9 +259,6 @@ class HammeringTask:
                 if attempt == 2:
                     raise
                 self._observer.message(f"{error}; looking again")
-        self._accept(estimate)
-
-    def _accept(self, estimate: InHandEstimate) -> None:
         self._estimates.append((self._station.clock.now(), estimate))
         self._motions.X_hand_ee = estimate.X_hand_ee
 
