@@ -21,19 +21,8 @@ from toolee_robot.tools.materials import (
     varied,
 )
 from toolee_robot.tools.model import EndEffector, Handle, Tool, ToolKind
-from toolee_robot.tools.solids import (
-    Convex,
-    Piece,
-    extrude,
-    hexagon,
-    lobes,
-    loft,
-    loft_piece,
-    prism_points,
-    regular_polygon,
-    stack,
-    superellipse,
-)
+from toolee_robot.tools.sections import hexagon, lobes, regular_polygon, stack, superellipse
+from toolee_robot.tools.solids import Convex, Piece, extrude, loft, loft_piece, prism_points
 
 TipShape = Callable[[np.random.Generator, float, float, Material], tuple[Piece, float]]
 """Generator of a tip: takes the random generator, the radius of the shaft [m], tool z of the end of the tip [m] and the
