@@ -87,8 +87,11 @@ class DhParameters:
         return X
 
     def zero_frames(self) -> list[Array]:
-        """Poses (4x4) [m] in the base frame of the controller, at q = 0, of the six joint frames (joint axis along z)
-        and of the flange: 7 in total."""
+        """Frames of the arm at q = 0 in the base frame of the controller.
+
+        Returns:
+            7 poses, (4, 4) each: the six joint frames, joint axis along z, and the flange.
+        """
         frames = [np.eye(4)]
         for i in range(6):
             frames.append(frames[-1] @ self.joint(i))

@@ -90,8 +90,10 @@ class SolidPart(Part):
 
     @cached_property
     def mesh(self) -> trimesh.Trimesh:
-        """Watertight mesh, `tool` frame [m]. Computed on first access: it takes as long as the outer surface, and
-        rendering does not need it."""
+        """Watertight mesh, `tool` frame [m].
+
+        Computed on first access: it takes as long as the outer surface, and rendering does not need it.
+        """
         return to_trimesh(without(self._solid, self._others))
 
     @property

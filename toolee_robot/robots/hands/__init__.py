@@ -1,5 +1,8 @@
-"""The hands that are known: one `HandModel` each. A new hand is a record of its own in a module here, and an entry in
-`HANDS`; its device driver is a `toolee_robot.hal.Hand` with the record's joints."""
+"""The known hands, one `HandModel` each.
+
+A new hand is a record in a module of its own here, and an entry in `HANDS`; its device driver is a
+`toolee_robot.hal.Hand` with the record's joints.
+"""
 
 from toolee_robot.errors import ConfigError
 from toolee_robot.robots.hands.model import PALM, Finger, HandModel, NominalGrasp, Phalanx, WristJoint

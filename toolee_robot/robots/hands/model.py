@@ -68,8 +68,11 @@ class WristJoint:
 
 @dataclass(frozen=True)
 class NominalGrasp:
-    """Where a round handle lies in the closed hand, for every radius: X_hand_tool, axes and a point that moves with the
-    radius, all in the hand frame. The `tool` frame: z along the handle, x to the working side."""
+    """Pose of a round handle in the closed hand, for every radius.
+
+    The axes are fixed, the centre moves with the radius; all in the hand frame. The `tool` frame: z along the handle, x
+    to the working side.
+    """
 
     z: tuple[float, float, float]
     """Direction of the tool's z axis, a unit vector."""
