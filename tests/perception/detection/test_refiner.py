@@ -20,7 +20,8 @@ from tests.perception.toy_scenes import ArrayImages, enlarged, toy_scenes, write
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH
 from toolee_robot.perception.detection.config import DetectorConfig
-from toolee_robot.perception.detection.detector import TOOL, Detector, load_detector
+from toolee_robot.perception.detection.detector import TOOL, Detector
+from toolee_robot.perception.detection.detector_weights import load_detector
 from toolee_robot.perception.detection.instances import Box, Instances, mask_iou
 from toolee_robot.perception.detection.mask_head import MASK_SIZE, paste_one
 from toolee_robot.perception.detection.refiner.crops import CELLS, CHANNELS
