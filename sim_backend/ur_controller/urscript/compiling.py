@@ -12,8 +12,9 @@ import signal
 from contextlib import suppress
 from functools import lru_cache
 
-from toolee_robot.sim_backend.ur_controller.urscript.compiler import Builtin, Compiled, compile_script
+from toolee_robot.sim_backend.ur_controller.urscript.compiler import Compiled, compile_script
 from toolee_robot.sim_backend.ur_controller.urscript.errors import ScriptError
+from toolee_robot.sim_backend.ur_controller.urscript.expressions import Builtin
 from toolee_robot.sim_backend.ur_controller.urscript.functions.library import LIBRARY
 from toolee_robot.sim_backend.ur_controller.urscript.functions.robot import RobotFunctions, function_names
 

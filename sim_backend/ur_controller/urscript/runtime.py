@@ -9,9 +9,10 @@ from typing import Any
 from toolee_robot.errors import TooleeError
 from toolee_robot.sim_backend.ur_controller.robot.machine import Event, EventKind, Machine
 from toolee_robot.sim_backend.ur_controller.robot.watchdog import Action
-from toolee_robot.sim_backend.ur_controller.urscript.compiler import FILE, HELPERS, MAIN
+from toolee_robot.sim_backend.ur_controller.urscript.compiler import FILE, MAIN
 from toolee_robot.sim_backend.ur_controller.urscript.compiling import compiled
 from toolee_robot.sim_backend.ur_controller.urscript.errors import ScriptError
+from toolee_robot.sim_backend.ur_controller.urscript.expressions import HELPERS
 from toolee_robot.sim_backend.ur_controller.urscript.functions.library import LIBRARY
 from toolee_robot.sim_backend.ur_controller.urscript.functions.robot import RobotFunctions, function_names
 
