@@ -54,7 +54,15 @@ class Builtin:
 
     @classmethod
     def of(cls, function: Callable[..., Any], method: bool = False) -> Builtin:
-        """Describe a function; of a `method`, without its first parameter."""
+        """Describe a function.
+
+        Args:
+            function: The function.
+            method: Whether its first parameter is the object that it belongs to.
+
+        Returns:
+            The description, without that parameter.
+        """
         signature = inspect.signature(function)
         if method:
             signature = signature.replace(parameters=list(signature.parameters.values())[1:])
