@@ -119,9 +119,11 @@ def begin(spec: DatasetSpec, out: Path, custom_tools: Sequence[CustomMesh] = ())
         there = read_json(path)
         if there != wanted:
             differ = ", ".join(sorted(k for k in {*there, *wanted} if there.get(k) != wanted.get(k)))
-            raise UserError(f"{out} holds another data set (other {differ}): choose an empty folder")
+            raise UserError(
+                f"{out} holds another data set (other {differ}): choose an empty folder", code="user.other_data_set"
+            )
     elif any(p.name not in SPLITS for p in out.iterdir()) or any(any((out / s).iterdir()) for s in SPLITS):
-        raise UserError(f"{out} is not empty and no data set: choose another folder")
+        raise UserError(f"{out} is not empty and no data set: choose another folder", code="user.folder_not_empty")
     else:
         write_atomic(path, json_by_line(wanted))
     _clear(out)

@@ -62,7 +62,9 @@ def checked(device: str) -> str:
         raise UserError(f"--device {device}: choose cpu or cuda", code="user.device_unknown")
     if device == "cuda":
         if not wp.is_cuda_available():
-            raise UserError("--device cuda: Warp finds no GPU of NVIDIA's, or too old a driver; choose cpu")
+            raise UserError(
+                "--device cuda: Warp finds no NVIDIA GPU, or its driver is too old; choose cpu", code="user.no_gpu"
+            )
         _take_gpu(os.getpid() % wp.get_cuda_device_count())
     return device
 

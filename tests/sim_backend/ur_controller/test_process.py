@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tests.errors import raises
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
 from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient
@@ -14,7 +15,7 @@ pytestmark = pytest.mark.sim
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.10", "robot"])
 def test_only_loopback_is_served(host: str) -> None:
-    with pytest.raises(UserError, match="not a loopback address"):
+    with raises(UserError, code="user.not_loopback"):
         Controller(ControllerOptions(host=host), resting_joints)
 
 
