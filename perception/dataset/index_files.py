@@ -1,4 +1,4 @@
-"""What is known only when every scene is there: COCO files, model descriptions, data card, checksums."""
+"""Files that depend on all scenes: COCO files, model descriptions, data card, checksums."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ def decode(rle: dict[str, object]) -> NDArray[np.bool_]:
         height, width = (int(n) for n in rle["size"])  # type: ignore[attr-defined]
         counts = _expanded(str(rle["counts"]))
     except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise UserError(f"no COCO run-length encoding: {error!r}") from error
+        raise UserError(f"not a COCO run-length encoding: {error!r}") from error
     if min(counts, default=0) < 0 or sum(counts) != height * width:
         raise UserError(f"the runs of a COCO mask cover {sum(counts)} pixels, not {height * width}")
     values = np.arange(len(counts)) % 2 == 1

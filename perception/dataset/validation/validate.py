@@ -75,7 +75,7 @@ def scene_faults(spec: DatasetSpec, root: Path, job: SceneJob) -> tuple[SceneJob
     checked = [Fault(f"{name}/{file}", problem) for file, problem in check_sums(job.folder(root), None)]
     faults = [*checked]
     broken = {fault.file for fault in checked}
-    # What the checksums tell already is not told twice in other words.
+    # A fault that the checksums show is reported once.
     for file, problem in check_scene(spec, root, job):
         if f"{name}/{file}" not in broken:
             faults.append(Fault(f"{name}/{file}", problem))
@@ -101,7 +101,7 @@ def check_sums(folder: Path, expected: set[str] | None) -> Iterator[tuple[str, s
         there = (p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
         expected = {name for name in there if name != SUMS}
     for name in sorted(expected - set(sums)):
-        yield name, f"not listed in {SUMS}: nobody knows it"
+        yield name, f"not listed in {SUMS}: it is not part of the data set"
     for name, digest in sums.items():
         path = folder / name
         if not path.is_file():
@@ -127,7 +127,7 @@ def _root_faults(spec: DatasetSpec, root: Path) -> Iterator[Fault]:
 
 
 def _derived_faults(spec: DatasetSpec, root: Path) -> Iterator[Fault]:
-    """What follows from the scenes is made again and compared."""
+    """Regenerate the files that follow from the scenes, and compare them."""
     with tempfile.TemporaryDirectory() as name:
         out = Path(name)
         (out / MODELS).mkdir()

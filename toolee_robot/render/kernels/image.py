@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 METERED = 1 << 20
-"""What a brightness of 1 counts in `meter`: whole numbers have the same sum in any order."""
+"""Integer that stands for a brightness of 1 in `meter`: integers have the same sum in any order."""
 _METERED = wp.constant(float(METERED))
 CURVE = 4096
 """Entries of the sRGB table."""

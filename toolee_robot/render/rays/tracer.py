@@ -1,4 +1,4 @@
-"""What a tracer of rays is, and what rays hit."""
+"""Interface of the ray tracers, and the record of hits."""
 
 from __future__ import annotations
 

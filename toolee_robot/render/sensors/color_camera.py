@@ -1,4 +1,4 @@
-"""What a colour camera does to an ideal image: exposure, white balance, blur, vignetting, grain, compression."""
+"""Sensor model of a colour camera: exposure, white balance, blur, vignetting, grain, compression."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a time-of-flight depth camera makes of a true depth image: `toolee_robot.depth_noise` on rendered images."""
+"""Sensor model of a time-of-flight depth camera: `toolee_robot.depth_noise` on rendered images."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from toolee_robot.robots.meshes import link_mesh
 from toolee_robot.robots.tree import FLANGE_FRAME, Tree
 
 PALM = "palm"
-"""What a link of the hand belongs to that is neither a finger's nor the forearm's."""
+"""Part of the links that belong neither to a finger nor to the forearm."""
 
 Read = Callable[[Path, str, Array], Tree]
 """A reader of a hand's model: its file, the link that carries it, and the pose (4x4) of its root link in that link."""

@@ -154,11 +154,11 @@ class HammeringTask:
         """Refuse a station whose camera calibration is missing or invalid."""
         calibration = self._config.calibration
         if calibration is None:
-            raise JobEnded(Outcome.NOT_READY, "the station is not calibrated: calibrate it, and keep what comes of it")
+            raise JobEnded(Outcome.NOT_READY, "the station is not calibrated: calibrate it, enter the result")
         station = self._station
         problems = calibration.problems(station.robot_serial, station.camera_serial, date.today())
         if problems:
-            raise JobEnded(Outcome.NOT_READY, "the calibration does not hold: " + "; ".join(problems))
+            raise JobEnded(Outcome.NOT_READY, "the calibration is not valid: " + "; ".join(problems))
 
     def _take_tool(self) -> None:
         station, timeout = self._station, self._config.task.handover_timeout
