@@ -79,6 +79,9 @@ class ToolEnvelope:
         Args:
             X_flange_ee: Pose of the end effector in the flange, (4, 4).
             X_joint6_flange: Pose of the flange in the last joint, (4, 4).
+
+        Returns:
+            Head, claw and handle, on the arm's last joint.
         """
         X = X_joint6_flange @ X_flange_ee
         x, z = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
@@ -120,6 +123,9 @@ def hand_bodies(robot: RobotModel, q_hand: Array) -> list[Body]:
     Args:
         robot: Kinematic model of arm and hand.
         q_hand: Joint positions at which the hand is locked, (n,) [rad].
+
+    Returns:
+        One body per part, on the arm's last joint.
     """
     hand = robot.description.hand
     key = (hand, np.round(q_hand, 2).tobytes())
@@ -159,6 +165,9 @@ def box_body(name: str, center: tuple[float, ...], size: tuple[float, ...]) -> B
         name: Name and group of the body.
         center: Centre, (3,) [m].
         size: Edge lengths, (3,) [m].
+
+    Returns:
+        The body, fixed in `base`.
     """
     radius = 0.5 * float(np.linalg.norm(size))
     return Body(

@@ -67,6 +67,9 @@ def judge_contact(
         expected: The expected contact.
         arm: Kinematics of the arm.
         config: Bounds of an early and a late contact.
+
+    Returns:
+        How the contact came, and how far before the expected one [m]; NaN without a contact.
     """
     if report.contact is None:
         return ContactVerdict(Meeting.NONE, float("nan"))

@@ -48,6 +48,9 @@ class ArmKinematics:
             flange: Name of the flange's frame.
             X_base_root: Pose of the model's root in `base`, (4, 4).
 
+        Returns:
+            The chain, with the position limits of the model.
+
         Raises:
             ValueError: The flange is not attached to the arm's last joint.
         """

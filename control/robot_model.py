@@ -61,6 +61,9 @@ class RobotModel:
             calibration: Factory calibration of the arm; None for the nominal kinematics.
             hand: Name of the hand, one of `robots.HANDS`.
 
+        Returns:
+            The model.
+
         Raises:
             ConfigError: The hand is unknown.
             AssetError: A file is missing or unreadable.

@@ -89,7 +89,11 @@ class Supervisor:
 
     @property
     def mode(self) -> Mode:
-        """Mode of operation, initially HANDOVER. Every change revokes the permission to swing."""
+        """Mode of operation, initially HANDOVER. Every change revokes the permission to swing.
+
+        Raises:
+            PersonNearError: It is set to UNATTENDED while somebody is within reach.
+        """
         return self._mode
 
     @mode.setter

@@ -78,7 +78,15 @@ def rendered_clouds(
 
 
 def clouds_of_part(detector: EeDetector | None, part: Part) -> RenderedClouds:
-    """The clouds of a part of a data set under true masks and, with a detector, under predicted ones."""
+    """Extract the clouds of a part of a data set, under true masks and, with a detector, under predicted ones.
+
+    Args:
+        detector: The detector; None: true masks alone.
+        part: The part.
+
+    Returns:
+        The clouds, camera frame [m].
+    """
     examples = read_part(part, detector)
     rng = _rng(part)
     rows = []
@@ -94,7 +102,15 @@ def clouds_of_part(detector: EeDetector | None, part: Part) -> RenderedClouds:
 
 
 def tool_clouds_of_part(_detector: EeDetector | None, part: Part) -> RenderedClouds:
-    """The clouds of whole tools of a part, under true masks, once per category of their ends."""
+    """Extract the clouds of whole tools of a part, under true masks, once per category of their ends.
+
+    Args:
+        _detector: Not used; as in `clouds_of_part`.
+        part: The part.
+
+    Returns:
+        The clouds, camera frame [m].
+    """
     examples = read_part(part, None)
     rng = _rng(part)
     nothing = np.empty((0, 3))

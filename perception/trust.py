@@ -19,7 +19,7 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array
 from toolee_robot.perception import weight_files
-from toolee_robot.perception.detection.detector import WEIGHTS_NAME as DETECTOR
+from toolee_robot.perception.detection.detector_weights import WEIGHTS_NAME as DETECTOR
 from toolee_robot.perception.detection.refiner.network import WEIGHTS_NAME as REFINER
 from toolee_robot.perception.pose import weights
 from toolee_robot.perception.pose.cloud_estimator import PoseResult

@@ -45,7 +45,15 @@ def load_terms(path: Path) -> list[Term]:
 
 
 def prose(path: str, text: str) -> Iterator[tuple[int, str]]:
-    """Line number and text of each piece of prose in a file; whitespace within a piece is single spaces."""
+    """Pieces of prose in a file: docstrings, comments and strings with spaces; in Markdown what is no code.
+
+    Args:
+        path: Path of the file, which tells its kind.
+        text: Its content.
+
+    Yields:
+        Line number and text; whitespace within a piece is single spaces.
+    """
     if path.endswith(".py"):
         for token in tokenize.generate_tokens(io.StringIO(text).readline):
             is_text = token.type in (tokenize.STRING, tokenize.COMMENT) or token.type == _FSTRING_MIDDLE
@@ -64,7 +72,16 @@ _FSTRING_MIDDLE = getattr(tokenize, "FSTRING_MIDDLE", None)
 
 
 def findings(path: str, text: str, terms: list[Term]) -> Iterator[str]:
-    """What is wrong in a file, one line each."""
+    """Terms in a file that are not to be used.
+
+    Args:
+        path: Path of the file in the repository.
+        text: Its content.
+        terms: The list of terms.
+
+    Yields:
+        One line each: path, line number, what was found and what to write.
+    """
     rules = [term for term in terms if term.forbidden_in(path)]
     for line, piece in prose(path, text):
         for term in rules:

@@ -93,6 +93,13 @@ class SimStation:
         with SimStation.build(StationConfig(), seed=0) as simulation:
             task(simulation.station)
 
+    Args:
+        world: The simulated world.
+        station: Its devices.
+        judge: Observes the world.
+        person: The simulated person.
+        offset: In-hand offset of the handover.
+
     Attributes:
         station: The devices: all that a task may use.
         world: The simulated world: ground truth, for the report and the tests.

@@ -185,7 +185,12 @@ class SimWorld:
         return self._quanta < self._window_end
 
     def ignore_collisions(self, body_a: int, body_b: int) -> None:
-        """Disable collisions between two bodies, given by pybullet's ids."""
+        """Disable collisions between two bodies.
+
+        Args:
+            body_a: pybullet's id of a body.
+            body_b: pybullet's id of the other body.
+        """
         links_a, links_b = (range(-1, pb.getNumJoints(b, physicsClientId=self.client)) for b in (body_a, body_b))
         for a in links_a:
             for b in links_b:

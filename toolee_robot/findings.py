@@ -44,6 +44,9 @@ class Finding:
             name: Name of what was checked.
             error: The error; what follows the last colon of its message is the remedy.
             remedy: The remedy where the message has no colon.
+
+        Returns:
+            The finding.
         """
         message, colon, from_error = str(error).rpartition(": ")
         return cls(Level.FAIL, name, message, from_error) if colon else cls(Level.FAIL, name, str(error), remedy)
@@ -59,15 +62,41 @@ def worst(findings: Iterable[Finding]) -> Level:
 
 
 def ok(name: str, message: str) -> Finding:
-    """Make an OK finding."""
+    """Make an OK finding.
+
+    Args:
+        name: Name of what was checked.
+        message: What was found.
+
+    Returns:
+        The finding, without a remedy.
+    """
     return Finding(Level.OK, name, message)
 
 
 def warn(name: str, message: str, remedy: str) -> Finding:
-    """Make a WARN finding."""
+    """Make a WARN finding.
+
+    Args:
+        name: Name of what was checked.
+        message: What was found.
+        remedy: What to do about it.
+
+    Returns:
+        The finding.
+    """
     return Finding(Level.WARN, name, message, remedy)
 
 
 def fail(name: str, message: str, remedy: str) -> Finding:
-    """Make a FAIL finding."""
+    """Make a FAIL finding.
+
+    Args:
+        name: Name of what was checked.
+        message: What was found.
+        remedy: What to do about it.
+
+    Returns:
+        The finding.
+    """
     return Finding(Level.FAIL, name, message, remedy)

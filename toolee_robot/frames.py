@@ -123,12 +123,28 @@ def rotation_angle(R: Array) -> float:
 
 
 def angle_between(a: Array, b: Array) -> float:
-    """Angle [rad] between two vectors, (3,) each, accurate near 0 and pi."""
+    """Angle between two vectors, accurate near 0 and pi.
+
+    Args:
+        a: A vector, (3,), of any length but 0.
+        b: The other vector, (3,).
+
+    Returns:
+        The angle in [0, pi] [rad].
+    """
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), np.dot(a, b)))
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross product a x b of two vectors, (3,) each, in a tenth of the time of np.cross."""
+    """Cross product of two vectors, in a tenth of the time of np.cross.
+
+    Args:
+        a: The first vector, (3,).
+        b: The second vector, (3,).
+
+    Returns:
+        a x b, (3,).
+    """
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 

@@ -64,6 +64,9 @@ class Line:
             q: Joint positions at s = 0, (6,) [rad].
             direction: Direction in `base`, (3,), any length.
 
+        Returns:
+            The line; s = 0 is the configuration's flange pose, whose orientation it keeps.
+
         Raises:
             UnreachableError: The configuration is singular.
         """
@@ -119,6 +122,9 @@ class Line:
             acceleration: Acceleration limit of every joint [rad/s^2].
             jerk: Jerk limit of every joint [rad/s^3].
             wanted: Largest speed [m/s].
+
+        Returns:
+            Largest speed [m/s], acceleration and deceleration [m/s^2] and jerk [m/s^3] along the line.
         """
         first, second = (np.maximum(np.abs(d), 1e-9) for d in self.derivatives(q))
         speed = min(wanted, float(np.min(velocity / first)), float(np.sqrt(np.min(0.5 * acceleration / second))))

@@ -29,6 +29,9 @@ def plan_over_nail(
         plan: The strike.
         before: Distance above the expected contact [m].
 
+    Returns:
+        The trajectory, checked for collisions and limits, at rest at both ends.
+
     Raises:
         PlanningError: As `plan_transfer` and `plan_straight`.
     """
@@ -58,6 +61,9 @@ def plan_straight(
         length: Length of the motion [m]; negative against the direction.
         direction: Direction in `base`; up by default.
         speed: Largest speed [m/s].
+
+    Returns:
+        The trajectory, checked for collisions and limits, at rest at both ends.
 
     Raises:
         CollisionError: Bodies would touch.

@@ -48,6 +48,9 @@ def plan_handover(
         q_start: Present joint positions of the arm, at rest, (6,) [rad].
         q_hand: Joint positions of the hand, wrist first, (n,) [rad].
 
+    Returns:
+        The trajectory, at rest at both ends.
+
     Raises:
         UnreachableError: The handover position is out of reach.
         CollisionError: Every posture or path would collide.

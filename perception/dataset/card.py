@@ -1,5 +1,7 @@
-"""The data card: what a data set holds, in numbers (JSON) and for a person (Markdown). A function of the content
-alone: no dates, no machine."""
+"""The data card: what a data set holds, in numbers (JSON) and for a person (Markdown).
+
+The card is a function of the content alone: no dates, no machine.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,12 @@ in_image: direction of the tool's axis in the image, 0 is up; off_vertical: the 
 
 
 class Card:
-    """Counts what scenes say; memory does not grow with them."""
+    """Statistics of scenes, collected one scene at a time; memory does not grow with their number.
+
+    Args:
+        spec: What the data set was generated from.
+        catalogue: Its tools.
+    """
 
     def __init__(self, spec: DatasetSpec, catalogue: Catalogue) -> None:
         self._spec, self._catalogue = spec, catalogue
@@ -45,7 +52,14 @@ class Card:
         }
 
     def add(self, split: str, camera: dict[str, Any], gt: dict[str, Any], info: dict[str, Any]) -> None:
-        """One scene's JSON files."""
+        """Add one scene, given by the content of its JSON files.
+
+        Args:
+            split: Split of the scene.
+            camera: scene_camera, image id -> entry.
+            gt: scene_gt, image id -> entries of the EEs.
+            info: scene_gt_info, image id -> entries of the EEs, in the same order.
+        """
         for im_id, entry in camera.items():
             self._scenes[split][entry["scene"]] += 1
             seen: set[int] = set()
@@ -85,6 +99,7 @@ class Card:
             bins[min(max(bisect_right(EDGES[name], value) - 1, 0), len(bins) - 1)] += 1
 
     def to_json(self) -> dict[str, Any]:
+        """The card in numbers: counts, instances and histograms of each split, and the specification."""
         splits = {}
         for split in SPLITS:
             splits[split] = {
@@ -112,6 +127,7 @@ class Card:
         }
 
     def to_markdown(self) -> str:
+        """The card for a person: what the data set shows, its command, its files and its tables."""
         data = self.to_json()
         spec = data["spec"]
         which = _CUSTOM_TOOLS if self._spec.tools else f" --test-share {spec['test_share']:g}`"

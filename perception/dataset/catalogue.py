@@ -41,7 +41,15 @@ class Catalogue(ABC):
 
     @abstractmethod
     def pool(self, rng: np.random.Generator, split: str) -> tuple[int, ...]:
-        """Random numbers of about a dozen tools of a split, for one scene folder."""
+        """Draw about a dozen tools of a split, for one scene folder.
+
+        Args:
+            rng: Random generator.
+            split: "train" or "test".
+
+        Returns:
+            Numbers of the tools.
+        """
 
     @abstractmethod
     def name(self, number: int) -> str:
@@ -153,7 +161,15 @@ class CustomTools(Catalogue):
         return [_CUSTOM + i for i in range(len(self.records))] if split == "test" else []
 
     def pool(self, rng: np.random.Generator, split: str) -> tuple[int, ...]:
-        """Numbers of `_POOL` random tools, or of all if there are fewer."""
+        """Draw `_POOL` tools of a split, or all if there are fewer.
+
+        Args:
+            rng: Random generator.
+            split: "train" or "test".
+
+        Returns:
+            Numbers of the tools.
+        """
         numbers = self.numbers(split)
         return tuple(numbers[int(i)] for i in rng.permutation(len(numbers))[:_POOL])
 

@@ -126,6 +126,9 @@ class CustomTool(ToolShape):
             index: Index among the custom tools of the data set.
             vertices: Vertices (V, 3) [m], `tool` frame.
             faces: Faces (F, 3).
+
+        Returns:
+            The tool, its faces assigned to handle, head and claw.
         """
         head = MATERIALS[record.head_material]
         parts = (Part(HANDLE, MATERIALS[record.handle_material]), Part(HEAD, head), Part(CLAW, head))

@@ -9,6 +9,15 @@ TEXTURES, ROOMS, BACKDROPS = 1000, 1000, 1000
 
 
 def draw(rng: np.random.Generator, split: str, count: int) -> int:
-    """A random number below `count` (a multiple of 5) of a split: each fifth number belongs to "test"."""
+    """Draw a number of a split; each fifth number belongs to "test".
+
+    Args:
+        rng: Random generator.
+        split: "train" or "test".
+        count: Upper bound, excluded; a multiple of 5.
+
+    Returns:
+        The number.
+    """
     five = 5 * int(rng.integers(count // 5))
     return five + 4 if split == "test" else five + int(rng.integers(4))

@@ -1,4 +1,4 @@
-"""What is known only when every scene is there: COCO files, model descriptions, data card, checksums."""
+"""Files that depend on all scenes: COCO files, model descriptions, data card, checksums."""
 
 from __future__ import annotations
 
@@ -28,7 +28,15 @@ def is_finished(root: Path) -> bool:
 
 
 def coco_path(root: Path, split: str) -> Path:
-    """The COCO file of a split; its file names are relative to the data set's folder."""
+    """Path of the COCO file of a split.
+
+    Args:
+        root: Folder of the data set; file names in the COCO file are relative to it.
+        split: "train" or "test".
+
+    Returns:
+        The path.
+    """
     return root / COCO / f"instances_{split}.json"
 
 
@@ -38,17 +46,31 @@ def finish(root: Path) -> None:
 
 
 def derive(spec: DatasetSpec, root: Path, out: Path) -> None:
-    """Write what follows from the scenes and models in `root` into `out`. Raises AssetError naming a broken file."""
+    """Write the files that follow from scenes and models: COCO files, models_info, camera, targets and card.
+
+    Args:
+        spec: What the data set was generated from.
+        root: Folder with the scenes and models.
+        out: Folder that the files are written into.
+
+    Raises:
+        AssetError: A scene or model is missing or damaged; the message names the file.
+    """
     with Summary(spec, root, out) as summary:
         for job in spec.jobs():
             summary.add(job)
 
 
 class Summary:
-    """What follows from the scenes and models in `root`, written into `out`; one scene in memory at a time.
+    """Writes the files that follow from scenes and models; one scene in memory at a time.
 
     Use as a context manager and add every scene, in the order of `spec.jobs()`. No file appears before the end, and
     none where an exception passes.
+
+    Args:
+        spec: What the data set was generated from.
+        root: Folder with the scenes and models.
+        out: Folder that the files are written into.
     """
 
     def __init__(self, spec: DatasetSpec, root: Path, out: Path) -> None:
@@ -64,7 +86,14 @@ class Summary:
         return self
 
     def add(self, job: SceneJob) -> None:
-        """The next scene. Raises AssetError naming a broken file."""
+        """Add the next scene.
+
+        Args:
+            job: The scene.
+
+        Raises:
+            AssetError: A file of the scene or a model is missing or damaged; the message names it.
+        """
         scene = job.folder(self._root)
         camera, gt, info, own, instances = (
             read_json(scene / f"scene_{name}.json") for name in ("camera", "gt", "gt_info", "gt_coco", "instances")

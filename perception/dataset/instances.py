@@ -29,6 +29,9 @@ def object_id(tool: int, ee: int) -> int:
     Args:
         tool: Number of the tool in its catalogue.
         ee: Index into `ToolShape.ees`.
+
+    Returns:
+        The id.
     """
     return tool * _EES + ee + 1
 
@@ -45,17 +48,41 @@ def object_of(obj_id: int) -> tuple[int, int]:
 
 
 def model_path(root: Path, obj_id: int) -> Path:
-    """File of the mesh of an EE, EE frame [mm], in the data set at `root`."""
+    """Path of the mesh of an EE, EE frame [mm].
+
+    Args:
+        root: Folder of the data set.
+        obj_id: BOP object id, see `object_id`.
+
+    Returns:
+        The path.
+    """
     return root / MODELS / f"obj_{obj_id:06d}.ply"
 
 
 def tool_path(root: Path, name: str) -> Path:
-    """File of the mesh of a tool, `tool` frame [mm], in the data set at `root`."""
+    """Path of the mesh of a tool, `tool` frame [mm].
+
+    Args:
+        root: Folder of the data set.
+        name: Name of the tool.
+
+    Returns:
+        The path.
+    """
     return root / TOOLS / f"{name}.ply"
 
 
 def ee_mesh(tool: ToolShape, ee: int) -> trimesh.Trimesh:
-    """Surface of the tool within `EndEffectorSpec.radius` of the origin of EE `ee`, EE frame [mm]."""
+    """Surface of a tool near one of its EEs, within `EndEffectorSpec.radius` of the EE's origin.
+
+    Args:
+        tool: The tool.
+        ee: Index into `ToolShape.ees`.
+
+    Returns:
+        The surface, EE frame [mm].
+    """
     end = tool.ees[ee]
     radius = end.category.spec.radius
     X = inverse(end.X_tool_ee)
@@ -73,7 +100,15 @@ def ee_mesh(tool: ToolShape, ee: int) -> trimesh.Trimesh:
 
 
 def ply_bytes(vertices: Array, faces: NDArray[np.int64]) -> bytes:
-    """Content of a binary PLY file: float32 vertices (V, 3), int32 faces (F, 3)."""
+    """Content of a binary PLY file with float32 vertices and int32 faces.
+
+    Args:
+        vertices: Vertices, (V, 3).
+        faces: Indices of each triangle's vertices, (F, 3).
+
+    Returns:
+        The content.
+    """
     header = (
         "ply\nformat binary_little_endian 1.0\n"
         f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
@@ -111,7 +146,15 @@ def read_ply(path: Path) -> tuple[Array, NDArray[np.int64]]:
 
 
 def model_info(vertices: Array, category: Category) -> dict[str, Any]:
-    """Entry of a model in models_info.json from its vertices (V, 3) [mm]: diameter, bounding box, symmetries."""
+    """Entry of a model in models_info.json, as BOP defines it.
+
+    Args:
+        vertices: Vertices of the model, EE frame, (V, 3) [mm].
+        category: Category of the EE, which decides the symmetries.
+
+    Returns:
+        Diameter, bounding box [mm] and symmetries.
+    """
     try:
         hull = ConvexHull(vertices)
     except QhullError:  # flat

@@ -26,7 +26,13 @@ from toolee_robot.runtime.files import write_atomic
 
 
 def write_models(root: Path, catalogue: Catalogue, obj_ids: Iterable[int]) -> None:
-    """Write the missing meshes of objects (by obj_id) and of their tools to the data set at `root`."""
+    """Write the missing meshes of objects and of their tools.
+
+    Args:
+        root: Folder of the data set.
+        catalogue: Its tools.
+        obj_ids: BOP object ids.
+    """
     for number in sorted({object_of(obj_id)[0] for obj_id in obj_ids}):
         tool = catalogue.tool(number)
         for k in range(len(tool.ees)):
@@ -42,6 +48,15 @@ def write_models(root: Path, catalogue: Catalogue, obj_ids: Iterable[int]) -> No
 def model_entry(root: Path, catalogue: Catalogue, obj_id: int, category: Category) -> dict[str, Any]:
     """Entry of an object in models_info.json.
 
+    Args:
+        root: Folder of the data set.
+        catalogue: Its tools.
+        obj_id: BOP object id.
+        category: Category of the EE.
+
+    Returns:
+        The entry: size and symmetries as in BOP [mm], category, instance and split.
+
     Raises:
         AssetError: The mesh is missing or corrupt.
     """
@@ -51,7 +66,12 @@ def model_entry(root: Path, catalogue: Catalogue, obj_id: int, category: Categor
 
 
 def write_models_info(out: Path, entries: dict[int, dict[str, Any]]) -> None:
-    """Write models_info.json with the entries (obj_id -> entry) to the folder `out`."""
+    """Write models_info.json.
+
+    Args:
+        out: Folder of the data set.
+        entries: BOP object id -> entry, see `model_entry`.
+    """
     _write(out / MODELS / "models_info.json", json_by_line({str(k): entries[k] for k in sorted(entries)}))
 
 

@@ -84,8 +84,10 @@ class EeTable:
 
     @property
     def targets(self) -> NDArray[np.bool_]:
-        """Whether each EE is a target of detection and pose estimation: at least 50 visible pixels, at most 70 %
-        occluded, depth 0.4 to 1.1 m."""
+        """Whether each EE is a target of detection and pose estimation.
+
+        A target has at least 50 visible pixels, is at most 70 % occluded and at a depth of 0.4 to 1.1 m.
+        """
         depth = self.X_camera_ee[..., 2, 3]
         known = (self.category > 0) & (self.visible >= MIN_POINTS) & (self.occlusion <= MAX_OCCLUSION)
         with np.errstate(invalid="ignore"):

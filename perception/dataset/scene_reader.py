@@ -74,6 +74,9 @@ def load(folder: Path, limit: int | None = None, threads: int = 8) -> Segmentati
         limit: Maximum number of images; None: all.
         threads: Number of decoding threads.
 
+    Returns:
+        The images with their labels, in the order of scenes and images.
+
     Raises:
         AssetError: There is no complete scene, or a file is missing or corrupt; the message names it.
     """
@@ -93,6 +96,9 @@ def load_scenes(scenes: Sequence[Path], limit: int | None = None, threads: int =
         scenes: Folders of the scenes.
         limit: Maximum number of images; None: all.
         threads: Number of decoding threads.
+
+    Returns:
+        The images with their labels, in the order of scenes and images.
 
     Raises:
         AssetError: A file is missing or corrupt; the message names it.
@@ -181,6 +187,9 @@ def table_of(gt: list[dict[str, Any]], info: list[dict[str, Any]]) -> EeTable:
     Args:
         gt: Entries of the image in scene_gt.
         info: Entries of the image in scene_gt_info, in the same order.
+
+    Returns:
+        The labels, leading shape (8,).
 
     Raises:
         KeyError: A field is missing.

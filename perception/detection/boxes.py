@@ -68,13 +68,29 @@ def clip(boxes: Tensor, height: int, width: int) -> Tensor:
 
 
 def mirror_boxes(boxes: Tensor, width: int) -> Tensor:
-    """Boxes (N, 4) in the mirror image, left to right, of an image of `width` [px]."""
+    """Mirror boxes left to right.
+
+    Args:
+        boxes: Boxes x0, y0, x1, y1, (N, 4) [px].
+        width: Width of the image [px].
+
+    Returns:
+        The boxes in the mirror image, (N, 4) [px].
+    """
     x0, y0, x1, y1 = boxes.unbind(1)
     return torch.stack([width - x1, y0, width - x0, y1], 1)
 
 
 def pairwise_iou(a: Tensor, b: Tensor) -> Tensor:
-    """Intersection over union (..., N, M) of boxes (..., N, 4) and (..., M, 4)."""
+    """Intersection over union of every box of one set with every box of another.
+
+    Args:
+        a: Boxes, (..., N, 4) [px].
+        b: Boxes, (..., M, 4) [px].
+
+    Returns:
+        Intersection over union in [0, 1], (..., N, M).
+    """
     a, b = a[..., :, None, :], b[..., None, :, :]
     overlap = (torch.minimum(a[..., 2:], b[..., 2:]) - torch.maximum(a[..., :2], b[..., :2])).clamp(min=0).prod(-1)
     area_a, area_b = (a[..., 2:] - a[..., :2]).prod(-1), (b[..., 2:] - b[..., :2]).prod(-1)

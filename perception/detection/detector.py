@@ -9,8 +9,6 @@ Boxes are x0, y0, x1, y1 [px] of the network's input; pixel edges are at integer
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -20,7 +18,6 @@ from torchvision.models.resnet import BasicBlock
 from torchvision.ops import batched_nms
 
 from toolee_robot.end_effectors import Category
-from toolee_robot.errors import AssetError
 from toolee_robot.perception.detection.backbone import Backbone, pyramid_roi_align
 from toolee_robot.perception.detection.boxes import (
     ANCHOR_RATIOS,
@@ -34,13 +31,11 @@ from toolee_robot.perception.detection.config import DetectorConfig
 from toolee_robot.perception.detection.inputs import RgbdBatch, mirror
 from toolee_robot.perception.detection.mask_head import MaskHead, features_size, mask_boxes
 from toolee_robot.perception.precision import fold_normalisation
-from toolee_robot.perception.weight_files import load_into, load_weights
 
 CLASSES: tuple[str, ...] = ("background", *(c.value for c in Category), "tool")
 """Class names by index; the last one is the whole visible tool."""
 TOOL = len(CLASSES) - 1
 """Class index of the whole visible tool."""
-WEIGHTS_NAME = "segmentation"
 
 ROI_DELTA_WEIGHTS = (10.0, 10.0, 5.0, 5.0)
 """Factors on the box head's deltas (Faster R-CNN)."""
@@ -111,7 +106,16 @@ class Detector(nn.Module):
         return scores, deltas
 
     def anchors(self, height: int, width: int, device: torch.device) -> list[Tensor]:
-        """Per level: anchor boxes (A_l, 4) of an input of this size."""
+        """Anchor boxes of an input.
+
+        Args:
+            height: Height of the input [px].
+            width: Width of the input [px].
+            device: torch device of the boxes.
+
+        Returns:
+            The anchor boxes of each pyramid level, (A_l, 4) [px].
+        """
         return anchor_boxes(self.config.anchor_sizes, height, width, device)
 
     @torch.no_grad()
@@ -146,7 +150,15 @@ class Detector(nn.Module):
         return torch.gather(boxes, 1, chosen.indices[..., None].expand(-1, -1, 4)), torch.isfinite(chosen.values)
 
     def box_outputs(self, pyramid: list[Tensor], rois: Tensor) -> tuple[Tensor, Tensor]:
-        """Class logits (R, C) and deltas (R, C, 4) of rois (R, 5): image index, box [px]."""
+        """Classify and refine regions of interest.
+
+        Args:
+            pyramid: Feature maps, finest level first.
+            rois: Regions, (R, 5): index of the image, then x0, y0, x1, y1 [px].
+
+        Returns:
+            Class logits (R, C) and, per class, deltas of the box (R, C, 4).
+        """
         x = self.box_head(pyramid_roi_align(pyramid[:4], rois, 7))
         return self.box_score(x), self.box_delta(x).unflatten(1, (len(CLASSES), 4))
 
@@ -249,45 +261,3 @@ class Detector(nn.Module):
                 module.conv2, module.bn2 = fuse_conv_bn_eval(module.conv2, module.bn2), nn.Identity()
         fold_normalisation(self)
         return self
-
-
-def load_detector(detector: Detector, tensors: dict[str, Tensor], description: dict[str, Any]) -> None:
-    """Load exported weights into a detector.
-
-    Args:
-        detector: The network, changed in place.
-        tensors: The weights.
-        description: Their description, with the class names.
-
-    Raises:
-        AssetError: The classes or the architecture differ.
-    """
-    if list(description.get("classes", [])) != list(CLASSES):
-        raise AssetError(
-            f"the detector knows {description.get('classes')}, not {list(CLASSES)}: train it again",
-            code="asset.classes",
-        )
-    load_into(detector, tensors, "detector")
-
-
-def trained_detector(weights_dir: Path | None) -> Detector:
-    """Load a trained detector.
-
-    Args:
-        weights_dir: Folder of weights; None: the shipped ones.
-
-    Returns:
-        The detector.
-
-    Raises:
-        AssetError: A file is missing, unreadable or damaged; the message names it.
-    """
-    tensors, description = load_weights(weights_dir, WEIGHTS_NAME)
-    try:
-        detector = Detector(DetectorConfig.from_json(description["model"]))
-    except (KeyError, TypeError, ValueError) as error:
-        raise AssetError(
-            f"the detector's description is damaged, fetch it again: {error!r}", code="asset.unreadable"
-        ) from error
-    load_detector(detector, tensors, description)
-    return detector

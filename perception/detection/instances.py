@@ -77,6 +77,14 @@ def associate(
 
 
 def mask_iou(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
-    """Intersection over union of two masks (H, W); 0 if both are empty."""
+    """Intersection over union of two masks.
+
+    Args:
+        a: A mask, (H, W).
+        b: The other mask, (H, W).
+
+    Returns:
+        Intersection over union in [0, 1]; 0 if both are empty.
+    """
     union = int(np.count_nonzero(a | b))
     return int(np.count_nonzero(a & b)) / union if union else 0.0

@@ -246,7 +246,15 @@ def outline_losses(logits: Tensor, truth: Tensor) -> tuple[Tensor, Tensor, Tenso
 
 
 def mask_overlap(a: Tensor, b: Tensor) -> Tensor:
-    """Intersection over union (R,) of masks (R, S, S) bool; 0 if both are empty."""
+    """Intersection over union of pairs of masks.
+
+    Args:
+        a: Masks, (R, S, S) bool.
+        b: The masks to compare them with, (R, S, S) bool.
+
+    Returns:
+        Intersection over union in [0, 1], (R,); 0 where both are empty.
+    """
     return (a & b).sum((1, 2)) / (a | b).sum((1, 2)).clamp(min=1)
 
 
@@ -278,6 +286,14 @@ def _mask_targets(instances: InstanceTargets, rois: Tensor, instance: Tensor, su
 
 
 def weighted_mean(values: Tensor, weights: Tensor) -> Tensor:
-    """Mean of values (R,) weighted by weights (R,) of any type; 0 where all weights are 0."""
+    """Weighted mean.
+
+    Args:
+        values: Values, (R,).
+        weights: Their weights, (R,), of any type.
+
+    Returns:
+        The mean, a scalar; 0 if all weights are 0.
+    """
     weights = weights.float()
     return (values * weights).sum() / weights.sum().clamp(min=1)

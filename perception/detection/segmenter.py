@@ -14,8 +14,8 @@ from toolee_robot.perception.detection.config import DetectorConfig, working_siz
 from toolee_robot.perception.detection.detector import (
     Detector,
     RawDetections,
-    trained_detector,
 )
+from toolee_robot.perception.detection.detector_weights import trained_detector
 from toolee_robot.perception.detection.inputs import RgbdBatch, encode_rgbd
 from toolee_robot.perception.detection.instances import Instances, associate, without_duplicates
 from toolee_robot.perception.detection.mask_head import paste_one

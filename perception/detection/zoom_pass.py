@@ -145,7 +145,15 @@ def _span(low: float, high: float, limit: int, scale: float) -> tuple[int, int, 
 
 
 def cut(frame: RgbdFrame, crop: Crop) -> RgbdFrame:
-    """Cut a crop out of a frame, with the intrinsics of a camera that sees only that part."""
+    """Cut a crop out of a frame, with the intrinsics of a camera that sees only that part.
+
+    Args:
+        frame: The frame.
+        crop: The part of it.
+
+    Returns:
+        The part as a frame of its own, with the same camera frame and stamp.
+    """
     part = (slice(crop.y0, crop.y1), slice(crop.x0, crop.x1))
     K = frame.intrinsics
     width, height = crop.x1 - crop.x0, crop.y1 - crop.y0

@@ -109,7 +109,12 @@ class Page:
         )
 
     def picture(self, png: bytes, caption: str) -> None:
-        """Embed a PNG with a caption."""
+        """Embed a picture.
+
+        Args:
+            png: Content of a PNG file.
+            caption: Text below it.
+        """
         data = base64.b64encode(png).decode()
         text = escape(caption)
         self._parts.append(

@@ -39,7 +39,15 @@ def within(angle: Array, position: Array, degrees: float, metres: float) -> NDAr
 
 
 def shares(angle: Array, position: Array) -> dict[str, float]:
-    """Share of errors under each of `THRESHOLDS`; angle (N,) [rad], position (N,) [m]."""
+    """Share of the errors that are below each of `THRESHOLDS`.
+
+    Args:
+        angle: Errors of the orientation, (N,) [rad].
+        position: Errors of the position, (N,) [m].
+
+    Returns:
+        Name of the threshold -> share in [0, 1].
+    """
     return {name: float(within(angle, position, *limits).mean()) for name, limits in THRESHOLDS.items()}
 
 

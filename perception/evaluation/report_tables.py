@@ -46,7 +46,12 @@ def accuracy_table(out: Page, found: dict[str, Any]) -> None:
 
 
 def error_table(out: Page, found: dict[str, Any]) -> None:
-    """Add errors and BOP recall, for each category one row per estimator; arguments as `accuracy_table`."""
+    """Add errors and BOP recall, for each category one row per estimator.
+
+    Args:
+        out: The page.
+        found: As in `accuracy_table`.
+    """
     out.heading("Errors and BOP recall")
     head = ["category", "estimator", "estimated", "median mm", "95 % mm", "median °", "95 % °"]
     head += ["spin °", "spin with hand °", "AR MSSD", "AR MSPD", "AR"]
@@ -64,7 +69,9 @@ def error_table(out: Page, found: dict[str, Any]) -> None:
 def confidence_tables(out: Page, found: dict[str, Any]) -> None:
     """Add calibration and usefulness of the confidence, symmetry, and errors of confident estimates.
 
-    Arguments as `accuracy_table`.
+    Args:
+        out: The page.
+        found: As in `accuracy_table`.
     """
     out.heading("Confidence and symmetry")
     head = ["estimator", "calibration error", "usable", "right at 10° 2 cm", "right at 5° 1 cm"]
@@ -144,5 +151,13 @@ def format_share(value: float | None) -> str:
 
 
 def format_number(value: float | None, digits: int = 1) -> str:
-    """`digits` decimals; a dash for None or NaN."""
+    """Format a number.
+
+    Args:
+        value: The number.
+        digits: Number of decimals.
+
+    Returns:
+        Its text; a dash for None or NaN.
+    """
     return "–" if value is None or value != value else f"{value:.{digits}f}"

@@ -158,7 +158,15 @@ def coco_task(
 
 
 def frame_of(images: SegmentationImages, index: int) -> RgbdFrame:
-    """One image of a data set as a frame."""
+    """Make a camera frame of an image of a data set.
+
+    Args:
+        images: The images.
+        index: Index of the image.
+
+    Returns:
+        The frame, depth in metres.
+    """
     height, width = images.rgb.shape[1:3]
     fx, fy, cx, cy = (float(v) for v in images.intrinsics[index])
     depth = (images.depth_mm[index] / 1000.0).astype(np.float32)

@@ -238,5 +238,13 @@ def _masked_quantile(x: Tensor, mask: Tensor, q: float) -> Tensor:
 
 
 def masked_median(x: Tensor, mask: Tensor) -> Tensor:
-    """(B, 3) median per coordinate of x (B, N, 3) where mask."""
+    """Median per coordinate over the masked points.
+
+    Args:
+        x: Points, (B, N, 3).
+        mask: Points that count, (B, N) bool.
+
+    Returns:
+        The medians, (B, 3).
+    """
     return _masked_quantile(x, mask, 0.5)

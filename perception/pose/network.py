@@ -175,7 +175,15 @@ class PoseNet(nn.Module):
             in_bfloat16(part)
 
     def rest_tokens(self, seen: Seen, mirror: bool = False) -> Tensor:
-        """Tokens of the rest of the tool: (B, 32, width), with `mirror` (2 B, 32, width) as in `encode`."""
+        """Encode the rest of the tool.
+
+        Args:
+            seen: The network's input.
+            mirror: Whether to append the tokens of the mirror images, as in `encode`.
+
+        Returns:
+            Tokens, (B, 32, width), with `mirror` (2 B, 32, width); a learnt constant where the rest is not known.
+        """
         known = seen.rest_known.repeat(2) if mirror else seen.rest_known
         return torch.where(known[:, None, None], self.rest(seen.rest, mirror=mirror), self.no_rest)
 
@@ -270,7 +278,16 @@ class FlowHead(nn.Module):
         return self.film(nn.functional.silu(feature)).unflatten(-1, (len(self.layers), 2, self.width))
 
     def forward(self, u: Tensor, t: Tensor, condition: Tensor) -> Tensor:
-        """The field at u (B, K, 12) and t (B, K) in [0, 1], given `condition`: (B, K, 12)."""
+        """Evaluate the field.
+
+        Args:
+            u: States, (B, K, 12).
+            t: Times in [0, 1], (B, K).
+            condition: The head's conditioning on the cloud, (B, blocks, 2, width): scales and shifts.
+
+        Returns:
+            The field at u and t, (B, K, 12).
+        """
         phase = t[..., None] * self.frequencies.to(t.dtype)
         h = self.into(torch.cat([u, phase.sin(), phase.cos()], dim=-1))
         for i, layer in enumerate(self.layers):

@@ -27,7 +27,15 @@ def rotation_matrix(w: Array) -> Array:
 
 
 def rotations_about(axis: Array, angle: Array) -> Array:
-    """Rotations (K, 3, 3) about the unit vector `axis` (3,) by the angles (K,) [rad]."""
+    """Rotations about an axis, by Rodrigues' formula.
+
+    Args:
+        axis: The axis, a unit vector, (3,).
+        angle: Angles [rad], (K,).
+
+    Returns:
+        The rotations, (K, 3, 3).
+    """
     x, y, z = axis.tolist()
     across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     along = axis[:, None] * axis
@@ -44,7 +52,15 @@ def rotation_vectors(R: Array) -> Array:
 
 
 def twist_angles(R: Array, axis: Array) -> Array:
-    """Twist [rad], (K,), of rotations (K, 3, 3) about the unit vector `axis` (3,): R = swing @ twist."""
+    """Twist of rotations about an axis: the angle of the twist in R = swing @ twist.
+
+    Args:
+        R: Rotations, (K, 3, 3).
+        axis: The axis, a unit vector, (3,).
+
+    Returns:
+        The angles [rad], (K,).
+    """
     # By the quaternion (v, w) of R these are 4 w (v . axis) and 2 (w^2 - (v . axis)^2), so that the angle is
     # 2 atan2(v . axis, w).
     twice, trace = _axis_and_trace(R)

@@ -103,12 +103,28 @@ class Uncentred(DefaultRecipe):
 
 
 def group_mean(Xs: Array, group: SymmetryGroup) -> Array:
-    """Mean of poses (K, 4, 4) modulo the group."""
+    """Mean of poses modulo a symmetry group.
+
+    Args:
+        Xs: Poses, (K, 4, 4).
+        group: The group.
+
+    Returns:
+        The mean, (4, 4).
+    """
     return mean_pose(Xs, group)
 
 
 def robust_mean(Xs: Array, group: SymmetryGroup) -> Array:
-    """Mean of all poses (K, 4, 4) with Cauchy weights, modulo the group, without modes."""
+    """Mean of all poses with Cauchy weights, modulo a symmetry group, without modes.
+
+    Args:
+        Xs: Poses, (K, 4, 4).
+        group: The group.
+
+    Returns:
+        The mean, (4, 4).
+    """
     X = mean_pose(Xs, group)
     for _ in range(10):
         R = align(Xs[:, :3, :3], X[:3, :3], group)
@@ -122,7 +138,15 @@ def robust_mean(Xs: Array, group: SymmetryGroup) -> Array:
 
 
 def clustered(Xs: Array, group: SymmetryGroup) -> Array:
-    """The default pooling: the robust mean of the heaviest mode."""
+    """The default pooling: the robust mean of the heaviest mode.
+
+    Args:
+        Xs: Poses, (K, 4, 4).
+        group: The group.
+
+    Returns:
+        The mean, (4, 4).
+    """
     return pool(Xs, group).X
 
 

@@ -54,6 +54,9 @@ def tool_bodies(
         body_id: Body id of all parts.
         rng: Random generator.
         repaint: Whether to replace its colours by random ones; None: with probability 0.5.
+
+    Returns:
+        The bodies, one for each part.
     """
     if repaint is None:
         repaint = bool(rng.random() < 0.5)
@@ -97,7 +100,15 @@ class Grasp:
 
 
 def random_grasp(radius: float, rng: np.random.Generator) -> Grasp:
-    """Random grasp of a handle of `radius` [m]: shifted, rotated and tilted in the hand; rarely open or half open."""
+    """Draw a grasp of a handle: shifted, rotated and tilted in the hand; rarely open or half open.
+
+    Args:
+        radius: Radius of the handle [m].
+        rng: Random generator.
+
+    Returns:
+        The grasp.
+    """
     p = rng.normal(0.0, [0.006, 0.002, 0.006])
     p[0] += rng.uniform(-0.03, 0.03)
     spin = rng.normal(0.0, 0.25)
@@ -187,6 +198,9 @@ def hand_bodies(grasp: Grasp, style: HandStyle, X_world_hand: Array, body_id: in
         X_world_hand: Pose of the hand frame in the world frame, 4x4 [m]; that of the left hand if mirrored.
         body_id: Body id of all links.
         forearm: Whether to include the forearm.
+
+    Returns:
+        The bodies, one for each link.
     """
     bodies = []
     meshes = _hand_render_meshes(style.mirrored)
@@ -204,7 +218,15 @@ def hand_bodies(grasp: Grasp, style: HandStyle, X_world_hand: Array, body_id: in
 
 
 def X_hand_tool_of(grasp: Grasp, mirrored: bool) -> Array:
-    """Pose (4x4) [m] of the tool in the hand frame; a left hand holds the mirrored axis of the handle."""
+    """Pose of the tool in the hand; a left hand holds the mirrored axis of the handle.
+
+    Args:
+        grasp: Grasp of a right hand.
+        mirrored: Whether the hand is a left hand.
+
+    Returns:
+        Pose of the tool in the hand frame, (4, 4).
+    """
     if not mirrored:
         return grasp.X_hand_tool
     # Mirroring in hand x and in tool y gives a proper rotation that keeps z and x of the tool on the handle.
@@ -213,7 +235,15 @@ def X_hand_tool_of(grasp: Grasp, mirrored: bool) -> Array:
 
 
 def X_base_hand_of(q_arm: Array, q_hand: Array) -> Array:
-    """Pose (4x4) [m] of the hand frame in `base_link` at q_arm (6,), q_hand (n,) [rad]."""
+    """Pose of the hand on the arm.
+
+    Args:
+        q_arm: Joint positions of the arm, (6,) [rad].
+        q_hand: Joint positions of the hand, (n,) [rad].
+
+    Returns:
+        Pose of the hand frame in `base_link`, (4, 4).
+    """
     return robot_tree().link_poses(np.concatenate([q_arm, q_hand]))[SHOWN_HAND.frame]
 
 
@@ -230,6 +260,9 @@ def arm_bodies(q_arm: Array, X_world_base: Array, body_id: int, rng: np.random.G
         X_world_base: Pose of `base_link` in the world frame, 4x4 [m].
         body_id: Body id of all links.
         rng: Random generator.
+
+    Returns:
+        The bodies of all links.
     """
     own = rng.random() < 0.8
     bodies = []

@@ -22,10 +22,21 @@ system; an address given to `ray.init` does not."""
 
 
 def on_ray(make: Callable[[SceneJob], SceneJob], jobs: list[SceneJob], workers: int) -> Generator[SceneJob]:
-    """Run make(job) for every job on a cluster (see `joined`); yields them as they are done. At most `workers` run at
-    a time, each on one core; one whose process dies is tried twice again.
+    """Run a function for every scene on a Ray cluster, see `joined`.
 
-    Raises what `make` raises of our own errors, TooleeError for others, and what `joined` does.
+    A call whose process dies is repeated up to twice.
+
+    Args:
+        make: The function.
+        jobs: The scenes.
+        workers: Largest number of calls at a time; each uses one core.
+
+    Yields:
+        The results, in the order in which they are finished.
+
+    Raises:
+        TooleeError: A call failed; errors of `make` that are of this class pass as they are.
+        UserError: Ray or the cluster is missing.
     """
     with joined() as ray:
         remote = ray.remote(num_cpus=1, max_retries=2)(make_one)
@@ -47,16 +58,30 @@ def on_ray(make: Callable[[SceneJob], SceneJob], jobs: list[SceneJob], workers: 
 
 
 def make_one(make: Callable[[SceneJob], SceneJob], job: SceneJob) -> SceneJob:
-    """What a Ray task does."""
+    """Call the function for one scene; the body of a Ray task.
+
+    Args:
+        make: The function.
+        job: The scene.
+
+    Returns:
+        The function's result.
+    """
     return make(job)
 
 
 @contextlib.contextmanager
 def joined() -> Iterator[Any]:
-    """Ray, connected to the cluster that RAY_ADDRESS names, or to one started here, that listens on the loopback
-    address alone and ends with this context. Where it is connected already, it stays so.
+    """Connect to a Ray cluster: the one that RAY_ADDRESS names, or one that is started here.
 
-    Raises UserError where Ray or that cluster is missing.
+    A cluster started here listens on the loopback address alone and ends with the context. An existing connection is
+    used and kept.
+
+    Yields:
+        The module ray, connected.
+
+    Raises:
+        UserError: Ray or the cluster is missing.
     """
     address = os.environ.get("RAY_ADDRESS")
     if address is None:

@@ -28,6 +28,9 @@ def any_object(rng: np.random.Generator, surfaces: Surfaces, X: Array, body_id: 
         X: Pose of the object in the world frame, 4x4 [m].
         body_id: Body id of all shapes.
         size: Approximate size [m].
+
+    Returns:
+        The bodies of its shapes.
     """
     kind = rng.random()
     material = surfaces.material(rng)
@@ -59,7 +62,16 @@ def any_object(rng: np.random.Generator, surfaces: Surfaces, X: Array, body_id: 
 
 
 def cable(rng: np.random.Generator, length: float, radius: float) -> Mesh:
-    """A smooth random cable through the origin [m]."""
+    """Generate a smooth random cable through the origin.
+
+    Args:
+        rng: Random generator.
+        length: Approximate length [m].
+        radius: Radius [m].
+
+    Returns:
+        The cable's mesh [m].
+    """
     t = np.linspace(-1.0, 1.0, 32)[:, None]
     bends = rng.normal(0.0, 0.25, (3, 3))
     phases = rng.uniform(0.0, 2 * np.pi, 3)
@@ -69,7 +81,17 @@ def cable(rng: np.random.Generator, length: float, radius: float) -> Mesh:
 
 
 def walls(rng: np.random.Generator, surfaces: Surfaces, body_id: int, floor_height: float) -> list[Body]:
-    """A random room around the origin: floor at `floor_height` [m], four walls, ceiling and objects."""
+    """Generate a random room around the origin: floor, four walls, ceiling and objects.
+
+    Args:
+        rng: Random generator.
+        surfaces: Surfaces of the split.
+        body_id: Body id of all of them.
+        floor_height: z of the floor in the world frame [m].
+
+    Returns:
+        The bodies.
+    """
     floor, ceiling, around = _walls(surfaces, surfaces.room(rng), body_id)
     above = transform(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, floor_height + 3.5))
     below = Body(plane(14.0), transform(p=(0.0, 0.0, floor_height)), floor, body_id)
@@ -100,7 +122,15 @@ def _walls(surfaces: Surfaces, room: int, body_id: int) -> tuple[Material, Mater
 
 
 def backdrop(rng: np.random.Generator, surfaces: Surfaces) -> Backdrop:
-    """A random backdrop: a gradient with patches."""
+    """Generate a random backdrop: a gradient with patches.
+
+    Args:
+        rng: Random generator.
+        surfaces: Surfaces of the split.
+
+    Returns:
+        The backdrop.
+    """
     rng = surfaces.backdrop(rng)
     corners = rng.uniform(0.0, 0.7, (3, 3))
     patches = []

@@ -55,7 +55,16 @@ class Series:
 
 
 def make_example(series: Series, index: int, device: str = "cpu") -> Example:
-    """Generate example `index` of a series on a device ("cpu" or "cuda")."""
+    """Generate an example of a series.
+
+    Args:
+        series: The series.
+        index: Index of the example in it.
+        device: "cpu" or "cuda".
+
+    Returns:
+        The example, with sensor effects.
+    """
     taken = render_example(series, index, device)
     sample, shot, rng = taken.sample, taken.shot, taken.rng
     ee, tool, full, table = taken.labels
@@ -113,6 +122,14 @@ def render_example(series: Series, index: int, device: str = "cpu") -> RenderedE
     """Generate example `index` of a series without sensor effects.
 
     A scene with tools but without a target (`EeTable.targets`) is rejected and drawn again, up to 50 times.
+
+    Args:
+        series: The series.
+        index: Index of the example in it.
+        device: "cpu" or "cuda".
+
+    Returns:
+        The scene, its rendering and its labels.
     """
     seed, split, config = series.seed, SPLITS.index(series.split), CONFIGS.index(series.config)
     pool = _pool(series.seed, index // series.block, series.split, series.catalogue)
@@ -129,7 +146,18 @@ def render_example(series: Series, index: int, device: str = "cpu") -> RenderedE
 def examples_of(
     spec: DatasetSpec, split: str, first: int, last: int, catalogue: Catalogue = GENERATED
 ) -> Iterator[Example]:
-    """Generate examples first .. last - 1 of a split of a data set."""
+    """Generate examples first .. last - 1 of a split of a data set.
+
+    Args:
+        spec: Specification of the data set.
+        split: "train" or "test".
+        first: Index of the first example.
+        last: Index after the last example.
+        catalogue: Tools of the data set.
+
+    Yields:
+        The examples.
+    """
     series = Series(spec.seed, split, spec.config, spec.scene_size, catalogue)
     for i in range(first, last):
         yield make_example(series, i, spec.device)
@@ -156,6 +184,10 @@ _SCENES: dict[str, Callable[[np.random.Generator, Pool], SceneSample]] = {
 
 def label(sample: SceneSample, shot: Shot) -> Labels:
     """Label a scene from its exact depth and body ids.
+
+    Args:
+        sample: The scene.
+        shot: The scene as the camera sees it.
 
     Returns:
         EE ids, tool ids and unoccluded masks (H, W) as in `Example`, and the table of the EEs.

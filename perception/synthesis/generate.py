@@ -100,6 +100,11 @@ def generate(
 def begin(spec: DatasetSpec, out: Path, custom_tools: Sequence[CustomMesh] = ()) -> None:
     """Create or check the folder `out`, write the custom meshes, and remove incomplete scenes of an interrupted run.
 
+    Args:
+        spec: Specification of the data set.
+        out: Its folder.
+        custom_tools: The custom meshes.
+
     Raises:
         UserError: `out` cannot be created or holds something else.
     """
@@ -114,9 +119,11 @@ def begin(spec: DatasetSpec, out: Path, custom_tools: Sequence[CustomMesh] = ())
         there = read_json(path)
         if there != wanted:
             differ = ", ".join(sorted(k for k in {*there, *wanted} if there.get(k) != wanted.get(k)))
-            raise UserError(f"{out} holds another data set (other {differ}): choose an empty folder")
+            raise UserError(
+                f"{out} holds another data set (other {differ}): choose an empty folder", code="user.other_data_set"
+            )
     elif any(p.name not in SPLITS for p in out.iterdir()) or any(any((out / s).iterdir()) for s in SPLITS):
-        raise UserError(f"{out} is not empty and no data set: choose another folder")
+        raise UserError(f"{out} is not empty and no data set: choose another folder", code="user.folder_not_empty")
     else:
         write_atomic(path, json_by_line(wanted))
     _clear(out)
@@ -142,7 +149,16 @@ def _clear(out: Path) -> None:
 
 
 def make_scene_folder(spec: DatasetSpec, out: Path, job: SceneJob) -> SceneJob:
-    """Write one scene and the models of its tools."""
+    """Write one scene and the models of its tools.
+
+    Args:
+        spec: Specification of the data set.
+        out: Folder of the data set.
+        job: The scene.
+
+    Returns:
+        The scene.
+    """
     catalogue = spec.catalogue(out) if spec.tools else ToolCache(GENERATED, out)
     examples = examples_of(spec, job.split, job.first, job.last, catalogue)
     write_scene(job.folder(out), examples, partial(write_models, out, catalogue), catalogue)

@@ -57,6 +57,9 @@ def hard_scene(rng: np.random.Generator, pool: Pool, with_tools: bool = True) ->
         rng: Random generator.
         pool: Tools, grasps and surfaces.
         with_tools: Whether to include tools; without them, the scene still contains hands.
+
+    Returns:
+        The scene, with the camera.
     """
     intrinsics = random_intrinsics(rng)
     # The camera is at the origin of a world with z up; the table is placed so that it does not intersect held tools.

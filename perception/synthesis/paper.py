@@ -41,6 +41,9 @@ def paper_scene(rng: np.random.Generator, pool: Pool, claws: bool = False) -> Sc
         pool: Tools, grasps and surfaces.
         claws: Show a tool with a claw, and of `_TURNS` rotations about the handle the one with the best view of the
             face: the head is in front of the claw, which is the hardest view of the protocol and a rare one.
+
+    Returns:
+        The scene, with the camera.
     """
     tool = pool.tool_with(Category.HAMMER_GRIP, rng) if claws else pool.tool(rng)
     pitch = np.deg2rad(rng.uniform(-45.0, 30.0))

@@ -50,7 +50,16 @@ class Pool:
 
     @staticmethod
     def random(rng: np.random.Generator, split: str, catalogue: Catalogue = GENERATED) -> Pool:
-        """A random pool of a split, "train" or "test" (held out)."""
+        """Draw a pool of tools of a split.
+
+        Args:
+            rng: Random generator.
+            split: "train" or "test" (held out).
+            catalogue: Tools to choose from.
+
+        Returns:
+            The pool.
+        """
         return Pool(catalogue, catalogue.pool(rng, split), Surfaces(split), int(rng.integers(2**31)), {})
 
     def tool(self, rng: np.random.Generator) -> ToolShape:
@@ -58,7 +67,15 @@ class Pool:
         return self._any(self.tools, rng)
 
     def tool_with(self, ee: Category, rng: np.random.Generator) -> ToolShape:
-        """A random tool of the pool with an EE of a category; of all tools if none has one."""
+        """Draw a tool of the pool with an EE of a category; of all its tools if none has one.
+
+        Args:
+            ee: The category.
+            rng: Random generator.
+
+        Returns:
+            The tool.
+        """
         such = [n for n in self.tools if ee in self.catalogue.categories(n)]
         return self._any(such or self.tools, rng)
 
@@ -66,7 +83,15 @@ class Pool:
         return self.catalogue.tool(numbers[int(rng.integers(len(numbers)))])
 
     def grasp(self, tool: ToolShape, rng: np.random.Generator) -> Grasp:
-        """A random grasp for approximately the radius of the handle of a tool."""
+        """Draw a grasp for about the radius of a tool's handle.
+
+        Args:
+            tool: The tool.
+            rng: Random generator.
+
+        Returns:
+            The grasp.
+        """
         radius = tool.handle.grip_radius
         nearest = int(np.argmin(np.abs(np.asarray(_GRASP_RADII) - radius)))
         return self._grasp(nearest * _GRASPS_EACH + int(rng.integers(_GRASPS_EACH)))
@@ -149,13 +174,29 @@ def look(position: Array, target: Array, roll: float) -> Array:
 
 
 def ray(intrinsics: CameraIntrinsics, pixel: Array) -> Array:
-    """Ray (3,) with z = 1 through a pixel (x, y) [px], camera frame."""
+    """Ray through a pixel.
+
+    Args:
+        intrinsics: Intrinsics of the camera.
+        pixel: The pixel (x, y) [px].
+
+    Returns:
+        Direction with z = 1, camera frame, (3,).
+    """
     x, y = pixel
     return np.array([(x - intrinsics.cx) / intrinsics.fx, (y - intrinsics.cy) / intrinsics.fy, 1.0])
 
 
 def random_pixel(rng: np.random.Generator, margin: float = 0.08) -> Array:
-    """Random pixel (x, y), uniform in the image without a margin [share of the side]; a negative margin extends it."""
+    """Draw a pixel, uniform in the image without a margin.
+
+    Args:
+        rng: Random generator.
+        margin: Margin as a share of the side; a negative one extends the image.
+
+    Returns:
+        The pixel (x, y) [px].
+    """
     return rng.uniform([margin * WIDTH, margin * HEIGHT], [(1 - margin) * WIDTH, (1 - margin) * HEIGHT])
 
 
@@ -164,6 +205,11 @@ def tool_in_view(tool: ToolShape, intrinsics: CameraIntrinsics, rng: np.random.G
 
     The orientation is uniform; an EE or, with probability 0.25, the grip centre projects into the image at a depth of
     0.4 to 1.1 m.
+
+    Args:
+        tool: The tool.
+        intrinsics: Intrinsics of the camera.
+        rng: Random generator.
 
     Returns:
         X_camera_tool (4x4) [m].
@@ -177,7 +223,16 @@ def tool_in_view(tool: ToolShape, intrinsics: CameraIntrinsics, rng: np.random.G
 
 
 def lying(tool: ToolShape, point: Array, rng: np.random.Generator) -> Array:
-    """X_world_tool (4x4) [m] of a tool that lies on one of its four sides on a horizontal plane at `point` (3,) [m]."""
+    """Draw the pose of a tool that lies on one of its four sides on a horizontal plane.
+
+    Args:
+        tool: The tool.
+        point: Point of the plane below the tool's origin, world frame, (3,) [m].
+        rng: Random generator.
+
+    Returns:
+        X_world_tool, (4, 4).
+    """
     quarter = Rotation.from_euler("z", int(rng.integers(4)) * np.pi / 2)
     R = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)) * Rotation.from_euler("y", np.pi / 2) * quarter
     X = transform(R, point)
@@ -216,7 +271,13 @@ def on_plane(
 
 
 def sees_an_ee(tool: ToolShape, X_camera_tool: Array, intrinsics: CameraIntrinsics) -> bool:
-    """Whether the origin of an EE of the tool is in the image at a depth of 0.4 to 1.1 m."""
+    """Whether the origin of an EE of the tool is in the image at a depth of 0.4 to 1.1 m.
+
+    Args:
+        tool: The tool.
+        X_camera_tool: Its pose in the camera frame, (4, 4).
+        intrinsics: Intrinsics of the camera.
+    """
     for ee in tool.ees:
         x, y, z = (X_camera_tool @ ee.X_tool_ee)[:3, 3]
         u, v = intrinsics.fx * x / z + intrinsics.cx, intrinsics.fy * y / z + intrinsics.cy
@@ -226,5 +287,13 @@ def sees_an_ee(tool: ToolShape, X_camera_tool: Array, intrinsics: CameraIntrinsi
 
 
 def X_world_hand_of(X_world_tool: Array, X_hand_tool: Array) -> Array:
-    """X_world_hand (4x4) [m] from the poses of the tool in the world and in the hand frame."""
+    """Pose of the hand that holds a tool.
+
+    Args:
+        X_world_tool: Pose of the tool in the world, (4, 4).
+        X_hand_tool: Pose of the tool in the hand, (4, 4).
+
+    Returns:
+        X_world_hand, (4, 4).
+    """
     return X_world_tool @ inverse(X_hand_tool)

@@ -65,7 +65,15 @@ def _postures() -> tuple[Array, Array]:
 
 
 def station_scene(rng: np.random.Generator, pool: Pool) -> SceneSample | None:
-    """A random station scene; None if the camera sees no EE in the chosen posture."""
+    """Generate a station scene: a UR10 with a hand shows a tool to the camera.
+
+    Args:
+        rng: Random generator.
+        pool: Tools, grasps and surfaces.
+
+    Returns:
+        The scene, with the camera; None if the camera sees no EE in the chosen posture.
+    """
     f = 365.5 * np.exp(rng.normal(0.0, 0.03))
     cx, cy = rng.normal([254.9, 205.4], 4.0)
     intrinsics = CameraIntrinsics(float(f), float(f), float(cx), float(cy), WIDTH, HEIGHT)

@@ -28,7 +28,15 @@ class Surfaces:
     split: str
 
     def material(self, rng: np.random.Generator, scale: float = _SCALE) -> Material:
-        """A random texture with random offset and a feature size of about `scale` [m]."""
+        """Draw a texture with a random offset.
+
+        Args:
+            rng: Random generator.
+            scale: Approximate size of its features [m].
+
+        Returns:
+            The material.
+        """
         texture = _texture(draw(rng, self.split, TEXTURES))
         x, y, z = (float(v) for v in rng.uniform(-1.0, 1.0, 3))
         return replace(texture, scale=texture.scale * scale / _SCALE, offset=(x, y, z))
@@ -38,7 +46,15 @@ class Surfaces:
         return draw(rng, self.split, ROOMS)
 
     def laboratory(self, rng: np.random.Generator, body_id: int) -> Surroundings:
-        """A random furnished room; its bodies have the id `body_id`."""
+        """Draw a furnished room.
+
+        Args:
+            rng: Random generator.
+            body_id: Body id of all of its bodies.
+
+        Returns:
+            The room.
+        """
         return _laboratory(self.room(rng), body_id)
 
     def backdrop(self, rng: np.random.Generator) -> np.random.Generator:

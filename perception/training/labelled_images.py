@@ -99,7 +99,15 @@ class DeviceStore:
 
 
 def grown(old: Tensor, shape: tuple[int, ...]) -> Tensor:
-    """A larger tensor of a shape, zero but for the old tensor in its first corner."""
+    """Grow a tensor.
+
+    Args:
+        old: The tensor.
+        shape: The new shape, nowhere smaller.
+
+    Returns:
+        A tensor of that shape: the old one in its first corner, zero elsewhere.
+    """
     new = old.new_zeros(shape)
     if old.numel():
         new[tuple(slice(n) for n in old.shape)] = old

@@ -97,7 +97,7 @@ class SimPerson:
         return True
 
     def release(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        """Release the tool and step back; whether that was done within `timeout` [s]."""
+        """See `hal.Person`."""
         if self.stays or timeout < STEP_TIME:
             self._world.advance(timeout)
             return False
@@ -111,7 +111,7 @@ class SimPerson:
         self._stand(self._place)
 
     def take_tool(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        """Come to the arm and hold the tool in the hand; whether that was done within `timeout` [s]."""
+        """See `hal.Person`: come to the arm and hold the tool in the hand."""
         if self.stays or timeout < STEP_TIME:
             self._world.advance(timeout)
             return False
@@ -121,7 +121,7 @@ class SimPerson:
         return True
 
     def confirm_swing(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
-        """Whether the person confirms that fast strikes may begin."""
+        """See `hal.Person`."""
         return self.confirms
 
     def zone_occupied(self) -> bool:

@@ -44,13 +44,29 @@ def pose_error(X_estimated: Array, X_true: Array, category: Category) -> PoseErr
 
 
 def strike_offset(X_base_nail: Array, X_base_ee: Array) -> float:
-    """Distance [m] of the face's centre from the nail's axis."""
+    """Distance of the face's centre from the nail's axis.
+
+    Args:
+        X_base_nail: Pose of the nail, (4, 4).
+        X_base_ee: Pose of the face at the contact, (4, 4).
+
+    Returns:
+        The distance [m].
+    """
     p_nail_ee = (inverse(X_base_nail) @ X_base_ee)[:3, 3]
     return float(np.hypot(p_nail_ee[0], p_nail_ee[1]))
 
 
 def strike_tilt(X_base_nail: Array, X_base_ee: Array) -> float:
-    """Angle [rad] between the face's normal and the nail's axis."""
+    """Angle between the face's normal and the nail's axis.
+
+    Args:
+        X_base_nail: Pose of the nail, (4, 4).
+        X_base_ee: Pose of the face at the contact, (4, 4).
+
+    Returns:
+        The angle [rad].
+    """
     return angle_between(X_base_ee[:3, 2], X_base_nail[:3, 2])
 
 

@@ -24,7 +24,16 @@ class Caller(Protocol):
     """Sends requests to the world; implemented by `RemoteWorld`."""
 
     def call(self, name: str, *arguments: Any, lasting: float = 0.0) -> Any:
-        """Send a request and return its answer; `lasting` [s] is the longest duration of the requested action."""
+        """Send a request and wait for its answer.
+
+        Args:
+            name: Name of the request.
+            *arguments: Its arguments; they must be picklable.
+            lasting: Longest duration of the requested action [s].
+
+        Returns:
+            The answer.
+        """
         ...
 
 
@@ -53,16 +62,20 @@ class RemoteHand:
         return self._joint_names
 
     def state(self, max_age: float = 0.1) -> HandState:
+        """See `hal.Hand`."""
         state: HandState = self._world.call("hand.state", max_age)
         return state
 
     def open(self, timeout: float = 5.0) -> None:
+        """See `hal.Hand`."""
         self._world.call("hand.open", timeout, lasting=timeout)
 
     def close(self, timeout: float = 5.0) -> None:
+        """See `hal.Hand`."""
         self._world.call("hand.close", timeout, lasting=timeout)
 
     def stop(self) -> None:
+        """See `hal.Hand`."""
         self._world.call("hand.stop")
 
 
@@ -77,21 +90,27 @@ class RemotePerson:
         self._world = world
 
     def request_handover(self, prompt: str, timeout: float) -> bool:
+        """See `hal.Person`."""
         return bool(self._world.call("person.request_handover", prompt, timeout, lasting=timeout))
 
     def release(self, prompt: str, timeout: float) -> bool:
+        """See `hal.Person`."""
         return bool(self._world.call("person.release", prompt, timeout, lasting=timeout))
 
     def take_tool(self, prompt: str, timeout: float) -> bool:
+        """See `hal.Person`."""
         return bool(self._world.call("person.take_tool", prompt, timeout, lasting=timeout))
 
     def confirm_swing(self, prompt: str, timeout: float) -> bool:
+        """See `hal.Person`."""
         return bool(self._world.call("person.confirm_swing", prompt, timeout, lasting=timeout))
 
     def zone_occupied(self) -> bool:
+        """See `hal.Person`."""
         return bool(self._world.call("person.zone_occupied"))
 
     def enabling_switch_held(self) -> bool:
+        """See `hal.Person`."""
         return bool(self._world.call("person.enabling_switch_held"))
 
 

@@ -71,5 +71,14 @@ class RemoteWorld:
         self.controller.__exit__(kind, error, trace)
 
     def call(self, name: str, *arguments: Any, lasting: float = 0.0) -> Any:
-        """Send a request and return its answer; see `Channel.call`, but `lasting` is on the world's clock."""
+        """Send a request and wait for its answer.
+
+        Args:
+            name: Name of the request.
+            *arguments: Its arguments; they must be picklable.
+            lasting: Longest duration of the requested action on the world's clock [s].
+
+        Returns:
+            The answer.
+        """
         return self._channel.call(name, *arguments, lasting=self._clock.to_wall_time(lasting))

@@ -55,12 +55,12 @@ class WorldPlant:
         return TURN * self._sensor.wrench
 
     def set_payload(self, mass: float, cog: Array) -> None:
-        """Compensate this payload: mass [kg], centre of gravity (3,) [m] in the flange frame."""
+        """See `Plant`."""
         self._sensor.payload = Payload(mass, np.array(cog, dtype=np.float64))
         self._sensor.begin()
 
     def command(self, q: Array, qd: Array) -> None:  # noqa: ARG002  (the path between set-points is straight)
-        """Set the joint positions (6,) [rad] to reach at the end of the next step."""
+        """See `Plant`; the path between set-points is straight."""
         self._target = np.array(q, dtype=np.float64)
 
     def step(self, dt: float) -> None:

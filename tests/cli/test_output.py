@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.errors import raises
 from toolee_robot.cli.hammering.run_folder import run_folder
 from toolee_robot.cli.output import json_line
 from toolee_robot.errors import UserError
@@ -43,10 +44,10 @@ def test_a_file_that_cannot_be_written_leaves_nothing_and_says_so(tmp_path: Path
     write_atomic(tmp_path / "a.txt", b"1")
     write_atomic(tmp_path / "a.txt", b"2")
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("a.txt", b"2")]
-    with pytest.raises(UserError, match="cannot write"):
+    with raises(UserError, code="user.not_writable"):
         write_atomic(tmp_path / "none" / "a.txt", b"1")
     (tmp_path / "folder").mkdir()
-    with pytest.raises(UserError, match="cannot write"):
+    with raises(UserError, code="user.not_writable"):
         write_atomic(tmp_path / "folder", b"1")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.txt", "folder"]
 
@@ -82,5 +83,5 @@ def test_runs_that_end_in_the_same_second_do_not_meet(tmp_path: Path) -> None:
 
 def test_a_place_for_runs_that_is_a_file_is_the_users_fault(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("")
-    with pytest.raises(UserError, match="--out"), run_folder(tmp_path / "runs", "seed0"):
+    with raises(UserError, code="user.runs_not_writable"), run_folder(tmp_path / "runs", "seed0"):
         pass

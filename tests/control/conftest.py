@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.control.desk import Desk
 from toolee_robot.config import StationConfig
-from toolee_robot.control import CollisionWorld, RobotModel
+from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
 from toolee_robot.frames import Array, frame_from_axes
 from toolee_robot.robots import SHADOW_HAND
 
@@ -45,3 +46,14 @@ def X_hand_ee(X_tool_ee: Array) -> Array:
 @pytest.fixture
 def world(robot: RobotModel, config: StationConfig, q_hand: Array, X_hand_ee: Array) -> CollisionWorld:
     return CollisionWorld(robot, config, q_hand, X_hand_ee)
+
+
+@pytest.fixture
+def desk(robot: RobotModel, config: StationConfig, world: CollisionWorld, home: Array) -> Desk:
+    return Desk(robot, config, world, home)
+
+
+@pytest.fixture(scope="session")
+def plan(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_hand_ee: Array) -> StrikePlan:
+    world = CollisionWorld(robot, config, q_hand, X_hand_ee)
+    return plan_strike(robot, config, world, home, q_hand, X_hand_ee, config.work.X_base_nail())

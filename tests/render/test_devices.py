@@ -9,6 +9,7 @@ import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
 
+from tests.errors import raises
 from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, transform
@@ -86,11 +87,11 @@ def test_a_region_of_one_body_is_what_a_scene_of_it_alone_shows() -> None:
 
 
 def test_a_missing_gpu_is_told() -> None:
-    with pytest.raises(UserError, match="cpu"):
+    with raises(UserError, code="user.device_unknown"):
         checked("vulkan")
     checked("cpu")
     if not wp.is_cuda_available():
-        with pytest.raises(UserError, match="driver"):
+        with raises(UserError, code="user.no_gpu"):
             render(scene(), K, np.eye(4), device="cuda")
 
 

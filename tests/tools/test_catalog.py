@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.tools import (
@@ -51,7 +52,7 @@ def test_every_kind_has_a_record_and_makes_tools_with_its_end_effectors() -> Non
 
 
 def test_wrong_requests_are_named() -> None:
-    with pytest.raises(UserError, match="seed"):
+    with raises(UserError, code="user.seed_negative"):
         make_tool(ToolKind.MALLET, -1)
-    with pytest.raises(UserError, match="it has hammer_head"):
+    with raises(UserError, code="user.category_missing"):
         make_tool(ToolKind.MALLET, 0).ee(Category.WRENCH_HEAD)

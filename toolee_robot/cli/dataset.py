@@ -56,7 +56,7 @@ class Generate:
     cluster: Literal["local", "ray"] = "local"
     """ray: on the Ray cluster that RAY_ADDRESS names (extra `cluster`), whose machines share DIR."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """What renders. cuda: the GPUs of this machine (not of a Ray cluster), which the processes share. Pixels may
+    """Device that renders. cuda: the GPUs of this machine (not of a Ray cluster), which the processes share. Pixels may
     differ by a rounding."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""

@@ -21,6 +21,9 @@ def text_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
         columns: Headings of the columns.
         rows: Cells of each row.
         left: Number of left-aligned columns.
+
+    Returns:
+        The table.
     """
     table = Table(title=title, title_justify="left")
     for i, column in enumerate(columns):

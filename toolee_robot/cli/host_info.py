@@ -106,6 +106,9 @@ def measure(
         repeats: Number of measured calls.
         warm_up: Number of preceding calls that are not measured.
         target_ms: Largest acceptable median [ms].
+
+    Returns:
+        The latency.
     """
     for _ in range(warm_up):
         call()

@@ -1,4 +1,4 @@
-"""What stands in the station: camera, work, obstacles, and the hand on the flange."""
+"""Objects of the station: camera, work, obstacles, and the hand on the flange."""
 
 from __future__ import annotations
 

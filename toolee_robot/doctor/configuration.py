@@ -61,6 +61,9 @@ def check_calibration(
         robot_serial: Serial number that the robot reports; None if unknown.
         camera_serial: Serial number that the camera reports; None if unknown.
         today: The present date.
+
+    Returns:
+        OK, or FAIL with the first problem and the number of the others.
     """
     calibration = config.calibration
     if calibration is None:

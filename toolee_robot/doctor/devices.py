@@ -27,6 +27,9 @@ def check_arm(arm: Arm, hand: Hand, config: StationConfig) -> Finding:
         arm: The arm.
         hand: The hand on it.
         config: Configuration of the station.
+
+    Returns:
+        OK, or FAIL with the first problem.
     """
     try:
         state = arm.state(config.supervisor.max_data_age)
@@ -52,7 +55,15 @@ def check_arm(arm: Arm, hand: Hand, config: StationConfig) -> Finding:
 
 
 def check_hand(hand: Hand, config: StationConfig) -> Finding:
-    """Check the hand's joints, faults and temperature."""
+    """Check the hand's joints, faults and temperature.
+
+    Args:
+        hand: The hand.
+        config: Configuration of the station.
+
+    Returns:
+        OK, FAIL with the first problem, or WARN if the hand holds something.
+    """
     robot = RobotModel.of_station(config)
     try:
         state = hand.state()
@@ -79,6 +90,9 @@ def check_camera(camera: RgbdCamera, clock: Clock, config: StationConfig) -> Ite
         camera: The camera.
         clock: The station's clock.
         config: Configuration of the station.
+
+    Yields:
+        Findings about the frames, the intrinsics and the depth.
     """
     name = "camera"
     try:

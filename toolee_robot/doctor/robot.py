@@ -50,6 +50,9 @@ def examine_robot(host: str, config: StationConfig) -> RobotCheck:
     Args:
         host: Address of the controller.
         config: Configuration of the station.
+
+    Returns:
+        The findings, and what the controller reports of itself.
     """
     report = probe(host)
     own = None if report.kinematics is None else calibration_of(report.kinematics.dh, config.arm.model)

@@ -99,7 +99,15 @@ class _Path:
 
 
 class PathStop(Iterator[tuple[Array, Array]]):
-    """Iterator over the samples of a stop; see `stop_on_path` for the arguments.
+    """Iterator over the samples of a stop: joint positions (n,) [rad] and velocities (n,) [rad/s].
+
+    Args:
+        trajectory: As in `stop_on_path`.
+        start: As there [s].
+        period: As there [s].
+        acceleration: As there [rad/s^2].
+        jerk: As there [rad/s^3].
+        state: As there.
 
     Attributes:
         state: Progress of the stop.

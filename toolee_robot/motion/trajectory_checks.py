@@ -42,7 +42,11 @@ def check_trajectory(trajectory: Trajectory, q_commanded: Array, lower: Array, u
 
 
 def check_start(trajectory: Trajectory, q_commanded: Array) -> None:
-    """Check that a trajectory starts at the present commanded position, (6,) [rad].
+    """Check that a trajectory starts at the present commanded position.
+
+    Args:
+        trajectory: The trajectory.
+        q_commanded: The commanded joint positions, (6,) [rad].
 
     Raises:
         LimitError: It does not; code `limit.start`.

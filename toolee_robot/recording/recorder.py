@@ -89,6 +89,9 @@ class RunRecorder:
 
         Args:
             frame: The frame. The image is stored as PNG, the depth with 16 bits in millimetres, 0 where unknown.
+
+        Raises:
+            UserError: The colour image is empty.
         """
         header = {"timestamp": _time(frame.stamp), "frame_id": "camera"}
         ok, png = cv2.imencode(".png", cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2BGR))

@@ -16,6 +16,7 @@ import warp as wp
 from toolee_robot.frames import Array, inverse
 from toolee_robot.render.device import DeviceArray, empty, launch, put, rows_of
 from toolee_robot.render.kernels import light as kernels
+from toolee_robot.render.kernels import shadows
 from toolee_robot.render.kernels.texture import Surface
 from toolee_robot.render.noise import noise_table
 from toolee_robot.render.rays.backends import tracer_of
@@ -89,6 +90,9 @@ class Caster:
             background: Background image (H * W,) vec3; None: the environment.
             pixels: Without a grid, pixel indices (P,) int32 of the rays, repeated cyclically.
             first: Number of the first ray; it selects the sample point of each ray on a soft lamp.
+
+        Returns:
+            Colours and properties of the hits.
         """
         n, device, look = rays.shape[1], self.device, self._look
         points, normals, colors = (empty(n, wp.vec3, device) for _ in range(3))
@@ -116,14 +120,14 @@ class Caster:
                 seen[k].fill_(1.0)
                 continue
             asked = (origins, directions, reach)
-            launch(kernels.rays_to_lamp, n, found.ids, points, normals, look.lamps, k, first, *asked, device=device)
+            launch(shadows.rays_to_lamp, n, found.ids, points, normals, look.lamps, k, first, *asked, device=device)
             blocked = self._tracer.blocked(*asked)
             if light.softness == 0 or grid is None:
-                launch(kernels.seen_unblurred, n, reach, blocked, k, seen, device=device)
+                launch(shadows.seen_unblurred, n, reach, blocked, k, seen, device=device)
                 continue
             height, width = grid
-            launch(kernels.count_beside, n, reach, blocked, width, _SHADOW_BLUR, counts, device=device)
-            launch(kernels.seen_blurred, n, reach, counts, width, height, _SHADOW_BLUR, k, seen, device=device)
+            launch(shadows.count_beside, n, reach, blocked, width, _SHADOW_BLUR, counts, device=device)
+            launch(shadows.seen_blurred, n, reach, counts, width, height, _SHADOW_BLUR, k, seen, device=device)
         return seen
 
     @cached_property

@@ -62,7 +62,9 @@ def checked(device: str) -> str:
         raise UserError(f"--device {device}: choose cpu or cuda", code="user.device_unknown")
     if device == "cuda":
         if not wp.is_cuda_available():
-            raise UserError("--device cuda: Warp finds no GPU of NVIDIA's, or too old a driver; choose cpu")
+            raise UserError(
+                "--device cuda: Warp finds no NVIDIA GPU, or its driver is too old; choose cpu", code="user.no_gpu"
+            )
         _take_gpu(os.getpid() % wp.get_cuda_device_count())
     return device
 
@@ -75,14 +77,31 @@ def _take_gpu(number: int) -> None:
 
 
 def put(values: NDArray[Any] | DeviceArray, dtype: Any, device: str) -> DeviceArray:
-    """Values as an array on the device; not copied on "cpu" if the memory can be shared."""
+    """Bring values onto the device; not copied on "cpu" if the memory can be shared.
+
+    Args:
+        values: The values; an array that is on the device already is returned as it is.
+        dtype: Warp type of the elements.
+        device: Warp device.
+
+    Returns:
+        The array on the device.
+    """
     if isinstance(values, wp.array):
         return values
     return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device, copy=device != "cpu")
 
 
 def rows_of(struct: Any, rows: Sequence[tuple[Any, ...]]) -> NDArray[Any]:
-    """Rows of field values of a `warp.struct` as a structured array for `put`."""
+    """Make a structured array of a `warp.struct`, for `put`.
+
+    Args:
+        struct: The struct.
+        rows: Values of its fields, one tuple per element.
+
+    Returns:
+        The array, (N,).
+    """
     return np.array(rows, _layout(struct))
 
 
@@ -93,11 +112,27 @@ def _layout(struct: Any) -> np.dtype[Any]:
 
 
 def empty(shape: int | tuple[int, ...], dtype: Any, device: str) -> DeviceArray:
-    """An uninitialized array on the device."""
+    """Allocate an uninitialised array on the device.
+
+    Args:
+        shape: Its shape.
+        dtype: Warp type of the elements.
+        device: Warp device.
+
+    Returns:
+        The array.
+    """
     return wp.empty(shape, dtype=dtype, device=device)
 
 
 def launch(kernel: Any, shape: int | tuple[int, ...], *arguments: Any, device: str) -> None:
-    """Run a kernel for each index of `shape`; an empty shape is a no-op."""
+    """Run a kernel for each index of a shape; an empty shape is a no-op.
+
+    Args:
+        kernel: The kernel.
+        shape: The shape.
+        *arguments: Arguments of the kernel, outputs last.
+        device: Warp device.
+    """
     if np.prod(shape) > 0:
         wp.launch(kernel, dim=shape, inputs=arguments, device=device)

@@ -33,7 +33,15 @@ class Surroundings:
 
 
 def laboratory(rng: np.random.Generator, body_id: int) -> Surroundings:
-    """A random room with grey floor, light walls, a table and furniture; its bodies have the id `body_id`."""
+    """Generate a random room with grey floor, light walls, a table and furniture.
+
+    Args:
+        rng: Random generator.
+        body_id: Body id of all of its bodies.
+
+    Returns:
+        The room.
+    """
     bodies = [_wall_or_floor(np.eye(3), (0.0, 0.0, -0.8), _floor(rng), body_id)]
     wall = _wall(rng)
     for yaw in np.arange(4) * np.pi / 2:

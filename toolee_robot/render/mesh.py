@@ -45,6 +45,9 @@ class Mesh:
             faces: Vertex indices (F, 3), counter-clockwise seen from outside.
             crease_deg: Maximum angle [deg] between smoothed faces.
 
+        Returns:
+            The mesh.
+
         Raises:
             ValueError: Vertices are not finite or faces refer to missing vertices.
         """
@@ -71,7 +74,16 @@ class Mesh:
 
 
 def corner_normals(vertices: FloatArray, faces: NDArray[np.int32], crease_deg: float) -> FloatArray:
-    """Corner normals (F, 3, 3): area-weighted means over the faces at a vertex within `crease_deg` of the face."""
+    """Normals at the corners of faces: area-weighted means over the faces at a vertex.
+
+    Args:
+        vertices: Vertices, (V, 3) [m].
+        faces: Indices of each triangle's vertices, (F, 3).
+        crease_deg: Largest angle to the corner's own face of the faces that count [deg].
+
+    Returns:
+        Unit normals, (F, 3, 3).
+    """
     if len(faces) == 0:
         return np.zeros((0, 3, 3), np.float32)
     (ax, ay, az), (bx, by, bz) = (vertices[faces[:, k]].T - vertices[faces[:, 0]].T for k in (1, 2))
@@ -150,7 +162,17 @@ def plane(size: float) -> Mesh:
 
 
 def cylinder(radius: float, length: float, sections: int = 24, top_radius: float | None = None) -> Mesh:
-    """Cylinder (or cone frustum) along z, centred [m]: smooth sides, flat ends."""
+    """Build a cylinder or cone frustum along z, centred: smooth sides, flat ends.
+
+    Args:
+        radius: Radius at the bottom [m].
+        length: Length [m].
+        sections: Number of sides.
+        top_radius: Radius at the top [m]; None: as at the bottom.
+
+    Returns:
+        The mesh [m].
+    """
     top = radius if top_radius is None else top_radius
     ring, faces = _ring(sections), _cylinder_faces(sections)
     vertices = np.zeros((2 * sections + 2, 3), np.float32)
@@ -191,7 +213,15 @@ def _cylinder_sides(n: int) -> NDArray[np.int32]:
 
 
 def sphere(radius: float, subdivisions: int = 3) -> Mesh:
-    """Icosphere [m]; its vertices lie on the sphere."""
+    """Build an icosphere; its vertices lie on the sphere.
+
+    Args:
+        radius: Radius [m].
+        subdivisions: How often each triangle of the icosahedron is divided into four.
+
+    Returns:
+        The mesh [m].
+    """
     return _unit_sphere(subdivisions).scaled(radius)
 
 
@@ -204,7 +234,16 @@ def _unit_sphere(subdivisions: int) -> Mesh:
 
 
 def tube(points: Array, radius: float, sections: int = 10) -> Mesh:
-    """A cable: a round tube of `radius` [m] swept along the polyline `points` (N, 3) [m], ends open."""
+    """Build a cable: a round tube along a polyline, ends open.
+
+    Args:
+        points: The polyline, (N, 3) [m].
+        radius: Radius [m].
+        sections: Number of sides.
+
+    Returns:
+        The mesh [m].
+    """
     p = np.asarray(points, dtype=np.float64)
     tangent = np.gradient(p, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)

@@ -32,6 +32,9 @@ def finish(
         metallic: Metalness in [0, 1].
         rng: Random generator of the pattern offset and the age of the surface.
         axis: Body axis (0, 1, 2) of grain and scratches.
+
+    Returns:
+        The material, linear RGB.
     """
     r, g, b = linear(srgb)
     x, y, z = rng.uniform(-1.0, 1.0, 3).tolist()

@@ -53,6 +53,9 @@ def render(
         auto_exposure: Strength of the compensation of dark and bright scenes, in [0, 1].
         device: "cpu", or "cuda" for an NVIDIA GPU.
 
+    Returns:
+        The images, in memory.
+
     Raises:
         UserError: The device is not available.
     """
@@ -70,8 +73,14 @@ def render(
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """What `Rendering` holds, still on its device: rgb (H, W, 3) uint8; depth, cos_incidence, shininess (H, W)
-    float32."""
+    """The images of a `Rendering`, still on its device.
+
+    Attributes:
+        rgb: Colour, sRGB, (H, W, 3) uint8.
+        depth: Depth, (H, W) float32 [m].
+        cos_incidence: As in `Rendering`, (H, W) float32.
+        shininess: As in `Rendering`, (H, W) float32.
+    """
 
     rgb: DeviceArray
     depth: DeviceArray
@@ -80,8 +89,18 @@ class Image:
 
 
 class Shot:
-    """A scene seen by a camera before it is shaded: depth (H, W) float32 [m] and body_ids (H, W) int16 as in
-    `Rendering`. Whoever dislikes what is seen need not pay for the colours."""
+    """A scene seen by a camera before it is shaded, so that a scene can be rejected without the cost of its colours.
+
+    Args:
+        scene: The scene.
+        intrinsics: Intrinsics of the camera.
+        X_world_camera: Pose of the camera in the world, (4, 4).
+        device: "cpu" or "cuda".
+
+    Attributes:
+        depth: As in `Rendering`, (H, W) float32 [m].
+        body_ids: As in `Rendering`, (H, W) int16.
+    """
 
     def __init__(self, scene: Scene, intrinsics: CameraIntrinsics, X_world_camera: Array, device: str = "cpu") -> None:
         self._scene, self._intrinsics, self.device = scene, intrinsics, checked(device)
@@ -95,7 +114,15 @@ class Shot:
         self.body_ids: NDArray[np.int16] = names[bodies]  # -1 takes the last entry
 
     def depth_of(self, body_id: int, region: Region) -> FloatArray:
-        """(H', W') [m]: what the depth of a region would be if nothing but the bodies of that id were there."""
+        """Depth of a region as if only the bodies of one id were there.
+
+        Args:
+            body_id: The id.
+            region: The region x0, y0, x1, y1 [px].
+
+        Returns:
+            The depth, (H', W') [m].
+        """
         x0, y0, x1, y1 = region
         of_id = [k for k, body in enumerate(self._scene.bodies) if body.body_id == body_id]
         found = self._caster.closest(_rays(self._intrinsics, region, self.device), of_id)
@@ -103,7 +130,16 @@ class Shot:
         return depth.reshape(y1 - y0, x1 - x0)
 
     def develop(self, antialias: bool = True, exposure: float = 1.0, auto_exposure: float = 0.0) -> Image:
-        """Shade it; arguments as for `render`."""
+        """Shade the scene.
+
+        Args:
+            antialias: As in `render`.
+            exposure: As in `render`.
+            auto_exposure: As in `render`.
+
+        Returns:
+            The images, on the device.
+        """
         device, count, behind = self.device, self._rays.shape[1], self._scene.background
         outlines = self._outlines() if antialias else None  # first: from here on nothing waits for a GPU
         background = None if behind is None else picture(behind, *self._grid, device)

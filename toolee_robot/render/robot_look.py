@@ -43,7 +43,16 @@ _GREY, _BLUE, _DARK = (0.76, 0.77, 0.78), (0.36, 0.56, 0.72), (0.17, 0.17, 0.18)
 
 
 def arm_link_parts(link: str, vertices: object, faces: object) -> tuple[LookPart, ...]:
-    """Coloured parts of a UR10 link with vertices (V, 3) [m], link frame, and faces (F, 3)."""
+    """Divide a link of the UR10 into coloured parts.
+
+    Args:
+        link: Name of the link.
+        vertices: Vertices, link frame, (V, 3) [m].
+        faces: Indices of each triangle's vertices, (F, 3).
+
+    Returns:
+        The parts.
+    """
     v = np.asarray(vertices, np.float32)
     f = np.asarray(faces, np.int32)
     if link in ("base_link", "wrist_3_link", "tool0"):

@@ -17,7 +17,15 @@ assert len(_BLURS) == kernels.SKY_LEVELS
 
 
 def sky_maps(environment: Environment, device: str) -> DeviceArray:
-    """Blurred environment maps (4 * 64 * 64,) vec3, row-major, in the layout of `kernels.surroundings.sky`."""
+    """Blurred environment maps, in the layout of `kernels.surroundings.sky`.
+
+    Args:
+        environment: Light from all directions.
+        device: Warp device.
+
+    Returns:
+        The maps, row-major, (4 * 64 * 64,) vec3, linear RGB.
+    """
     lobes = rows_of(kernels.Lobe, [(lobe.direction, lobe.width, lobe.color) for lobe in environment.lobes])
     maps = empty(kernels.SKY_LEVELS * kernels.SKY_SIZE**2, wp.vec3, device)
     colors = (wp.vec3(c) for c in (environment.zenith, environment.horizon, environment.ground))
@@ -26,7 +34,17 @@ def sky_maps(environment: Environment, device: str) -> DeviceArray:
 
 
 def picture(backdrop: Backdrop, height: int, width: int, device: str) -> DeviceArray:
-    """Background image (H * W,) vec3, linear RGB, row-major."""
+    """Background image of a backdrop.
+
+    Args:
+        backdrop: The backdrop.
+        height: Height of the image [px].
+        width: Width of the image [px].
+        device: Warp device.
+
+    Returns:
+        The image, row-major, (H * W,) vec3, linear RGB.
+    """
     rows = [(p.centre, p.half_axes, np.cos(p.angle), np.sin(p.angle), p.oval, p.color) for p in backdrop.patches]
     patches = rows_of(kernels.Patch, rows)
     out = empty(height * width, wp.vec3, device)

@@ -125,6 +125,9 @@ def arm_tree(model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None 
         model: The arm.
         calibration: Factory calibration of the arm; None: nominal kinematics.
 
+    Returns:
+        The arm's links.
+
     Raises:
         AssetError: The model file is missing, unreadable or has other joints.
     """
@@ -151,6 +154,9 @@ def robot_tree(
         model: The arm.
         calibration: Factory calibration of the arm; None: nominal kinematics.
         hand: The hand on the flange.
+
+    Returns:
+        The links of the arm, then those of the hand.
 
     Raises:
         AssetError: A model file is missing or unreadable, or arm and hand share link names.
@@ -206,6 +212,9 @@ def load_robot(
         model: The arm.
         calibration: Factory calibration of the arm; None: nominal kinematics.
         hand: Name of the hand, see `toolee_robot.robots.hands.HANDS`.
+
+    Returns:
+        Names, URDF and meshes of arm and hand.
 
     Raises:
         ConfigError: There is no such hand.

@@ -38,7 +38,15 @@ class DhParameters:
 
     @classmethod
     def of(cls, model: ArmModel, calibration: DhCalibration | None = None) -> DhParameters:
-        """Parameters of an arm model, with the deltas of a factory calibration if one is given."""
+        """Parameters of an arm model.
+
+        Args:
+            model: The arm.
+            calibration: Its factory calibration, whose deltas are added; None: nominal kinematics.
+
+        Returns:
+            The parameters.
+        """
         data = ARM_DATA[model]
         nominal = cls(np.array(data.d), np.array(data.a), np.array(data.alpha), np.zeros(6))
         if calibration is None:
@@ -47,7 +55,15 @@ class DhParameters:
         return cls(nominal.d + c.delta_d, nominal.a + c.delta_a, nominal.alpha + c.delta_alpha, np.array(c.delta_theta))
 
     def joint(self, i: int, q: float = 0.0) -> Array:
-        """Pose (4x4) [m] of DH frame i + 1 in frame i at joint angle q [rad]; i = 0..5."""
+        """Pose of a DH frame in the one before, Rz(theta) Tz(d) Tx(a) Rx(alpha).
+
+        Args:
+            i: Index of the joint, 0 to 5.
+            q: Angle of the joint [rad].
+
+        Returns:
+            Pose of DH frame i + 1 in frame i, (4, 4).
+        """
         c, s, ca, sa = (
             np.cos(q + self.theta[i]),
             np.sin(q + self.theta[i]),
@@ -71,8 +87,11 @@ class DhParameters:
         return X
 
     def zero_frames(self) -> list[Array]:
-        """Poses (4x4) [m] in the base frame of the controller, at q = 0, of the six joint frames (joint axis along z)
-        and of the flange: 7 in total."""
+        """Frames of the arm at q = 0 in the base frame of the controller.
+
+        Returns:
+            7 poses, (4, 4) each: the six joint frames, joint axis along z, and the flange.
+        """
         frames = [np.eye(4)]
         for i in range(6):
             frames.append(frames[-1] @ self.joint(i))

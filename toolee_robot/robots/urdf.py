@@ -139,6 +139,9 @@ def read_urdf(path: Path, parent: str, X_parent_root: Array) -> Tree:
         parent: Name of the parent link of the root link.
         X_parent_root: Pose of the root link in the parent link, 4x4 [m].
 
+    Returns:
+        The links.
+
     Raises:
         AssetError: A file is missing or unreadable, or the URDF has no single root link or an unsupported joint.
     """

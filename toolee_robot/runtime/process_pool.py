@@ -36,7 +36,16 @@ class WorkerPool(ProcessPoolExecutor):
         super().__init__(workers, multiprocessing.get_context("spawn"), _begin, (initializer, initargs))
 
     def submit(self, function: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Submit a call as ProcessPoolExecutor does; the first call starts the processes."""
+        """Submit a call as ProcessPoolExecutor does; the first call starts the processes.
+
+        Args:
+            function: The function; it and its arguments must be picklable.
+            *args: Its positional arguments.
+            **kwargs: Its keyword arguments.
+
+        Returns:
+            The future of the call's result.
+        """
         # A worker that Ctrl-C interrupts while it holds a queue's lock would block the pool.
         with _ctrl_c_blocked():  # a process inherits the signal mask
             return super().submit(function, *args, **kwargs)

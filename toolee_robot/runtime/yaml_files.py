@@ -20,6 +20,9 @@ def read_yaml(path: Path, what: str) -> Any:
         path: The file.
         what: Description of the file for the error message.
 
+    Returns:
+        What the file holds: mappings, lists and scalars.
+
     Raises:
         ConfigError: It cannot be read.
     """
@@ -36,6 +39,9 @@ def read_record(path: Path, kind: type[T], what: str) -> T:
         path: The file.
         kind: The record, a dataclass.
         what: What the file describes, for the errors.
+
+    Returns:
+        The record, validated.
 
     Raises:
         ConfigError: It cannot be read, or a field is wrong; the message names every one.

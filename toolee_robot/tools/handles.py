@@ -10,7 +10,8 @@ from scipy.interpolate import PchipInterpolator
 from toolee_robot.frames import Array
 from toolee_robot.tools.materials import FIBERGLASS, RUBBER, RUBBER_COLORED, WOOD, Material, steel, varied
 from toolee_robot.tools.model import Handle
-from toolee_robot.tools.solids import Piece, loft_piece, stack, superellipse
+from toolee_robot.tools.sections import stack, superellipse
+from toolee_robot.tools.solids import Piece, loft_piece
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +45,9 @@ def hammer_handle(
         free: Half-height of the head [m]; the grippable section ends at z_head - free.
         butt: Distance of the butt from the grip centre [m].
         style: "wood", "fiberglass" or "steel".
+
+    Returns:
+        The handle, in the `tool` frame.
     """
     bend = rng.uniform(0.0, 0.010) / z_head**2 * (rng.uniform() < 0.35) * rng.choice([-1.0, 1.0])
     top = z_head + reach

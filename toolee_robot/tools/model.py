@@ -51,7 +51,15 @@ class ToolKind(StrEnum):
 
 
 def tool_name(kind: ToolKind, seed: int) -> str:
-    """Name of a generated tool: kind and four-digit seed."""
+    """Name of a generated tool.
+
+    Args:
+        kind: The kind.
+        seed: The seed.
+
+    Returns:
+        Kind and four-digit seed, such as "claw_hammer-0007".
+    """
     return f"{kind}-{seed:04d}"
 
 
@@ -82,8 +90,10 @@ class SolidPart(Part):
 
     @cached_property
     def mesh(self) -> trimesh.Trimesh:
-        """Watertight mesh, `tool` frame [m]. Computed on first access: it takes as long as the outer surface, and
-        rendering does not need it."""
+        """Watertight mesh, `tool` frame [m].
+
+        Computed on first access: it takes as long as the outer surface, and rendering does not need it.
+        """
         return to_trimesh(without(self._solid, self._others))
 
     @property
@@ -240,6 +250,10 @@ class Tool(ToolShape):
 
         Bounds decide first, because the exact mass needs the parts without their overlap: the sum over the
         overlapping solids exceeds the mass by the overlap volume times a density between the least and the greatest.
+
+        Args:
+            low: Lower bound [kg].
+            high: Upper bound [kg].
         """
         densities = [part.density for part in self.parts]
         volumes = [float(part._solid.volume()) for part in self.parts]

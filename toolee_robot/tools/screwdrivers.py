@@ -21,19 +21,8 @@ from toolee_robot.tools.materials import (
     varied,
 )
 from toolee_robot.tools.model import EndEffector, Handle, Tool, ToolKind
-from toolee_robot.tools.solids import (
-    Convex,
-    Piece,
-    extrude,
-    hexagon,
-    lobes,
-    loft,
-    loft_piece,
-    prism_points,
-    regular_polygon,
-    stack,
-    superellipse,
-)
+from toolee_robot.tools.sections import hexagon, lobes, regular_polygon, stack, superellipse
+from toolee_robot.tools.solids import Convex, Piece, extrude, loft, loft_piece, prism_points
 
 TipShape = Callable[[np.random.Generator, float, float, Material], tuple[Piece, float]]
 """Generator of a tip: takes the random generator, the radius of the shaft [m], tool z of the end of the tip [m] and the
@@ -123,7 +112,17 @@ def _bolster(rng: np.random.Generator, handle: Handle, radius: float, material: 
 
 
 def slotted_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
-    """A flat blade: flared wider than the shaft, or ground down from it (cabinet tip); arguments as in `TipShape`."""
+    """Generate a flat blade: flared wider than the shaft, or ground down from it (cabinet tip).
+
+    Args:
+        rng: Random generator of the tool.
+        radius: Radius of the shaft [m].
+        z_tip: z of the end of the tip in the tool frame [m].
+        material: Material of the tip.
+
+    Returns:
+        The tip and its length [m].
+    """
     width = radius * (rng.uniform(1.05, 1.5) if rng.uniform() < 0.6 else rng.uniform(0.85, 1.0))
     thickness = rng.uniform(0.10, 0.22) * radius + 0.0001
     length = rng.uniform(3.5, 6.0) * radius
@@ -136,7 +135,17 @@ def slotted_tip(rng: np.random.Generator, radius: float, z_tip: float, material:
 
 
 def phillips_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
-    """A blunted cone with four flutes at right angles that run out on the shaft; arguments as in `TipShape`."""
+    """Generate a blunted cone with four flutes at right angles that run out on the shaft.
+
+    Args:
+        rng: Random generator of the tool.
+        radius: Radius of the shaft [m].
+        z_tip: z of the end of the tip in the tool frame [m].
+        material: Material of the tip.
+
+    Returns:
+        The tip and its length [m].
+    """
     blunt = rng.uniform(0.2, 0.32) * radius
     cone = (radius - blunt) / np.tan(np.deg2rad(rng.uniform(24.0, 28.0)))
     length = cone * rng.uniform(1.7, 2.3)
@@ -160,7 +169,17 @@ def phillips_tip(rng: np.random.Generator, radius: float, z_tip: float, material
 
 
 def nut_tip(rng: np.random.Generator, radius: float, z_tip: float, material: Material) -> tuple[Piece, float]:
-    """A cup with a hexagonal hole; the EE origin is the centre of the hole in the plane of the mouth."""
+    """Generate a cup with a hexagonal hole.
+
+    Args:
+        rng: Random generator of the tool.
+        radius: Radius of the shaft [m].
+        z_tip: z of the mouth in the tool frame [m]; the EE's origin is the centre of the hole there.
+        material: Material of the tip.
+
+    Returns:
+        The tip and its length [m].
+    """
     hole = hexagon(rng.uniform(0.007, 0.015))
     outer = max(hole[0, 0] * rng.uniform(1.12, 1.3), radius + 0.0005)
     length = rng.uniform(0.014, 0.036)

@@ -62,62 +62,18 @@ class Piece:
         return replace(self, solid=place(self.solid, X), convex=tuple(c.placed(X) for c in self.convex))
 
 
-def superellipse(exponent: float, points: int = 32) -> Array:
-    """Unit superellipse (M, 2); exponent 2 is a circle, 4 and above a rounded square."""
-    t = 2 * np.pi * np.arange(points) / points
-    c, s = np.cos(t), np.sin(t)
-    return np.column_stack([np.sign(c) * np.abs(c) ** (2 / exponent), np.sign(s) * np.abs(s) ** (2 / exponent)])
-
-
-def regular_polygon(sides: int, points: int = 32, corner: float = 0.0) -> Array:
-    """Regular polygon (M, 2) with inradius 1 and one side normal to x; `corner` in [0, 1) blends it with a circle."""
-    t = 2 * np.pi * np.arange(points) / points
-    half = np.pi / sides
-    r = 1.0 / np.cos((t + half) % (2 * half) - half)
-    r = (1 - corner) * r + corner
-    return r[:, None] * np.column_stack([np.cos(t), np.sin(t)])
-
-
-def hexagon(flats: float) -> Array:
-    """Corners (6, 2) of a hexagon `flats` across, two of its sides normal to y."""
-    t = np.arange(6) * np.pi / 3
-    return 0.5 * flats / np.cos(np.pi / 6) * np.column_stack([np.cos(t), np.sin(t)])
-
-
-def lobes(count: int, depth: float, points: int = 48) -> Array:
-    """Unit section (M, 2) with `count` flutes of the given relative depth."""
-    t = 2 * np.pi * np.arange(points) / points
-    r = 1.0 - depth * (0.5 - 0.5 * np.cos(count * t)) ** 2
-    return r[:, None] * np.column_stack([np.cos(t), np.sin(t)])
-
-
-def stack(z: Any, a: Any, b: Any = None, section: Array | None = None, x: Any = 0.0) -> Array:
-    """Rings of a loft along z.
+def loft_piece(label: str, rings: Array, material: Material, tolerance: float = 0.04) -> Piece:
+    """Make a piece of a loft.
 
     Args:
-        z: Heights of the rings (N,) [m].
-        a: Half-widths along x, scalar or (N,) [m].
-        b: Half-widths along y, scalar or (N,) [m]; `a` if None.
-        section: Unit sections, (M, 2) or (N, M, 2); a circle if None.
-        x: Centres of the rings along x, scalar or (N,) [m].
+        label: Name of the piece.
+        rings: Sections of the loft, (N, M, 3) [m].
+        material: Material of the piece.
+        tolerance: As in `Convex`.
 
     Returns:
-        Rings (N, M, 3) [m].
+        The piece.
     """
-    z = np.asarray(z, dtype=np.float64)
-    a = np.broadcast_to(np.asarray(a, dtype=np.float64), z.shape)
-    b = a if b is None else np.broadcast_to(np.asarray(b, dtype=np.float64), z.shape)
-    x = np.broadcast_to(np.asarray(x, dtype=np.float64), z.shape)
-    unit = superellipse(2.0) if section is None else section
-    unit = np.broadcast_to(unit, (len(z), *unit.shape[-2:]))
-    return np.stack(
-        [x[:, None] + a[:, None] * unit[..., 0], b[:, None] * unit[..., 1], np.repeat(z[:, None], unit.shape[1], 1)],
-        axis=-1,
-    )
-
-
-def loft_piece(label: str, rings: Array, material: Material, tolerance: float = 0.04) -> Piece:
-    """A loft through rings (N, M, 3) as a piece; `tolerance` as in `Convex`."""
     return Piece(label, loft(rings), material, (Convex(rings, tolerance),))
 
 
@@ -150,7 +106,14 @@ def _loft_faces(n: int, m: int) -> NDArray[np.int64]:
 
 
 def solid_from(vertices: Array, faces: NDArray[np.int64]) -> Any:
-    """A manifold3d solid from vertices (V, 3) and faces (F, 3).
+    """Make a manifold3d solid of a closed mesh.
+
+    Args:
+        vertices: Vertices, (V, 3) [m].
+        faces: Indices of each triangle's vertices, (F, 3), counter-clockwise seen from outside.
+
+    Returns:
+        The solid.
 
     Raises:
         ValueError: The mesh is empty or not closed.
@@ -164,13 +127,30 @@ def solid_from(vertices: Array, faces: NDArray[np.int64]) -> Any:
 
 
 def signed_volume(vertices: Array, faces: NDArray[np.int64]) -> float:
-    """Enclosed volume [m^3]; positive for outward-oriented faces."""
+    """Enclosed volume of a closed mesh, by the divergence theorem.
+
+    Args:
+        vertices: Vertices, (V, 3) [m].
+        faces: Indices of each triangle's vertices, (F, 3).
+
+    Returns:
+        The volume [m^3]; positive for outward-oriented faces.
+    """
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = (vertices[faces[:, i]].T for i in range(3))
     return float((ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)).sum() / 6.0)
 
 
 def extrude(polygons: Any, z_min: float, z_max: float) -> Any:
-    """A prism from a CrossSection or one polygon (M, 2), between two heights [m]."""
+    """Extrude a section along z.
+
+    Args:
+        polygons: A CrossSection, or one polygon, (M, 2) [m].
+        z_min: Lower end [m].
+        z_max: Upper end [m].
+
+    Returns:
+        The prism.
+    """
     if not isinstance(polygons, manifold3d.CrossSection):
         polygons = cross_section(polygons)
     return polygons.extrude(z_max - z_min).translate((0.0, 0.0, z_min))
@@ -182,18 +162,43 @@ def cross_section(polygon: Any) -> Any:
 
 
 def prism_points(polygon: Any, z_min: float, z_max: float) -> Array:
-    """The corners (2M, 3) of a prism over a polygon (M, 2), between two heights [m]."""
+    """Corners of a prism along z.
+
+    Args:
+        polygon: The section, (M, 2) [m].
+        z_min: Lower end [m].
+        z_max: Upper end [m].
+
+    Returns:
+        The corners, (2 M, 3) [m], those of the lower end first.
+    """
     p = np.asarray(polygon, dtype=np.float64)
     return np.concatenate([np.column_stack([p, np.full(len(p), z)]) for z in (z_min, z_max)])
 
 
 def place(solid: Any, X: Array) -> Any:
-    """The solid transformed by a pose, 4x4."""
+    """Transform a solid.
+
+    Args:
+        solid: The solid.
+        X: Pose of the solid's frame in the new frame, (4, 4).
+
+    Returns:
+        The solid in the new frame.
+    """
     return solid.transform(X[:3].tolist())
 
 
 def move(points: Array, X: Array) -> Array:
-    """Points (..., 3) transformed by a pose, 4x4."""
+    """Transform points.
+
+    Args:
+        points: Points, (..., 3) [m].
+        X: Pose of the points' frame in the new frame, (4, 4).
+
+    Returns:
+        The points in the new frame, (..., 3) [m].
+    """
     return transform_points(X, points.reshape(-1, 3)).reshape(points.shape)
 
 
@@ -229,7 +234,15 @@ def hull(points: Array) -> trimesh.Trimesh:
 
 
 def without(solid: Any, others: Iterable[Any]) -> Any:
-    """The solid minus the others."""
+    """Subtract solids from a solid.
+
+    Args:
+        solid: The solid.
+        others: What is subtracted; solids whose bounding box does not touch it are skipped.
+
+    Returns:
+        The remainder.
+    """
     for other in others:
         box, other_box = np.array(solid.bounding_box()), np.array(other.bounding_box())
         if np.all(box[:3] <= other_box[3:]) and np.all(other_box[:3] <= box[3:]):

@@ -14,18 +14,8 @@ import numpy as np
 
 from toolee_robot.frames import Array, transform
 from toolee_robot.tools.materials import STEEL_BRIGHT, Material, varied
-from toolee_robot.tools.solids import (
-    Convex,
-    Piece,
-    cross_section,
-    extrude,
-    hexagon,
-    loft,
-    place,
-    prism_points,
-    stack,
-    superellipse,
-)
+from toolee_robot.tools.sections import hexagon, stack, superellipse
+from toolee_robot.tools.solids import Convex, Piece, cross_section, extrude, loft, place, prism_points
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +49,9 @@ def open_head(rng: np.random.Generator, size: float, material: Material) -> Wren
         rng: Random generator of the tool.
         size: Width across flats [m].
         material: Material of the head.
+
+    Returns:
+        The head, in head axes.
     """
     half = 0.5 * size
     wall = half * rng.uniform(0.7, 1.2)
@@ -111,7 +104,16 @@ def _corners(region: Any) -> Array:
 
 
 def ring_head(rng: np.random.Generator, size: float, material: Material) -> WrenchHead:
-    """A ring with a hexagonal or twelve-point hole; its EE's origin is the nut's centre."""
+    """Generate a ring with a hexagonal or twelve-point hole; its EE's origin is the nut's centre.
+
+    Args:
+        rng: Random generator of the tool.
+        size: Width across flats [m].
+        material: Material of the head.
+
+    Returns:
+        The head, in head axes.
+    """
     hexagonal = hexagon(size)
     corner = float(hexagonal[0, 0])
     radius = corner * rng.uniform(1.22, 1.5)
@@ -140,6 +142,9 @@ def adjustable_head(rng: np.random.Generator, material: Material, scale: float) 
         rng: Random generator of the tool.
         material: Material of the jaws.
         scale: Size factor; 1 has a capacity of 30 mm.
+
+    Returns:
+        The head, in head axes.
     """
     capacity = 0.030 * scale
     opening = max(rng.uniform(0.15, 1.0) * capacity, 0.004)

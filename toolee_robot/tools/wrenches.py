@@ -9,18 +9,8 @@ from toolee_robot.frames import Array, frame_from_axes, transform
 from toolee_robot.tools.assembly import assemble
 from toolee_robot.tools.materials import PLASTIC, RUBBER, RUBBER_COLORED, STEEL_BRIGHT, STEEL_DARK, Material, varied
 from toolee_robot.tools.model import EndEffector, Handle, Tool, ToolKind
-from toolee_robot.tools.solids import (
-    Convex,
-    Piece,
-    extrude,
-    hexagon,
-    loft,
-    loft_piece,
-    move,
-    place,
-    stack,
-    superellipse,
-)
+from toolee_robot.tools.sections import hexagon, stack, superellipse
+from toolee_robot.tools.solids import Convex, Piece, extrude, loft, loft_piece, move, place
 from toolee_robot.tools.wrench_heads import WrenchHead, adjustable_head, open_head, ring_head
 
 
@@ -76,8 +66,15 @@ def make_wrench(kind: ToolKind, seed: int, rng: np.random.Generator) -> Tool:
 
 
 def _X_tool_head(head: WrenchHead, z: float, turn: float, side: float, pitch: float) -> Array:
-    """Pose (4x4) of a head in the `tool` frame: pivot at height z [m], head x along side * tool z, rotated by `turn`
-    [rad] about the axis of the nut (tool y) and by `pitch` [rad] out of the plane of the handle."""
+    """Pose of a head in the `tool` frame.
+
+    Args:
+        head: The head.
+        z: Height of the pivot [m].
+        turn: Rotation about the axis of the nut, tool y [rad].
+        side: 1 or -1: the head's x lies along side * tool z before the rotations.
+        pitch: Rotation out of the plane of the handle [rad].
+    """
     c, s, cp, sp = np.cos(turn), np.sin(turn), np.cos(pitch), np.sin(pitch)
     out, normal = np.array([side * s, 0.0, side * c]), np.array([0.0, 1.0, 0.0])
     x, n = cp * out + sp * normal, cp * normal - sp * out
@@ -94,8 +91,18 @@ def _handle(
     kind: ToolKind, rng: np.random.Generator, near: WrenchHead, far: WrenchHead | None, length: float,
     material: Material,
 ) -> tuple[list[Piece], Handle]:  # fmt: skip
-    """A bar of `length` [m] between two heads or from one head to a rounded butt: waisted and tapered, optionally with
-    sunk panels on both flat sides, a hanging hole or a sleeve."""
+    """Generate a waisted and tapered bar between two heads, or from one head to a rounded butt.
+
+    Optional are sunk panels on both flat sides, a hanging hole and a sleeve.
+
+    Args:
+        kind: Kind of the tool.
+        rng: Random generator of the tool.
+        near: Head at the upper end.
+        far: Head at the lower end; None: a rounded butt.
+        length: Distance between the ends [m].
+        material: Material of the bar.
+    """
     top, bottom = 0.5 * length - near.join, -0.5 * length + (far.join if far else 0.0)
     adjustable = kind is ToolKind.ADJUSTABLE_WRENCH
     half_y = min(near.half_thickness, far.half_thickness if far else 1.0) * rng.uniform(0.55, 0.9)

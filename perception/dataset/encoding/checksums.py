@@ -18,13 +18,28 @@ def sha256(path: Path) -> str:
 
 
 def write_sums(folder: Path, sums: dict[str, str]) -> None:
-    """The SHA256SUMS of a folder (as `sha256sum -c` reads it), written whole."""
+    """Write the SHA256SUMS of a folder atomically, as `sha256sum -c` reads it.
+
+    Args:
+        folder: The folder.
+        sums: Path in the folder -> SHA-256, hexadecimal.
+    """
     text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
     write_atomic(folder / SUMS, text.encode())
 
 
 def read_sums(folder: Path) -> dict[str, str]:
-    """File -> SHA-256 of a folder's SHA256SUMS. Raises AssetError."""
+    """Read the SHA256SUMS of a folder.
+
+    Args:
+        folder: The folder.
+
+    Returns:
+        Path in the folder -> SHA-256, hexadecimal.
+
+    Raises:
+        AssetError: The file is missing, unreadable, or not a list of checksums.
+    """
     try:
         lines = (folder / SUMS).read_text().splitlines()
     except (OSError, UnicodeDecodeError) as error:

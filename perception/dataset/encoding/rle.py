@@ -22,12 +22,22 @@ def encode(mask: NDArray[np.bool_]) -> dict[str, object]:
 
 
 def decode(rle: dict[str, object]) -> NDArray[np.bool_]:
-    """The mask (H, W) of an `encode`d one. Raises UserError on anything else."""
+    """Decode a mask.
+
+    Args:
+        rle: The mask as `encode` gives it: "size", (H, W), and "counts".
+
+    Returns:
+        The mask, (H, W).
+
+    Raises:
+        UserError: It is not a COCO run-length encoding.
+    """
     try:
         height, width = (int(n) for n in rle["size"])  # type: ignore[attr-defined]
         counts = _expanded(str(rle["counts"]))
     except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise UserError(f"no COCO run-length encoding: {error!r}") from error
+        raise UserError(f"not a COCO run-length encoding: {error!r}") from error
     if min(counts, default=0) < 0 or sum(counts) != height * width:
         raise UserError(f"the runs of a COCO mask cover {sum(counts)} pixels, not {height * width}")
     values = np.arange(len(counts)) % 2 == 1
@@ -35,8 +45,11 @@ def decode(rle: dict[str, object]) -> NDArray[np.bool_]:
 
 
 def _compressed(counts: list[int]) -> str:
-    """LEB128-like text: 5 bits a character from '0' on, the sixth says that more follow; from the fourth run on the
-    difference to the run before the last."""
+    """Compress run lengths to text, in a variant of LEB128.
+
+    Each character holds 5 bits, counted from '0'; a sixth bit marks that more follow. From the fourth run on the
+    difference to the run before the last is stored.
+    """
     text = []
     for i, count in enumerate(counts):
         x = count - counts[i - 2] if i > 2 else count

@@ -27,7 +27,19 @@ def annotated(
     K: CameraIntrinsics,
     title: str = "",
 ) -> NDArray[np.uint8]:
-    """The image twice its size: EEs tinted by category, tools outlined, axes drawn, occlusion written."""
+    """Draw the labels into an image of twice the size: EEs tinted by category, tools outlined, axes, occlusion.
+
+    Args:
+        rgb: Colour image, (H, W, 3), sRGB.
+        ee: Id of the EE at each pixel, (H, W), 0 for none.
+        tool: Id of the tool at each pixel, (H, W), 0 for none.
+        table: Labels of the EEs.
+        K: Intrinsics of the camera.
+        title: Text above the image.
+
+    Returns:
+        The drawing, sRGB, (2 H, 2 W, 3).
+    """
     image = rgb.astype(np.float32)
     edge = np.zeros(tool.shape, bool)
     edge[1:] |= tool[1:] != tool[:-1]
@@ -85,7 +97,16 @@ def depth_picture(depth_mm: NDArray[np.uint16]) -> NDArray[np.uint8]:
 
 
 def montage(split: Path, count: int, columns: int = 4) -> Image.Image:
-    """The split's first `count` images (taken from as many scenes as there are), each over its depth."""
+    """Show the first images of a split, from as many scenes as there are, each above its depth.
+
+    Args:
+        split: Folder of the split.
+        count: Number of images.
+        columns: Images per row.
+
+    Returns:
+        The montage.
+    """
     scenes = scene_folders(split)
     shares = [len(part) for part in np.array_split(np.arange(count), min(len(scenes), count))]
     tiles: list[NDArray[np.uint8]] = []

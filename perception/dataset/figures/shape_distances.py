@@ -28,7 +28,11 @@ VIEWS = ("object", "ee")
 
 @dataclass(frozen=True)
 class ShapeDistances:
-    """values[category][view][measure]: (P,) distances [mm] of P pairs; views "object" and "ee"."""
+    """Distances between the instances of each category.
+
+    Attributes:
+        values: values[category][view][measure]: the distances of P pairs, (P,) [mm]; the views are "object" and "ee".
+    """
 
     values: dict[str, dict[str, dict[str, Array]]]
 
@@ -47,8 +51,16 @@ class ShapeDistances:
 
 
 def distances(a: Array, b: Array) -> tuple[float, float, float]:
-    """Chamfer (mean of both directions' mean nearest distances), Hausdorff, and Earth-Mover's distance (mean over the
-    best one-to-one matching) of two clouds of equal size (N, 3)."""
+    """Distances between two clouds of equal size.
+
+    Args:
+        a: A cloud, (N, 3).
+        b: The other cloud, (N, 3).
+
+    Returns:
+        Chamfer distance (mean of both directions' mean nearest distances), Hausdorff distance and Earth mover's
+        distance (mean over the best one-to-one matching), in the unit of the clouds.
+    """
     d = cdist(a, b)
     ab, ba = d.min(axis=1), d.min(axis=0)
     rows, columns = linear_sum_assignment(d)
@@ -56,8 +68,19 @@ def distances(a: Array, b: Array) -> tuple[float, float, float]:
 
 
 def shape_distances(root: Path, pairs: int = PAIRS, seed: int = 0) -> ShapeDistances:
-    """Over up to `pairs` random pairs of a category's instances in the data set; a category of which it shows fewer
-    than two is left out. Raises AssetError."""
+    """Compare random pairs of a category's instances in a data set.
+
+    Args:
+        root: Folder of the data set.
+        pairs: Largest number of pairs per category.
+        seed: Seed of the choice.
+
+    Returns:
+        The distances; without the categories of which the data set shows fewer than two instances.
+
+    Raises:
+        AssetError: A file is missing or damaged.
+    """
     info = read_json(root / MODELS / "models_info.json")
     values: dict[str, dict[str, dict[str, Array]]] = {}
     for category in map(str, CATEGORIES):

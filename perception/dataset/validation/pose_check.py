@@ -26,12 +26,22 @@ def is_thin(mask: NDArray[np.bool_]) -> bool:
 def pose_fault(
     points: Array, within: NDArray[np.bool_], X_camera_tool: Array, surface: cKDTree, K: CameraIntrinsics, thin: bool
 ) -> str | None:
-    """What shows that the pose is wrong, or None. points (N, 3) [m]: a mask's, camera frame; within (N,): which of them
-    the EE reaches; surface: samples of the tool's, in its frame [m]; thin: whether jitter moves nearly all of the mask.
+    """Check the pose of a tool against the measured points of an EE.
 
-    Flying pixels and those of the background may be a third of a thin tool's, so half must lie on it, of the thinnest
-    three tenths, where all others show what is behind or before its outline. What lies on the tool lies within the EE,
-    unless it is so thin that jitter reaches past it to the tool behind.
+    Flying pixels and background may be a third of the points of a thin tool. So half of the points must lie on the
+    tool; for the thinnest tools three tenths, if all others lie behind or before the tool's outline. Points on the tool
+    must be within the EE's reach, unless the EE is so thin that lateral noise shows other parts of the tool.
+
+    Args:
+        points: Measured points of the EE's mask, camera frame, (N, 3) [m].
+        within: Which of them are within the EE's reach, (N,).
+        X_camera_tool: The pose to check, (4, 4).
+        surface: Samples of the tool's surface, `tool` frame [m].
+        K: Intrinsics of the camera.
+        thin: Whether lateral noise affects nearly the whole mask, see `is_thin`.
+
+    Returns:
+        What shows that the pose is wrong; None where nothing does.
     """
     on_tool = surface.query(transform_points(inverse(X_camera_tool), points))[0] < SURFACE
     if (share := on_tool.mean()) < 0.5:
@@ -44,8 +54,13 @@ def pose_fault(
 
 
 def _beyond_outline(points: Array, surface: Array, K: CameraIntrinsics) -> NDArray[np.bool_]:
-    """Which points (N, 3) lie behind or before the surface of samples (S, 3), where jitter may take its outline; camera
-    frame [m]."""
+    """Which points lie behind or before the surface, within lateral noise of its outline.
+
+    Args:
+        points: Points, camera frame, (N, 3) [m].
+        surface: Samples of the surface, camera frame, (S, 3) [m].
+        K: Intrinsics of the camera.
+    """
 
     def pixels(x: Array) -> Array:
         return np.column_stack([K.fx * x[:, 0], K.fy * x[:, 1]]) / x[:, 2:]

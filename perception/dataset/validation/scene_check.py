@@ -32,7 +32,16 @@ _JSON = ("camera", "gt", "gt_info", "gt_coco", "instances")
 
 
 def check_scene(spec: DatasetSpec, root: Path, job: SceneJob) -> Iterator[Problem]:
-    """All contradictions of one scene."""
+    """Look for contradictions in one scene.
+
+    Args:
+        spec: What the data set was generated from.
+        root: Folder of the data set.
+        job: The scene.
+
+    Yields:
+        File, relative to the scene's folder, and problem.
+    """
     folder = job.folder(root)
     data: dict[str, Any] = {}
     for name in _JSON:

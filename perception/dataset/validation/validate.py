@@ -19,16 +19,30 @@ from toolee_robot.perception.dataset.validation.scene_check import check_scene
 
 @dataclass(frozen=True, order=True)
 class Fault:
-    """file: relative to the data set's folder. problem: what is wrong with it, for a person."""
+    """A fault of a data set.
+
+    Attributes:
+        file: Path of the file in the data set.
+        problem: What is wrong with it, for a person.
+    """
 
     file: str
     problem: str
 
 
 def validate(root: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None) -> list[Fault]:
-    """All faults of the data set in a folder, sorted by file; none if it is sound. Reads every file.
+    """Check a data set; every file is read.
 
-    progress(examples checked, all). Raises UserError where there is no data set at all.
+    Args:
+        root: Folder of the data set.
+        workers: Number of processes.
+        progress: Called with the number of examples checked and the number of all.
+
+    Returns:
+        The faults, sorted by file; none if the data set is sound.
+
+    Raises:
+        UserError: There is no data set in the folder.
     """
     spec = DatasetSpec.read(root)
     faults = set(_root_faults(spec, root))
@@ -47,12 +61,21 @@ def validate(root: Path, workers: int = 1, progress: Callable[[int, int], None] 
 
 
 def scene_faults(spec: DatasetSpec, root: Path, job: SceneJob) -> tuple[SceneJob, list[Fault]]:
-    """The faults of one scene."""
+    """Check one scene.
+
+    Args:
+        spec: What the data set was generated from.
+        root: Folder of the data set.
+        job: The scene.
+
+    Returns:
+        The scene and its faults.
+    """
     name = f"{job.split}/{job.scene:06d}"
     checked = [Fault(f"{name}/{file}", problem) for file, problem in check_sums(job.folder(root), None)]
     faults = [*checked]
     broken = {fault.file for fault in checked}
-    # What the checksums tell already is not told twice in other words.
+    # A fault that the checksums show is reported once.
     for file, problem in check_scene(spec, root, job):
         if f"{name}/{file}" not in broken:
             faults.append(Fault(f"{name}/{file}", problem))
@@ -60,8 +83,15 @@ def scene_faults(spec: DatasetSpec, root: Path, job: SceneJob) -> tuple[SceneJob
 
 
 def check_sums(folder: Path, expected: set[str] | None) -> Iterator[tuple[str, str]]:
-    """(file, problem) of a folder against its SHA256SUMS. expected: the files that ought to be listed (None: all that
-    are there)."""
+    """Check the files of a folder against its SHA256SUMS.
+
+    Args:
+        folder: The folder.
+        expected: Files that must be listed; None: all that are there.
+
+    Yields:
+        File, relative to the folder, and problem.
+    """
     try:
         sums = read_sums(folder)
     except AssetError:
@@ -71,7 +101,7 @@ def check_sums(folder: Path, expected: set[str] | None) -> Iterator[tuple[str, s
         there = (p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
         expected = {name for name in there if name != SUMS}
     for name in sorted(expected - set(sums)):
-        yield name, f"not listed in {SUMS}: nobody knows it"
+        yield name, f"not listed in {SUMS}: it is not part of the data set"
     for name, digest in sums.items():
         path = folder / name
         if not path.is_file():
@@ -97,7 +127,7 @@ def _root_faults(spec: DatasetSpec, root: Path) -> Iterator[Fault]:
 
 
 def _derived_faults(spec: DatasetSpec, root: Path) -> Iterator[Fault]:
-    """What follows from the scenes is made again and compared."""
+    """Regenerate the files that follow from the scenes, and compare them."""
     with tempfile.TemporaryDirectory() as name:
         out = Path(name)
         (out / MODELS).mkdir()

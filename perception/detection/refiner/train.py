@@ -20,7 +20,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from toolee_robot.errors import UserError
-from toolee_robot.perception.detection.detector import trained_detector
+from toolee_robot.perception.detection.detector_weights import trained_detector
 from toolee_robot.perception.detection.losses import mask_overlap, outline_losses, weighted_mean
 from toolee_robot.perception.detection.refiner.network import WEIGHTS_NAME, Refiner, RefinerConfig, load_refiner
 from toolee_robot.perception.detection.refiner.training_data import Examples, RefinementData

@@ -85,7 +85,15 @@ class Process(Protocol):
         ...
 
     def finish(self, field: Field, u: Tensor) -> Tensor:
-        """Data (B, K, D) from u (B, K, D) at t = end, with the network `field`."""
+        """Make data of the state at the end of the integration.
+
+        Args:
+            field: The network.
+            u: State at t = end, (B, K, D).
+
+        Returns:
+            The data, (B, K, D).
+        """
         ...
 
 

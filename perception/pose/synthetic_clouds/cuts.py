@@ -35,7 +35,15 @@ class Cut:
 
     @classmethod
     def sphere(cls, focus: Tensor, radius: Tensor) -> Cut:
-        """Spheres about focus (B, 3) with radius (B,) [m], of tools with one end."""
+        """Cut tools with one end by a sphere each.
+
+        Args:
+            focus: Centres, (B, 3) [m].
+            radius: Radii, (B,) [m].
+
+        Returns:
+            The cuts.
+        """
         return cls(focus, radius, torch.full_like(focus, NOWHERE), radius, torch.zeros_like(radius, dtype=torch.bool))
 
     @classmethod

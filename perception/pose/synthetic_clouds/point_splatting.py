@@ -233,7 +233,17 @@ def measure(
 
 
 def smooth_noise(B: int, sigma: float, generator: torch.Generator, device: torch.device) -> Tensor:
-    """Noise of unit variance, correlated over about 2 sigma pixels, (B, GRID, GRID)."""
+    """Spatially correlated noise of unit variance.
+
+    Args:
+        B: Number of images.
+        sigma: Standard deviation of the Gaussian kernel [px]; the correlation reaches about twice as far.
+        generator: Random generator, on `device`.
+        device: torch device of the noise.
+
+    Returns:
+        The noise, (B, GRID, GRID).
+    """
     half = round(3 * sigma)
     k = torch.exp(-0.5 * (torch.arange(-half, half + 1, device=device) / sigma) ** 2)
     k = k / k.norm()

@@ -104,7 +104,14 @@ class RenderedClouds:
 
     @classmethod
     def load(cls, path: Path) -> RenderedClouds:
-        """Read the clouds. Raises AssetError where the file is missing or damaged."""
+        """Read the clouds.
+
+        Args:
+            path: The file.
+
+        Raises:
+            AssetError: The file is missing or damaged.
+        """
         try:
             with np.load(path) as data:
                 return cls(*(data[f.name] for f in fields(cls)))

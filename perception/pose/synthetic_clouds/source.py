@@ -22,7 +22,15 @@ class CloudSource(ABC):
         """Start another sequence of clouds."""
 
     def collect(self, n: int, chunk: int) -> CloudBatch:
-        """Exactly n clouds, generated `chunk` at a time."""
+        """Generate a given number of clouds.
+
+        Args:
+            n: Number of clouds.
+            chunk: Clouds per call of `generate`.
+
+        Returns:
+            Exactly n clouds.
+        """
         batches: list[CloudBatch] = []
         while sum(map(len, batches)) < n:
             batches.append(self.generate(chunk))

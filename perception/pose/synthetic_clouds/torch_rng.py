@@ -19,7 +19,16 @@ class TorchRng:
         self.generator = torch.Generator(self.device).manual_seed(seed)
 
     def uniform(self, n: int, low: float = 0.0, high: float = 1.0) -> Tensor:
-        """(n,) in [low, high)."""
+        """Draw uniformly distributed numbers.
+
+        Args:
+            n: How many.
+            low: Lower bound, included.
+            high: Upper bound, excluded.
+
+        Returns:
+            The numbers, (n,).
+        """
         return low + (high - low) * torch.rand(n, device=self.device, generator=self.generator)
 
     def normal(self, *shape: int) -> Tensor:
@@ -27,7 +36,16 @@ class TorchRng:
         return torch.randn(*shape, device=self.device, generator=self.generator)
 
     def integers(self, low: int, high: int, *shape: int) -> Tensor:
-        """Integers in [low, high) of this shape."""
+        """Draw uniformly distributed integers.
+
+        Args:
+            low: Lower bound, included.
+            high: Upper bound, excluded.
+            *shape: Shape of the result.
+
+        Returns:
+            The integers, of that shape.
+        """
         return torch.randint(low, high, shape, device=self.device, generator=self.generator)
 
     def rotations(self, n: int) -> Tensor:

@@ -44,6 +44,14 @@ class ReplayBuffer:
         self.made += len(batch)
 
     def draw(self, n: int, generator: torch.Generator) -> CloudBatch:
-        """`n` clouds drawn at random with replacement."""
+        """Draw clouds at random, with replacement.
+
+        Args:
+            n: How many.
+            generator: Random generator, on the buffer's device.
+
+        Returns:
+            The clouds.
+        """
         index = torch.randint(self._filled, (n,), device=generator.device, generator=generator)
         return CloudBatch(**{name: rows[index] for name, rows in self._rows.items()})

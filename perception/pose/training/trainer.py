@@ -126,7 +126,14 @@ class Trainer(TrainingRun, Generic[Net]):
         self._g.manual_seed(self._seed(2))
 
     def start_from(self, weights: Path) -> None:
-        """Start from the network in a folder. Raises AssetError where it does not fit."""
+        """Start from the network in a folder.
+
+        Args:
+            weights: The folder.
+
+        Raises:
+            AssetError: The network has another architecture, or cannot be read.
+        """
         state = self.recipe.load(weights).state_dict()
         try:
             self.net.load_state_dict(state)

@@ -61,7 +61,15 @@ class Evaluated:
         self.features = np.stack([r.features for r in results])
 
     def within(self, degrees: float, metres: float) -> Array:
-        """(N,) 1 where the error is under both thresholds [deg], [m]; 0 for negatives."""
+        """Which estimates are accurate.
+
+        Args:
+            degrees: Bound of the orientation's error [deg].
+            metres: Bound of the position's error [m].
+
+        Returns:
+            1 where both errors are below their bounds, else 0, (N,); 0 for negatives.
+        """
         good = (self.angle < np.deg2rad(degrees)) & (self.position < metres) & self.positive
         return good.astype(np.float64)
 

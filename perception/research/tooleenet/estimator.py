@@ -109,7 +109,18 @@ class PaperEstimator(CloudEstimator):
 
     @classmethod
     def load(cls, weights_dir: Path, device: str = "cpu") -> PaperEstimator:
-        """Load the estimator from a training's folder. Raises AssetError when weights are missing or unreadable."""
+        """Load the estimator from a training's folder.
+
+        Args:
+            weights_dir: The folder.
+            device: torch device that runs the network.
+
+        Returns:
+            The estimator.
+
+        Raises:
+            AssetError: The weights are missing or unreadable.
+        """
         return cls(*load(weights_dir), device)
 
     def radius(self, category: Category) -> float:
@@ -159,12 +170,29 @@ def in_camera(cloud: CanonicalCloud) -> torch.Tensor:
 
 
 def save(folder: Path, net: PaperNet, column: Column, report: dict[str, Any]) -> None:
-    """Write the weights and their description."""
+    """Write the weights and their description.
+
+    Args:
+        folder: The folder.
+        net: The network.
+        column: Column of the paper's table that the network was trained for.
+        report: Results of the validation.
+    """
     weight_files.save_weights(folder, NAME, net.state_dict(), {"column": column.name, "report": report})
 
 
 def load(folder: Path) -> tuple[PaperNet, Column]:
-    """The network that `save` wrote (float32, eval mode, CPU), and its column. Raises AssetError."""
+    """Load the network that `save` wrote.
+
+    Args:
+        folder: The folder.
+
+    Returns:
+        The network (float32, eval mode, CPU) and its column of the paper's table.
+
+    Raises:
+        AssetError: The weights are missing or unreadable.
+    """
     tensors, card = weight_files.load_weights(folder, NAME)
     try:
         column = COLUMNS[card["column"]]

@@ -24,6 +24,13 @@ class ObjectCloudGenerator(CloudGenerator):
 
     Of a tool with two alike ends only the first, the working end, is asked for, because the tool's pose does not show
     which of them is meant.
+
+    Args:
+        samples: Surface samples of tools.
+        hands: Surface samples of hands, (H, 6144, 3) [m].
+        device: torch device.
+        seed: Seed of all random numbers.
+        config: Distributions of the clouds.
     """
 
     reach = WHOLE_TOOL
@@ -72,7 +79,15 @@ def category_priors(samples: SurfaceSamples) -> Array:
 
 
 def with_ee_truth(batch: CloudBatch, samples: SurfaceSamples) -> CloudBatch:
-    """Whole-tool clouds with the EE's pose as truth instead of the tool's."""
+    """Replace the tool's pose, as the truth of whole-tool clouds, by the EE's.
+
+    Args:
+        batch: The clouds.
+        samples: Surface samples of the tools, which hold the pose of the tool in the EE.
+
+    Returns:
+        The clouds with the other truth.
+    """
     X = rigid_inverse(torch.as_tensor(samples.X_ee_tool, device=batch.R.device)[batch.item])
     p = batch.p + torch.einsum("bij,bj->bi", batch.R, X[:, :3, 3])
     return replace(batch, R=batch.R @ X[:, :3, :3], p=p)

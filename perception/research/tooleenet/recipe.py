@@ -79,7 +79,16 @@ class PaperRecipe:
         return batch
 
     def loss(self, net: nn.Module, batch: CloudBatch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
-        """Denoising score matching, weighted by sigma^2, over the positives."""
+        """Denoising score matching, weighted by sigma^2, over the positives.
+
+        Args:
+            net: The network.
+            batch: The clouds.
+            generator: Random generator, on the clouds' device.
+
+        Returns:
+            The loss, and its parts by name.
+        """
         R_camera = batch.R_canonical.mT @ batch.R
         p_camera = torch.einsum("bji,bj->bi", batch.R_canonical, batch.p) + batch.centre
         S = class_ambiguity().to(batch.points)[batch.category] if self.column.predicts_ambiguity else None

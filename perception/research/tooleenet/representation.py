@@ -19,7 +19,16 @@ def class_ambiguity() -> Tensor:
 
 
 def encode(R: Tensor, p: Tensor, ambiguous: Tensor | None) -> Tensor:
-    """Pose vectors u (..., 12) from R (..., 3, 3), p (..., 3) [m] and S (..., 3); u (..., 9) without S."""
+    """Encode poses as vectors: the first two columns of the rotation, the ambiguity, the translation.
+
+    Args:
+        R: Rotations, (..., 3, 3).
+        p: Translations, (..., 3) [m].
+        ambiguous: Ambiguity vectors S, (..., 3); None: without.
+
+    Returns:
+        Pose vectors u, (..., 12); (..., 9) without S.
+    """
     parts = [R[..., :, 0], R[..., :, 1], p] if ambiguous is None else [R[..., :, 0], R[..., :, 1], ambiguous, p]
     return torch.cat(parts, dim=-1)
 

@@ -59,13 +59,23 @@ class NetworkFaults(HookGroup):
 
     @hook
     def drop(self, port: str = "all", reset: bool = False) -> None:
-        """Close the connections, with FIN or, if reset, RST."""
+        """Close connections.
+
+        Args:
+            port: Name of the port, or "all".
+            reset: Whether to close them with RST instead of FIN.
+        """
         for found in self._ports(port):
             found.drop(reset)
 
     @hook
     def refuse(self, port: str = "all", seconds: Seconds | None = None) -> None:
-        """Refuse new connections, for a time [s] or until `accept`; open ones stay."""
+        """Refuse new connections; open ones stay.
+
+        Args:
+            port: Name of the port, or "all".
+            seconds: Duration [s]; None: until `accept`.
+        """
         for found in self._ports(port):
             found.refuse()
             self._reopen.pop(found.name, None)
@@ -81,7 +91,12 @@ class NetworkFaults(HookGroup):
 
     @hook
     def stall(self, seconds: Seconds, port: str = "all") -> None:
-        """Block the network for a time [s]; afterwards everything arrives in one burst."""
+        """Block the network; afterwards everything arrives in one burst.
+
+        Args:
+            seconds: Duration [s].
+            port: Name of the port, or "all".
+        """
         for found in self._ports(port):
             found.faults.stalled_until = time.monotonic() + self._clock.to_wall_time(seconds)
 
@@ -92,7 +107,12 @@ class NetworkFaults(HookGroup):
 
     @hook
     def delay(self, seconds: Seconds, port: str = "all") -> None:
-        """Delay everything sent by a time [s]; 0 ends the fault."""
+        """Delay everything that is sent.
+
+        Args:
+            seconds: The delay [s]; 0 ends the fault.
+            port: Name of the port, or "all".
+        """
         for found in self._ports(port):
             found.faults.delay = self._clock.to_wall_time(seconds)
 
@@ -104,13 +124,23 @@ class NetworkFaults(HookGroup):
 
     @hook
     def truncate(self, bytes: Count, port: str = "rtde") -> None:
-        """Truncate the next send on the port to a number of bytes."""
+        """Truncate what is sent next.
+
+        Args:
+            bytes: Number of bytes that remain.
+            port: Name of the port, or "all".
+        """
         for found in self._ports(port):
             found.faults.truncate = bytes
 
     @hook
     def coalesce(self, sends: Annotated[int, Field(ge=1, le=1000)], port: str = "rtde") -> None:
-        """Combine a number of sends into one; 1 ends the fault."""
+        """Combine several sends into one.
+
+        Args:
+            sends: How many; 1 ends the fault.
+            port: Name of the port, or "all".
+        """
         for found in self._ports(port):
             found.faults.coalesce = sends
 

@@ -86,7 +86,12 @@ class RobotFaults(HookGroup):
 
     @hook
     def emergency_stop(self, pressed: bool = True, system: bool = False) -> None:
-        """Press the emergency stop, or release it; the arm is then off until powered on."""
+        """Press the emergency stop, or release it; the arm is then off until powered on.
+
+        Args:
+            pressed: Whether to press or to release it.
+            system: Whether it is the system's emergency stop instead of the robot's.
+        """
         if pressed:
             self._robot.safety.emergency_stop(system)
         else:
@@ -114,7 +119,12 @@ class RobotFaults(HookGroup):
 
     @hook
     def force(self, wrench: Six, seconds: Seconds | None = None) -> None:
-        """Apply a wrench to the flange, (6,) [N, Nm], base axes, for a time [s] or until the next one."""
+        """Apply a wrench to the flange.
+
+        Args:
+            wrench: Force [N] and torque [Nm], base axes, (6,).
+            seconds: Duration [s]; None: until the next one.
+        """
         self._robot.plant.external_force = np.array(wrench)
         self._force_until = np.inf if seconds is None else self._clock.now() + seconds
 
@@ -125,7 +135,12 @@ class RobotFaults(HookGroup):
 
     @hook
     def payload(self, mass: Annotated[float, Field(ge=0.0, le=50.0)], cog: Three) -> None:
-        """Set another payload as at the pendant: mass [kg], centre of gravity [m]."""
+        """Set another payload as at the pendant.
+
+        Args:
+            mass: Mass [kg].
+            cog: Centre of gravity, flange frame, (3,) [m].
+        """
         machine = self._robot.machine
         machine.payload, machine.payload_cog = mass, np.array(cog)
         machine.plant.set_payload(mass, np.array(cog))
@@ -162,9 +177,13 @@ class RobotFaults(HookGroup):
 
     @hook
     def kinematics(self, a: Six, d: Six) -> None:
-        """Change the arm's DH parameters by differences from the nominal ones [m].
+        """Change the arm's DH parameters.
 
         They apply to the reported kinematics, with another checksum, and to the arm's motions.
+
+        Args:
+            a: Differences from the nominal a, (6,) [m].
+            d: Differences from the nominal d, (6,) [m].
         """
         nominal = MODELS[self._controller.options.model]
         self._robot.calibrate(
@@ -179,8 +198,11 @@ class RobotFaults(HookGroup):
     def reboot(self, seconds: Seconds = 1.0, powered: bool = False) -> None:
         """Restart the controller.
 
-        Connections are reset, ports are closed for a time [s], program and registers are lost, and the arm is off
-        afterwards unless `powered`.
+        Connections are reset, program and registers are lost.
+
+        Args:
+            seconds: Time for which the ports are closed [s].
+            powered: Whether the arm is powered on afterwards.
         """
         self._network.down()
         self._robot.reboot()

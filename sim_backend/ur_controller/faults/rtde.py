@@ -45,12 +45,21 @@ class RtdeFaultHooks(HookGroup):
 
     @hook
     def handshake_drop(self, packets: Annotated[int, Field(ge=1)], reset: bool = False) -> None:
-        """Drop the next client after it has sent a number of packets."""
+        """Drop the next client in its handshake.
+
+        Args:
+            packets: Number of packets that it may send before.
+            reset: Whether to close the connection with RST instead of FIN.
+        """
         self._controller.rtde_faults.drop_after, self._controller.rtde_faults.reset = packets, reset
 
     @hook
     def own(self, variables: list[str]) -> None:
-        """Claim input variables, so that clients that request them get IN_USE."""
+        """Claim input variables, so that clients that request them get IN_USE.
+
+        Raises:
+            UserError: There is no such input variable.
+        """
         for name in variables:
             if name not in INPUTS:
                 raise UserError(f"no input variable {name!r}", code="user.unknown_variable")
@@ -63,7 +72,12 @@ class RtdeFaultHooks(HookGroup):
 
     @hook
     def nan(self, variables: list[str], ticks: Count = 1) -> None:
-        """Report NaN for output variables of doubles, for a number of ticks."""
+        """Report NaN.
+
+        Args:
+            variables: Output variables of doubles.
+            ticks: Number of ticks.
+        """
         self._controller.outputs.not_a_number.update(dict.fromkeys(_known(variables), ticks + 1))
 
     @hook

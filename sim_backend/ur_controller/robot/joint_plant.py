@@ -43,7 +43,7 @@ class JointPlant:
         return self.external_force.copy()
 
     def command(self, q: Array, qd: Array) -> None:
-        """Set the set-point (6,) [rad], [rad/s], due at the end of the next `step`."""
+        """See `Plant`."""
         self._target, self._speed = np.array(q, dtype=np.float64), np.array(qd, dtype=np.float64)
 
     def step(self, dt: float) -> None:
@@ -57,4 +57,4 @@ class JointPlant:
             self._q, self._qd = self._q + way, way / dt
 
     def set_payload(self, mass: float, cog: Array) -> None:
-        """Nothing: the ideal joints have no payload to compensate."""
+        """See `Plant`; the ideal joints have no payload to compensate."""

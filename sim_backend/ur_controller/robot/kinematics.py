@@ -94,7 +94,15 @@ def chain(model: ControllerModel, q: Vector) -> Chain:
 
 
 def forward(model: ControllerModel, q: Vector) -> Array:
-    """Forward kinematics: X_base_flange (4x4) at joint positions q (6,) [rad]."""
+    """Forward kinematics.
+
+    Args:
+        model: Model of the controller's arm.
+        q: Joint positions, (6,) [rad].
+
+    Returns:
+        X_base_flange, (4, 4).
+    """
     return chain(model, q).X_base_flange
 
 

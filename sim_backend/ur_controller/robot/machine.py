@@ -127,7 +127,12 @@ class Machine:
         self._tcp, self.X_flange_tcp = pose, poses.matrix(pose)
 
     def set_payload(self, mass: float, cog: poses.Vector) -> None:
-        """Set the payload: mass [kg], centre of gravity (3,) [m] in the flange frame."""
+        """Set the payload to compensate.
+
+        Args:
+            mass: Mass [kg].
+            cog: Centre of gravity, flange frame, (3,) [m].
+        """
         self.payload, self.payload_cog = float(mass), np.array(cog, dtype=np.float64)
         self.plant.set_payload(self.payload, self.payload_cog)
 

@@ -68,7 +68,15 @@ class Brake(Motion):
         self._deceleration = deceleration
 
     def speed(self, q: Array, qd: Array) -> float:  # noqa: ARG002  (`StopL` uses q)
-        """The speed that decreases at the deceleration: here that of the fastest joint [rad/s]."""
+        """The speed that the deceleration reduces: here that of the fastest joint.
+
+        Args:
+            q: Joint positions, (6,) [rad].
+            qd: Joint velocities, (6,) [rad/s].
+
+        Returns:
+            The speed [rad/s].
+        """
         return float(np.abs(qd).max())
 
     def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:  # noqa: ARG002
@@ -106,7 +114,16 @@ class SpeedJ(Motion):
 
 
 def approach(value: Array, goal: Array, most: float) -> Array:
-    """`value` moved straight towards `goal`, with no component changing by more than `most`."""
+    """Move a vector straight towards another one.
+
+    Args:
+        value: The vector, (N,).
+        goal: Where it goes, (N,).
+        most: Largest change of a component.
+
+    Returns:
+        The moved vector, (N,); the goal where that is near enough.
+    """
     way = goal - value
     longest = float(np.abs(way).max())
     return goal if longest <= most else value + way * (most / longest)

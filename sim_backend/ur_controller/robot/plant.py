@@ -36,10 +36,20 @@ class Plant(Protocol):
         ...
 
     def command(self, q: Array, qd: Array) -> None:
-        """Set the set-point (6,) [rad], [rad/s], due at the end of the next `step`."""
+        """Set the set-point that is due at the end of the next `step`.
+
+        Args:
+            q: Joint positions, (6,) [rad].
+            qd: Joint velocities, (6,) [rad/s].
+        """
 
     def step(self, dt: float) -> None:
         """Advance by dt [s]."""
 
     def set_payload(self, mass: float, cog: Array) -> None:
-        """Set the payload to compensate: mass [kg], centre of gravity (3,) [m] in the flange frame."""
+        """Set the payload to compensate.
+
+        Args:
+            mass: Mass [kg].
+            cog: Centre of gravity, flange frame, (3,) [m].
+        """

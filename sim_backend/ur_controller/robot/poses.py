@@ -75,7 +75,15 @@ def inverse(X: Array) -> Array:
 
 
 def moved(X: Array, twist: Vector) -> Array:
-    """A pose X (4x4) displaced by a twist (6,): translation [m] and rotation vector [rad], base axes."""
+    """Displace a pose by a twist.
+
+    Args:
+        X: The pose, (4, 4).
+        twist: Translation [m] and rotation vector [rad], base axes, (6,).
+
+    Returns:
+        The displaced pose, (4, 4).
+    """
     Y = X.copy()
     Y[:3, 3] += twist[:3]
     Y[:3, :3] = rotation(twist[3:]) @ X[:3, :3]
@@ -83,10 +91,27 @@ def moved(X: Array, twist: Vector) -> Array:
 
 
 def difference(X_from: Array, X_to: Array) -> Array:
-    """The twist (6,) with which `moved` takes X_from (4x4) to X_to (4x4)."""
+    """The twist with which `moved` takes one pose to another.
+
+    Args:
+        X_from: The first pose, (4, 4).
+        X_to: The second pose, (4, 4).
+
+    Returns:
+        Translation [m] and rotation vector [rad], base axes, (6,).
+    """
     return np.array([*(X_to[:3, 3] - X_from[:3, 3]), *rotation_vector(X_to[:3, :3] @ X_from[:3, :3].T)])
 
 
 def interpolated(X_from: Array, X_to: Array, alpha: float) -> Array:
-    """The pose (4x4) at a fraction alpha (0 to 1) of the straight path from X_from to X_to."""
+    """Pose on the straight path between two poses.
+
+    Args:
+        X_from: Start of the path, (4, 4).
+        X_to: End of the path, (4, 4).
+        alpha: Fraction of the path, 0 to 1.
+
+    Returns:
+        The pose, (4, 4).
+    """
     return moved(X_from, alpha * difference(X_from, X_to))

@@ -60,7 +60,11 @@ class Port:
         self._listener: socket.socket | None = None
 
     def listen(self) -> None:
-        """Open the port. Raises UserError if it is taken, or if the address is not this machine's."""
+        """Open the port.
+
+        Raises:
+            UserError: The port is taken, or the address is not this machine's.
+        """
         if self._listener is not None:
             return
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)

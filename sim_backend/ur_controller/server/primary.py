@@ -59,7 +59,15 @@ def version_message(robot: Robot) -> bytes:
 
 
 def text_message(robot: Robot, text: str) -> bytes:
-    """A robot message with text that a program has printed."""
+    """Make a robot message with text that a program has printed.
+
+    Args:
+        robot: The robot.
+        text: The text; characters outside ASCII become "?".
+
+    Returns:
+        The message, as bytes of the primary interface.
+    """
     return _robot_message(robot, _TEXT_MESSAGE, text.encode("ascii", "replace"))
 
 

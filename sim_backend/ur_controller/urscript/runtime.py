@@ -9,11 +9,12 @@ from typing import Any
 from toolee_robot.errors import TooleeError
 from toolee_robot.sim_backend.ur_controller.robot.machine import Event, EventKind, Machine
 from toolee_robot.sim_backend.ur_controller.robot.watchdog import Action
-from toolee_robot.sim_backend.ur_controller.urscript.compiler import FILE, HELPERS, MAIN
+from toolee_robot.sim_backend.ur_controller.urscript.compiler import FILE, MAIN
 from toolee_robot.sim_backend.ur_controller.urscript.compiling import compiled
 from toolee_robot.sim_backend.ur_controller.urscript.errors import ScriptError
-from toolee_robot.sim_backend.ur_controller.urscript.library import LIBRARY
-from toolee_robot.sim_backend.ur_controller.urscript.robot_functions import RobotFunctions, function_names
+from toolee_robot.sim_backend.ur_controller.urscript.expressions import HELPERS
+from toolee_robot.sim_backend.ur_controller.urscript.functions.library import LIBRARY
+from toolee_robot.sim_backend.ur_controller.urscript.functions.robot import RobotFunctions, function_names
 
 BUDGET = 20_000
 """Loop iterations and calls per tick and thread, above which a thread is in an endless loop without `sync()`."""

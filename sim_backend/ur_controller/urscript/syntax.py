@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,3 +271,15 @@ class Program:
 
     main: Function
     functions: dict[str, Function] = field(default_factory=dict)
+
+
+def nodes(tree: Any) -> Iterator[Any]:
+    """All nodes of a syntax tree, in any order."""
+    waiting = [tree]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, tuple):
+            waiting.extend(node)
+        elif hasattr(node, "line"):
+            yield node
+            waiting.extend(getattr(node, name) for name in node.__slots__)

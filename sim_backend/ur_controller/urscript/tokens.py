@@ -91,7 +91,17 @@ def tokenise(source: str) -> list[Token]:
 
 
 def number(token: Token) -> int | float:
-    """Value of a NUMBER token: a 32-bit integer or a float. Raises ScriptError outside the range."""
+    """Value of a NUMBER token.
+
+    Args:
+        token: The token.
+
+    Returns:
+        A 32-bit integer or a float.
+
+    Raises:
+        ScriptError: The number is out of range.
+    """
     text = token.text
     if text[:2] in ("0x", "0X"):
         value: int | float = int(text, 16)

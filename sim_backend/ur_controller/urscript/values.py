@@ -27,7 +27,15 @@ def kind(value: Any) -> str:
 
 
 def numbers(a: Any, b: Any) -> None:
-    """Raise TypeError unless both values are numbers."""
+    """Check the operands of an operation.
+
+    Args:
+        a: The first operand.
+        b: The second operand.
+
+    Raises:
+        TypeError: One of them is not a number.
+    """
     if type(a) not in _NUMBERS or type(b) not in _NUMBERS:
         raise TypeError(f"expected two numbers, got {kind(a)} and {kind(b)}")
 
@@ -40,31 +48,86 @@ def fitting(value: Any) -> Any:
 
 
 def add(a: Any, b: Any) -> Any:
-    """Sum a + b."""
+    """Sum of two numbers.
+
+    Args:
+        a: The first number.
+        b: The second number.
+
+    Returns:
+        a + b.
+
+    Raises:
+        TypeError: One of them is not a number.
+    """
     numbers(a, b)
     return fitting(a + b)
 
 
 def subtract(a: Any, b: Any) -> Any:
-    """Difference a - b."""
+    """Difference of two numbers.
+
+    Args:
+        a: The first number.
+        b: The second number.
+
+    Returns:
+        a - b.
+
+    Raises:
+        TypeError: One of them is not a number.
+    """
     numbers(a, b)
     return fitting(a - b)
 
 
 def multiply(a: Any, b: Any) -> Any:
-    """Product a * b."""
+    """Product of two numbers.
+
+    Args:
+        a: The first number.
+        b: The second number.
+
+    Returns:
+        a * b.
+
+    Raises:
+        TypeError: One of them is not a number.
+    """
     numbers(a, b)
     return fitting(a * b)
 
 
 def divide(a: Any, b: Any) -> Any:
-    """Quotient a / b; always a float."""
+    """Quotient of two numbers.
+
+    Args:
+        a: The dividend.
+        b: The divisor.
+
+    Returns:
+        a / b, always a float.
+
+    Raises:
+        TypeError: One of them is not a number.
+    """
     numbers(a, b)
     return a / b
 
 
 def modulo(a: Any, b: Any) -> Any:
-    """Remainder a % b; has the divisor's sign."""
+    """Remainder of a division.
+
+    Args:
+        a: The dividend.
+        b: The divisor.
+
+    Returns:
+        a % b, with the divisor's sign.
+
+    Raises:
+        TypeError: One of them is not a number.
+    """
     numbers(a, b)
     return a % b
 
@@ -93,7 +156,19 @@ def _position(values: Any, index: Any) -> int:
 
 
 def item(values: Any, index: Any) -> Any:
-    """Element values[index]; raises TypeError or IndexError."""
+    """Element of a list or pose.
+
+    Args:
+        values: The list or pose.
+        index: Index of the element.
+
+    Returns:
+        The element.
+
+    Raises:
+        TypeError: It has no elements, or the index is not an integer.
+        IndexError: There is no such element.
+    """
     return values[_position(values, index)]
 
 
@@ -105,7 +180,17 @@ def flat(value: Any) -> Any:
 
 
 def set_item(values: Any, index: Any, value: Any) -> None:
-    """Assign values[index] = value; raises TypeError or IndexError."""
+    """Set an element of a list or pose.
+
+    Args:
+        values: The list or pose.
+        index: Index of the element.
+        value: The new value.
+
+    Raises:
+        TypeError: It has no elements, the index is not an integer, or the value does not fit.
+        IndexError: There is no such element.
+    """
     at = _position(values, index)
     flat(value)
     if type(values) is Pose:

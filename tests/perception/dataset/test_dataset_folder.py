@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.errors import raises
 from tests.perception.folders import assert_same
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.cloud import check_depth_unit
@@ -93,10 +94,10 @@ def test_a_broken_scene_stops_a_resumed_run_and_nothing_half_written_stays(copy:
 
 
 def test_another_data_set_or_a_full_folder_is_not_touched(copy: Path, tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="another data set"):
+    with raises(UserError, code="user.other_data_set"):
         generate(DatasetSpec("hard", 7, 11), copy)
     (tmp_path / "thesis.txt").write_text("mine")
-    with pytest.raises(UserError, match="not empty"):
+    with raises(UserError, code="user.folder_not_empty"):
         generate(SPEC, tmp_path)
     assert (tmp_path / "thesis.txt").read_text() == "mine"
 

@@ -2,64 +2,52 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from torch import nn
 
 from tests.errors import raises
-from tests.perception.toy_scenes import ArrayImages, enlarged, toy_scenes, write_toys
+from tests.perception.detection.toy_refiner import (
+    CPU,
+    TIMES,
+    TINY,
+    TINY_DETECTOR,
+    box_of,
+    described,
+    dilated,
+    eroded,
+    masks_of,
+    shifted,
+    toys,
+    training,
+)
+from tests.perception.toy_scenes import ArrayImages, toy_scenes, write_toys
 from toolee_robot.errors import AssetError, TooleeError, UserError
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH
-from toolee_robot.perception.detection.config import DetectorConfig
-from toolee_robot.perception.detection.detector import TOOL, Detector, load_detector
+from toolee_robot.perception.detection.detector import TOOL, Detector
+from toolee_robot.perception.detection.detector_weights import load_detector
 from toolee_robot.perception.detection.instances import Box, Instances, mask_iou
-from toolee_robot.perception.detection.mask_head import MASK_SIZE, paste_one
-from toolee_robot.perception.detection.refiner.crops import CELLS, CHANNELS
 from toolee_robot.perception.detection.refiner.mask_refinement import MaskRefinement
 from toolee_robot.perception.detection.refiner.network import Refiner, RefinerConfig, load_refiner
-from toolee_robot.perception.detection.refiner.train import CHECKPOINT, RefinementTraining, losses, train
+from toolee_robot.perception.detection.refiner.train import CHECKPOINT, losses, train
 from toolee_robot.perception.detection.refiner.training_data import (
     MIN_LEARNT_IOU,
-    VALIDATION,
-    Detections,
-    Examples,
     RefinementData,
-    is_validation,
-    zoom_of,
 )
 from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
 from toolee_robot.perception.detection.train import SegmentationTraining
 from toolee_robot.perception.detection.train import train as train_detector
-from toolee_robot.perception.detection.zoom_pass import MAGNIFICATION
 from toolee_robot.perception.evaluation.segmentation import frame_of
 from toolee_robot.perception.weight_files import load_weights, save_weights
-from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 pytestmark = pytest.mark.sim(seconds=30)
 
-CPU = torch.device("cpu")
-TIMES = 8
-"""A toy's pixel is so many of the data set's wide: the detector sees the former."""
-TINY_DETECTOR = DetectorConfig(
-    widths=(8, 12, 16, 24),
-    fpn_channels=16,
-    box_features=32,
-    mask_layers=1,
-    mask_width=8,
-    working_pixels=(HEIGHT // TIMES) * (WIDTH // TIMES),
-    pre_nms=50,
-    post_nms=20,
-)
-TINY = RefinerConfig(widths=(8, 12, 16, 24))
 STEPS = 150
 
 
@@ -78,21 +66,6 @@ def _more_kept_aside() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("toolee_robot.perception.detection.refiner.training_data.VALIDATION", 8)
         yield
-
-
-def toys(count: int, seed: int = 0) -> ArrayImages:
-    """Of the data set's size."""
-    return enlarged(toy_scenes(count, seed, HEIGHT // TIMES, WIDTH // TIMES), TIMES)
-
-
-def training(data: Path, out: Path, detector: Path, **options: object) -> RefinementTraining:
-    given = {"batch": 4, "lr": 1e-2, "warmup_steps": 5, "ema": 0.9, "device": "cpu", "model": TINY, **options}
-    return RefinementTraining(data, out, detector=detector, **given)  # type: ignore[arg-type]
-
-
-def described(folder: Path) -> dict[str, object]:
-    description: dict[str, object] = json.loads((folder / "refinement.json").read_text())
-    return description
 
 
 @pytest.fixture(scope="module")
@@ -139,81 +112,6 @@ def refinement_data(detector: Path) -> RefinementData:
     return found
 
 
-def masks_of(found: Detections) -> NDArray[np.bool_]:
-    """Mask in the image of every detection."""
-    row, column = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
-    return found.mask_at()(column.expand(len(found), -1, -1), row.expand(len(found), -1, -1)).numpy()
-
-
-def used(refiner: Refiner) -> Refiner:
-    """With weights and statistics of batch normalisation other than those it begins with."""
-    torch.manual_seed(1)
-    for module in refiner.modules():
-        if isinstance(module, nn.BatchNorm2d):
-            nn.init.uniform_(module.weight, 0.5, 1.5)
-            nn.init.normal_(module.bias, std=0.2)
-        if isinstance(module, nn.Linear):
-            nn.init.normal_(module.weight, std=0.2)
-    refiner.train()
-    for _ in range(5):
-        refiner(*some_squares(4))
-    with torch.inference_mode():
-        refiner.eval().output.bias -= refiner(*some_squares(4))[0].mean()
-    return refiner
-
-
-def some_squares(count: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Squares, categories and scores, at random."""
-    squares = torch.cat([255 * torch.rand(count, 3, CELLS, CELLS), torch.randn(count, CHANNELS - 3, CELLS, CELLS)], 1)
-    return squares, torch.arange(count) % 4, torch.rand(count)
-
-
-def test_the_fused_refiner_answers_as_the_trained_one() -> None:
-    refiner = used(Refiner(TINY))
-    given = some_squares(3)
-    with torch.inference_mode():
-        logits, quality = refiner(*given)
-        fused_logits, fused_quality = refiner.fuse()(*given)
-    assert not any(isinstance(module, nn.BatchNorm2d) for module in refiner.modules())
-    assert logits.std() > 0.1
-    torch.testing.assert_close(fused_logits, logits, atol=1e-3, rtol=1e-3)
-    torch.testing.assert_close(fused_quality, quality, atol=1e-3, rtol=1e-3)
-
-
-def test_the_refiner_s_configuration_survives_its_file() -> None:
-    config = RefinerConfig((4, 8, 12, 20))
-    assert RefinerConfig.from_json(json.loads(json.dumps(config.to_json()))) == config
-
-
-def test_weights_of_another_refiner_do_not_fit() -> None:
-    tensors = Refiner(TINY).state_dict()
-    with raises(AssetError, code="asset.architecture"):
-        load_refiner(Refiner(replace(TINY, widths=(8, 12, 16, 32))), tensors)
-    with raises(AssetError, code="asset.incomplete") as refused:
-        load_refiner(Refiner(TINY), {k: v for k, v in tensors.items() if k != "output.bias"})
-    assert "output.bias" in str(refused.value)
-    with raises(AssetError, code="asset.incomplete") as refused:
-        load_refiner(Refiner(TINY), {**tensors, "another": torch.zeros(1)})
-    assert "another" in str(refused.value)
-
-
-def test_a_detection_s_training_mask_is_the_detector_s() -> None:
-    """In training as `paste_one` draws it in use."""
-    torch.manual_seed(2)
-    coarse = nn.functional.pad(torch.rand((3, 1, 5, 5)), (1, 1, 1, 1))
-    patches = nn.functional.interpolate(coarse, (MASK_SIZE, MASK_SIZE), mode="bilinear")[:, 0]
-    covered = torch.tensor([[10.3, 5.2, 71.8, 60.1], [-20.0, -10.0, 30.5, 47.0], [50.0, 30.0, 110.0, 75.0]])
-    one, none = torch.ones(3), torch.zeros(3, dtype=torch.long)
-    masks = (patches * 255).round().to(torch.uint8)
-    found = Detections(none, covered, covered, masks, none, one, none.byte(), one.bool())
-    row, column = torch.meshgrid(torch.arange(64), torch.arange(96), indexing="ij")
-    drawn = found.mask_at()(column.expand(3, -1, -1), row.expand(3, -1, -1))
-    for patch, box, mask in zip(patches.numpy(), covered.double().numpy(), drawn.numpy(), strict=True):
-        pasted = paste_one(patch, box, 64, 96)
-        assert pasted.any()
-        assert mask_iou(pasted, mask) > 0.99
-
-
 def test_detections_are_matched_with_end_effectors_of_their_category(refinement_data: RefinementData) -> None:
     assert len(refinement_data) == 32
     assert refinement_data.detections is not None
@@ -227,15 +125,6 @@ def test_detections_are_matched_with_end_effectors_of_their_category(refinement_
             assert int(found.truth[i]) == int(iou > MIN_LEARNT_IOU)
             matched += int(found.truth[i])
     assert matched >= 4
-
-
-def test_both_sizes_are_as_frequent_among_the_pictures_kept_aside(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("toolee_robot.perception.detection.refiner.training_data.VALIDATION", VALIDATION)
-    pictures = torch.arange(4000)
-    for some in (pictures, pictures[is_validation(pictures)]):
-        sizes, count = torch.unique(zoom_of(some), return_counts=True)
-        assert sizes.tolist() == [1.0, MAGNIFICATION]
-        assert count.tolist() == [len(some) // 2] * 2
 
 
 def test_examples_show_their_end_effector(refinement_data: RefinementData) -> None:
@@ -270,35 +159,6 @@ def test_pictures_kept_aside_are_judged_as_in_the_whole_image(refinement_data: R
     assert values["iou"] == values["iou_before"]
 
 
-def test_losses_are_of_the_masks_of_true_detections_and_of_the_iou_of_all() -> None:
-    """A true detection, a false alarm, and one of an end effector too little visible to count."""
-    truth = torch.zeros((3, CELLS, CELLS), dtype=torch.bool)
-    truth[0, 20:60, 20:60] = truth[2, :4, :4] = True
-    hint, drawn = torch.zeros_like(truth), torch.tensor([True, False, True])
-    hint[0, 20:60, 40:80] = True
-    squares = torch.zeros((3, CHANNELS, CELLS, CELLS))
-    squares[:, -1] = hint.float()
-    none = torch.zeros(3, dtype=torch.long)
-    examples = Examples(squares, none, none.float(), truth, drawn, torch.tensor([True, True, False]))
-
-    def values(logits: torch.Tensor, expected: list[float]) -> dict[str, float]:
-        seen = losses(logits, torch.logit(torch.tensor(expected), 1e-6), examples)
-        return {name: float(value) for name, value in seen.items()}
-
-    perfect = torch.where(truth, 20.0, -20.0)
-    perfect[1] = 20.0  # whatever is drawn where nothing is
-    good = values(perfect, [1.0, 0.0, 0.5])
-    assert good == pytest.approx({"mask": 0, "dice": 0, "quality": 0, "iou": 1, "iou_before": 1 / 6}, abs=1e-4)
-    assert values(perfect, [1.0, 0.9, 0.5])["quality"] > 0.1, "a false alarm was trusted"
-    assert values(perfect, [0.1, 0.0, 0.5])["quality"] > 0.1, "a true detection was not"
-    assert values(perfect, [1.0, 0.0, 0.0])["quality"] == good["quality"]
-    half = perfect.clone()
-    half[0, 40:60] = -20.0
-    assert values(half, [0.5, 0.0, 0.5])["iou"] == pytest.approx(0.75)
-    assert values(half, [0.5, 0.0, 0.5])["quality"] < values(half, [1.0, 0.0, 0.5])["quality"]
-    assert values(half, [1.0, 0.0, 0.5])["mask"] > 0.5
-
-
 def test_training_writes_weights_configuration_validation_and_log(trained: Path) -> None:
     description = described(trained)
     assert RefinerConfig.from_json(description["model"]) == TINY  # type: ignore[arg-type]
@@ -313,23 +173,6 @@ def test_training_writes_weights_configuration_validation_and_log(trained: Path)
     load_refiner(Refiner(TINY), load_weights(trained, "refinement")[0])
     assert (trained / CHECKPOINT).is_file()
     assert list((trained / "tensorboard").glob("events*"))
-
-
-def dilated(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    return cv2.dilate(mask.astype(np.uint8), np.ones((33, 33), np.uint8)) > 0
-
-
-def eroded(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    return cv2.erode(mask.astype(np.uint8), np.ones((33, 33), np.uint8)) > 0
-
-
-def shifted(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    return np.roll(mask, (2 * TIMES, -2 * TIMES), (0, 1))
-
-
-def box_of(mask: NDArray[np.bool_]) -> Box:
-    rows, columns = np.nonzero(mask)
-    return float(columns.min()), float(rows.min()), float(columns.max()) + 1, float(rows.max()) + 1
 
 
 @pytest.mark.parametrize("spoilt", [dilated, eroded, shifted])
@@ -407,41 +250,6 @@ def test_one_end_effector_segmented_twice_is_one(trained: Path) -> None:
     found = refinement(frame_of(pictures, 0), ([left, right], [label] * 2, [0.5, 0.4], [box_of(truth)] * 2))
     assert found[1] == [label]
     assert mask_iou(found[0][0], truth) > mask_iou(left, truth) + 0.1
-
-
-def noise(unknown: float = 0.0) -> tuple[RgbdFrame, Instances]:
-    """An image with holes in its depth, said to be `unknown`, and something found in it."""
-    rng = np.random.default_rng(4)
-    rgb = rng.integers(0, 255, (60, 80, 3), dtype=np.uint8)
-    depth = rng.uniform(0.5, 0.6, (60, 80)).astype(np.float32)
-    depth[rng.random(depth.shape) < 0.1] = unknown
-    mask = np.zeros(depth.shape, dtype=np.bool_)
-    mask[20:41, 12:33] = True
-    frame = RgbdFrame(rgb, depth, CameraIntrinsics(200.0, 200.0, 39.5, 29.5, 80, 60))
-    return frame, ([mask], [2], [0.5], [(12.0625, 20.0625, 32.9375, 40.9375)])
-
-
-def test_the_mirrored_image_s_masks_are_the_mirrored_masks() -> None:
-    """Of any refiner, though an untrained one draws something else in the mirror: the mean knows no left and right."""
-    refinement = MaskRefinement(used(Refiner(TINY)), CPU, bfloat16=False)
-    frame, (before, labels, scores, [(x0, y0, x1, y1)]) = noise()
-    masks, _, [score], _ = refinement(frame, (before, labels, scores, [(x0, y0, x1, y1)]))
-    mirrored = RgbdFrame(frame.rgb[:, ::-1].copy(), frame.depth[:, ::-1].copy(), frame.intrinsics)
-    there = ([before[0][:, ::-1].copy()], labels, scores, [(80 - x1, y0, 80 - x0, y1)])
-    mirrored_masks, _, [mirrored_score], _ = refinement(mirrored, there)
-    assert mirrored_score == pytest.approx(score, abs=1e-3)
-    assert 50 < masks[0].sum() < 1400
-    assert mask_iou(mirrored_masks[0][:, ::-1], masks[0]) > 0.97
-    assert mask_iou(mirrored_masks[0], masks[0]) < 0.9
-    assert mask_iou(before[0], masks[0]) < 0.9
-
-
-@pytest.mark.parametrize("unknown", [np.nan, np.inf])
-def test_unknown_depth_is_the_same_as_zero_nan_or_infinity(unknown: float) -> None:
-    refinement = MaskRefinement(used(Refiner(TINY)), CPU, bfloat16=False)
-    expected, found = refinement(*noise(0.0)), refinement(*noise(unknown))
-    assert found[2] == expected[2]
-    np.testing.assert_array_equal(found[0][0], expected[0][0])
 
 
 def test_in_bfloat16_the_masks_are_the_same_but_for_their_borders(trained: Path) -> None:
@@ -530,20 +338,6 @@ def test_a_loss_that_is_not_finite_stops_the_run_and_keeps_what_was_learnt(
     (tmp_path / "refinement_log.jsonl").unlink()
     assert {path.name: path.read_bytes() for path in tmp_path.glob("refinement*")} == kept
     assert Segmenter.load(tmp_path).instances(frame_of(toys(1), 0), EVERYTHING)[0]
-
-
-@pytest.mark.parametrize(
-    ("options", "code"),
-    [
-        ({"minutes": 0.0}, "user.minutes"),
-        ({"batch": 1}, "user.batch"),
-        ({"lr": 0.0}, "user.training_options"),
-        ({"ema": 1.0}, "user.training_options"),
-    ],
-)
-def test_unusable_settings_are_the_user_s_error(options: dict[str, float], code: str) -> None:
-    with raises(UserError, code=code):
-        training(Path("data"), Path("out"), Path("detector"), **options)
 
 
 def without_tools(pictures: ArrayImages, which: slice) -> ArrayImages:

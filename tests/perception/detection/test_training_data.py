@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.errors import raises
 from tests.perception.toy_scenes import toy_scenes
 from toolee_robot.errors import AssetError
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH, EeTable, Example
@@ -85,5 +86,5 @@ def test_ranks_share_a_data_set_without_overlap_while_it_grows(folder: Path) -> 
 
 
 def test_a_folder_without_data_is_named(tmp_path: Path) -> None:
-    with pytest.raises(AssetError, match="generate"):
+    with raises(AssetError, code="asset.no_scene"):
         load(tmp_path)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.errors import raises
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, is_rigid
@@ -176,7 +177,7 @@ def test_stored_and_loaded(tmp_path: Path, examples: list[Example]) -> None:
 
 
 def test_misuse_says_what_to_do(tmp_path: Path, examples: list[Example]) -> None:
-    with pytest.raises(AssetError, match="no BOP scene"):
+    with raises(AssetError, code="asset.no_scene"):
         load(tmp_path)
     write_scene(tmp_path / "000000", examples[:2])
     (tmp_path / "000000/rgb/000001.jpg").write_bytes(b"not an image")

@@ -76,7 +76,17 @@ class BenchScene:
 
 @contextmanager
 def bench_scene(seed: int) -> Iterator[BenchScene]:
-    """Context of a job stopped at its first frame; poses come from the ground truth, since only times are measured."""
+    """Context of a job stopped at its first frame; poses come from the ground truth, since only times are measured.
+
+    Args:
+        seed: Seed of the simulated station.
+
+    Yields:
+        The scene.
+
+    Raises:
+        TooleeError: The job ended before its first frame.
+    """
     config, observer = StationConfig(), _FirstFrame()
     with SimStation.build(config, seed) as sim:
         grasp = nominal_grasp(sim.tool, config)

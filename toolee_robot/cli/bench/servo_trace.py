@@ -113,6 +113,9 @@ def compare(report: MotionReport, stamps: Array, q: Array, rate: float) -> Trace
         stamps: Times of the trace, (N,) [s].
         q: Joint positions of the trace, (N, 6) [rad].
         rate: Rate of the commands [Hz].
+
+    Returns:
+        Delays and deviations of the trace.
     """
     period = 1.0 / rate
     sent, commanded = report.stamps, report.q_commanded

@@ -102,6 +102,9 @@ class HammerJob:
             folder: Folder for the files.
             console: The console.
 
+        Returns:
+            The report.
+
         Raises:
             TooleeError: The job could not begin.
         """

@@ -48,6 +48,9 @@ def run_folder(out: Path, name: str) -> Iterator[RunFolder]:
         out: Parent of the folder.
         name: Name of the run.
 
+    Yields:
+        The folder.
+
     Raises:
         UserError: `out` cannot be written.
     """

@@ -76,6 +76,9 @@ def options_of(command: Any, file: Path | None, names: set[str]) -> dict[str, An
         file: YAML or JSON file with options; None without one.
         names: Names of the options.
 
+    Returns:
+        Name -> value of the options that are given.
+
     Raises:
         UserError: The file has an unknown option.
     """
@@ -126,7 +129,14 @@ def is_first() -> bool:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder if it is missing; raises UserError where that is impossible."""
+    """Make a folder if it is missing.
+
+    Args:
+        folder: The folder.
+
+    Raises:
+        UserError: It cannot be made.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

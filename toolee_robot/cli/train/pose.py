@@ -44,7 +44,7 @@ class Clouds:
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """Where the clouds go, for `toolee train pose --rendered FILE`."""
     estimator: Estimator = "ours"
-    """Whose training they are for; paper: ToolEENet's own."""
+    """Estimator that they train; paper: ToolEENet."""
     column: ColumnName = None
     """Of the paper's Table I, for --estimator paper (default: symmetry-aware)."""
     weights: Folder = None

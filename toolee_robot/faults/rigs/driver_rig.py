@@ -95,6 +95,9 @@ class Rig:
             guard: Contact detection; None for none.
             execute: Executes the motion; None for the driver's `execute`.
 
+        Returns:
+            What happened.
+
         Raises:
             MissedMomentError: The arm was not in mid-swing.
         """
@@ -187,6 +190,9 @@ def rig(model: ArmModel, host: str) -> Iterator[Rig]:
     Args:
         model: Model of the arm.
         host: Loopback address of the stand-in.
+
+    Yields:
+        The rig.
     """
     swing = plan_swing(model)
     plant = partial(JointPlant, q=swing.plan.strike.q[0])

@@ -181,13 +181,30 @@ class Bench:
         return replace(self.sim.station, arm=self.arm, hand=hand, person=self.people)
 
     def blind_task(self, log: TaskObserver, config: StationConfig = CONFIG) -> HammeringTask:
-        """Make a job that uses the true grasp without looking."""
+        """Make a job that uses the true grasp without looking.
+
+        Args:
+            log: Observer of the job.
+            config: Configuration of the station.
+
+        Returns:
+            The job.
+        """
         return HammeringTask(self.station, NoPerception(), config, self.true_grasp, correction=False, observer=log)
 
     def seeing_task(
         self, log: TaskObserver, config: StationConfig = CONFIG, perceiver: Perceiver | None = None
     ) -> HammeringTask:
-        """Make a job that looks; poses come from the ground truth unless another perceiver is given."""
+        """Make a job that looks.
+
+        Args:
+            log: Observer of the job.
+            config: Configuration of the station.
+            perceiver: Estimates the poses; None: they are taken from the ground truth.
+
+        Returns:
+            The job.
+        """
         perceiver = perceiver or PerfectPerception(self.sim.judge)
         return HammeringTask(self.station, perceiver, config, nominal_grasp(self.sim.tool, config), observer=log)
 

@@ -43,7 +43,12 @@ class JointWatch:
         self._watching = False
 
     def at(self, stamp: float, act: Callable[[], None]) -> None:
-        """Call `act` in the first step that ends at `stamp` [s] or later."""
+        """Schedule a call in the first step that ends at a time or later.
+
+        Args:
+            stamp: The time [s].
+            act: The call.
+        """
         self._due.append((stamp, act))
 
     def _after_step(self) -> None:
@@ -67,6 +72,9 @@ class JointWatch:
             trajectory: The motion.
             event: Time of the fault [s].
             commanded: Whether speed and standstill are those of the set-point instead of the joints.
+
+        Returns:
+            The stop.
         """
         target = np.array(self._target)
         trace = self._trace(target)
@@ -77,7 +85,15 @@ class JointWatch:
         return stop_after(trace, trajectory, event)
 
     def off_path(self, trajectory: Trajectory, event: float) -> float:
-        """Compute the largest deviation of the true joints from the path after `event` [s], in rad."""
+        """Largest deviation of the true joints from the path after a fault.
+
+        Args:
+            trajectory: The motion.
+            event: Time of the fault [s].
+
+        Returns:
+            The deviation [rad].
+        """
         return stop_after(self._trace(np.array(self._q)), trajectory, event).off_path
 
     def _trace(self, path: Array) -> Trace:

@@ -52,6 +52,9 @@ def stop_after(trace: Trace, trajectory: Trajectory, event: float) -> Stop:
         trajectory: The motion.
         event: Time of the fault, time.monotonic [s].
 
+    Returns:
+        The stop.
+
     Raises:
         DeviceError: The trace does not cover the fault, or the arm still moves at its end.
     """

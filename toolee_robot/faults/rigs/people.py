@@ -34,27 +34,33 @@ class People:
         self.asked: list[str] = []
 
     def take_tool(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        """See `hal.Person`."""
         self.asked.append("take")
         return self.takes
 
     def confirm_swing(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        """See `hal.Person`."""
         self.asked.append("swing")
         return self.confirms
 
     def zone_occupied(self) -> bool:
+        """See `hal.Person`."""
         return self.is_inside
 
     def enabling_switch_held(self) -> bool:
+        """See `hal.Person`."""
         return self.holds_switch
 
     def step_in(self) -> None:
         self.is_inside = True
 
     def request_handover(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        """See `hal.Person`."""
         self.asked.append("handover")
         return self.gives
 
     def release(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        """See `hal.Person`."""
         self.asked.append("release")
         if self.on_release is not None:
             self.on_release()

@@ -22,13 +22,25 @@ def good(swing: Swing, q: Array, change: Array) -> Trajectory:
         swing: The swing, for its limits.
         q: Joint positions at the start, (6,) [rad].
         change: Change of the joint positions, (6,) [rad].
+
+    Returns:
+        The motion.
     """
     limits = swing.config.arm
     return joint_move(q, q + change, np.full(6, 0.4), np.full(6, 2.0), np.full(6, limits.jerk))
 
 
 def not_finite(swing: Swing, q: Array, value: float) -> Trajectory:
-    """Make a motion with NaN or infinity in its middle."""
+    """Make a motion with NaN or infinity in its middle.
+
+    Args:
+        swing: The swing, for its limits.
+        q: Joint positions at the start, (6,) [rad].
+        value: NaN or infinity.
+
+    Returns:
+        The motion.
+    """
     motion = good(swing, q, np.full(6, 0.02))
     broken = motion.q.copy()
     broken[len(broken) // 2, 3] = value
@@ -36,7 +48,15 @@ def not_finite(swing: Swing, q: Array, value: float) -> Trajectory:
 
 
 def beyond_joint_limit(swing: Swing, q: Array) -> Trajectory:
-    """Make a motion of the last joint beyond its limit."""
+    """Make a motion of the last joint beyond its limit.
+
+    Args:
+        swing: The swing, for its limits.
+        q: Joint positions at the start, (6,) [rad].
+
+    Returns:
+        The motion.
+    """
     change = np.zeros(6)
     change[5] = 2 * np.pi + 0.2 - q[5]
     return good(swing, q, change)
@@ -53,7 +73,15 @@ def _integrated(q: Array, qdd: Array) -> Trajectory:
 
 
 def beside_the_arm(swing: Swing, q: Array) -> Trajectory:
-    """Make a valid motion that starts off the commanded position."""
+    """Make a valid motion that starts off the commanded position.
+
+    Args:
+        swing: The swing, for its limits.
+        q: The commanded joint positions, (6,) [rad].
+
+    Returns:
+        The motion.
+    """
     return good(swing, q + BESIDE, np.full(6, 0.02))
 
 
@@ -68,32 +96,72 @@ def velocity_step(q: Array) -> Trajectory:
 
 
 def acceleration_step(swing: Swing, q: Array) -> Trajectory:
-    """Make a motion with twice the acceleration limit."""
+    """Make a motion with twice the acceleration limit.
+
+    Args:
+        swing: The swing, for its limits.
+        q: Joint positions at the start, (6,) [rad].
+
+    Returns:
+        The motion.
+    """
     most = swing.config.arm.acceleration
     return _integrated(q, np.concatenate([np.zeros(5), np.full(5, 2 * most), np.full(5, -2 * most), np.zeros(5)]))
 
 
 def jerk_step(swing: Swing, q: Array) -> Trajectory:
-    """Make a motion that alternates between the acceleration limits without exceeding them."""
+    """Make a motion that alternates between the acceleration limits without exceeding them.
+
+    Args:
+        swing: The swing, for its limits.
+        q: Joint positions at the start, (6,) [rad].
+
+    Returns:
+        The motion.
+    """
     most = 0.8 * swing.config.arm.acceleration
     return _integrated(q, np.concatenate([np.zeros(4), np.tile([most, most, -most, -most], 6), np.zeros(4)]))
 
 
 def out_of_workspace(swing: Swing, q: Array) -> Trajectory:
-    """Make a motion beyond the back of the workspace."""
+    """Make a motion beyond the back of the workspace.
+
+    Args:
+        swing: The swing, for its limits.
+        q: Joint positions at the start, (6,) [rad].
+
+    Returns:
+        The motion.
+    """
     target = np.array([np.pi, -0.4, 0.0, q[3], q[4], q[5]])
     return good(swing, q, target - q)
 
 
 def into_the_table(swing: Swing, q: Array) -> Trajectory:
-    """Make a motion of the shoulder into the table."""
+    """Make a motion of the shoulder into the table.
+
+    Args:
+        swing: The swing, for its limits.
+        q: Joint positions at the start, (6,) [rad].
+
+    Returns:
+        The motion.
+    """
     change = np.zeros(6)
     change[1] = 0.6
     return good(swing, q, change)
 
 
 def into_itself(swing: Swing, q: Array) -> Trajectory:
-    """Make a motion of the elbow into the arm itself."""
+    """Make a motion of the elbow into the arm itself.
+
+    Args:
+        swing: The swing, for its limits.
+        q: Joint positions at the start, (6,) [rad].
+
+    Returns:
+        The motion.
+    """
     change = np.zeros(6)
     change[2] = 2.95 - q[2]
     return good(swing, q, change)

@@ -52,6 +52,9 @@ def job_row(fault: JobFault, bench: Bench) -> FaultRow:
     Args:
         fault: The fault.
         bench: The simulated station.
+
+    Returns:
+        The row of the fault table.
     """
     bench.reset()
     scene = Scene(bench, Log(), ScriptedPerception(bench.sim.judge))

@@ -56,6 +56,9 @@ def process_rows(model: ArmModel, host: str) -> Iterator[Measurement]:
     Args:
         model: Model of the arm.
         host: Loopback address of the stand-ins.
+
+    Yields:
+        The measurements.
     """
     name = f"{model.value}, {500 if model is ArmModel.UR10E else 125} Hz"
     for fault in TASK_FAULTS:

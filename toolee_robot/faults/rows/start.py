@@ -67,6 +67,9 @@ def start_rows(model: ArmModel, host: str) -> Iterator[Measurement]:
     Args:
         model: Model of the arm.
         host: Loopback address of the stand-in.
+
+    Yields:
+        The measurements.
     """
     with ControllerProcess(model=model.value, host=host) as controller:
         for fault in START_FAULTS:
@@ -83,6 +86,9 @@ def start_row(fault: StartFault, model: ArmModel, controller: ControllerProcess)
         fault: The fault.
         model: Model of the arm.
         controller: The running stand-in.
+
+    Returns:
+        The row of the fault table.
     """
     _as_it_should_be(controller)
     controller.fault(fault.hook, **fault.arguments)
@@ -146,6 +152,9 @@ def calibration_row(bench: Bench, name: str, calibration: CalibrationConfig | No
         name: Name of the fault.
         calibration: The calibration.
         message: Text that the outcome's reason must contain.
+
+    Returns:
+        The row of the fault table.
     """
     bench.reset()
     log, before = Log(), bench.sim.world.robot.arm_state()[0]

@@ -19,12 +19,28 @@ def pose_matrix(pose: Array) -> Array:
 
 
 def angle_between(a: Array, b: Array) -> float:
-    """Angle [rad] between two rotation vectors (3,) [rad]."""
+    """Angle of the rotation between two orientations.
+
+    Args:
+        a: An orientation as rotation vector, (3,) [rad].
+        b: The other orientation, (3,) [rad].
+
+    Returns:
+        The angle in [0, pi] [rad].
+    """
     return float((Rotation.from_rotvec(a).inv() * Rotation.from_rotvec(b)).magnitude())
 
 
 def pose_error(X: Array, Y: Array) -> float:
-    """Distance [m] between two poses (4x4), with the rotation weighted by ANGLE_ARM."""
+    """Distance between two poses, with the rotation weighted by ANGLE_ARM.
+
+    Args:
+        X: A pose, (4, 4).
+        Y: The other pose, in the same frame, (4, 4).
+
+    Returns:
+        The distance [m].
+    """
     turned = Rotation.from_matrix(X[:3, :3].T @ Y[:3, :3]).magnitude()
     return float(np.hypot(np.linalg.norm(X[:3, 3] - Y[:3, 3]), ANGLE_ARM * turned))
 
@@ -45,7 +61,15 @@ def tcp_error(dh: DhParameters, q: Array, tcp_offset: Array, tcp_pose: Array) ->
 
 
 def worst_error(a: DhParameters, b: DhParameters) -> float:
-    """Largest deviation [m] between two arms' flange poses over 30 random configurations."""
+    """Largest deviation between two arms' flange poses over 30 random configurations.
+
+    Args:
+        a: Parameters of one arm.
+        b: Parameters of the other arm.
+
+    Returns:
+        The deviation [m], as in `pose_error`.
+    """
     qs = np.random.default_rng(0).uniform(-np.pi, np.pi, (30, 6))
     return max(pose_error(a.fk(q), b.fk(q)) for q in qs)
 

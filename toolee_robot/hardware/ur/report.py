@@ -1,4 +1,4 @@
-"""What a probe of a UR controller has read: records."""
+"""Records of a probe of a UR controller."""
 
 from __future__ import annotations
 

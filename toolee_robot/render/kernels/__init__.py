@@ -1,5 +1,5 @@
-"""What runs once for each pixel or ray, on the processor or on a GPU: Warp's kernels.
+"""Warp kernels that run once per pixel or ray, on the CPU or on a GPU.
 
-Warp compiles them on their first launch on a device (some seconds), and keeps what it has compiled for later processes.
-Vectors that many rays share a component of are rows, (3, N): embree's packets are filled from them.
+Warp compiles them on their first launch on a device (some seconds) and caches them for later processes.
+Vectors of N rays are stored as (3, N), because Embree's packets are filled from rows.
 """

@@ -1,4 +1,4 @@
-"""Rays through Warp's bounding volume hierarchies: one of a scene's loose triangles, and one for each lasting mesh."""
+"""Ray tracing in Warp's bounding volume hierarchies: one of a scene's loose meshes, and one for each lasting mesh."""
 
 from __future__ import annotations
 
@@ -11,8 +11,16 @@ _FAR = wp.constant(wp.float32(1e6))
 
 @wp.struct
 class Instance:
-    """A lasting mesh in a scene. tree: of its `wp.Mesh`, in the body's frame, whose pose R, p is in the camera's; all
-    of it lies within radius [m] about centre, camera frame. body: its number in the scene."""
+    """A lasting mesh in a scene.
+
+    Attributes:
+        tree: Id of its `wp.Mesh`, body frame.
+        R: Rotation of the body frame in the camera frame.
+        p: Position of the body frame in the camera frame [m].
+        centre: Centre of a sphere around the mesh, camera frame [m].
+        radius: Radius of the sphere [m].
+        body: Index of the mesh in the scene.
+    """
 
     tree: wp.uint64
     R: wp.mat33
@@ -24,7 +32,14 @@ class Instance:
 
 @wp.func
 def near(origin: wp.vec3, direction: wp.vec3, reach: wp.float32, instance: Instance) -> wp.bool:
-    """Whether the ray comes near enough to an instance to hit it."""
+    """Whether a ray passes through the sphere around an instance.
+
+    Args:
+        origin: Origin of the ray, camera frame [m].
+        direction: Direction of the ray, camera frame.
+        reach: Length of the ray in lengths of its direction.
+        instance: The instance.
+    """
     to_centre = instance.centre - origin
     along = wp.clamp(wp.dot(to_centre, direction) / wp.dot(direction, direction), 0.0, reach)
     apart = to_centre - along * direction
@@ -41,8 +56,17 @@ def closest(
     found: wp.array2d[wp.float32],
     ids: wp.array2d[wp.int32],
 ):
-    """See `tracing.Found`. loose: the tree of all loose meshes, camera frame, or 0; first_face (B + 1,): where the
-    faces of each begin in it, bodies (B,): whose they are."""
+    """Find the first hits of rays from the origin; outputs as in `rays.tracer.Found`.
+
+    Args:
+        loose: Id of the tree of all loose meshes, camera frame; 0 for none.
+        first_face: Index in that tree of the first face of each loose mesh, (B + 1,).
+        bodies: Indices of the loose meshes in the scene, (B,).
+        instances: The lasting meshes.
+        rays: Directions, camera frame, (3, N).
+        found: Output `Found.values`, (6, N).
+        ids: Output `Found.ids`, (2, N).
+    """
     i = wp.tid()
     ray = column(rays, i)
     reach = wp.float32(_FAR)
@@ -100,7 +124,16 @@ def blocked(
     reach: wp.array[wp.float32],
     out: wp.array[wp.uint8],
 ):
-    """1 where something is met within reach; a negative one is not asked for."""
+    """Check whether anything lies on rays; one thread per ray.
+
+    Args:
+        loose: Id of the tree of all loose meshes, camera frame; 0 for none.
+        instances: The lasting meshes.
+        origins: Origins, camera frame, (3, N) [m].
+        directions: Directions, camera frame, (3, N).
+        reach: Lengths of the rays in lengths of their directions, (N,); a ray without a positive one is not cast.
+        out: Output: 1 where something is hit, else 0, (N,).
+    """
     i = wp.tid()
     out[i] = wp.uint8(0)
     if reach[i] <= 0.0:

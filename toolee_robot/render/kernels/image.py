@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 METERED = 1 << 20
-"""What a brightness of 1 counts in `meter`: whole numbers have the same sum in any order."""
+"""Integer that stands for a brightness of 1 in `meter`: integers have the same sum in any order."""
 _METERED = wp.constant(float(METERED))
 CURVE = 4096
 """Entries of the sRGB table."""
@@ -23,7 +23,18 @@ def pixel_rays(
     cy: wp.float64,
     rays: wp.array2d[wp.float32],
 ):
-    """Rays (3, N) with z = 1 through the pixel centres of a region of that width, row by row."""
+    """Rays through the pixel centres of a region, row by row.
+
+    Args:
+        width: Width of the region [px].
+        x0: Left column of the region.
+        y0: Upper row of the region.
+        fx: Focal length along x [px].
+        fy: Focal length along y [px].
+        cx: Column of the principal point [px].
+        cy: Row of the principal point [px].
+        rays: Output: directions with z = 1, camera frame, (3, N).
+    """
     i = wp.tid()
     rays[0, i] = wp.float32((wp.float64(x0 + i % width) - cx) / fx)
     rays[1, i] = wp.float32((wp.float64(y0 + i // width) - cy) / fy)
@@ -41,7 +52,18 @@ def rays_beside(
     shifts: wp.array[wp.vec2],
     rays: wp.array2d[wp.float32],
 ):
-    """Further rays (3, S * P) through P pixels: a whole set for each of the S shifts [px] from their centres."""
+    """Further rays through P pixels: a whole set for each of S shifts from the pixel centres.
+
+    Args:
+        pixels: Flat indices of the pixels, (P,).
+        width: Width of the image [px].
+        fx: Focal length along x [px].
+        fy: Focal length along y [px].
+        cx: Column of the principal point [px].
+        cy: Row of the principal point [px].
+        shifts: The shifts (x, y), (S,) [px].
+        rays: Output: directions with z = 1, camera frame, (3, S * P).
+    """
     i = wp.tid()
     pixel = pixels[i % pixels.shape[0]]
     shift = shifts[i // pixels.shape[0]]
@@ -52,7 +74,14 @@ def rays_beside(
 
 @wp.func
 def steps(a: wp.int32, b: wp.int32, found: wp.array2d[wp.float32], ids: wp.array2d[wp.int32]) -> wp.bool:
-    """Whether two pixels show different bodies, or depths that differ by 2 %."""
+    """Whether two pixels show different bodies, or depths that differ by 2 %.
+
+    Args:
+        a: Flat index of a pixel.
+        b: Flat index of the other pixel.
+        found: `Found.values` of the pixels' rays, (6, N).
+        ids: `Found.ids` of the pixels' rays, (2, N).
+    """
     if ids[1, a] != ids[1, b]:
         return True
     if ids[1, a] < 0:
@@ -68,7 +97,15 @@ def outlines(
     height: wp.int32,
     marks: wp.array[wp.uint8],
 ):
-    """1 at the pixels beside which another body or a step in depth begins."""
+    """Mark the pixels beside which another body or a step in depth begins.
+
+    Args:
+        found: `Found.values` of the pixels' rays, (6, N).
+        ids: `Found.ids` of the pixels' rays, (2, N).
+        width: Width of the image [px].
+        height: Height of the image [px].
+        marks: Output: 1 at these pixels, else 0, (N,).
+    """
     i = wp.tid()
     x = i % width
     y = i // width
@@ -86,7 +123,14 @@ def outlines(
 
 @wp.kernel(enable_backward=False)
 def mix_in(pixels: wp.array[wp.int32], more: wp.array[wp.vec3], sets: wp.int32, colors: wp.array[wp.vec3]):
-    """The mean of each of P pixels' colour and what `sets` further rays (sets * P,) through it found."""
+    """Average the colours of P pixels with those of further rays through them.
+
+    Args:
+        pixels: Flat indices of the pixels, (P,).
+        more: Colours of the further rays, linear RGB, (sets * P,).
+        sets: Number of further rays per pixel.
+        colors: Colours of all pixels, linear RGB, (N,); changed in place.
+    """
     i = wp.tid()
     total = colors[pixels[i]]
     for k in range(sets):
@@ -96,7 +140,12 @@ def mix_in(pixels: wp.array[wp.int32], more: wp.array[wp.vec3], sets: wp.int32, 
 
 @wp.kernel(enable_backward=False)
 def meter(colors: wp.array[wp.vec3], total: wp.array[wp.int64]):
-    """Add up the brightness of all channels, each at most 1."""
+    """Add up the brightness of all channels, each at most 1.
+
+    Args:
+        colors: Colours, linear RGB, (N,).
+        total: Output: the sum in units of 1 / METERED, (1,).
+    """
     c = colors[wp.tid()]
     bright = wp.min(c[0], 1.0) + wp.min(c[1], 1.0) + wp.min(c[2], 1.0)
     wp.atomic_add(total, 0, wp.int64(bright * _METERED))
@@ -110,7 +159,15 @@ def adapt(
     share: wp.float32,
     exposure: wp.array[wp.float32],
 ):
-    """Multiply the exposure by what brings the mean of so many values to the wanted one, to the power `share`."""
+    """Bring the exposure nearer to the one that gives the wanted mean brightness.
+
+    Args:
+        total: Sum of the brightness, as `meter` gives it, (1,).
+        values: Number of values in the sum.
+        wanted: Wanted mean.
+        share: Exponent of the factor on the exposure: 0 keeps it, 1 corrects it fully.
+        exposure: The exposure, (1,); changed in place.
+    """
     mean = wp.float32(wp.float64(total[0]) / (wp.float64(_METERED) * wp.float64(values)))
     exposure[0] = exposure[0] * wp.clamp(wp.pow(wanted / wp.max(mean, 1e-3), share), 0.4, 6.0)
 
@@ -122,7 +179,14 @@ def to_srgb(
     curve: wp.array[wp.uint8],
     rgb: wp.array2d[wp.uint8],
 ):
-    """Linear RGB times the exposure to 8-bit sRGB (N, 3), highlights rolled off softly above 0.8."""
+    """Convert linear RGB to 8-bit sRGB; highlights are rolled off softly above 0.8.
+
+    Args:
+        colors: Colours, linear RGB, (N,).
+        exposure: Factor on the colours, (1,).
+        curve: The sRGB curve, (CURVE,).
+        rgb: Output: sRGB, (N, 3).
+    """
     i = wp.tid()
     color = colors[i] * exposure[0]
     for k in range(3):

@@ -1,4 +1,4 @@
-"""Light at the points that rays hit: normals and albedo there, rays to the lamps, what is reflected."""
+"""Light at the points that rays hit: normals and albedo, lamps, reflected light."""
 
 from __future__ import annotations
 
@@ -9,13 +9,18 @@ from toolee_robot.render.kernels.texture import Surface, albedo
 
 _LAST = wp.constant(SKY_LEVELS - 1)
 _PI = wp.constant(3.14159265)
-_OFFSET = wp.constant(4e-4)  # shadow rays start this far [m] off the surface, or it would shadow itself
-_JITTER_LENGTH = wp.constant(65537)  # a prime above any image's width, so that rows differ
 
 
 @wp.struct
 class Lamp:
-    """A lamp in the camera's frame; see `scene.Light`. place: unit direction of a far one, else position [m]."""
+    """A lamp in the camera frame; see `scene.Light`.
+
+    Attributes:
+        place: Unit direction to a distant lamp, else its position [m].
+        color: Linear RGB.
+        far: 1 for a distant lamp, else 0.
+        softness: As in `scene.Light`.
+    """
 
     place: wp.vec3
     color: wp.vec3
@@ -25,7 +30,13 @@ class Lamp:
 
 @wp.struct
 class Towards:
-    """The way from a point to a lamp. distance [m], 1000 to a far one; power: what distance leaves of its light."""
+    """The way from a point to a lamp.
+
+    Attributes:
+        direction: Unit direction.
+        distance: Distance [m]; 1000 to a far lamp.
+        power: Factor on the lamp's light from the distance.
+    """
 
     direction: wp.vec3
     distance: wp.float32
@@ -34,11 +45,29 @@ class Towards:
 
 @wp.func
 def column(rows: wp.array2d[wp.float32], i: wp.int32) -> wp.vec3:
+    """Column of an array as a vector.
+
+    Args:
+        rows: The array, (3, N).
+        i: Index of the column.
+
+    Returns:
+        The vector.
+    """
     return wp.vec3(rows[0, i], rows[1, i], rows[2, i])
 
 
 @wp.func
 def towards(lamp: Lamp, point: wp.vec3) -> Towards:
+    """The way from a point to a lamp.
+
+    Args:
+        lamp: The lamp.
+        point: The point, camera frame [m].
+
+    Returns:
+        Direction, distance and power.
+    """
     way = Towards()
     if lamp.far != 0:
         way.direction = lamp.place
@@ -68,8 +97,24 @@ def surfaces_hit(
     cos_incidence: wp.array[wp.float32],
     shininess: wp.array[wp.float32],
 ):
-    """Where rays (3, N) hit what `tracing.Found` says: points, unit normals towards the eye, albedo, cosine of the
-    angle of incidence and shininess, (N,) each; the last two 0 where nothing is hit, the others undefined."""
+    """Surface properties where rays hit.
+
+    Where nothing is hit, cos_incidence and shininess are 0 and the other outputs undefined.
+
+    Args:
+        rays: Directions, camera frame, (3, N).
+        found: `Found.values` of the rays, (6, N).
+        ids: `Found.ids` of the rays, (2, N).
+        first_face: Index of the first face of each body, (B,).
+        corner_normals: Normals at the corners of all faces, body frames, (3 * F,).
+        surfaces: Pose and material of each body, (B,).
+        table: Noise table of the textures.
+        points: Output: points, camera frame, (N,) [m].
+        normals: Output: unit normals towards the camera, (N,).
+        colors: Output: albedo, linear RGB, (N,).
+        cos_incidence: Output: cosine of the angle between normal and ray, (N,).
+        shininess: Output: shininess in [0, 1], (N,).
+    """
     i = wp.tid()
     body = ids[1, i]
     if body < 0:
@@ -95,104 +140,6 @@ def surfaces_hit(
     shininess[i] = (1.0 - s.roughness) * (0.1 + 0.9 * s.metallic)
 
 
-@wp.func
-def jitter(i: wp.int32) -> wp.vec3:
-    """In the cube [-1, 1]^3: the R3 low-discrepancy sequence."""
-    k = wp.float64(i % _JITTER_LENGTH)
-    a = k * wp.float64(0.8191725134)
-    b = k * wp.float64(0.6710436067)
-    c = k * wp.float64(0.5497004779)
-    x = wp.float32(a - wp.floor(a))
-    y = wp.float32(b - wp.floor(b))
-    z = wp.float32(c - wp.floor(c))
-    return wp.vec3(2.0 * x - 1.0, 2.0 * y - 1.0, 2.0 * z - 1.0)
-
-
-@wp.kernel(enable_backward=False)
-def rays_to_lamp(
-    ids: wp.array2d[wp.int32],
-    points: wp.array[wp.vec3],
-    normals: wp.array[wp.vec3],
-    lamps: wp.array[Lamp],
-    which: wp.int32,
-    first: wp.int32,
-    origins: wp.array2d[wp.float32],
-    directions: wp.array2d[wp.float32],
-    reach: wp.array[wp.float32],
-):
-    """A ray from each hit towards one of the lamps; to a point of a soft one that a fixed hash of first + i chooses.
-    reach: -1 where nothing was hit or the surface faces away."""
-    i = wp.tid()
-    # What is not asked for shares packets with what is: its numbers must be numbers.
-    length = wp.float32(-1.0)
-    origin = wp.vec3(0.0)
-    direction = wp.vec3(0.0, 0.0, 1.0)
-    if ids[1, i] >= 0:
-        lamp = lamps[which]
-        way = towards(lamp, points[i])
-        if wp.dot(way.direction, normals[i]) > 0.0:
-            length = way.distance - 2.0 * _OFFSET
-            origin = points[i] + normals[i] * _OFFSET
-            direction = way.direction
-            if lamp.softness > 0.0:
-                spread = wp.where(lamp.far != 0, lamp.softness, lamp.softness / way.distance)
-                direction = direction + jitter(first + i) * spread
-    reach[i] = length
-    for k in range(3):
-        origins[k, i] = origin[k]
-        directions[k, i] = direction[k]
-
-
-@wp.kernel(enable_backward=False)
-def seen_unblurred(
-    reach: wp.array[wp.float32], blocked: wp.array[wp.uint8], which: wp.int32, seen: wp.array2d[wp.float32]
-):
-    """1 where a ray to the lamp was asked for and met nothing, else 0."""
-    i = wp.tid()
-    seen[which, i] = wp.where(reach[i] > 0.0 and blocked[i] == wp.uint8(0), 1.0, 0.0)
-
-
-@wp.kernel(enable_backward=False)
-def count_beside(
-    reach: wp.array[wp.float32],
-    blocked: wp.array[wp.uint8],
-    width: wp.int32,
-    radius: wp.int32,
-    counts: wp.array[wp.int32],
-):
-    """Of the pixels up to `radius` to the left and right: how many rays were asked for, and 256 times how many of them
-    met nothing."""
-    i = wp.tid()
-    x = i % width
-    total = wp.int32(0)
-    for k in range(i - wp.min(radius, x), i + wp.min(radius, width - 1 - x) + 1):
-        if reach[k] > 0.0:
-            total += wp.where(blocked[k] == wp.uint8(0), 257, 1)
-    counts[i] = total
-
-
-@wp.kernel(enable_backward=False)
-def seen_blurred(
-    reach: wp.array[wp.float32],
-    counts: wp.array[wp.int32],
-    width: wp.int32,
-    height: wp.int32,
-    radius: wp.int32,
-    which: wp.int32,
-    seen: wp.array2d[wp.float32],
-):
-    """The share of the rays about each pixel that met nothing; 0 where none was asked for."""
-    i = wp.tid()
-    if reach[i] <= 0.0:
-        seen[which, i] = 0.0
-        return
-    y = i // width
-    total = wp.int32(0)
-    for row in range(wp.max(y - radius, 0), wp.min(y + radius, height - 1) + 1):
-        total += counts[i + (row - y) * width]
-    seen[which, i] = wp.float32(total >> 8) / wp.float32(total & 255)
-
-
 @wp.kernel(enable_backward=False)
 def shade(
     rays: wp.array2d[wp.float32],
@@ -208,10 +155,23 @@ def shade(
     pixels: wp.array[wp.int32],
     colors: wp.array[wp.vec3],
 ):
-    """Albedo (in place) to the linear colour that comes back along each ray: surroundings and lamps, Lambert plus GGX.
+    """Colour that comes back along each ray from surroundings and lamps, Lambert plus GGX.
 
-    seen (L, N): share of each lamp. background: of every pixel, or empty for the surroundings themselves; pixels: the
-    rays' pixels, or empty where ray i is pixel i's.
+    GGX: Walter et al. 2007, "Microfacet Models for Refraction through Rough Surfaces".
+
+    Args:
+        rays: Directions, camera frame, (3, N).
+        ids: `Found.ids` of the rays, (2, N).
+        points: Hits, camera frame, (N,) [m].
+        normals: Unit normals there, (N,).
+        surfaces: Pose and material of each body, (B,).
+        lamps: The lamps, (L,).
+        seen: Visible share of each lamp, (L, N).
+        maps: Environment maps, see `surroundings.sky`.
+        R_world_camera: Rotation of the camera in the world.
+        background: Background of every pixel, linear RGB; empty for the surroundings themselves.
+        pixels: Flat indices of the rays' pixels; empty where ray i belongs to pixel i.
+        colors: Albedo, changed in place to linear RGB, (N,).
     """
     i = wp.tid()
     body = ids[1, i]

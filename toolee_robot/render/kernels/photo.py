@@ -1,5 +1,8 @@
-"""What a colour camera does to the pixels of an ideal image; see `render.photo`. N pixels: (N, 3) values of 8 bit lie
-in memory pixel after pixel, the three channels between them one after the other, (3, N)."""
+"""Effects of a colour camera on an ideal image, see `render.sensors.color_camera`.
+
+Images of N pixels: 8-bit values lie in memory pixel after pixel, (N, 3); the float channels in between one after the
+other, (3, N).
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,13 @@ from toolee_robot.render.kernels.filters import normals
 
 @wp.kernel(enable_backward=False)
 def through_curve(rgb: wp.array[wp.uint8], curve: wp.array[wp.float32], out: wp.array[wp.float32]):
-    """Each channel through its own curve (256, 3)."""
+    """Map each channel through its own curve.
+
+    Args:
+        rgb: 8-bit image, (N, 3), flat.
+        curve: The curves, (256, 3), flat.
+        out: Output: float image, (3, N), flat.
+    """
     i = wp.tid()
     count = rgb.shape[0] // 3
     for c in range(3):
@@ -25,7 +34,15 @@ def smear(
     shifts: wp.array2d[wp.int32],
     out: wp.array[wp.float32],
 ):
-    """The mean of copies shifted by (rows, columns) (S, 2): whole pixels are enough for a motion's blur."""
+    """Mean of shifted copies: motion blur, for which whole pixels are enough.
+
+    Args:
+        image: Float image, (3, N), flat.
+        width: Width [px].
+        height: Height [px].
+        shifts: Shifts (rows, columns), (S, 2) [px].
+        out: Output: the mean, (3, N), flat.
+    """
     i = wp.tid()
     x = i % width
     y = (i // width) % height
@@ -48,7 +65,17 @@ def expose(
     table: wp.array[wp.float32],
     rgb: wp.array[wp.uint8],
 ):
-    """To 8 bit: darker in the corners, with grain of that standard deviation [steps]."""
+    """Convert to 8 bit with vignetting and grain.
+
+    Args:
+        image: Float image, (3, N), flat.
+        width: Width [px].
+        vignette: Darkening in the corners, a share.
+        grain: Standard deviation of the noise [8-bit steps].
+        seed: Seed of the noise.
+        table: Quantiles of the normal distribution, see `filters.normals`.
+        rgb: Output: 8-bit image, (N, 3), flat.
+    """
     i = wp.tid()
     count = rgb.shape[0] // 3
     v = wp.float32(i // width) / wp.float32(count // width) * 2.0 - 1.0

@@ -1,4 +1,4 @@
-"""What a depth camera's pixels read; see `render.sensor`."""
+"""Readings of a depth camera's pixels; see `render.sensors.depth_camera`."""
 
 from __future__ import annotations
 
@@ -37,7 +37,15 @@ class Sensor:
 
 @wp.func
 def axial_sigma(z: wp.float32, incidence: wp.float32) -> wp.float32:
-    """Standard deviation [m] of a depth z [m] on a surface whose normal makes `incidence` [rad] with the ray."""
+    """Standard deviation of a depth, see `depth_noise.AXIAL_MM`.
+
+    Args:
+        z: Depth [m].
+        incidence: Angle between the ray and the surface's normal [rad].
+
+    Returns:
+        The standard deviation [m].
+    """
     theta = wp.min(incidence, _STEEPEST)
     slant = theta / (_HALF_PI - theta)
     return 1e-3 * (_A0 + _A1 * z + _A2 * z * z + _A3 * z * wp.sqrt(z) * slant * slant)
@@ -53,9 +61,20 @@ def look_beside(
     table: wp.array[wp.float32],
     out: wp.array[wp.float32],
 ):
-    """Each pixel looks up to a few pixels beside its place: lateral noise, whose deviation in pixels is spread / depth.
-    A pixel that would jump over a small step keeps its value: only outlines fray, not slopes, whose error is the
-    axial one. table: see `filters.normals`."""
+    """Lateral noise: each pixel takes the depth up to a few pixels beside it.
+
+    The deviation in pixels is spread / depth. A pixel that would jump over a small step keeps its value: only outlines
+    fray, not slopes, whose error is the axial one.
+
+    Args:
+        depth: True depth, (N,) [m].
+        width: Width of the image [px].
+        spread: Standard deviation of the shift at a depth of 1 m [px].
+        edge_step: Smallest step in depth that counts as an outline [m].
+        seed: Seed of the noise.
+        table: Quantiles of the normal distribution, see `filters.normals`.
+        out: Output: the depth with lateral noise, (N,) [m].
+    """
     i = wp.tid()
     own = depth[i]
     jump = normals(seed, i, table) * (spread / wp.max(own, _NEAREST))
@@ -78,8 +97,20 @@ def read(
     table: wp.array[wp.float32],
     out: wp.array[wp.float32],
 ):
-    """Readings [m], 0 where there is none. seen: depth after `look_beside`; common: noise of unit variance that
-    neighbours share, or empty."""
+    """Readings of the sensor.
+
+    Args:
+        depth: True depth, (N,) [m].
+        seen: Depth with lateral noise, as from `look_beside`, (N,) [m].
+        cos_incidence: Cosine of the angle of incidence, (N,).
+        shininess: Shininess in [0, 1], (N,).
+        common: Noise of unit variance that neighbours share, (N,); or empty.
+        width: Width of the image [px].
+        s: Parameters of the sensor.
+        seed: Seed of the noise.
+        table: Quantiles of the normal distribution, see `filters.normals`.
+        out: Output: readings, (N,) [m]; 0 where there is none.
+    """
     i = wp.tid()
     out[i] = 0.0
     z = seen[i]

@@ -1,4 +1,4 @@
-"""What is seen where nothing stands: the light from all around, baked into octahedral maps, or a flat picture."""
+"""Surroundings of a scene: light from all directions, baked into octahedral maps, or a flat background image."""
 
 from __future__ import annotations
 
@@ -35,7 +35,15 @@ class Patch:
 
 @wp.func
 def unfolded(u: wp.float32, v: wp.float32) -> wp.vec3:
-    """The unit direction at (u, v) in [-1, 1]^2 of an octahedral map."""
+    """Direction of a point of an octahedral map.
+
+    Args:
+        u: Coordinate in [-1, 1].
+        v: Coordinate in [-1, 1].
+
+    Returns:
+        The unit direction.
+    """
     z = 1.0 - wp.abs(u) - wp.abs(v)
     fold = wp.max(-z, 0.0)
     return wp.normalize(wp.vec3(u - wp.sign(u) * fold, v - wp.sign(v) * fold, z))
@@ -50,7 +58,16 @@ def bake(
     blurs: wp.array[wp.float32],
     maps: wp.array[wp.vec3],
 ):
-    """Radiance from the middle of each cell's directions, averaged over a lobe of the level's half-width [rad]."""
+    """Bake the light from all directions into maps of decreasing sharpness; one thread per cell.
+
+    Args:
+        zenith: Radiance from above, linear RGB.
+        horizon: Radiance from the horizon.
+        ground: Radiance from below.
+        lobes: Further sources of light.
+        blurs: Half-width of the lobe that each level averages over, (SKY_LEVELS,) [rad].
+        maps: Output: radiance at the middle of each cell, (SKY_LEVELS * SKY_SIZE * SKY_SIZE,).
+    """
     cell = wp.tid()
     level = cell // (_CELLS * _CELLS)
     i = (cell // _CELLS) % _CELLS
@@ -71,7 +88,16 @@ def bake(
 
 @wp.func
 def sky(d: wp.vec3, level: wp.int32, maps: wp.array[wp.vec3]) -> wp.vec3:
-    """Linear RGB of the surroundings in the unit direction d, world frame."""
+    """Radiance of the surroundings.
+
+    Args:
+        d: Unit direction, world frame.
+        level: Level of blur, 0 for the sharpest.
+        maps: The maps, as from `bake`.
+
+    Returns:
+        Linear RGB.
+    """
     scale = 1.0 / wp.max(wp.abs(d[0]) + wp.abs(d[1]) + wp.abs(d[2]), 1e-9)
     u = d[0] * scale
     v = d[1] * scale
@@ -93,7 +119,16 @@ def backdrop(
     patches: wp.array[Patch],
     out: wp.array[wp.vec3],
 ):
-    """The picture's linear RGB at each pixel."""
+    """Draw a background image: a gradient with patches.
+
+    Args:
+        width: Width of the image [px].
+        corner: Colour at the upper left corner, linear RGB.
+        right: Change of the colour along the width.
+        down: Change of the colour along the same distance downwards.
+        patches: The patches, drawn in order.
+        out: Output: linear RGB at each pixel, (H * W,).
+    """
     i = wp.tid()
     x = wp.float32(i % width) / wp.float32(width)
     y = wp.float32(i // width) / wp.float32(width)

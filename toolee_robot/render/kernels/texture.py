@@ -1,4 +1,4 @@
-"""Materials: smooth noise from a table, and the patterns that it is made into."""
+"""Textures: smooth noise from a table, and the patterns of materials made of it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,15 @@ class Surface:
 
 @wp.func
 def noise(q: wp.vec3, table: wp.array[wp.float32]) -> wp.float32:
-    """In [0, 1] at a point in noise units; features about one unit large, period 8 units."""
+    """Smooth noise with features about one unit large and a period of 8 units.
+
+    Args:
+        q: Point in noise units.
+        table: The noise table, (TABLE_SIZE ** 3,).
+
+    Returns:
+        A value in [0, 1].
+    """
     i = wp.int32(wp.floor(q[0] * _FEATURE)) & _MASK
     j = wp.int32(wp.floor(q[1] * _FEATURE)) & _MASK
     k = wp.int32(wp.floor(q[2] * _FEATURE)) & _MASK
@@ -43,7 +51,15 @@ def noise(q: wp.vec3, table: wp.array[wp.float32]) -> wp.float32:
 
 @wp.func
 def fractal(q: wp.vec3, table: wp.array[wp.float32]) -> wp.float32:
-    """In [0, 1]: two octaves of `noise`."""
+    """Two octaves of `noise`.
+
+    Args:
+        q: Point in noise units.
+        table: The noise table.
+
+    Returns:
+        A value in [0, 1].
+    """
     return 0.65 * noise(q, table) + 0.35 * noise(2.7 * q, table)
 
 
@@ -55,7 +71,16 @@ def odd(whole: wp.float32) -> wp.float32:
 
 @wp.func
 def mixed(s: Surface, q: wp.vec3, table: wp.array[wp.float32]) -> wp.float32:
-    """Share of the second colour at pattern coordinates q."""
+    """Share of a material's second colour.
+
+    Args:
+        s: The material.
+        q: Point in pattern coordinates.
+        table: The noise table.
+
+    Returns:
+        The share, in [0, 1].
+    """
     along = q[s.axis]
     u = q[(s.axis + 1) % 3]
     v = q[(s.axis + 2) % 3]
@@ -84,7 +109,16 @@ def mixed(s: Surface, q: wp.vec3, table: wp.array[wp.float32]) -> wp.float32:
 
 @wp.func
 def albedo(s: Surface, q: wp.vec3, table: wp.array[wp.float32]) -> wp.vec3:
-    """Linear RGB at a point [m] in the body's frame."""
+    """Albedo of a body.
+
+    Args:
+        s: Its material.
+        q: Point, body frame [m].
+        table: The noise table.
+
+    Returns:
+        Linear RGB.
+    """
     placed = q + s.offset
     color = s.color
     if s.pattern != _SOLID:

@@ -10,7 +10,15 @@ from toolee_robot.render.rays.tracer import Tracer
 
 
 def tracer_of(meshes: Sequence[tuple[Mesh, Array]], device: str) -> Tracer:
-    """meshes: each with its X_camera_body (4x4)."""
+    """Build the ray tracer of a device: Embree on the CPU, Warp's trees on a GPU.
+
+    Args:
+        meshes: The meshes, each with its X_camera_body, (4, 4).
+        device: Warp device.
+
+    Returns:
+        The tracer.
+    """
     if device == "cpu":
         from toolee_robot.render.rays.embree import EmbreeTracer
 

@@ -1,4 +1,4 @@
-"""Rays against triangles on any of Warp's devices; on the processor embree takes an eighth of the time.
+"""Ray tracing on any of Warp's devices; on the CPU Embree takes an eighth of the time.
 
 A tree that finds hits quickly takes milliseconds to build, so lasting meshes keep theirs, each in its body's frame; the
 others of a scene, mostly boxes, have one together.
@@ -26,7 +26,13 @@ _KIND = "sah"
 
 @dataclass(frozen=True, eq=False)
 class _Kept:
-    """A lasting mesh's tree, body frame, and the ball about it [m]."""
+    """The tree of a lasting mesh and a sphere around it, body frame.
+
+    Attributes:
+        tree: The `wp.Mesh`.
+        centre: Centre of the sphere, (3,) [m].
+        radius: Radius of the sphere [m].
+    """
 
     tree: Any
     centre: Array
@@ -37,7 +43,12 @@ _kept: dict[str, WeakKeyDictionary[Mesh, _Kept]] = {}
 
 
 class BvhTracer:
-    """`tracing.Tracer` of Warp's trees."""
+    """Ray tracer on Warp's bounding volume hierarchies, see `Tracer`.
+
+    Args:
+        meshes: The meshes, each with its X_camera_body, (4, 4).
+        device: Warp device.
+    """
 
     def __init__(self, meshes: Sequence[tuple[Mesh, Array]], device: str) -> None:
         self._device = device
@@ -69,6 +80,7 @@ class BvhTracer:
         return wp.uint64(0) if self._loose is None else self._loose.id
 
     def closest(self, rays: DeviceArray) -> Found:
+        """See `Tracer`."""
         n = rays.shape[1]
         found = Found(empty((6, n), wp.float32, self._device), empty((2, n), wp.int32, self._device))
         scene = (self._loose_id, self._first_face, self._bodies, self._instances)
@@ -76,6 +88,7 @@ class BvhTracer:
         return found
 
     def blocked(self, origins: DeviceArray, directions: DeviceArray, reach: DeviceArray) -> DeviceArray:
+        """See `Tracer`."""
         out = empty(reach.shape[0], wp.uint8, self._device)
         arguments = (self._loose_id, self._instances, origins, directions, reach, out)
         launch(kernels.blocked, reach.shape[0], *arguments, device=self._device)

@@ -128,6 +128,7 @@ class EmbreeTracer:
         self._library.release_scene(self._scene)
 
     def closest(self, rays: DeviceArray) -> Found:
+        """See `Tracer`."""
         e, directions = self._library, rays.numpy()
         n = directions.shape[1]
         packets, batch = e.packets(n, _RAY_HIT), _BATCH * e.width
@@ -147,6 +148,7 @@ class EmbreeTracer:
         return Found(put(values, wp.float32, "cpu"), put(ids, wp.int32, "cpu"))
 
     def blocked(self, origins: DeviceArray, directions: DeviceArray, reach: DeviceArray) -> DeviceArray:
+        """See `Tracer`."""
         e, n = self._library, reach.shape[0]
         rows = ((_ORIGIN, origins.numpy()), (_DIRECTION, directions.numpy()), (_REACH, reach.numpy()[None]))
         packets, batch = e.packets(n, _RAY), _BATCH * e.width

@@ -1,1 +1,1 @@
-"""What a colour camera and a time-of-flight depth camera make of an ideal image."""
+"""Sensor models of a colour camera and a time-of-flight depth camera."""

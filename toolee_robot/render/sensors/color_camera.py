@@ -1,4 +1,4 @@
-"""What a colour camera does to an ideal image: exposure, white balance, blur, vignetting, grain, compression."""
+"""Sensor model of a colour camera: exposure, white balance, blur, vignetting, grain, compression."""
 
 from __future__ import annotations
 
@@ -17,9 +17,19 @@ from toolee_robot.render.sensors.filters import gaussian, normal_table
 
 @dataclass(frozen=True)
 class Photo:
-    """gain: (3,) factor on the 8-bit sRGB channels. gamma: exponent. contrast: factor about mid-grey. blur: Gaussian
-    sigma [px]. motion: length [px, at most 8] of a straight motion blur, motion_angle [rad]. vignette: darkening in the
-    corners [share]. grain: standard deviation of noise [8-bit steps]. jpeg: quality 1-100, 0 for none."""
+    """Properties of a colour camera and its light.
+
+    Attributes:
+        gain: Factor on each 8-bit sRGB channel, (3,).
+        gamma: Exponent.
+        contrast: Factor about mid-grey.
+        blur: Standard deviation of a Gaussian blur [px].
+        motion: Length of a straight motion blur [px], at most 8.
+        motion_angle: Direction of the motion blur in the image [rad].
+        vignette: Darkening in the corners, a share.
+        grain: Standard deviation of the noise [8-bit steps].
+        jpeg: JPEG quality, 1 to 100; 0 for no compression.
+    """
 
     gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
     gamma: float = 1.0
@@ -33,7 +43,7 @@ class Photo:
 
     @staticmethod
     def random(rng: np.random.Generator) -> Photo:
-        """Some camera in some light."""
+        """Draw a camera in some light."""
         gain = rng.uniform(0.7, 1.15) * np.exp(rng.normal(0.0, 0.06, 3))
         return Photo(
             gain=(float(gain[0]), float(gain[1]), float(gain[2])),
@@ -51,7 +61,17 @@ class Photo:
 def photograph(
     rgb: NDArray[np.uint8] | DeviceArray, photo: Photo, rng: np.random.Generator, device: str = "cpu"
 ) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 RGB as that camera would deliver the ideal image `rgb`, in memory or on `device`."""
+    """Apply the effects of a camera to an ideal image.
+
+    Args:
+        rgb: The ideal image, sRGB, (H, W, 3), in memory or on the device.
+        photo: The camera.
+        rng: Random generator of the noise.
+        device: "cpu" or "cuda".
+
+    Returns:
+        The camera's image, sRGB, (H, W, 3) uint8.
+    """
     checked(device)
     rgb = put(rgb, wp.uint8, device)
     height, width = rgb.shape[:2]

@@ -1,4 +1,4 @@
-"""What a time-of-flight depth camera makes of a true depth image: `toolee_robot.depth_noise` on rendered images."""
+"""Sensor model of a time-of-flight depth camera: `toolee_robot.depth_noise` on rendered images."""
 
 from __future__ import annotations
 
@@ -25,9 +25,21 @@ def measure_depth(
     rng: np.random.Generator,
     device: str = "cpu",
 ) -> FloatArray:
-    """The sensor's reading (H, W) float32 [m], 0 where it has none, of a true depth (H, W) [m] (0: nothing there).
+    """Apply the noise of a depth camera to a true depth.
 
-    cos_incidence, shininess: (H, W), as `Rendering` gives them. Arrays in memory, or on `device`.
+    Arrays may be in memory or on the device.
+
+    Args:
+        depth: True depth, (H, W) [m]; 0 where there is nothing.
+        cos_incidence: As `Rendering` gives it, (H, W).
+        shininess: As `Rendering` gives it, (H, W).
+        intrinsics: Intrinsics of the camera.
+        noise: The noise model.
+        rng: Random generator of the noise.
+        device: "cpu" or "cuda".
+
+    Returns:
+        The measured depth, (H, W) float32 [m]; 0 where there is none.
     """
     checked(device)
     depth, cos_incidence, shininess = (put(a, wp.float32, device) for a in (depth, cos_incidence, shininess))

@@ -13,8 +13,17 @@ from toolee_robot.render.kernels import filters as kernels
 
 
 def gaussian(image: DeviceArray, sigma: float, device: str, gain: float = 1.0) -> DeviceArray:
-    """(C, H, W) float32 blurred over H and W by a Gaussian of `sigma` [px], cut off at 3 sigma, and multiplied by
-    `gain`. Borders are reflected."""
+    """Blur images by a Gaussian that is cut off at 3 sigma; borders are reflected.
+
+    Args:
+        image: The images, (C, H, W) float32.
+        sigma: Standard deviation [px].
+        device: Warp device.
+        gain: Factor on the result.
+
+    Returns:
+        The blurred images, (C, H, W) float32.
+    """
     radius = max(1, int(np.ceil(3.0 * sigma)))
     weights = np.exp(-0.5 * (np.arange(radius + 1) / sigma) ** 2)
     weights *= np.sqrt(gain) / (2 * weights.sum() - weights[0])  # once for each axis
@@ -27,7 +36,16 @@ def gaussian(image: DeviceArray, sigma: float, device: str, gain: float = 1.0) -
 
 
 def white(seed: int, shape: tuple[int, int, int], device: str) -> DeviceArray:
-    """Independent standard normal numbers (C, H, W) float32; the same for equal seeds on every device."""
+    """Independent standard normal numbers; equal seeds give equal ones on every device.
+
+    Args:
+        seed: The seed.
+        shape: Their shape, (C, H, W).
+        device: Warp device.
+
+    Returns:
+        The numbers, (C, H, W) float32.
+    """
     out = empty(shape, wp.float32, device)
     launch(kernels.white, (out.size + 1) // 2, seed, normal_table(device), out.reshape(-1), device=device)
     return out
@@ -35,6 +53,13 @@ def white(seed: int, shape: tuple[int, int, int], device: str) -> DeviceArray:
 
 @lru_cache
 def normal_table(device: str) -> DeviceArray:
-    """(65536,) float32: what `kernels.filters.normals` looks up; up to 4.3 standard deviations."""
+    """Quantiles of the standard normal distribution that `kernels.filters.normals` looks up, up to 4.3 sigma.
+
+    Args:
+        device: Warp device.
+
+    Returns:
+        The quantiles, (65536,) float32.
+    """
     shares = (np.arange(kernels.NORMALS) + 0.5) / kernels.NORMALS
     return put(ndtri(shares).astype(np.float32), wp.float32, device)

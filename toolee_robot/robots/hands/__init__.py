@@ -1,5 +1,8 @@
-"""The hands that are known: one `HandModel` each. A new hand is a record of its own in a module here, and an entry in
-`HANDS`; its device driver is a `toolee_robot.hal.Hand` with the record's joints."""
+"""The known hands, one `HandModel` each.
+
+A new hand is a record in a module of its own here, and an entry in `HANDS`; its device driver is a
+`toolee_robot.hal.Hand` with the record's joints.
+"""
 
 from toolee_robot.errors import ConfigError
 from toolee_robot.robots.hands.model import PALM, Finger, HandModel, NominalGrasp, Phalanx, WristJoint
@@ -10,7 +13,14 @@ HANDS: dict[str, HandModel] = {hand.name: hand for hand in (SHADOW_HAND,)}
 
 
 def hand_model(name: str) -> HandModel:
-    """The hand of that name. Raises ConfigError naming those that are known."""
+    """Look up a hand.
+
+    Args:
+        name: Name of the hand, a key of `HANDS`.
+
+    Raises:
+        ConfigError: There is no such hand; the message names those that are known.
+    """
     try:
         return HANDS[name]
     except KeyError:

@@ -21,7 +21,7 @@ from toolee_robot.robots.meshes import link_mesh
 from toolee_robot.robots.tree import FLANGE_FRAME, Tree
 
 PALM = "palm"
-"""What a link of the hand belongs to that is neither a finger's nor the forearm's."""
+"""Part of the links that belong neither to a finger nor to the forearm."""
 
 Read = Callable[[Path, str, Array], Tree]
 """A reader of a hand's model: its file, the link that carries it, and the pose (4x4) of its root link in that link."""
@@ -68,8 +68,11 @@ class WristJoint:
 
 @dataclass(frozen=True)
 class NominalGrasp:
-    """Where a round handle lies in the closed hand, for every radius: X_hand_tool, axes and a point that moves with the
-    radius, all in the hand frame. The `tool` frame: z along the handle, x to the working side."""
+    """Pose of a round handle in the closed hand, for every radius.
+
+    The axes are fixed, the centre moves with the radius; all in the hand frame. The `tool` frame: z along the handle, x
+    to the working side.
+    """
 
     z: tuple[float, float, float]
     """Direction of the tool's z axis, a unit vector."""

@@ -103,6 +103,9 @@ def read_shadow_hand(path: Path, parent: str, X_parent_forearm: Array) -> Tree:
         parent: Name of the link that carries the forearm.
         X_parent_forearm: Pose of the forearm in it, 4x4.
 
+    Returns:
+        The links.
+
     Raises:
         AssetError: A file is missing or cannot be read.
     """

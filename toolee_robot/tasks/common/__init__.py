@@ -1,1 +1,1 @@
-"""What tasks share: looking, moving, watching the hand, stages, observers."""
+"""Components that tasks share: looking, moving, watching the hand, stages, observers."""

@@ -16,7 +16,12 @@ class TaskObserver:
         """Called when a stage begins."""
 
     def stage_ended(self, stage: Stage, seconds: float) -> None:
-        """Called when a stage ends, with its wall-clock time [s]."""
+        """Called when a stage ends.
+
+        Args:
+            stage: The stage.
+            seconds: Its wall-clock time [s].
+        """
 
     def message(self, text: str) -> None:
         """Called with a message for the person at the station."""

@@ -114,6 +114,9 @@ class HammeringTask:
         Args:
             outcome: How the job ended.
             reason: Why, for a person.
+
+        Returns:
+            The record.
         """
         return HammerResult(
             outcome,
@@ -147,17 +150,15 @@ class HammeringTask:
             self._motions.stand_still()
             return Outcome.DEVICE_FAULT, str(error)
 
-    # -- stages ----------------------------------------------------------------------------------------------------
-
     def _check_calibration(self) -> None:
         """Refuse a station whose camera calibration is missing or invalid."""
         calibration = self._config.calibration
         if calibration is None:
-            raise JobEnded(Outcome.NOT_READY, "the station is not calibrated: calibrate it, and keep what comes of it")
+            raise JobEnded(Outcome.NOT_READY, "the station is not calibrated: calibrate it, enter the result")
         station = self._station
         problems = calibration.problems(station.robot_serial, station.camera_serial, date.today())
         if problems:
-            raise JobEnded(Outcome.NOT_READY, "the calibration does not hold: " + "; ".join(problems))
+            raise JobEnded(Outcome.NOT_READY, "the calibration is not valid: " + "; ".join(problems))
 
     def _take_tool(self) -> None:
         station, timeout = self._station, self._config.task.handover_timeout
@@ -258,9 +259,6 @@ class HammeringTask:
                 if attempt == 2:
                     raise
                 self._observer.message(f"{error}; looking again")
-        self._accept(estimate)
-
-    def _accept(self, estimate: InHandEstimate) -> None:
         self._estimates.append((self._station.clock.now(), estimate))
         self._motions.X_hand_ee = estimate.X_hand_ee
 

@@ -15,19 +15,17 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.examples import examples
+from tests.sim_backend.ur_controller.faults.ports import HOST, ask, calibration, reachable, upload
 from tests.sim_backend.ur_controller.server.wire import RtdeSocket
 from tests.sim_backend.ur_controller.ur_rtde.client import UrRtde, UrRtdeDiedError, UrRtdeHungError
 from tests.sim_backend.ur_controller.ur_rtde.contract import wait_for
 from tests.sim_backend.ur_controller.ur_rtde.motions import speed_with_kicks
-from toolee_robot.errors import DeviceError, UserError
-from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
-from toolee_robot.sim_backend.ur_controller.faults.client import FaultClient
-from toolee_robot.sim_backend.ur_controller.process import ControllerProcess, resting_joints
+from toolee_robot.errors import UserError
+from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.server.rtde_types import packet
 
 pytestmark = pytest.mark.sim
 
-HOST = "127.0.0.15"
 PERIOD = 0.008
 FOREVER = "def job():\n  while True:\n    sync()\n  end\nend\n"
 
@@ -49,20 +47,6 @@ def client(controller: ControllerProcess) -> Iterator[RtdeSocket]:  # noqa: ARG0
     with RtdeSocket(HOST) as client:
         client.subscribe("timestamp")
         yield client
-
-
-def ask(line: str) -> str:
-    """A question to the dashboard."""
-    with socket.create_connection((HOST, 29999), 5.0) as dashboard, dashboard.makefile("rw") as stream:
-        stream.readline()
-        stream.write(f"{line}\n")
-        stream.flush()
-        return stream.readline().strip()
-
-
-def upload(source: str) -> None:
-    with socket.create_connection((HOST, 30003), 5.0) as port:
-        port.sendall(source.encode())
 
 
 def test_every_hook_is_documented(controller: ControllerProcess) -> None:
@@ -115,7 +99,7 @@ def test_refuse_and_accept(controller: ControllerProcess, client: RtdeSocket) ->
     controller.fault("accept", port="rtde")
     RtdeSocket(HOST).close()
     controller.fault("refuse", port="rtde", seconds=0.2)
-    wait_for(lambda: _reachable(30004))
+    wait_for(lambda: reachable(30004))
 
 
 def test_stall_delivers_everything_afterwards(controller: ControllerProcess, client: RtdeSocket) -> None:
@@ -259,10 +243,10 @@ def test_wrong_settings(controller: ControllerProcess) -> None:
 
 
 def test_kinematics_of_another_arm(controller: ControllerProcess) -> None:
-    nominal = _calibration()
+    nominal = calibration()
     tcp = controller.state()["tcp_pose"]
     controller.fault("kinematics", a=[0.0, 0.002, 0.0, 0.0, 0.0, 0.0], d=[0.0] * 6)
-    changed = _calibration()
+    changed = calibration()
     assert changed[:6] != nominal[:6]
     assert changed[6 + 6 + 1] == pytest.approx(nominal[6 + 6 + 1] + 0.002)
     assert np.linalg.norm(np.subtract(controller.state()["tcp_pose"][:3], tcp[:3])) == pytest.approx(0.002)
@@ -292,8 +276,8 @@ def test_reboot(controller: ControllerProcess, client: RtdeSocket) -> None:
     controller.fault("reboot", seconds=0.3)
     with pytest.raises(ConnectionResetError):
         client.read_for(5.0)
-    assert not _reachable(30004)
-    wait_for(lambda: _reachable(30004))
+    assert not reachable(30004)
+    wait_for(lambda: reachable(30004))
     assert ask("robotmode") == "Robotmode: POWER_OFF"
 
 
@@ -367,39 +351,3 @@ def test_a_flood_does_not_stop_the_ticks(controller: ControllerProcess) -> None:
 def test_a_used_port_is_said_plainly(controller: ControllerProcess) -> None:
     with pytest.raises(UserError, match=r"127\.0\.0\.15:29999.*choose another"):
         ControllerProcess(host=controller.host).__enter__()
-
-
-@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.10", "robot"])
-def test_only_loopback_is_served(host: str) -> None:
-    with pytest.raises(UserError, match="not a loopback address"):
-        Controller(ControllerOptions(host=host), resting_joints)
-
-
-def test_clients_are_closed_before_the_controller() -> None:
-    order: list[str] = []
-    with ControllerProcess(host="127.0.0.17") as controller:
-        controller.on_exit(lambda: order.append(controller.state()["model"]))
-    assert order == ["UR10"]
-    with pytest.raises(DeviceError, match="toolee ur-controller --host"):
-        FaultClient("127.0.0.17", timeout=1.0)
-
-
-def _reachable(port: int) -> bool:
-    try:
-        socket.create_connection((HOST, port), 1.0).close()
-    except OSError:
-        return False
-    return True
-
-
-def _calibration() -> tuple[float, ...]:
-    """Checksum (6), theta (6), a (6), d (6), alpha (6), status: from the primary interface's first robot state."""
-    with socket.create_connection((HOST, 30001), 5.0) as primary, primary.makefile("rb") as stream:
-        while True:
-            size, kind = struct.unpack(">iB", stream.read(5))
-            body = stream.read(size - 5)
-            while kind == 16 and body:
-                part, name = struct.unpack(">iB", body[:5])
-                if name == 5:
-                    return struct.unpack(">6I24dI", body[5:part])
-                body = body[part:]

@@ -64,7 +64,15 @@ def read_kinematics(host: str, deadline: float, port: int = PRIMARY_PORT) -> UrK
 
 
 def kinematics_from(sock: socket.socket, deadline: float) -> UrKinematics:
-    """Read the kinematics from a connected socket; see `read_kinematics`."""
+    """Read the kinematics from a connected socket.
+
+    Args:
+        sock: Socket that is connected to the primary interface.
+        deadline: Deadline [s], a value of `time.monotonic()`.
+
+    Returns:
+        The kinematics, see `read_kinematics`.
+    """
     buffer = bytearray()
     while True:
         buffer += receive(sock, deadline)

@@ -133,7 +133,14 @@ class RtdeReader:
         return reader
 
     def negotiate(self, deadline: float) -> None:
-        """Request protocol version 2; must be the first request. Raises ProtocolError if it is refused."""
+        """Request protocol version 2; must be the first request.
+
+        Args:
+            deadline: Deadline [s], a value of `time.monotonic()`.
+
+        Raises:
+            ProtocolError: The controller refuses the version.
+        """
         if self._request(_PROTOCOL, struct.pack(">H", 2), deadline, "B") != (1,):
             message = "the controller refuses RTDE protocol version 2: update PolyScope (3.4 or newer)"
             raise ProtocolError(message, code="protocol.rtde_version")

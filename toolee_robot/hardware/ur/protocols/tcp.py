@@ -78,7 +78,16 @@ def connect(host: str, port: int, deadline: float) -> socket.socket:
 
 
 def send(sock: socket.socket, data: bytes, deadline: float) -> None:
-    """Send all of `data` by `deadline` [s]. Raises NoAnswerError."""
+    """Send all of the data.
+
+    Args:
+        sock: The connected socket.
+        data: What to send.
+        deadline: Deadline [s], a value of `time.monotonic()`.
+
+    Raises:
+        NoAnswerError: The connection broke, or the deadline passed.
+    """
     try:
         sock.settimeout(remaining(deadline))
         sock.sendall(data)
@@ -88,7 +97,18 @@ def send(sock: socket.socket, data: bytes, deadline: float) -> None:
 
 
 def receive(sock: socket.socket, deadline: float) -> bytes:
-    """Receive at least one byte by `deadline` [s]. Raises NoAnswerError."""
+    """Receive at least one byte.
+
+    Args:
+        sock: The connected socket.
+        deadline: Deadline [s], a value of `time.monotonic()`.
+
+    Returns:
+        What was received.
+
+    Raises:
+        NoAnswerError: The connection broke, the peer closed it, or the deadline passed.
+    """
     try:
         ready, _, _ = select.select([sock], [], [], remaining(deadline))
         data = sock.recv(_CHUNK) if ready else None

@@ -197,7 +197,11 @@ class UrLink:
                 )
 
     def start_freedrive(self) -> None:
-        """Enter freedrive. Raises DeviceError if the robot's program does not run."""
+        """Enter freedrive.
+
+        Raises:
+            DeviceError: The robot's program does not run.
+        """
         with bounded(self._clock.to_wall_time(self._config.handshake_timeout)):
             if self.servoing:
                 self._control.servoStop()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from toolee_robot.sim_backend.ur_controller.urscript.io_functions import IoFunctions
-from toolee_robot.sim_backend.ur_controller.urscript.motion_functions import MotionFunctions
-from toolee_robot.sim_backend.ur_controller.urscript.state_functions import StateFunctions
+from toolee_robot.sim_backend.ur_controller.urscript.functions.io import IoFunctions
+from toolee_robot.sim_backend.ur_controller.urscript.functions.motion import MotionFunctions
+from toolee_robot.sim_backend.ur_controller.urscript.functions.state import StateFunctions
 
 E_SERIES_ONLY = frozenset(
     {

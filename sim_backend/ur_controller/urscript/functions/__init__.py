@@ -1,0 +1,1 @@
+"""Built-in functions of URScript: language library, inputs and outputs, motion, state."""

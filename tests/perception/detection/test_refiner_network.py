@@ -1,0 +1,171 @@
+"""The mask refiner's network, its losses and its use on masks, without a training."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from tests.errors import raises
+from tests.perception.detection.toy_refiner import (
+    CPU,
+    TINY,
+    noise,
+    some_squares,
+    training,
+    used,
+)
+from toolee_robot.errors import AssetError, UserError
+from toolee_robot.perception.detection.instances import mask_iou
+from toolee_robot.perception.detection.mask_head import MASK_SIZE, paste_one
+from toolee_robot.perception.detection.refiner.crops import CELLS, CHANNELS
+from toolee_robot.perception.detection.refiner.mask_refinement import MaskRefinement
+from toolee_robot.perception.detection.refiner.network import Refiner, RefinerConfig, load_refiner
+from toolee_robot.perception.detection.refiner.train import losses
+from toolee_robot.perception.detection.refiner.training_data import (
+    VALIDATION,
+    Detections,
+    Examples,
+    is_validation,
+    zoom_of,
+)
+from toolee_robot.perception.detection.zoom_pass import MAGNIFICATION
+from toolee_robot.types import RgbdFrame
+
+pytestmark = pytest.mark.sim(seconds=10)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> Iterator[None]:
+    """Tiny networks: threads cost more than they save, and much more on a busy machine."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def test_the_fused_refiner_answers_as_the_trained_one() -> None:
+    refiner = used(Refiner(TINY))
+    given = some_squares(3)
+    with torch.inference_mode():
+        logits, quality = refiner(*given)
+        fused_logits, fused_quality = refiner.fuse()(*given)
+    assert not any(isinstance(module, nn.BatchNorm2d) for module in refiner.modules())
+    assert logits.std() > 0.1
+    torch.testing.assert_close(fused_logits, logits, atol=1e-3, rtol=1e-3)
+    torch.testing.assert_close(fused_quality, quality, atol=1e-3, rtol=1e-3)
+
+
+def test_the_refiner_s_configuration_survives_its_file() -> None:
+    config = RefinerConfig((4, 8, 12, 20))
+    assert RefinerConfig.from_json(json.loads(json.dumps(config.to_json()))) == config
+
+
+def test_weights_of_another_refiner_do_not_fit() -> None:
+    tensors = Refiner(TINY).state_dict()
+    with raises(AssetError, code="asset.architecture"):
+        load_refiner(Refiner(replace(TINY, widths=(8, 12, 16, 32))), tensors)
+    with raises(AssetError, code="asset.incomplete") as refused:
+        load_refiner(Refiner(TINY), {k: v for k, v in tensors.items() if k != "output.bias"})
+    assert "output.bias" in str(refused.value)
+    with raises(AssetError, code="asset.incomplete") as refused:
+        load_refiner(Refiner(TINY), {**tensors, "another": torch.zeros(1)})
+    assert "another" in str(refused.value)
+
+
+def test_a_detection_s_training_mask_is_the_detector_s() -> None:
+    """In training as `paste_one` draws it in use."""
+    torch.manual_seed(2)
+    coarse = nn.functional.pad(torch.rand((3, 1, 5, 5)), (1, 1, 1, 1))
+    patches = nn.functional.interpolate(coarse, (MASK_SIZE, MASK_SIZE), mode="bilinear")[:, 0]
+    covered = torch.tensor([[10.3, 5.2, 71.8, 60.1], [-20.0, -10.0, 30.5, 47.0], [50.0, 30.0, 110.0, 75.0]])
+    one, none = torch.ones(3), torch.zeros(3, dtype=torch.long)
+    masks = (patches * 255).round().to(torch.uint8)
+    found = Detections(none, covered, covered, masks, none, one, none.byte(), one.bool())
+    row, column = torch.meshgrid(torch.arange(64), torch.arange(96), indexing="ij")
+    drawn = found.mask_at()(column.expand(3, -1, -1), row.expand(3, -1, -1))
+    for patch, box, mask in zip(patches.numpy(), covered.double().numpy(), drawn.numpy(), strict=True):
+        pasted = paste_one(patch, box, 64, 96)
+        assert pasted.any()
+        assert mask_iou(pasted, mask) > 0.99
+
+
+def test_both_sizes_are_as_frequent_among_the_pictures_kept_aside(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("toolee_robot.perception.detection.refiner.training_data.VALIDATION", VALIDATION)
+    pictures = torch.arange(4000)
+    for some in (pictures, pictures[is_validation(pictures)]):
+        sizes, count = torch.unique(zoom_of(some), return_counts=True)
+        assert sizes.tolist() == [1.0, MAGNIFICATION]
+        assert count.tolist() == [len(some) // 2] * 2
+
+
+def test_losses_are_of_the_masks_of_true_detections_and_of_the_iou_of_all() -> None:
+    """A true detection, a false alarm, and one of an end effector too little visible to count."""
+    truth = torch.zeros((3, CELLS, CELLS), dtype=torch.bool)
+    truth[0, 20:60, 20:60] = truth[2, :4, :4] = True
+    hint, drawn = torch.zeros_like(truth), torch.tensor([True, False, True])
+    hint[0, 20:60, 40:80] = True
+    squares = torch.zeros((3, CHANNELS, CELLS, CELLS))
+    squares[:, -1] = hint.float()
+    none = torch.zeros(3, dtype=torch.long)
+    examples = Examples(squares, none, none.float(), truth, drawn, torch.tensor([True, True, False]))
+
+    def values(logits: torch.Tensor, expected: list[float]) -> dict[str, float]:
+        seen = losses(logits, torch.logit(torch.tensor(expected), 1e-6), examples)
+        return {name: float(value) for name, value in seen.items()}
+
+    perfect = torch.where(truth, 20.0, -20.0)
+    perfect[1] = 20.0  # whatever is drawn where nothing is
+    good = values(perfect, [1.0, 0.0, 0.5])
+    assert good == pytest.approx({"mask": 0, "dice": 0, "quality": 0, "iou": 1, "iou_before": 1 / 6}, abs=1e-4)
+    assert values(perfect, [1.0, 0.9, 0.5])["quality"] > 0.1, "a false alarm was trusted"
+    assert values(perfect, [0.1, 0.0, 0.5])["quality"] > 0.1, "a true detection was not"
+    assert values(perfect, [1.0, 0.0, 0.0])["quality"] == good["quality"]
+    half = perfect.clone()
+    half[0, 40:60] = -20.0
+    assert values(half, [0.5, 0.0, 0.5])["iou"] == pytest.approx(0.75)
+    assert values(half, [0.5, 0.0, 0.5])["quality"] < values(half, [1.0, 0.0, 0.5])["quality"]
+    assert values(half, [1.0, 0.0, 0.5])["mask"] > 0.5
+
+
+def test_the_mirrored_image_s_masks_are_the_mirrored_masks() -> None:
+    """Of any refiner, though an untrained one draws something else in the mirror: the mean knows no left and right."""
+    refinement = MaskRefinement(used(Refiner(TINY)), CPU, bfloat16=False)
+    frame, (before, labels, scores, [(x0, y0, x1, y1)]) = noise()
+    masks, _, [score], _ = refinement(frame, (before, labels, scores, [(x0, y0, x1, y1)]))
+    mirrored = RgbdFrame(frame.rgb[:, ::-1].copy(), frame.depth[:, ::-1].copy(), frame.intrinsics)
+    there = ([before[0][:, ::-1].copy()], labels, scores, [(80 - x1, y0, 80 - x0, y1)])
+    mirrored_masks, _, [mirrored_score], _ = refinement(mirrored, there)
+    assert mirrored_score == pytest.approx(score, abs=1e-3)
+    assert 50 < masks[0].sum() < 1400
+    assert mask_iou(mirrored_masks[0][:, ::-1], masks[0]) > 0.97
+    assert mask_iou(mirrored_masks[0], masks[0]) < 0.9
+    assert mask_iou(before[0], masks[0]) < 0.9
+
+
+@pytest.mark.parametrize("unknown", [np.nan, np.inf])
+def test_unknown_depth_is_the_same_as_zero_nan_or_infinity(unknown: float) -> None:
+    refinement = MaskRefinement(used(Refiner(TINY)), CPU, bfloat16=False)
+    expected, found = refinement(*noise(0.0)), refinement(*noise(unknown))
+    assert found[2] == expected[2]
+    np.testing.assert_array_equal(found[0][0], expected[0][0])
+
+
+@pytest.mark.parametrize(
+    ("options", "code"),
+    [
+        ({"minutes": 0.0}, "user.minutes"),
+        ({"batch": 1}, "user.batch"),
+        ({"lr": 0.0}, "user.training_options"),
+        ({"ema": 1.0}, "user.training_options"),
+    ],
+)
+def test_unusable_settings_are_the_user_s_error(options: dict[str, float], code: str) -> None:
+    with raises(UserError, code=code):
+        training(Path("data"), Path("out"), Path("detector"), **options)
