@@ -136,7 +136,7 @@ class _Run(ImageTrainingRun):
         if not self.data.ready:
             raise UserError(
                 f"the detector in {config.detector or 'the package'} finds no end effector in {config.data}: generate "
-                "more images, or train the detector longer",
+                "images there, or train the detector longer",
                 code="user.data_empty",
             )
         refiner = Refiner(config.model)
