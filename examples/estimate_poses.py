@@ -10,6 +10,8 @@ from toolee_robot.perception.io import read_frame
 def print_poses(frame: RgbdFrame, perception: ToolPerception) -> int:
     """Print what is found, the most trustworthy first; the number of poses that may be acted on."""
     estimates = perception.estimate(frame)
+    if not estimates:
+        print("no tool found")
     for estimate in estimates:
         if not estimate.usable:
             print(f"{estimate.category}: not usable, {estimate.reason}")

@@ -188,6 +188,7 @@ def fit_trust(
         AssetError: Data or weights are missing.
         UserError: There are too few images.
     """
+    Networks.load(folder)  # missing weights are reported here, not by a worker that dies
     todo = [*parts(data), *range(frames)]
     found = []
     with ProcessMap(partial(Networks.load, folder), workers) as processes:

@@ -153,18 +153,30 @@ def command_help(path: tuple[str, ...]) -> str:
 
 
 def error_table() -> str:
-    """Every error, indented under the one that it is a kind of, and the codes that say more than its class."""
-    rows = "\n".join(_error(errors.TooleeError, 0, _specific_codes()))
-    return f"| error | code | meaning |\n|---|---|---|\n{rows}"
+    """Every error, indented under the one that it is a kind of; then the codes that say more than its class."""
+    specific = _specific_codes()
+    kinds = list(_kinds(errors.TooleeError, 0))
+    rows = "\n".join(
+        f"| {'&nbsp;' * 4 * depth}`{kind.__name__}` | `{kind.code}` | {_meaning(kind)} |" for kind, depth in kinds
+    )
+    codes = "\n".join(
+        f"- `{kind.__name__}`: {', '.join(f'`{code}`' for code in sorted(specific[kind.__name__]))}"
+        for kind, _ in kinds
+        if specific.get(kind.__name__)
+    )
+    return f"| error | code | meaning |\n|---|---|---|\n{rows}\n\n## More specific codes\n\n{codes}"
 
 
-def _error(kind: type[errors.TooleeError], depth: int, specific: dict[str, set[str]]) -> Iterator[str]:
-    meaning = " ".join((inspect.getdoc(kind) or "").split("\n\n")[0].split())
-    codes = ", ".join(f"`{code}`" for code in (kind.code, *sorted(specific.get(kind.__name__, ()))))
-    yield f"| {'&nbsp;' * 4 * depth}`{kind.__name__}` | {codes} | {meaning} |"
+def _kinds(kind: type[errors.TooleeError], depth: int) -> Iterator[tuple[type[errors.TooleeError], int]]:
+    """An error and all that are kinds of it, each with its depth in the hierarchy."""
+    yield kind, depth
     for child in kind.__subclasses__():
         if child.__module__ == errors.__name__ and child.__bases__[0] is kind:
-            yield from _error(child, depth + 1, specific)
+            yield from _kinds(child, depth + 1)
+
+
+def _meaning(kind: type[errors.TooleeError]) -> str:
+    return " ".join((inspect.getdoc(kind) or "").split("\n\n")[0].split())
 
 
 def _specific_codes() -> dict[str, set[str]]:

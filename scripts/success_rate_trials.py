@@ -35,6 +35,12 @@ def job(options: list[str]) -> dict[str, float | None]:
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
+def median(runs: list[dict[str, float | None]], name: str) -> str:
+    """The median over the jobs that have this figure; "-" where none has it."""
+    known = [value for run in runs if (value := run.get(name)) is not None]
+    return f"{np.median(known):.1f}" if known else "-"
+
+
 def main(options: tyro.conf.Positional[tuple[str, ...]] = (), first_seed: int = 100, trials: int = 20, jobs: int = 1,
          baseline: bool = True, out: Path = Path("trials.json")) -> None:  # fmt: skip
     """Run the trials.
@@ -63,8 +69,7 @@ def main(options: tyro.conf.Positional[tuple[str, ...]] = (), first_seed: int = 
             tries = "" if run["tries"] == 1 else f", try {run['tries']}: the machine had stalled"
             print(f"{mode}, seed {run['seed']}: {ending}{tries}", file=sys.stderr, flush=True)
         ci = binomtest(wins := sum(bool(run["success"]) for run in runs), trials).proportion_ci(method="wilson")
-        medians = (f"{np.nanmedian(np.array([run.get(name) for run in runs], dtype=float)):.1f}" for name in names)
-        table.add_row(mode, f"{wins}/{trials}", f"{ci.low:.2f} to {ci.high:.2f}", *medians)
+        table.add_row(mode, f"{wins}/{trials}", f"{ci.low:.2f} to {ci.high:.2f}", *(median(runs, n) for n in names))
     Console(width=None if sys.stdout.isatty() else 140).print(table)  # a file takes whole rows
 
 

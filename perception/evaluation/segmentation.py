@@ -224,7 +224,8 @@ def _coco_library() -> tuple[Any, Any, Any]:
         from faster_coco_eval.core import mask
     except ImportError as error:
         raise UserError(
-            "evaluation needs faster-coco-eval: python -m pip install -e '.[test]'", code="user.missing_package"
+            "this evaluation needs faster-coco-eval: run `python -m pip install -e '.[test]'` in the repository",
+            code="user.missing_package",
         ) from error
     return COCO, COCOeval_faster, mask
 

@@ -89,7 +89,10 @@ def joined() -> Iterator[Any]:
     try:
         import ray
     except ImportError as error:
-        raise UserError("--cluster ray needs Ray: python -m pip install 'toolee_robot[cluster]'") from error
+        raise UserError(
+            "--cluster ray needs Ray: run `python -m pip install -e '.[cluster]'` in the repository",
+            code="user.missing_package",
+        ) from error
     if ray.is_initialized():
         yield ray
         return

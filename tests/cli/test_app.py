@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from toolee_robot.cli.app import run
+from toolee_robot.cli.hammering.command import Hammer
 
 pytestmark = pytest.mark.sim
 
@@ -158,3 +159,22 @@ def test_missing_weights_are_a_failed_job_that_names_the_file(
     captured = capsys.readouterr()
     assert "scene/segmentation" in captured.err.replace("\n", "")
     assert not captured.out
+
+
+@pytest.mark.parametrize(("module", "is_bug"), [("pybullet.utils", False), ("toolee_robot.nowhere", True)])
+def test_a_package_that_is_not_installed_is_named_and_a_missing_module_of_our_own_is_a_bug(
+    module: str, is_bug: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(_: Hammer) -> int:
+        raise ModuleNotFoundError(f"No module named {module!r}", name=module)
+
+    monkeypatch.setattr(Hammer, "run", fail)
+    if is_bug:
+        with pytest.raises(ModuleNotFoundError):
+            run(["hammer"])
+        return
+    assert run(["hammer", "--json"]) == 2
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["code"] == "user.missing_package"
+    assert module in captured.err
+    assert "python -m pip install -e ." in captured.err

@@ -97,6 +97,20 @@ def test_a_bop_scene_gives_one_line_a_frame_and_what_the_perception_sees_there(
         np.testing.assert_allclose(np.reshape(record["X_camera_ee"], (4, 4)), estimate.X_camera_ee, atol=1e-4)
 
 
+def test_a_bop_scene_without_a_usable_pose_is_exit_1(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    empty = tmp_path / "scene"
+    shutil.copytree(scene, empty)
+    for path in (empty / "rgb").iterdir():
+        cv2.imwrite(str(path), np.full_like(cv2.imread(str(path)), 128))
+    for path in (empty / "depth").iterdir():
+        depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(path), np.full_like(depth, 800))
+    assert run(["estimate", "--bop", str(empty), "--json"]) == 1
+    assert "0 of 3 frames" in capsys.readouterr().err
+
+
 def test_one_unreadable_frame_does_not_cost_the_others(
     scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

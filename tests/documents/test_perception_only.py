@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -16,7 +17,7 @@ pytestmark = pytest.mark.sim(seconds=10)
 
 NOT_LISTED = ("rtde_control", "rtde_receive", "rtde_io", "dashboard_client", "pinocchio", "coal", "ruckig")
 """Modules of dependencies whose distributions do not say which modules they have."""
-_ESTIMATE = """
+_PERCEPTION_ONLY = """
 import sys
 banned = set(sys.argv[1:])
 class Absent:
@@ -30,6 +31,8 @@ from toolee_robot.cli.app import run
 frame = RgbdFrame(np.zeros((424, 512, 3), np.uint8), np.full((424, 512), 0.7, np.float32),
                   CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424))
 print(len(ToolPerception.load().estimate(frame)), run(["estimate", "--bop", "/nonexistent"]))
+for command in ("hammer --out nowhere", "doctor", "faults --only job", "dataset validate nowhere"):
+    print(run(command.split()), file=sys.stderr)
 """
 
 
@@ -46,7 +49,9 @@ def test_its_bounds_are_the_packages() -> None:
     assert set(_lines()) <= set(_dependencies())
 
 
-def test_perception_runs_where_nothing_else_is_installed() -> None:
+def test_perception_runs_where_nothing_else_is_installed_and_other_commands_say_what_to_install(
+    tmp_path: Path,
+) -> None:
     others = {re.split(r"[<>=\[]", line)[0].lower().replace("_", "-") for line in set(_dependencies()) - set(_lines())}
     distributions = importlib.metadata.packages_distributions()
     banned = [
@@ -55,6 +60,11 @@ def test_perception_runs_where_nothing_else_is_installed() -> None:
         if {name.lower().replace("_", "-") for name in names} <= others and not module.startswith("_")
     ]
     assert {"pybullet", "warp", "mcap"} <= set(banned)
-    command = [sys.executable, "-c", _ESTIMATE, *banned, *NOT_LISTED]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
-    assert done.stdout.split() == ["0", "2"], done.stderr
+    command = [sys.executable, "-c", _PERCEPTION_ONLY, *banned, *NOT_LISTED]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120, cwd=tmp_path)
+    numbers = [line for line in done.stdout.splitlines() if re.match(r"\d", line)]
+    assert numbers == ["0 2"], done.stderr
+    assert [line for line in done.stderr.splitlines() if line.isdigit()] == ["2"] * 4, done.stderr
+    assert done.stderr.count("`python -m pip install -e .`") == 4, done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.glob("nowhere/*"))

@@ -14,7 +14,7 @@ from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception import weight_files
-from toolee_robot.perception.fit_trust import TrustSamples, fit
+from toolee_robot.perception.fit_trust import TrustSamples, fit, fit_trust
 from toolee_robot.perception.pose.cloud_estimator import PoseResult
 from toolee_robot.perception.trust import Trust, features
 from toolee_robot.types import PoseHypotheses
@@ -111,3 +111,9 @@ def test_too_little_to_fit_on_is_refused() -> None:
         fit(_drawn(20, False, 1), _drawn(20, True, 2))
     with raises(UserError, code="user.too_few_images"):
         fit(_drawn(200, False, 1), [])
+
+
+def test_missing_weights_are_named_before_any_worker_starts(tmp_path: Path) -> None:
+    with raises(AssetError, code="asset.missing") as refused:
+        fit_trust(tmp_path / "data", tmp_path, workers=2)
+    assert "segmentation.json" in str(refused.value)

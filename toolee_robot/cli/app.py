@@ -87,6 +87,11 @@ def run(args: Sequence[str] | None = None) -> int:
     except TooleeError as error:
         _complain(console, command, error, "error")
         return EXIT_FAILED
+    except ModuleNotFoundError as error:
+        if not _of_other_package(error):
+            raise
+        _complain(console, command, _missing_package(error), "user_error")
+        return EXIT_USER
     except KeyboardInterrupt:
         console.print("[yellow]Interrupted.[/yellow]")
         return EXIT_INTERRUPTED
@@ -104,6 +109,21 @@ def _let_threads_sleep() -> None:
     if "OMP_WAIT_POLICY" not in os.environ:
         os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
         os.environ.setdefault("GOMP_SPINCOUNT", "10000")
+
+
+def _of_other_package(error: ModuleNotFoundError) -> bool:
+    """Whether the missing module belongs to neither this project nor Python: its package is not installed."""
+    package = (error.name or "").partition(".")[0]
+    return package not in ("", "toolee_robot") and package not in sys.stdlib_module_names
+
+
+def _missing_package(error: ModuleNotFoundError) -> UserError:
+    return UserError(
+        f"this command needs the Python module {error.name}, which is not installed: run "
+        "`python -m pip install -e .` in the repository; requirements-perception.txt is enough for "
+        "`toolee estimate` only",
+        code="user.missing_package",
+    )
 
 
 def _terminate(_signum: int, _frame: FrameType | None) -> None:

@@ -261,7 +261,8 @@ def _shape_table(found: dict[str, Any]) -> Table:
     """Mean (variance) of each measure, object-centric against EE-centric."""
     table = Table(title=escape("distance between instances of a category: mean [mm] (variance [mm²])"))
     for name in ("category", "", "Chamfer", "Hausdorff", "Earth-Mover's"):
-        table.add_column(name, justify="left" if name in ("category", "") else "right")
+        of_measure = name not in ("category", "")
+        table.add_column(name, justify="right" if of_measure else "left", no_wrap=not of_measure)
     for category, views in found.items():
         for view, name in (("object", "whole object"), ("ee", "end effector")):
             cells = [f"{m['mean_mm']:.1f} ({m['variance_mm2']:.1f})" for m in views[view].values()]

@@ -33,8 +33,9 @@ class Estimate:
 
     Example: toolee estimate --bop scene/000001 --json
 
-    Poses are in the camera's OpenCV frame (x right, y down, z forward), in metres; the README defines the four
-    end-effector frames. Exit code 0: at least one pose may be used; 1: none (the reason is said); 2: bad input.
+    Poses are in the camera's OpenCV frame (x right, y down, z forward), in metres; docs/concepts/frames.md
+    defines the four end-effector frames. Exit code 0: at least one pose may be used; 1: none, and the reason is said;
+    2: bad input.
     """
 
     rgb: _File = None
@@ -135,7 +136,7 @@ class Estimate:
                 f"{unreadable} of {len(images)} frames could not be read; the messages above say why",
                 code="user.unreadable_frames",
             )
-        return 0
+        return 0 if usable else 1
 
 
 def as_record(estimate: ToolEstimate) -> dict[str, Any]:

@@ -70,7 +70,7 @@ class Faults:
         if again:
             console.print(
                 f"{again} of them not at the first try: the machine itself had stalled for over "
-                f"{STALL_LIMIT * 1e3:.0f} ms, as a witness saw, or the moment for the fault was missed."
+                f"{STALL_LIMIT * 1e3:.0f} ms, as a latency monitor saw, or the moment for the fault was missed."
             )
         if self.json:
             record = {"handled": handled, "rows": [asdict(row) for row in rows], "not_covered": ELSEWHERE}

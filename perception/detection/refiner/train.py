@@ -135,7 +135,8 @@ class _Run(ImageTrainingRun):
             self._extend(1.0)
         if not self.data.ready:
             raise UserError(
-                f"{config.data} shows rank {distributed.rank} no end effector: generate the data set first",
+                f"the detector in {config.detector or 'the package'} finds no end effector in {config.data}: generate "
+                "images there, or train the detector longer",
                 code="user.data_empty",
             )
         refiner = Refiner(config.model)

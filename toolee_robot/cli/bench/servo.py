@@ -122,7 +122,7 @@ def _table(servo: ServoFigures, trace: TraceFigures, machine: Stalls, met: dict[
         "commands": f"{servo.cycles} at {servo.rate:.0f} Hz in {servo.seconds:.2f} s",
         "period error": f"p50 {servo.period_error_p50 * 1e3:.3f}, p99 {servo.period_error_p99 * 1e3:.3f}, "
         f"max {servo.period_error_max * 1e3:.3f} ms",
-        "the machine itself": f"stood still {machine.count} times over 5 ms, {machine.longest * 1e3:.1f} ms at most",
+        "the machine itself": f"stalled {machine.count} times for over 5 ms, {machine.longest * 1e3:.1f} ms at most",
         "late cycles, by the driver": f"{servo.overruns}",
         "at the robot": f"{trace.ticks} ticks ({trace.late_ticks} late themselves, {trace.close_ticks} close to their "
         f"command); {trace.held} without one, "

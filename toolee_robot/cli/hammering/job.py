@@ -59,9 +59,9 @@ class HammerReport:
         seconds = ", ".join(f"{name} {s:.1f}" for name, s in f["stage_seconds"].items())
         rows = [
             ("strikes", str(f["strikes"])),
-            ("nail over the wood", _figure(f["protrusion_mm"], "mm")),
-            ("pose error *", f"{_figure(f['pose_error_mm'], 'mm')}, {_figure(f['pose_error_deg'], '°')}"),
-            ("strike offset, tilt *", f"{_figure(f['strike_offset_mm'], 'mm')}, {_figure(f['strike_tilt_deg'], '°')}"),
+            ("nail over the wood", _figure(f["protrusion_mm"], " mm")),
+            ("pose error *", f"{_figure(f['pose_error_mm'], ' mm')}, {_figure(f['pose_error_deg'], '°')}"),
+            ("strike offset, tilt *", f"{_figure(f['strike_offset_mm'], ' mm')}, {_figure(f['strike_tilt_deg'], '°')}"),
             ("time", f"{f['seconds']:.1f} s  [dim]({seconds})[/dim]"),
             ("files", escape(str(folder))),
         ]
@@ -258,4 +258,4 @@ def _rounded(value: float | None) -> float | None:
 
 
 def _figure(value: float | None, unit: str) -> str:
-    return "unknown" if value is None else f"{value:.1f} {unit}"
+    return "unknown" if value is None else f"{value:.1f}{unit}"

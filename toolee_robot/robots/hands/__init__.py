@@ -24,7 +24,9 @@ def hand_model(name: str) -> HandModel:
     try:
         return HANDS[name]
     except KeyError:
-        raise ConfigError(f"hand.model: there is no hand {name!r}; choose one of {', '.join(HANDS)}") from None
+        raise ConfigError(
+            f"there is no hand {name!r} (hand.model in a station file, --hand): choose one of {', '.join(HANDS)}"
+        ) from None
 
 
 __all__ = [

@@ -140,7 +140,7 @@ class Look:
         displacement, misalignment = self._off_nominal(estimate.X_hand_ee)
         if not (displacement <= MAX_DISPLACEMENT and misalignment <= MAX_MISALIGNMENT):  # NaN included
             raise PerceptionError(
-                f"the hammer head seems to be {displacement * 1e3:.0f} mm and {np.rad2deg(misalignment):.0f} deg away "
+                f"the hammer head seems to be {displacement * 1e3:.0f} mm and {np.rad2deg(misalignment):.0f}° away "
                 "from where a held hammer can have it: hand it over again, face towards the fingers",
                 code="perception.implausible",
             )

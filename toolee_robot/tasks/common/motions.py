@@ -209,7 +209,7 @@ class Motions:
         state = hand.state()
         if state.temperature is not None and not state.temperature <= most:  # NaN included
             raise DeviceError(
-                f"the hand is at {state.temperature:.0f} deg C, {most:.0f} are allowed: let it cool down",
+                f"the hand is at {state.temperature:.0f} °C, {most:.0f} °C are allowed: let it cool down",
                 code="device.hand_temperature",
             )
 

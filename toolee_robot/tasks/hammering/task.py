@@ -266,11 +266,11 @@ class HammeringTask:
         """Fuse the estimates of two looks; ends the job when the tool has slipped too far."""
         task = self._config.task
         distance, angle = slip(before, now)
-        self._observer.message(f"slip in the hand {distance * 1e3:.1f} mm, {np.rad2deg(angle):.1f} deg")
+        self._observer.message(f"slip in the hand {distance * 1e3:.1f} mm, {np.rad2deg(angle):.1f}°")
         if distance > task.abort_slip or angle > task.abort_slip_angle:
             raise JobEnded(
                 Outcome.TOOL_SLIPPED,
-                f"the tool slipped {distance * 1e3:.0f} mm and {np.rad2deg(angle):.0f} deg in the hand: grip it again",
+                f"the tool slipped {distance * 1e3:.0f} mm and {np.rad2deg(angle):.0f}° in the hand: grip it again",
             )
         strikes = max(self._nail_driving.strikes_since_look, 1)
         return merge(before, now, strikes * task.slip_per_strike, strikes * task.slip_angle_per_strike)
