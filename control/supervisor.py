@@ -12,8 +12,7 @@ It rejects commands and never clips them. It is ordinary software and does not r
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import BRAKE_EXEMPT, RUN_UP_EXEMPT, CollisionWorld
@@ -77,10 +76,8 @@ class Supervisor:
         self._arm.__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._arm.__exit__(kind, error, trace)
+    def __exit__(self, *error: Any) -> None:
+        self._arm.__exit__(*error)
 
     @property
     def rate(self) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zlib
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -70,9 +69,7 @@ class SimCamera:
         self._open = True
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._open = False
 
     @property

@@ -6,7 +6,6 @@ The arm is not among them: it is driven through the controller stand-in, as a re
 from __future__ import annotations
 
 from collections.abc import Sequence
-from types import TracebackType
 from typing import Any, Protocol, Self
 
 from toolee_robot.config import SIMULATED, StationConfig
@@ -52,9 +51,7 @@ class RemoteHand:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     @property

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 from multiprocessing.connection import Connection
-from types import TracebackType
 from typing import Any, Self
 
 from toolee_robot.config import StationConfig
@@ -64,11 +63,9 @@ class RemoteWorld:
         self._theirs.close()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: Any) -> None:
         self._channel.close()
-        self.controller.__exit__(kind, error, trace)
+        self.controller.__exit__(*error)
 
     def call(self, name: str, *arguments: Any, lasting: float = 0.0) -> Any:
         """Send a request and wait for its answer.

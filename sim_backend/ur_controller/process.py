@@ -16,7 +16,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from math import pi
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -124,9 +123,7 @@ class ControllerProcess:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for close in reversed(self._on_exit):
             with contextlib.suppress(Exception):
                 close()

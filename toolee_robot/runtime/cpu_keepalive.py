@@ -11,7 +11,6 @@ import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 # Linux shares a core among sessions first (sched_autogroup): whatever its own priority, the only process of a session
@@ -53,9 +52,7 @@ class CpuKeepalive:
                 self._processes.append(subprocess.Popen([sys.executable, "-S", "-c", program], start_new_session=True))
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for process in self._processes:
             process.kill()
         for process in self._processes:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
-from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
 import torch
@@ -43,9 +42,9 @@ class ProcessMap(Generic[State]):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *error: Any) -> None:
         if self._pool is not None:
-            self._pool.__exit__(kind, error, at)
+            self._pool.__exit__(*error)
 
     def map(self, function: Callable[[State, Item], Result], items: Iterable[Item]) -> Generator[Result]:
         """Evaluate function(state, item) for every item, lazily, so that the items may be endless.

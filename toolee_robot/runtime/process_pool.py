@@ -10,7 +10,6 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing.connection import wait
-from types import TracebackType
 from typing import ParamSpec, TypeVar
 
 P = ParamSpec("P")
@@ -50,7 +49,7 @@ class WorkerPool(ProcessPoolExecutor):
         with _ctrl_c_blocked():  # a process inherits the signal mask
             return super().submit(function, *args, **kwargs)
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Wait for the running calls; after an exception kill the processes instead, so that nothing blocks."""
         if kind is None:
             self.shutdown(cancel_futures=True)

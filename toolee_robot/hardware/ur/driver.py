@@ -14,7 +14,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from types import TracebackType
 from typing import Final, Self
 
 import numpy as np
@@ -80,9 +79,7 @@ class UrArm:
         self._servo = ServoClient(self._config, self._rate)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         servo, self._servo = self._servo, None
         if servo is not None:
             servo.ask_to_stop()

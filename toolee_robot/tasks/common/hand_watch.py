@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from toolee_robot.control.watcher import Watcher
 from toolee_robot.errors import DeviceError, GripError
@@ -53,10 +52,8 @@ class HandWatch:
         self._watcher.__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._watcher.__exit__(kind, error, trace)
+    def __exit__(self, *error: Any) -> None:
+        self._watcher.__exit__(*error)
         if self.error is None and self._watcher.reason:
             self.error = DeviceError(self._watcher.reason, code="device.hand_silent")
 

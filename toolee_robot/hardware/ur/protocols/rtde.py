@@ -21,7 +21,6 @@ import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Self
 
 from toolee_robot.errors import NoAnswerError, ProtocolError
@@ -219,9 +218,7 @@ class RtdeReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _sample(self, received: float, kind: int, payload: bytes) -> RtdeSample | None:
