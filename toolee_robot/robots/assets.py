@@ -9,7 +9,7 @@ from pathlib import Path
 MODELS = Path(__file__).parent / "models"
 """Model files and licences of arms and hands, one folder each."""
 UR10_URDF = MODELS / "ur10" / "ur10_robot.urdf"
-SHADOW_HAND_MJCF = MODELS / "shadow_hand" / "robot.xml"
+SHADOW_HAND_URDF = MODELS / "shadow_hand" / "shadow_hand.urdf"
 
 
 def cache_folder() -> Path:

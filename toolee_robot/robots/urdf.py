@@ -40,7 +40,10 @@ def _origin(parent: Element) -> Array:
     origin = parent.find("origin")
     if origin is None:
         return np.eye(4)
-    R = Rotation.from_euler("xyz", _numbers(origin.get("rpy", "0 0 0")))
+    if "quat_xyzw" in origin.keys():  # noqa: SIM118  (an XML element iterates over its children)
+        R = Rotation.from_quat(_numbers(origin.get("quat_xyzw", "")))
+    else:
+        R = Rotation.from_euler("xyz", _numbers(origin.get("rpy", "0 0 0")))
     return transform(R, _numbers(origin.get("xyz", "0 0 0")))
 
 
@@ -127,17 +130,17 @@ def read_ur10(path: Path) -> Tree:
     return Tree(tuple(links))
 
 
-def read_urdf(path: Path, parent: str, X_parent_root: Array) -> Tree:
+def read_urdf(path: Path, parent: str, X_parent_root: Array, *, substitute_shapes: bool = True) -> Tree:
     """Read the links of a hand from its URDF.
 
-    Mesh paths, without `package://`, are resolved relative to the folder of the file and to each folder above it. A
-    link without visuals uses its collision shapes as visuals, and vice versa. Mimic joints are treated as independent
-    joints.
+    Mesh paths, without `package://`, are resolved relative to the folder of the file and to each folder above it.
+    Mimic joints are treated as independent joints.
 
     Args:
         path: The URDF file. Its joints must be revolute or fixed, its mesh files STL.
         parent: Name of the parent link of the root link.
         X_parent_root: Pose of the root link in the parent link, 4x4 [m].
+        substitute_shapes: Whether a link without visuals uses its collision shapes as visuals, and vice versa.
 
     Returns:
         The links.
@@ -155,9 +158,11 @@ def read_urdf(path: Path, parent: str, X_parent_root: Array) -> Tree:
         visuals, collisions = (
             tuple(_shape(path, e) for e in elements[name].findall(tag)) for tag in ("visual", "collision")
         )
+        if substitute_shapes:
+            visuals, collisions = visuals or collisions, collisions or visuals
         link = Link(
             name, parent, X_parent_root, f"{name}_mount", inertial=_inertial(elements[name]) or _NEARLY_MASSLESS,
-            visuals=visuals or collisions, collisions=collisions or visuals,
+            visuals=visuals, collisions=collisions,
         )  # fmt: skip
         links.append(_with_joint(link, joints[name]) if name in joints else link)
         for child in children.get(name, ()):

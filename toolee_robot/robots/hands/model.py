@@ -113,7 +113,7 @@ class HandModel:
     label: str
     """For people."""
     source: Path
-    """The hand's URDF or MJCF file, its meshes beside it."""
+    """The hand's model file, its meshes beside it."""
     read: Read
     """Reads `source`: `toolee_robot.robots.urdf.read_urdf`, or a reader of its own."""
     X_flange_root: Array

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from toolee_robot.frames import transform
-from toolee_robot.robots.assets import SHADOW_HAND_MJCF
+from toolee_robot.robots.assets import SHADOW_HAND_URDF
 from toolee_robot.robots.hands.model import Finger, HandModel, NominalGrasp, Phalanx, WristJoint
-from toolee_robot.robots.hands.shadow_mjcf import read_shadow_hand
+from toolee_robot.robots.urdf import read_urdf
 
 # The maker's prefixes: first, middle, ring, little finger. Joint 1 is a finger's last, joint 4 spreads it.
 _FINGERS = {"index": "FF", "middle": "MF", "ring": "RF", "little": "LF"}
@@ -41,8 +43,8 @@ _RADII, _LENGTHS = (0.010, 0.00805, 0.00705), (0.045, 0.025, 0.024)  # [m] as in
 SHADOW_HAND = HandModel(
     name="shadow_right",
     label="Shadow Hand (right)",
-    source=SHADOW_HAND_MJCF,
-    read=read_shadow_hand,
+    source=SHADOW_HAND_URDF,
+    read=partial(read_urdf, substitute_shapes=False),
     # The forearm's shell begins 40 mm above its frame's origin, 10 mm off its axis; a 10 mm plate joins it to the
     # flange.
     X_flange_root=transform(p=[0.0, -0.010, -0.030]),
