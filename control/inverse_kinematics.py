@@ -11,10 +11,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from toolee_robot.arm_data import ArmData
 from toolee_robot.control.kinematics import ArmKinematics, solve
 from toolee_robot.errors import UnreachableError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.motion.trajectory_checks import START_TOLERANCE
+from toolee_robot.robots.dh import DhParameters, dh_transform
 
 BRANCHES = 8
 """Number of branches of the closed form."""
@@ -46,9 +48,11 @@ class InverseKinematics:
         self.d6 = float(np.linalg.norm(arm.X_joint6_flange[:3, 3]))
         # The constant rotation between the bases of model and controller (half a turn in a UR's URDF).
         probe = np.array([0.3, -1.1, 0.9, -0.4, 0.7, 0.2])
-        turn = arm.fk(probe) @ inverse(self._dh_fk(probe))
+        d, a = (self.d1, 0.0, 0.0, self.d4, self.d5, self.d6), (0.0, self.a2, self.a3, 0.0, 0.0, 0.0)
+        dh = DhParameters(np.array(d), np.array(a), np.array(ArmData.alpha), np.zeros(6))
+        turn = arm.fk(probe) @ inverse(dh.fk(probe))
         # A factory calibration deviates from the closed form by millimetres and milliradians, another arm by much more.
-        if not np.allclose(turn, arm.fk(-probe) @ inverse(self._dh_fk(-probe)), atol=2e-2):
+        if not np.allclose(turn, arm.fk(-probe) @ inverse(dh.fk(-probe)), atol=2e-2):
             raise ValueError("the model's kinematics are not those of a UR arm: no closed form")
         self._X_dh_base = inverse(turn)
 
@@ -182,15 +186,6 @@ class InverseKinematics:
         q[unmet] = np.nan
         return q
 
-    def _dh_fk(self, q: Array) -> Array:
-        d = [self.d1, 0, 0, self.d4, self.d5, self.d6]
-        a = [0, self.a2, self.a3, 0, 0, 0]
-        alpha = [np.pi / 2, 0, 0, np.pi / 2, -np.pi / 2, 0]
-        X = np.eye(4)
-        for i in range(6):
-            X = X @ _dh(q[i], d[i], a[i], alpha[i])
-        return X
-
     def _closed_form(self, Xs_base_flange: Array) -> Array:
         """Closed-form solutions, (N, 8, 6) [rad], NaN where there is none."""
         X = self._X_dh_base @ Xs_base_flange
@@ -213,8 +208,8 @@ class InverseKinematics:
             y = (-R[:, 0, 1].reshape(shape) * s1 + R[:, 1, 1].reshape(shape) * c1) * sgn
             x = (R[:, 0, 0].reshape(shape) * s1 - R[:, 1, 0].reshape(shape) * c1) * sgn
             q6 = np.arctan2(y, x)
-            X01 = _dh(q1[:, :, None] + 0 * q5, self.d1, 0.0, np.pi / 2)
-            X46 = _dh(q5, self.d5, 0.0, -np.pi / 2) @ _dh(q6, self.d6, 0.0, 0.0)
+            X01 = dh_transform(q1[:, :, None] + 0 * q5, self.d1, 0.0, np.pi / 2)
+            X46 = dh_transform(q5, self.d5, 0.0, -np.pi / 2) @ dh_transform(q6, self.d6, 0.0, 0.0)
             X14 = inverse(X01) @ X[:, None, None] @ inverse(X46)
             # Joints 2 and 3 as a planar two-link arm to the origin of frame 3.
             p3 = X14[..., :3, 3] - self.d4 * X14[..., :3, 1]
@@ -228,15 +223,3 @@ class InverseKinematics:
         q[..., 0], q[..., 4], q[..., 5] = q1[:, :, None, None], q5[..., None], q6[..., None]
         q[..., 1], q[..., 2], q[..., 3] = q2, q3, q4
         return q.reshape(n, BRANCHES, 6)
-
-
-def _dh(theta: Array | float, d: float, a: float, alpha: float) -> Array:
-    """Denavit-Hartenberg transforms (..., 4, 4)."""
-    theta = np.asarray(theta, dtype=np.float64)
-    c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
-    X = np.zeros((*theta.shape, 4, 4))
-    X[..., 0, 0], X[..., 0, 1], X[..., 0, 2], X[..., 0, 3] = c, -s * ca, s * sa, a * c
-    X[..., 1, 0], X[..., 1, 1], X[..., 1, 2], X[..., 1, 3] = s, c * ca, -c * sa, a * s
-    X[..., 2, 1], X[..., 2, 2], X[..., 2, 3] = sa, ca, d
-    X[..., 3, 3] = 1.0
-    return X

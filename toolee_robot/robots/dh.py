@@ -20,6 +20,28 @@ HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 """X_baselink_base (4x4): pose of the base frame of the UR controller in the `base_link` of the URDF."""
 
 
+def dh_transform(theta: Array | float, d: float, a: float, alpha: float) -> Array:
+    """Denavit-Hartenberg transforms.
+
+    Args:
+        theta: Joint angles (...,) [rad].
+        d: Link offset [m].
+        a: Link length [m].
+        alpha: Link twist [rad].
+
+    Returns:
+        Poses (..., 4, 4) [m] of the next frame in this one.
+    """
+    theta = np.asarray(theta, dtype=np.float64)
+    c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+    X = np.zeros((*theta.shape, 4, 4))
+    X[..., 0, 0], X[..., 0, 1], X[..., 0, 2], X[..., 0, 3] = c, -s * ca, s * sa, a * c
+    X[..., 1, 0], X[..., 1, 1], X[..., 1, 2], X[..., 1, 3] = s, c * ca, -c * sa, a * s
+    X[..., 2, 1], X[..., 2, 2], X[..., 2, 3] = sa, ca, d
+    X[..., 3, 3] = 1.0
+    return X
+
+
 @dataclass(frozen=True)
 class DhParameters:
     """DH parameters of the six joints, standard (distal) convention.
@@ -64,20 +86,7 @@ class DhParameters:
         Returns:
             Pose of DH frame i + 1 in frame i, (4, 4).
         """
-        c, s, ca, sa = (
-            np.cos(q + self.theta[i]),
-            np.sin(q + self.theta[i]),
-            np.cos(self.alpha[i]),
-            np.sin(self.alpha[i]),
-        )
-        return np.array(
-            [
-                [c, -s * ca, s * sa, self.a[i] * c],
-                [s, c * ca, -c * sa, self.a[i] * s],
-                [0.0, sa, ca, self.d[i]],
-                [0.0, 0.0, 0.0, 1.0],
-            ]
-        )
+        return dh_transform(q + self.theta[i], self.d[i], self.a[i], self.alpha[i])
 
     def fk(self, q: Array) -> Array:
         """Pose (4x4) [m] of the flange in the base frame of the controller at q (6,) [rad]."""
