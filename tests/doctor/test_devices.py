@@ -9,8 +9,8 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
-from toolee_robot import doctor
 from toolee_robot.config import StationConfig
+from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_person
 from toolee_robot.findings import Finding, Level
 from toolee_robot.hal import Clock, HandState, RgbdCamera
 from toolee_robot.sim_backend import SimStation
@@ -41,16 +41,16 @@ def arm(simulation: SimStation) -> Iterator[SimArm]:
 
 
 def _arm(simulation: SimStation, config: StationConfig = _CONFIG) -> Finding:
-    return doctor.check_arm(simulation.station.arm, simulation.station.hand, config)
+    return check_arm(simulation.station.arm, simulation.station.hand, config)
 
 
 def test_devices_as_they_should_be(simulation: SimStation) -> None:
     station = simulation.station
     findings = [
         _arm(simulation),
-        doctor.check_hand(station.hand, _CONFIG),
-        *doctor.check_camera(station.camera, station.clock, _CONFIG),
-        doctor.check_person(station.person),
+        check_hand(station.hand, _CONFIG),
+        *check_camera(station.camera, station.clock, _CONFIG),
+        check_person(station.person),
     ]
     assert {f.level for f in findings} == {Level.OK}, findings
     assert [f.name for f in findings] == ["arm", "hand", "camera", "depth", "person"]
@@ -60,7 +60,7 @@ def test_nothing_moves(simulation: SimStation) -> None:
     station = simulation.station
     before = station.arm.state().joints.q, station.hand.state().joints.q
     _arm(simulation)
-    doctor.check_hand(station.hand, _CONFIG)
+    check_hand(station.hand, _CONFIG)
     np.testing.assert_allclose(station.arm.state().joints.q, before[0], atol=1e-4)
     np.testing.assert_allclose(station.hand.state().joints.q, before[1], atol=1e-2)
 
@@ -106,7 +106,7 @@ def hand(simulation: SimStation) -> Iterator[SimHand]:
 
 def test_a_hand_that_is_not_well(simulation: SimStation, hand: SimHand) -> None:
     def found() -> tuple[Level, str]:
-        finding = doctor.check_hand(hand, _CONFIG)
+        finding = check_hand(hand, _CONFIG)
         return finding.level, finding.message
 
     hand.temperature = 40.0
@@ -130,7 +130,7 @@ class _FullHand(SimHand):
 
 
 def test_a_hand_that_holds_something(simulation: SimStation) -> None:
-    finding = doctor.check_hand(_FullHand(simulation.world, 0.9), _CONFIG)
+    finding = check_hand(_FullHand(simulation.world, 0.9), _CONFIG)
     assert (finding.level, finding.message) == (Level.WARN, "it holds something")
 
 
@@ -139,7 +139,7 @@ def test_a_camera_that_is_frozen(simulation: SimStation) -> None:
     assert isinstance(station.camera, SimCamera)
     station.camera.freeze()
     try:
-        (finding,) = doctor.check_camera(station.camera, station.clock, _CONFIG)
+        (finding,) = check_camera(station.camera, station.clock, _CONFIG)
     finally:
         station.camera.thaw()
     assert finding.level is Level.FAIL
@@ -173,7 +173,7 @@ def frame(simulation: SimStation) -> RgbdFrame:
 
 
 def _camera(simulation: SimStation, camera: RgbdCamera) -> dict[str, Finding]:
-    return {f.name: f for f in doctor.check_camera(camera, simulation.station.clock, _CONFIG)}
+    return {f.name: f for f in check_camera(camera, simulation.station.clock, _CONFIG)}
 
 
 def test_a_camera_that_is_slow(simulation: SimStation, frame: RgbdFrame) -> None:

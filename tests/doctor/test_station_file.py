@@ -9,8 +9,10 @@ from typing import Any
 
 import pytest
 
-from toolee_robot import doctor
 from toolee_robot.config import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig, StationConfig
+from toolee_robot.doctor.configuration import check_calibration, check_limits
+from toolee_robot.doctor.reach import check_reach
+from toolee_robot.doctor.weights import check_weights
 from toolee_robot.findings import Finding, Level, worst
 from toolee_robot.types import ArmModel
 
@@ -31,7 +33,7 @@ def _only(findings: list[Finding]) -> Finding:
 @pytest.mark.parametrize("model", list(ArmModel))
 def test_the_shipped_station_is_well(model: ArmModel) -> None:
     config = _changed("arm", model=model)
-    findings = [*doctor.check_limits(config), *doctor.check_reach(config)]
+    findings = [*check_limits(config), *check_reach(config)]
     assert {f.level for f in findings} == {Level.OK}, findings
     assert all(f.message and not f.remedy for f in findings)
 
@@ -49,7 +51,7 @@ def test_the_shipped_station_is_well(model: ArmModel) -> None:
 def test_limits_that_do_not_fit(
     section: str, changes: dict[str, Any], name: str, level: Level, expected_text: str
 ) -> None:
-    found = {f.name: f for f in doctor.check_limits(_changed(section, **changes))}
+    found = {f.name: f for f in check_limits(_changed(section, **changes))}
     assert found[name].level is level
     assert expected_text in found[name].message
     assert found[name].remedy
@@ -65,7 +67,7 @@ def test_limits_that_do_not_fit(
     ],
 )
 def test_what_is_out_of_reach(section: str, changes: dict[str, Any], name: str, level: Level) -> None:
-    found = {f.name: f for f in doctor.check_reach(_changed(section, **changes))}
+    found = {f.name: f for f in check_reach(_changed(section, **changes))}
     assert found[name].level is level, found
     assert found[name].remedy
 
@@ -90,17 +92,17 @@ def test_calibrations(
     calibration: CalibrationConfig | None, robot: str | None, camera: str | None, level: Level, expected_text: str
 ) -> None:
     config = replace(StationConfig(), calibration=calibration)
-    finding = doctor.check_calibration(config, robot, camera, _TODAY)
+    finding = check_calibration(config, robot, camera, _TODAY)
     assert finding.level is level
     assert expected_text in finding.message
     assert bool(finding.remedy) == (level is not Level.OK)
 
 
 def test_missing_weights_are_named(tmp_path: Path) -> None:
-    finding = doctor.check_weights(tmp_path)
+    finding = check_weights(tmp_path)
     assert finding.level is Level.FAIL
     assert str(tmp_path) in finding.message
-    assert doctor.check_weights().level is Level.OK
+    assert check_weights().level is Level.OK
 
 
 def test_the_worst_finding_decides() -> None:
@@ -111,5 +113,5 @@ def test_the_worst_finding_decides() -> None:
 
 
 def test_the_shipped_station_with_the_heaviest_hammer_is_what_the_arm_carries() -> None:
-    finding = _only(list(doctor.check_limits(StationConfig())))
+    finding = _only(list(check_limits(StationConfig())))
     assert "of 10.0 kg payload" in finding.message

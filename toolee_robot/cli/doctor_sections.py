@@ -9,8 +9,13 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from toolee_robot import doctor
 from toolee_robot.config import StationConfig
+from toolee_robot.doctor.configuration import check_calibration, check_limits
+from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_person
+from toolee_robot.doctor.machine import check_disk, check_processor, check_real_time
+from toolee_robot.doctor.reach import check_reach
+from toolee_robot.doctor.robot import examine_robot
+from toolee_robot.doctor.weights import check_weights
 from toolee_robot.errors import DeviceError
 from toolee_robot.findings import Finding, warn
 from toolee_robot.hal import Station
@@ -55,15 +60,15 @@ class DoctorReport:
         config = self.config
         with self.doing("planning"):
             findings = [
-                doctor.check_calibration(config, self._robot_serial, self._camera_serial, date.today()),
-                *doctor.check_limits(config),
-                *doctor.check_reach(config),
+                check_calibration(config, self._robot_serial, self._camera_serial, date.today()),
+                *check_limits(config),
+                *check_reach(config),
             ]
         yield "Station file", findings
         with self.doing("loading the networks, trying the clock"):
-            findings = [doctor.check_weights(), doctor.check_disk(self.out), *doctor.check_processor()]
+            findings = [check_weights(), check_disk(self.out), *check_processor()]
             if self._rate is not None:
-                findings += doctor.check_real_time(self._rate)
+                findings += check_real_time(self._rate)
         yield "This computer", findings
 
     def _simulated(self) -> Iterator[Section]:
@@ -79,7 +84,7 @@ class DoctorReport:
                 with self.doing("building the simulated station behind a controller stand-in"):
                     world = stack.enter_context(RemoteWorld(self.config, _SEED, SimOptions(), host, HostClock()))
             with self.doing(f"asking the robot at {host}"):
-                robot = doctor.examine_robot(host, self.config)
+                robot = examine_robot(host, self.config)
             self._rate, self._robot_serial = robot.rate, robot.serial
             own = robot.calibration
             self.facts |= {"robot_serial": robot.serial, "arm_calibration": None if own is None else asdict(own)}
@@ -102,10 +107,10 @@ class DoctorReport:
 
     def _devices(self, station: Station) -> Iterator[Finding]:
         self._robot_serial, self._camera_serial = station.robot_serial, station.camera_serial
-        yield doctor.check_arm(station.arm, station.hand, self.config)
-        yield doctor.check_hand(station.hand, self.config)
-        yield from doctor.check_camera(station.camera, station.clock, self.config)
-        yield doctor.check_person(station.person)
+        yield check_arm(station.arm, station.hand, self.config)
+        yield check_hand(station.hand, self.config)
+        yield from check_camera(station.camera, station.clock, self.config)
+        yield check_person(station.person)
 
 
 def _without_driver() -> Iterator[Finding]:
