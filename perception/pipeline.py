@@ -30,7 +30,6 @@ class EeDetector(Protocol):
 
     def detect(self, frame: RgbdFrame) -> list[Detection]:
         """The end effectors in a frame, with their masks and scores."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -42,30 +42,24 @@ class TruthSource(Protocol):
     @property
     def client(self) -> int:
         """Id of pybullet's physics client."""
-        ...
 
     @property
     def time(self) -> float:
         """Time on the station's clock [s]."""
-        ...
 
     @property
     def nail(self) -> Nail:
         """The nail."""
-        ...
 
     @property
     def tool_body(self) -> int:
         """Id of the tool's body in pybullet, a single free body."""
-        ...
 
     def X_base_hand(self) -> Array:
         """Pose of the palm."""
-        ...
 
     def X_base_ee(self) -> Array:
         """Pose of the tool's end effector."""
-        ...
 
 
 class Judge:

@@ -136,12 +136,9 @@ class Truth(Protocol):
     @property
     def strikes(self) -> tuple[StrikeTruth, ...]:
         """All strikes so far; the last one may still be going on."""
-        ...
 
     def X_hand_ee(self, stamp: float) -> Array:
         """The true pose (4x4) of the EE in the hand at `stamp` [s]."""
-        ...
 
     def verdict(self, estimates: Sequence[tuple[float, InHandEstimate]] = ()) -> Verdict:
         """The figures of the run so far."""
-        ...

@@ -33,7 +33,6 @@ class Caller(Protocol):
         Returns:
             The answer.
         """
-        ...
 
 
 class RemoteHand:

@@ -43,4 +43,3 @@ class VisualWorld(Protocol):
 
     def visual_bodies(self) -> Sequence[VisualBody]:
         """The visual bodies at the current simulated time, without the room."""
-        ...

@@ -124,7 +124,6 @@ class Arm(Device, Protocol):
     @property
     def rate(self) -> float:
         """Command rate [Hz]; commands are sent on an absolute schedule."""
-        ...
 
     def state(self, max_age: float = 0.1) -> ArmState:
         """Return the newest state.
@@ -136,7 +135,6 @@ class Arm(Device, Protocol):
             StaleDataError: The newest reading is older than `max_age`.
             DeviceError: The arm does not answer.
         """
-        ...
 
     def execute(
         self, trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None
@@ -157,7 +155,6 @@ class Arm(Device, Protocol):
             LatchedError: A fault has not been reset; nothing moves.
             MotionFaultError: A fault ended the motion; the arm stands still and is latched.
         """
-        ...
 
     def set_payload(self, payload: Payload) -> None:
         """Tell the arm what its flange carries.
@@ -168,14 +165,12 @@ class Arm(Device, Protocol):
         Raises:
             LimitError: The arm cannot carry it.
         """
-        ...
 
     def stop(self) -> None:
         """Bring the arm to a standstill as fast as its limits allow, from the last commanded state.
 
         May be called at any time, from any thread.
         """
-        ...
 
     def reset(self) -> None:
         """Clear the latch after a person has made the robot ready again.
@@ -185,4 +180,3 @@ class Arm(Device, Protocol):
         Raises:
             DeviceError: The robot is not ready.
         """
-        ...

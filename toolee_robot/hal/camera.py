@@ -15,7 +15,6 @@ class RgbdCamera(Device, Protocol):
     @property
     def intrinsics(self) -> CameraIntrinsics:
         """Pinhole model of the colour image, to which the depth is registered."""
-        ...
 
     def read(self, max_age: float = 0.5) -> RgbdFrame:
         """Return a frame that was exposed after the call began; repeated stamps never count as new frames.
@@ -27,4 +26,3 @@ class RgbdCamera(Device, Protocol):
             StaleDataError: No new frame came, or it is older than `max_age`.
             DeviceError: The camera does not answer.
         """
-        ...

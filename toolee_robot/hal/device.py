@@ -15,13 +15,11 @@ class Device(Protocol):
         Raises:
             DeviceError: The device does not answer or is not ready.
         """
-        ...
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Bring the device to a safe standstill and close it."""
-        ...
 
 
 @runtime_checkable
@@ -30,8 +28,6 @@ class Clock(Protocol):
 
     def now(self) -> float:
         """Return the present time [s]."""
-        ...
 
     def sleep(self, duration: float) -> None:
         """Wait for `duration` [s] of the station's time."""
-        ...

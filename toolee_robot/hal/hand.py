@@ -38,7 +38,6 @@ class Hand(Device, Protocol):
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the n joints, wrist first."""
-        ...
 
     def state(self, max_age: float = 0.1) -> HandState:
         """Return the newest state.
@@ -50,7 +49,6 @@ class Hand(Device, Protocol):
             StaleDataError: The newest reading is older than `max_age`.
             DeviceError: The hand does not answer.
         """
-        ...
 
     def open(self, timeout: float = 5.0) -> None:
         """Spread the fingers.
@@ -61,7 +59,6 @@ class Hand(Device, Protocol):
         Raises:
             DeviceError: The motion timed out.
         """
-        ...
 
     def close(self, timeout: float = 5.0) -> None:
         """Close the fingers until they hold an object or are shut.
@@ -72,8 +69,6 @@ class Hand(Device, Protocol):
         Raises:
             DeviceError: The motion timed out.
         """
-        ...
 
     def stop(self) -> None:
         """Stop the fingers and keep the grip; the hand never releases the object."""
-        ...

@@ -24,7 +24,6 @@ class Person(Protocol):
         Returns:
             Whether the person confirmed that the tool lies in the open hand.
         """
-        ...
 
     def release(self, prompt: str, timeout: float) -> bool:
         """Ask the person to release the tool and step back.
@@ -36,7 +35,6 @@ class Person(Protocol):
         Returns:
             Whether the person confirmed that they are out of reach.
         """
-        ...
 
     def take_tool(self, prompt: str, timeout: float) -> bool:
         """Ask the person to hold the tool that the hand still grips.
@@ -48,7 +46,6 @@ class Person(Protocol):
         Returns:
             Whether the person confirmed that the hand may open.
         """
-        ...
 
     def confirm_swing(self, prompt: str, timeout: float) -> bool:
         """Ask whether fast strikes may begin.
@@ -60,15 +57,12 @@ class Person(Protocol):
         Returns:
             Whether the person confirmed it.
         """
-        ...
 
     def zone_occupied(self) -> bool:
         """Whether a person is or may be within the arm's reach.
 
         A station that cannot determine it must return True: then nothing fast moves.
         """
-        ...
 
     def enabling_switch_held(self) -> bool:
         """Whether the person holds the enabling switch, which lets the arm move slowly while they are near."""
-        ...

@@ -19,17 +19,14 @@ class SimulatedStation(Protocol):
     @property
     def station(self) -> Station:
         """The devices of the station."""
-        ...
 
     @property
     def tool(self) -> Tool:
         """The tool that is handed over."""
-        ...
 
     @property
     def judge(self) -> Truth:
         """Ground truth, for the evaluation after the job."""
-        ...
 
     def __enter__(self) -> Self: ...
 

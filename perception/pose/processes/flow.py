@@ -57,11 +57,9 @@ class Process(Protocol):
         Returns:
             The examples, (B, K, ...).
         """
-        ...
 
     def prior(self, noise: Tensor) -> Tensor:
         """State u at t = start from standard normal noise."""
-        ...
 
     def velocity(self, field: Field, u: Tensor, t: Tensor) -> Tensor:
         """The velocity du / dtau from the network's output.
@@ -74,15 +72,12 @@ class Process(Protocol):
         Returns:
             (B, K, D).
         """
-        ...
 
     def tau(self, t: Tensor) -> Tensor:
         """The integration variable at t, in which trajectories are straightest."""
-        ...
 
     def rate(self, t: Tensor) -> Tensor:
         """The derivative dtau / dt."""
-        ...
 
     def finish(self, field: Field, u: Tensor) -> Tensor:
         """Make data of the state at the end of the integration.
@@ -94,7 +89,6 @@ class Process(Protocol):
         Returns:
             The data, (B, K, D).
         """
-        ...
 
 
 Sampler = Callable[[Process, Field, Tensor], Tensor]

@@ -36,12 +36,10 @@ class TrainingRecipe(Protocol, Generic[Net]):
     @property
     def name(self) -> str:
         """Name of the weight files."""
-        ...
 
     @property
     def of_tool(self) -> bool:
         """Whether it learns from clouds of whole tools instead of end effectors."""
-        ...
 
     def clouds(self, samples: SurfaceSamples, hands: Float32, device: torch.device, seed: int) -> CloudGenerator:
         """A generator of training or held-out clouds.
@@ -55,7 +53,6 @@ class TrainingRecipe(Protocol, Generic[Net]):
         Returns:
             The generator.
         """
-        ...
 
     def rendered(self, clouds: RenderedClouds, device: torch.device, seed: int) -> RenderedSource:
         """A source of clouds of rendered images, of the kind that the recipe learns from.
@@ -68,11 +65,9 @@ class TrainingRecipe(Protocol, Generic[Net]):
         Returns:
             The source.
         """
-        ...
 
     def network(self, samples: SurfaceSamples) -> Net:
         """A new network; `samples`: surface samples of the training tools."""
-        ...
 
     def prepare(self, batch: CloudBatch, generator: torch.Generator) -> CloudBatch:
         """A batch as it is shown in training, augmented where the recipe does so.
@@ -84,7 +79,6 @@ class TrainingRecipe(Protocol, Generic[Net]):
         Returns:
             The clouds.
         """
-        ...
 
     def loss(self, net: nn.Module, batch: CloudBatch, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """The loss of a batch.
@@ -97,7 +91,6 @@ class TrainingRecipe(Protocol, Generic[Net]):
         Returns:
             The loss, and its parts by name.
         """
-        ...
 
     def estimator(self, net: Net, calibration: Calibration, device: str) -> CloudEstimator:
         """The estimator with the trained network.
@@ -110,7 +103,6 @@ class TrainingRecipe(Protocol, Generic[Net]):
         Returns:
             The estimator.
         """
-        ...
 
     def with_ee_truth(self, batch: CloudBatch, samples: SurfaceSamples) -> CloudBatch:
         """Held-out clouds with the EE's pose as truth, whatever the network estimates.
@@ -122,7 +114,6 @@ class TrainingRecipe(Protocol, Generic[Net]):
         Returns:
             The clouds.
         """
-        ...
 
     def report(
         self, net: Net, held_out: CloudBatch, samples: SurfaceSamples, device: str
@@ -138,7 +129,6 @@ class TrainingRecipe(Protocol, Generic[Net]):
         Returns:
             Metrics, and the calibration.
         """
-        ...
 
     def save(self, folder: Path, net: Net, calibration: Calibration, report: dict[str, Any]) -> None:
         """Write the weights with their description.
@@ -149,11 +139,9 @@ class TrainingRecipe(Protocol, Generic[Net]):
             calibration: Its calibration.
             report: Record of the training.
         """
-        ...
 
     def load(self, folder: Path) -> Net:
         """The network that `save` wrote. Raises AssetError when it is missing or unreadable."""
-        ...
 
 
 @dataclass(frozen=True)

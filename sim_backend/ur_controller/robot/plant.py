@@ -20,12 +20,10 @@ class Plant(Protocol):
     @property
     def q(self) -> Array:
         """Measured joint positions, (6,) [rad]."""
-        ...
 
     @property
     def qd(self) -> Array:
         """Measured joint velocities, (6,) [rad/s]."""
-        ...
 
     @property
     def wrench(self) -> Array:
@@ -33,7 +31,6 @@ class Plant(Protocol):
 
         Compensated for the payload's weight and inertia.
         """
-        ...
 
     def command(self, q: Array, qd: Array) -> None:
         """Set the set-point that is due at the end of the next `step`.

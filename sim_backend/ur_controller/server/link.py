@@ -38,15 +38,12 @@ class Sink(Protocol):
     @property
     def backlog(self) -> int:
         """Bytes that the client has not read yet."""
-        ...
 
     def send(self, data: bytes) -> None:
         """Send without blocking."""
-        ...
 
     def close(self, reset: bool = False) -> None:
         """Close the connection, with RST if `reset`."""
-        ...
 
 
 class Connection:

@@ -11,7 +11,6 @@ class Service(Protocol):
 
     def filenos(self) -> Sequence[int]:
         """Descriptors to wait on for reading."""
-        ...
 
     def on_readable(self, fd: int) -> None:
         """Called when a descriptor of `filenos()` is readable."""

@@ -40,7 +40,6 @@ class Perceiver(Protocol):
         Raises:
             UserError: The frame is unusable.
         """
-        ...
 
     def fuse(
         self,
@@ -61,7 +60,6 @@ class Perceiver(Protocol):
         Raises:
             PerceptionError: No frame shows the end effector.
         """
-        ...
 
 
 class Look:
