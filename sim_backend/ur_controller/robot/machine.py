@@ -6,6 +6,8 @@ Order of a tick: latch the RTDE inputs; `ScriptRuntime.step(dt)`; `Machine.step(
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -185,8 +187,11 @@ class Machine:
 
     # -- motion
 
-    def take(self, motion: Motion) -> None:
-        """Start a motion for which a script function waits.
+    @contextmanager
+    def moving_by(self, motion: Motion) -> Iterator[None]:
+        """Start a motion for which a script function waits within the context, and end it.
+
+        If unfinished, it comes to rest, unless another one starts in the tick.
 
         Raises:
             MotionError: A function of another thread waits for a motion.
@@ -198,9 +203,12 @@ class Machine:
         if isinstance(motion, ServoJ) and isinstance(self._motion, ServoJ):
             motion.follow(self._motion)
         self._motion, self._held = motion, True
+        try:
+            yield
+        finally:
+            self._release(motion)
 
-    def release(self, motion: Motion) -> None:
-        """End a script function's motion. If unfinished, it comes to rest, unless another one starts in the tick."""
+    def _release(self, motion: Motion) -> None:
         if motion is not self._motion:
             return
         self._held = False

@@ -48,45 +48,21 @@ def as_pose(X: Any) -> Pose:
     return Pose(poses.vector(X))
 
 
-@_function
-def acos(f: float) -> float:
-    return math.acos(_float(f))
+def _of_number(function: Callable[[float], float]) -> Callable[..., Any]:
+    def call(f: float) -> float:
+        return function(_float(f))
+
+    return call
 
 
-@_function
-def asin(f: float) -> float:
-    return math.asin(_float(f))
-
-
-@_function
-def atan(f: float) -> float:
-    return math.atan(_float(f))
+for _each in (math.acos, math.asin, math.atan, math.cos, math.sin, math.tan, math.sqrt):
+    LIBRARY[_each.__name__] = _of_number(_each)
 
 
 @_function
 def atan2(x: float, y: float) -> float:
     """Angle of the point (y, x) [rad]; the manual calls the ordinate, which comes first, x."""
     return math.atan2(_float(x), _float(y))
-
-
-@_function
-def cos(f: float) -> float:
-    return math.cos(_float(f))
-
-
-@_function
-def sin(f: float) -> float:
-    return math.sin(_float(f))
-
-
-@_function
-def tan(f: float) -> float:
-    return math.tan(_float(f))
-
-
-@_function
-def sqrt(f: float) -> float:
-    return math.sqrt(_float(f))
 
 
 @_function

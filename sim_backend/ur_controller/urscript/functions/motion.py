@@ -76,12 +76,9 @@ class MotionFunctions:
         yield from self._move(PathMove(machine.model, machine.X_flange_tcp, path, a, v, _time(t), _blend(r)))
 
     def _move(self, move: Move) -> Wait:
-        self._machine.take(move)
-        try:
+        with self._machine.moving_by(move):
             while not (move.done or move.blending):
                 yield
-        finally:
-            self._machine.release(move)
 
     def _joints(self, q: Any) -> Array:
         """Joint positions of joints or a pose. Raises MotionError out of reach."""
@@ -129,13 +126,10 @@ class MotionFunctions:
         motion = ServoC(
             machine.model, machine.X_flange_tcp, self._pose(pose), positive(a, "a"), positive(v, "v"), _blend(r)
         )
-        machine.take(motion)
-        try:
+        with machine.moving_by(motion):
             yield
             while not motion.done:
                 yield
-        finally:
-            machine.release(motion)
 
     def speedj(self, qd: Any, a: float = 1.4, t: float = 0) -> Wait:
         motion = SpeedJ(self._machine.model, np.array(six(qd, "joint speeds")), positive(a, "a"))
@@ -154,8 +148,7 @@ class MotionFunctions:
         if not (isfinite(t) and t >= 0):
             raise ValueError(f"t has to be 0 or more, not {t}")
         machine = self._machine
-        machine.take(motion)
-        try:
+        with machine.moving_by(motion):
             yield
             if t > 0:
                 for _ in range(ceil(t * machine.model.rate - 1e-6) - 1):
@@ -163,8 +156,6 @@ class MotionFunctions:
             else:
                 while not (reached() or motion.done):
                     yield
-        finally:
-            machine.release(motion)
 
     def stopj(self, a: float = 2.0) -> Wait:
         yield from self._until_rest(Brake(min(positive(a, "a"), self._machine.model.acceleration)))
@@ -175,13 +166,9 @@ class MotionFunctions:
         yield from self._until_rest(StopL(machine.model, machine.X_flange_tcp, positive(a, "a")))
 
     def _until_rest(self, motion: Brake) -> Wait:
-        machine = self._machine
-        machine.take(motion)
-        try:
+        with self._machine.moving_by(motion):
             while not motion.done:
                 yield
-        finally:
-            machine.release(motion)
 
     # -- compliance
 
