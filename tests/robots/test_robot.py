@@ -87,9 +87,7 @@ def test_masses_agree(client: int) -> None:
 def test_every_collision_shape_reaches_pinocchio() -> None:
     robot = load_robot()
     model = pin.buildModelFromUrdf(str(robot.urdf_path))
-    geometry = pin.buildGeomFromUrdf(
-        model, str(robot.urdf_path), pin.GeometryType.COLLISION, package_dirs=[str(d) for d in robot.package_dirs]
-    )
+    geometry = pin.buildGeomFromUrdf(model, str(robot.urdf_path), pin.GeometryType.COLLISION)
     assert len(geometry.geometryObjects) == sum(len(link.collisions) for link in robot.tree.links)
 
 

@@ -22,7 +22,6 @@ from toolee_robot.robots.tree import FLANGE_FRAME, Shape, Tree
 from toolee_robot.robots.urdf import read_ur10, write_urdf
 from toolee_robot.types import ArmModel, DhCalibration, Payload
 
-BASE_FRAME = "base_link"
 ARM_JOINTS = (
     "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
 )  # fmt: skip
@@ -47,14 +46,10 @@ class RobotDescription:
     """Model of the hand on the flange."""
     urdf_path: Path
     """The merged URDF, with absolute mesh paths."""
-    package_dirs: tuple[Path, ...]
-    """Package folders for the loaders of Pinocchio."""
     tree: Tree
     """All links, those of the arm first."""
     arm_joints: tuple[str, ...]
     """Joint names of the arm (6) in URDF order, as in pybullet. Pinocchio sorts sibling joints: map by name there."""
-    base_frame: str
-    """Name of the root link."""
     flange_frame: str
     """Name of the link that carries the hand."""
     hand_open: Array
@@ -234,10 +229,8 @@ def _load_robot(model: ArmModel, calibration: DhCalibration | None, hand: HandMo
         calibrated=calibration is not None,
         hand=hand,
         urdf_path=urdf,
-        package_dirs=(urdf.parent,),
         tree=tree,
         arm_joints=ARM_JOINTS,
-        base_frame=BASE_FRAME,
         flange_frame=FLANGE_FRAME,
         hand_open=hand.posture("open"),
         hand_closed=hand.posture("closed"),

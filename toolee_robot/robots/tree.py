@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from toolee_robot.frames import Array
 
@@ -100,7 +97,6 @@ class Link:
     collisions: tuple[Shape, ...] = ()
 
 
-@dataclass(frozen=True)
 class Tree:
     """A kinematic tree.
 
@@ -109,34 +105,25 @@ class Tree:
         by_name: Link name -> link.
     """
 
-    links: tuple[Link, ...]
-    by_name: Mapping[str, Link] = field(init=False)
-    _axes: Array = field(init=False)
-    _levels: tuple[tuple[slice, NDArray[np.int64]], ...] = field(init=False)
-    _rows: dict[str, int] = field(init=False)
-    _movable: NDArray[np.int64] = field(init=False)
-    _Xs_parent_joint: Array = field(init=False)
-
-    def __post_init__(self) -> None:
-        set_ = partial(object.__setattr__, self)
-        set_("by_name", {link.name: link for link in self.links})
-        axes = [link.axis for link in self.links if link.axis is not None]
-        set_("_axes", np.reshape(axes, (-1, 3)))
+    def __init__(self, links: tuple[Link, ...]) -> None:
+        self.links = links
+        self.by_name = {link.name: link for link in links}
+        axes = [link.axis for link in links if link.axis is not None]
+        self._axes: Array = np.reshape(axes, (-1, 3))
         # Rows are ordered by depth: links of equal depth (the joints of the fingers) are computed together.
         depth: dict[str, int] = {}
-        for link in self.links:
+        for link in links:
             depth[link.name] = depth[link.parent] + 1 if link.parent in depth else 0
-        ordered = sorted(self.links, key=lambda link: depth[link.name])
+        ordered = sorted(links, key=lambda link: depth[link.name])
         rows = {link.name: i for i, link in enumerate(ordered)}
         ends = np.cumsum(np.bincount([*depth.values()])).tolist()
-        levels = [
+        self._levels = [
             (slice(first, end), np.array([rows[link.parent] for link in ordered[first:end] if link.parent]))
             for first, end in pairwise(ends)
         ]
-        set_("_levels", tuple(levels))
-        set_("_rows", {link.name: rows[link.name] for link in self.links})
-        set_("_movable", np.array([rows[link.name] for link in self.links if link.axis is not None], np.int64))
-        set_("_Xs_parent_joint", np.stack([link.X_parent_joint for link in ordered]))
+        self._rows = {link.name: rows[link.name] for link in links}
+        self._movable = np.array([rows[link.name] for link in links if link.axis is not None], np.int64)
+        self._Xs_parent_joint = np.stack([link.X_parent_joint for link in ordered])
 
     @property
     def joints(self) -> tuple[str, ...]:
