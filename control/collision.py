@@ -62,8 +62,8 @@ class CollisionWorld:
         robot: Kinematic model of arm and hand.
         config: Configuration of the station.
         q_hand: Joint positions at which the hand is locked, (n,) [rad].
-        X_hand_ee: Estimated pose of the end effector in the hand, (4, 4); None without a tool.
-        tool: Shape that encloses the tool; None for that of a nominal hammer.
+        X_hand_ee: Estimated pose of the end effector in the hand, (4, 4), which a nominal hammer's shape encloses; None
+            without a tool.
         extra: Further bodies of the station.
     """
 
@@ -73,7 +73,6 @@ class CollisionWorld:
         config: StationConfig,
         q_hand: Array,
         X_hand_ee: Array | None = None,
-        tool: ToolEnvelope | None = None,
         extra: tuple[Body, ...] = (),
     ) -> None:
         self.robot = robot
@@ -82,7 +81,7 @@ class CollisionWorld:
         held: list[Body] = []
         if X_hand_ee is not None:
             X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
-            held = (tool or ToolEnvelope()).bodies(X_flange_ee, robot.arm.X_joint6_flange)
+            held = ToolEnvelope().bodies(X_flange_ee, robot.arm.X_joint6_flange)
         station = [*station_bodies(config), *extra]
         self.bodies = [*arm, *carried, *held, *station]
         self._index = {body.name: i for i, body in enumerate(self.bodies)}

@@ -22,6 +22,7 @@ from toolee_robot.sim_backend.visuals.visual_body import VisualBody, VisualWorld
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 _ROOM_ID = 0
+PERIOD = 1 / 30  # [s] of simulated time between two frames
 
 
 class SimCamera:
@@ -35,28 +36,14 @@ class SimCamera:
         clock: The station's clock.
         config: Intrinsics and pose of the camera.
         seed: Seed of the room, the surface patterns and the noise.
-        noise: Depth noise; the default model if None.
-        photo: Color camera; the default model if None.
-        period: Time between two frames [s] of simulated time.
 
     Attributes:
         blinded: Fault: whether no pixel has a depth.
     """
 
-    def __init__(
-        self,
-        world: VisualWorld,
-        clock: Clock,
-        config: CameraConfig,
-        seed: int = 0,
-        noise: DepthNoise | None = None,
-        photo: Photo | None = None,
-        period: float = 1 / 30,
-    ) -> None:
+    def __init__(self, world: VisualWorld, clock: Clock, config: CameraConfig, seed: int = 0) -> None:
         self._world, self._clock, self._config = world, clock, config
-        self._noise = DepthNoise() if noise is None else noise
-        self._photo = Photo() if photo is None else photo
-        self._period = period
+        self._noise, self._photo = DepthNoise(), Photo()
         self._seed = seed
         self._room = laboratory(np.random.default_rng([seed, 1]), _ROOM_ID)
         self._rng = np.random.default_rng([seed, 2])
@@ -114,8 +101,8 @@ class SimCamera:
         if self._repeats and self._last is not None:
             return self._last
         now = self._clock.now()
-        if self._last is not None and now < self._last.stamp + self._period:
-            self._clock.sleep(self._last.stamp + self._period - now)
+        if self._last is not None and now < self._last.stamp + PERIOD:
+            self._clock.sleep(self._last.stamp + PERIOD - now)
             now = max(self._clock.now(), np.nextafter(self._last.stamp, np.inf))
         rendering = self.render()
         depth = measure_depth(

@@ -14,6 +14,7 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, MotionReport
 from toolee_robot.recording.picture import NailCurve, draw
 from toolee_robot.recording.recorder import RunRecorder
+from toolee_robot.robots import ARM_JOINTS
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, Stage, Strike
 from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
@@ -25,22 +26,14 @@ class RecordingObserver(TaskObserver):
     Args:
         recorder: The open recorder.
         clock: The station's clock.
-        arm_joints: Names of the arm's joints.
         hand_joints: Names of the hand's joints, wrist first.
         X_base_camera: Pose of the camera in `base`, (4, 4).
     """
 
-    def __init__(
-        self,
-        recorder: RunRecorder,
-        clock: Clock,
-        arm_joints: Sequence[str],
-        hand_joints: Sequence[str],
-        X_base_camera: Array,
-    ) -> None:
+    def __init__(self, recorder: RunRecorder, clock: Clock, hand_joints: Sequence[str], X_base_camera: Array) -> None:
         self._recorder = recorder
         self._clock = clock
-        self._arm_joints, self._hand_joints = arm_joints, hand_joints
+        self._hand_joints = hand_joints
         recorder.record_pose(clock.now(), "base", "camera", X_base_camera)
 
     def stage_started(self, stage: Stage) -> None:
@@ -92,7 +85,7 @@ class RecordingObserver(TaskObserver):
         self._recorder.record_event(stamp, "plan", data)
 
     def motion(self, name: str, report: MotionReport, hand_joints: Array) -> None:
-        self._recorder.record_motion(name, report, self._arm_joints)
+        self._recorder.record_motion(name, report, ARM_JOINTS)
         self._recorder.record_joints(self._clock.now(), self._hand_joints, hand_joints, "/hand/measured")
 
     def contact(self, stamp: float, force: float, X_base_ee: Array) -> None:

@@ -20,7 +20,6 @@ from toolee_robot.config import StationConfig
 from toolee_robot.perception import ToolPerception
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
 from toolee_robot.recording.recorder import RunRecorder
-from toolee_robot.robots import ARM_JOINTS
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
@@ -123,13 +122,8 @@ class HammerJob:
         ):
             console.print(f"[bold]{_words(sim.tool)}[/bold]  [dim]seed {self.seed}{self._mode()}[/dim]")
             station = sim.station
-            keeper = RecordingObserver(
-                recorder,
-                station.clock,
-                ARM_JOINTS,
-                station.hand.joint_names,
-                self.config.camera.X_base_camera,
-            )
+            X_base_camera = self.config.camera.X_base_camera
+            keeper = RecordingObserver(recorder, station.clock, station.hand.joint_names, X_base_camera)
             task = HammeringTask(
                 station,
                 perception or PerfectPerception(sim.judge),
