@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.perception.dataset.scene_reader import load_scenes, scene_folders
+from toolee_robot.perception.dataset.scene_writer import bbox
 from toolee_robot.perception.detection.detector import CLASSES, TOOL
 from toolee_robot.perception.detection.segmenter import EVERYTHING, Segmenter
 from toolee_robot.perception.training.labelled_images import SegmentationImages
@@ -23,6 +24,7 @@ MIN_PIXELS = 50
 STATISTICS = ("AP", "AP50", "AP75", "AP_S", "AP_M", "AP_L")
 """COCO's first six: mean over IoU .50 to .95, at .50, at .75, and by area (under 32^2, to 96^2, over) [px]."""
 _TARGET = "target"
+_CATEGORIES = [{"id": k, "name": name} for k, name in enumerate(CLASSES) if k > 0]
 
 
 @dataclass(frozen=True)
@@ -35,33 +37,16 @@ class CocoTask:
         times: Time of each image [s].
     """
 
-    truth: dict[str, Any]
-    results: list[dict[str, Any]]
-    times: list[float]
+    truth: dict[str, Any] = field(
+        default_factory=lambda: {"images": [], "categories": list(_CATEGORIES), "annotations": []}
+    )
+    results: list[dict[str, Any]] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
 
     def of_targets(self) -> CocoTask:
         """The task with every instance that is no target as crowd: neither found nor missed."""
         annotations = [{**v, "iscrowd": int(v["iscrowd"] or not v[_TARGET])} for v in self.truth["annotations"]]
         return CocoTask({**self.truth, "annotations": annotations}, self.results, self.times)
-
-    def joined(self, other: CocoTask) -> CocoTask:
-        """Both tasks, the other's images and annotations numbered after these."""
-        images, annotations = len(self.truth["images"]), len(self.truth["annotations"])
-        moved = {
-            "images": [{**v, "id": v["id"] + images} for v in other.truth["images"]],
-            "categories": other.truth["categories"],
-            "annotations": [
-                {**v, "id": v["id"] + annotations, "image_id": v["image_id"] + images}
-                for v in other.truth["annotations"]
-            ],
-        }
-        results = [{**v, "image_id": v["image_id"] + images} for v in other.results]
-        truth = {
-            **moved,
-            "images": [*self.truth["images"], *moved["images"]],
-            "annotations": [*self.truth["annotations"], *moved["annotations"]],
-        }
-        return CocoTask(truth, [*self.results, *results], [*self.times, *other.times])
 
 
 def evaluate(
@@ -85,37 +70,33 @@ def evaluate(
     segmenter = Segmenter.load(weights, device)
     scenes = scene_folders(dataset_dir)
     if not scenes:
-        raise AssetError(
-            f"no BOP scene in {dataset_dir}: give the folder train or test of a data set", code="asset.no_scene"
-        )
-    task = _of_scenes(segmenter, scenes[:1], limit)
-    for scene in scenes[1:]:
+        message = f"no BOP scene in {dataset_dir}: give the folder train or test of a data set"
+        raise AssetError(message, code="asset.no_scene")
+    task = CocoTask()
+    for scene in scenes:
         left = None if limit is None else limit - len(task.times)
         if left is not None and left <= 0:
             break
-        task = task.joined(_of_scenes(segmenter, [scene], left))
+        images = load_scenes([scene], limit=left)
+        coco_task(segmenter, images, images.table.targets, task)
+        del images
     return report(task)
-
-
-def _of_scenes(segmenter: Segmenter, scenes: list[Path], limit: int | None) -> CocoTask:
-    images = load_scenes(scenes, limit=limit)
-    return coco_task(segmenter, images, targets=images.table.targets)
 
 
 def coco_task(
     segmenter: Segmenter,
     images: SegmentationImages,
-    limit: int | None = None,
     targets: NDArray[np.bool_] | None = None,
+    task: CocoTask | None = None,
 ) -> CocoTask:
     """Run a detector on images and collect truth and detections in the COCO format.
 
     Args:
         segmenter: The detector.
         images: The images.
-        limit: Largest number of images.
         targets: Whether the pose of an image's EE id 1..E is asked for, (N, E); None: all. Annotations have it as
             "target".
+        task: The task to which they are added; None: a new one.
 
     Returns:
         The task; instances of under 50 visible pixels are crowd.
@@ -129,32 +110,25 @@ def coco_task(
         rle: dict[str, Any] = encode(np.asfortranarray(mask.astype(np.uint8)))
         return rle
 
-    count = len(images.rgb) if limit is None else min(limit, len(images.rgb))
-    annotations: list[dict[str, Any]] = []
-    results: list[dict[str, Any]] = []
-    times = []
-    for i in range(count):
+    task = task or CocoTask()
+    annotations, first = task.truth["annotations"], len(task.truth["images"]) + 1
+    height, width = images.rgb.shape[1:3]
+    for i in range(len(images.rgb)):
+        im_id = first + i
+        task.truth["images"].append({"id": im_id, "height": height, "width": width})
         for label, mask, ee_id in true_instances(images, i):
-            area = int(mask.sum())
-            rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-            box = [int(columns[0]), int(rows[0]), int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1]
-            crowd = int(area < MIN_PIXELS)
             asked = targets is None or ee_id == 0 or bool(targets[i, ee_id - 1])
-            entry = {"id": len(annotations) + 1, "image_id": i + 1, "category_id": label, "bbox": box, _TARGET: asked}
-            annotations.append({**entry, "area": area, "iscrowd": crowd, "segmentation": encoded(mask)})
+            entry = {"id": len(annotations) + 1, "image_id": im_id, "category_id": label, "bbox": bbox(mask)}
+            area = int(mask.sum())
+            about = {_TARGET: asked, "area": area, "iscrowd": int(area < MIN_PIXELS), "segmentation": encoded(mask)}
+            annotations.append({**entry, **about})
         start = time.perf_counter()
         masks, labels, scores, _ = segmenter.instances(frame_of(images, i), EVERYTHING)
-        times.append(time.perf_counter() - start)
+        task.times.append(time.perf_counter() - start)
         for mask, label, score in zip(masks, labels, scores, strict=True):
-            entry = {"image_id": i + 1, "category_id": label, "score": score}
-            results.append({**entry, "segmentation": encoded(mask)})
-    height, width = images.rgb.shape[1:3]
-    truth = {
-        "images": [{"id": i + 1, "height": height, "width": width} for i in range(count)],
-        "categories": [{"id": k, "name": name} for k, name in enumerate(CLASSES) if k > 0],
-        "annotations": annotations,
-    }
-    return CocoTask(truth, results, times)
+            entry = {"image_id": im_id, "category_id": label, "score": score}
+            task.results.append({**entry, "segmentation": encoded(mask)})
+    return task
 
 
 def frame_of(images: SegmentationImages, index: int) -> RgbdFrame:
