@@ -19,7 +19,7 @@ from toolee_robot.robots.dh import joint_origins
 from toolee_robot.robots.hands import SHADOW_HAND, HandModel, hand_model
 from toolee_robot.robots.meshes import link_mesh
 from toolee_robot.robots.tree import FLANGE_FRAME, Shape, Tree
-from toolee_robot.robots.urdf import read_ur10, write_urdf
+from toolee_robot.robots.urdf import read_urdf, write_urdf
 from toolee_robot.types import ArmModel, DhCalibration, Payload
 
 ARM_JOINTS = (
@@ -126,7 +126,7 @@ def arm_tree(model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None 
     Raises:
         AssetError: The model file is missing, unreadable or has other joints.
     """
-    links = read_ur10(UR10_URDF).links
+    links = read_urdf(UR10_URDF, None, np.eye(4)).links
     if model is not ArmModel.UR10 or calibration is not None:
         origins = joint_origins([link.X_parent_joint for link in links[1:]], model, calibration)
         moved = (replace(link, X_parent_joint=X) for link, X in zip(links[1:], origins, strict=True))

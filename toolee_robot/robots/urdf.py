@@ -15,19 +15,6 @@ from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, transform
 from toolee_robot.robots.tree import Inertial, Link, Shape, Tree
 
-UR10_FRAMES = (
-    "base_link",
-    "shoulder_link",
-    "upper_arm_link",
-    "forearm_link",
-    "wrist_1_link",
-    "wrist_2_link",
-    "wrist_3_link",
-    "tool0",
-)
-
-# The plate between flange and hand; pybullet assigns 1 kg and 1 kg m^2 to a link without inertia.
-_MOUNTING_PLATE = Inertial(0.1, transform(p=[0.0, 0.0, 0.005]), (5e-5, 5e-5, 1e-4))
 _NEARLY_MASSLESS = Inertial(1e-3, np.eye(4), (1e-7, 1e-7, 1e-7))
 """Inertia of a link without mass in the URDF."""
 
@@ -104,41 +91,15 @@ def _with_joint(link: Link, joint: Element) -> Link:
     )
 
 
-def read_ur10(path: Path) -> Tree:
-    """Read the links of the UR10 from `base_link` to `tool0`.
-
-    The collision meshes, in `meshes` next to the file, are also used as visuals.
-
-    Args:
-        path: The URDF file.
-
-    Raises:
-        AssetError: The file is missing, unreadable or incomplete.
-    """
-    elements, joints = _parse(path)
-    links = []
-    for i, name in enumerate(UR10_FRAMES):
-        shapes = []
-        for collision in elements[name].findall("collision"):
-            mesh = _require(_require(collision, "geometry"), "mesh")
-            shapes.append(
-                Shape("mesh", (), _origin(collision), path.parent / "meshes" / Path(mesh.get("filename", "")).name)
-            )
-        inertial = _inertial(elements[name]) or (_MOUNTING_PLATE if name == "tool0" else None)
-        link = Link(name, None, np.eye(4), "", inertial=inertial, visuals=tuple(shapes), collisions=tuple(shapes))
-        links.append(_with_joint(link, joints[name]) if i else link)
-    return Tree(tuple(links))
-
-
-def read_urdf(path: Path, parent: str, X_parent_root: Array, *, substitute_shapes: bool = True) -> Tree:
-    """Read the links of a hand from its URDF.
+def read_urdf(path: Path, parent: str | None, X_parent_root: Array, *, substitute_shapes: bool = True) -> Tree:
+    """Read the links of an arm or a hand from its URDF.
 
     Mesh paths, without `package://`, are resolved relative to the folder of the file and to each folder above it.
     Mimic joints are treated as independent joints.
 
     Args:
         path: The URDF file. Its joints must be revolute or fixed, its mesh files STL.
-        parent: Name of the parent link of the root link.
+        parent: Name of the parent link of the root link; None: it has none.
         X_parent_root: Pose of the root link in the parent link, 4x4 [m].
         substitute_shapes: Whether a link without visuals uses its collision shapes as visuals, and vice versa.
 
