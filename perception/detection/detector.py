@@ -29,7 +29,7 @@ from toolee_robot.perception.detection.boxes import (
 )
 from toolee_robot.perception.detection.config import DetectorConfig
 from toolee_robot.perception.detection.inputs import RgbdBatch, mirror
-from toolee_robot.perception.detection.mask_head import MaskHead, features_size, mask_boxes
+from toolee_robot.perception.detection.mask_head import FEATURES_SIZE, MaskHead, mask_boxes
 from toolee_robot.perception.precision import fold_normalisation
 
 CLASSES: tuple[str, ...] = ("background", *(c.value for c in Category), "tool")
@@ -177,7 +177,7 @@ class Detector(nn.Module):
             Mask logits (R, MASK_SIZE, MASK_SIZE) in `mask_boxes` of the regions, and logits (R,) of the masks' IoU.
         """
         rois = torch.cat([rois[:, :1], mask_boxes(rois[:, 1:])], 1)
-        features = pyramid_roi_align(pyramid[:4], rois, features_size())
+        features = pyramid_roi_align(pyramid[:4], rois, FEATURES_SIZE)
         masks, quality = self.mask_head(features, batch, rois, labels)
         return masks, quality
 

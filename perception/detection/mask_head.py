@@ -21,7 +21,8 @@ MASK_SIZE = 56
 MASK_MARGIN = 1.25
 """Masks cover the detection's box enlarged by this factor, so that parts outside of the box are not lost."""
 
-_CONTEXT = 14
+FEATURES_SIZE = 14
+"""Cells per side of the features that `MaskHead` takes."""
 _METRES = 0.05
 _MAX_DEPTH = 3.0
 _NEAR_QUANTILE = 0.3
@@ -135,11 +136,6 @@ def paste_one(patch: NDArray[np.float32], box: NDArray[np.float64], height: int,
     values = cv2.remap(patch, grid_u, grid_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     mask[r0:r1, c0:c1] = values > 0.5
     return mask
-
-
-def features_size() -> int:
-    """Cells per side of the features that `MaskHead` takes."""
-    return _CONTEXT
 
 
 def _conv(n_in: int, n_out: int, stride: int = 1) -> list[nn.Module]:

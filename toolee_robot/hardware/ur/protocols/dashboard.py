@@ -79,16 +79,13 @@ class DashboardReader:
             raise ProtocolError("the dashboard server's answer is not text", code="protocol.not_text") from error
 
 
-def ask_all(
-    host: str, questions: Sequence[Question], deadline: float, port: int = DASHBOARD_PORT
-) -> dict[Question, str | None]:
+def ask_all(host: str, questions: Sequence[Question], deadline: float) -> dict[Question, str | None]:
     """Connect and ask several questions.
 
     Args:
         host: Address of the controller.
         questions: The commands to send.
         deadline: Deadline of all answers [s], a value of `time.monotonic()`.
-        port: The dashboard server's port.
 
     Returns:
         The answer to each question; None where this version of PolyScope does not know it.
@@ -97,7 +94,6 @@ def ask_all(
         NoAnswerError: The server does not answer in time.
         ProtocolError: The peer is no dashboard server.
     """
-    sock = connect(host, port, deadline)
-    with sock:
+    with connect(host, DASHBOARD_PORT, deadline) as sock:
         reader = DashboardReader(sock, deadline)
         return {question: reader.ask(question, deadline) for question in questions}

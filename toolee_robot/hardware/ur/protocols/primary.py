@@ -44,13 +44,12 @@ class UrKinematics:
     dh: DhParameters
 
 
-def read_kinematics(host: str, deadline: float, port: int = PRIMARY_PORT) -> UrKinematics:
+def read_kinematics(host: str, deadline: float) -> UrKinematics:
     """Connect and read the kinematics.
 
     Args:
         host: Address of the controller.
         deadline: Deadline [s], a value of `time.monotonic()`.
-        port: The primary interface's port.
 
     Returns:
         The arm's kinematics.
@@ -59,7 +58,7 @@ def read_kinematics(host: str, deadline: float, port: int = PRIMARY_PORT) -> UrK
         NoAnswerError: The controller does not send them in time.
         ProtocolError: The peer is no primary interface, or the values are implausible.
     """
-    with connect(host, port, deadline) as sock:
+    with connect(host, PRIMARY_PORT, deadline) as sock:
         return kinematics_from(sock, deadline)
 
 
