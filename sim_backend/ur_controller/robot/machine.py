@@ -112,6 +112,7 @@ class Machine:
         self._stop: Motion | None = None  # the last stop that was not requested by the script
         self._held = False  # a script function waits for the motion
         self._running_out: list[Move] = []  # blended moves that have not ended
+        self._halt: Brake | None = None  # the safety system's stop, while a motion waits behind it
         self._rate = 1.0
         self._bias = np.zeros(6)  # of the wrench, flange axes
 
@@ -215,14 +216,34 @@ class Machine:
         if self._motion is not None:
             self._motion.done = True
         self._running_out.clear()
+        self._halt = None
         self._motion = self._stop = Brake(self.model.stop_deceleration if deceleration is None else deceleration)
         self._held = False
+
+    def halt(self, deceleration: float) -> None:
+        """Bring every joint to rest in the middle of a motion, which waits for `resume`; force mode and freedrive end.
+
+        Args:
+            deceleration: Deceleration of the fastest joint [rad/s^2].
+        """
+        self.compliance, self.freedrive = None, False
+        self._running_out.clear()
+        self._halt = Brake(deceleration)
+
+    def resume(self) -> None:
+        """Continue after `paused` and `halt`: the motion goes on to its goal from where the arm stands."""
+        self.paused = False
+        if self._halt is not None and self._motion is not None:
+            self._motion.replan()
+        self._halt = None
 
     def end_program(self) -> None:
         """Clean up after a program: a moving arm decelerates; force mode, freedrive and watchdogs end."""
         self.watchdogs.clear()
         self.external_sensor, self.paused = False, False
-        if self._motion is None or self._motion is not self._stop:
+        if self._halt is not None:
+            self.stop(self.model.safety_deceleration)
+        elif self._motion is None or self._motion is not self._stop:
             self.stop()
 
     def end_compliance(self) -> None:
@@ -244,7 +265,8 @@ class Machine:
             self.events.append(Event(EventKind.PROTECTIVE_STOP, str(error)))
             self.stop(self.model.safety_deceleration)
             qd = self._way(dt) / dt
-        over = self._motion is None or self._motion.done
+        motion = self._halt or self._motion
+        over = motion is None or motion.done
         final = np.zeros(6) if over and not self._running_out and self.compliance is None else qd
         self.q_target = self.q_target + qd * dt
         self.qd_target, self.qdd_target = final, (final - self.qd_target) / dt
@@ -254,6 +276,8 @@ class Machine:
         self.force_history.append(self.plant.wrench[:3])
 
     def _way(self, dt: float) -> Array:
+        if self._halt is not None:
+            return self._halt.step(self.q_target, self.qd_target, dt, dt)
         way = np.zeros(6)
         scaled = dt * self._rate
         for move in self._running_out:
