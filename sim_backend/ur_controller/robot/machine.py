@@ -73,6 +73,7 @@ class Machine:
         payload_inertia: Inertia of the payload, (6,) [kg m^2].
         gravity: Acceleration of the base that is equivalent to gravity, (3,) [m/s^2]; points upwards.
         speed_fraction: Position of the speed slider, 0 to 1.
+        speed_scaling: Factor by which the controller itself slows motions down, 0 to 1.
         paused: Whether motions slow down to a halt and wait.
         compliance: Force mode or freedrive, or None.
         freedrive: Whether the compliance is freedrive.
@@ -95,7 +96,7 @@ class Machine:
         self.q_target, self.qd_target, self.qdd_target = plant.q.copy(), np.zeros(6), np.zeros(6)
         self.payload, self.payload_cog, self.payload_inertia = 0.0, np.zeros(3), np.zeros(6)
         self.gravity = np.array([0.0, 0.0, 9.82])
-        self.speed_fraction = 1.0
+        self.speed_fraction, self.speed_scaling = 1.0, 1.0
         self.paused = False
         self.compliance: Compliance | None = None
         self.freedrive = False
@@ -254,7 +255,7 @@ class Machine:
 
     def step(self, dt: float) -> None:
         """Advance the motion by one tick of dt [s], command the plant and step it."""
-        wanted = 0.0 if self.paused else self.speed_fraction
+        wanted = 0.0 if self.paused else self.speed_fraction * self.speed_scaling
         self._rate += max(-RATE_SLEW * dt, min(RATE_SLEW * dt, wanted - self._rate))
         try:
             qd = self._way(dt) / dt

@@ -132,6 +132,10 @@ class RtdeReader:
             raise
         return reader
 
+    def fileno(self) -> int:
+        """The connection's file descriptor."""
+        return self._sock.fileno()
+
     def negotiate(self, deadline: float) -> None:
         """Request protocol version 2; must be the first request. Raises ProtocolError if it is refused."""
         if self._request(_PROTOCOL, struct.pack(">H", 2), deadline, "B") != (1,):
