@@ -48,6 +48,8 @@ class ControllerOptions:
         fault_port: TCP port of the fault port; the other ports are the robot's.
         speed_slider: Position of the speed slider, 0 to 1.
         remote: Whether an e-Series controller is in remote control.
+        safeguard_resumes: Whether closing the safeguard resumes the program that it paused, as on a CB3 controller
+            without a safeguard reset input.
         powered: Whether the arm is powered on and its brakes are released.
         limits: Limits of the safety system.
         real_time_factor: Real-time factor of the robot's time; its clients' clocks must run at the same factor.
@@ -58,6 +60,7 @@ class ControllerOptions:
     fault_port: int = FAULT_PORT
     speed_slider: float = 1.0
     remote: bool = True
+    safeguard_resumes: bool = False
     powered: bool = True
     limits: SafetyLimits = field(default_factory=SafetyLimits)
     real_time_factor: float = 1.0
@@ -130,6 +133,7 @@ class Controller:
         self.robot = Robot(model, plant(model), options.limits, log)
         self.robot.machine.speed_fraction = options.speed_slider
         self.robot.safety.remote = options.remote
+        self.robot.safety.safeguard_resumes = options.safeguard_resumes
         if not options.powered:
             self.robot.safety.power_off()
         self.schedule = Schedule(model.period, self.clock)

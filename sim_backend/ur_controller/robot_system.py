@@ -102,6 +102,7 @@ class Robot:
             log,
             stop_program=self.program.stop,
             pause_program=self.program.pause,
+            resume_program=self.program.resume,
         )
         self.joint_offset = np.zeros(6)
         self.ticks = 0

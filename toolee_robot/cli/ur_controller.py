@@ -35,6 +35,8 @@ class UrController:
     """Position of the speed slider."""
     local: Flag = False
     """Local control instead of remote control (e-Series)."""
+    safeguard_resumes: Flag = False
+    """Closing the safeguard resumes the program that it paused, as on a CB3 without a safeguard reset input."""
     off: Flag = False
     """Start with the arm switched off: clients must power it on and release the brakes."""
     force_limit: Annotated[float, NEWTONS] = 150.0
@@ -66,6 +68,7 @@ class UrController:
             fault_port=self.fault_port,
             speed_slider=self.speed_slider,
             remote=not self.local,
+            safeguard_resumes=self.safeguard_resumes,
             powered=not self.off,
             limits=limits,
             real_time_factor=self.real_time_factor,

@@ -55,7 +55,8 @@ class RobotFaults(HookGroup):
         nominal = MODELS[options.model]
         robot.identity = Identity.of(nominal)
         robot.calibrate(nominal)
-        robot.machine.speed_fraction = options.speed_slider
+        robot.machine.speed_fraction, robot.machine.speed_scaling = options.speed_slider, 1.0
+        robot.safety.safeguard_resumes = options.safeguard_resumes
         robot.safety.remote = options.remote
         robot.safety.restore()
 
@@ -70,6 +71,16 @@ class RobotFaults(HookGroup):
     def slow_start(self, seconds: Seconds) -> None:
         """Delay the start of scripts after their upload by a time [s]; 0 ends the fault."""
         self._robot.program.start_delay = seconds
+
+    @hook
+    def pause(self) -> None:
+        """Pause the program as at the pendant."""
+        self._robot.program.pause()
+
+    @hook
+    def play(self) -> dict[str, bool]:
+        """Press Play at the pendant; answers whether a paused program was resumed."""
+        return {"resumed": self._robot.program.resume()}
 
     # -- safety
 
@@ -99,7 +110,7 @@ class RobotFaults(HookGroup):
 
     @hook
     def safeguard_stop(self, active: bool = True) -> None:
-        """Open the safeguard, or close it; a paused program stays paused."""
+        """Open the safeguard, or close it; a paused program stays paused, unless the controller resumes it."""
         if active:
             self._robot.safety.safeguard_stop()
         else:
@@ -154,6 +165,11 @@ class RobotFaults(HookGroup):
     def speed_slider(self, fraction: Annotated[float, Field(ge=0.0, le=1.0)]) -> None:
         """Move the speed slider, 0 to 1."""
         self._robot.machine.speed_fraction = fraction
+
+    @hook
+    def speed_scaling(self, fraction: Annotated[float, Field(ge=0.0, le=1.0)]) -> None:
+        """Slow motions down as the controller's own limiter does, to a fraction of the commanded speed."""
+        self._robot.machine.speed_scaling = fraction
 
     # -- identity
 

@@ -100,6 +100,10 @@ class SpeedL(Motion):
         self._acceleration, self._turning = acceleration, turning
         self._twist: Array | None = None
 
+    def replan(self) -> None:
+        """Accelerate from standstill."""
+        self._twist = None
+
     def reached(self) -> bool:
         """Whether the velocity is reached."""
         return self._twist is not None and bool(np.all(self._twist == self._goal))

@@ -75,6 +75,7 @@ class Machine:
         payload_inertia: Inertia of the payload, (6,) [kg m^2].
         gravity: Acceleration of the base that is equivalent to gravity, (3,) [m/s^2]; points upwards.
         speed_fraction: Position of the speed slider, 0 to 1.
+        speed_scaling: Factor by which the controller itself slows motions down, 0 to 1.
         paused: Whether motions slow down to a halt and wait.
         compliance: Force mode or freedrive, or None.
         freedrive: Whether the compliance is freedrive.
@@ -97,7 +98,7 @@ class Machine:
         self.q_target, self.qd_target, self.qdd_target = plant.q.copy(), np.zeros(6), np.zeros(6)
         self.payload, self.payload_cog, self.payload_inertia = 0.0, np.zeros(3), np.zeros(6)
         self.gravity = np.array([0.0, 0.0, 9.82])
-        self.speed_fraction = 1.0
+        self.speed_fraction, self.speed_scaling = 1.0, 1.0
         self.paused = False
         self.compliance: Compliance | None = None
         self.freedrive = False
@@ -114,6 +115,7 @@ class Machine:
         self._stop: Motion | None = None  # the last stop that was not requested by the script
         self._held = False  # a script function waits for the motion
         self._running_out: list[Move] = []  # blended moves that have not ended
+        self._halt: Brake | None = None  # the safety system's stop, while a motion waits behind it
         self._rate = 1.0
         self._bias = np.zeros(6)  # of the wrench, flange axes
 
@@ -228,14 +230,34 @@ class Machine:
         if self._motion is not None:
             self._motion.done = True
         self._running_out.clear()
+        self._halt = None
         self._motion = self._stop = Brake(self.model.stop_deceleration if deceleration is None else deceleration)
         self._held = False
+
+    def halt(self, deceleration: float) -> None:
+        """Bring every joint to rest in the middle of a motion, which waits for `resume`; force mode and freedrive end.
+
+        Args:
+            deceleration: Deceleration of the fastest joint [rad/s^2].
+        """
+        self.compliance, self.freedrive = None, False
+        self._running_out.clear()
+        self._halt = Brake(deceleration)
+
+    def resume(self) -> None:
+        """Continue after `paused` and `halt`: the motion goes on to its goal from where the arm stands."""
+        self.paused = False
+        if self._halt is not None and self._motion is not None:
+            self._motion.replan()
+        self._halt = None
 
     def end_program(self) -> None:
         """Clean up after a program: a moving arm decelerates; force mode, freedrive and watchdogs end."""
         self.watchdogs.clear()
         self.external_sensor, self.paused = False, False
-        if self._motion is None or self._motion is not self._stop:
+        if self._halt is not None:
+            self.stop(self.model.safety_deceleration)
+        elif self._motion is None or self._motion is not self._stop:
             self.stop()
 
     def end_compliance(self) -> None:
@@ -246,7 +268,7 @@ class Machine:
 
     def step(self, dt: float) -> None:
         """Advance the motion by one tick of dt [s], command the plant and step it."""
-        wanted = 0.0 if self.paused else self.speed_fraction
+        wanted = 0.0 if self.paused else self.speed_fraction * self.speed_scaling
         self._rate += max(-RATE_SLEW * dt, min(RATE_SLEW * dt, wanted - self._rate))
         try:
             qd = self._way(dt) / dt
@@ -257,7 +279,8 @@ class Machine:
             self.events.append(Event(EventKind.PROTECTIVE_STOP, str(error)))
             self.stop(self.model.safety_deceleration)
             qd = self._way(dt) / dt
-        over = self._motion is None or self._motion.done
+        motion = self._halt or self._motion
+        over = motion is None or motion.done
         final = np.zeros(6) if over and not self._running_out and self.compliance is None else qd
         self.q_target = self.q_target + qd * dt
         self.qd_target, self.qdd_target = final, (final - self.qd_target) / dt
@@ -267,6 +290,8 @@ class Machine:
         self.force_history.append(self.plant.wrench[:3])
 
     def _way(self, dt: float) -> Array:
+        if self._halt is not None:
+            return self._halt.step(self.q_target, self.qd_target, dt, dt)
         way = np.zeros(6)
         scaled = dt * self._rate
         for move in self._running_out:

@@ -36,6 +36,9 @@ class Motion(ABC):
     def __init__(self) -> None:
         self.done = False
 
+    def replan(self) -> None:  # noqa: B027  (most motions compute each tick from where the arm is)
+        """Take into account that the arm has left the motion's path and stands."""
+
     @abstractmethod
     def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:
         """Compute the displacement of one tick.
@@ -101,6 +104,10 @@ class SpeedJ(Motion):
         self._goal = np.clip(qd_goal, -limit, limit)
         self._acceleration = min(acceleration, model.acceleration)
         self._speed: Array | None = None  # at a full slider
+
+    def replan(self) -> None:
+        """Accelerate from standstill."""
+        self._speed = None
 
     def reached(self) -> bool:
         """Whether the velocities are reached."""
@@ -192,6 +199,10 @@ class Move(Motion):
     def start(self, q: Array) -> None:
         """Plan from joint positions q (6,) [rad] at once: the end of the previous, blended move."""
         self._profile, self._q, self._planned = self._plan(q), q, True
+
+    def replan(self) -> None:
+        """Plan again, from where the arm stands to the same end."""
+        self._time, self._planned = 0.0, False
 
     @property
     @abstractmethod

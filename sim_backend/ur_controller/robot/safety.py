@@ -80,7 +80,8 @@ class Safety:
         limits: Limits that cause a protective stop.
         log: Called with each line of the log.
         stop_program: Ends the running program.
-        pause_program: Pauses the running program.
+        pause_program: Pauses the running program; returns whether one was playing.
+        resume_program: Resumes a paused program.
         power_time: Duration of powering on, and of releasing the brakes [s].
 
     Attributes:
@@ -89,6 +90,8 @@ class Safety:
         mode: Safety mode.
         reason: Reason of the last stop.
         remote: Whether an e-Series controller is in remote control.
+        safeguard_resumes: Whether closing the safeguard resumes the program that it paused, as on a CB3 controller
+            without a safeguard reset input.
     """
 
     def __init__(
@@ -97,7 +100,8 @@ class Safety:
         limits: SafetyLimits,
         log: Callable[[str], None],
         stop_program: Callable[[], None],
-        pause_program: Callable[[], object],
+        pause_program: Callable[[], bool],
+        resume_program: Callable[[], bool],
         power_time: float = 0.5,
     ) -> None:
         self.limits = limits
@@ -105,8 +109,9 @@ class Safety:
         self.mode = SafetyMode.NORMAL
         self.reason = ""
         self.remote = True
+        self.safeguard_resumes = False
         self._machine, self._log, self._power_time = machine, log, power_time
-        self._stop_program, self._pause_program = stop_program, pause_program
+        self._stop_program, self._pause_program, self._resume_program = stop_program, pause_program, resume_program
         self._since_stop = 0.0
         self._force = np.zeros(3)
         self._goal: RobotMode | None = None
@@ -143,9 +148,16 @@ class Safety:
     # -- stops
 
     def protective_stop(self, reason: str) -> None:
-        """Stop and hold; the program ends. Unlocked through the dashboard after UNLOCK_DELAY."""
+        """Stop and hold; the program is paused, with its motion. Unlocked through the dashboard after UNLOCK_DELAY.
+
+        Unlocking moves nothing. Play resumes the program and its motion, from where the arm stands to the old goal
+        (ur_robot_driver, `robot_state_helper`; Universal_Robots_ROS2_Driver #515).
+        """
         if self.mode in _RUNS:
-            self._stop(SafetyMode.PROTECTIVE_STOP, reason)
+            self._pause_program()
+            self._machine.halt(self._machine.model.safety_deceleration)
+            self._since_stop = 0.0
+            self._enter(SafetyMode.PROTECTIVE_STOP, reason)
 
     def emergency_stop(self, system: bool = False) -> None:
         """Press the emergency stop: the arm stops and is powered off, the program ends."""
@@ -166,9 +178,11 @@ class Safety:
             self._enter(SafetyMode.SAFEGUARD_STOP, "safeguard input")
 
     def release_safeguard_stop(self) -> None:
-        """Close and reset the safeguard; the program stays paused until it is resumed."""
+        """Close and reset the safeguard; the program stays paused until it is resumed, see `safeguard_resumes`."""
         if self.mode is SafetyMode.SAFEGUARD_STOP:
             self._enter(SafetyMode.NORMAL, "")
+            if self.safeguard_resumes:
+                self._resume_program()
 
     def fault(self, violation: bool = False) -> None:
         """Enter FAULT or VIOLATION: the arm stops, and the safety system must be restarted (`restart safety`)."""

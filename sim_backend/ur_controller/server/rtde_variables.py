@@ -69,7 +69,7 @@ OUTPUTS: dict[str, Output] = {
     "safety_mode": Output("INT32", lambda r: r.safety.mode),
     "safety_status": Output("INT32", lambda r: r.safety.mode, (3, 10), (5, 4)),
     "actual_tool_accelerometer": Output("VECTOR3D", lambda r: r.machine.gravity),
-    "speed_scaling": Output("DOUBLE", lambda r: r.machine.speed_fraction),
+    "speed_scaling": Output("DOUBLE", lambda r: r.machine.speed_scaling),
     "target_speed_fraction": Output("DOUBLE", lambda r: r.machine.speed_fraction),
     "actual_momentum": Output("DOUBLE", lambda r: r.reading.momentum),
     "actual_main_voltage": Output("DOUBLE", lambda _: 48.0),

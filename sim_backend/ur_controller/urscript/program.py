@@ -129,7 +129,7 @@ class Program:
         """Resume a paused program; returns whether that was possible."""
         if self.state is not RuntimeState.PAUSED or self._forbidden():
             return False
-        self._machine.paused = False
+        self._machine.resume()
         self._enter(RuntimeState.PLAYING)
         return True
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 
+import numpy as np
 import pytest
 
 from tests.errors import raises
@@ -24,6 +25,7 @@ from toolee_robot.errors import (
     MotionFaultError,
     NotReadyError,
     OverrunError,
+    ProtectiveStopError,
     ServoCrashError,
     StaleDataError,
 )
@@ -121,6 +123,119 @@ def test_safeguard_stop(arm: UrArm, controller: ControllerProcess) -> None:
     assert isinstance(error, EmergencyStopError)
     assert stop.time < 0.3 + SLACK
     expect_latch(arm)
+
+
+PAUSES: dict[str, tuple[Callable[[ControllerProcess], object], Callable[[ControllerProcess], object]]] = {
+    "protective stop": (lambda c: c.fault("protective_stop"), lambda c: c.fault("unlock")),
+    "safeguard stop": (lambda c: c.fault("safeguard_stop"), lambda c: c.fault("safeguard_stop", active=False)),
+    "pause at the pendant": (lambda c: c.fault("pause"), lambda _c: None),
+}
+
+
+def plays_in_vain(controller: ControllerProcess, release: Callable[[ControllerProcess], object]) -> None:
+    """The robot's program has ended: after the release Play resumes nothing, and the joints stay where they are."""
+    assert controller.state()["program_state"] == "STOPPED"
+    before = controller.state()["tick"]
+    release(controller)
+    assert not controller.fault("play")["resumed"]
+    time.sleep(0.5)
+    q = controller.trace(before).q
+    assert np.ptp(q, axis=0).max() == 0.0
+
+
+@pytest.mark.parametrize("pause", PAUSES)
+def test_play_after_a_stop_never_resumes_the_old_motion(arm: UrArm, controller: ControllerProcess, pause: str) -> None:
+    stop, release = PAUSES[pause]
+    _, error = happens(arm, controller, lambda: stop(controller))
+    assert isinstance(error, MotionFaultError)
+    plays_in_vain(controller, release)
+    expect_latch(arm)
+    arm.reset()
+    assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
+
+
+@pytest.mark.parametrize("pause", PAUSES)
+def test_play_after_a_stop_at_rest_resumes_nothing(arm: UrArm, controller: ControllerProcess, pause: str) -> None:
+    stop, release = PAUSES[pause]
+    stop(controller)
+    time.sleep(0.3)
+    plays_in_vain(controller, release)
+    expect_latch(arm)
+
+
+def test_the_program_ends_although_the_dashboard_was_restarted(arm: UrArm, controller: ControllerProcess) -> None:
+    controller.fault("drop", port="dashboard", reset=True)
+    _, error = happens(arm, controller, lambda: controller.fault("protective_stop"))
+    assert isinstance(error, ProtectiveStopError)
+    plays_in_vain(controller, PAUSES["protective stop"][1])
+
+
+def test_the_program_ends_when_the_servo_process_dies_beside_a_protective_stop(
+    arm: UrArm, controller: ControllerProcess
+) -> None:
+    """A paused program's watchdog does not count, so that the dead process leaves a program that could go on."""
+
+    def both() -> None:
+        os.kill(arm.servo_pid, signal.SIGKILL)
+        controller.fault("protective_stop")
+
+    _, error = happens(arm, controller, both)
+    assert isinstance(error, MotionFaultError)
+    plays_in_vain(controller, PAUSES["protective stop"][1])
+
+
+def test_a_program_that_cannot_be_ended_forbids_the_reset(arm: UrArm, controller: ControllerProcess) -> None:
+    """The dashboard is unreachable from before the stop on: the paused program stays, and the driver says so."""
+    controller.fault("refuse", port="dashboard", seconds=60.0)
+    controller.fault("drop", port="dashboard", reset=True)
+    controller.fault("protective_stop")
+    time.sleep(0.5)
+    controller.fault("unlock")
+    assert controller.state()["program_state"] == "PAUSED"
+    time.sleep(0.1)
+    with raises(NotReadyError, code="not_ready.checks_failed") as refused:
+        arm.reset()
+    assert "paused program" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("fault", "code"), [("speed_slider", "motion_fault.speed_slider"), ("speed_scaling", "motion_fault.speed_scaling")]
+)
+def test_a_motion_that_is_slowed_down_stops(arm: UrArm, controller: ControllerProcess, fault: str, code: str) -> None:
+    stop, error = happens(arm, controller, lambda: controller.fault(fault, fraction=0.5))
+    assert isinstance(error, MotionFaultError)
+    assert error.code == code
+    assert stop.off_path < 1e-6
+    expect_latch(arm)
+
+
+def test_a_speed_slider_that_is_not_at_its_end_refuses_a_motion_and_latches_nothing(
+    arm: UrArm, controller: ControllerProcess
+) -> None:
+    controller.fault("speed_slider", fraction=0.5)
+    time.sleep(0.1)
+    with raises(NotReadyError, code="not_ready.speed_slider"):
+        arm.execute(swing(held(arm)), None, PATIENT)
+    controller.fault("speed_slider", fraction=1.0)
+    time.sleep(0.1)
+    assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
+
+
+@pytest.mark.parametrize(
+    ("fault", "arguments", "finding"),
+    [("serial", {"number": "20199900001"}, "serial number"), ("speed_slider", {"fraction": 0.5}, "speed slider")],
+)
+def test_reset_refuses_another_robot_and_another_speed(
+    arm: UrArm, controller: ControllerProcess, fault: str, arguments: dict[str, object], finding: str
+) -> None:
+    controller.fault("protective_stop")
+    time.sleep(0.3)
+    controller.fault("unlock")
+    controller.fault(fault, **arguments)
+    time.sleep(0.1)
+    with raises(NotReadyError, code="not_ready.checks_failed") as refused:
+        arm.reset()
+    assert finding in str(refused.value)
 
 
 @pytest.mark.parametrize("reset", [False, True], ids=["FIN", "RST"])

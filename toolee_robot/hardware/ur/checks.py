@@ -13,6 +13,7 @@ from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.hardware.ur.protocols.rtde import RTDE_PORT
 from toolee_robot.hardware.ur.report import RtdeQuality, UrReport, UrState
 from toolee_robot.hardware.ur.setup_checks import UrExpected, check_kinematics, check_payload, check_tcp
+from toolee_robot.hardware.ur.status import RUNTIME_PAUSED
 from toolee_robot.types import ArmModel
 
 ROBOT_MODES = {
@@ -213,7 +214,10 @@ def _motion(state: UrState) -> Iterator[Finding]:
         yield ok("standstill", "the arm is at rest")
     if state.robot_status_bits & _TEACH_BIT:
         yield fail("freedrive", "the teach button is pressed", "let go of it")
-    if state.runtime_state == _PLAYING:
+    if state.runtime_state in RUNTIME_PAUSED:
+        remedy = "stop it at the pendant: Play would move the arm on to where the program last sent it"
+        yield fail("program", "a paused program waits on the robot", remedy)
+    elif state.runtime_state == _PLAYING:
         yield warn("program", "a program runs on the robot", "stop it: connecting stops and replaces it")
     else:
         yield ok("program", "none runs")

@@ -32,13 +32,13 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ArmStatus, ContactGuard, MotionReport, MotionWatch
 from toolee_robot.hardware.ur.config import UrArmConfig, servo_lag
 from toolee_robot.hardware.ur.probe import nominal_rate
-from toolee_robot.hardware.ur.readiness import require_ready
+from toolee_robot.hardware.ur.readiness import Identity, require_ready
 from toolee_robot.hardware.ur.servo.client import ServoClient
 from toolee_robot.hardware.ur.servo.clock import Realtime
 from toolee_robot.hardware.ur.servo.messages import Cause, Freedrive, MotionRequest, SetPayload
 from toolee_robot.hardware.ur.servo.report import build_report, fault
 from toolee_robot.hardware.ur.servo.shared_memory import StateColumn, Word
-from toolee_robot.hardware.ur.status import advice, arm_status
+from toolee_robot.hardware.ur.status import FULL_SPEED, advice, arm_status
 from toolee_robot.motion.trajectory_checks import check_payload, check_trajectory
 from toolee_robot.runtime.gc_pause import gc_paused
 from toolee_robot.types import JointState, Payload, Trajectory
@@ -62,6 +62,7 @@ class UrArm:
         self._servo: ServoClient | None = None
         self._fault: MotionFaultError | None = None
         self._payload: Payload | None = None
+        self._identity: Identity | None = None
         self._busy = threading.Lock()
 
     def __enter__(self) -> Self:
@@ -72,8 +73,8 @@ class UrArm:
             DeviceError: The robot does not answer or refuses the connection.
             ServoCrashError: The servo process died or hung while it connected.
         """
-        version = require_ready(self._config, self._limits)
-        self._rate = nominal_rate(version)
+        self._identity = require_ready(self._config, self._limits)
+        self._rate = nominal_rate(self._identity.version)
         self._lag = servo_lag(self._config, self._rate)
         self._fault = None
         self._servo = ServoClient(self._config, self._rate)
@@ -146,12 +147,19 @@ class UrArm:
         Raises:
             LimitError: The trajectory breaks a limit, does not start where the arm is, or is too long.
             LatchedError: An earlier fault has not been reset.
+            NotReadyError: The speed slider is not at 100 %; nothing is latched.
             MotionFaultError: A fault stopped the arm; it is latched from now on.
             DeviceError: The arm is closed or busy.
         """
         with self._exclusive():
             servo = self._ready()
-            q_commanded = servo.memory.read_state()[StateColumn.COMMANDED]
+            state = servo.memory.read_state()
+            if (slider := float(state[StateColumn.SPEED_SLIDER])) < FULL_SPEED:
+                message = (
+                    f"the speed slider is at {slider:.0%}: set it to 100 % at the pendant, motions are timed for it"
+                )
+                raise NotReadyError(message, code="not_ready.speed_slider")
+            q_commanded = state[StateColumn.COMMANDED]
             check_trajectory(trajectory, q_commanded, -POSITION_LIMIT, POSITION_LIMIT, self._velocity)
             samples, knots = servo.memory.write_path(trajectory, self._rate)
             limits = self._limits
@@ -213,8 +221,11 @@ class UrArm:
     def reset(self) -> None:
         """Clear a latched fault with a new servo process and connection; does nothing where none is latched.
 
+        The robot's old program is ended first, and the robot checked as at the start: it must be the same one. The
+        payload set last is set again.
+
         Raises:
-            NotReadyError: A person must make the robot ready first.
+            NotReadyError: A person must make the robot ready first, or it is another robot.
             DeviceError: The robot does not answer or refuses the connection, or the arm is closed or busy.
             ServoCrashError: The new servo process died or hung while it connected.
         """
@@ -228,6 +239,7 @@ class UrArm:
                 if status is not ArmStatus.READY:
                     raise NotReadyError(advice(status), code=f"not_ready.{status}")
             servo.close()
+            require_ready(self._config, self._limits, self._identity)
             self._servo = servo = ServoClient(self._config, self._rate)
             self._fault = None
             if self._payload is not None:

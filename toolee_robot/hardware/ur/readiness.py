@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -19,21 +20,39 @@ TIMING: Final = {"RTDE rate", "RTDE jitter", "clock"}
 times in all."""
 
 
-def require_ready(config: UrArmConfig, limits: ArmLimits) -> tuple[int, int, int, int]:
+@dataclass(frozen=True)
+class Identity:
+    """Which robot answered.
+
+    Attributes:
+        version: Version of the controller's software: major, minor, bugfix, build.
+        serial: Serial number; None from a controller that does not report it.
+    """
+
+    version: tuple[int, int, int, int]
+    serial: str | None
+
+
+def require_ready(config: UrArmConfig, limits: ArmLimits, before: Identity | None = None) -> Identity:
     """Probe the robot and check it against the configuration; nothing moves.
 
     Args:
         config: Address and expected installation of the robot.
         limits: Expected model and calibration.
+        before: The robot of an earlier connection, which it must be; payload and TCP are then the driver's own, which
+            sets them again and reads them back. None for the first connection, when they are the installation's.
 
     Returns:
-        Version of the controller's software: major, minor, bugfix, build.
+        Which robot it is.
 
     Raises:
         NotReadyError: A check failed; the message lists everything a person must do first.
     """
-    tcp = None if config.tcp is None else np.array(config.tcp)
-    expected = UrExpected(limits.model, limits.calibration, config.payload, tcp)
+    expected = UrExpected(limits.model, limits.calibration)
+    if before is not None:
+        expected = replace(expected, serial=before.serial)
+    else:
+        expected = replace(expected, payload=config.payload, tcp=None if config.tcp is None else np.array(config.tcp))
     for _ in range(PROBES):
         report = probe(config.host, clock=config.clock)
         failed = [finding for finding in check(report, expected) if finding.level is Level.FAIL]
@@ -47,4 +66,4 @@ def require_ready(config: UrArmConfig, limits: ArmLimits) -> tuple[int, int, int
         lines = "\n  ".join(map(str, failed))
         message = f"the robot at {config.host} is not ready:\n  {lines}"
         raise NotReadyError(message, code="not_ready.checks_failed")
-    return report.version
+    return Identity(report.version, report.serial)

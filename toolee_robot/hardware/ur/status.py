@@ -14,7 +14,11 @@ _FAULT = 1 << 8 | 1 << 9  # violation, fault
 _STOPPED_FOR_SAFETY = 1 << 10
 
 ROBOT_MODE_RUNNING = 7
-RUNTIME_PLAYING = 2
+RUNTIME_STOPPED, RUNTIME_PLAYING = 1, 2
+RUNTIME_PAUSED = (3, 4, 5)
+"""RTDE's runtime_state of a program that is pausing, paused, or being resumed."""
+FULL_SPEED = 0.995
+"""Fraction of the commanded speed from which on a motion counts as executed at it."""
 
 _ADVICE = {
     ArmStatus.PROTECTIVE_STOP: "the robot has made a protective stop: look why, release it at the robot, then reset",

@@ -66,13 +66,93 @@ def test_stops_brake_as_hard_as_the_model_says(
     np.testing.assert_array_equal(served.plant.q, at_rest)
 
 
-def test_a_push_makes_a_protective_stop_and_ends_the_program() -> None:
+def test_a_push_makes_a_protective_stop_and_pauses_the_program() -> None:
     served = swinging("UR10e")
     served.plant.external_force = np.array([200.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     ticks(served, 0.2)
     assert served.safety.mode is SafetyMode.PROTECTIVE_STOP
     assert "force" in served.safety.reason
-    assert served.program.state is RuntimeState.STOPPED
+    assert served.program.state is RuntimeState.PAUSED
+
+
+@pytest.mark.parametrize("model", ["UR10", "UR10e"])
+def test_after_a_protective_stop_play_resumes_the_old_motion(model: str) -> None:
+    goal = Q_START + np.array([0.8, 0, 0, 0, 0, 0])
+    moves = {
+        "movej": f"movej({goal.tolist()}, 5, 1.5)",
+        "servoj": f"servoj({goal.tolist()}, 0, 0, 0.5, 0.1, 300)",
+        "speedj": "speedj([1.0, 0, 0, 0, 0, 0], 5, 0.8)",
+    }
+    for name, line in moves.items():
+        served = robot(model)
+        served.program.upload(f"def swing():\n  {line}\n  sleep(1)\nend\n")
+        ticks(served, 0.35)
+        served.safety.protective_stop("test")
+        ticks(served, 6.0)
+        stopped = served.plant.q.copy()
+        assert not np.any(served.plant.qd), name
+        assert stopped[0] < goal[0] - 0.05, name
+        assert not served.program.resume(), name
+        assert served.safety.unlock() == "", name
+        ticks(served, 1.0)
+        np.testing.assert_array_equal(served.plant.q, stopped, err_msg=name)
+        assert served.program.resume(), name
+        ticks(served, 0.4)
+        assert served.plant.q[0] > stopped[0] + 0.05, name
+        ticks(served, 3.0)
+        if name != "speedj":
+            np.testing.assert_allclose(served.plant.q, goal, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize("end", ["stop", "upload"])
+def test_a_program_stopped_while_paused_never_goes_on(end: str) -> None:
+    served = swinging("UR10")
+    served.safety.protective_stop("test")
+    served.step()  # still braking
+    speed = served.plant.qd[0]
+    served.program.stop()
+    ticks(served, 0.5 * speed / served.model.safety_deceleration)
+    assert served.plant.qd[0] == pytest.approx(0.5 * speed, abs=0.15), "the end of the program must not soften the stop"
+    ticks(served, 6.0)
+    stopped = served.plant.q.copy()
+    served.safety.unlock()
+    if end == "upload":
+        served.program.upload("def idle():\n  sleep(1)\nend\n")
+    else:
+        assert not served.program.resume()
+    ticks(served, 0.5)
+    np.testing.assert_array_equal(served.plant.q, stopped)
+
+
+def test_the_watchdog_does_not_count_while_the_program_is_paused() -> None:
+    served = robot("UR10")
+    served.program.upload(
+        "def swing():\n"
+        '  rtde_set_watchdog("input_int_register_0", 10, "stop")\n'
+        "  speedj([1.0, 0, 0, 0, 0, 0], 5, 5)\n"
+        "end\n"
+    )
+    ticks(served, 0.05)
+    served.safety.protective_stop("test")
+    ticks(served, 6.0)
+    served.safety.unlock()
+    assert served.program.name == "swing"
+    stopped = served.plant.q[0]
+    assert served.program.resume()
+    ticks(served, 0.5)
+    assert served.program.name == ""
+    assert served.plant.q[0] > stopped
+
+
+def test_a_cb3_without_a_reset_input_resumes_when_the_safeguard_closes() -> None:
+    served = swinging("UR10")
+    served.safety.safeguard_resumes = True
+    served.safety.safeguard_stop()
+    ticks(served, 0.5)
+    assert served.plant.qd[0] == 0.0
+    served.safety.release_safeguard_stop()
+    ticks(served, 0.3)
+    assert served.plant.qd[0] > 0.0
 
 
 def test_a_short_strike_is_not_a_push() -> None:

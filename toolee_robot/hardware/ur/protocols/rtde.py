@@ -131,6 +131,10 @@ class RtdeReader:
             raise
         return reader
 
+    def fileno(self) -> int:
+        """The connection's file descriptor."""
+        return self._sock.fileno()
+
     def negotiate(self, deadline: float) -> None:
         """Request protocol version 2; must be the first request.
 

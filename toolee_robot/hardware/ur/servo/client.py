@@ -28,6 +28,7 @@ from toolee_robot.hardware.ur.servo.messages import (
     Reply,
     Request,
 )
+from toolee_robot.hardware.ur.servo.program_stop import end_program
 from toolee_robot.hardware.ur.servo.shared_memory import ServoMemory, Word
 
 HEARTBEAT_PERIOD: Final = 0.01  # [s]
@@ -184,6 +185,8 @@ class ServoClient:
             self._process.wait(0.2)
         code = self._process.poll()
         self.kill()
+        # Should the robot have been stopped before its watchdog expired, its program is paused and could be resumed.
+        end_program(self._config.host, self._clock.to_wall_time(self._config.handshake_timeout))
         how = "hung" if hung or code is None else f"ended with code {code}" if code >= 0 else _signal_name(-code)
         self._errors.seek(0)
         words = self._errors.read().decode(errors="replace").split("Extension modules")[0].strip()[-_STDERR_TAIL:]

@@ -22,10 +22,13 @@ class Cause(IntEnum):
         STOP: `stop` was called.
         TASK_ENDED: The task's process ended, or this process was asked to terminate.
         DATA: The robot's data were late or implausible.
+        SPEED_SLIDER: A person has moved the speed slider.
+        SPEED_SCALING: The controller executes motions slower than they are commanded.
         TRACKING: The tracking error was too large.
         OVERRUN: Too many commands in a row were late.
         TASK_STALLED: The task's heartbeat stopped.
         PROGRAM_ENDED: The robot's control script ended, or ur_rtde refused to send.
+        PROGRAM_PAUSED: The robot's control script is paused; this process ends it.
         STOPPED_BY_ROBOT: The robot's safety system stopped it, or it left its running mode.
         LINK: The connection was lost.
     """
@@ -35,12 +38,15 @@ class Cause(IntEnum):
     STOP = 2
     TASK_ENDED = 3
     DATA = 4
-    TRACKING = 5
-    OVERRUN = 6
-    TASK_STALLED = 7
-    PROGRAM_ENDED = 8
-    STOPPED_BY_ROBOT = 9
-    LINK = 10
+    SPEED_SLIDER = 5
+    SPEED_SCALING = 6
+    TRACKING = 7
+    OVERRUN = 8
+    TASK_STALLED = 9
+    PROGRAM_ENDED = 10
+    PROGRAM_PAUSED = 11
+    STOPPED_BY_ROBOT = 12
+    LINK = 13
 
 
 @dataclass(frozen=True)

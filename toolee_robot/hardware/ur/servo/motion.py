@@ -14,6 +14,7 @@ from toolee_robot.hardware.ur.servo.clock import FOLLOW, Schedule
 from toolee_robot.hardware.ur.servo.messages import Cause, MotionRequest
 from toolee_robot.hardware.ur.servo.rtde_link import UrLink
 from toolee_robot.hardware.ur.servo.shared_memory import Column, ServoMemory, StateColumn, Word
+from toolee_robot.hardware.ur.status import FULL_SPEED
 from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.runtime.clock import HostClock
 
@@ -74,6 +75,7 @@ class Motion:
         while self._row < len(self._memory.rows):
             lateness, missed = self._schedule.wait()
             link.read()
+            link.end_halted_program()
             self._schedule.follow(link.arrived, FOLLOW)
             self._wrenches = link.unread_wrenches()
             self._judge(lateness, missed)
@@ -102,8 +104,14 @@ class Motion:
             self._end(Cause.DATA)
         elif self._link.status is not ArmStatus.READY:
             self._end(Cause.STOPPED_BY_ROBOT)
+        elif self._link.paused:
+            self._end(Cause.PROGRAM_PAUSED)
         elif not self._link.playing or self._link.refused:
             self._end(Cause.PROGRAM_ENDED)
+        elif self._link.reading[StateColumn.SPEED_SLIDER] < FULL_SPEED:
+            self._end(Cause.SPEED_SLIDER)
+        elif self._link.reading[StateColumn.SPEED_SCALING] < FULL_SPEED:
+            self._end(Cause.SPEED_SCALING)
         if self._cause is not Cause.NONE:
             return
         if self._streak >= watch.overruns:

@@ -75,9 +75,10 @@ class ServoProcess:
             link.read()
             schedule.follow(link.arrived, SEEK)
             link.unread_wrenches()
+            link.end_halted_program()
             self._judge()
-            # Without a running program ur_rtde would block in the call. At most one for each reading: what is sent to
-            # a paused controller queues up there and delays every later command.
+            # At most one for each reading: what is sent to a controller that stalls queues up there and delays every
+            # later command.
             if self._fault < Cause.PROGRAM_ENDED and link.playing and link.reading[StateColumn.TIMESTAMP] > answered:
                 link.kick()
                 answered = float(link.reading[StateColumn.TIMESTAMP])
@@ -96,6 +97,8 @@ class ServoProcess:
             os._exit(EXIT_LINK_LOST)
         elif link.status is not ArmStatus.READY:
             self._latch(Cause.STOPPED_BY_ROBOT)
+        elif link.paused:
+            self._latch(Cause.PROGRAM_PAUSED)
         elif not link.playing:
             self._latch(Cause.PROGRAM_ENDED)
         elif not link.plausible:

@@ -74,6 +74,18 @@ def fault(cause: Cause, status: ArmStatus, report: MotionReport | None) -> Motio
     if cause is Cause.LINK:
         message = "the link to the robot is lost; its watchdog stops it: check the network, then reset"
         return LinkLostError(message, report, code="link_lost.connection")
+    if cause is Cause.SPEED_SLIDER:
+        message = "the speed slider was moved and the arm was stopped: set it to 100 % at the pendant, then reset"
+        return MotionFaultError(message, report, code="motion_fault.speed_slider")
+    if cause is Cause.SPEED_SCALING:
+        message = (
+            "the controller slowed the motion down and the arm was stopped: look in the robot's log for the limit that "
+            "it reached, then reset"
+        )
+        return MotionFaultError(message, report, code="motion_fault.speed_scaling")
+    if cause is Cause.PROGRAM_PAUSED:
+        message = "the robot's program was paused at the robot and has been ended: see why, then reset"
+        return MotionFaultError(message, report, code="motion_fault.program_paused")
     if cause is Cause.TRACKING:
         return TrackingError("the arm did not follow its commands and was stopped: look for an obstacle", report)
     if cause is Cause.OVERRUN:

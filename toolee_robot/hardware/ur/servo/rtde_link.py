@@ -21,10 +21,11 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import ArmStatus
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.protocols.rtde import RTDE_PORT
-from toolee_robot.hardware.ur.servo.rtde_sockets import UrRtdeSockets
+from toolee_robot.hardware.ur.servo.program_stop import ProgramStop
+from toolee_robot.hardware.ur.servo.rtde_socket import UrRtdeSocket
 from toolee_robot.hardware.ur.servo.shared_memory import StateColumn
 from toolee_robot.hardware.ur.servo.state_stream import StateStream
-from toolee_robot.hardware.ur.status import RUNTIME_PLAYING, advice, arm_status
+from toolee_robot.hardware.ur.status import RUNTIME_PAUSED, RUNTIME_PLAYING, RUNTIME_STOPPED, advice, arm_status
 from toolee_robot.motion.trajectory_checks import START_TOLERANCE
 
 PAYLOAD_TOLERANCE = 1e-3
@@ -63,6 +64,7 @@ class UrLink:
             True.
         status: Status of the robot's safety system and mode.
         playing: Whether the robot's program runs.
+        paused: Whether the robot's program is paused: Play, or a safeguard that closes, would resume its last motion.
         servoing: Whether the control script's servo thread runs, which holds the last position sent.
 
     Raises:
@@ -75,7 +77,8 @@ class UrLink:
         self.reading: Array = np.zeros(StateColumn.COUNT)
         self.refused, self._lost = False, False
         self._wrenches: list[Array] = []
-        self.status, self.playing, self.servoing = ArmStatus.NOT_READY, False, False
+        self.status, self.playing, self.paused, self.servoing = ArmStatus.NOT_READY, False, False, False
+        self._program_exists = False  # since this connection uploaded it
         with bounded(self._clock.to_wall_time(config.connect_timeout)):
             try:
                 self._stream = StateStream(
@@ -84,6 +87,9 @@ class UrLink:
                 self._show_newest()
                 if self.status is not ArmStatus.READY:
                     raise NotReadyError(advice(self.status), code=f"not_ready.{self.status}")
+                self._program_stop = ProgramStop(
+                    config.host, time.monotonic() + self._clock.to_wall_time(config.connect_timeout)
+                )
                 self._control = RTDEControlInterface(config.host)
                 # Wrenches are to be reported at the flange, whatever TCP the installation has.
                 self._control.setTcp([0.0] * 6)
@@ -91,16 +97,17 @@ class UrLink:
                     self.read()
                     self._expect_plausible()
                     time.sleep(1e-3)
+                self._program_exists = True
                 self._control.setWatchdog(config.watchdog)
                 self._catch_up()
-                self._sockets = UrRtdeSockets(RTDE_PORT)
+                self._socket = UrRtdeSocket(RTDE_PORT, self._stream.fileno())
             except (RuntimeError, ValueError, IndexError, MemoryError) as error:  # C++ exceptions
                 raise DeviceError(_explain(str(error), config.host), code="device.connection_refused") from error
 
     @property
     def connected(self) -> bool:
         """Whether all connections seem to be the original ones. Only False is certain."""
-        return not (self._lost or self._stream.lost) and bool(self._control.isConnected() and self._sockets.same)
+        return not (self._lost or self._stream.lost) and bool(self._control.isConnected() and self._socket.same)
 
     @property
     def plausible(self) -> bool:
@@ -141,10 +148,23 @@ class UrLink:
         reading[:5] = self._stream.seen, newest.timestamp, safety, mode, runtime
         reading[StateColumn.Q], reading[StateColumn.QD] = newest.q, newest.qd
         reading[StateColumn.WRENCH] = newest.wrench
+        reading[StateColumn.SPEED_SLIDER], reading[StateColumn.SPEED_SCALING] = (
+            newest.speed_slider,
+            newest.speed_scaling,
+        )
         if not self.servoing:  # a person may move it, or it may still be decelerating after a program's end
             reading[StateColumn.COMMANDED] = newest.target
         self.status = arm_status(safety, mode)
-        self.playing = runtime == RUNTIME_PLAYING
+        self.playing, self.paused = runtime == RUNTIME_PLAYING, runtime in RUNTIME_PAUSED
+        self._program_exists = self._program_exists and runtime != RUNTIME_STOPPED
+
+    def end_halted_program(self) -> None:
+        """Ask the dashboard server to end this connection's program if the robot was stopped or the program paused.
+
+        To be called in every cycle. Never waits, releases nothing, and touches no other program.
+        """
+        if self._program_exists and (self.paused or self.status is not ArmStatus.READY):
+            self._program_stop.request()
 
     def servo(self, q: Array) -> None:
         """Send a joint position (6,) [rad]; this resets the robot's watchdog as well."""
@@ -159,11 +179,9 @@ class UrLink:
     def kick(self) -> None:
         """Reset the robot's watchdog.
 
-        Not in a cycle that has sent a position: of two commands in one of its cycles the robot takes the later. Not
-        without a running program: ur_rtde may wait 3 s for one.
+        Not in a cycle that has sent a position: of two commands in one of its cycles the robot takes the later.
         """
-        with self._while_connected():
-            self._control.kickWatchdog()
+        self._lost = self._lost or not self._socket.kick()
 
     def set_payload(self, mass: float, center_of_mass: list[float]) -> None:
         """Set the payload and wait until the controller reports it, if its version does.
@@ -232,6 +250,10 @@ class UrLink:
                 if self.servoing:
                     self._control.servoStop()
                 self._control.stopScript()
+            while self.connected and self._program_exists and (self.paused or self.status is not ArmStatus.READY):
+                self.end_halted_program()
+                self._clock.sleep(1.0 / self.rate)
+                self.read()
         # No destructors: ur_rtde's may hang, reconnect or crash. The kernel closes the connections.
         os._exit(0)
 
@@ -239,7 +261,7 @@ class UrLink:
     def _while_connected(self) -> Iterator[None]:
         """Record a lost connection.
 
-        A command on one makes ur_rtde try to reconnect, which `UrRtdeSockets` prevents, and so raises RuntimeError.
+        A command on one makes ur_rtde try to reconnect, which `UrRtdeSocket` prevents, and so raises RuntimeError.
         """
         try:
             yield

@@ -93,6 +93,8 @@ class StateColumn:
         QD: Measured joint velocities, (6,) [rad/s].
         WRENCH: Wrench at the flange, (6,) [N, Nm], axes of `base`.
         COMMANDED: Joint positions sent last, or held by the controller, (6,) [rad].
+        SPEED_SLIDER: Position of the speed slider, 0 to 1.
+        SPEED_SCALING: Speed of the motion as a fraction of the commanded one.
         COUNT: Number of elements.
     """
 
@@ -105,7 +107,9 @@ class StateColumn:
     QD = slice(11, 17)
     WRENCH = slice(17, 23)
     COMMANDED = slice(23, 29)
-    COUNT = 29
+    SPEED_SLIDER = 29
+    SPEED_SCALING = 30
+    COUNT = 31
 
 
 class ServoMemory:

@@ -24,6 +24,8 @@ _ALWAYS = (
     "actual_qd",
     "target_q",
     "actual_TCP_force",
+    "target_speed_fraction",
+    "speed_scaling",
     "safety_status_bits",
     "robot_mode",
     "runtime_state",
@@ -49,6 +51,8 @@ class Reading:
         qd: Measured joint velocities, (6,) [rad/s].
         target: Joint positions at which the controller holds the arm, (6,) [rad].
         wrench: Wrench at the flange, (6,) [N, Nm], axes of `base`.
+        speed_slider: Position of the speed slider, 0 to 1.
+        speed_scaling: Speed of the motion as a fraction of the commanded one.
         safety_bits: RTDE's safety_status_bits.
         robot_mode: RTDE's robot_mode.
         runtime_state: RTDE's runtime_state.
@@ -61,6 +65,8 @@ class Reading:
     qd: Array
     target: Array
     wrench: Array
+    speed_slider: float
+    speed_scaling: float
     safety_bits: int
     robot_mode: int
     runtime_state: int
@@ -104,6 +110,10 @@ class StateStream:
         self.newest, self.seen = _reading(first), clock.now()
         self.arrived = first.received * clock.real_time_factor
 
+    def fileno(self) -> int:
+        """The connection's file descriptor."""
+        return self._reader.fileno()
+
     def take(self) -> list[Reading]:
         """The readings that have arrived since the last call, the oldest first; never waits.
 
@@ -144,13 +154,17 @@ def _reading(sample: RtdeSample) -> Reading:
         raise ProtocolError("the robot's joint readings are implausible", code="protocol.implausible")
     if not (wrench.shape == (6,) and np.all(np.abs(wrench) < _IMPLAUSIBLE_WRENCH)):
         raise ProtocolError("the robot's wrench readings are implausible", code="protocol.implausible")
+    speeds = _numbers([values["target_speed_fraction"], values["speed_scaling"]])
+    if not (speeds.shape == (2,) and np.all(np.abs(speeds) < _IMPLAUSIBLE)):
+        raise ProtocolError("the robot's speed slider or scaling is implausible", code="protocol.implausible")
+    slider, scaling = speeds.tolist()
     safety, mode, runtime = (int(_numbers(values[name])[0]) for name in _ALWAYS[-3:])
     payload = None
     if _OPTIONAL[0] in values:
         mass, x, y, z = np.hstack([_numbers(values[name]) for name in _OPTIONAL]).tolist()
         payload = (mass, x, y, z)
-    return Reading(float(timestamp[0]), q, qd, target, wrench * _TURN, safety, mode, runtime, payload)
+    return Reading(float(timestamp[0]), q, qd, target, wrench * _TURN, slider, scaling, safety, mode, runtime, payload)
 
 
-def _numbers(value: Value) -> Array:
+def _numbers(value: Value | list[Value]) -> Array:
     return np.atleast_1d(np.asarray(value, dtype=np.float64))
