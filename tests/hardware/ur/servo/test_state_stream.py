@@ -23,15 +23,17 @@ from toolee_robot.runtime.clock import HostClock
 HOST = "127.0.0.63"
 JOINTS = (0.1, -1.2, 1.3, -0.4, 1.5, 0.6)
 NAN, INF = math.nan, math.inf
-OLD = ["DOUBLE", *["VECTOR6D"] * 4, "UINT32", "INT32", "UINT32"]
+OLD = ["DOUBLE", *["VECTOR6D"] * 4, "DOUBLE", "DOUBLE", "UINT32", "INT32", "UINT32"]
 TYPES = [*OLD, "DOUBLE", "VECTOR3D"]
 HELLO = packet(b"V", b"\x01")
 
 
-def reading(timestamp: float, *, q0: float = 0.1, force: float = 5.0, old: bool = False) -> bytes:
+def reading(
+    timestamp: float, *, q0: float = 0.1, force: float = 5.0, slider: float = 1.0, old: bool = False
+) -> bytes:
     """old: of a controller that does not report the payload."""
     joints, wrench = (q0, *JOINTS[1:]), (force, 2.0, 3.0, 4.0, 5.0, 6.0)
-    values = (timestamp, joints, (0.0,) * 6, JOINTS, wrench, 1, 7, 2, 1.25, (0.1, 0.2, 0.3))
+    values = (timestamp, joints, (0.0,) * 6, JOINTS, wrench, slider, 1.0, 1, 7, 2, 1.25, (0.1, 0.2, 0.3))
     return data(OLD, values[:-2]) if old else data(TYPES, values)
 
 
