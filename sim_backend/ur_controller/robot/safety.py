@@ -155,7 +155,8 @@ class Safety:
         """
         if self.mode in _RUNS:
             self._pause_program()
-            self._machine.halt(self._machine.model.safety_deceleration)
+            stop = self._machine.halt if self._machine.paused else self._machine.stop
+            stop(self._machine.model.safety_deceleration)
             self._since_stop = 0.0
             self._enter(SafetyMode.PROTECTIVE_STOP, reason)
 

@@ -144,6 +144,16 @@ def test_the_watchdog_does_not_count_while_the_program_is_paused() -> None:
     assert served.plant.q[0] > stopped
 
 
+def test_after_a_protective_stop_without_a_program_the_arm_moves_again() -> None:
+    served = robot("UR10")
+    served.safety.protective_stop("test")
+    ticks(served, 6.0)
+    served.safety.unlock()
+    served.program.upload(SWING)
+    ticks(served, 0.3)
+    assert served.plant.qd[0] == pytest.approx(1.5)
+
+
 def test_a_cb3_without_a_reset_input_resumes_when_the_safeguard_closes() -> None:
     served = swinging("UR10")
     served.safety.safeguard_resumes = True
