@@ -20,7 +20,7 @@ from toolee_robot.sim_backend.ur_controller.faults.fault_port import Faults
 from toolee_robot.sim_backend.ur_controller.faults.session import FaultSession
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS, ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
-from toolee_robot.sim_backend.ur_controller.robot.safety import SafetyLimits
+from toolee_robot.sim_backend.ur_controller.robot.safety_limits import SafetyLimits
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server.dashboard import DashboardSession
 from toolee_robot.sim_backend.ur_controller.server.port import Port

@@ -18,7 +18,8 @@ from toolee_robot.sim_backend.ur_controller.robot.machine import EventKind, Mach
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
 from toolee_robot.sim_backend.ur_controller.robot.registers import Registers
-from toolee_robot.sim_backend.ur_controller.robot.safety import RobotMode, Safety, SafetyLimits
+from toolee_robot.sim_backend.ur_controller.robot.safety import RobotMode, Safety
+from toolee_robot.sim_backend.ur_controller.robot.safety_limits import SafetyLimits
 from toolee_robot.sim_backend.ur_controller.urscript.program import Program, RuntimeState
 
 MESSAGES = 100  # messages of the script that are kept

@@ -51,7 +51,7 @@ class UrController:
     def run(self) -> int:
         from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
         from toolee_robot.sim_backend.ur_controller.process import resting_joints
-        from toolee_robot.sim_backend.ur_controller.robot.safety import SafetyLimits
+        from toolee_robot.sim_backend.ur_controller.robot.safety_limits import SafetyLimits
 
         console = Console(highlight=False)
         begin = time.monotonic()

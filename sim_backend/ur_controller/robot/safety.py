@@ -7,13 +7,13 @@ robot's safety functions.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
+from toolee_robot.sim_backend.ur_controller.robot.safety_limits import SafetyLimits
 
 UNLOCK_DELAY = 5.0  # [s] after a protective stop during which it cannot be unlocked, as on a real robot
 SETTLE_SPEED = 1e-3  # [rad/s] below which the arm counts as standing and is powered off after an emergency stop
@@ -51,25 +51,6 @@ class SafetyMode(IntEnum):
 _STATUS_BIT = {mode: mode - 1 if mode < SafetyMode.VIOLATION else int(mode) for mode in SafetyMode}
 _EMERGENCY = (SafetyMode.ROBOT_EMERGENCY_STOP, SafetyMode.SYSTEM_EMERGENCY_STOP)
 _RUNS = (SafetyMode.NORMAL, SafetyMode.REDUCED)
-
-
-@dataclass(frozen=True)
-class SafetyLimits:
-    """Limits whose violation causes a protective stop.
-
-    Attributes:
-        force: Force on the flange [N], low-pass filtered: as estimated from joint currents, a strike appears weaker.
-        force_time: Time constant of that filter [s].
-        following_error: Deviation of a joint from its set-point [rad].
-        joint_speed: Joint velocity as a fraction of the model's limit.
-        tcp_speed: Speed of the TCP [m/s].
-    """
-
-    force: float = 150.0
-    force_time: float = 0.02
-    following_error: float = 0.2
-    joint_speed: float = 1.1
-    tcp_speed: float = 5.0
 
 
 class Safety:

@@ -145,6 +145,14 @@ ARM_FAULTS = (
         13, "safeguard stop", "robot stops, latches",
         lambda r: r.controller.fault("safeguard_stop"), EmergencyStopError, _cycles(2), by_robot=True, emergency=True,
     ),
+    ArmFault(
+        13, "paused at the pendant", "robot stops, latches, its program is ended",
+        lambda r: r.controller.fault("pause"), MotionFaultError, _cycles(2), by_robot=True, emergency=True,
+    ),
+    ArmFault(
+        7, "speed slider moved to 50 %", "brakes on the path, latches",
+        lambda r: r.controller.fault("speed_slider", fraction=0.5), MotionFaultError, _cycles(2), at_rest=None,
+    ),
 )  # fmt: skip
 
 

@@ -28,9 +28,7 @@ TYPES = [*OLD, "DOUBLE", "VECTOR3D"]
 HELLO = packet(b"V", b"\x01")
 
 
-def reading(
-    timestamp: float, *, q0: float = 0.1, force: float = 5.0, slider: float = 1.0, old: bool = False
-) -> bytes:
+def reading(timestamp: float, *, q0: float = 0.1, force: float = 5.0, slider: float = 1.0, old: bool = False) -> bytes:
     """old: of a controller that does not report the payload."""
     joints, wrench = (q0, *JOINTS[1:]), (force, 2.0, 3.0, 4.0, 5.0, 6.0)
     values = (timestamp, joints, (0.0,) * 6, JOINTS, wrench, slider, 1.0, 1, 7, 2, 1.25, (0.1, 0.2, 0.3))
