@@ -36,7 +36,15 @@ def job(options: list[str]) -> dict[str, float | None]:
 
 
 def median(runs: list[dict[str, float | None]], name: str) -> str:
-    """The median over the jobs that have this figure; "-" where none has it."""
+    """The median over the jobs that have a figure.
+
+    Args:
+        runs: The jobs' records.
+        name: Key of the figure.
+
+    Returns:
+        The median with one decimal; "-" where no job has the figure.
+    """
     known = [value for run in runs if (value := run.get(name)) is not None]
     return f"{np.median(known):.1f}" if known else "-"
 

@@ -176,8 +176,8 @@ def test_the_tool_is_lost_in_a_motion(bench: Bench, where: Stage | str, motion: 
 @pytest.mark.parametrize(
     ("X", "reason"),
     [
-        (transform(p=[0.13, 0.0, 0.0]), "130 mm and 0 deg away"),
-        (transform(R=np.diag([1.0, -1.0, -1.0])), "0 mm and 180 deg away"),
+        (transform(p=[0.13, 0.0, 0.0]), "130 mm and 0° away"),
+        (transform(R=np.diag([1.0, -1.0, -1.0])), "0 mm and 180° away"),
         (np.full((4, 4), np.nan), "away from where a held hammer can have it"),
     ],
 )
