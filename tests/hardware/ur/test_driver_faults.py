@@ -154,7 +154,13 @@ def test_play_after_a_stop_never_resumes_the_old_motion(arm: UrArm, controller: 
     assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
 
 
-@pytest.mark.parametrize("pause", PAUSES)
+@pytest.mark.parametrize(
+    "pause",
+    [
+        "pause at the pendant",
+        *(pytest.param(pause, marks=pytest.mark.nightly) for pause in ("protective stop", "safeguard stop")),
+    ],
+)
 def test_play_after_a_stop_at_rest_resumes_nothing(arm: UrArm, controller: ControllerProcess, pause: str) -> None:
     stop, release = PAUSES[pause]
     stop(controller)
@@ -163,6 +169,7 @@ def test_play_after_a_stop_at_rest_resumes_nothing(arm: UrArm, controller: Contr
     expect_latch(arm)
 
 
+@pytest.mark.nightly
 def test_the_program_ends_although_the_dashboard_was_restarted(arm: UrArm, controller: ControllerProcess) -> None:
     controller.fault("drop", port="dashboard", reset=True)
     _, error = happens(arm, controller, lambda: controller.fault("protective_stop"))
@@ -170,6 +177,7 @@ def test_the_program_ends_although_the_dashboard_was_restarted(arm: UrArm, contr
     plays_in_vain(controller, PAUSES["protective stop"][1])
 
 
+@pytest.mark.nightly
 def test_the_program_ends_when_the_servo_process_dies_beside_a_protective_stop(
     arm: UrArm, controller: ControllerProcess
 ) -> None:
@@ -199,7 +207,11 @@ def test_a_program_that_cannot_be_ended_forbids_the_reset(arm: UrArm, controller
 
 
 @pytest.mark.parametrize(
-    ("fault", "code"), [("speed_slider", "motion_fault.speed_slider"), ("speed_scaling", "motion_fault.speed_scaling")]
+    ("fault", "code"),
+    [
+        ("speed_slider", "motion_fault.speed_slider"),
+        pytest.param("speed_scaling", "motion_fault.speed_scaling", marks=pytest.mark.nightly),
+    ],
 )
 def test_a_motion_that_is_slowed_down_stops(arm: UrArm, controller: ControllerProcess, fault: str, code: str) -> None:
     stop, error = happens(arm, controller, lambda: controller.fault(fault, fraction=0.5))
@@ -223,7 +235,10 @@ def test_a_speed_slider_that_is_not_at_its_end_refuses_a_motion_and_latches_noth
 
 @pytest.mark.parametrize(
     ("fault", "arguments", "finding"),
-    [("serial", {"number": "20199900001"}, "serial number"), ("speed_slider", {"fraction": 0.5}, "speed slider")],
+    [
+        ("serial", {"number": "20199900001"}, "serial number"),
+        pytest.param("speed_slider", {"fraction": 0.5}, "speed slider", marks=pytest.mark.nightly),
+    ],
 )
 def test_reset_refuses_another_robot_and_another_speed(
     arm: UrArm, controller: ControllerProcess, fault: str, arguments: dict[str, object], finding: str
