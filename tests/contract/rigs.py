@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 
 import numpy as np
 import pybullet as pb
+import pytest
 
 from tests.sim_backend.kinematics import joints_for_hand, line
 from tests.stand_in import HOME, PATIENT, held, patient, stand_in
@@ -29,12 +30,14 @@ NUDGE = np.array([0.25, -0.15, 0.2, 0.1, -0.2, 0.3])
 
 class Rig(ABC):
     """An entered arm. rate: [Hz] expected. limits: it was made with. tracking: measured against commanded at rest
-    [rad]. faults: whether stops, contacts and cuts can be brought about without a person. disturbed: one was."""
+    [rad]. reading: between two readings of the joints at rest [rad]. faults: whether stops, contacts and cuts can be
+    brought about without a person. disturbed: one was."""
 
     arm: Arm
     rate: float
     limits: ArmLimits
     tracking = 1e-3
+    reading = 1e-6
     faults = True
     disturbed = False
 
@@ -222,11 +225,28 @@ class StandInRig(Rig):
         return UrArm(patient(self.controller.host), self.limits)
 
 
+GENTLE_SPEED, GENTLE_ACCELERATION = 0.1, 1.0
+"""[rad/s], [rad/s^2] Of a joint: what the suite commands a robot at most, whether or not it should be refused."""
+
+
+def gentle(trajectory: Trajectory) -> bool:
+    """Whether a trajectory stays within the bounds above, by its numbers and by the way between its samples."""
+    q = trajectory.q[np.isfinite(trajectory.q).all(axis=1)]
+    way, steps = np.abs(np.diff(trajectory.q, axis=0)), np.diff(trajectory.times)[:, None]
+    fast = (
+        np.nanmax(np.abs(trajectory.qd), initial=0.0) > GENTLE_SPEED
+        or np.nanmax(np.where(np.isfinite(trajectory.qdd), np.abs(trajectory.qdd), 0.0)) > GENTLE_ACCELERATION
+        or np.nanmax(way / steps, initial=0.0) > GENTLE_SPEED
+    )
+    return len(q) > 0 and not fast
+
+
 class HardwareRig(Rig):
     """A robot that stands somewhere. Motions are small and slow; nothing here brings it to harm on purpose."""
 
     faults = False
     tracking = 5e-3
+    reading = 1e-3
 
     def __init__(self, arm: UrArm, limits: ArmLimits) -> None:
         self.arm: UrArm = arm
@@ -237,6 +257,12 @@ class HardwareRig(Rig):
         q = self.start()
         towards = self._home + 0.1 * NUDGE if np.abs(q - self._home).max() < 0.005 else self._home
         return line([q, q + share * (towards - q)], 3.0 * duration)
+
+    def execute(self, trajectory: Trajectory, guard: ContactGuard | None = None) -> MotionReport:
+        """Not even what the driver has to refuse is commanded faster."""
+        if not gentle(trajectory):
+            pytest.skip("too fast to be commanded to a robot")
+        return super().execute(trajectory, guard)
 
     def now(self) -> float:
         return time.monotonic()
@@ -278,6 +304,6 @@ def stand_in_rig(model: ArmModel, host: str) -> Iterator[Rig]:
 
 @contextmanager
 def hardware_rig(model: ArmModel, host: str) -> Iterator[Rig]:
-    limits = ArmLimits(model=model)
+    limits = ArmLimits(model=model, stop_acceleration=GENTLE_ACCELERATION)
     with UrArm(UrArmConfig(host), limits) as arm:
         yield HardwareRig(arm, limits)

@@ -68,7 +68,7 @@ def test_its_state_is_fresh_finite_and_ready(rig: Rig) -> None:
     assert state.joints.q.shape == state.joints.qd.shape == state.q_commanded.shape == state.wrench.shape == (6,)
     assert np.all(np.isfinite(np.concatenate([state.joints.q, state.joints.qd, state.q_commanded, state.wrench])))
     assert 0.0 <= rig.now() - state.joints.stamp < 0.5
-    np.testing.assert_allclose(state.joints.q, rig.true_joints()[0], atol=1e-6)
+    np.testing.assert_allclose(state.joints.q, rig.true_joints()[0], atol=rig.reading)
     rig.sleep(0.1)
     assert rig.arm.state(max_age=0.5).joints.stamp > state.joints.stamp
 
@@ -117,7 +117,7 @@ def test_what_breaks_a_limit_is_refused_and_nothing_moves(
     with raises(LimitError, code):
         rig.execute(change(rig.nudge()))
     rig.sleep(0.05)
-    np.testing.assert_allclose(rig.true_joints()[0], q, atol=1e-6 if rig.faults else 1e-3)
+    np.testing.assert_allclose(rig.true_joints()[0], q, atol=rig.reading)
     assert rig.arm.state(0.5).status is ArmStatus.READY
 
 
@@ -272,8 +272,9 @@ def test_leaving_the_context_stops_and_closes_the_arm(rig: Rig) -> None:
     rig.after(0.3, arm.stop)
     assert rig.execute(rig.nudge()).outcome is MotionOutcome.STOPPED
     arm.__exit__(None, None, None)
-    stands(rig)
-    for use in (arm.state, arm.reset, lambda: rig.execute(line([np.zeros(6), np.ones(6)], 1.0))):
+    if rig.faults:  # a robot's joints are known from the open arm alone
+        stands(rig)
+    for use in (arm.state, arm.reset, lambda: rig.execute(line([np.zeros(6), np.full(6, 0.01)], 1.0))):
         with raises(DeviceError, code="device.closed"):
             use()
     arm.stop()
