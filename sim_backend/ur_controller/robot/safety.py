@@ -154,9 +154,11 @@ class Safety:
             self._power(RobotMode.POWER_OFF)
 
     def safeguard_stop(self) -> None:
-        """Open the safeguard: the program pauses, the arm stops on its path."""
+        """Open the safeguard: the program pauses, the arm stops as after a protective stop."""
         if self.mode in _RUNS:
             self._pause_program()
+            stop = self._machine.halt if self._machine.paused else self._machine.stop
+            stop(self._machine.model.safety_deceleration)
             self._enter(SafetyMode.SAFEGUARD_STOP, "safeguard input")
 
     def release_safeguard_stop(self) -> None:

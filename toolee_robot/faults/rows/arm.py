@@ -147,11 +147,11 @@ ARM_FAULTS = (
     ),
     ArmFault(
         13, "paused at the pendant", "robot stops, latches, its program is ended",
-        lambda r: r.controller.fault("pause"), MotionFaultError, _cycles(2), by_robot=True, emergency=True,
+        lambda r: r.controller.fault("pause"), MotionFaultError, _seconds(0.25), by_robot=True,
     ),
     ArmFault(
         7, "speed slider moved to 50 %", "brakes on the path, latches",
-        lambda r: r.controller.fault("speed_slider", fraction=0.5), MotionFaultError, _cycles(2), at_rest=None,
+        lambda r: r.controller.fault("speed_slider", fraction=0.5), MotionFaultError, _seconds(0.05), at_rest=None,
     ),
 )  # fmt: skip
 

@@ -31,6 +31,7 @@ from toolee_robot.motion.trajectory_checks import START_TOLERANCE
 PAYLOAD_TOLERANCE = 1e-3
 """[kg], [m] Largest difference between the payload set and the payload reported by the controller."""
 
+_AT_REST = 0.02  # [rad/s] joint speed below which a paused robot counts as standing
 _CATCH_UP_READS = 100  # reads after a handshake, at most
 _HELD_READINGS = 5  # consecutive readings with one set-point, after which the arm counts as held
 
@@ -163,7 +164,9 @@ class UrLink:
 
         To be called in every cycle. Never waits, releases nothing, and touches no other program.
         """
-        if self._program_exists and (self.paused or self.status is not ArmStatus.READY):
+        # A pause at the pendant stops on the path; ended in the middle of it, the program would leave the path.
+        paused = self.paused and np.abs(self.reading[StateColumn.QD]).max() < _AT_REST
+        if self._program_exists and (paused or self.status is not ArmStatus.READY):
             self._program_stop.request()
 
     def servo(self, q: Array) -> None:
