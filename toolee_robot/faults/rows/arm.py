@@ -151,7 +151,7 @@ ARM_FAULTS = (
     ),
     ArmFault(
         7, "speed slider moved to 50 %", "brakes on the path, latches",
-        lambda r: r.controller.fault("speed_slider", fraction=0.5), MotionFaultError, _seconds(0.05), at_rest=None,
+        lambda r: r.controller.fault("speed_slider", fraction=0.5), MotionFaultError, _seconds(0.1), at_rest=None,
     ),
 )  # fmt: skip
 

@@ -185,7 +185,9 @@ class ServoClient:
             self._process.wait(0.2)
         code = self._process.poll()
         self.kill()
-        # Should the robot have been stopped before its watchdog expired, its program is paused and could be resumed.
+        # The watchdog lets the arm come to rest on its path and ends the program. Should the robot have been stopped
+        # before, the program is paused instead and could be resumed.
+        self._clock.sleep(2.0 / self._config.watchdog)
         end_program(self._config.host, self._clock.to_wall_time(self._config.handshake_timeout))
         how = "hung" if hung or code is None else f"ended with code {code}" if code >= 0 else _signal_name(-code)
         self._errors.seek(0)
