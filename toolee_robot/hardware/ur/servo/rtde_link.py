@@ -165,9 +165,14 @@ class UrLink:
         To be called in every cycle. Never waits, releases nothing, and touches no other program.
         """
         # A pause at the pendant stops on the path; ended in the middle of it, the program would leave the path.
-        paused = self.paused and np.abs(self.reading[StateColumn.QD]).max() < _AT_REST
-        if self._program_exists and (paused or self.status is not ArmStatus.READY):
+        pausing = self.status is ArmStatus.READY and np.abs(self.reading[StateColumn.QD]).max() > _AT_REST
+        if self._program_halted and not pausing:
             self._program_stop.request()
+
+    @property
+    def _program_halted(self) -> bool:
+        """Whether this connection's program waits behind a stop or a pause, and could be resumed."""
+        return self._program_exists and (self.paused or self.status is not ArmStatus.READY)
 
     def servo(self, q: Array) -> None:
         """Send a joint position (6,) [rad]; this resets the robot's watchdog as well."""
@@ -253,7 +258,7 @@ class UrLink:
                 if self.servoing:
                     self._control.servoStop()
                 self._control.stopScript()
-            while self.connected and self._program_exists and (self.paused or self.status is not ArmStatus.READY):
+            while self.connected and self._program_halted:
                 self.end_halted_program()
                 self._clock.sleep(1.0 / self.rate)
                 self.read()
