@@ -54,6 +54,13 @@ def test_every_import_in_a_document_resolves() -> None:
     assert count > 5
 
 
+def test_no_document_or_example_moves_an_arm_without_the_supervisor() -> None:
+    shown = [*blocks("python"), *((path, path.read_text()) for path in (ROOT / "examples").glob("*.py"))]
+    assert len(shown) > 5
+    for path, text in shown:
+        assert "UnsupervisedUrArm" not in text, f"{path} shows the driver alone: use stations.ur.open_arm"
+
+
 def test_every_file_that_a_document_names_exists() -> None:
     rooms = r"(?:toolee_robot|perception|control|sim_backend|scripts|tests|examples|docs)/[\w/.-]+"
     for path in DOCUMENTS:
