@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.sim_backend.kinematics import line
-from tests.stand_in import HOME, held
+from tests.stand_in import HOME, PATIENT, held
 from toolee_robot.config import ArmLimits, ServoConfig
 from toolee_robot.frames import Array
 from toolee_robot.hardware.ur.config import UrArmConfig
@@ -62,3 +62,28 @@ def test_an_arm_that_swings_is_not_taken_for_one_that_stands() -> None:
             tick = controller.state()["tick"]
             time.sleep(0.4 / REAL_TIME_FACTOR)
             assert np.abs(controller.trace(tick).qd).max() < 0.01
+
+
+class Noisy(JointPlant):
+    """Joints whose speed reads as noisily as a CB3's may: 3 mrad/s of standard deviation."""
+
+    def __init__(self, model: ControllerModel) -> None:
+        super().__init__(model, HOME)
+        self._rng = np.random.default_rng(1)
+
+    @property
+    def qd(self) -> Array:
+        return super().qd + self._rng.normal(0.0, 3e-3, 6)
+
+
+def test_an_arm_with_noisy_encoders_is_at_rest_soon() -> None:
+    with (
+        ControllerProcess(model="UR10", host=HOST, plant=Noisy, realtime=True) as controller,
+        UnsupervisedUrArm(UrArmConfig(HOST, ServoConfig(lag=0.05)), ArmLimits()) as arm,
+    ):
+        settling = []
+        for target in (HOME + 0.05, HOME):
+            report = arm.execute(line([held(arm), target], 0.5), None, PATIENT)
+            settling.append(report.stamps[-1] - report.stamps[0] - 0.5)
+            np.testing.assert_allclose(controller.state()["q"], target, atol=1e-3)
+    assert max(settling) < 0.7, "it waited as long as it ever does"

@@ -20,9 +20,11 @@ from toolee_robot.hardware.ur.status import FULL_SPEED
 from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.runtime.clock import HostClock
 
-STANDSTILL: Final = 2e-3  # [rad/s] joint speed below which a joint counts as standing
+STANDSTILL: Final = 1e-2
+"""[rad/s] Joint speed below which a joint counts as standing: three times the noise that a CB3's may have."""
 SETTLE_TIME: Final = 1.0  # [s] longest wait for standstill after the last command
-SETTLE_CYCLES: Final = 5  # consecutive cycles at standstill before the motion ends
+HOLD_TIME: Final = 0.1
+"""[s] Time at standstill before the motion ends, so that no turning point of an oscillation is taken for it."""
 
 
 class TaskLife(Protocol):
@@ -172,7 +174,7 @@ class Motion:
     def _at_rest(self, settled: int) -> bool:
         """Whether the arm stands, by fresh data and after the servo's lag, or the wait for it is over.
 
-        An oscillating arm is at rest for a moment at each turning point, so standstill must last SETTLE_CYCLES.
+        An oscillating arm is at rest for a moment at each turning point, so standstill must last HOLD_TIME.
         """
         if settled > SETTLE_TIME / self._period or self._cause is Cause.LINK:
             return True
@@ -180,7 +182,8 @@ class Motion:
         fresh = self._link.age < self._request.watch.data_cycles * self._period
         still = fresh and bool(np.abs(reading[StateColumn.QD]).max() < STANDSTILL)
         self._still = self._still + 1 if still else 0
-        return self._still >= SETTLE_CYCLES and settled >= SETTLE_CYCLES + self._lag_cycles
+        hold = HOLD_TIME / self._period
+        return self._still >= hold and settled >= hold + self._lag_cycles
 
     def _log(self, q: Array, lateness: float) -> None:
         memory, reading, row = self._memory, self._link.reading, self._memory.rows[self._row]
