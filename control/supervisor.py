@@ -11,7 +11,8 @@ It rejects commands and never clips them. It is ordinary software and does not r
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Self
 
 from toolee_robot.config import StationConfig
@@ -29,7 +30,7 @@ from toolee_robot.control.supervisor_checks import (
 )
 from toolee_robot.control.watcher import Watcher
 from toolee_robot.errors import DeviceError, LatchedError, LimitError, MotionFaultError, PersonNearError
-from toolee_robot.hal import Arm, ArmState, ContactGuard, MotionReport, MotionWatch, Person
+from toolee_robot.hal import Arm, ArmState, ContactGuard, HandGuidedArm, MotionReport, MotionWatch, Person
 from toolee_robot.motion.trajectory_checks import check_start
 from toolee_robot.types import Payload, Trajectory
 
@@ -193,6 +194,26 @@ class Supervisor:
         """Tell the arm what its flange carries; see `hal.Arm`."""
         self._arm.set_payload(payload)
 
+    @contextmanager
+    def freedrive(self) -> Iterator[None]:
+        """Let a person move the arm by hand inside this context, in HANDOVER mode; see `hal.HandGuidedArm`.
+
+        Raises:
+            LatchedError: A fault has not been reset.
+            NotReadyError: The robot is not ready or moves.
+            PersonNearError: The mode is not HANDOVER, or the person does not hold the enabling switch at the beginning.
+            DeviceError: The arm cannot be moved by hand, or refuses.
+        """
+        self._check_latch()
+        check_ready(self._arm.state(self._config.supervisor.max_data_age))
+        reason = self._reason_to_stop() if self._mode is Mode.HANDOVER else f"the arm is in {self._mode} mode"
+        if reason:
+            raise PersonNearError(f"{reason}: no freedrive", code="person_near.freedrive")
+        if not isinstance(self._arm, HandGuidedArm):
+            raise DeviceError("this arm cannot be moved by hand: use a motion", code="device.no_freedrive")
+        with self._arm.freedrive():
+            yield
+
     def stop(self) -> None:
         """Stop the arm, from any thread; see `hal.Arm`."""
         self._arm.stop()
@@ -217,8 +238,7 @@ class Supervisor:
 
     def _check(self, trajectory: Trajectory) -> CollisionWorld:
         """All checks but that for collisions."""
-        if self._latched:
-            raise LatchedError(f"{self._latched}: nothing moves until a person has looked and reset it")
+        self._check_latch()
         config = self._config
         if not is_finite(trajectory):
             # The caller's computation is broken: latch, so that none of its later commands is executed either.
@@ -239,6 +259,10 @@ class Supervisor:
         if reason:
             raise PersonNearError(f"{reason}: no motion", code="person_near.before_motion")
         return world
+
+    def _check_latch(self) -> None:
+        if self._latched:
+            raise LatchedError(f"{self._latched}: nothing moves until a person has looked and reset it")
 
     def _reason_to_stop(self) -> str:
         """Why a person forbids motion in this mode; empty if they do not."""

@@ -68,6 +68,7 @@ def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
     assert members == {
         "Device": set(),
         "Arm": {"rate", "state", "execute", "set_payload", "stop", "reset"},
+        "HandGuidedArm": {"freedrive"},
         "Hand": {"joint_names", "state", "open", "close", "stop"},
         "RgbdCamera": {"intrinsics", "read"},
         "Person": {

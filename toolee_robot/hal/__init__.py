@@ -6,7 +6,16 @@ the context brings the device to a safe standstill. A device that cannot determi
 `DeviceError`.
 """
 
-from toolee_robot.hal.arm import Arm, ArmState, ArmStatus, ContactGuard, MotionOutcome, MotionReport, MotionWatch
+from toolee_robot.hal.arm import (
+    Arm,
+    ArmState,
+    ArmStatus,
+    ContactGuard,
+    HandGuidedArm,
+    MotionOutcome,
+    MotionReport,
+    MotionWatch,
+)
 from toolee_robot.hal.camera import RgbdCamera
 from toolee_robot.hal.device import Clock, Device
 from toolee_robot.hal.hand import Hand, HandState
@@ -21,6 +30,7 @@ __all__ = [
     "ContactGuard",
     "Device",
     "Hand",
+    "HandGuidedArm",
     "HandState",
     "MotionOutcome",
     "MotionReport",

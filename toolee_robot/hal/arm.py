@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol, runtime_checkable
@@ -179,4 +180,17 @@ class Arm(Device, Protocol):
 
         Raises:
             DeviceError: The robot is not ready.
+        """
+
+
+@runtime_checkable
+class HandGuidedArm(Arm, Protocol):
+    """An arm that a person can move by hand."""
+
+    def freedrive(self) -> AbstractContextManager[None]:
+        """A context inside which a person can move the arm by hand; afterwards it holds its position.
+
+        Raises:
+            LatchedError: A fault has not been reset.
+            DeviceError: The arm refuses.
         """

@@ -1,0 +1,58 @@
+"""The arm of a real station: a UR10 or UR10e under the supervisor, with the settings of the station file.
+
+with open_arm(load_station(Path("lab.yaml")), "192.168.1.10", person) as arm:
+    arm.execute(trajectory)
+"""
+
+from __future__ import annotations
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control import CollisionWorld, RobotModel, Supervisor
+from toolee_robot.hal import Person
+from toolee_robot.hardware.ur.config import UrArmConfig
+from toolee_robot.hardware.ur.driver import UrArm
+
+
+def ur_driver(config: StationConfig, host: str, *, real_time_factor: float = 1.0) -> UrArm:
+    """Build the driver of a station's arm, for a `hal.Station`: a task puts it under a supervisor of its own.
+
+    Args:
+        config: Configuration of the station. The robot's installation must have the payload of the empty hand, and the
+            TCP at the flange.
+        host: Address of the controller.
+        real_time_factor: Real-time factor of a stand-in; 1 for a robot.
+
+    Returns:
+        The driver, not yet entered. It checks no speed, collision or person.
+
+    Raises:
+        ConfigError: The hand is unknown.
+        UserError: The real-time factor is invalid for this host.
+    """
+    model = RobotModel.of_station(config).description
+    payload = model.hand_payload(model.hand_open)
+    settings = UrArmConfig(host, payload=payload, tcp=(0.0,) * 6, real_time_factor=real_time_factor)
+    return UrArm(settings, config.arm)
+
+
+def open_arm(config: StationConfig, host: str, person: Person, *, real_time_factor: float = 1.0) -> Supervisor:
+    """Build a station's arm under the supervisor, with the hand empty.
+
+    Args:
+        config: Configuration of the station, as for `ur_driver`.
+        host: Address of the controller.
+        person: The person at the station.
+        real_time_factor: Real-time factor of a stand-in; 1 for a robot.
+
+    Returns:
+        The supervisor, in HANDOVER mode, not yet entered. Entering it checks the robot and connects, which moves
+        nothing, and raises what `hal.Arm` and the driver raise; leaving it ends the robot's program.
+
+    Raises:
+        ConfigError: The hand is unknown.
+        UserError: The real-time factor is invalid for this host.
+    """
+    robot = RobotModel.of_station(config)
+    world = CollisionWorld(robot, config, robot.description.hand_open)
+    driver = ur_driver(config, host, real_time_factor=real_time_factor)
+    return Supervisor(driver, person, robot, config, lambda: world)
