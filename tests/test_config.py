@@ -22,7 +22,9 @@ def _write(folder: Path, text: str) -> Path:
 
 def test_a_subset_of_the_fields_is_enough(tmp_path: Path) -> None:
     config = load_station(
-        _write(tmp_path, "work: {nail_xy: [0.6, 0.2], nail_diameter: 0.003}\ntask: {max_strikes: 7}\n")
+        _write(
+            tmp_path, "frame: base_link\nwork: {nail_xy: [0.6, 0.2], nail_diameter: 0.003}\ntask: {max_strikes: 7}\n"
+        )
     )
     assert config.work.nail_xy == (0.6, 0.2)
     assert config.task.max_strikes == 7
@@ -38,7 +40,7 @@ def test_an_empty_file_is_the_default_station(tmp_path: Path) -> None:
     [
         ("work: {nail_xz: [0.6, 0.2]}", "work.nail_xz"),
         ("task: {max_strikes: many}", "task.max_strikes"),
-        ("work: {nail_xy: [0.6]}", "work.nail_xy"),
+        ("frame: base_link\nwork: {nail_xy: [0.6]}", "work.nail_xy"),
         ("strike: {speed: .nan}", "strike.speed"),
         ("work: {nail_diameter: -0.002}", "work.nail_diameter"),
         ("work: {nail_protrusion: 0.2}", "nail_length"),

@@ -46,9 +46,26 @@ def read_record(path: Path, kind: type[T], what: str) -> T:
     Raises:
         ConfigError: It cannot be read, or a field is wrong; the message names every one.
     """
-    data = read_yaml(path, f"{what}'s file")
+    return to_record(read_yaml(path, f"{what}'s file") or {}, path, kind, what)
+
+
+def to_record(data: Any, path: Path, kind: type[T], what: str) -> T:
+    """Convert a YAML file's data to a record.
+
+    Args:
+        data: What the file holds.
+        path: The file, for the errors.
+        kind: The record, a dataclass.
+        what: What the file describes, for the errors.
+
+    Returns:
+        The record, validated.
+
+    Raises:
+        ConfigError: A field is wrong; the message names every one.
+    """
     try:
-        return TypeAdapter(kind).validate_python(data or {})
+        return TypeAdapter(kind).validate_python(data)
     except ValidationError as error:
         lines = [f"  {'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()]
         raise ConfigError(f"{path} is not a valid {what}:\n" + "\n".join(lines), code="config.invalid") from error
