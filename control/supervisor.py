@@ -97,9 +97,8 @@ class Supervisor:
     @mode.setter
     def mode(self, mode: Mode) -> None:
         if mode is Mode.UNATTENDED and self._person.zone_occupied():
-            raise PersonNearError(
-                "somebody is within the arm's reach: it stays in handover mode", code="person_near.zone_occupied"
-            )
+            message = "somebody is within the arm's reach: it stays in handover mode"
+            raise PersonNearError(message, code="person_near.zone_occupied")
         self._mode, self._swings_permitted = mode, False
 
     @property
@@ -120,9 +119,8 @@ class Supervisor:
             return
         prompt = "The arm is about to swing, fast. Is everybody out of its reach?"
         if not self._person.confirm_swing(prompt, timeout):
-            raise PersonNearError(
-                "nobody confirmed that the arm may swing: no motion", code="person_near.swing_not_confirmed"
-            )
+            message = "nobody confirmed that the arm may swing: no motion"
+            raise PersonNearError(message, code="person_near.swing_not_confirmed")
         self._swings_permitted = True
 
     def state(self, max_age: float = 0.1) -> ArmState:
@@ -176,14 +174,11 @@ class Supervisor:
         world = self._check(trajectory)
         config = self._config.supervisor
         if self._mode is not Mode.UNATTENDED or not (self._swings_permitted or not config.ask_before_swing):
-            raise PersonNearError(
-                "nobody has confirmed that the arm may swing: no motion", code="person_near.swing_not_permitted"
-            )
+            message = "nobody has confirmed that the arm may swing: no motion"
+            raise PersonNearError(message, code="person_near.swing_not_permitted")
         if not 0.0 < expected.time < trajectory.duration:
-            raise LimitError(
-                f"the strike should meet the nail at {expected.time:.3f} s, which is not on its way",
-                code="limit.contact_time",
-            )
+            message = f"the strike should meet the nail at {expected.time:.3f} s, which is not on its way"
+            raise LimitError(message, code="limit.contact_time")
         before = trajectory.times <= expected.time
         check_clear(trajectory.q[before], world, RUN_UP_EXEMPT)
         check_clear(trajectory.q[~before], world, BRAKE_EXEMPT)
@@ -193,6 +188,17 @@ class Supervisor:
     def set_payload(self, payload: Payload) -> None:
         """Tell the arm what its flange carries; see `hal.Arm`."""
         self._arm.set_payload(payload)
+
+    def zero_wrench(self) -> None:
+        """Zero the force reading at standstill; see `hal.Arm`.
+
+        Raises:
+            LatchedError: A fault has not been reset.
+            NotReadyError: The robot is not ready or moves.
+            DeviceError: The arm cannot zero it.
+        """
+        self._check_at_rest()
+        self._arm.zero_wrench()
 
     @contextmanager
     def freedrive(self) -> Iterator[None]:
@@ -204,8 +210,7 @@ class Supervisor:
             PersonNearError: The mode is not HANDOVER, or the person does not hold the enabling switch at the beginning.
             DeviceError: The arm cannot be moved by hand, or refuses.
         """
-        self._check_latch()
-        check_ready(self._arm.state(self._config.supervisor.max_data_age))
+        self._check_at_rest()
         reason = self._reason_to_stop() if self._mode is Mode.HANDOVER else f"the arm is in {self._mode} mode"
         if reason:
             raise PersonNearError(f"{reason}: no freedrive", code="person_near.freedrive")
@@ -229,9 +234,8 @@ class Supervisor:
             DeviceError: The reset was not confirmed, or the robot is not ready.
         """
         if not confirmed:
-            raise DeviceError(
-                "a reset needs a person who has looked at the robot: confirm it", code="device.reset_not_confirmed"
-            )
+            message = "a reset needs a person who has looked at the robot: confirm it"
+            raise DeviceError(message, code="device.reset_not_confirmed")
         self._arm.reset()
         self._latched = ""
         self._mode, self._swings_permitted = Mode.HANDOVER, False
@@ -244,10 +248,8 @@ class Supervisor:
             # The caller's computation is broken: latch, so that none of its later commands is executed either.
             self._arm.stop()
             self._latch("a command held NaN or infinite values")
-            raise LimitError(
-                f"{self._latched}: nothing was sent; find out where they come from, then reset",
-                code="limit.not_finite",
-            )
+            message = f"{self._latched}: nothing was sent; find out where they come from, then reset"
+            raise LimitError(message, code="limit.not_finite")
         check_limits(trajectory, self._robot, config)
         world = self._world()
         check_speed(trajectory, world, self._mode.speed(config.supervisor), self._mode)
@@ -259,6 +261,10 @@ class Supervisor:
         if reason:
             raise PersonNearError(f"{reason}: no motion", code="person_near.before_motion")
         return world
+
+    def _check_at_rest(self) -> None:
+        self._check_latch()
+        check_ready(self._arm.state(self._config.supervisor.max_data_age))
 
     def _check_latch(self) -> None:
         if self._latched:

@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from toolee_robot.config import ServoConfig
 from toolee_robot.frames import Array
 from toolee_robot.hal import Arm, MotionWatch
 from toolee_robot.hardware.ur.config import UrArmConfig
@@ -21,11 +22,15 @@ HOME = np.array([-0.6, -1.7, 1.6, -1.47, -1.57, 0.0])
 PATIENT = MotionWatch(tracking_error=0.5, data_cycles=100.0, overruns=100)
 
 
+SERVO = ServoConfig(
+    lag=0.05, watchdog=5.0, connect_timeout=15.0, handshake_timeout=5.0, hang_timeout=1.0, heartbeat_timeout=1.0
+)
+"""Of the ideal stand-in, which lags by a cycle and the network."""
+
+
 def patient(host: str) -> UrArmConfig:
     """For a machine that is busy with other things; `toolee bench-servo` says what the driver can do on an idle one."""
-    return UrArmConfig(
-        host, watchdog=5.0, connect_timeout=15.0, handshake_timeout=5.0, hang_timeout=1.0, heartbeat_timeout=1.0
-    )
+    return UrArmConfig(host, SERVO)
 
 
 def held(arm: Arm) -> Array:

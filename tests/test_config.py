@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
-from toolee_robot.config import SIMULATED, CalibrationConfig, StationConfig, load_station
+from toolee_robot.config import SIMULATED, CalibrationConfig, ServoConfig, StationConfig, load_station, servo_lag
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import is_rigid
+from toolee_robot.hardware.ur.config import UrArmConfig
 
 
 def _write(folder: Path, text: str) -> Path:
@@ -31,6 +32,23 @@ def test_a_subset_of_the_fields_is_enough(tmp_path: Path) -> None:
     assert config.camera == StationConfig().camera
 
 
+def test_the_servo_is_universal_robots_own_until_the_file_says_otherwise(tmp_path: Path) -> None:
+    assert (StationConfig().servo.gain, StationConfig().servo.lookahead) == (300.0, 0.1)
+    servo = load_station(_write(tmp_path, "servo: {gain: 1200, lookahead: 0.03, lag: 0.034}\n")).servo
+    assert (servo.gain, servo.lookahead, servo_lag(servo, 500.0)) == (1200.0, 0.03, 0.034)
+
+
+@pytest.mark.parametrize("servo", [ServoConfig(gain=50.0), ServoConfig(lookahead=0.3), ServoConfig(link_timeout=2.5)])
+def test_a_servo_that_the_controller_does_not_take_is_refused_by_its_driver(servo: ServoConfig) -> None:
+    with raises(ConfigError, code="config.servo"):
+        UrArmConfig("127.0.0.2", servo)
+
+
+@pytest.mark.parametrize(("rate", "measured"), [(500.0, 0.034), (125.0, 0.054)])
+def test_the_assumed_lag_bounds_what_was_measured_elsewhere(rate: float, measured: float) -> None:
+    assert measured < servo_lag(ServoConfig(gain=1200.0, lookahead=0.03), rate) < 2.0 * measured
+
+
 def test_an_empty_file_is_the_default_station(tmp_path: Path) -> None:
     assert load_station(_write(tmp_path, "")) == StationConfig()
 
@@ -40,6 +58,7 @@ def test_an_empty_file_is_the_default_station(tmp_path: Path) -> None:
     [
         ("work: {nail_xz: [0.6, 0.2]}", "work.nail_xz"),
         ("task: {max_strikes: many}", "task.max_strikes"),
+        ("servo: {gain: 50}", "servo.gain"),
         ("frame: base_link\nwork: {nail_xy: [0.6]}", "work.nail_xy"),
         ("strike: {speed: .nan}", "strike.speed"),
         ("work: {nail_diameter: -0.002}", "work.nail_diameter"),

@@ -67,7 +67,7 @@ def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
     }
     assert members == {
         "Device": set(),
-        "Arm": {"rate", "state", "execute", "set_payload", "stop", "reset"},
+        "Arm": {"rate", "state", "execute", "set_payload", "zero_wrench", "stop", "reset"},
         "HandGuidedArm": {"freedrive"},
         "Hand": {"joint_names", "state", "open", "close", "stop"},
         "RgbdCamera": {"intrinsics", "read"},
@@ -89,4 +89,7 @@ def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
         *("joints", "contact_forces", "holding", "assisted"),
         *("temperature", "fault"),
     }
-    assert {f.name for f in dataclasses.fields(hal.ArmState)} == {"joints", "q_commanded", "wrench", "status"}
+    assert {f.name for f in dataclasses.fields(hal.ArmState)} == {
+        *("joints", "q_commanded", "wrench", "status"),
+        *("position_deviation_ratio", "collision_ratio", "digital_inputs"),
+    }

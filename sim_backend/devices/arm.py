@@ -9,20 +9,16 @@ import numpy as np
 from toolee_robot.arm_data import ARM_DATA, CB3_RATE
 from toolee_robot.errors import (
     DeviceError,
-    EmergencyStopError,
     LatchedError,
-    LinkLostError,
-    MotionFaultError,
-    OverrunError,
-    ProtectiveStopError,
+    NotReadyError,
     StaleDataError,
-    TrackingError,
 )
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ArmStatus, ContactGuard, MotionOutcome, MotionReport, MotionWatch
 from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.motion.trajectory_checks import check_payload, check_trajectory
 from toolee_robot.sim_backend.devices.flange_sensor import FlangeSensor
+from toolee_robot.sim_backend.devices.motion_fault import Fault, motion_fault
 from toolee_robot.sim_backend.devices.motion_log import MotionLog
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import JointState, Payload, Trajectory
@@ -30,10 +26,8 @@ from toolee_robot.types import JointState, Payload, Trajectory
 RATE = CB3_RATE
 STANDSTILL = 2e-3  # [rad/s] joint speed below which a joint counts as standing
 SETTLE_TIME = 1.0  # [s] longest wait for standstill after the last command
+AT_REST = 0.02  # [rad/s] joint speed below which the force can be zeroed
 LATE = 0.6  # delay of an injected late command, as a fraction of the cycle
-
-# Class and message of the error.
-Fault = tuple[type[MotionFaultError], str]
 
 
 class SimArm:
@@ -152,6 +146,23 @@ class SimArm:
         check_payload(payload, ARM_DATA[self._limits.model].payload)
         self._sensor.payload = payload
 
+    def zero_wrench(self) -> None:
+        """Zero the force reading by its mean over half a second, which passes; see `hal.Arm`.
+
+        Raises:
+            NotReadyError: The arm moves.
+            LatchedError: An earlier fault has not been reset.
+            DeviceError: The link is down, or the arm is closed.
+        """
+        self._check_open()
+        self._check_latch()
+        if self._last is not None:
+            raise DeviceError("the arm does not answer: check its network link", code="device.link_down")
+        if (fastest := np.abs(self._world.robot.arm_state()[1]).max()) > AT_REST:
+            message = f"the arm moves ({fastest:.2f} rad/s): the force can be zeroed at standstill only"
+            raise NotReadyError(message, code="not_ready.moving")
+        self._sensor.zero()
+
     def execute(
         self, trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None
     ) -> MotionReport:
@@ -172,8 +183,7 @@ class SimArm:
             DeviceError: The arm is closed.
         """
         self._check_open()
-        if self._latched:
-            raise LatchedError(f"{self._latched}: nothing moves until a person has checked and reset the arm")
+        self._check_latch()
         check_trajectory(trajectory, self._q, self._lower, self._upper, self._velocity)
         watch = MotionWatch() if watch is None else watch
         log = MotionLog(RATE)
@@ -213,27 +223,7 @@ class SimArm:
 
     def _fault(self, watch: MotionWatch, log: MotionLog) -> Fault | None:
         """The fault that must end the motion now, if any."""
-        if self._status is ArmStatus.EMERGENCY_STOP:
-            return EmergencyStopError, "the emergency stop was pressed: release it at the robot"
-        if self._status is not ArmStatus.READY:
-            return (
-                ProtectiveStopError,
-                f"the robot stopped itself ({self._status}): find out why, release it at the robot",
-            )
-        age = self._world.time - self._newest().joints.stamp
-        if age > watch.data_cycles / RATE + 1e-9:
-            return LinkLostError, f"no data from the arm for {age * 1e3:.0f} ms: check its network link"
-        # An old reading says nothing about the current tracking error.
-        error = np.abs(log.measured[-1] - log.commanded[-1]) if age == 0.0 else np.zeros(6)
-        if error.max() > watch.tracking_error:
-            joint = int(error.argmax())
-            return TrackingError, f"joint {joint + 1} is {error[joint]:.3f} rad away from its command"
-        if log.late_in_a_row > watch.overruns:
-            return (
-                OverrunError,
-                f"{log.late_in_a_row} commands in a row were sent late: reduce the load on this machine",
-            )
-        return None
+        return motion_fault(self._status, self._world.time - self._newest().joints.stamp, watch, log)
 
     def stop(self) -> None:
         """Stop on the path; called from a callback during `execute`, it ends that motion."""
@@ -255,6 +245,10 @@ class SimArm:
         self._latched = ""
         self._q, self._qd = self._world.robot.arm_state()[0], np.zeros(6)
         self._world.robot.command_arm(self._q, self._qd)
+
+    def _check_latch(self) -> None:
+        if self._latched:
+            raise LatchedError(f"{self._latched}: nothing moves until a person has checked and reset the arm")
 
     def _check_open(self) -> None:
         if not self._open:

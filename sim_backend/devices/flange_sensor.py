@@ -8,6 +8,7 @@ from toolee_robot.frames import Array, cross
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import Payload
 
+ZERO_WINDOW = 0.5  # [s]
 GRAVITY = np.array([0.0, 0.0, -9.81])  # [m/s^2]
 
 
@@ -24,12 +25,14 @@ class FlangeSensor:
     Attributes:
         payload: Payload to compensate.
         period: Averaging time [s].
+        offset: What is subtracted from the means to come, (6,) [N, Nm], axes of `base`.
         wrench: Latest mean, (6,): force [N] and torque [Nm] about the flange's origin, axes of `base`.
     """
 
     def __init__(self, world: SimWorld, payload: Payload, period: float) -> None:
         self.payload = payload
         self.period = period
+        self.offset = np.zeros(6)
         self.wrench = np.zeros(6)
         self._world = world
         hand = world.robot.robot.hand
@@ -56,6 +59,16 @@ class FlangeSensor:
         self._sum, self._time = np.zeros(6), 0.0
         self._velocity = self._payload_velocity()[0]
 
+    def zero(self) -> None:
+        """Let the world advance by ZERO_WINDOW, and subtract the mean wrench of that time from all to come."""
+        means = []
+        self.begin()
+        for _ in range(round(ZERO_WINDOW / self.period)):
+            self._world.advance(self.period)
+            means.append(self.wrench + self.offset)
+        self.offset = np.mean(means, axis=0)
+        self.wrench = means[-1] - self.offset
+
     def _finish(self) -> None:
         velocity, lever, R, p_flange_com = self._payload_velocity()
         mean = self._sum / self._time
@@ -64,7 +77,7 @@ class FlangeSensor:
         R_com = R @ self._R_flange_com
         force = R_com @ mean[:3]
         carried = np.concatenate([force, R_com @ mean[3:] + cross(p_flange_com, force)])
-        self.wrench = np.concatenate([inertial, cross(lever, inertial)]) - carried
+        self.wrench = np.concatenate([inertial, cross(lever, inertial)]) - carried - self.offset
         self._sum, self._time, self._velocity = np.zeros(6), 0.0, velocity
 
     def _payload_velocity(self) -> tuple[Array, Array, Array, Array]:

@@ -16,6 +16,7 @@ class MotionLog:
         rate: Rate of the commands [Hz].
 
     Attributes:
+        rate: Rate of the commands [Hz].
         stamps: Times of the rows [s].
         commanded: Commanded joint positions, (6,) [rad] each.
         measured: Measured joint positions, (6,) [rad] each.
@@ -25,7 +26,7 @@ class MotionLog:
     """
 
     def __init__(self, rate: float) -> None:
-        self._rate = rate
+        self.rate = rate
         self.stamps: list[float] = []
         self.commanded: list[Array] = []
         self.measured: list[Array] = []
@@ -48,7 +49,7 @@ class MotionLog:
 
     def mean_force(self, duration: float) -> float:
         """Norm [N] of the mean force over the last `duration` [s], at least one reading; 0 until that has passed."""
-        n = max(round(duration * self._rate), 1)
+        n = max(round(duration * self.rate), 1)
         return float(np.linalg.norm(np.mean(self.wrenches[-n:], axis=0)[:3])) if len(self.wrenches) >= n else 0.0
 
     def count(self, late: bool) -> None:

@@ -212,7 +212,7 @@ class Reading:
     @cached_property
     def tcp_force(self) -> Array:
         """Wrench of the environment at the TCP, (6,) [N, Nm], base axes."""
-        wrench = self._robot.plant.wrench
+        wrench = self._robot.machine.wrench()
         arm = self._tip - self._chain.origins[-1]
         return np.concatenate([wrench[:3], wrench[3:] - cross(arm, wrench[:3])])
 

@@ -19,7 +19,7 @@ from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array, transform
 from toolee_robot.hal import Arm, ContactGuard, MotionReport
 from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
@@ -177,10 +177,12 @@ class SimRig(Rig):
 
 
 class StandInRig(Rig):
-    """UrArm on the controller stand-in, over the loopback address `host`."""
+    """UnsupervisedUrArm on the controller stand-in, over the loopback address `host`."""
 
-    def __init__(self, arm: UrArm, controller: ControllerProcess, model: ArmModel, limits: ArmLimits) -> None:
-        self.arm: UrArm = arm
+    def __init__(
+        self, arm: UnsupervisedUrArm, controller: ControllerProcess, model: ArmModel, limits: ArmLimits
+    ) -> None:
+        self.arm: UnsupervisedUrArm = arm
         self.controller, self.limits = controller, limits
         self.rate = 500.0 if model is ArmModel.UR10E else 125.0
 
@@ -222,7 +224,7 @@ class StandInRig(Rig):
         """The dead connections stay dead; new ones work."""
 
     def reopened(self) -> Arm:
-        return UrArm(patient(self.controller.host), self.limits)
+        return UnsupervisedUrArm(patient(self.controller.host), self.limits)
 
 
 GENTLE_SPEED, GENTLE_ACCELERATION = 0.1, 1.0
@@ -248,8 +250,8 @@ class HardwareRig(Rig):
     tracking = 5e-3
     reading = 1e-3
 
-    def __init__(self, arm: UrArm, limits: ArmLimits) -> None:
-        self.arm: UrArm = arm
+    def __init__(self, arm: UnsupervisedUrArm, limits: ArmLimits) -> None:
+        self.arm: UnsupervisedUrArm = arm
         self.limits, self.rate = limits, arm.rate
         self._home = held(arm)
 
@@ -298,12 +300,12 @@ def stand_in_rig(model: ArmModel, host: str) -> Iterator[Rig]:
     limits = ArmLimits(model=model)
     with ExitStack() as stack:
         controller = stack.enter_context(stand_in(model, host))
-        arm = stack.enter_context(UrArm(patient(host), limits))
+        arm = stack.enter_context(UnsupervisedUrArm(patient(host), limits))
         yield StandInRig(arm, controller, model, limits)
 
 
 @contextmanager
 def hardware_rig(model: ArmModel, host: str) -> Iterator[Rig]:
     limits = ArmLimits(model=model, stop_acceleration=GENTLE_ACCELERATION)
-    with UrArm(UrArmConfig(host), limits) as arm:
+    with UnsupervisedUrArm(UrArmConfig(host), limits) as arm:
         yield HardwareRig(arm, limits)

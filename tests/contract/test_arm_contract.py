@@ -266,6 +266,37 @@ def test_a_payload_is_taken_or_refused(rig: Rig) -> None:
         assert rig.execute(rig.nudge(0.5, share=0.3)).outcome is MotionOutcome.COMPLETED
 
 
+def test_a_zeroed_force_reads_zero_until_the_force_changes(rig: Rig) -> None:
+    rig.arm.zero_wrench()
+    wrenches = []
+    for _ in range(20):
+        rig.sleep(0.01)
+        wrenches.append(rig.arm.state(0.5).wrench)
+    # A sensor's noise over this time, and what its offset drifts meanwhile.
+    assert np.linalg.norm(np.mean(wrenches, axis=0)[:3]) < 3.0
+
+
+def test_a_force_is_not_zeroed_in_motion_nor_while_latched(rig: Rig) -> None:
+    refused: list[DeviceError] = []
+
+    def try_it() -> None:
+        try:
+            rig.arm.zero_wrench()
+        except DeviceError as error:
+            refused.append(error)
+
+    trajectory = rig.nudge()
+    rig.after(0.5 * trajectory.duration, try_it)
+    assert rig.execute(trajectory).outcome is MotionOutcome.COMPLETED
+    assert [error.code for error in refused] in (["not_ready.moving"], ["device.busy"])
+    if rig.faults:
+        needs_faults(rig)
+        rig.protective_stop()
+        rig.sleep(0.3)
+        with raises(LatchedError, code="latched"):
+            rig.arm.zero_wrench()
+
+
 def test_leaving_the_context_stops_and_closes_the_arm(rig: Rig) -> None:
     """Last of all: the arm is entered again afterwards."""
     arm = rig.arm

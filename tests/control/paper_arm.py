@@ -36,7 +36,7 @@ class PaperArm:
         self.fresh = True
         self.status = ArmStatus.READY
         self.measured_off = np.zeros(6)
-        self.resets = 0
+        self.resets, self.zeroed = 0, 0
         self._stop = False
 
     def __enter__(self) -> Self:
@@ -91,6 +91,9 @@ class PaperArm:
 
     def set_payload(self, payload: Payload) -> None:
         self.payload = payload
+
+    def zero_wrench(self) -> None:
+        self.zeroed += 1
 
     def stop(self) -> None:
         self._stop = True

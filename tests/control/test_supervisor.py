@@ -25,9 +25,12 @@ from toolee_robot.control.modes import carried_speed
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.errors import (
     CollisionError,
+    DeviceError,
     LatchedError,
     LimitError,
     NotReadyError,
+    PersonNearError,
+    ProtectiveStopError,
     StaleDataError,
 )
 from toolee_robot.frames import Array
@@ -198,3 +201,25 @@ def test_a_motion_starts_at_the_command_and_not_beside_it(desk: Desk, off: float
     desk.arm.measured_off = there
     refused(desk, LimitError, lambda: desk.supervisor.execute(replace(move, q=move.q + there)), "limit.start")
     desk.supervisor.execute(replace(move, q=move.q + 0.5 * START_TOLERANCE))
+
+
+def test_the_force_is_zeroed_at_standstill_and_not_while_latched(desk: Desk) -> None:
+    desk.supervisor.zero_wrench()
+    assert desk.arm.zeroed == 1
+    desk.arm.status = ArmStatus.PROTECTIVE_STOP
+    refused(desk, NotReadyError, desk.supervisor.zero_wrench, "not_ready.status")
+    desk.arm.status = ArmStatus.READY
+    desk.arm.fault = ProtectiveStopError
+    with pytest.raises(ProtectiveStopError):
+        desk.supervisor.execute(desk.slow())
+    with raises(LatchedError, code="latched"):
+        desk.supervisor.zero_wrench()
+    assert desk.arm.zeroed == 1
+
+
+def test_an_arm_that_cannot_be_moved_by_hand_says_so(desk: Desk) -> None:
+    with raises(DeviceError, code="device.no_freedrive"), desk.supervisor.freedrive():
+        pass
+    desk.supervisor.mode = Mode.UNATTENDED
+    with raises(PersonNearError, code="person_near.freedrive"), desk.supervisor.freedrive():
+        pass

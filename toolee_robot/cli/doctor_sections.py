@@ -20,13 +20,12 @@ from toolee_robot.errors import DeviceError
 from toolee_robot.findings import Finding, warn
 from toolee_robot.frames import Array
 from toolee_robot.hal import Station
-from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UrArm
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.station import remote_station
 from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.station import SimStation, draw_handover
+from toolee_robot.stations.ur import ur_driver
 
 Section = tuple[str, list[Finding]]
 _SEED = 0
@@ -103,7 +102,7 @@ class DoctorReport:
         """Check the arm through its driver and the other devices of the simulated world."""
         tool, _ = draw_handover(_SEED, SimOptions())
         try:
-            with UrArm(UrArmConfig(host), self.config.arm) as arm:
+            with ur_driver(self.config, host) as arm:
                 yield from self._devices(remote_station(world, self.config, _SEED, tool, arm, HostClock()))
         except DeviceError as error:
             yield Finding.of_error("arm", error, "first mend what is said of the robot")

@@ -12,6 +12,7 @@ from toolee_robot.config.calibration import SIMULATED, SIMULATED_CALIBRATION, Ca
 from toolee_robot.config.cell import CameraConfig, SceneConfig, WorkConfig
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
+from toolee_robot.config.servo import ServoConfig, servo_lag
 from toolee_robot.config.station import StationConfig, load_station
 
 __all__ = [
@@ -22,10 +23,12 @@ __all__ = [
     "CameraConfig",
     "HandConfig",
     "SceneConfig",
+    "ServoConfig",
     "StationConfig",
     "StrikeConfig",
     "SupervisorConfig",
     "TaskConfig",
     "WorkConfig",
     "load_station",
+    "servo_lag",
 ]

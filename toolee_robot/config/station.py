@@ -9,6 +9,7 @@ from toolee_robot.config.calibration import SIMULATED_CALIBRATION, CalibrationCo
 from toolee_robot.config.cell import CameraConfig, SceneConfig, WorkConfig
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
+from toolee_robot.config.servo import ServoConfig
 from toolee_robot.config.station_frame import take_frame, to_base
 from toolee_robot.config.values import STRICT
 from toolee_robot.runtime.yaml_files import read_yaml, to_record
@@ -29,6 +30,8 @@ class StationConfig:
     """Obstacles, home posture, handover pose and workspace."""
     arm: ArmLimits = field(default_factory=ArmLimits)
     """The arm's model and the limits of the planner."""
+    servo: ServoConfig = field(default_factory=ServoConfig)
+    """Parameters of the arm's servo, its measured lag, and the driver's timeouts."""
     hand: HandConfig = field(default_factory=HandConfig)
     """The hand on the flange."""
     strike: StrikeConfig = field(default_factory=StrikeConfig)

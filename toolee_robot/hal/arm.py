@@ -37,12 +37,22 @@ class ArmState:
         wrench: Force [N] and torque [Nm] that the environment exerts on the flange, (6,), `base` axes, with weight and
             inertia of the payload compensated as far as the arm can.
         status: State of the robot's own safety system.
+        position_deviation_ratio: How near the joints' deviation from their path is to a protective stop, which comes at
+            1; None where the controller does not report it.
+        collision_ratio: How near the robot's collision detection is to a protective stop, which comes at 1; None
+            likewise.
+        digital_inputs: The robot's digital inputs, one bit each, as the controller numbers them; 0 for an arm without.
+
+    Two states with the same stamp are the same reading.
     """
 
     joints: JointState
     q_commanded: Array
     wrench: Array
     status: ArmStatus = ArmStatus.READY
+    position_deviation_ratio: float | None = None
+    collision_ratio: float | None = None
+    digital_inputs: int = 0
 
 
 @dataclass(frozen=True)
@@ -102,6 +112,9 @@ class MotionReport:
             the greatest force.
         contact: Measured state when the guard first detected the contact, or None.
         overruns: Number of command cycles that were late by half a cycle or more.
+        position_deviation_ratios: See `ArmState`, (N,), each sample's largest; None where the controller does not
+            report it.
+        collision_ratios: See `ArmState`, (N,), likewise.
     """
 
     outcome: MotionOutcome
@@ -111,6 +124,8 @@ class MotionReport:
     wrenches: Array
     contact: JointState | None = None
     overruns: int = 0
+    position_deviation_ratios: Array | None = None
+    collision_ratios: Array | None = None
 
 
 @runtime_checkable
@@ -142,6 +157,9 @@ class Arm(Device, Protocol):
     ) -> MotionReport:
         """Execute a trajectory and block until standstill.
 
+        An arm checks its own limits only; what it may hit and who is near, `control.Supervisor` checks, which calls
+        this.
+
         Args:
             trajectory: Motion of the 6 joints from rest to rest. Its first sample must equal the state's `q_commanded`
                 within `motion.trajectory_checks.START_TOLERANCE`.
@@ -165,6 +183,18 @@ class Arm(Device, Protocol):
 
         Raises:
             LimitError: The arm cannot carry it.
+        """
+
+    def zero_wrench(self) -> None:
+        """Zero the force reading of an arm that stands still and touches nothing, for all readings to come.
+
+        An offset that changes with the pose is gone near this pose only, and a new payload brings a new one. Takes
+        about half a second. A reset may undo it.
+
+        Raises:
+            NotReadyError: The arm moves.
+            LatchedError: A fault has not been reset.
+            DeviceError: The force is too large for an offset, or the arm cannot zero it.
         """
 
     def stop(self) -> None:

@@ -1,4 +1,4 @@
-"""The arm of a real station: a UR10 or UR10e under the supervisor, with the settings of the station file.
+"""The arm of a real station: a UR10 or UR10e with the settings of the station file.
 
 with open_arm(load_station(Path("lab.yaml")), "192.168.1.10", person) as arm:
     arm.execute(trajectory)
@@ -10,10 +10,10 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, Supervisor
 from toolee_robot.hal import Person
 from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 
 
-def ur_driver(config: StationConfig, host: str, *, real_time_factor: float = 1.0) -> UrArm:
+def ur_driver(config: StationConfig, host: str, *, real_time_factor: float = 1.0) -> UnsupervisedUrArm:
     """Build the driver of a station's arm, for a `hal.Station`: a task puts it under a supervisor of its own.
 
     Args:
@@ -23,16 +23,16 @@ def ur_driver(config: StationConfig, host: str, *, real_time_factor: float = 1.0
         real_time_factor: Real-time factor of a stand-in; 1 for a robot.
 
     Returns:
-        The driver, not yet entered. It checks no speed, collision or person.
+        The driver, not yet entered. By itself it checks neither speed nor collisions nor people.
 
     Raises:
-        ConfigError: The hand is unknown.
+        ConfigError: The hand is unknown, or a parameter of the servo is out of range.
         UserError: The real-time factor is invalid for this host.
     """
     model = RobotModel.of_station(config).description
     payload = model.hand_payload(model.hand_open)
-    settings = UrArmConfig(host, payload=payload, tcp=(0.0,) * 6, real_time_factor=real_time_factor)
-    return UrArm(settings, config.arm)
+    settings = UrArmConfig(host, config.servo, payload=payload, tcp=(0.0,) * 6, real_time_factor=real_time_factor)
+    return UnsupervisedUrArm(settings, config.arm)
 
 
 def open_arm(config: StationConfig, host: str, person: Person, *, real_time_factor: float = 1.0) -> Supervisor:
@@ -49,7 +49,7 @@ def open_arm(config: StationConfig, host: str, person: Person, *, real_time_fact
         nothing, and raises what `hal.Arm` and the driver raise; leaving it ends the robot's program.
 
     Raises:
-        ConfigError: The hand is unknown.
+        ConfigError: The hand is unknown, or a parameter of the servo is out of range.
         UserError: The real-time factor is invalid for this host.
     """
     robot = RobotModel.of_station(config)

@@ -7,19 +7,17 @@ from typing import Any, Self
 
 from toolee_robot.config import StationConfig
 from toolee_robot.hal import Station
-from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UrArm
-from toolee_robot.robots import load_robot
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.station import RemoteJudge, remote_station
 from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.station import draw_handover
+from toolee_robot.stations.ur import ur_driver
 
 
 class UrStation:
-    """The simulated station of a seed, with the arm driven by `UrArm` over ur_rtde.
+    """The simulated station of a seed, with the arm driven by its real driver over ur_rtde.
 
     The controller is a stand-in in a process of its own, with the simulated world as its plant.
 
@@ -59,12 +57,7 @@ class UrStation:
             stack.enter_context(CpuKeepalive())
             world = stack.enter_context(self._world)
             # Contexts close in reverse order, so that the client closes before its controller.
-            hand = load_robot(config.arm.model, config.arm.calibration, config.hand.model)
-            payload = hand.hand_payload(hand.hand_open)
-            driver = UrArmConfig(
-                self._host, payload=payload, tcp=(0.0,) * 6, real_time_factor=self._clock.real_time_factor
-            )
-            arm = stack.enter_context(UrArm(driver, config.arm))
+            arm = stack.enter_context(ur_driver(config, self._host, real_time_factor=self._clock.real_time_factor))
             self.station = remote_station(world, config, self._seed, self.tool, arm, self._clock)
             self._open = stack.pop_all()
         return self

@@ -10,13 +10,13 @@ from tests.hardware.ur.swings import LONG, swing, wait_for_mid_swing
 from tests.stand_in import PATIENT, held, patient
 from toolee_robot.config import ArmLimits
 from toolee_robot.errors import DeviceError
-from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.types import ArmModel
 
 
 def main() -> None:
     host, model = sys.argv[1], ArmModel(sys.argv[2])
-    with UrArm(patient(host), ArmLimits(model=model)) as arm:
+    with UnsupervisedUrArm(patient(host), ArmLimits(model=model)) as arm:
         trajectory = swing(held(arm), LONG)
 
         def say() -> None:

@@ -11,7 +11,7 @@ from tests.sim_backend.kinematics import line
 from tests.stand_in import HOME
 from toolee_robot.config import ArmLimits
 from toolee_robot.frames import Array
-from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend.ur_controller.faults.client import Trace
 from toolee_robot.types import Trajectory
 
@@ -36,7 +36,7 @@ def shortest_stop(limits: ArmLimits, speed: float) -> float:
     return speed / a + a / j if speed * j >= a * a else 2.0 * float(np.sqrt(speed / j))
 
 
-def wait_for_mid_swing(arm: UrArm, trajectory: Trajectory) -> None:
+def wait_for_mid_swing(arm: UnsupervisedUrArm, trajectory: Trajectory) -> None:
     """Until the arm is 30 to 50 % on its way."""
     way = trajectory.q[-1] - trajectory.q[0]
     deadline = time.monotonic() + 10.0

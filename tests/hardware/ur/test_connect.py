@@ -13,10 +13,10 @@ import pytest
 from tests.errors import raises
 from tests.sim_backend.kinematics import line
 from tests.stand_in import PATIENT, held, patient, stand_in
-from toolee_robot.config import ArmLimits
+from toolee_robot.config import ArmLimits, ServoConfig
 from toolee_robot.errors import DeviceError, NotReadyError, ServoCrashError
 from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.hardware.ur.servo.client import ServoClient
 from toolee_robot.motion.trajectory_checks import START_TOLERANCE
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
@@ -33,7 +33,7 @@ def controller() -> Iterator[ControllerProcess]:
 
 
 def test_where_no_robot_is_the_arm_is_not_ready() -> None:
-    with pytest.raises(NotReadyError, match=NOBODY), UrArm(UrArmConfig(NOBODY), ArmLimits()):
+    with pytest.raises(NotReadyError, match=NOBODY), UnsupervisedUrArm(UrArmConfig(NOBODY), ArmLimits()):
         pass
 
 
@@ -48,13 +48,13 @@ def test_a_robot_that_is_silent_ends_the_servo_process_in_time() -> None:
         began = time.monotonic()
         # ur_rtde's constructor waits for an answer, holds the interpreter's lock, and cannot be told to stop.
         with pytest.raises(ServoCrashError, match="in time"):
-            ServoClient(UrArmConfig(SILENT, connect_timeout=1.0), 125.0)
+            ServoClient(UrArmConfig(SILENT, ServoConfig(connect_timeout=1.0)), 125.0)
         assert time.monotonic() - began < 1.0 + 8.0  # starting a process on a busy machine
 
 
 @pytest.mark.sim
 def test_another_model_than_configured_is_refused(controller: ControllerProcess) -> None:
-    with pytest.raises(NotReadyError, match="UR10"), UrArm(patient(controller.host), ArmLimits()):
+    with pytest.raises(NotReadyError, match="UR10"), UnsupervisedUrArm(patient(controller.host), ArmLimits()):
         pass
 
 
@@ -63,7 +63,7 @@ def test_a_robot_in_protective_stop_is_refused(controller: ControllerProcess) ->
     controller.fault("protective_stop")
     with (
         pytest.raises(NotReadyError, match="protective"),
-        UrArm(patient(controller.host), ArmLimits(model=ArmModel.UR10E)),
+        UnsupervisedUrArm(patient(controller.host), ArmLimits(model=ArmModel.UR10E)),
     ):
         pass
     controller.fault("reset")
@@ -72,7 +72,7 @@ def test_a_robot_in_protective_stop_is_refused(controller: ControllerProcess) ->
 @pytest.mark.realtime
 def test_payload_and_freedrive_reach_the_robot_and_nobody_else_does(controller: ControllerProcess) -> None:
     limits = ArmLimits(model=ArmModel.UR10E)
-    with UrArm(patient(controller.host), limits) as arm:
+    with UnsupervisedUrArm(patient(controller.host), limits) as arm:
         arm.set_payload(Payload(2.5, np.array([0.01, -0.02, 0.09])))
         state = controller.state()
         assert state["payload"] == pytest.approx(2.5)

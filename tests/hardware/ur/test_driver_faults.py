@@ -30,7 +30,7 @@ from toolee_robot.errors import (
     StaleDataError,
 )
 from toolee_robot.hal import ArmStatus, MotionOutcome, MotionWatch
-from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
@@ -39,7 +39,7 @@ pytestmark = pytest.mark.realtime
 HOST = "127.0.0.23"
 LIMITS = ArmLimits(model=ArmModel.UR10)
 CONFIG = patient(HOST)
-WATCHDOG = 1.0 / CONFIG.watchdog
+WATCHDOG = 1.0 / CONFIG.servo.watchdog
 
 
 @pytest.fixture(scope="module")
@@ -49,13 +49,13 @@ def controller() -> Iterator[ControllerProcess]:
 
 
 @pytest.fixture(scope="module")
-def shared_arm(controller: ControllerProcess) -> Iterator[UrArm]:
-    with UrArm(patient(controller.host), LIMITS) as arm:
+def shared_arm(controller: ControllerProcess) -> Iterator[UnsupervisedUrArm]:
+    with UnsupervisedUrArm(patient(controller.host), LIMITS) as arm:
         yield arm
 
 
 @pytest.fixture
-def arm(shared_arm: UrArm, controller: ControllerProcess) -> Iterator[UrArm]:
+def arm(shared_arm: UnsupervisedUrArm, controller: ControllerProcess) -> Iterator[UnsupervisedUrArm]:
     """Ready, wherever on the way it stands."""
     deadline = time.monotonic() + 20.0
     while True:
@@ -71,7 +71,7 @@ def arm(shared_arm: UrArm, controller: ControllerProcess) -> Iterator[UrArm]:
 
 
 def happens(
-    arm: UrArm, controller: ControllerProcess, event: Callable[[], object], watch: MotionWatch = PATIENT
+    arm: UnsupervisedUrArm, controller: ControllerProcess, event: Callable[[], object], watch: MotionWatch = PATIENT
 ) -> tuple[Stop, Exception | None]:
     """A swing in the middle of which `event` happens, and how the joints stopped."""
     trajectory = swing(held(arm))
@@ -98,18 +98,18 @@ def happens(
     return stop, error
 
 
-def expect_latch(arm: UrArm) -> None:
+def expect_latch(arm: UnsupervisedUrArm) -> None:
     with pytest.raises(LatchedError):
         arm.execute(swing(held(arm)))
 
 
-def test_stop_from_another_thread(arm: UrArm, controller: ControllerProcess) -> None:
+def test_stop_from_another_thread(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
     stop, error = happens(arm, controller, arm.stop)
     assert error is None
     braked(stop, LIMITS)
 
 
-def test_emergency_stop(arm: UrArm, controller: ControllerProcess) -> None:
+def test_emergency_stop(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
     stop, error = happens(arm, controller, lambda: controller.fault("emergency_stop"))
     assert isinstance(error, EmergencyStopError)
     assert stop.time < 0.3 + SLACK
@@ -118,7 +118,7 @@ def test_emergency_stop(arm: UrArm, controller: ControllerProcess) -> None:
         arm.reset()
 
 
-def test_safeguard_stop(arm: UrArm, controller: ControllerProcess) -> None:
+def test_safeguard_stop(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
     stop, error = happens(arm, controller, lambda: controller.fault("safeguard_stop"))
     assert isinstance(error, EmergencyStopError)
     assert stop.time < 0.3 + SLACK
@@ -144,7 +144,9 @@ def plays_in_vain(controller: ControllerProcess, release: Callable[[ControllerPr
 
 
 @pytest.mark.parametrize("pause", PAUSES)
-def test_play_after_a_stop_never_resumes_the_old_motion(arm: UrArm, controller: ControllerProcess, pause: str) -> None:
+def test_play_after_a_stop_never_resumes_the_old_motion(
+    arm: UnsupervisedUrArm, controller: ControllerProcess, pause: str
+) -> None:
     stop, release = PAUSES[pause]
     _, error = happens(arm, controller, lambda: stop(controller))
     assert isinstance(error, MotionFaultError)
@@ -161,7 +163,9 @@ def test_play_after_a_stop_never_resumes_the_old_motion(arm: UrArm, controller: 
         *(pytest.param(pause, marks=pytest.mark.nightly) for pause in ("protective stop", "safeguard stop")),
     ],
 )
-def test_play_after_a_stop_at_rest_resumes_nothing(arm: UrArm, controller: ControllerProcess, pause: str) -> None:
+def test_play_after_a_stop_at_rest_resumes_nothing(
+    arm: UnsupervisedUrArm, controller: ControllerProcess, pause: str
+) -> None:
     stop, release = PAUSES[pause]
     stop(controller)
     time.sleep(0.3)
@@ -170,7 +174,9 @@ def test_play_after_a_stop_at_rest_resumes_nothing(arm: UrArm, controller: Contr
 
 
 @pytest.mark.nightly
-def test_the_program_ends_although_the_dashboard_was_restarted(arm: UrArm, controller: ControllerProcess) -> None:
+def test_the_program_ends_although_the_dashboard_was_restarted(
+    arm: UnsupervisedUrArm, controller: ControllerProcess
+) -> None:
     controller.fault("drop", port="dashboard", reset=True)
     _, error = happens(arm, controller, lambda: controller.fault("protective_stop"))
     assert isinstance(error, ProtectiveStopError)
@@ -179,7 +185,7 @@ def test_the_program_ends_although_the_dashboard_was_restarted(arm: UrArm, contr
 
 @pytest.mark.nightly
 def test_the_program_ends_when_the_servo_process_dies_beside_a_protective_stop(
-    arm: UrArm, controller: ControllerProcess
+    arm: UnsupervisedUrArm, controller: ControllerProcess
 ) -> None:
     """A paused program's watchdog does not count, so that the dead process leaves a program that could go on."""
 
@@ -192,7 +198,9 @@ def test_the_program_ends_when_the_servo_process_dies_beside_a_protective_stop(
     plays_in_vain(controller, PAUSES["protective stop"][1])
 
 
-def test_a_program_that_cannot_be_ended_forbids_the_reset(arm: UrArm, controller: ControllerProcess) -> None:
+def test_a_program_that_cannot_be_ended_forbids_the_reset(
+    arm: UnsupervisedUrArm, controller: ControllerProcess
+) -> None:
     """The dashboard is unreachable from before the stop on: the paused program stays, and the driver says so."""
     controller.fault("refuse", port="dashboard", seconds=60.0)
     controller.fault("drop", port="dashboard", reset=True)
@@ -213,7 +221,9 @@ def test_a_program_that_cannot_be_ended_forbids_the_reset(arm: UrArm, controller
         pytest.param("speed_scaling", "motion_fault.speed_scaling", marks=pytest.mark.nightly),
     ],
 )
-def test_a_motion_that_is_slowed_down_stops(arm: UrArm, controller: ControllerProcess, fault: str, code: str) -> None:
+def test_a_motion_that_is_slowed_down_stops(
+    arm: UnsupervisedUrArm, controller: ControllerProcess, fault: str, code: str
+) -> None:
     stop, error = happens(arm, controller, lambda: controller.fault(fault, fraction=0.5))
     assert isinstance(error, MotionFaultError)
     assert error.code == code
@@ -222,7 +232,7 @@ def test_a_motion_that_is_slowed_down_stops(arm: UrArm, controller: ControllerPr
 
 
 def test_a_speed_slider_that_is_not_at_its_end_refuses_a_motion_and_latches_nothing(
-    arm: UrArm, controller: ControllerProcess
+    arm: UnsupervisedUrArm, controller: ControllerProcess
 ) -> None:
     controller.fault("speed_slider", fraction=0.5)
     time.sleep(0.1)
@@ -241,7 +251,7 @@ def test_a_speed_slider_that_is_not_at_its_end_refuses_a_motion_and_latches_noth
     ],
 )
 def test_reset_refuses_another_robot_and_another_speed(
-    arm: UrArm, controller: ControllerProcess, fault: str, arguments: dict[str, object], finding: str
+    arm: UnsupervisedUrArm, controller: ControllerProcess, fault: str, arguments: dict[str, object], finding: str
 ) -> None:
     controller.fault("protective_stop")
     time.sleep(0.3)
@@ -254,7 +264,7 @@ def test_reset_refuses_another_robot_and_another_speed(
 
 
 @pytest.mark.parametrize("reset", [False, True], ids=["FIN", "RST"])
-def test_dropped_link(arm: UrArm, controller: ControllerProcess, reset: bool) -> None:
+def test_dropped_link(arm: UnsupervisedUrArm, controller: ControllerProcess, reset: bool) -> None:
     """The robot's program goes on and holds the arm where it was sent last, until the robot's watchdog ends it: the
     ur_rtde, which would end it at once and start another, does not get through."""
     uploads = controller.state()["uploads"]
@@ -269,7 +279,7 @@ def test_dropped_link(arm: UrArm, controller: ControllerProcess, reset: bool) ->
     assert arm.state(1.0).status is ArmStatus.READY
 
 
-def test_half_open_link(arm: UrArm, controller: ControllerProcess) -> None:
+def test_half_open_link(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
     stop, error = happens(arm, controller, lambda: controller.fault("half_open", port="rtde"), MotionWatch(0.5, 10, 40))
     assert isinstance(error, LinkLostError)
     assert stop.time < WATCHDOG + 0.5 + SLACK
@@ -278,7 +288,7 @@ def test_half_open_link(arm: UrArm, controller: ControllerProcess) -> None:
 
 
 def test_a_controller_that_pauses_at_rest_is_stale_meanwhile_and_no_more(
-    arm: UrArm, controller: ControllerProcess
+    arm: UnsupervisedUrArm, controller: ControllerProcess
 ) -> None:
     pid = arm.servo_pid
     time.sleep(0.1)
@@ -293,7 +303,9 @@ def test_a_controller_that_pauses_at_rest_is_stale_meanwhile_and_no_more(
     assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
 
 
-def test_a_network_that_is_stuck_for_a_second_stops_the_motion(arm: UrArm, controller: ControllerProcess) -> None:
+def test_a_network_that_is_stuck_for_a_second_stops_the_motion(
+    arm: UnsupervisedUrArm, controller: ControllerProcess
+) -> None:
     _, error = happens(arm, controller, lambda: controller.fault("stall", seconds=1.0, port="rtde"))
     # Its data were missing, or its watchdog had ended the program.
     assert isinstance(error, MotionFaultError)
@@ -302,7 +314,7 @@ def test_a_network_that_is_stuck_for_a_second_stops_the_motion(arm: UrArm, contr
     assert arm.execute(swing(held(arm)), None, PATIENT).outcome is MotionOutcome.COMPLETED
 
 
-def test_a_stall_of_three_seconds_is_a_lost_link(arm: UrArm, controller: ControllerProcess) -> None:
+def test_a_stall_of_three_seconds_is_a_lost_link(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
     controller.fault("stall", seconds=3.0, port="rtde")
     time.sleep(2.2)
     with pytest.raises(LatchedError, match="link"):
@@ -310,7 +322,7 @@ def test_a_stall_of_three_seconds_is_a_lost_link(arm: UrArm, controller: Control
     time.sleep(1.0)
 
 
-def test_reboot(arm: UrArm, controller: ControllerProcess) -> None:
+def test_reboot(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
     began = time.monotonic()
     _, error = happens(arm, controller, lambda: controller.fault("reboot", seconds=1.5, powered=True))
     assert isinstance(error, MotionFaultError)
@@ -318,7 +330,7 @@ def test_reboot(arm: UrArm, controller: ControllerProcess) -> None:
     expect_latch(arm)
 
 
-def test_killed_servo_process(arm: UrArm, controller: ControllerProcess) -> None:
+def test_killed_servo_process(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
     stop, error = happens(arm, controller, partial(os.kill, arm.servo_pid, signal.SIGKILL))
     assert isinstance(error, ServoCrashError)
     assert "SIGKILL" in str(error)
@@ -328,14 +340,14 @@ def test_killed_servo_process(arm: UrArm, controller: ControllerProcess) -> None
     expect_latch(arm)
 
 
-def test_hanging_servo_process(arm: UrArm, controller: ControllerProcess) -> None:
+def test_hanging_servo_process(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
     stop, error = happens(arm, controller, partial(os.kill, arm.servo_pid, signal.SIGSTOP))
     assert isinstance(error, ServoCrashError)
     assert "hung" in str(error)
     assert stop.time < WATCHDOG + 0.4 + SLACK
 
 
-def test_late_commands(arm: UrArm, controller: ControllerProcess) -> None:
+def test_late_commands(arm: UnsupervisedUrArm, controller: ControllerProcess) -> None:
     pid = arm.servo_pid
 
     def hold_up() -> None:

@@ -24,11 +24,11 @@ from tests.hardware.ur.corrupting_proxy import CorruptingProxy, Rule
 from tests.hardware.ur.swings import MOVING, swing, wait_for_mid_swing
 from tests.hardware.ur.wire import packet
 from tests.stand_in import HOME, held, stand_in
-from toolee_robot.config import ArmLimits
+from toolee_robot.config import ArmLimits, ServoConfig
 from toolee_robot.errors import DeviceError, LatchedError, LinkLostError, MotionFaultError
 from toolee_robot.hal import ArmStatus, MotionOutcome, MotionWatch
 from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.hardware.ur.probe import probe
 from toolee_robot.hardware.ur.servo.client import ServoClient
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
@@ -39,7 +39,7 @@ pytestmark = pytest.mark.realtime
 ROBOT, HOST = "127.0.0.61", "127.0.0.62"
 PATIENCE = 0.32
 """[s] by which data and commands may be late on a busy machine."""
-CONFIG = UrArmConfig(HOST, watchdog=5.0, hang_timeout=1.0, heartbeat_timeout=0.3)
+CONFIG = UrArmConfig(HOST, ServoConfig(lag=0.05, watchdog=5.0, hang_timeout=1.0, heartbeat_timeout=0.3))
 IN_TIME = 3.0
 """[s] From the first wrong byte to the error."""
 BUSY = 4.0
@@ -76,8 +76,11 @@ def proxy(controller: ControllerProcess) -> Iterator[CorruptingProxy]:
 
 
 @pytest.fixture(scope="module")
-def arm(model: ArmModel, proxy: CorruptingProxy) -> Iterator[UrArm]:  # noqa: ARG001  (it is on the way)
-    with UrArm(replace(CONFIG, connect_timeout=15.0, handshake_timeout=5.0), ArmLimits(model=model)) as connected:
+def arm(model: ArmModel, proxy: CorruptingProxy) -> Iterator[UnsupervisedUrArm]:  # noqa: ARG001  (it is on the way)
+    with UnsupervisedUrArm(
+        replace(CONFIG, servo=replace(CONFIG.servo, connect_timeout=15.0, handshake_timeout=5.0)),
+        ArmLimits(model=model),
+    ) as connected:
         yield connected
 
 
@@ -117,7 +120,7 @@ further on is the same for all, and measured nightly for the others."""
     scope="module",
 )
 def test_what_is_no_measurement_is_a_fault(
-    arm: UrArm, proxy: CorruptingProxy, controller: ControllerProcess, rule: Rule
+    arm: UnsupervisedUrArm, proxy: CorruptingProxy, controller: ControllerProcess, rule: Rule
 ) -> None:
     error = _swing_while_struck(arm, proxy, controller, rule)
     assert isinstance(error, LinkLostError), f"the motion went on, or ended otherwise: {error!r}"
@@ -128,7 +131,7 @@ def test_what_is_no_measurement_is_a_fault(
 
 @pytest.mark.parametrize("variable", ["safety_status_bits", "runtime_state"])
 def test_modes_that_do_not_exist_are_a_fault(
-    arm: UrArm, proxy: CorruptingProxy, controller: ControllerProcess, variable: str
+    arm: UnsupervisedUrArm, proxy: CorruptingProxy, controller: ControllerProcess, variable: str
 ) -> None:
     error = _swing_while_struck(arm, proxy, controller, poison(variable, 0xFFFFFF))
     assert isinstance(error, MotionFaultError)
@@ -136,7 +139,7 @@ def test_modes_that_do_not_exist_are_a_fault(
 
 @both
 def test_ur_rtde_does_not_connect_again_behind_our_back(
-    arm: UrArm, proxy: CorruptingProxy, controller: ControllerProcess
+    arm: UnsupervisedUrArm, proxy: CorruptingProxy, controller: ControllerProcess
 ) -> None:
     """Its control interface does, within milliseconds, and the commands between are lost."""
     for skip in (0, 1, 2):  # one connection or another
@@ -145,7 +148,7 @@ def test_ur_rtde_does_not_connect_again_behind_our_back(
 
 
 def test_positions_that_ur_rtde_does_not_send_are_a_fault(
-    arm: UrArm, proxy: CorruptingProxy, controller: ControllerProcess
+    arm: UnsupervisedUrArm, proxy: CorruptingProxy, controller: ControllerProcess
 ) -> None:
     """Its control interface takes nonsense for the end of the program: it sends nothing more, and only says so."""
     for skip in (0, 1, 2):
@@ -220,7 +223,7 @@ def _few(count: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
 @_few(3)
 @given(rule=st.one_of(_streams, _orders), skip=st.integers(0, 3), moment=st.floats(0.0, 0.3))
 def test_any_corruption_in_mid_motion(
-    arm: UrArm, proxy: CorruptingProxy, controller: ControllerProcess, rule: Rule, skip: int, moment: float
+    arm: UnsupervisedUrArm, proxy: CorruptingProxy, controller: ControllerProcess, rule: Rule, skip: int, moment: float
 ) -> None:
     """Some do no harm: the motion is then done as requested, or the fault shows at rest."""
     _swing_while_struck(arm, proxy, controller, replace(rule, skip=skip), moment)
@@ -229,7 +232,7 @@ def test_any_corruption_in_mid_motion(
 @_few(2)
 @given(rule=st.one_of(_handshakes, _dashboard), skip=st.integers(0, 40))
 def test_any_corruption_while_connecting(
-    arm: UrArm, proxy: CorruptingProxy, controller: ControllerProcess, rule: Rule, skip: int
+    arm: UnsupervisedUrArm, proxy: CorruptingProxy, controller: ControllerProcess, rule: Rule, skip: int
 ) -> None:
     """Of ur_rtde's own connections, which a reset makes anew."""
     os.kill(arm.servo_pid, 9)
@@ -247,7 +250,12 @@ def test_any_corruption_while_connecting(
     rule=st.one_of(_handshakes, _dashboard, st.sampled_from([*NO_MEASUREMENT.values(), *OTHERS])),
     skip=st.integers(0, 12),
 )
-def test_any_corruption_of_the_questions_before(proxy: CorruptingProxy, arm: UrArm, rule: Rule, skip: int) -> None:  # noqa: ARG001
+def test_any_corruption_of_the_questions_before(
+    proxy: CorruptingProxy,
+    arm: UnsupervisedUrArm,  # noqa: ARG001
+    rule: Rule,
+    skip: int,
+) -> None:
     """`probe` never raises, and is done in time; nor is an arm entered by it that does not say what a robot says."""
     _within(lambda: probe(HOST, timeout=IN_TIME), proxy, replace(rule, skip=skip))
     proxy.heal()
@@ -262,7 +270,7 @@ def _within(act: Callable[[], object], proxy: CorruptingProxy, rule: Rule) -> No
         assert struck is None or time.monotonic() - struck < IN_TIME + BUSY
 
 
-def _ready(arm: UrArm) -> None:
+def _ready(arm: UnsupervisedUrArm) -> None:
     deadline = time.monotonic() + 30.0
     while True:
         try:
@@ -273,13 +281,13 @@ def _ready(arm: UrArm) -> None:
             time.sleep(0.1)
 
 
-def _expect_latch(arm: UrArm, q: np.ndarray) -> None:
+def _expect_latch(arm: UnsupervisedUrArm, q: np.ndarray) -> None:
     with pytest.raises(LatchedError):
         arm.execute(swing(q))
 
 
 def _swing_while_struck(
-    arm: UrArm, proxy: CorruptingProxy, controller: ControllerProcess, rule: Rule, moment: float = 0.0
+    arm: UnsupervisedUrArm, proxy: CorruptingProxy, controller: ControllerProcess, rule: Rule, moment: float = 0.0
 ) -> Exception | None:
     """The error, or None when the motion was completed; the arm is ready again."""
     cycles = PATIENCE * arm.rate

@@ -9,10 +9,10 @@ import pytest
 
 from tests.sim_backend.kinematics import line
 from tests.stand_in import HOME, held
-from toolee_robot.config import ArmLimits
+from toolee_robot.config import ArmLimits, ServoConfig
 from toolee_robot.frames import Array
 from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
@@ -52,7 +52,9 @@ def test_an_arm_that_swings_is_not_taken_for_one_that_stands() -> None:
         ControllerProcess(
             model="UR10", host=HOST, plant=Elastic, realtime=True, real_time_factor=REAL_TIME_FACTOR
         ) as controller,
-        UrArm(UrArmConfig(HOST, real_time_factor=REAL_TIME_FACTOR), ArmLimits()) as arm,
+        UnsupervisedUrArm(
+            UrArmConfig(HOST, ServoConfig(lag=0.05), real_time_factor=REAL_TIME_FACTOR), ArmLimits()
+        ) as arm,
     ):
         way = np.array([0.15, 0.0, 0.0, 0.0, 0.0, 0.0])
         for target in (HOME + way, HOME):

@@ -13,16 +13,17 @@ import pytest
 
 from tests.sim_backend.kinematics import line
 from tests.stand_in import HOME, PATIENT, held, stand_in
-from toolee_robot.config import ArmLimits
+from toolee_robot.config import ArmLimits, ServoConfig
 from toolee_robot.errors import NotReadyError, UserError
 from toolee_robot.hal import ContactGuard, MotionOutcome
 from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
 HOST, REAL_TIME_FACTOR = "127.0.0.28", 0.25
+SERVO = ServoConfig(lag=0.05)
 WAY = np.array([0.1, 0.05, 0.0, 0.0, 0.0, 0.2])
 
 
@@ -33,14 +34,14 @@ def controller() -> Iterator[ControllerProcess]:
 
 
 @pytest.fixture(scope="module")
-def arm(controller: ControllerProcess) -> Iterator[UrArm]:
-    with UrArm(UrArmConfig(controller.host, real_time_factor=REAL_TIME_FACTOR), ArmLimits()) as arm:
+def arm(controller: ControllerProcess) -> Iterator[UnsupervisedUrArm]:
+    with UnsupervisedUrArm(UrArmConfig(controller.host, SERVO, real_time_factor=REAL_TIME_FACTOR), ArmLimits()) as arm:
         yield arm
 
 
 @pytest.mark.realtime
 def test_all_of_the_station_runs_at_its_real_time_factor_and_on_one_clock(
-    controller: ControllerProcess, arm: UrArm
+    controller: ControllerProcess, arm: UnsupervisedUrArm
 ) -> None:
     clock = HostClock(REAL_TIME_FACTOR)
     before = controller.state()
@@ -64,7 +65,7 @@ def test_all_of_the_station_runs_at_its_real_time_factor_and_on_one_clock(
 
 @pytest.mark.realtime
 def test_a_knock_is_no_contact_for_a_guard_that_averages_and_a_push_is(
-    controller: ControllerProcess, arm: UrArm
+    controller: ControllerProcess, arm: UnsupervisedUrArm
 ) -> None:
     guard = ContactGuard(force=15.0, averaging_window=0.2)
 
@@ -84,7 +85,7 @@ def test_a_knock_is_no_contact_for_a_guard_that_averages_and_a_push_is(
 @pytest.mark.realtime
 @pytest.mark.parametrize("over", [0.0, 0.016])
 def test_a_knock_among_readings_that_come_at_once_is_felt(
-    controller: ControllerProcess, arm: UrArm, over: float
+    controller: ControllerProcess, arm: UnsupervisedUrArm, over: float
 ) -> None:
     """Two cycles' knock while the network is stuck for five: when it goes on, the newest reading says nothing of it."""
 
@@ -102,11 +103,9 @@ def test_a_knock_among_readings_that_come_at_once_is_felt(
 
 
 @pytest.mark.realtime
-def test_the_collector_does_not_pause_a_task_whose_arm_moves(arm: UrArm) -> None:
+def test_the_collector_does_not_pause_a_task_whose_arm_moves(arm: UnsupervisedUrArm) -> None:
     """Its pause is the heartbeat's, too, and a task without one is taken for stalled."""
-    heartbeat = (
-        UrArmConfig(HOST, real_time_factor=REAL_TIME_FACTOR).heartbeat_timeout / REAL_TIME_FACTOR
-    )  # [s] of the wall
+    heartbeat = SERVO.heartbeat_timeout / REAL_TIME_FACTOR  # [s] of the wall
     hold_all_threads = ctypes.PyDLL(None).usleep  # keeps the interpreter's lock
     ended = threading.Event()
 
@@ -139,7 +138,7 @@ def test_the_collector_does_not_pause_a_task_whose_arm_moves(arm: UrArm) -> None
 def test_a_driver_in_real_time_refuses_a_robot_that_is_slower(controller: ControllerProcess) -> None:
     with (
         pytest.raises(NotReadyError, match="does not run in real time"),
-        UrArm(UrArmConfig(controller.host), ArmLimits()),
+        UnsupervisedUrArm(UrArmConfig(controller.host), ArmLimits()),
     ):
         pass
 

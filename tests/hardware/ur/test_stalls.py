@@ -15,7 +15,7 @@ from tests.stand_in import PATIENT, held, patient, stand_in
 from toolee_robot.cli.bench.servo_trace import compare
 from toolee_robot.config import ArmLimits
 from toolee_robot.hal import MotionOutcome
-from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.hardware.ur.servo_benchmark import wave
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
@@ -33,14 +33,14 @@ def controller() -> Iterator[ControllerProcess]:
 
 
 @pytest.fixture(scope="module")
-def arm(controller: ControllerProcess) -> Iterator[UrArm]:
-    with UrArm(patient(controller.host), ArmLimits(model=ArmModel.UR10E)) as arm:
+def arm(controller: ControllerProcess) -> Iterator[UnsupervisedUrArm]:
+    with UnsupervisedUrArm(patient(controller.host), ArmLimits(model=ArmModel.UR10E)) as arm:
         yield arm
 
 
 @pytest.mark.parametrize("who", ["stand-in", "driver", "both"])
 def test_commands_are_followed_with_the_usual_lag_after_a_standstill(
-    controller: ControllerProcess, arm: UrArm, who: str
+    controller: ControllerProcess, arm: UnsupervisedUrArm, who: str
 ) -> None:
     pids = {"stand-in": [controller.pid], "driver": [arm.servo_pid], "both": [controller.pid, arm.servo_pid]}[who]
     ended: list[float] = []

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.realtime
 
 HOST = "127.0.0.24"
 LIMITS = ArmLimits()
-HEARTBEAT = patient(HOST).heartbeat_timeout
+HEARTBEAT = patient(HOST).servo.heartbeat_timeout
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from rich.table import Table
 from toolee_robot.cli.host_info import describe_machine
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import ArmLimits, SceneConfig
+from toolee_robot.config import ArmLimits, SceneConfig, ServoConfig
 from toolee_robot.errors import UserError
 from toolee_robot.types import ArmModel
 
@@ -53,7 +53,7 @@ class BenchServo:
             raise UserError(f"--seconds {self.seconds:g}: give 5 to 3600", code="user.seconds")
         from toolee_robot.cli.bench.servo_trace import RecordedJoints, TraceMemory, compare
         from toolee_robot.hardware.ur.config import UrArmConfig
-        from toolee_robot.hardware.ur.driver import UrArm
+        from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
         from toolee_robot.hardware.ur.servo_benchmark import servo_benchmark
         from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
         from toolee_robot.runtime.latency_monitor import LatencyMonitor
@@ -62,7 +62,7 @@ class BenchServo:
 
         console = Console(stderr=self.json, highlight=False)
         # Only the servo loop is measured: delays of this process must not end it.
-        config = UrArmConfig(self.host, longest_motion=self.seconds + 10.0, heartbeat_timeout=5.0, hang_timeout=5.0)
+        config = UrArmConfig(self.host, ServoConfig(heartbeat_timeout=5.0, hang_timeout=5.0), self.seconds + 10.0)
         load = os.getloadavg()[0]
         with (
             closing(TraceMemory(round((self.seconds + _AROUND) / MODELS[self.model].period))) as trace_memory,
@@ -73,7 +73,7 @@ class BenchServo:
                 inherit=(trace_memory.fd,),
                 realtime=True,
             ),
-            UrArm(config, ArmLimits(model=ArmModel(self.model))) as arm,
+            UnsupervisedUrArm(config, ArmLimits(model=ArmModel(self.model))) as arm,
             CpuKeepalive(),
             LatencyMonitor(_PAUSE) as latency,
             console.status(f"servoing at {arm.rate:.0f} Hz for {self.seconds:g} s"),

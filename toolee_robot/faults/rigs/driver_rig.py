@@ -15,11 +15,11 @@ from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.errors import DeviceError, LatchedError, MotionFaultError
 from toolee_robot.faults.rigs.joints_path import MOVING, Stop, stop_after
 from toolee_robot.faults.rigs.strikes import Swing, plan_swing
-from toolee_robot.faults.rigs.time_bounds import PATIENT
+from toolee_robot.faults.rigs.time_bounds import PATIENT, SERVO
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
 from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
 from toolee_robot.types import ArmModel, Trajectory
@@ -51,7 +51,7 @@ class Happening:
 
 
 class Rig:
-    """A connected `UrArm` at the start of a swing.
+    """A connected `UnsupervisedUrArm` at the start of a swing.
 
     Args:
         controller: The controller stand-in.
@@ -59,7 +59,7 @@ class Rig:
         swing: The planned swing.
     """
 
-    def __init__(self, controller: ControllerProcess, arm: UrArm, swing: Swing) -> None:
+    def __init__(self, controller: ControllerProcess, arm: UnsupervisedUrArm, swing: Swing) -> None:
         self.controller, self.arm, self.swing = controller, arm, swing
 
     @property
@@ -198,6 +198,6 @@ def rig(model: ArmModel, host: str) -> Iterator[Rig]:
     plant = partial(JointPlant, q=swing.plan.strike.q[0])
     with (
         ControllerProcess(model=model.value, host=host, plant=plant, realtime=True) as controller,
-        UrArm(UrArmConfig(host), swing.config.arm) as arm,
+        UnsupervisedUrArm(UrArmConfig(host, SERVO), swing.config.arm) as arm,
     ):
         yield Rig(controller, arm, swing)

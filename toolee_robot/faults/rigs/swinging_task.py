@@ -11,9 +11,9 @@ import sys
 
 from toolee_robot.errors import DeviceError
 from toolee_robot.faults.rigs.strikes import plan_swing
-from toolee_robot.faults.rigs.time_bounds import PATIENT
+from toolee_robot.faults.rigs.time_bounds import PATIENT, SERVO
 from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.types import ArmModel
 
 
@@ -21,7 +21,7 @@ def main() -> None:
     """Connect the arm, wait for the line, swing."""
     host, model = sys.argv[1], ArmModel(sys.argv[2])
     swing = plan_swing(model)
-    with UrArm(UrArmConfig(host), swing.config.arm) as arm:
+    with UnsupervisedUrArm(UrArmConfig(host, SERVO), swing.config.arm) as arm:
         print("ready", flush=True)
         sys.stdin.readline()
         try:

@@ -32,10 +32,10 @@ from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
 AT_REST = 1e-4  # [rad]: what counts as standing still
 OFF_PATH = 5e-3  # [rad]
 OFF_PATH_BY_ROBOT = 20e-3  # [rad]: the controller brakes along the present direction, and the path is curved
-WATCHDOG = 0.1  # [s] of silence after which the controller stops the program: `UrArmConfig.watchdog`
-HEARTBEAT = 0.1  # [s] `UrArmConfig.heartbeat_timeout`
+WATCHDOG = 0.1  # [s] of silence after which the controller stops the program: `ServoConfig.watchdog`
+HEARTBEAT = 0.1  # [s] `ServoConfig.heartbeat_timeout`
 REST_TIME = 0.4  # [s] until a fault at rest must be detected
-QUIET_TIME = 2.2  # [s] likewise for a silent link: a little more than `UrArmConfig.link_timeout`
+QUIET_TIME = 2.2  # [s] likewise for a silent link: a little more than `ServoConfig.link_timeout`
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, Log, at_rest, grip_kept
 from toolee_robot.faults.rows.job import ON
 from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
 from toolee_robot.tasks.common.outcome import Outcome
@@ -96,7 +96,7 @@ def start_row(fault: StartFault, model: ArmModel, controller: ControllerProcess)
     before = controller.state()
     wrong, got = [], "started"
     try:
-        with UrArm(config, ArmLimits(model=model)):
+        with UnsupervisedUrArm(config, ArmLimits(model=model)):
             pass
         wrong.append("the driver started")
     except NotReadyError as error:

@@ -1,9 +1,8 @@
 """Driver of a UR10 or UR10e over ur_rtde: a `hal.Arm` whose servo loop runs in a process of its own.
 
-    limits = ArmLimits(model=ArmModel.UR10)
-    with UrArm(UrArmConfig("192.168.1.10"), limits) as arm:
-        q = arm.state().q_commanded
-        arm.execute(joint_move(q, q_goal, ...))
+It checks that a motion starts where the arm is and stays within the joints' positions and velocities. It knows neither
+the station nor the people in it: `control.Supervisor` checks those and calls the driver, and `stations.ur.open_arm`
+gives a lab both in one. The name says so, because whoever calls `execute` here moves an arm that may hit anything.
 
 Nothing here is a safety function: people are protected by the robot's own safety system, with its limits set for this
 task.
@@ -19,7 +18,7 @@ from typing import Final, Self
 import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA
-from toolee_robot.config import ArmLimits
+from toolee_robot.config import ArmLimits, servo_lag
 from toolee_robot.errors import (
     DeviceError,
     LatchedError,
@@ -28,26 +27,25 @@ from toolee_robot.errors import (
     ServoCrashError,
     StaleDataError,
 )
-from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ArmStatus, ContactGuard, MotionReport, MotionWatch
-from toolee_robot.hardware.ur.config import UrArmConfig, servo_lag
+from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.probe import nominal_rate
 from toolee_robot.hardware.ur.readiness import Identity, require_ready
 from toolee_robot.hardware.ur.servo.client import ServoClient
 from toolee_robot.hardware.ur.servo.clock import Realtime
-from toolee_robot.hardware.ur.servo.messages import Cause, Freedrive, MotionRequest, SetPayload
-from toolee_robot.hardware.ur.servo.report import build_report, fault
+from toolee_robot.hardware.ur.servo.messages import Cause, Freedrive, MotionRequest, SetPayload, ZeroWrench
+from toolee_robot.hardware.ur.servo.report import arm_state, build_report, fault
 from toolee_robot.hardware.ur.servo.shared_memory import StateColumn, Word
-from toolee_robot.hardware.ur.status import FULL_SPEED, advice, arm_status
+from toolee_robot.hardware.ur.status import advice, check_speed_slider
 from toolee_robot.motion.trajectory_checks import check_payload, check_trajectory
 from toolee_robot.runtime.gc_pause import gc_paused
-from toolee_robot.types import JointState, Payload, Trajectory
+from toolee_robot.types import Payload, Trajectory
 
 POSITION_LIMIT: Final = np.array([2.0, 2.0, 1.0, 2.0, 2.0, 2.0]) * np.pi
 """[rad] Of the six joints, in both directions; the elbow's as in the robot model."""
 
 
-class UrArm:
+class UnsupervisedUrArm:
     """A UR10 or UR10e: `hal.Arm`. `rate`, `lag` and `realtime` are known once the context is entered.
 
     Args:
@@ -75,7 +73,7 @@ class UrArm:
         """
         self._identity = require_ready(self._config, self._limits)
         self._rate = nominal_rate(self._identity.version)
-        self._lag = servo_lag(self._config, self._rate)
+        self._lag = servo_lag(self._config.servo, self._rate)
         self._fault = None
         self._servo = ServoClient(self._config, self._rate)
         return self
@@ -126,8 +124,7 @@ class UrArm:
                 f"the arm's newest state is {age:.2f} s old: check the robot and its network cable, then reset the arm",
                 code="stale_data.arm",
             )
-        joints = JointState(state[StateColumn.Q], state[StateColumn.QD], float(state[StateColumn.SEEN]))
-        return ArmState(joints, state[StateColumn.COMMANDED], state[StateColumn.WRENCH], _status(state))
+        return arm_state(state)
 
     def execute(
         self, trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None
@@ -154,13 +151,8 @@ class UrArm:
         with self._exclusive():
             servo = self._ready()
             state = servo.memory.read_state()
-            if (slider := float(state[StateColumn.SPEED_SLIDER])) < FULL_SPEED:
-                message = (
-                    f"the speed slider is at {slider:.0%}: set it to 100 % at the pendant, motions are timed for it"
-                )
-                raise NotReadyError(message, code="not_ready.speed_slider")
-            q_commanded = state[StateColumn.COMMANDED]
-            check_trajectory(trajectory, q_commanded, -POSITION_LIMIT, POSITION_LIMIT, self._velocity)
+            check_speed_slider(float(state[StateColumn.SPEED_SLIDER]))
+            check_trajectory(trajectory, state[StateColumn.COMMANDED], -POSITION_LIMIT, POSITION_LIMIT, self._velocity)
             samples, knots = servo.memory.write_path(trajectory, self._rate)
             limits = self._limits
             request = MotionRequest(
@@ -181,7 +173,7 @@ class UrArm:
                 raise self._latch(ServoCrashError(str(error), build_report(servo.memory, Cause.LINK))) from error
         report = build_report(servo.memory, cause)
         if cause >= Cause.DATA:
-            raise self._latch(fault(cause, self._status_now(servo), report))
+            raise self._latch(fault(cause, self._state_now(servo), report))
         return report
 
     def set_payload(self, payload: Payload) -> None:
@@ -199,13 +191,20 @@ class UrArm:
             self._ask(_payload_request(payload))
             self._payload = payload
 
-    @contextmanager
-    def freedrive(self) -> Iterator[None]:
-        """Freedrive: inside this context a person can move the arm by hand; afterwards it holds its position.
+    def zero_wrench(self) -> None:
+        """Zero the force reading at standstill; see `hal.Arm` and `servo.script_calls.ScriptCalls.zero_wrench`.
 
         Raises:
-            DeviceError: The robot refuses, or the arm is closed, busy or latched.
+            NotReadyError: The arm moves.
+            LatchedError: An earlier fault has not been reset.
+            DeviceError: The force is too large for an offset, or the arm is closed or busy.
         """
+        with self._exclusive():
+            self._ask(ZeroWrench())
+
+    @contextmanager
+    def freedrive(self) -> Iterator[None]:
+        """A context in which a person can move the arm by hand; see `hal.HandGuidedArm`."""
         with self._exclusive():
             self._ask(Freedrive(True))
             try:
@@ -221,8 +220,9 @@ class UrArm:
     def reset(self) -> None:
         """Clear a latched fault with a new servo process and connection; does nothing where none is latched.
 
-        The robot's old program is ended first, and the robot checked as at the start: it must be the same one. The
-        payload set last is set again.
+        The robot's old program is ended first, and the robot checked as at the start: it must be the same one, with the
+        installation's payload if none was set since. TCP and the payload set last are set again and read back; the
+        fault stays latched until that is done. The force reading has to be zeroed anew.
 
         Raises:
             NotReadyError: A person must make the robot ready first, or it is another robot.
@@ -239,11 +239,11 @@ class UrArm:
                 if status is not ArmStatus.READY:
                     raise NotReadyError(advice(status), code=f"not_ready.{status}")
             servo.close()
-            require_ready(self._config, self._limits, self._identity)
+            require_ready(self._config, self._limits, self._identity, payload_set=self._payload is not None)
             self._servo = servo = ServoClient(self._config, self._rate)
-            self._fault = None
             if self._payload is not None:
-                self._ask(_payload_request(self._payload))
+                servo.ask(_payload_request(self._payload))
+            self._fault = None
 
     def _open(self) -> ServoClient:
         if self._servo is None:
@@ -273,10 +273,10 @@ class UrArm:
             return
         cause = Cause(int(servo.memory.words[Word.CAUSE]))
         if cause >= Cause.DATA:
-            self._latch(fault(cause, self._status_now(servo), None))
+            self._latch(fault(cause, self._state_now(servo), None))
         elif not servo.alive:
             self._latch(servo.crash())
-        elif not servo.cycles_within(self._config.hang_timeout):
+        elif not servo.cycles_within(self._config.servo.hang_timeout):
             self._latch(servo.crash(hung=True))
 
     def _latch(self, error: MotionFaultError) -> MotionFaultError:
@@ -284,19 +284,15 @@ class UrArm:
             self._fault = error
         return error
 
-    def _ask(self, request: SetPayload | Freedrive) -> None:
+    def _ask(self, request: SetPayload | ZeroWrench | Freedrive) -> None:
         try:
             self._ready().ask(request)
         except ServoCrashError as error:
             raise self._latch(error) from error
 
     @staticmethod
-    def _status_now(servo: ServoClient) -> ArmStatus:
-        return _status(servo.memory.read_state())
-
-
-def _status(state: Array) -> ArmStatus:
-    return arm_status(int(state[StateColumn.SAFETY_BITS]), int(state[StateColumn.ROBOT_MODE]))
+    def _state_now(servo: ServoClient) -> ArmState:
+        return arm_state(servo.memory.read_state())
 
 
 def _payload_request(payload: Payload) -> SetPayload:

@@ -33,14 +33,17 @@ class Identity:
     serial: str | None
 
 
-def require_ready(config: UrArmConfig, limits: ArmLimits, before: Identity | None = None) -> Identity:
+def require_ready(
+    config: UrArmConfig, limits: ArmLimits, before: Identity | None = None, *, payload_set: bool = False
+) -> Identity:
     """Probe the robot and check it against the configuration; nothing moves.
 
     Args:
         config: Address and expected installation of the robot.
         limits: Expected model and calibration.
-        before: The robot of an earlier connection, which it must be; payload and TCP are then the driver's own, which
-            sets them again and reads them back. None for the first connection, when they are the installation's.
+        before: The robot of an earlier connection, which it must be; the TCP is then the driver's own, which sets it
+            again and reads it back. None for the first connection, when it is the installation's.
+        payload_set: Whether the driver has set a payload of its own, likewise.
 
     Returns:
         Which robot it is.
@@ -48,11 +51,11 @@ def require_ready(config: UrArmConfig, limits: ArmLimits, before: Identity | Non
     Raises:
         NotReadyError: A check failed; the message lists everything a person must do first.
     """
-    expected = UrExpected(limits.model, limits.calibration)
+    expected = UrExpected(limits.model, limits.calibration, payload=None if payload_set else config.payload)
     if before is not None:
         expected = replace(expected, serial=before.serial)
-    else:
-        expected = replace(expected, payload=config.payload, tcp=None if config.tcp is None else np.array(config.tcp))
+    elif config.tcp is not None:
+        expected = replace(expected, tcp=np.array(config.tcp))
     for _ in range(PROBES):
         report = probe(config.host, clock=config.clock)
         failed = [finding for finding in check(report, expected) if finding.level is Level.FAIL]

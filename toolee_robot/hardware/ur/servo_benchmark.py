@@ -1,6 +1,6 @@
 """Benchmark of the servo loop's timing: one long motion, evaluated by the times of its commands.
 
-    with UrArm(UrArmConfig("127.0.0.2", longest_motion=660.0), limits) as arm:
+    with UnsupervisedUrArm(UrArmConfig("127.0.0.2", longest_motion=660.0), limits) as arm:
         figures, report = servo_benchmark(arm, seconds=600.0)
 
 The arm moves all the time: run it only on a robot with nobody and nothing within reach.
@@ -18,7 +18,7 @@ import numpy as np
 
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport, MotionWatch
-from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.types import Trajectory
 
 AMPLITUDE: Final = 0.1  # [rad]
@@ -84,7 +84,7 @@ def wave(q: Array, seconds: float) -> Trajectory:
     )
 
 
-def servo_benchmark(arm: UrArm, seconds: float) -> tuple[ServoFigures, MotionReport]:
+def servo_benchmark(arm: UnsupervisedUrArm, seconds: float) -> tuple[ServoFigures, MotionReport]:
     """Execute `wave` without stopping for late cycles, and measure the timing.
 
     Args:
@@ -95,7 +95,7 @@ def servo_benchmark(arm: UrArm, seconds: float) -> tuple[ServoFigures, MotionRep
         The results, and the motion's report.
 
     Raises:
-        DeviceError: As `UrArm.execute` raises it.
+        DeviceError: As `UnsupervisedUrArm.execute` raises it.
     """
     pid, realtime = arm.servo_pid, arm.realtime
     memory: list[int] = []

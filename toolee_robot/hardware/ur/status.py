@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from toolee_robot.errors import NotReadyError
 from toolee_robot.hal import ArmStatus
 
 # RTDE's safety_status_bits.
@@ -56,3 +57,17 @@ def arm_status(safety_bits: int, robot_mode: int) -> ArmStatus:
 def advice(status: ArmStatus) -> str:
     """What has happened and what a person must do, for every status but READY."""
     return _ADVICE[status]
+
+
+def check_speed_slider(fraction: float) -> None:
+    """Check that the speed slider is at its end, since motions are timed for it.
+
+    Args:
+        fraction: Position of the slider, 0 to 1.
+
+    Raises:
+        NotReadyError: It is not; code `not_ready.speed_slider`.
+    """
+    if not fraction >= FULL_SPEED:
+        message = f"the speed slider is at {fraction:.0%}: set it to 100 % at the pendant, motions are timed for it"
+        raise NotReadyError(message, code="not_ready.speed_slider")

@@ -23,16 +23,25 @@ from toolee_robot.runtime.clock import HostClock
 HOST = "127.0.0.63"
 JOINTS = (0.1, -1.2, 1.3, -0.4, 1.5, 0.6)
 NAN, INF = math.nan, math.inf
-OLD = ["DOUBLE", *["VECTOR6D"] * 4, "DOUBLE", "DOUBLE", "UINT32", "INT32", "UINT32"]
-TYPES = [*OLD, "DOUBLE", "VECTOR3D"]
+OLD = ["DOUBLE", *["VECTOR6D"] * 4, "DOUBLE", "DOUBLE", "UINT32", "INT32", "UINT32", "UINT64"]
+TYPES = [*OLD, "VECTOR6D", "DOUBLE", "VECTOR3D", "DOUBLE", "DOUBLE"]
 HELLO = packet(b"V", b"\x01")
 
 
-def reading(timestamp: float, *, q0: float = 0.1, force: float = 5.0, slider: float = 1.0, old: bool = False) -> bytes:
-    """old: of a controller that does not report the payload."""
+def reading(
+    timestamp: float,
+    *,
+    q0: float = 0.1,
+    force: float = 5.0,
+    slider: float = 1.0,
+    ratio: float = 0.25,
+    optional: slice = slice(None),
+) -> bytes:
+    """optional: which of the outputs that not every version has are reported: TCP, payload, its centre, two ratios."""
     joints, wrench = (q0, *JOINTS[1:]), (force, 2.0, 3.0, 4.0, 5.0, 6.0)
-    values = (timestamp, joints, (0.0,) * 6, JOINTS, wrench, slider, 1.0, 1, 7, 2, 1.25, (0.1, 0.2, 0.3))
-    return data(OLD, values[:-2]) if old else data(TYPES, values)
+    always = (timestamp, joints, (0.0,) * 6, JOINTS, wrench, slider, 1.0, 1, 7, 2, 0b1000_0000_0000_0101)
+    newer: tuple[object, ...] = ((0.0, 0.0, 0.1, 0.0, 0.0, 0.0), 1.25, (0.1, 0.2, 0.3), ratio, 0.5)
+    return data([*OLD, *TYPES[len(OLD) :][optional]], (*always, *newer[optional]))
 
 
 @contextmanager
@@ -89,12 +98,25 @@ def test_of_readings_that_come_at_once_none_is_left_out(forces: list[float]) -> 
         reading(3.0, q0=INF),
         reading(3.0, force=NAN),
         reading(3.0, force=1e300),
+        reading(3.0, ratio=NAN),
+        reading(3.0, ratio=-0.1),
         reading(NAN),
         reading(INF),
         reading(1.0),
         packet(b"U", b"\x01" + bytes(12)),
     ],
-    ids=["joints NaN", "joints inf", "force NaN", "force 1e300", "time NaN", "time inf", "time goes back", "too short"],
+    ids=[
+        "joints NaN",
+        "joints inf",
+        "force NaN",
+        "force 1e300",
+        "ratio NaN",
+        "ratio below 0",
+        "time NaN",
+        "time inf",
+        "time goes back",
+        "too short",
+    ],
 )
 def test_one_bad_reading_between_good_ones_is_a_fault_for_good(bad: bytes) -> None:
     with controller(greeting(TYPES, reading(1.5))) as accepted:
@@ -122,16 +144,53 @@ def test_the_payload_is_read_where_the_controller_reports_it() -> None:
         assert connect().newest.payload == (1.25, 0.1, 0.2, 0.3)
 
 
-def test_an_old_controller_does_without_the_payload() -> None:
-    refusal = HELLO + packet(b"O", b"\x01" + ",".join([*OLD, "NOT_FOUND", "NOT_FOUND"]).encode())
-    with controller(refusal, greeting(OLD, reading(1.0, old=True))):
-        assert connect().newest.payload is None
+def refusal(types: list[str]) -> bytes:
+    return HELLO + packet(b"O", b"\x01" + ",".join(types).encode())
+
+
+def test_an_old_controller_does_without_what_it_does_not_have() -> None:
+    with controller(refusal([*OLD, *["NOT_FOUND"] * 5]), greeting(OLD, reading(1.0, optional=slice(0)))):
+        newest = connect().newest
+    assert newest.payload is None
+    assert newest.tcp is None
+    assert math.isnan(newest.position_deviation_ratio)
+    assert math.isnan(newest.collision_ratio)
+    assert newest.digital_inputs == 0b1000_0000_0000_0101
+
+
+def test_a_controller_without_ratios_still_reports_its_payload_and_tcp() -> None:
+    with controller(
+        refusal([*TYPES[:-2], "NOT_FOUND", "NOT_FOUND"]), greeting(TYPES[:-2], reading(1.0, optional=slice(3)))
+    ):
+        newest = connect().newest
+    assert newest.payload == (1.25, 0.1, 0.2, 0.3)
+    assert newest.tcp is not None
+    assert newest.tcp.tolist() == [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
+    assert math.isnan(newest.collision_ratio)
+
+
+def test_the_ratios_to_a_protective_stop_are_read_where_the_controller_reports_them() -> None:
+    with controller(greeting(TYPES, reading(1.0, ratio=0.75))):
+        newest = connect().newest
+    assert (newest.position_deviation_ratio, newest.collision_ratio) == (0.75, 0.5)
+
+
+def test_what_is_zeroed_is_zeroed_in_every_reading_to_come() -> None:
+    with controller(greeting(TYPES, reading(1.0, force=7.0))) as accepted:
+        stream = connect()
+        stream.wrench_offset = stream.newest.wrench
+        accepted[0].sendall(reading(2.0, force=7.0) + reading(3.0, force=12.0))
+        taken = stream.take()
+    assert [r.wrench.tolist() for r in taken] == [[0.0] * 6, [-5.0, 0.0, 0.0, 0.0, 0.0, 0.0]]
 
 
 def test_what_a_controller_must_report_is_named() -> None:
     types = [*OLD[:4], "NOT_FOUND", *OLD[5:]]
-    refusals = [HELLO + packet(b"O", b"\x01" + ",".join(names).encode()) for names in ([*types, "X", "X"], types)]
-    with controller(*refusals), pytest.raises(NotReadyError, match="actual_TCP_force: update"):
+    known = [*OLD[:4], *OLD[5:]]
+    with (
+        controller(refusal([*types, *TYPES[len(OLD) :]]), greeting([*known, *TYPES[len(OLD) :]], b"")),
+        pytest.raises(NotReadyError, match="actual_TCP_force: update"),
+    ):
         connect()
 
 

@@ -120,7 +120,7 @@ class ServoClient:
         """
         self.send(request)
         # The payload is acknowledged, then read back.
-        reply = self.receive(self._clock.to_wall_time(2 * self._config.handshake_timeout) + KILL_MARGIN)
+        reply = self.receive(self._clock.to_wall_time(2 * self._config.servo.handshake_timeout) + KILL_MARGIN)
         if reply is None:
             raise self.crash(hung=True)
         if isinstance(reply, Refused):
@@ -187,8 +187,8 @@ class ServoClient:
         self.kill()
         # The watchdog lets the arm come to rest on its path and ends the program. Should the robot have been stopped
         # before, the program is paused instead and could be resumed.
-        self._clock.sleep(2.0 / self._config.watchdog)
-        end_program(self._config.host, self._clock.to_wall_time(self._config.handshake_timeout))
+        self._clock.sleep(2.0 / self._config.servo.watchdog)
+        end_program(self._config.host, self._clock.to_wall_time(self._config.servo.handshake_timeout))
         how = "hung" if hung or code is None else f"ended with code {code}" if code >= 0 else _signal_name(-code)
         self._errors.seek(0)
         words = self._errors.read().decode(errors="replace").split("Extension modules")[0].strip()[-_STDERR_TAIL:]
@@ -202,7 +202,7 @@ class ServoClient:
         with suppress(DeviceError):
             self.send(Close())
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(self._clock.to_wall_time(self._config.handshake_timeout) + KILL_MARGIN)
+            self._process.wait(self._clock.to_wall_time(self._config.servo.handshake_timeout) + KILL_MARGIN)
         self.kill()
 
     def kill(self) -> None:
@@ -224,7 +224,7 @@ class ServoClient:
                     code="servo_crash.start",
                 )
             if started := int(self.memory.words[Word.CONNECTING]):
-                connecting = self._clock.to_wall_time(self._config.connect_timeout)
+                connecting = self._clock.to_wall_time(self._config.servo.connect_timeout)
                 deadline = min(deadline, started * 1e-9 + connecting + KILL_MARGIN)
         if isinstance(reply, Refused):
             raise reply.error()
@@ -245,7 +245,7 @@ class ServoClient:
             now, done = self._clock.now(), int(self.memory.words[Word.CYCLES])
             if done != cycles:
                 cycles, since = done, now
-            elif now - since > self._config.hang_timeout:
+            elif now - since > self._config.servo.hang_timeout:
                 raise self.crash(hung=True)
 
     def _beat(self) -> None:

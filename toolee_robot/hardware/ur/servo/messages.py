@@ -111,11 +111,15 @@ class Freedrive:
     on: bool
 
 
+class ZeroWrench:
+    """Request to zero the force reading."""
+
+
 class Close:
     """Request to end the robot's program and the servo process; there is no reply."""
 
 
-Request = Connect | MotionRequest | SetPayload | Freedrive | Close
+Request = Connect | MotionRequest | SetPayload | ZeroWrench | Freedrive | Close
 
 
 @dataclass(frozen=True)
@@ -142,7 +146,7 @@ class MotionEnded:
 
 @dataclass(frozen=True)
 class Done:
-    """Reply to `SetPayload` and `Freedrive`: the robot has acknowledged the request."""
+    """Reply to `SetPayload`, `ZeroWrench` and `Freedrive`: the robot has acknowledged the request."""
 
 
 @dataclass(frozen=True)

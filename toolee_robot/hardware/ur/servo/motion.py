@@ -14,6 +14,8 @@ from toolee_robot.hardware.ur.servo.clock import FOLLOW, Schedule
 from toolee_robot.hardware.ur.servo.messages import Cause, MotionRequest
 from toolee_robot.hardware.ur.servo.rtde_link import UrLink
 from toolee_robot.hardware.ur.servo.shared_memory import Column, ServoMemory, StateColumn, Word
+from toolee_robot.hardware.ur.servo.state_stream import Reading
+from toolee_robot.hardware.ur.servo.tracking import tracking_error
 from toolee_robot.hardware.ur.status import FULL_SPEED
 from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.runtime.clock import HostClock
@@ -60,7 +62,7 @@ class Motion:
         self._commands = self._reference()
         self._lag_cycles = request.lag / self._period
         self._window = int(self._lag_cycles + request.watch.data_cycles) + 8
-        self._wrenches: list[Array] = []
+        self._readings: list[Reading] = []
         window = 0.0 if request.guard is None else request.guard.averaging_window
         self._forces: deque[Array] = deque(maxlen=max(round(window / self._period), 1))
 
@@ -71,13 +73,13 @@ class Motion:
         words[Word.CAUSE], words[Word.CONTACT_ROW] = Cause.NONE, -1
         q = link.reading[StateColumn.COMMANDED].copy()
         settled = 0
-        link.unread_wrenches()
+        link.unread()
         while self._row < len(self._memory.rows):
             lateness, missed = self._schedule.wait()
             link.read()
             link.end_halted_program()
             self._schedule.follow(link.arrived, FOLLOW)
-            self._wrenches = link.unread_wrenches()
+            self._readings = link.unread()
             self._judge(lateness, missed)
             following = None if self._silent else next(self._commands, None)
             if following is not None:
@@ -154,23 +156,18 @@ class Motion:
     def _touches(self) -> bool:
         """Whether the averaged force exceeds the guard's at any of the new readings."""
         guard, touches = self._request.guard, False
-        for wrench in self._wrenches:
-            self._forces.append(wrench[:3])
+        for reading in self._readings:
+            self._forces.append(reading.wrench[:3])
             force = np.mean(self._forces, axis=0)
             full = len(self._forces) == self._forces.maxlen
             touches |= guard is not None and full and float(np.sqrt(force @ force)) > guard.force
         return touches and guard is not None and self._time >= guard.ignore_before and not self._brakes
 
     def _tracking_error(self) -> float:
-        """Distance [rad] of the newest reading from the range of commands sent within the servo's lag before it."""
         reading = self._link.reading
         rows = self._memory.rows[max(self._row - self._window, 0) : self._row]
-        sent = rows[:, Column.SENT]
-        i, j = np.searchsorted(sent, (reading[StateColumn.SEEN] - self._request.lag, reading[StateColumn.SEEN]))
-        if j == 0:
-            return 0.0
-        commanded, q = rows[max(i - 1, 0) : j, Column.COMMANDED], reading[StateColumn.Q]
-        return float(np.maximum(q - commanded.max(axis=0), commanded.min(axis=0) - q).max())
+        seen, q = float(reading[StateColumn.SEEN]), reading[StateColumn.Q]
+        return tracking_error(rows[:, Column.SENT], rows[:, Column.COMMANDED], seen, q, self._request.lag)
 
     def _at_rest(self, settled: int) -> bool:
         """Whether the arm stands, by fresh data and after the servo's lag, or the wait for it is over.
@@ -191,8 +188,10 @@ class Motion:
         row[Column.SEEN], row[Column.TIMESTAMP] = reading[StateColumn.SEEN], reading[StateColumn.TIMESTAMP]
         row[Column.PATH_TIME], row[Column.COMMANDED] = self._time, q
         row[Column.Q], row[Column.QD] = reading[StateColumn.Q], reading[StateColumn.QD]
-        wrenches = self._wrenches or [reading[StateColumn.WRENCH]]
+        wrenches = [new.wrench for new in self._readings] or [reading[StateColumn.WRENCH]]
         row[Column.WRENCH] = max(wrenches, key=lambda wrench: float(wrench[:3] @ wrench[:3]))
+        ratios = [(new.position_deviation_ratio, new.collision_ratio) for new in self._readings]
+        row[Column.RATIOS] = np.max(ratios, axis=0) if ratios else reading[StateColumn.RATIOS]
         self._row += 1
         memory.words[Word.ROWS] = self._row
         memory.words[Word.CYCLES] += 1

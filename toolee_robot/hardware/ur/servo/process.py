@@ -20,7 +20,7 @@ from typing import Any
 from toolee_robot.errors import DeviceError
 from toolee_robot.hal import ArmStatus
 from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.servo.clock import SEEK, Schedule, become_realtime
+from toolee_robot.hardware.ur.servo.clock import SEEK, Realtime, Schedule, become_realtime
 from toolee_robot.hardware.ur.servo.messages import (
     Cause,
     Close,
@@ -34,9 +34,11 @@ from toolee_robot.hardware.ur.servo.messages import (
     Reply,
     Request,
     SetPayload,
+    ZeroWrench,
 )
 from toolee_robot.hardware.ur.servo.motion import Motion
 from toolee_robot.hardware.ur.servo.rtde_link import UrLink
+from toolee_robot.hardware.ur.servo.script_calls import ScriptCalls
 from toolee_robot.hardware.ur.servo.shared_memory import ServoMemory, StateColumn, Word
 
 EXIT_LINK_LOST = 3
@@ -58,6 +60,7 @@ class ServoProcess:
         self._pipe, self._memory, self._link, self._config = pipe, memory, link, config
         self._poll = select.poll()
         self._poll.register(pipe.fileno(), select.POLLIN | select.POLLHUP)
+        self._calls = ScriptCalls(link, config, self._publish)
         self._beat, self._since = -1, 0.0
         self._clock = config.clock
         self._fault = Cause.NONE
@@ -66,7 +69,7 @@ class ServoProcess:
 
     def run(self) -> None:
         """Run until the task requests the end or is gone, or the link is lost. Does not return: the process exits."""
-        link, memory = self._link, self._memory
+        link = self._link
         schedule = Schedule(self._clock.now(), 1.0 / link.rate, self._clock)
         schedule.follow(link.arrived, 0.5)
         answered = 0.0
@@ -74,7 +77,7 @@ class ServoProcess:
             schedule.wait()
             link.read()
             schedule.follow(link.arrived, SEEK)
-            link.unread_wrenches()
+            link.unread()
             link.end_halted_program()
             self._judge()
             # At most one for each reading: what is sent to a controller that stalls queues up there and delays every
@@ -82,17 +85,33 @@ class ServoProcess:
             if self._fault < Cause.PROGRAM_ENDED and link.playing and link.reading[StateColumn.TIMESTAMP] > answered:
                 link.kick()
                 answered = float(link.reading[StateColumn.TIMESTAMP])
-            memory.words[Word.CYCLES] += 1
-            memory.write_state(link.reading)
+            self._publish()
             if self._terminated:
                 link.close()
             if self._poll.poll(0):
                 self._handle(schedule)
 
+    def connected(self, realtime: Realtime) -> None:
+        """Set the TCP and tell the task's process that the robot is connected.
+
+        Args:
+            realtime: Real-time privileges that the operating system granted.
+
+        Raises:
+            DeviceError: The robot does not take the TCP.
+        """
+        self._calls.set_tcp()
+        self._publish()
+        self._pipe.send(Connected(realtime))
+
+    def _publish(self) -> None:
+        self._memory.words[Word.CYCLES] += 1
+        self._memory.write_state(self._link.reading)
+
     def _judge(self) -> None:
         """Latch faults at rest as well: nothing moves before a reset."""
         link = self._link
-        if not link.connected or self._clock.to_wall_time(link.age) > self._config.link_timeout:
+        if not link.connected or self._clock.to_wall_time(link.age) > self._config.servo.link_timeout:
             self._latch(Cause.LINK)
             os._exit(EXIT_LINK_LOST)
         elif link.status is not ArmStatus.READY:
@@ -147,12 +166,14 @@ class ServoProcess:
     def _handshake(self, request: Request) -> Reply:
         try:
             if isinstance(request, SetPayload):
-                self._link.set_payload(request.mass, request.center_of_mass)
+                self._calls.set_payload(request.mass, request.center_of_mass)
+            elif isinstance(request, ZeroWrench):
+                self._calls.zero_wrench()
             elif isinstance(request, Freedrive):
                 if request.on:
-                    self._link.start_freedrive()
+                    self._calls.start_freedrive()
                 else:
-                    self._link.end_freedrive()
+                    self._calls.end_freedrive()
         except DeviceError as error:
             return Refused.from_error(error)
         self._memory.write_state(self._link.reading)  # the task plans from this state once it has the reply
@@ -166,7 +187,7 @@ class ServoProcess:
         hung_up = any(events & (select.POLLHUP | select.POLLERR) for _, events in self._poll.poll(0))
         if self._terminated or not self._memory.owner.owner_alive or hung_up:
             return Cause.TASK_ENDED
-        return Cause.TASK_STALLED if now - self._since > self._config.heartbeat_timeout else Cause.NONE
+        return Cause.TASK_STALLED if now - self._since > self._config.servo.heartbeat_timeout else Cause.NONE
 
     def _await_data(self, schedule: Schedule) -> None:
         """Wait for new readings, a bounded time: a motion must not start on data from before its request."""
@@ -203,14 +224,12 @@ def main() -> None:
     realtime = become_realtime()
     memory.words[Word.CONNECTING] = time.monotonic_ns()
     try:
-        link = UrLink(request.config, request.rate)
+        process = ServoProcess(pipe, memory, UrLink(request.config, request.rate), request.config)
+        process.connected(realtime)
     except DeviceError as error:
         pipe.send(Refused.from_error(error))
         # No destructors: ur_rtde's may hang.
         os._exit(0)
-    process = ServoProcess(pipe, memory, link, request.config)
-    memory.write_state(link.reading)
-    pipe.send(Connected(realtime))
     process.run()
 
 

@@ -1,6 +1,8 @@
-"""Motion reports from the shared memory, and the errors for the causes of a motion's end."""
+"""The arm's state and motion reports from the shared memory, and the errors for the causes of a motion's end."""
 
 from __future__ import annotations
+
+import numpy as np
 
 from toolee_robot.errors import (
     EmergencyStopError,
@@ -10,13 +12,31 @@ from toolee_robot.errors import (
     ProtectiveStopError,
     TrackingError,
 )
-from toolee_robot.hal import ArmStatus, MotionOutcome, MotionReport
+from toolee_robot.frames import Array
+from toolee_robot.hal import ArmState, ArmStatus, MotionOutcome, MotionReport
 from toolee_robot.hardware.ur.servo.messages import Cause
-from toolee_robot.hardware.ur.servo.shared_memory import Column, ServoMemory, Word
-from toolee_robot.hardware.ur.status import advice
+from toolee_robot.hardware.ur.servo.shared_memory import Column, ServoMemory, StateColumn, Word
+from toolee_robot.hardware.ur.status import advice, arm_status
 from toolee_robot.types import JointState
 
+RATIO_LIMIT = 1.0
+"""Ratio at which the controller makes a protective stop."""
 _OUTCOME = {Cause.NONE: MotionOutcome.COMPLETED, Cause.CONTACT: MotionOutcome.CONTACT}
+
+
+def arm_state(state: Array) -> ArmState:
+    """Convert a state of the shared memory, (StateColumn.COUNT,)."""
+    stamp = float(state[StateColumn.SEEN])
+    deviation, collision = (None if np.isnan(ratio) else float(ratio) for ratio in state[StateColumn.RATIOS])
+    return ArmState(
+        joints=JointState(state[StateColumn.Q], state[StateColumn.QD], stamp),
+        q_commanded=state[StateColumn.COMMANDED],
+        wrench=state[StateColumn.WRENCH],
+        status=arm_status(int(state[StateColumn.SAFETY_BITS]), int(state[StateColumn.ROBOT_MODE])),
+        position_deviation_ratio=deviation,
+        collision_ratio=collision,
+        digital_inputs=int(state[StateColumn.DIGITAL_INPUTS]),
+    )
 
 
 def build_report(memory: ServoMemory, cause: Cause) -> MotionReport:
@@ -35,6 +55,7 @@ def build_report(memory: ServoMemory, cause: Cause) -> MotionReport:
     if cause is Cause.CONTACT and 0 <= contact_row < len(rows):
         row = rows[contact_row]
         contact = JointState(row[Column.Q], row[Column.QD], float(row[Column.SEEN]))
+    deviations, collisions = (None if np.isnan(ratios).any() else ratios for ratios in rows[:, Column.RATIOS].T)
     return MotionReport(
         outcome=_OUTCOME.get(cause, MotionOutcome.STOPPED),
         stamps=rows[:, Column.SENT],
@@ -43,23 +64,26 @@ def build_report(memory: ServoMemory, cause: Cause) -> MotionReport:
         wrenches=rows[:, Column.WRENCH],
         contact=contact,
         overruns=int(memory.words[Word.OVERRUNS]),
+        position_deviation_ratios=deviations,
+        collision_ratios=collisions,
     )
 
 
-def fault(cause: Cause, status: ArmStatus, report: MotionReport | None) -> MotionFaultError:
+def fault(cause: Cause, state: ArmState, report: MotionReport | None) -> MotionFaultError:
     """The error for a motion that ended with a fault.
 
     Args:
         cause: Why the motion ended; `Cause.DATA` or more severe.
-        status: Latest status of the robot.
+        state: Latest state of the robot.
         report: What was done until then; None for a fault at rest.
 
     Returns:
         The error to raise.
     """
     if cause is Cause.STOPPED_BY_ROBOT:
+        status = state.status
         if status is ArmStatus.PROTECTIVE_STOP:
-            return ProtectiveStopError(advice(status), report)
+            return _protective_stop(state, report)
         if status in (ArmStatus.EMERGENCY_STOP, ArmStatus.SAFEGUARD_STOP):
             return EmergencyStopError(advice(status), report)
         # The robot may be ready again by now.
@@ -98,3 +122,27 @@ def fault(cause: Cause, status: ArmStatus, report: MotionReport | None) -> Motio
         report,
         code="motion_fault.program_ended",
     )
+
+
+def _protective_stop(state: ArmState, report: MotionReport | None) -> ProtectiveStopError:
+    """The error for a protective stop, which names the reason where a ratio tells it."""
+    message = advice(ArmStatus.PROTECTIVE_STOP)
+    deviation = _largest(state.position_deviation_ratio, None if report is None else report.position_deviation_ratios)
+    collision = _largest(state.collision_ratio, None if report is None else report.collision_ratios)
+    if max(deviation, collision) < RATIO_LIMIT:
+        return ProtectiveStopError(message, report)
+    if deviation >= collision:
+        message += (
+            f". Its joints were off their path (position deviation ratio {deviation:.2f}, a stop at 1): it was hit, or "
+            "the motion was too fast for the payload that is set"
+        )
+        code = "protective_stop.position_deviation"
+    else:
+        message += f". It detected a collision (collision detection ratio {collision:.2f}, a stop at 1)"
+        code = "protective_stop.collision"
+    return ProtectiveStopError(message, report, code=code)
+
+
+def _largest(now: float | None, before: Array | None) -> float:
+    """The largest of a ratio now and in a motion; 0 where it is unknown."""
+    return max(0.0 if now is None else now, 0.0 if before is None or not len(before) else float(before.max()))

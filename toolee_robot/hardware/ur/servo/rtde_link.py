@@ -1,8 +1,9 @@
 """The servo process's link to the robot: ur_rtde's control interface and a separate stream of the robot's state.
 
-This is the only module that uses ur_rtde. Its return values are not relied on: calls return True long after the link is
-lost. A reading is new only if the controller's timestamp has advanced. Calls that wait for the control script can block
-for minutes, so each runs under a timer whose signal ends this process; the robot's watchdog then stops the robot.
+This module and `script_calls` alone use ur_rtde. Its return values are not relied on: calls return True long after the
+link is lost. A reading is new only if the controller's timestamp has advanced. Calls that wait for the control script
+can block for minutes, so each runs under a timer whose signal ends this process; the robot's watchdog then stops the
+robot.
 """
 
 from __future__ import annotations
@@ -24,16 +25,13 @@ from toolee_robot.hardware.ur.protocols.rtde import RTDE_PORT
 from toolee_robot.hardware.ur.servo.program_stop import ProgramStop
 from toolee_robot.hardware.ur.servo.rtde_socket import UrRtdeSocket
 from toolee_robot.hardware.ur.servo.shared_memory import StateColumn
-from toolee_robot.hardware.ur.servo.state_stream import StateStream
+from toolee_robot.hardware.ur.servo.state_stream import Reading, StateStream
 from toolee_robot.hardware.ur.status import RUNTIME_PAUSED, RUNTIME_PLAYING, RUNTIME_STOPPED, advice, arm_status
-from toolee_robot.motion.trajectory_checks import START_TOLERANCE
 
-PAYLOAD_TOLERANCE = 1e-3
-"""[kg], [m] Largest difference between the payload set and the payload reported by the controller."""
+AT_REST = 0.02
+"""[rad/s] Joint speed below which the arm counts as standing, where nothing moves it and encoders are noisy."""
 
-_AT_REST = 0.02  # [rad/s] joint speed below which a paused robot counts as standing
 _CATCH_UP_READS = 100  # reads after a handshake, at most
-_HELD_READINGS = 5  # consecutive readings with one set-point, after which the arm counts as held
 
 
 @contextmanager
@@ -61,6 +59,7 @@ class UrLink:
         rate: The controller's rate [Hz].
         reading: Newest state, (StateColumn.COUNT,). Its commanded position is the one sent last or, while the arm is
             not servoed, the one at which the controller holds it.
+        control: ur_rtde's control interface, for the calls that the control script acknowledges.
         refused: Whether ur_rtde has refused to send a position because it takes the robot's program as ended; stays
             True.
         status: Status of the robot's safety system and mode.
@@ -77,30 +76,28 @@ class UrLink:
         self._config, self.rate, self._clock = config, rate, config.clock
         self.reading: Array = np.zeros(StateColumn.COUNT)
         self.refused, self._lost = False, False
-        self._wrenches: list[Array] = []
+        self._unread: list[Reading] = []
         self.status, self.playing, self.paused, self.servoing = ArmStatus.NOT_READY, False, False, False
         self._program_exists = False  # since this connection uploaded it
-        with bounded(self._clock.to_wall_time(config.connect_timeout)):
+        with bounded(self._clock.to_wall_time(config.servo.connect_timeout)):
             try:
                 self._stream = StateStream(
-                    config.host, rate, self._clock.to_wall_time(config.connect_timeout), self._clock
+                    config.host, rate, self._clock.to_wall_time(config.servo.connect_timeout), self._clock
                 )
                 self._show_newest()
                 if self.status is not ArmStatus.READY:
                     raise NotReadyError(advice(self.status), code=f"not_ready.{self.status}")
                 self._program_stop = ProgramStop(
-                    config.host, time.monotonic() + self._clock.to_wall_time(config.connect_timeout)
+                    config.host, time.monotonic() + self._clock.to_wall_time(config.servo.connect_timeout)
                 )
-                self._control = RTDEControlInterface(config.host)
-                # Wrenches are to be reported at the flange, whatever TCP the installation has.
-                self._control.setTcp([0.0] * 6)
+                self.control = RTDEControlInterface(config.host)
                 while not self.playing:
                     self.read()
-                    self._expect_plausible()
+                    self.expect_plausible()
                     time.sleep(1e-3)
                 self._program_exists = True
-                self._control.setWatchdog(config.watchdog)
-                self._catch_up()
+                self.control.setWatchdog(config.servo.watchdog)
+                self.catch_up()
                 self._socket = UrRtdeSocket(RTDE_PORT, self._stream.fileno())
             except (RuntimeError, ValueError, IndexError, MemoryError) as error:  # C++ exceptions
                 raise DeviceError(_explain(str(error), config.host), code="device.connection_refused") from error
@@ -108,7 +105,7 @@ class UrLink:
     @property
     def connected(self) -> bool:
         """Whether all connections seem to be the original ones. Only False is certain."""
-        return not (self._lost or self._stream.lost) and bool(self._control.isConnected() and self._socket.same)
+        return not (self._lost or self._stream.lost) and bool(self.control.isConnected() and self._socket.same)
 
     @property
     def plausible(self) -> bool:
@@ -125,9 +122,23 @@ class UrLink:
         """When the newest reading arrived at this machine [s], which shows the controller's cycle."""
         return self._stream.arrived
 
-    def unread_wrenches(self) -> list[Array]:
-        """All wrenches (6,) [N, Nm] since the last call, the oldest first."""
-        unread, self._wrenches = self._wrenches, []
+    @property
+    def newest(self) -> Reading:
+        """The newest reading, with what `reading` has no elements for."""
+        return self._stream.newest
+
+    @property
+    def wrench_offset(self) -> Array:
+        """What is subtracted from the wrench of the readings to come, (6,) [N, Nm], axes of `base`."""
+        return self._stream.wrench_offset
+
+    @wrench_offset.setter
+    def wrench_offset(self, offset: Array) -> None:
+        self._stream.wrench_offset = offset
+
+    def unread(self) -> list[Reading]:
+        """All readings since the last call, the oldest first."""
+        unread, self._unread = self._unread, []
         return unread
 
     def read(self) -> bool:
@@ -139,7 +150,7 @@ class UrLink:
         readings = self._stream.take()
         if not readings:
             return False
-        self._wrenches += [reading.wrench for reading in readings]
+        self._unread += readings
         self._show_newest()
         return True
 
@@ -153,6 +164,8 @@ class UrLink:
             newest.speed_slider,
             newest.speed_scaling,
         )
+        reading[StateColumn.RATIOS] = newest.position_deviation_ratio, newest.collision_ratio
+        reading[StateColumn.DIGITAL_INPUTS] = newest.digital_inputs
         if not self.servoing:  # a person may move it, or it may still be decelerating after a program's end
             reading[StateColumn.COMMANDED] = newest.target
         self.status = arm_status(safety, mode)
@@ -165,7 +178,7 @@ class UrLink:
         To be called in every cycle. Never waits, releases nothing, and touches no other program.
         """
         # A pause at the pendant stops on the path; ended in the middle of it, the program would leave the path.
-        pausing = self.status is ArmStatus.READY and np.abs(self.reading[StateColumn.QD]).max() > _AT_REST
+        pausing = self.status is ArmStatus.READY and np.abs(self.reading[StateColumn.QD]).max() > AT_REST
         if self._program_halted and not pausing:
             self._program_stop.request()
 
@@ -177,8 +190,8 @@ class UrLink:
     def servo(self, q: Array) -> None:
         """Send a joint position (6,) [rad]; this resets the robot's watchdog as well."""
         with self._while_connected():
-            sent = self._control.servoJ(
-                q.tolist(), 0.0, 0.0, 1.0 / self.rate, self._config.lookahead, self._config.gain
+            sent = self.control.servoJ(
+                q.tolist(), 0.0, 0.0, 1.0 / self.rate, self._config.servo.lookahead, self._config.servo.gain
             )
             self.refused = self.refused or not sent
         self.reading[StateColumn.COMMANDED] = q
@@ -191,73 +204,13 @@ class UrLink:
         """
         self._lost = self._lost or not self._socket.kick()
 
-    def set_payload(self, mass: float, center_of_mass: list[float]) -> None:
-        """Set the payload and wait until the controller reports it, if its version does.
-
-        Args:
-            mass: Mass [kg].
-            center_of_mass: x, y, z [m] in the flange frame.
-
-        Raises:
-            DeviceError: The robot's program does not run, or the controller reports another payload.
-        """
-        with bounded(self._clock.to_wall_time(self._config.handshake_timeout)):
-            accepted = self._control.setPayload(mass, center_of_mass)
-        if not accepted:
-            message = "the robot did not accept the payload: its program does not run; reset the arm"
-            raise DeviceError(message, code="device.program_stopped")
-        deadline = self._clock.now() + self._config.handshake_timeout
-        while True:
-            self.kick()
-            self._clock.sleep(1.0 / self.rate)
-            self.read()
-            self._expect_plausible()
-            reported = self._stream.newest.payload
-            if reported is None or np.abs(np.subtract(reported, [mass, *center_of_mass])).max() < PAYLOAD_TOLERANCE:
-                return
-            if self._clock.now() > deadline:
-                raise DeviceError(
-                    f"the payload was set to {mass:.3f} kg at {np.round(center_of_mass, 3)} m, but the robot reports "
-                    f"{reported[0]:.3f} kg at {np.round(reported[1:], 3)} m",
-                    code="device.payload_mismatch",
-                )
-
-    def start_freedrive(self) -> None:
-        """Enter freedrive.
-
-        Raises:
-            DeviceError: The robot's program does not run.
-        """
-        with bounded(self._clock.to_wall_time(self._config.handshake_timeout)):
-            if self.servoing:
-                self._control.servoStop()
-                self.servoing = False
-            if not self._control.teachMode():
-                message = "the robot did not enter freedrive: its program does not run; reset the arm"
-                raise DeviceError(message, code="device.program_stopped")
-
-    def end_freedrive(self) -> None:
-        """Leave freedrive and wait until the controller holds the arm; an arm that still moves brakes first."""
-        with bounded(self._clock.to_wall_time(self._config.handshake_timeout)):
-            self._control.endTeachMode()
-            self._catch_up()
-            held = 0
-            while held < _HELD_READINGS:
-                before = self.reading[StateColumn.COMMANDED].copy()
-                self.kick()
-                self._clock.sleep(1.0 / self.rate)
-                if self.read():
-                    moved = np.abs(self.reading[StateColumn.COMMANDED] - before).max()
-                    held = held + 1 if moved <= START_TOLERANCE else 0
-                self._expect_plausible()
-
     def close(self) -> None:
         """End the robot's program, at rest, and this process with all its connections."""
-        with bounded(self._clock.to_wall_time(self._config.handshake_timeout)):
+        with bounded(self._clock.to_wall_time(self._config.servo.handshake_timeout)):
             if self.connected and self.playing and self.status is ArmStatus.READY:
                 if self.servoing:
-                    self._control.servoStop()
-                self._control.stopScript()
+                    self.control.servoStop()
+                self.control.stopScript()
             while self.connected and self._program_halted:
                 self.end_halted_program()
                 self._clock.sleep(1.0 / self.rate)
@@ -276,14 +229,19 @@ class UrLink:
         except RuntimeError:
             self._lost = True
 
-    def _catch_up(self) -> None:
+    def catch_up(self) -> None:
         """Take all readings that arrived during a handshake."""
         for _ in range(_CATCH_UP_READS):
             if not self.read():
                 break
-        self._expect_plausible()
+        self.expect_plausible()
 
-    def _expect_plausible(self) -> None:
+    def expect_plausible(self) -> None:
+        """Check that all data so far were plausible.
+
+        Raises:
+            DeviceError: They were not.
+        """
         if not self.plausible:
             message = "the robot's data are implausible (joints, forces or time): restart its controller"
             raise DeviceError(message, code="device.implausible_data")

@@ -65,6 +65,8 @@ class Column:
         QD: Measured joint velocities, (6,) [rad/s].
         WRENCH: Wrench at the flange, (6,) [N, Nm]: of the readings since the previous row, the one with the largest
             force.
+        RATIOS: Position deviation ratio and collision ratio, (2,): of the same readings, each one's largest. NaN from a
+            controller that does not report it.
         COUNT: Number of columns.
     """
 
@@ -77,7 +79,8 @@ class Column:
     Q = slice(11, 17)
     QD = slice(17, 23)
     WRENCH = slice(23, 29)
-    COUNT = 29
+    RATIOS = slice(29, 31)
+    COUNT = 31
 
 
 class StateColumn:
@@ -95,6 +98,9 @@ class StateColumn:
         COMMANDED: Joint positions sent last, or held by the controller, (6,) [rad].
         SPEED_SLIDER: Position of the speed slider, 0 to 1.
         SPEED_SCALING: Speed of the motion as a fraction of the commanded one.
+        RATIOS: Position deviation ratio and collision ratio, (2,): at 1 the controller stops the arm. NaN from a
+            controller that does not report it.
+        DIGITAL_INPUTS: RTDE's actual_digital_input_bits.
         COUNT: Number of elements.
     """
 
@@ -109,7 +115,9 @@ class StateColumn:
     COMMANDED = slice(23, 29)
     SPEED_SLIDER = 29
     SPEED_SCALING = 30
-    COUNT = 31
+    RATIOS = slice(31, 33)
+    DIGITAL_INPUTS = 33
+    COUNT = 34
 
 
 class ServoMemory:

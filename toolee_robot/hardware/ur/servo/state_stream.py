@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,8 +29,12 @@ _ALWAYS = (
     "safety_status_bits",
     "robot_mode",
     "runtime_state",
+    "actual_digital_input_bits",
 )
-_OPTIONAL = ("payload", "payload_cog")  # since 3.11 and 5.5.1
+_TCP = "tcp_offset"
+_PAYLOAD = ("payload", "payload_cog")  # since 3.11 and 5.5.1
+_RATIOS = ("joint_position_deviation_ratio", "collision_detection_ratio")  # newer e-Series versions only
+_OPTIONAL = (_TCP, *_PAYLOAD, *_RATIOS)
 
 _IMPLAUSIBLE = 100.0
 """[rad], [rad/s] Bound of plausible joint readings."""
@@ -50,14 +54,20 @@ class Reading:
         q: Measured joint positions, (6,) [rad].
         qd: Measured joint velocities, (6,) [rad/s].
         target: Joint positions at which the controller holds the arm, (6,) [rad].
-        wrench: Wrench at the flange, (6,) [N, Nm], axes of `base`.
+        wrench: Wrench at the flange, less the stream's offset, (6,) [N, Nm], axes of `base`.
         speed_slider: Position of the speed slider, 0 to 1.
         speed_scaling: Speed of the motion as a fraction of the commanded one.
         safety_bits: RTDE's safety_status_bits.
         robot_mode: RTDE's robot_mode.
         runtime_state: RTDE's runtime_state.
+        digital_inputs: RTDE's actual_digital_input_bits.
         payload: Mass [kg] and centre of gravity x, y, z [m] in the flange frame; None from a controller that does not
             report them.
+        tcp: TCP in the flange frame, (6,): position [m], rotation vector [rad]; None likewise.
+        position_deviation_ratio: How near the joints' deviation from their path is to a protective stop (UR's codes
+            C153, C159), which comes at 1; NaN likewise.
+        collision_ratio: How near the collision detection is to a protective stop (C157, C158), which comes at 1; NaN
+            likewise.
     """
 
     timestamp: float
@@ -70,7 +80,11 @@ class Reading:
     safety_bits: int
     robot_mode: int
     runtime_state: int
+    digital_inputs: int
     payload: tuple[float, float, float, float] | None
+    tcp: Array | None
+    position_deviation_ratio: float
+    collision_ratio: float
 
 
 class StateStream:
@@ -88,6 +102,7 @@ class StateStream:
         seen: When it was read [s] on the station's clock.
         lost: Whether the connection is lost; stays True.
         plausible: Whether all data were plausible; stays False. Implausible data are discarded.
+        wrench_offset: What is subtracted from the wrench of the readings to come, (6,) [N, Nm], axes of `base`.
 
     Raises:
         NoAnswerError: The controller does not answer in time.
@@ -99,12 +114,15 @@ class StateStream:
         deadline = time.monotonic() + timeout
         self._clock = clock
         self.lost, self.plausible = False, True
+        self.wrench_offset: Array = np.zeros(6)
         self._reader = RtdeReader.connect(host, deadline)
-        if self._reader.subscribe(_ALWAYS + _OPTIONAL, rate, deadline):
+        if unknown := self._reader.subscribe(_ALWAYS + _OPTIONAL, rate, deadline):
+            # A recipe cannot be corrected: leave out what this version does not have, on a new connection.
             self._reader.close()
+            known = [name for name in _ALWAYS + _OPTIONAL if name not in unknown]
             self._reader = RtdeReader.connect(host, deadline)
-            if unknown := self._reader.subscribe(_ALWAYS, rate, deadline):
-                message = f"the controller does not report {', '.join(unknown)}: update PolyScope"
+            if missing := {*_ALWAYS}.intersection(unknown).union(self._reader.subscribe(known, rate, deadline)):
+                message = f"the controller does not report {', '.join(sorted(missing))}: update PolyScope"
                 raise NotReadyError(message, code="not_ready.polyscope_version")
         first = self._reader.read(deadline)
         self.newest, self.seen = _reading(first), clock.now()
@@ -137,6 +155,7 @@ class StateStream:
                 continue
             if reading.timestamp < self.newest.timestamp:
                 raise ProtocolError("the robot's time runs backwards", code="protocol.implausible")
+            reading = replace(reading, wrench=reading.wrench - self.wrench_offset)
             self.newest, self.seen = reading, self._clock.now()
             self.arrived = sample.received * self._clock.real_time_factor
             yield reading
@@ -158,12 +177,37 @@ def _reading(sample: RtdeSample) -> Reading:
     if not (speeds.shape == (2,) and np.all(np.abs(speeds) < _IMPLAUSIBLE)):
         raise ProtocolError("the robot's speed slider or scaling is implausible", code="protocol.implausible")
     slider, scaling = speeds.tolist()
-    safety, mode, runtime = (int(_numbers(values[name])[0]) for name in _ALWAYS[-3:])
+    safety, mode, runtime, inputs = (int(_numbers(values[name])[0]) for name in _ALWAYS[-4:])
     payload = None
-    if _OPTIONAL[0] in values:
-        mass, x, y, z = np.hstack([_numbers(values[name]) for name in _OPTIONAL]).tolist()
+    if all(name in values for name in _PAYLOAD):
+        mass, x, y, z = np.hstack([_numbers(values[name]) for name in _PAYLOAD]).tolist()
         payload = (mass, x, y, z)
-    return Reading(float(timestamp[0]), q, qd, target, wrench * _TURN, slider, scaling, safety, mode, runtime, payload)
+    deviation, collision = (_ratio(values[name]) if name in values else np.nan for name in _RATIOS)
+    return Reading(
+        float(timestamp[0]),
+        q,
+        qd,
+        target,
+        wrench * _TURN,
+        slider,
+        scaling,
+        safety,
+        mode,
+        runtime,
+        inputs,
+        payload,
+        _numbers(values[_TCP]) if _TCP in values else None,
+        deviation,
+        collision,
+    )
+
+
+def _ratio(value: Value) -> float:
+    """Convert a ratio to a protective stop. Raises ProtocolError for an impossible value."""
+    (ratio,) = _numbers(value).tolist()
+    if not 0.0 <= ratio < np.inf:
+        raise ProtocolError("a ratio to a protective stop is negative or no number", code="protocol.implausible")
+    return float(ratio)
 
 
 def _numbers(value: Value | list[Value]) -> Array:

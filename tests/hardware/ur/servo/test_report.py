@@ -1,0 +1,72 @@
+"""Errors and states from what the servo process has written down."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from toolee_robot.errors import ProtectiveStopError
+from toolee_robot.frames import Array
+from toolee_robot.hal import ArmStatus
+from toolee_robot.hardware.ur.servo.messages import Cause
+from toolee_robot.hardware.ur.servo.report import arm_state, build_report, fault
+from toolee_robot.hardware.ur.servo.shared_memory import Column, ServoMemory, StateColumn, Word
+
+NAN = float("nan")
+PROTECTIVE_STOP = 1 << 2
+
+
+def state(ratios: tuple[float, float], safety: int = PROTECTIVE_STOP) -> Array:
+    numbers = np.zeros(StateColumn.COUNT)
+    numbers[StateColumn.SAFETY_BITS], numbers[StateColumn.ROBOT_MODE] = safety, 7
+    numbers[StateColumn.RATIOS], numbers[StateColumn.DIGITAL_INPUTS] = ratios, 0b101
+    return numbers
+
+
+@pytest.fixture
+def memory() -> Iterator[ServoMemory]:
+    shared = ServoMemory.create(1.0)
+    yield shared
+    shared.close()
+
+
+def test_a_state_has_the_ratios_and_inputs_that_the_controller_reports() -> None:
+    told = arm_state(state((0.25, 0.5), safety=1))
+    assert (told.status, told.digital_inputs) == (ArmStatus.READY, 0b101)
+    assert (told.position_deviation_ratio, told.collision_ratio) == (0.25, 0.5)
+    untold = arm_state(state((NAN, 0.5)))
+    assert (untold.position_deviation_ratio, untold.collision_ratio) == (None, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("swing", "now", "code"),
+    [
+        ((0.4, 0.3), (0.4, 0.3), "protective_stop"),
+        ((NAN, NAN), (NAN, NAN), "protective_stop"),
+        ((1.0, 0.7), (0.1, 0.1), "protective_stop.position_deviation"),
+        ((0.3, 0.2), (0.5, 1.3), "protective_stop.collision"),
+        ((NAN, 1.1), (NAN, 0.0), "protective_stop.collision"),
+    ],
+)
+def test_a_ratio_that_reached_its_limit_names_the_reason_of_a_protective_stop(
+    memory: ServoMemory, swing: tuple[float, float], now: tuple[float, float], code: str
+) -> None:
+    memory.rows[:3, Column.RATIOS] = np.where(np.isnan(swing), NAN, 0.1)
+    memory.rows[1, Column.RATIOS] = swing
+    memory.words[Word.ROWS] = 3
+    report = build_report(memory, Cause.STOPPED_BY_ROBOT)
+    error = fault(Cause.STOPPED_BY_ROBOT, arm_state(state(now)), report)
+    assert isinstance(error, ProtectiveStopError)
+    assert error.code == code
+    for column, ratios in enumerate((report.position_deviation_ratios, report.collision_ratios)):
+        if np.isnan(swing[column]):
+            assert ratios is None
+        else:
+            assert ratios is not None
+            assert ratios.max() == swing[column]
+
+
+def test_a_protective_stop_at_rest_is_named_by_the_state_alone() -> None:
+    assert fault(Cause.STOPPED_BY_ROBOT, arm_state(state((0.0, 2.0))), None).code == "protective_stop.collision"
