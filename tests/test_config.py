@@ -70,6 +70,7 @@ def test_an_empty_file_is_the_default_station(tmp_path: Path) -> None:
         ("- a\n- list", "lab.yaml"),
         ("work: {nail_xy: [0.6, 0.2", "lab.yaml"),
         ("just words", "lab.yaml"),
+        ("frame: base_link\ntask: {max_strikes: 3}\nframe: pendant_base\n", "'frame' is given twice"),
         ("calibration: {measured_on: 20th of May, robot_serial: a, camera_serial: b, residual: 0}", "measured_on"),
         ("calibration: {measured_on: '2026-05-20'}", "calibration"),
         ("supervisor: {unattended_speed: 0}", "supervisor.unattended_speed"),

@@ -54,7 +54,8 @@ def measure_force(host: str, rate: float) -> ForceAtRest:
         What the force is at rest.
 
     Raises:
-        DeviceError: The robot does not answer, or tells no force.
+        DeviceError: The robot does not answer, or too few readings came.
+        ProtocolError: The controller tells no force.
     """
     deadline = time.monotonic() + PATIENCE + DURATION
     with RtdeReader.connect(host, deadline) as reader:

@@ -13,6 +13,19 @@ from toolee_robot.errors import ConfigError
 T = TypeVar("T")
 
 
+class _UniqueKeys(yaml.SafeLoader):
+    """Refuses a key that is given twice, of which YAML would silently take the last one."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and (key.tag, str(key.value)) in seen:
+                message = f"the key {key.value!r} is given twice"
+                raise yaml.constructor.ConstructorError(None, None, message, key.start_mark)
+            seen.add((key.tag, str(key.value)))
+        return super().construct_mapping(node, deep)
+
+
 def read_yaml(path: Path, what: str) -> Any:
     """Read a YAML file; JSON is YAML.
 
@@ -24,10 +37,10 @@ def read_yaml(path: Path, what: str) -> Any:
         What the file holds: mappings, lists and scalars.
 
     Raises:
-        ConfigError: It cannot be read.
+        ConfigError: It cannot be read, or gives a key twice.
     """
     try:
-        return yaml.safe_load(path.read_text())
+        return yaml.load(path.read_text(), _UniqueKeys)  # a SafeLoader
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise ConfigError(f"cannot read the {what} {path}: {error}", code="config.unreadable") from error
 
