@@ -23,7 +23,9 @@ def _write(folder: Path, text: str) -> Path:
 
 def test_a_subset_of_the_fields_is_enough(tmp_path: Path) -> None:
     config = load_station(
-        _write(tmp_path, "work: {nail_xy: [0.6, 0.2], nail_diameter: 0.003}\ntask: {max_strikes: 7}\n")
+        _write(
+            tmp_path, "frame: base_link\nwork: {nail_xy: [0.6, 0.2], nail_diameter: 0.003}\ntask: {max_strikes: 7}\n"
+        )
     )
     assert config.work.nail_xy == (0.6, 0.2)
     assert config.task.max_strikes == 7
@@ -57,7 +59,7 @@ def test_an_empty_file_is_the_default_station(tmp_path: Path) -> None:
         ("work: {nail_xz: [0.6, 0.2]}", "work.nail_xz"),
         ("task: {max_strikes: many}", "task.max_strikes"),
         ("servo: {gain: 50}", "servo.gain"),
-        ("work: {nail_xy: [0.6]}", "work.nail_xy"),
+        ("frame: base_link\nwork: {nail_xy: [0.6]}", "work.nail_xy"),
         ("strike: {speed: .nan}", "strike.speed"),
         ("work: {nail_diameter: -0.002}", "work.nail_diameter"),
         ("work: {nail_protrusion: 0.2}", "nail_length"),
@@ -68,6 +70,7 @@ def test_an_empty_file_is_the_default_station(tmp_path: Path) -> None:
         ("- a\n- list", "lab.yaml"),
         ("work: {nail_xy: [0.6, 0.2", "lab.yaml"),
         ("just words", "lab.yaml"),
+        ("frame: base_link\ntask: {max_strikes: 3}\nframe: pendant_base\n", "'frame' is given twice"),
         ("calibration: {measured_on: 20th of May, robot_serial: a, camera_serial: b, residual: 0}", "measured_on"),
         ("calibration: {measured_on: '2026-05-20'}", "calibration"),
         ("supervisor: {unattended_speed: 0}", "supervisor.unattended_speed"),

@@ -3,7 +3,8 @@
 Monogram notation: `X_AB` is the pose of frame B in frame A, a 4x4 float64 array, so inner letters cancel:
 `X_base_ee = X_base_camera @ X_camera_ee`. SI units, radians, quaternions xyzw.
 
-- `base`: the UR base. `flange`: UR tool0. `hand`: the palm.
+- `base`: the robot description's `base_link`, half a turn about z from the Base of the teach pendant (`BaseFrame`).
+- `flange`: UR tool0. `hand`: the palm.
 - `tool`: the handle (grip centre, z from the butt to the head, x to the working side).
 - `ee`: the tool's end effector, coincident with its counterpart at contact.
 - `camera`: OpenCV (x right, y down, z forward). `nail`: centre of the head's top, z into the wood.
@@ -12,6 +13,7 @@ Monogram notation: `X_AB` is the pose of frame B in frame A, a 4x4 float64 array
 from __future__ import annotations
 
 import math
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,24 @@ from scipy.spatial.transform import Rotation
 Array = NDArray[np.float64]
 """A float64 array; the docstring at its use gives shape and unit."""
 _IDENTITY = np.eye(4)
+HALF_TURN: Array = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""X_baselink_pendantbase, (4, 4): half a turn about z, its own inverse."""
+
+
+class BaseFrame(StrEnum):
+    """The two frames at an arm's base in which a person gives or reads a position.
+
+    BASE_LINK: the `base` of this project and of ROS. PENDANT_BASE: the feature Base of a UR's teach pendant, in which
+    its Move screen and RTDE tell the TCP.
+    """
+
+    BASE_LINK = "base_link"
+    PENDANT_BASE = "pendant_base"
+
+    @property
+    def X_base_this(self) -> Array:
+        """Pose of this frame in `base`, (4, 4)."""
+        return (HALF_TURN if self is BaseFrame.PENDANT_BASE else _IDENTITY).copy()
 
 
 def is_rigid(X: Array, tolerance: float = 1e-6) -> bool:

@@ -7,11 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from toolee_robot.cli.app import run
 from toolee_robot.config import StationConfig
 from toolee_robot.doctor.robot import expected_robot
+from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 
 _HOST, _SERIAL = "127.0.0.48", "20185500001"
@@ -69,8 +71,24 @@ def test_a_robot_that_is_set_up_is_ready_for_slow_motions(
     assert record["arm_calibration"]["delta_a"] == pytest.approx([0.0] * 6, abs=1e-9)
     levels = {f["name"]: f["level"] for f in record["findings"]}
     assert (levels["hand"], levels["camera"], levels["calibration"]) == ("warn", "warn", "warn"), "nobody looked"
+    assert (levels["TCP place"], levels["force"], levels["jogged point"]) == ("ok", "ok", "warn")
     after = robot.state()
     assert (after["q"], after["uploads"]) == (before["q"], before["uploads"])
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize(("turned", "level"), [(False, "ok"), (True, "fail")])
+def test_a_point_that_was_read_in_the_other_frame_is_found(
+    robot: ControllerProcess, lab: str, capsys: pytest.CaptureFixture[str], turned: bool, level: str
+) -> None:
+    """A station that is entered so lies on the far side of the robot, and all its other checks pass."""
+    x, y, z = 1e3 * DhParameters.of(StationConfig().arm.model).fk(np.array(robot.state()["q"]))[:3, 3]
+    point = [f"{-x:.1f}", f"{-y:.1f}", f"{z:.1f}"] if turned else [f"{x:.1f}", f"{y:.1f}", f"{z:.1f}"]
+    args = ("--arm", "ur-rtde", "--robot-host", _HOST, "--config", lab, "--jogged-point", *point)
+    code, record, said = _doctor(capsys, *args)
+    found = {f["name"]: f for f in record["findings"]}["jogged point"]
+    assert (found["level"], code) == (level, int(turned)), said
+    assert ("half a turn" in found["message"]) is turned
 
 
 @pytest.mark.sim

@@ -164,7 +164,7 @@ def test_an_interrupt_stops_the_arm_and_is_reported(tmp_path: Path, sign: signal
 
 @pytest.mark.nightly
 def test_a_nail_out_of_reach_ends_the_job_with_a_reason_and_the_arm_parked(tmp_path: Path) -> None:
-    (tmp_path / "lab.yaml").write_text("work: {nail_xy: [2.5, 0.1]}")
+    (tmp_path / "lab.yaml").write_text("frame: base_link\nwork: {nail_xy: [2.5, 0.1]}")
     process = _start(tmp_path, "--perfect-perception", "--seed", "101", "--json", "--config", "lab.yaml")
     out, err = process.communicate(timeout=120)
     record = _line(out)

@@ -17,6 +17,7 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
+from toolee_robot.cli.arm.command import Arm
 from toolee_robot.cli.bench.command import Bench
 from toolee_robot.cli.bench.servo import BenchServo
 from toolee_robot.cli.dataset import Dataset
@@ -34,6 +35,7 @@ EXIT_FAILED, EXIT_USER, EXIT_INTERRUPTED = 1, 2, 130
 Command = (
     Annotated[Hammer, tyro.conf.subcommand("hammer")]
     | Annotated[Estimate, tyro.conf.subcommand("estimate")]
+    | Annotated[Arm, tyro.conf.subcommand("arm")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[BenchServo, tyro.conf.subcommand("bench-servo")]
     | Annotated[Dataset, tyro.conf.subcommand("dataset")]
@@ -44,7 +46,7 @@ Command = (
     | Annotated[UrController, tyro.conf.subcommand("ur-controller")]
 )
 
-AnyCommand = Hammer | Estimate | Bench | BenchServo | Dataset | Doctor | Evaluate | Faults | Train | UrController
+AnyCommand = Hammer | Estimate | Arm | Bench | BenchServo | Dataset | Doctor | Evaluate | Faults | Train | UrController
 
 
 def main(args: Sequence[str] | None = None) -> None:

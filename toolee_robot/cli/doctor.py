@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import tyro
 from rich.console import Console
 from rich.markup import escape
@@ -41,6 +42,11 @@ class Doctor:
     """A rehearsal: a controller stand-in is started at that loopback address, the simulated station behind it."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """A station: any subset of the fields in docs/reference/station_file.md."""
+    jogged_point: Annotated[
+        tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")
+    ] = None
+    """X Y Z of the TCP in millimetres, as the pendant's Move screen shows them now with the feature Base: compared with
+    what the robot reports and with this software's kinematics."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
     """Folder for recordings, whose free space is checked."""
     json: Flag = False
@@ -52,7 +58,11 @@ class Doctor:
                 "--arm ur-rtde needs --robot-host: the controller's address, as on its About page",
                 code="user.no_robot_host",
             )
-        for option, given in (("--robot-host", self.robot_host), ("--world", self.world)):
+        for option, given in (
+            ("--robot-host", self.robot_host),
+            ("--world", self.world),
+            ("--jogged-point", self.jogged_point),
+        ):
             if self.arm == "sim" and given:
                 raise UserError(f"{option} without --arm ur-rtde: the simulated arm needs none", code="user.option")
         config = StationConfig() if self.config is None else load_station(self.config)
@@ -60,7 +70,8 @@ class Doctor:
         with console.status("loading"):
             from toolee_robot.cli.doctor_sections import DoctorReport
 
-        report = DoctorReport(config, self.robot_host, self.world is not None, self.out, console.status)
+        point = None if self.jogged_point is None else 1e-3 * np.array(self.jogged_point)
+        report = DoctorReport(config, self.robot_host, self.world is not None, self.out, point, console.status)
         found: list[tuple[str, Finding]] = []
         for section, findings in report.sections():
             found += [(section, finding) for finding in findings]

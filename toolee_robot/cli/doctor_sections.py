@@ -18,6 +18,7 @@ from toolee_robot.doctor.robot import examine_robot
 from toolee_robot.doctor.weights import check_weights
 from toolee_robot.errors import DeviceError
 from toolee_robot.findings import Finding, warn
+from toolee_robot.frames import Array
 from toolee_robot.hal import Station
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.options import SimOptions
@@ -39,6 +40,7 @@ class DoctorReport:
         host: Address of a UR controller; None for the simulated arm.
         with_world: Whether a controller stand-in is started on that host, with the simulated station behind it.
         out: Folder for recordings.
+        jogged_point: The TCP that the teach pendant shows now, feature Base, (3,) [m]; None if nobody has read it.
         doing: Context manager that shows what is in progress.
         facts: Further results for --json.
     """
@@ -47,6 +49,7 @@ class DoctorReport:
     host: str | None
     with_world: bool
     out: Path
+    jogged_point: Array | None
     doing: Callable[[str], AbstractContextManager[object]]
     facts: dict[str, Any] = field(default_factory=dict)
     _rate: float | None = field(default=None, init=False)
@@ -83,7 +86,7 @@ class DoctorReport:
                 with self.doing("building the simulated station behind a controller stand-in"):
                     world = stack.enter_context(RemoteWorld(self.config, _SEED, SimOptions(), host, HostClock()))
             with self.doing(f"asking the robot at {host}"):
-                robot = examine_robot(host, self.config)
+                robot = examine_robot(host, self.config, self.jogged_point)
             self._rate, self._robot_serial = robot.rate, robot.serial
             own = robot.calibration
             self.facts |= {"robot_serial": robot.serial, "arm_calibration": None if own is None else asdict(own)}

@@ -10,8 +10,9 @@ from toolee_robot.config.cell import CameraConfig, SceneConfig, WorkConfig
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
 from toolee_robot.config.servo import ServoConfig
+from toolee_robot.config.station_frame import take_frame, to_base
 from toolee_robot.config.values import STRICT
-from toolee_robot.runtime.yaml_files import read_record
+from toolee_robot.runtime.yaml_files import read_yaml, to_record
 
 
 @dataclass(frozen=True)
@@ -52,12 +53,19 @@ def load_station(path: Path) -> StationConfig:
     """Load a station file.
 
     Args:
-        path: YAML file with any subset of the fields of `StationConfig`; omitted fields keep their defaults.
+        path: YAML file with any subset of the fields of `StationConfig`, and `frame`, the `BaseFrame` of its positions,
+            which a file that gives any must name; omitted fields keep their defaults.
 
     Returns:
-        The validated configuration.
+        The validated configuration, its positions in `base`.
 
     Raises:
-        ConfigError: The file cannot be read, or a field is invalid; the message lists every invalid field.
+        ConfigError: The file cannot be read, or a field is invalid (the message lists every one), or positions are
+            given and no frame is named.
     """
-    return read_record(path, StationConfig, "station")
+    data, what = read_yaml(path, "station's file") or {}, "station"
+    if not isinstance(data, dict):
+        return to_record(data, path, StationConfig, what)
+    frame = take_frame(data)
+    config = to_record(data, path, StationConfig, what)
+    return config if (converted := to_base(data, frame)) is data else to_record(converted, path, StationConfig, what)

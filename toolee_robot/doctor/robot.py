@@ -9,7 +9,11 @@ import numpy as np
 from toolee_robot.arm_data import CB3_RATE
 from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
+from toolee_robot.doctor.force import check_force, measure_force
+from toolee_robot.doctor.frames import check_frames
+from toolee_robot.errors import DeviceError
 from toolee_robot.findings import Finding
+from toolee_robot.frames import Array
 from toolee_robot.hardware.ur.checks import UrExpected, check
 from toolee_robot.hardware.ur.kinematics import calibration_of
 from toolee_robot.hardware.ur.probe import nominal_rate, probe
@@ -44,12 +48,13 @@ def expected_robot(config: StationConfig) -> UrExpected:
     )
 
 
-def examine_robot(host: str, config: StationConfig) -> RobotCheck:
+def examine_robot(host: str, config: StationConfig, jogged_point: Array | None = None) -> RobotCheck:
     """Probe the controller and compare it with the station file, except for the serial number.
 
     Args:
         host: Address of the controller.
         config: Configuration of the station.
+        jogged_point: The TCP that the teach pendant shows now, feature Base, (3,) [m]; None if nobody has read it.
 
     Returns:
         The findings, and what the controller reports of itself.
@@ -57,4 +62,11 @@ def examine_robot(host: str, config: StationConfig) -> RobotCheck:
     report = probe(host)
     own = None if report.kinematics is None else calibration_of(report.kinematics.dh, config.arm.model)
     rate = CB3_RATE if report.version is None else nominal_rate(report.version)
-    return RobotCheck(check(report, expected_robot(config)), report.serial, rate, own)
+    findings = check(report, expected_robot(config))
+    if report.state is not None and report.quality is not None:
+        findings += check_frames(report.state, config, jogged_point)
+        try:
+            findings.append(check_force(measure_force(host, rate), config))
+        except DeviceError as error:
+            findings.append(Finding.of_error("force", error, "look for other RTDE clients and a bad network"))
+    return RobotCheck(findings, report.serial, rate, own)

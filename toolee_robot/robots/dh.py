@@ -13,11 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA
-from toolee_robot.frames import Array, inverse
+from toolee_robot.frames import HALF_TURN, Array, inverse
 from toolee_robot.types import ArmModel, DhCalibration
-
-HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
-"""X_baselink_base (4x4): pose of the base frame of the UR controller in the `base_link` of the URDF."""
 
 
 def dh_transform(theta: Array | float, d: float, a: float, alpha: float) -> Array:

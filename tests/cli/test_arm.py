@@ -1,0 +1,223 @@
+"""`toolee arm` at a stand-in: what its joints do, and who has to agree first."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import pty
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from tests.errors import raises
+from tests.stand_in import stand_in
+from toolee_robot.cli.app import run
+from toolee_robot.cli.arm.terminal import TerminalPerson
+from toolee_robot.config import StationConfig
+from toolee_robot.control import RobotModel
+from toolee_robot.errors import PersonNearError, UserError
+from toolee_robot.sim_backend.ur_controller.faults.client import Trace
+from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.types import ArmModel
+
+HOST = "127.0.0.35"
+LAB = "# a busy machine\nsupervisor: {data_cycles: 50, overruns: 50}\n"
+
+
+@pytest.fixture(scope="module")
+def robot() -> Iterator[ControllerProcess]:
+    with stand_in(ArmModel.UR10, HOST) as process:
+        hand = RobotModel.of_station(StationConfig()).description
+        payload = hand.hand_payload(hand.hand_open)
+        process.fault("payload", mass=payload.mass, cog=payload.center_of_mass.tolist())
+        yield process
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    (tmp_path / "lab.yaml").write_text(LAB)
+    return tmp_path / "lab.yaml"
+
+
+def _arm(capsys: pytest.CaptureFixture[str], lab: Path, *words: str) -> tuple[int, dict[str, Any]]:
+    code = run(["arm", *words, "--robot-host", HOST, "--config", str(lab), "--yes", "--json"])
+    out = capsys.readouterr()
+    return code, json.loads(out.out.splitlines()[-1]) if out.out else {"said": out.err}
+
+
+def _assert_slow(trace: Trace) -> None:
+    """The set-points that the controller got, and the joints themselves, stay within the caps."""
+    rate = 125.0
+    for q in (trace.q_target, trace.q):
+        speeds = np.diff(q, axis=0) * rate
+        assert np.abs(speeds).max() <= 0.102
+        # A tick that a command missed shows as two steps in one: judge over four of them.
+        assert np.abs(speeds[4:] - speeds[:-4]).max() * rate / 4 <= 1.3
+
+
+def _moved(
+    robot: ControllerProcess, act: Callable[[], tuple[int, dict[str, Any]]]
+) -> tuple[int, dict[str, Any], Trace]:
+    last = int(robot.trace().ticks[-1])
+    code, told = act()
+    return code, told, robot.trace(last)
+
+
+@pytest.mark.realtime
+def test_a_jog_and_a_line_stay_under_the_caps_at_the_joints(
+    robot: ControllerProcess, lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = np.array(robot.state()["q"])
+    code, told, trace = _moved(robot, lambda: _arm(capsys, lab, "move", "--joint", "6", "--by", "0.15"))
+    assert code == 0, told
+    _assert_slow(trace)
+    np.testing.assert_allclose(robot.state()["q"], before + np.array([0, 0, 0, 0, 0, 0.15]), atol=1e-3)
+    code, after, trace = _moved(
+        robot, lambda: _arm(capsys, lab, "move", "--along", "0.03", "0", "0.02", "--frame", "pendant_base")
+    )
+    assert code == 0, after
+    _assert_slow(trace)
+    for frame, way in (("pendant_base", [0.03, 0, 0.02]), ("base_link", [-0.03, 0, 0.02])):
+        moved = np.subtract(after[f"flange_{frame}"], told[f"flange_{frame}"])
+        np.testing.assert_allclose(moved, way, atol=1e-3)
+
+
+@pytest.mark.realtime
+def test_ctrl_c_stops_the_arm_on_its_path(
+    robot: ControllerProcess, lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = np.array(robot.state()["q"])
+
+    def interrupt_in_motion() -> None:
+        deadline = time.monotonic() + 30.0
+        while np.abs(np.array(robot.state()["q"]) - before).max() < 0.03 and time.monotonic() < deadline:
+            time.sleep(0.02)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt_in_motion)
+    thread.start()
+    code, _, trace = _moved(robot, lambda: _arm(capsys, lab, "move", "--joint", "6", "--by", "-0.3"))
+    thread.join()
+    assert code == 130
+    _assert_slow(trace)
+    moved = np.array(robot.state()["q"]) - before
+    assert -0.2 < moved[5] < -0.02
+    assert np.abs(moved[:5]).max() < 1e-3
+
+
+@pytest.mark.realtime
+def test_a_touch_tells_where_it_met_something_and_goes_back(
+    robot: ControllerProcess, lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = np.array(robot.state()["q"])
+
+    def push_in_motion() -> None:
+        deadline = time.monotonic() + 30.0
+        while np.abs(np.array(robot.state()["q"]) - before).max() < 0.005 and time.monotonic() < deadline:
+            time.sleep(0.02)
+        robot.fault("force", wrench=[0, 0, 20.0, 0, 0, 0], seconds=0.3)
+
+    thread = threading.Thread(target=push_in_motion)
+    thread.start()
+    code, told, trace = _moved(
+        robot, lambda: _arm(capsys, lab, "touch", "--along", "0", "0", "-0.04", "--frame", "base_link")
+    )
+    thread.join()
+    assert code == 0, told
+    _assert_slow(trace)
+    assert told["contact"]
+    assert 0.001 < told["travelled"] < 0.035
+    np.testing.assert_allclose(told["flange_base_link"][:2], np.negative(told["flange_pendant_base"][:2]))
+    np.testing.assert_allclose(robot.state()["q"], before, atol=1e-3)
+
+
+@pytest.mark.realtime
+def test_freedrive_tells_where_the_arm_is_and_leaves_it_there(
+    robot: ControllerProcess, lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = np.array(robot.state()["q"])
+    code, told = _arm(capsys, lab, "freedrive", "--seconds", "0.5")
+    assert code == 0, told
+    np.testing.assert_allclose(told["q"], before, atol=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected_text"),
+    [
+        (["move", "--robot-host", "192.0.2.7", "--joint", "1", "--by", "0.1", "--yes"], "--yes for 192.0.2.7"),
+        (["home", "--robot-host", "192.0.2.7"], "--config"),
+        (["home", "--robot-host", HOST], "standard input"),
+        (["move", "--robot-host", HOST, "--joint", "1", "--yes"], "--joint goes with --by"),
+        (["move", "--robot-host", HOST, "--along", "0", "0", "0.1", "--yes"], "--along with --frame"),
+        (["move", "--robot-host", HOST, "--yes"], "give one of"),
+        (
+            ["move", "--robot-host", HOST, "--joint", "1", "--by", "0.1", "--max-speed", "0", "--yes"],
+            "cap of the speed",
+        ),
+        (["freedrive", "--robot-host", HOST, "--yes"], "--seconds"),
+        (["lag", "--robot-host", HOST, "--write", "--yes"], "--config"),
+    ],
+)
+def test_what_nobody_attends_or_nobody_can_mean_is_exit_2(
+    words: list[str], expected_text: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    assert run(["arm", *words]) == 2
+    assert expected_text in capsys.readouterr().err
+
+
+@pytest.fixture
+def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """The other end of a terminal that is the standard input."""
+    master, slave = pty.openpty()
+    with os.fdopen(slave) as terminal:
+        monkeypatch.setattr(sys, "stdin", terminal)
+        yield master
+    os.close(master)
+
+
+def test_a_persons_key_or_a_closed_terminal_takes_the_confirmation_back(keyboard: int) -> None:
+    person = TerminalPerson(Console(file=io.StringIO()))
+    assert not person.enabling_switch_held(), "nothing was confirmed yet"
+    os.write(keyboard, b"\n")
+    person.confirm("Move?")
+    with person.attending():
+        assert person.enabling_switch_held()
+        os.write(keyboard, b"x")
+        time.sleep(0.05)
+        assert not person.enabling_switch_held()
+        assert not person.enabling_switch_held()
+    assert not person.enabling_switch_held()
+    with person.attending():
+        assert person.enabling_switch_held(), "the key belonged to the motion that it stopped"
+
+
+@pytest.mark.parametrize("answer", [b"n\n", b"yes\n", b"\x04"])
+def test_any_answer_but_an_empty_line_moves_nothing(keyboard: int, answer: bytes) -> None:
+    person = TerminalPerson(Console(file=io.StringIO()))
+    os.write(keyboard, answer)
+    with raises(PersonNearError, code="person_near.not_confirmed"):
+        person.confirm("Move?")
+
+
+def test_the_person_at_the_terminal_counts_as_in_reach_and_answers_no_question_of_a_job(keyboard: int) -> None:
+    person = TerminalPerson(Console(file=io.StringIO()))
+    assert person.zone_occupied()
+    assert not any(ask("?", 1.0) for ask in (person.request_handover, person.release, person.confirm_swing))
+    assert keyboard
+
+
+def test_without_a_terminal_there_is_no_person(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    with raises(UserError, code="user.no_terminal"):
+        TerminalPerson(Console(file=io.StringIO()))

@@ -1,0 +1,101 @@
+"""What the doctor says of a point that a person reads at the pendant, and of the force of an arm at rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from tests.examples import examples
+from toolee_robot.config import StationConfig
+from toolee_robot.doctor.force import check_force, force_at_rest
+from toolee_robot.doctor.frames import check_frames
+from toolee_robot.findings import Finding, Level
+from toolee_robot.frames import HALF_TURN, Array, transform
+from toolee_robot.hardware.ur.report import UrState
+from toolee_robot.robots.dh import DhParameters
+from toolee_robot.types import ArmModel
+
+CONFIG = StationConfig()
+HOME = np.array(CONFIG.scene.home)
+OFFSET = np.array([0.0, 0.02, 0.15, 0.0, 0.0, 0.0])
+
+
+def _state(q: Array, tcp_offset: Array) -> UrState:
+    """What a robot reports at q."""
+    X = DhParameters.of(CONFIG.arm.model).fk(q) @ transform(p=tcp_offset[:3])
+    pose = np.concatenate([X[:3, 3], Rotation.from_matrix(X[:3, :3]).as_rotvec()])
+    return UrState(q, np.zeros(6), pose, tcp_offset, None, 7, 1, 1, 3, 1, 1.0, 1.0)
+
+
+def _found(state: UrState, point: Array | None) -> dict[str, Finding]:
+    return {finding.name: finding for finding in check_frames(state, CONFIG, point)}
+
+
+def test_the_tcp_is_told_in_both_frames() -> None:
+    found = _found(_state(HOME, np.zeros(6)), None)
+    x, y, z = DhParameters.of(CONFIG.arm.model).fk(HOME)[:3, 3] * 1e3
+    assert f"pendant_base ({x:.1f}, {y:.1f}, {z:.1f})" in found["TCP place"].message
+    assert f"base_link ({-x:.1f}, {-y:.1f}, {z:.1f})" in found["TCP place"].message
+    assert found["jogged point"].level is Level.WARN
+
+
+@examples(50)
+@given(st.lists(st.floats(-1.5, 1.5), min_size=6, max_size=6), st.lists(st.floats(-1e-3, 1e-3), min_size=3, max_size=3))
+def test_a_reading_that_agrees_is_well_and_half_a_turn_is_named(change: list[float], rounding: list[float]) -> None:
+    state = _state(HOME + change, OFFSET)
+    tcp = state.tcp_pose[:3]
+    if np.hypot(*tcp[:2]) < 0.05:
+        return
+    assert _found(state, tcp + rounding)["jogged point"].level is Level.OK
+    turned = _found(state, HALF_TURN[:3, :3] @ tcp + rounding)["jogged point"]
+    assert turned.level is Level.FAIL
+    assert "half a turn" in turned.message
+
+
+@pytest.mark.parametrize(
+    ("of", "turn", "scale", "off", "cause"),
+    [
+        ("flange", False, 1.0, 0.0, "without the TCP"),
+        ("flange", True, 1.0, 0.0, "half a turn about z, and the flange"),
+        ("other model", False, 1.0, 0.0, "flange of a UR10e"),
+        ("tcp", False, 1e-3, 0.0, "metres"),
+        ("tcp", False, 1.0, 0.1, "no known mistake"),
+    ],
+)
+def test_a_mismatch_is_named(of: str, turn: bool, scale: float, off: float, cause: str) -> None:
+    state = _state(HOME, OFFSET)
+    flange, other = (DhParameters.of(m).fk(HOME)[:3, 3] for m in (CONFIG.arm.model, ArmModel.UR10E))
+    point = scale * {"flange": flange, "other model": other, "tcp": state.tcp_pose[:3]}[of] + np.array([0.0, off, 0.0])
+    finding = _found(state, HALF_TURN[:3, :3] @ point if turn else point)["jogged point"]
+    assert finding.level is Level.FAIL
+    assert cause in finding.message
+    assert finding.remedy
+
+
+def _force(sd: float, offset: float, rate: float = 125.0) -> Array:
+    return np.random.default_rng(0).normal(0.0, sd, (int(rate), 3)) + np.array([0.0, 0.0, offset])
+
+
+@pytest.mark.parametrize(
+    ("sd", "offset", "touch", "level"),
+    [
+        (0.1, 1.0, 8.0, Level.OK),
+        (3.6 / np.sqrt(3), 7.0, 8.0, Level.WARN),  # a CB3's, as a user measured it
+        (3.6 / np.sqrt(3), 7.0, 15.0, Level.OK),
+        (0.1, 30.0, 8.0, Level.FAIL),
+        (0.0, 0.0, 8.0, Level.OK),
+    ],
+)
+def test_the_force_of_a_touch_is_held_against_the_noise(sd: float, offset: float, touch: float, level: Level) -> None:
+    config = replace(CONFIG, strike=replace(CONFIG.strike, touch_force=touch))
+    force = force_at_rest(_force(sd, offset), 125.0)
+    assert force.offset == pytest.approx(offset, abs=0.5)
+    assert force.noise == pytest.approx(sd * np.sqrt(3) / np.sqrt(3), rel=0.25, abs=1e-9), "three readings averaged"
+    finding = check_force(force, config)
+    assert finding.level is level, finding
+    assert bool(finding.remedy) is (level is not Level.OK)

@@ -1,0 +1,111 @@
+"""A station file names the frame of its positions; one that was read at the pendant becomes the same station."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scripts.site_reference import field_docs
+from tests.errors import raises
+from tests.examples import examples
+from toolee_robot.config import CameraConfig, SceneConfig, StationConfig, WorkConfig, load_station
+from toolee_robot.config.station_frame import BOX, POINTS
+from toolee_robot.errors import ConfigError
+from toolee_robot.frames import HALF_TURN
+
+SECTIONS = {"camera": CameraConfig, "work": WorkConfig, "scene": SceneConfig}
+_coordinate = st.floats(-1.5, 1.5)
+_files = st.fixed_dictionaries(
+    {},
+    optional={
+        "camera": st.fixed_dictionaries({}, optional={"position": st.tuples(*[_coordinate] * 2, st.floats(2.0, 3.0))}),
+        "work": st.fixed_dictionaries({}, optional={"nail_xy": st.tuples(_coordinate, _coordinate)}),
+        "scene": st.fixed_dictionaries(
+            {},
+            optional={
+                "handover_position": st.tuples(*[_coordinate] * 3),
+                "person_center": st.tuples(*[_coordinate] * 3),
+                "handover_facing": st.tuples(_coordinate, st.floats(0.1, 1.0), _coordinate),
+                "home": st.tuples(*[_coordinate] * 6),
+            },
+        ),
+    },
+)
+
+
+def _load(folder: Path, data: dict[str, Any]) -> StationConfig:
+    path = folder / "lab.yaml"
+    path.write_text(yaml.safe_dump(_lists(data)))
+    return load_station(path)
+
+
+def _lists(data: Any) -> Any:
+    if isinstance(data, dict):
+        return {key: _lists(value) for key, value in data.items()}
+    return list(data) if isinstance(data, tuple) else data
+
+
+def _at_the_pendant(data: dict[str, Any]) -> dict[str, Any]:
+    """What a person reads there for the same points."""
+    turned = {section: dict(fields) for section, fields in data.items()}
+    for section, name in POINTS:
+        if name in turned.get(section, {}):
+            x, y, *z = turned[section][name]
+            turned[section][name] = (-x, -y, *z)
+    return turned
+
+
+@examples(25)
+@given(_files)
+def test_a_file_in_either_frame_is_the_same_station(
+    tmp_path_factory: pytest.TempPathFactory, data: dict[str, Any]
+) -> None:
+    folder = tmp_path_factory.mktemp("frames")
+    ours = _load(folder, {"frame": "base_link", **data})
+    pendants = _load(folder, {"frame": "pendant_base", **_at_the_pendant(data)})
+    assert pendants == ours
+    np.testing.assert_allclose(pendants.work.X_base_nail(), ours.work.X_base_nail())
+
+
+def test_the_workspace_is_turned_as_a_box(tmp_path: Path) -> None:
+    corners = {"workspace_lower": (-0.3, -0.8, 0.05), "workspace_upper": (1.0, 0.6, 1.2)}
+    scene = _load(tmp_path, {"frame": "pendant_base", "scene": corners}).scene
+    assert scene.workspace_lower == (-1.0, -0.6, 0.05)
+    assert scene.workspace_upper == (0.3, 0.8, 1.2)
+    with raises(ConfigError, code="config.frame_box"):
+        _load(tmp_path, {"frame": "pendant_base", "scene": {"workspace_lower": (-0.3, -0.8, 0.05)}})
+
+
+@pytest.mark.parametrize(("section", "name"), [*POINTS, *((BOX[0], corner) for corner in BOX[1:])])
+def test_a_position_without_a_frame_is_refused(tmp_path: Path, section: str, name: str) -> None:
+    value = getattr(getattr(StationConfig(), section), name)
+    with raises(ConfigError, code="config.no_frame") as refused:
+        _load(tmp_path, {section: {name: value}})
+    assert f"{section}.{name}" in str(refused.value)
+
+
+def test_an_unknown_frame_is_refused_and_none_is_needed_without_positions(tmp_path: Path) -> None:
+    with raises(ConfigError, code="config.frame"):
+        _load(tmp_path, {"frame": "base", "work": {"nail_xy": (0.7, 0.1)}})
+    assert _load(tmp_path, {"work": {"nail_length": 0.04}}).work.nail_length == 0.04
+    assert _load(tmp_path, {"frame": "pendant_base"}) == StationConfig()
+
+
+def test_every_field_in_base_is_converted() -> None:
+    """A new field whose description says that it is in `base` belongs into the list."""
+    known = {*POINTS, *((BOX[0], corner) for corner in BOX[1:])}
+    in_base = {
+        (section, field.name)
+        for section, kind in SECTIONS.items()
+        for field in dataclasses.fields(kind)
+        if "`base`" in field_docs(kind)[field.name]
+    }
+    assert in_base == known
+    np.testing.assert_array_equal(HALF_TURN @ HALF_TURN, np.eye(4))

@@ -1,0 +1,1 @@
+"""Command `toolee arm`: slow motions of a bring-up."""

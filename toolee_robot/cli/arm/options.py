@@ -1,0 +1,61 @@
+"""Options that the `toolee arm` commands share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from toolee_robot.cli.options import Flag
+from toolee_robot.config import StationConfig, load_station
+from toolee_robot.errors import UserError
+from toolee_robot.runtime.clock import is_loopback
+
+Vector = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")]
+"""Three numbers, or none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmOptions:
+    """Where the robot is, and what station it belongs to."""
+
+    robot_host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")]
+    """Address of the UR controller: a robot's, or the loopback address of `toolee ur-controller`."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """The station file, whose limits hold; a stand-in may do without."""
+    yes: Flag = False
+    """Ask nobody and mind no key: for scripts, with a stand-in on a loopback address only."""
+    json: Flag = False
+    """Print one line of JSON last on standard output; everything for people goes to standard error."""
+
+    def load(self) -> StationConfig:
+        """Load the station.
+
+        Raises:
+            UserError: A robot without a station file, or one that nobody attends.
+            ConfigError: The file is invalid.
+        """
+        if not is_loopback(self.robot_host):
+            if self.yes:
+                raise UserError(
+                    f"--yes for {self.robot_host}, which may be a robot: a person confirms each of its motions",
+                    code="user.unattended_robot",
+                )
+            if self.config is None:
+                raise UserError(
+                    f"--robot-host {self.robot_host} without --config: a robot moves in its own station only",
+                    code="user.no_station",
+                )
+        return StationConfig() if self.config is None else load_station(self.config)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionOptions(ArmOptions):
+    """How fast a motion may be."""
+
+    max_speed: Annotated[float, tyro.conf.arg(metavar="RAD/S")] = 0.1
+    """Cap of every joint's speed; a higher one is for later, and the station file's limits hold all the same."""
+    max_acceleration: Annotated[float, tyro.conf.arg(metavar="RAD/S2")] = 1.0
+    """Cap of every joint's acceleration, likewise."""

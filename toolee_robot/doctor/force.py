@@ -1,0 +1,115 @@
+"""Check of the force reading: its noise and its offset at rest, against the force of a touch."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.errors import DeviceError, ProtocolError
+from toolee_robot.findings import Finding, fail, ok, warn
+from toolee_robot.frames import Array
+from toolee_robot.hardware.ur.protocols.rtde import RtdeReader
+
+DURATION, PATIENCE = 1.0, 2.0
+"""Duration of the measurement, and time for connecting on top [s]."""
+WINDOW = 0.024
+"""Time over which a touch averages the force [s]."""
+MULTIPLE = 5.0
+"""A touch is safe from noise whose force is so many times the averaged force's standard deviation."""
+OFFSET = 15.0
+"""Offset at rest above which the payload is suspected, or a contact [N]. A CB3's estimate was seen to be 7 N off."""
+FEW = 50
+"""Readings below which nothing is concluded."""
+
+
+@dataclass(frozen=True)
+class ForceAtRest:
+    """The force reading of an arm at rest.
+
+    Attributes:
+        mean: Mean of the magnitude |F| of the readings [N].
+        sd: Standard deviation of that magnitude [N].
+        offset: Magnitude of the mean force, which zeroing takes away [N].
+        noise: Standard deviation of the force, averaged over WINDOW, about its mean: the root of the sum over the three
+            axes [N].
+    """
+
+    mean: float
+    sd: float
+    offset: float
+    noise: float
+
+
+def measure_force(host: str, rate: float) -> ForceAtRest:
+    """Read the force for a second; connects as a reader and moves nothing.
+
+    Args:
+        host: Address of the controller.
+        rate: Its rate [Hz].
+
+    Returns:
+        What the force is at rest.
+
+    Raises:
+        DeviceError: The robot does not answer, or too few readings came.
+        ProtocolError: The controller tells no force.
+    """
+    deadline = time.monotonic() + PATIENCE + DURATION
+    with RtdeReader.connect(host, deadline) as reader:
+        if reader.subscribe(["actual_TCP_force"], rate, deadline):
+            raise ProtocolError("the controller tells no actual_TCP_force", code="protocol.no_force")
+        end = time.monotonic() + DURATION
+        readings = []
+        while time.monotonic() < end:
+            readings.append(reader.read(deadline).values["actual_TCP_force"])
+    forces = np.array(readings, dtype=np.float64)
+    if len(forces) < FEW or forces.ndim != 2 or not np.all(np.isfinite(forces)):
+        raise DeviceError(f"{len(forces)} readings of the force came, or not finite ones", code="device.force")
+    return force_at_rest(forces[:, :3], rate)
+
+
+def force_at_rest(forces: Array, rate: float) -> ForceAtRest:
+    """Evaluate readings of the force at rest.
+
+    Args:
+        forces: The readings, (N, 3) [N].
+        rate: Their rate [Hz].
+
+    Returns:
+        Mean, deviation, offset and noise.
+    """
+    width = max(1, round(WINDOW * rate))
+    averaged = np.stack([np.convolve(axis, np.full(width, 1.0 / width), mode="valid") for axis in forces.T])
+    magnitude = np.linalg.norm(forces, axis=1)
+    offset = float(np.linalg.norm(np.mean(forces, axis=0)))
+    noise = float(np.sqrt(np.sum(np.var(averaged, axis=1))))
+    return ForceAtRest(float(np.mean(magnitude)), float(np.std(magnitude)), offset, noise)
+
+
+def check_force(force: ForceAtRest, config: StationConfig) -> Finding:
+    """Compare the force at rest with the force that ends a touch.
+
+    Args:
+        force: The force at rest.
+        config: Configuration of the station.
+
+    Returns:
+        The finding.
+    """
+    name, touch = "force", config.strike.touch_force
+    need = MULTIPLE * force.noise
+    message = (
+        f"at rest |F| is {force.mean:.1f} N, sd {force.sd:.1f} N; offset {force.offset:.1f} N, noise over "
+        f"{1e3 * WINDOW:.0f} ms {force.noise:.2f} N; strike.touch_force {touch:g} N is "
+        f"{touch / max(force.noise, 1e-9):.1f} times that"
+        if force.noise > 1e-6
+        else f"at rest |F| is {force.mean:.1f} N without any noise, as only a simulation's is"
+    )
+    if force.offset > OFFSET:
+        return fail(name, message, "correct the payload, or take away what the arm leans against")
+    if touch < need:
+        return warn(name, message, f"a touch would end in free space: set strike.touch_force to {np.ceil(need):g} N")
+    return ok(name, message)

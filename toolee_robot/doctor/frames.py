@@ -1,0 +1,93 @@
+"""Check of the frames: where the TCP is in both frames of the base, and whether a person at the pendant reads the same.
+
+The controller's base and `base_link` differ by half a turn about z. A station that was entered in the wrong one of them
+is consistent in itself, on the far side of the robot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.findings import Finding, fail, ok, warn
+from toolee_robot.frames import HALF_TURN, Array, BaseFrame
+from toolee_robot.hardware.ur.kinematics import pose_matrix
+from toolee_robot.hardware.ur.report import UrState
+from toolee_robot.robots.dh import DhParameters
+from toolee_robot.types import ArmModel
+
+TOLERANCE = 2e-3
+"""Deviation of a reading at the pendant that counts as the same point [m]: it shows tenths of a millimetre."""
+ON_AXIS = 0.02
+"""Distance from the base's axis within which half a turn would not be noticed [m]."""
+
+
+def check_frames(state: UrState, config: StationConfig, jogged_point: Array | None) -> Iterator[Finding]:
+    """Tell the TCP in both frames, and compare a reading at the pendant with it.
+
+    Args:
+        state: The robot's state.
+        config: Configuration of the station.
+        jogged_point: The TCP that the pendant shows for the present posture, feature Base, (3,) [m]; None if nobody
+            has read it.
+
+    Yields:
+        The findings "TCP place" and "jogged point".
+    """
+    tcp = state.tcp_pose[:3]
+    offset = np.zeros(6) if state.tcp_offset is None else state.tcp_offset
+    dh = DhParameters.of(config.arm.model, config.arm.calibration)
+    X_pendant_flange = dh.fk(state.q)
+    ours = (X_pendant_flange @ pose_matrix(offset))[:3, 3]
+    off = float(np.linalg.norm(ours - tcp))
+    both = f"{BaseFrame.PENDANT_BASE} {_mm(tcp)}, {BaseFrame.BASE_LINK} {_mm(HALF_TURN[:3, :3] @ tcp)}"
+    yield ok("TCP place", f"{both}; this software's kinematics: {off * 1e3:.1f} mm off")
+    name = "jogged point"
+    if jogged_point is None:
+        remedy = "jog the arm to near the work, read X Y Z of the TCP there (feature Base), give --jogged-point X Y Z"
+        yield warn(name, "nobody has compared the frames with the pendant", remedy)
+        return
+    away = float(np.linalg.norm(jogged_point - tcp))
+    shown = f"the pendant shows {_mm(jogged_point)}"
+    if away <= TOLERANCE:
+        if np.hypot(tcp[0], tcp[1]) < ON_AXIS:
+            remedy = "jog it away from the base's axis, where half a turn shows, and read it again"
+            yield warn(name, f"{shown}, as the robot reports", remedy)
+        else:
+            yield ok(name, f"{shown}, {away * 1e3:.1f} mm from what the robot reports in {BaseFrame.PENDANT_BASE}")
+        return
+    cause, remedy = _cause(jogged_point, tcp, X_pendant_flange[:3, 3], state, config.arm.model)
+    yield fail(name, f"{shown}, {away * 1e3:.0f} mm from what the robot reports: {cause}", remedy)
+
+
+def _cause(point: Array, tcp: Array, flange: Array, state: UrState, model: ArmModel) -> tuple[str, str]:
+    """Name the mistake that explains a reading best, and its remedy."""
+    q, turn = state.q, HALF_TURN[:3, :3]
+    other = next(m for m in ArmModel if m is not model)
+    read_in_base = "read the Move screen with the feature Base and the TCP that is active there"
+    causes = [
+        (turn @ tcp, f"half a turn about z, this is {BaseFrame.BASE_LINK}", f"{read_in_base}; not ROS's base_link"),
+        (flange, "it is the flange's place, without the TCP", "set the TCP in the installation to zero, read it again"),
+        (turn @ flange, "half a turn about z, and the flange without the TCP", read_in_base),
+        (
+            DhParameters.of(other).fk(q)[:3, 3],
+            f"it is where the flange of a {other} would be",
+            "set arm.model in the station file, or connect to the right robot",
+        ),
+        (1e-3 * tcp, "these are metres, a thousandth", "give millimetres, as the pendant shows them"),
+        (0.0254 * tcp, "these may be inches", "set the pendant to metric units and read it again"),
+    ]
+    place, cause, remedy = min(causes, key=lambda c: float(np.linalg.norm(point - c[0])))
+    if np.linalg.norm(point - place) > TOLERANCE:
+        lever = float(np.linalg.norm(point - flange))
+        return (
+            f"no known mistake explains it; it is {lever * 1e3:.0f} mm from the flange",
+            f"another TCP or feature may be active at the pendant, or the arm moved since: {read_in_base}",
+        )
+    return cause, remedy
+
+
+def _mm(place: Array) -> str:
+    return "(" + ", ".join(f"{1e3 * value:.1f}" for value in place) + ") mm"
