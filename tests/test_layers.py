@@ -75,6 +75,8 @@ def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
             "release",
             "take_tool",
             "confirm_swing",
+            "confirm_inspection",
+            "hold_switch",
             "zone_occupied",
             "enabling_switch_held",
         },
@@ -88,4 +90,7 @@ def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
         *("joints", "contact_forces", "holding", "assisted"),
         *("temperature", "fault"),
     }
-    assert {f.name for f in dataclasses.fields(hal.ArmState)} == {"joints", "q_commanded", "wrench", "status"}
+    assert {f.name for f in dataclasses.fields(hal.ArmState)} == {
+        *("joints", "q_commanded", "wrench", "status"),
+        "digital_inputs",
+    }

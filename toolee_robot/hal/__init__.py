@@ -10,10 +10,11 @@ from toolee_robot.hal.arm import Arm, ArmState, ArmStatus, ContactGuard, MotionO
 from toolee_robot.hal.camera import RgbdCamera
 from toolee_robot.hal.device import Clock, Device
 from toolee_robot.hal.hand import Hand, HandState
-from toolee_robot.hal.person import Person
+from toolee_robot.hal.person import CLEAR_TIME, Person, wait_until_clear
 from toolee_robot.hal.station import Station
 
 __all__ = [
+    "CLEAR_TIME",
     "Arm",
     "ArmState",
     "ArmStatus",
@@ -28,4 +29,5 @@ __all__ = [
     "Person",
     "RgbdCamera",
     "Station",
+    "wait_until_clear",
 ]

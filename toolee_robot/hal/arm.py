@@ -36,12 +36,14 @@ class ArmState:
         wrench: Force [N] and torque [Nm] that the environment exerts on the flange, (6,), `base` axes, with weight and
             inertia of the payload compensated as far as the arm can.
         status: State of the robot's own safety system.
+        digital_inputs: The robot's digital inputs, one bit each, as the controller numbers them; 0 for an arm without.
     """
 
     joints: JointState
     q_commanded: Array
     wrench: Array
     status: ArmStatus = ArmStatus.READY
+    digital_inputs: int = 0
 
 
 @dataclass(frozen=True)
