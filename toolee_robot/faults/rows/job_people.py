@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 
 from toolee_robot.config import PersonConfig
 from toolee_robot.faults.record import Phase
@@ -35,8 +36,11 @@ def _at_inputs(config: PersonConfig, high: int = 0, low: int = 0) -> Callable[[S
         panel = Panel()
         panel.high, panel.low = high, low
         person = DigitalInputPerson(config, panel.read, HostClock(), Operator(panel).tell)
-        s.bench.person = person.__enter__()
-        s.undo.append(person.__exit__)
+        # The inputs are read by a thread, in real time, which a simulation that never waits would starve.
+        stack = ExitStack()
+        s.bench.person = stack.enter_context(person)
+        stack.enter_context(s.bench.in_real_time())
+        s.undo.append(stack.close)
         s.panel = panel
 
     return wire
