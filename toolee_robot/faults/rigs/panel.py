@@ -37,7 +37,17 @@ class Panel:
         self.high = self.low = 0
 
     def read(self, max_age: float) -> int:
-        """Read the inputs, as `DigitalInputPerson` asks for them."""
+        """Read the inputs, as `DigitalInputPerson` asks for them.
+
+        Args:
+            max_age: Ignored: every reading is new.
+
+        Returns:
+            The inputs, bit n for input n.
+
+        Raises:
+            StaleDataError: No reading arrives.
+        """
         if self.dead:
             raise StaleDataError(f"no reading for {max_age} s: look at the link")
         bits = self.closed << 0 | (not self.closed) << 1 | self.held << 2 | (not self.held) << 3
@@ -93,5 +103,10 @@ class Operator:
 
 
 def later(act: Callable[[], None], delay: float = 0.0) -> None:
-    """Do it while the program waits, `delay` [s] from now."""
+    """Do something while the program waits.
+
+    Args:
+        act: What is done, in a thread.
+        delay: Time from now [s].
+    """
     threading.Timer(delay, act).start()
