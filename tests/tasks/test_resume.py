@@ -8,13 +8,14 @@ import pytest
 from rich.console import Console
 
 from tests.errors import raises
-from tests.tasks.bench import Log
+from tests.tasks.bench import Log, soon
 from toolee_robot.cli.hammering.stops import after_stop
+from toolee_robot.control import StrikePlan
 from toolee_robot.errors import DeviceError, NotReadyError
 from toolee_robot.faults.rigs.job_rig import Bench, at_rest, grip_kept
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome, Stage
 from toolee_robot.tasks.common.recovery import MAX_STOPS, RESUME, TAKE_OUT
-from toolee_robot.tasks.hammering.task import HammeringTask
+from toolee_robot.tasks.hammering.task import MAX_DOUBTS, HammeringTask
 
 pytestmark = pytest.mark.sim(seconds=60)
 
@@ -77,6 +78,32 @@ def test_a_stop_that_cannot_be_cleared_says_how_to_take_the_hammer_out(
     assert task.give_back()
     assert (bench.hand.opened, task.holds_tool, task.resumable) == (2, False, False)
     assert len(log.motions) == moved, "the arm does not move for it"
+
+
+@pytest.mark.nightly
+def test_a_hand_that_doubts_again_and_again_ends_the_job(bench: Bench, log: Log) -> None:
+    """A passing doubt is answered by a new look; the third one without a strike in between needs a person."""
+
+    def blink() -> None:
+        bench.hand.blinks = 1
+
+    class Blinking(Log):
+        def planned(self, stamp: float, plan: StrikePlan) -> None:
+            super().planned(stamp, plan)
+            soon(bench, blink, 0.3)()
+
+    log = Blinking()
+    task = bench.blind_task(log)
+    with bench.in_real_time():
+        result = task.run()
+    assert result.outcome is Outcome.DEVICE_FAULT
+    assert "doubted its grip" in result.reason
+    assert task.resumable
+    assert log.motions.count("to the touch") == MAX_DOUBTS
+    assert "strike" not in log.motions
+    assert len([message for message in log.messages if "looking again" in message]) == MAX_DOUBTS - 1
+    assert at_rest(bench.sim)
+    assert grip_kept(bench.sim)
 
 
 # -- at the terminal -------------------------------------------------------------------------------------------------
