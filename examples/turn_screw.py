@@ -34,7 +34,7 @@ class TurnScrew:
 
     def take_tool(self) -> None:
         """Raises GripError when no tool is in the hand, or the person stays."""
-        m, hand, person = self.motions, self.station.hand, self.station.person
+        m, hand, person = self.motions, self.station.hand, self.motions.person
         hand.open()
         m.transfer("to the handover", plan_handover(self.robot, self.config, m.world(), m.q, m.q_hand))
         handed = person.request_handover("Put the screwdriver into the open hand.", timeout=30.0)

@@ -76,7 +76,12 @@ def _kind(config: type[Any], field: Field[Any], text: str) -> str:
     hint = get_type_hints(config)[field.name]
     if isinstance(hint, type) and issubclass(hint, Enum):
         return ", ".join(f"`{member.value}`" for member in hint)
-    words = {"Positive": "number > 0", "NotNegative": "number >= 0", "Count": "whole number >= 1"}
+    words = {
+        "Positive": "number > 0",
+        "NotNegative": "number >= 0",
+        "Count": "whole number >= 1",
+        "InputNumber": "0 to 17",
+    }
     if text.startswith("tuple["):
         parts = text.removeprefix("tuple[").removesuffix("]").split(", ")
         return f"list of {len(parts)} numbers" + (" > 0" if parts[0] == "Positive" else "")

@@ -94,6 +94,10 @@ class GripError(DeviceError):
     """The hand does not hold the tool."""
 
 
+class GripDoubtError(DeviceError):
+    """The hand reported for a moment that it does not hold the tool, and then that it does; the arm was stopped."""
+
+
 class NotReadyError(DeviceError):
     """A check before the motion failed: robot, model, payload, version or mode; nothing was moved."""
 

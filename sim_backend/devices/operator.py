@@ -6,6 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.frames import Array, transform
+from toolee_robot.hal import wait_until_clear
+from toolee_robot.sim_backend.devices.clock import SimClock
 from toolee_robot.sim_backend.options import InHandOffset
 from toolee_robot.sim_backend.physics.bodies import fixed_box, set_body_pose
 from toolee_robot.sim_backend.physics.bullet import pb
@@ -47,8 +49,9 @@ class SimPerson:
         center: Middle of the body, (3,) in `base` [m].
         visible_arm: Shoulder and hand, (3,) each in `base` [m], while the person holds the tool, else None.
         confirms: Whether the person confirms a swing.
-        holds_switch: Whether the person holds the enabling switch.
+        holds_switch: Whether the person takes the enabling switch when asked to.
         stays: Whether the person stays within reach when asked to step back.
+        lingers: Time that passes before the person steps back [s].
         intended_X_hand_tool: Pose at which the person places the tool in the open hand, 4x4; ground truth.
     """
 
@@ -63,7 +66,9 @@ class SimPerson:
         self.body = fixed_box(world.client, scene.person_size, self._place, (0.25, 0.3, 0.45))
         self.center = self._place.copy()
         self.visible_arm: tuple[Array, Array] | None = None
-        self.confirms, self.holds_switch, self.stays = True, True, False
+        self.confirms, self.holds_switch, self.stays, self.lingers = True, True, False, 0.0
+        self._clock = SimClock(world)
+        self._switch_taken = False
         self._constraint: int | None = None
         tool = world.tool.tool
         X_nominal = world.robot.robot.hand.grasp.X_hand_tool(tool.handle.grip_radius)
@@ -80,6 +85,7 @@ class SimPerson:
         Returns:
             Whether the tool was handed over.
         """
+        self._switch_taken = False  # both hands bring the tool
         if not self._comes or timeout < APPROACH_TIME:
             self._world.advance(timeout)
             return False
@@ -98,13 +104,15 @@ class SimPerson:
 
     def release(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
         """See `hal.Person`."""
-        if self.stays or timeout < STEP_TIME:
+        if self.stays or timeout < self.lingers + STEP_TIME:
             self._world.advance(timeout)
             return False
+        end = self._clock.now() + timeout
         self._let_go()
         self.visible_arm = None
+        self._world.advance(self.lingers)
         self._walk(self._back)
-        return True
+        return wait_until_clear(self.zone_occupied, self._clock, end - self._clock.now())
 
     def step_in(self) -> None:
         """Appear at the arm at once: a violation while it swings."""
@@ -124,13 +132,24 @@ class SimPerson:
         """See `hal.Person`."""
         return self.confirms
 
+    def confirm_inspection(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        """See `hal.Person`."""
+        return self.confirms
+
+    def hold_switch(self, prompt: str, timeout: float) -> bool:  # noqa: ARG002
+        """See `hal.Person`: the switch is released for a tick, then held until the hands are needed."""
+        self._switch_taken = False
+        self._world.advance(TICK)
+        self._switch_taken = self.holds_switch
+        return self.enabling_switch_held()
+
     def zone_occupied(self) -> bool:
         """Whether the person is nearer than half a step to their place at the arm."""
         return bool(np.linalg.norm(self.center - self._place) < 0.5 * STEP_BACK)
 
     def enabling_switch_held(self) -> bool:
         """Whether the person holds the enabling switch."""
-        return self.holds_switch
+        return self.holds_switch and self._switch_taken
 
     def _walk(self, to: Array) -> None:
         start, steps = self.center.copy(), round(STEP_TIME / TICK)

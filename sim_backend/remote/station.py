@@ -101,6 +101,14 @@ class RemotePerson:
         """See `hal.Person`."""
         return bool(self._world.call("person.confirm_swing", prompt, timeout, lasting=timeout))
 
+    def confirm_inspection(self, prompt: str, timeout: float) -> bool:
+        """See `hal.Person`."""
+        return bool(self._world.call("person.confirm_inspection", prompt, timeout, lasting=timeout))
+
+    def hold_switch(self, prompt: str, timeout: float) -> bool:
+        """See `hal.Person`."""
+        return bool(self._world.call("person.hold_switch", prompt, timeout, lasting=timeout))
+
     def zone_occupied(self) -> bool:
         """See `hal.Person`."""
         return bool(self._world.call("person.zone_occupied"))

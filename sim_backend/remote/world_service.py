@@ -65,6 +65,8 @@ class WorldService:
             "person.release": ("person", person.release),
             "person.take_tool": ("person", person.take_tool),
             "person.confirm_swing": ("person", person.confirm_swing),
+            "person.confirm_inspection": ("person", person.confirm_inspection),
+            "person.hold_switch": ("person", person.hold_switch),
         }
         self._immediate: dict[str, Handler] = {
             "hand.state": self._hand_state,

@@ -108,6 +108,9 @@ def swing(over_nail: tuple[Bench, StrikePlan]) -> Swing:
     motions = Motions(bench.station, CONFIG, robot, log, bench.true_grasp.X_hand_ee)
     motions.begin()
     motions.held = True
+    assert motions.person.hold_switch("", 1.0)
+    assert motions.person.request_handover("", 1.0)
+    assert motions.person.release("", 1.0)
     motions.arm.mode = Mode.UNATTENDED
     motions.arm.permit_swings(1.0)
     return Swing(bench, robot, plan, motions, log)

@@ -11,6 +11,7 @@ calibration. Lengths are in metres and angles in radians unless a field states o
 from toolee_robot.config.calibration import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig
 from toolee_robot.config.cell import CameraConfig, SceneConfig, WorkConfig
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
+from toolee_robot.config.person import PersonConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
 from toolee_robot.config.servo import ServoConfig, servo_lag
 from toolee_robot.config.station import StationConfig, load_station
@@ -22,6 +23,7 @@ __all__ = [
     "CalibrationConfig",
     "CameraConfig",
     "HandConfig",
+    "PersonConfig",
     "SceneConfig",
     "ServoConfig",
     "StationConfig",

@@ -8,6 +8,7 @@ from pathlib import Path
 from toolee_robot.config.calibration import SIMULATED_CALIBRATION, CalibrationConfig
 from toolee_robot.config.cell import CameraConfig, SceneConfig, WorkConfig
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
+from toolee_robot.config.person import PersonConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
 from toolee_robot.config.servo import ServoConfig
 from toolee_robot.config.station_frame import take_frame, to_base
@@ -40,6 +41,9 @@ class StationConfig:
     """Decision thresholds of the hammering job."""
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
     """Bounds that the supervisor enforces on every motion."""
+    person: PersonConfig | None = None
+    """Digital inputs of the guarded door and the hold-to-run switch; null for a station without: a real arm has no
+    person device then, and nothing fast moves. The simulated person needs none."""
 
     def __post_init__(self) -> None:
         if self.strike.speed > self.supervisor.unattended_speed:

@@ -19,10 +19,11 @@ from toolee_robot.hal.arm import (
 from toolee_robot.hal.camera import RgbdCamera
 from toolee_robot.hal.device import Clock, Device
 from toolee_robot.hal.hand import Hand, HandState
-from toolee_robot.hal.person import Person
+from toolee_robot.hal.person import CLEAR_TIME, Person, wait_until_clear
 from toolee_robot.hal.station import Station
 
 __all__ = [
+    "CLEAR_TIME",
     "Arm",
     "ArmState",
     "ArmStatus",
@@ -38,4 +39,5 @@ __all__ = [
     "Person",
     "RgbdCamera",
     "Station",
+    "wait_until_clear",
 ]

@@ -31,6 +31,8 @@ class Hammer:
 
     Example: toolee hammer --arm ur-rtde --robot-host 127.0.0.2 --world pybullet
 
+    After a stop with the hammer in the hand a person at the terminal may resume the job, or have the hand opened.
+
     Exit code 0: the nail is flush; 1: it is not, for the reason given; 2: invalid input; 130: interrupted, the arm was
     stopped.
     """
@@ -92,9 +94,13 @@ class Hammer:
 
             stand_in = None if address is None else StandIn(*address)
             correction, perfect = not self.no_correction, self.perfect_perception
+            # Only somebody at a terminal can have looked at the robot.
+            interactive = not self.json and console.is_terminal and sys.stdin.isatty()
+            ask = (lambda question: console.input(question, markup=False)) if interactive else None
             job = HammerJob(
-                config, self.seed, correction=correction, perfect_perception=perfect, gui=self.gui, stand_in=stand_in
-            )
+                config, self.seed, correction=correction, perfect_perception=perfect, gui=self.gui, stand_in=stand_in,
+                ask=ask,
+            )  # fmt: skip
             report = job.run(folder.path, console)
             folder.keep()
         console.print(report.panel(folder.path))

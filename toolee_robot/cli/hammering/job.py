@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,6 +15,7 @@ from rich.panel import Panel
 
 import toolee_robot
 from toolee_robot.cli.hammering.console import ConsoleObserver
+from toolee_robot.cli.hammering.stops import after_stop
 from toolee_robot.cli.output import json_line
 from toolee_robot.config import StationConfig
 from toolee_robot.perception import ToolPerception
@@ -83,6 +84,7 @@ class HammerJob:
         perfect_perception: Whether poses come from the ground truth, for tests and ablations only.
         gui: Whether pybullet's window is shown.
         stand_in: Controller stand-in through which the real driver drives the arm; None for the simulated arm itself.
+        ask: Asks the person at the terminal what to do after a stop; None: the job then ends.
     """
 
     config: StationConfig
@@ -91,6 +93,7 @@ class HammerJob:
     perfect_perception: bool = False
     gui: bool = False
     stand_in: StandIn | None = None
+    ask: Callable[[str], str] | None = None
 
     def run(self, folder: Path, console: Console) -> HammerReport:
         """Do the job and write summary.json, recording.mcap and picture.png, whatever its outcome.
@@ -137,6 +140,8 @@ class HammerJob:
             try:
                 with screen.live():
                     result = task.run()
+                if self.ask is not None:
+                    result = after_stop(task, result, self.ask, console, lambda: _resume(task, screen))
             except KeyboardInterrupt:
                 reason = "interrupted by a person; the arm was stopped"
                 result = task.result(Outcome.INTERRUPTED, reason)
@@ -241,6 +246,11 @@ class HammerJob:
         picture = collector.picture(title, f"{_words(tool)}, seed {self.seed}{self._mode()}")
         if picture is not None:
             write_atomic(folder / "picture.png", picture)
+
+
+def _resume(task: HammeringTask, screen: ConsoleObserver) -> HammerResult:
+    with screen.live():
+        return task.resume(confirmed=True)
 
 
 def _words(tool: Tool) -> str:

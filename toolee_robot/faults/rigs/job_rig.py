@@ -18,7 +18,7 @@ from toolee_robot.config import ArmLimits, StationConfig, TaskConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_handover
 from toolee_robot.faults.rigs.people import People
 from toolee_robot.frames import Array, inverse
-from toolee_robot.hal import Hand, HandState, MotionReport, Station
+from toolee_robot.hal import Hand, HandState, MotionReport, Person, Station
 from toolee_robot.robots import SHADOW_HAND
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.arm import SimArm
@@ -50,12 +50,14 @@ class ClosedHand:
     Attributes:
         opened: Number of calls of `open`.
         closed: Whether the hand reports that it is closed; it senses the tool only then.
+        blinks: Number of further readings that falsely report no grip.
     """
 
     def __init__(self, hand: SimHand) -> None:
         self._hand = hand
         self.opened = 0
         self.closed = False
+        self.blinks = 0
 
     def __enter__(self) -> Self:
         return self
@@ -68,7 +70,10 @@ class ClosedHand:
 
     def state(self, max_age: float = 0.1) -> HandState:
         state = self._hand.state(max_age)
-        return state if self.closed else replace(state, holding=False)
+        if self.closed and not self.blinks:
+            return state
+        self.blinks = max(self.blinks - 1, 0)
+        return replace(state, holding=False)
 
     def open(self, timeout: float = 5.0) -> None:
         if self._hand.hangs:
@@ -170,12 +175,13 @@ class Bench:
         self.arm = SimArm(world)
         self.hand: ClosedHand = ClosedHand(self.sim_hand)
         self.people = People()
+        self.person: Person = self.people
         world.advance(0.1)  # so that the ground truth, too, reflects the restored state
 
     @property
     def station(self) -> Station:
         hand: Hand = self.hand
-        return replace(self.sim.station, arm=self.arm, hand=hand, person=self.people)
+        return replace(self.sim.station, arm=self.arm, hand=hand, person=self.person)
 
     def blind_task(self, log: TaskObserver, config: StationConfig = CONFIG) -> HammeringTask:
         """Make a job that uses the true grasp without looking.

@@ -28,7 +28,7 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome
 from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.sim_backend.devices.arm import RATE
-from toolee_robot.tasks.common.outcome import HammerResult, Stage
+from toolee_robot.tasks.common.outcome import HammerResult, Outcome, Stage
 from toolee_robot.tasks.hammering.task import HammeringTask
 from toolee_robot.types import Trajectory
 
@@ -96,6 +96,10 @@ class _Row:
         measured = self._check_braking()
         job_latched, arm_latched = bool(task.latched), self._arm_refuses()
         self._check_latches(job_latched, arm_latched)
+        if fault.resumes:
+            self._check_resume(task)
+        elif arm_latched:
+            self._check_reset()
         return FaultRow(
             fault.number, fault.fault, fault.phase, ON, fault.expected, result.outcome.replace("_", " "),
             job_latched or arm_latched, not self.wrong, "; ".join(self.wrong), **measured,
@@ -104,6 +108,8 @@ class _Row:
     def _prepare(self) -> None:
         """Register the actions during the job, including the fault."""
         fault, log = self._fault, self._log
+        if fault.prepare is not None:
+            fault.prepare(self._scene)
         log.after["strike"] = self._after_strike
         if fault.when is None:
             self._inject()
@@ -214,8 +220,6 @@ class _Row:
         fault = self._fault
         self._check(job is fault.job_latches, "the job's supervisor " + ("latched" if job else "did not latch"))
         self._check(arm is fault.arm_latches, "the arm " + ("refuses to move" if arm else "did not refuse to move"))
-        if arm:
-            self._check_reset()
 
     def _arm_refuses(self) -> bool:
         """Whether the arm itself refuses a small motion, without moving."""
@@ -241,6 +245,29 @@ class _Row:
         arm.restore_link()
         arm.reset()
         self._check(self._nudge() is MotionOutcome.COMPLETED, "it does not move after the reset")
+
+    def _check_resume(self, task: HammeringTask) -> None:
+        """Check that the job goes on with the tool in the hand, only after a person, and ends as any job."""
+        bench, log = self._bench, self._log
+        before = len(log.motions)
+        self._check(task.resumable, "the job cannot be resumed")
+        try:
+            task.resume()
+            self.wrong.append("it was resumed without a confirmation")
+        except DeviceError:
+            pass
+        if self._fault.person:
+            task.resume(confirmed=True)
+            self._check(task.resumable and len(log.motions) == before, "it went on before anybody had made it ready")
+        bench.arm.make_ready()
+        bench.arm.restore_link()
+        bench.people.is_inside = False
+        result = task.resume(confirmed=True)
+        went = log.motions[before:]
+        self._check(result.outcome is Outcome.OUT_OF_STRIKES, f"resumed, it ended as {result.outcome}: {result.reason}")
+        self._check(went.count("strike") == 1 and went[-1:] == ["home"], f"resumed, it moved {', '.join(went)}")
+        self._check("to a view" in went, "resumed, it did not look at the tool again")
+        self._check(at_rest(bench.sim) and grip_kept(bench.sim), "resumed, it ended without the tool or in motion")
 
     def _nudge(self) -> MotionOutcome:
         q = self._bench.arm.q_commanded

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from toolee_robot.control.contact import Meeting
 from toolee_robot.faults.record import Phase
 from toolee_robot.faults.rigs.job_rig import Bench, Log
+from toolee_robot.faults.rigs.panel import Panel
 from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 
@@ -25,6 +26,7 @@ class Scene:
         perception: Perception of the job.
         undo: Actions that revert what the bench's `reset` does not.
         happened: Time of the fault, if it is not that of its injection [s].
+        panel: Wiring of door and switch, where the station knows its person by digital inputs.
     """
 
     bench: Bench
@@ -32,6 +34,7 @@ class Scene:
     perception: ScriptedPerception
     undo: list[Callable[[], None]] = field(default_factory=list)
     happened: float | None = None
+    panel: Panel | None = None
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,8 @@ class JobFault:
         sees: Whether the job looks at the tool at all.
         max_strikes: Largest number of strikes of the job.
         before: Time before the contact at which a fault of the strike is injected [s].
+        prepare: Prepares the station before the job; None for nothing.
+        resumes: Whether the job must go on after a person's reset, and strike once more.
     """
 
     number: int
@@ -96,3 +101,5 @@ class JobFault:
     sees: bool = False
     max_strikes: int = 1
     before: float = 0.06
+    prepare: Callable[[Scene], object] | None = None
+    resumes: bool = False

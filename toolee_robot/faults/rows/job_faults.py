@@ -12,6 +12,7 @@ from toolee_robot.faults.record import Phase
 from toolee_robot.faults.rigs.job_rig import CONFIG
 from toolee_robot.faults.rigs.scripted_perception import Change, moved, unsure
 from toolee_robot.faults.rows.job_fault import IN_STRIKE, Braking, JobFault, Scene
+from toolee_robot.faults.rows.job_people import GRIP_DOUBTS, INPUTS, RESUMES
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.sim_backend.physics.nail import HINGE_X, SLIDE
 from toolee_robot.tasks.common.outcome import Outcome, Stage
@@ -22,7 +23,7 @@ FAULT, LOST, UNKNOWN, NEAR = Outcome.DEVICE_FAULT, Outcome.TOOL_LOST, Outcome.PO
 STANDS = "arm stands, grip kept"
 NO_STRIKE = "no strike, arm stands, grip kept"
 NO_NEXT = "no further strike, arm stands, grip kept"
-RETREATS = "aborts, retreats away from the person"
+RETREATS = "aborts, asks the person, then retreats"
 LOOKS = "looks again, then gives up"
 RECORDS = "stops, records a failure"
 BRAKES = "brakes on the path, latches, grip kept"
@@ -240,4 +241,4 @@ ARM = (
              FAULT, "emergency stop", 0, RUN_UP, arm_latches=True, person=True),
 )  # fmt: skip
 
-JOB_FAULTS = (*HAND, *CAMERA, *WORK, *PEOPLE, *ARM)
+JOB_FAULTS = (*HAND, *GRIP_DOUBTS, *CAMERA, *WORK, *PEOPLE, *INPUTS, *ARM, *RESUMES)

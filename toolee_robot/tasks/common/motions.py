@@ -10,17 +10,18 @@ import numpy as np
 from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.contact import ContactVerdict
-from toolee_robot.control.modes import slowed_to
+from toolee_robot.control.modes import Mode, slowed_to
 from toolee_robot.control.planning.straight import plan_straight
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.supervisor import Supervisor
 from toolee_robot.control.supervisor_checks import AT_REST
-from toolee_robot.errors import DeviceError, MotionFaultError, PlanningError
+from toolee_robot.errors import DeviceError, GripDoubtError, MotionFaultError, PersonNearError, PlanningError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionOutcome, MotionReport, Station
 from toolee_robot.tasks.common.hand_watch import HandWatch, check_held
 from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.person_proof import PersonProof
 from toolee_robot.types import Trajectory
 
 UP = (0.0, 0.0, 1.0)
@@ -33,6 +34,8 @@ STILL_PATIENCE = 1.0
 """Longest wait for an arm that oscillates after a contact [s]; the supervisor refuses one that still moves."""
 RETREAT, RETREAT_SPEED = 0.20, 0.15
 """Length [m] and speed [m/s] of the retreat after the tool has dropped."""
+HOLD_SWITCH = "Release the enabling switch, then hold it: the arm moves slowly."
+"""Prompt before every motion in HANDOVER mode."""
 
 
 class Motions:
@@ -47,6 +50,7 @@ class Motions:
 
     Attributes:
         arm: The supervisor around the station's arm.
+        person: The person at the station, whose inputs must be seen to change before the arm moves fast.
         q: Joint positions that the arm holds, (6,) [rad]; set by `begin`.
         X_hand_ee: Estimated pose of the end effector in the hand, (4, 4).
         held: Whether the hand holds the tool.
@@ -64,7 +68,8 @@ class Motions:
     ) -> None:
         self.X_hand_ee = X_hand_ee
         self.held = False
-        self.arm = Supervisor(station.arm, station.person, robot, config, self.world)
+        self.person = PersonProof(station.person)
+        self.arm = Supervisor(station.arm, self.person, robot, config, self.world)
         self._station = station
         self._config = config
         self._robot = robot
@@ -95,7 +100,9 @@ class Motions:
     def execute(
         self, name: str, trajectory: Trajectory, guard: ContactGuard | None = None, *, at_work: bool = False
     ) -> MotionReport:
-        """Execute a trajectory; the arm brakes at once when the hand loses the tool or reports a fault.
+        """Execute a trajectory; the arm brakes at once when the hand doubts its grip or reports a fault.
+
+        In HANDOVER mode the person first takes the enabling switch anew.
 
         Args:
             name: Name of the motion in the recording and in messages.
@@ -108,6 +115,8 @@ class Motions:
 
         Raises:
             GripError: The tool was lost before or during the motion.
+            GripDoubtError: The hand doubted its grip during the motion, and holds the tool after all.
+            PersonNearError: The person did not take the enabling switch, or a person is where they must not be.
             DeviceError: The hand reports a fault or does not answer, or the arm was stopped.
             TooleeError: What `Supervisor.execute` raises.
         """
@@ -165,9 +174,16 @@ class Motions:
             move = plan_straight(self._robot, self._config, world, self.q, length, direction, speed)
             self.execute(name, move, at_work=True)
 
-    def retreat(self) -> None:
-        """After the tool has dropped, move slowly up and away from the person's place, else up, else not at all."""
+    def retreat(self) -> bool:
+        """After the tool has dropped, move slowly up and away from the person's place, else up, else not at all.
+
+        For a person who has asked for it: the arm is in HANDOVER mode, and they hold the enabling switch.
+
+        Returns:
+            Whether the arm has moved away.
+        """
         self.held = False
+        self.arm.mode = Mode.HANDOVER
         with suppress(DeviceError):
             away = self._robot.fk(self.q, self.q_hand)[1][:3, 3] - np.asarray(self._config.scene.person_center)
             away[2] = 0.0
@@ -177,7 +193,8 @@ class Motions:
                     world = self.world()
                     move = plan_straight(self._robot, self._config, world, self.q, RETREAT, direction, RETREAT_SPEED)
                     self.execute("retreat", move)
-                    return
+                    return True
+        return False
 
     def wait_until_quiet(self, force: float) -> bool:
         """Wait until the sensed force is small, since a swinging tool would be taken for a contact.
@@ -205,7 +222,7 @@ class Motions:
             DeviceError: The hand reports a fault, or is too hot.
         """
         hand, most = self._station.hand, self._config.supervisor.max_hand_temperature
-        check_held(hand)
+        check_held(hand, self._station.clock)
         state = hand.state()
         if state.temperature is not None and not state.temperature <= most:  # NaN included
             raise DeviceError(
@@ -225,7 +242,15 @@ class Motions:
         self._wait_until_still()
         watch = HandWatch(self._station.hand, self.arm.stop) if self.held else None
         if self.held:
-            check_held(self._station.hand)
+            check_held(self._station.hand, self._station.clock)
+        if self.arm.mode is Mode.HANDOVER and not self.person.hold_switch(
+            HOLD_SWITCH, self._config.task.handover_timeout
+        ):
+            raise PersonNearError(
+                f"the enabling switch was not taken anew before {name!r}: no motion; release it, then hold it, and "
+                "look for a stuck switch",
+                code="person_near.switch_not_taken",
+            )
         try:
             with watch or nullcontext():
                 yield watch
@@ -249,10 +274,12 @@ class Motions:
         self._report(name, report)
         if hand is not None and hand.error is not None:
             raise hand.error
+        if self.held:
+            check_held(self._station.hand, self._station.clock)
+        if hand is not None and hand.doubted:
+            raise GripDoubtError(f"the hand doubted its grip during the motion {name!r}; it holds the tool")
         if report.outcome is MotionOutcome.STOPPED:
             raise DeviceError(f"the arm was stopped during the motion {name!r}", code="device.stopped")
-        if self.held:
-            check_held(self._station.hand)
 
     def _report(self, name: str, report: MotionReport) -> None:
         # Any age of the hand's state is accepted: a hand that no longer answers must not prevent the recording.

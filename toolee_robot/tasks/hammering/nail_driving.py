@@ -66,6 +66,7 @@ class NailDriving:
         self._correction = correction
         self._gauge = NailGauge(motions, config, robot, observer)
         self._strikes_seen = 0
+        self._measured = False
 
     @property
     def strikes_since_look(self) -> int:
@@ -73,7 +74,10 @@ class NailDriving:
         return len(self.strikes) - self._strikes_seen
 
     def run(self) -> tuple[Outcome, str]:
-        """Strike until the nail is flush or another end condition holds.
+        """Strike until the nail is flush or another end condition holds; once more after an interruption.
+
+        The tool was looked at just before. After an interruption the nail is measured first: the interrupted strike may
+        have driven it.
 
         Returns:
             The outcome, and the reason for a person.
@@ -83,10 +87,15 @@ class NailDriving:
             TooleeError: A motion or a plan failed.
         """
         config, task = self._config, self._config.task
-        height = self.protrusion = config.work.nail_protrusion
+        height = config.work.nail_protrusion if self.protrusion is None else self.protrusion
+        self.protrusion, self._strikes_seen = height, len(self.strikes)
         plan = self._plan(height)
         with self._stages(Stage.TOUCH), self._check_blind():
-            self._gauge.begin(plan)
+            if self._measured:
+                height = self.protrusion = self._gauge.resume(plan, height)
+            else:
+                self._gauge.begin(plan)
+                self._measured = True
         stalled = flush = missed = 0
         progress = np.inf
         doubted = False

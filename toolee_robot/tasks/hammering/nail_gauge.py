@@ -62,16 +62,29 @@ class NailGauge:
         Raises:
             JobEnded: The offset is too large, or a touch met nothing.
         """
-        motions, config = self._motions, self._config
-        motions.transfer(
-            "to the touch", plan_over_nail(self._robot, config, motions.world(), motions.q, plan, before=CLEAR)
-        )
-        known = config.work.nail_protrusion
+        self._go_over(plan)
+        known = self._config.work.nail_protrusion
         measured = self.measure(known)
         self._reference = known - measured
         if abs(self._reference) > 0.5 * TOLERANCE:
             off = f"{abs(self._reference) * 1e3:.1f} mm too {'high' if measured > known else 'low'}"
             raise JobEnded(Outcome.NAIL_MISSED, f"the nail's head seems to stand {off}: set it as in config.work")
+
+    def resume(self, plan: StrikePlan, expected: float) -> float:
+        """Measure the nail after an interruption, from wherever the arm stands; the offset stays.
+
+        Args:
+            plan: The strike whose line leads to the nail.
+            expected: Protrusion before the interruption [m]; an interrupted strike may have driven the nail.
+
+        Returns:
+            The measured protrusion [m].
+
+        Raises:
+            JobEnded: A touch met nothing.
+        """
+        self._go_over(plan)
+        return self.measure(expected)
 
     def measure(self, expected: float, missed: Outcome = Outcome.NAIL_MISSED) -> float:
         """Measure the protrusion, starting and ending CLEAR over the nail.
@@ -109,6 +122,11 @@ class NailGauge:
         # Correct the face's position along its normal, from the nail's head that it rested on.
         motions.X_hand_ee = motions.X_hand_ee @ transform(p=[0.0, 0.0, nail - measured])
         return measured
+
+    def _go_over(self, plan: StrikePlan) -> None:
+        motions = self._motions
+        way = plan_over_nail(self._robot, self._config, motions.world(), motions.q, plan, before=CLEAR)
+        motions.transfer("to the touch", way)
 
     def _touch(self, what: str, reach: float, missed: Outcome) -> float:
         """Lower the face slowly by up to `reach` [m]; returns the apparent height over the wood at the contact [m]."""

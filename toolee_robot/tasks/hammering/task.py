@@ -1,43 +1,52 @@
 """The hammering job: take the tool, look at it, strike until the nail is flush, park the arm.
 
 A state machine over the hardware abstraction. Its inputs are the station file, the camera's frames and the sensors of
-arm and hand. Every job ends with an `Outcome` and a reason; every exception leaves the arm at a standstill.
+arm and hand. Every job ends with an `Outcome` and a reason; every exception leaves the arm at a standstill. A job that
+was stopped with the tool in the hand can go on after a person has looked:
+
+    result = task.run()
+    while task.resumable and a_person_looked_and_confirmed():
+        result = task.resume(confirmed=True)
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from datetime import date
 
 import numpy as np
 
 from toolee_robot.config import StationConfig
-from toolee_robot.control.collision import CollisionWorld
-from toolee_robot.control.modes import Mode
-from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.planning.transfer import plan_transfer
-from toolee_robot.control.planning.views import plan_handover, plan_views
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.control.slip import merge, slip
 from toolee_robot.errors import (
     DeviceError,
+    GripDoubtError,
     GripError,
+    NotReadyError,
     PerceptionError,
     PersonNearError,
     PlanningError,
-    UnreachableError,
 )
 from toolee_robot.hal import Station
-from toolee_robot.tasks.common.look import Look, Perceiver
-from toolee_robot.tasks.common.motions import Motions
+from toolee_robot.tasks.common.look import Perceiver
+from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, JobEnded, Outcome, Stage
+from toolee_robot.tasks.common.recovery import PUT_AWAY, TAKE_OUT, Stops
 from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.tasks.hammering.grasp import Grasp
+from toolee_robot.tasks.hammering.handover import Handover
 from toolee_robot.tasks.hammering.nail_driving import NailDriving
-from toolee_robot.types import InHandEstimate
+from toolee_robot.tasks.hammering.tool_pose import ToolPose
 
-SETTLE = 0.3
-"""Time at standstill before a frame is taken, so that arm, wrist and tool have stopped swinging [s]."""
+LIFT = 0.020
+"""Retraction from the work before the tool is looked at again [m]."""
+MAX_DOUBTS = 3
+"""Number of motions between two strikes that a doubt about the grip may interrupt before a person is asked."""
+STOPPED = (Outcome.DEVICE_FAULT, Outcome.PERSON_NEAR)
+"""Outcomes after which a job may be resumed."""
 
 
 class HammeringTask:
@@ -63,27 +72,23 @@ class HammeringTask:
         correction: bool = True,
         observer: TaskObserver | None = None,
     ) -> None:
+        self._stops = Stops()
         self._station = station
-        self._perceiver = perceiver
         self._config = config
-        self._grasp = grasp
         self._correction = correction
-        self._observer = observer or TaskObserver()
-        self._robot = RobotModel.of_station(config)
-        self._motions = Motions(station, config, self._robot, self._observer, grasp.X_hand_ee)
-        self._stages = Stages(self._observer)
-        self._nail_driving = NailDriving(
-            self._motions,
-            config,
-            self._robot,
-            station.clock,
-            self._stages,
-            self._observer,
-            self._look,
-            correction=correction,
+        self._observer = observer = observer or TaskObserver()
+        self._robot = robot = RobotModel.of_station(config)
+        self._motions = motions = Motions(station, config, robot, observer, grasp.X_hand_ee)
+        self._stages = stages = Stages(observer)
+        self._handover = Handover(station, config, robot, motions, stages, observer, grasp)
+        self._nail_driving = nail_driving = NailDriving(
+            motions, config, robot, station.clock, stages, observer, self._look, correction=correction
         )
-        self._person_clear = True
-        self._estimates: list[tuple[float, InHandEstimate]] = []
+        self._tool_pose = ToolPose(
+            station, perceiver, config, robot, motions, stages, observer, grasp.X_hand_ee,
+            strikes_since_look=lambda: nail_driving.strikes_since_look,
+        )  # fmt: skip
+        self._outcome: Outcome | None = None
 
     def run(self) -> HammerResult:
         """Do the job and park the arm.
@@ -93,15 +98,60 @@ class HammeringTask:
         Returns:
             The result of the job.
         """
+        return self._end(self._job)
+
+    def resume(self, *, confirmed: bool = False) -> HammerResult:
+        """Go on with a job that was stopped with the tool in the hand: reset, look at the tool again, measure the nail.
+
+        Args:
+            confirmed: Whether a person has looked at robot, hand and tool, and has made the robot ready where it had
+                stopped itself.
+
+        Returns:
+            The result of the job. A robot that is not ready is not reset: the job then ends as it had, and can be
+            resumed later.
+
+        Raises:
+            NotReadyError: There is nothing to resume; code `not_ready.nothing_to_resume`.
+            DeviceError: Nobody has confirmed it; code `device.reset_not_confirmed`.
+        """
+        if not self.resumable:
+            raise NotReadyError(
+                "no stopped job with the tool in the hand can go on: run a new one", code="not_ready.nothing_to_resume"
+            )
+        if not confirmed:
+            raise DeviceError(
+                "a job is resumed by a person who has looked at the robot: confirm it",
+                code="device.reset_not_confirmed",
+            )
         try:
-            outcome, reason = self._job()
-            outcome, reason = self._park(outcome, reason)
-        except BaseException:
+            self._motions.arm.reset(confirmed=True)
+            self._motions.begin()
+        except DeviceError as error:
             self._motions.stand_still()
-            raise
-        result = self.result(outcome, reason)
-        self._observer.ended(result)
-        return result
+            return self._ended(Outcome.DEVICE_FAULT, f"the stop cannot be cleared yet: {error}; {TAKE_OUT}")
+        return self._end(self._go_on)
+
+    def give_back(self) -> bool:
+        """Let a person take the tool out of the hand, after every stop, also a latched one; the arm does not move.
+
+        Returns:
+            Whether the person confirmed that they hold the tool, and the hand was opened.
+
+        Raises:
+            DeviceError: The hand did not open.
+        """
+        return self._handover.give_back()
+
+    @property
+    def resumable(self) -> bool:
+        """Whether the job was stopped with the tool in the hand and may go on after a person has looked."""
+        return self.holds_tool and self._outcome in STOPPED and not self._stops.last
+
+    @property
+    def holds_tool(self) -> bool:
+        """Whether the tool is in the hand as far as is known."""
+        return self._motions.held
 
     @property
     def latched(self) -> str:
@@ -123,17 +173,28 @@ class HammeringTask:
             reason,
             tuple(self._nail_driving.strikes),
             self._nail_driving.protrusion,
-            tuple(self._estimates),
+            tuple(self._tool_pose.estimates),
             dict(self._stages.seconds),
         )
 
-    def _job(self) -> tuple[Outcome, str]:
+    def _end(self, job: Callable[[], tuple[Outcome, str]]) -> HammerResult:
+        """Run a job to its end, whatever ends it."""
         try:
-            self._check_calibration()
-            self._motions.begin()
-            self._take_tool()
-            self._look(self._config.task.views)
-            return self._nail_driving.run()
+            outcome, reason = self._park(*self._ending(job))
+        except BaseException:
+            self._motions.stand_still()
+            raise
+        return self._ended(outcome, reason)
+
+    def _ended(self, outcome: Outcome, reason: str) -> HammerResult:
+        self._outcome = outcome
+        result = self.result(outcome, reason)
+        self._observer.ended(result)
+        return result
+
+    def _ending(self, job: Callable[[], tuple[Outcome, str]]) -> tuple[Outcome, str]:
+        try:
+            return job()
         except JobEnded as end:
             return end.outcome, str(end)
         except PersonNearError as error:
@@ -144,11 +205,56 @@ class HammeringTask:
         except PlanningError as error:
             return Outcome.NO_PLAN, str(error)
         except GripError as error:
-            self._motions.retreat()
-            return Outcome.TOOL_LOST, str(error)
+            self._motions.stand_still()
+            return Outcome.TOOL_LOST, f"{error}; {self._after_loss()}"
         except DeviceError as error:
             self._motions.stand_still()
             return Outcome.DEVICE_FAULT, str(error)
+
+    def _job(self) -> tuple[Outcome, str]:
+        self._check_calibration()
+        self._motions.begin()
+        self._handover.take_tool()
+        return self._drive(lift=False)
+
+    def _go_on(self) -> tuple[Outcome, str]:
+        self._motions.check_hand()
+        self._handover.clear_person("Step back: the arm looks at the hammer again, and then strikes on.")
+        self._tool_pose.forget()
+        return self._drive(lift=True)
+
+    def _drive(self, lift: bool) -> tuple[Outcome, str]:
+        """Look at the tool and drive the nail; a doubt about the grip that passes is answered by a new look."""
+        doubts, strikes = 0, 0
+        while True:
+            try:
+                if lift:
+                    with suppress(PlanningError):  # a hand that stands far from the work need not be lifted
+                        self._motions.straight("up", UP, LIFT)
+                self._look(self._config.task.views)
+                return self._nail_driving.run()
+            except GripDoubtError as doubt:
+                done = len(self._nail_driving.strikes)
+                doubts = doubts + 1 if done == strikes else 1
+                strikes, lift = done, True
+                if doubts >= MAX_DOUBTS:
+                    raise
+                self._observer.message(f"{doubt}; looking again")
+
+    def _after_loss(self) -> str:
+        """Once a person has looked, and asked for it, move the arm away from where the tool may lie."""
+        prompt = (
+            "The hand reports that it has lost the hammer; the arm stands still. Look for it. Confirm, and the arm "
+            "moves up and away slowly while you hold the enabling switch."
+        )
+        if not self._motions.person.confirm_inspection(prompt, self._config.task.handover_timeout):
+            return f"nobody confirmed that the arm may move away: {PUT_AWAY}"
+        self._handover.tool_gone()
+        return f"the arm moved away from it: {PUT_AWAY}" if self._motions.retreat() else PUT_AWAY
+
+    def _look(self, views: int) -> None:
+        if self._correction:
+            self._tool_pose.look(views)
 
     def _check_calibration(self) -> None:
         """Refuse a station whose camera calibration is missing or invalid."""
@@ -160,121 +266,6 @@ class HammeringTask:
         if problems:
             raise JobEnded(Outcome.NOT_READY, "the calibration is not valid: " + "; ".join(problems))
 
-    def _take_tool(self) -> None:
-        station, timeout = self._station, self._config.task.handover_timeout
-        with self._stages(Stage.HANDOVER):
-            self._check_reach()
-            self._empty_hand()
-            q_hand = self._motions.q_hand
-            world = CollisionWorld(self._robot, self._config, q_hand)
-            self._motions.transfer(
-                "to the handover", plan_handover(self._robot, self._config, world, self._motions.q, q_hand)
-            )
-            self._person_clear = False
-            if not station.person.request_handover(
-                "Put the hammer's handle into the open hand, face towards the fingertips.", timeout
-            ):
-                raise JobEnded(Outcome.NO_HANDOVER, "nobody handed a tool over in time: run the job again")
-        with self._stages(Stage.GRIP):
-            station.hand.close()
-            if not station.hand.state().holding:
-                raise JobEnded(Outcome.NO_GRIP, "the hand closed but holds nothing: hand the tool over again")
-            self._clear_person("Let go and step back.")
-            if not station.hand.state().holding:
-                raise JobEnded(Outcome.NO_GRIP, "the tool left the hand as it was let go: hand it over again")
-            self._motions.held = True
-            grasp = self._grasp
-            q_hand = self._motions.q_hand
-            self._motions.arm.set_payload(self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
-
-    def _empty_hand(self) -> None:
-        """Open the hand; a person takes a tool that it still holds first, so that it does not fall."""
-        station = self._station
-        if station.hand.state().holding:
-            self._person_clear = False
-            prompt = "The hand still holds a tool: take hold of it, the hand opens."
-            if not station.person.take_tool(prompt, self._config.task.handover_timeout):
-                raise JobEnded(Outcome.NOT_READY, "the hand still holds a tool, and nobody took it: take it out first")
-        station.hand.open()
-
-    def _clear_person(self, prompt: str) -> None:
-        """Ask the person to step back, and allow fast motion once they confirm it.
-
-        Raises:
-            PersonNearError: They did not confirm it.
-        """
-        if not self._station.person.release(prompt, self._config.task.handover_timeout):
-            raise PersonNearError("nobody confirmed to be out of reach: no motion", code="person_near.not_released")
-        self._motions.arm.mode = Mode.UNATTENDED
-        self._person_clear = True
-
-    def _check_reach(self) -> None:
-        """Refuse a nail that is out of reach before a tool is requested.
-
-        Other failures are only reported: a collision depends on the tool's true pose in the hand.
-        """
-        q_hand = self._robot.description.hand_closed
-        world = CollisionWorld(self._robot, self._config, q_hand, self._motions.X_hand_ee)
-        X_base_nail = self._config.work.X_base_nail()
-        try:
-            plan_strike(self._robot, self._config, world, self._motions.q, q_hand, self._motions.X_hand_ee, X_base_nail)
-        except UnreachableError:
-            raise
-        except PlanningError as error:
-            self._observer.message(f"with the tool as it nominally lies in the hand no strike is possible: {error}")
-
-    def _look(self, views: int) -> None:
-        """Estimate the pose of the face in the hand from `views` views; on failure once more from other views."""
-        if not self._correction:
-            return
-        look = Look(self._station, self._config, self._robot, self._perceiver, self._observer, self._grasp.X_hand_ee)
-        for attempt in (1, 2):
-            with self._stages(Stage.VIEW):
-                q_hand = self._motions.q_hand
-                # Another seed gives other views; the same views would give the same result.
-                plan = plan_views(
-                    self._robot,
-                    self._config,
-                    self._motions.world(),
-                    self._motions.q,
-                    q_hand,
-                    self._grasp.X_hand_ee,
-                    count=views,
-                    seed=attempt - 1,
-                )
-            for view in plan.views:
-                with self._stages(Stage.VIEW):
-                    self._motions.transfer("to a view", view.transfer)
-                    self._station.clock.sleep(SETTLE)
-                with self._stages(Stage.PERCEIVE):
-                    look.take()
-            try:
-                with self._stages(Stage.PERCEIVE):
-                    estimate = look.fuse()
-                    if self._estimates:
-                        estimate = self._after_slip(self._estimates[-1][1], estimate)
-                break
-            except (PerceptionError, JobEnded) as error:
-                # Not usable, or slipped too far: look once more, from other views.
-                if attempt == 2:
-                    raise
-                self._observer.message(f"{error}; looking again")
-        self._estimates.append((self._station.clock.now(), estimate))
-        self._motions.X_hand_ee = estimate.X_hand_ee
-
-    def _after_slip(self, before: InHandEstimate, now: InHandEstimate) -> InHandEstimate:
-        """Fuse the estimates of two looks; ends the job when the tool has slipped too far."""
-        task = self._config.task
-        distance, angle = slip(before, now)
-        self._observer.message(f"slip in the hand {distance * 1e3:.1f} mm, {np.rad2deg(angle):.1f}°")
-        if distance > task.abort_slip or angle > task.abort_slip_angle:
-            raise JobEnded(
-                Outcome.TOOL_SLIPPED,
-                f"the tool slipped {distance * 1e3:.0f} mm and {np.rad2deg(angle):.0f}° in the hand: grip it again",
-            )
-        strikes = max(self._nail_driving.strikes_since_look, 1)
-        return merge(before, now, strikes * task.slip_per_strike, strikes * task.slip_angle_per_strike)
-
     def _park(self, outcome: Outcome, reason: str) -> tuple[Outcome, str]:
         """Bring the arm home with the tool still in the hand.
 
@@ -283,12 +274,16 @@ class HammeringTask:
         """
         if outcome is Outcome.NOT_READY:
             return outcome, f"{reason}; nothing was moved"
-        if outcome in (Outcome.DEVICE_FAULT, Outcome.TOOL_LOST, Outcome.PERSON_NEAR):
-            return outcome, f"{reason}; the arm stands still, put it away by hand"
+        if outcome is Outcome.TOOL_LOST:
+            return outcome, reason
+        if outcome in STOPPED:
+            if not self.holds_tool:
+                return outcome, f"{reason}; {PUT_AWAY}"
+            return outcome, self._stops.add(reason)
         with self._stages(Stage.PARK):
             try:
-                if not self._person_clear:
-                    self._clear_person("Take the tool along and step back: the arm goes home.")
+                if not self._handover.person_clear:
+                    self._handover.clear_person("Take the tool along and step back: the arm goes home.")
                 home = np.asarray(self._config.scene.home)
                 world = self._motions.world()
                 self._motions.transfer("home", plan_transfer(self._robot, self._config, world, self._motions.q, home))

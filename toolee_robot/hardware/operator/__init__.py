@@ -1,0 +1,1 @@
+"""The person at a real station, known by digital inputs."""

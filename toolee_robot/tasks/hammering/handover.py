@@ -1,0 +1,149 @@
+"""The tool comes into the hand from a person, and goes back to a person; in between the person is out of reach."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control.collision import CollisionWorld
+from toolee_robot.control.modes import Mode
+from toolee_robot.control.planning.strike import plan_strike
+from toolee_robot.control.planning.views import plan_handover
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.errors import DeviceError, PersonNearError, PlanningError, UnreachableError
+from toolee_robot.hal import Station
+from toolee_robot.tasks.common.motions import Motions
+from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage
+from toolee_robot.tasks.common.stages import Stages
+from toolee_robot.tasks.hammering.grasp import Grasp
+
+
+class Handover:
+    """Handover of the tool, in both directions.
+
+    Args:
+        station: The devices of the station.
+        config: Configuration of the station.
+        robot: Kinematic model of arm and hand.
+        motions: The arm and what it carries.
+        stages: Times the stages of the job.
+        observer: Receives messages.
+        grasp: Nominal grasp of the tool.
+
+    Attributes:
+        person_clear: Whether nobody was asked to come near since a person was last seen out of reach.
+    """
+
+    def __init__(
+        self,
+        station: Station,
+        config: StationConfig,
+        robot: RobotModel,
+        motions: Motions,
+        stages: Stages,
+        observer: TaskObserver,
+        grasp: Grasp,
+    ) -> None:
+        self.person_clear = True
+        self._station, self._config, self._robot, self._motions = station, config, robot, motions
+        self._stages, self._observer, self._grasp = stages, observer, grasp
+
+    def take_tool(self) -> None:
+        """Bring the empty hand to the handover, close it around the tool, and see the person out of reach.
+
+        Raises:
+            JobEnded: No tool was handed over, or the hand does not hold it.
+            TooleeError: A motion or a device failed, or the person stays.
+        """
+        hand, timeout = self._station.hand, self._config.task.handover_timeout
+        person = self._motions.person
+        with self._stages(Stage.HANDOVER):
+            self._check_reach()
+            self._empty_hand()
+            q_hand = self._motions.q_hand
+            world = CollisionWorld(self._robot, self._config, q_hand)
+            self._motions.transfer(
+                "to the handover", plan_handover(self._robot, self._config, world, self._motions.q, q_hand)
+            )
+            self.person_clear = False
+            if not person.request_handover(
+                "Put the hammer's handle into the open hand, face towards the fingertips.", timeout
+            ):
+                raise JobEnded(Outcome.NO_HANDOVER, "nobody handed a tool over in time: run the job again")
+        with self._stages(Stage.GRIP):
+            hand.close()
+            if not hand.state().holding:
+                raise JobEnded(Outcome.NO_GRIP, "the hand closed but holds nothing: hand the tool over again")
+            self.clear_person("Let go and step back.")
+            if not hand.state().holding:
+                raise JobEnded(Outcome.NO_GRIP, "the tool left the hand as it was let go: hand it over again")
+            self._motions.held = True
+            grasp = self._grasp
+            q_hand = self._motions.q_hand
+            self._motions.arm.set_payload(self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
+
+    def clear_person(self, prompt: str) -> None:
+        """Ask the person to step back, and allow fast motion once they were seen out of reach.
+
+        Args:
+            prompt: Instruction for the person.
+
+        Raises:
+            PersonNearError: They did not confirm it in time, or were not seen out of reach.
+        """
+        self.person_clear = False
+        if not self._motions.person.release(prompt, self._config.task.handover_timeout):
+            raise PersonNearError(
+                "nobody confirmed to be out of reach, or was seen there: no motion", code="person_near.not_released"
+            )
+        self._motions.arm.mode = Mode.UNATTENDED
+        self.person_clear = True
+
+    def give_back(self) -> bool:
+        """Open the hand at standstill, once a person has confirmed that they hold the tool. Nothing else moves.
+
+        Returns:
+            Whether the hand was opened; without a confirmation it keeps its grip.
+
+        Raises:
+            DeviceError: The hand did not open.
+        """
+        self._motions.stand_still()
+        self.person_clear = False
+        prompt = "Take a firm hold of the hammer and confirm: the hand opens."
+        if not self._motions.person.take_tool(prompt, self._config.task.handover_timeout):
+            return False
+        self._station.hand.open()
+        self.tool_gone()
+        return True
+
+    def tool_gone(self) -> None:
+        """Note that the hand is empty, and tell the arm as much: it carries the hammer no longer."""
+        self._motions.held = False
+        with suppress(DeviceError):  # a stopped arm may take no payload; the next job sets it
+            self._motions.arm.set_payload(self._robot.description.hand_payload(self._motions.q_hand))
+
+    def _empty_hand(self) -> None:
+        """Open the hand; a person takes a tool that it still holds first, so that it does not fall."""
+        if self._station.hand.state().holding:
+            self.person_clear = False
+            prompt = "The hand still holds a tool: take hold of it, the hand opens."
+            if not self._motions.person.take_tool(prompt, self._config.task.handover_timeout):
+                raise JobEnded(Outcome.NOT_READY, "the hand still holds a tool, and nobody took it: take it out first")
+        self._station.hand.open()
+
+    def _check_reach(self) -> None:
+        """Refuse a nail that is out of reach before a tool is requested.
+
+        Other failures are only reported: a collision depends on the tool's true pose in the hand.
+        """
+        q_hand = self._robot.description.hand_closed
+        world = CollisionWorld(self._robot, self._config, q_hand, self._motions.X_hand_ee)
+        X_base_nail = self._config.work.X_base_nail()
+        try:
+            plan_strike(self._robot, self._config, world, self._motions.q, q_hand, self._motions.X_hand_ee, X_base_nail)
+        except UnreachableError:
+            raise
+        except PlanningError as error:
+            self._observer.message(f"with the tool as it nominally lies in the hand no strike is possible: {error}")

@@ -1,0 +1,126 @@
+"""The pose of the tool in the hand: looked at from several views, and tracked as it slips."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control.planning.views import plan_views
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.control.slip import merge, slip
+from toolee_robot.errors import PerceptionError
+from toolee_robot.frames import Array
+from toolee_robot.hal import Station
+from toolee_robot.tasks.common.look import Look, Perceiver
+from toolee_robot.tasks.common.motions import Motions
+from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage
+from toolee_robot.tasks.common.stages import Stages
+from toolee_robot.types import InHandEstimate
+
+SETTLE = 0.3
+"""Time at standstill before a frame is taken, so that arm, wrist and tool have stopped swinging [s]."""
+
+
+class ToolPose:
+    """Looks at the tool in the hand, and keeps the estimates.
+
+    Args:
+        station: The devices of the station.
+        perceiver: Estimates poses from frames.
+        config: Configuration of the station.
+        robot: Kinematic model of arm and hand.
+        motions: The arm and what it carries; a look sets its `X_hand_ee`.
+        stages: Times the stages of the job.
+        observer: Receives frames, estimates and messages.
+        X_hand_ee: Pose of the end effector in the hand in the nominal grasp, (4, 4).
+        strikes_since_look: Returns the number of strikes since the last look.
+
+    Attributes:
+        estimates: Fused pose of each look, with its time on the station's clock [s].
+    """
+
+    def __init__(
+        self,
+        station: Station,
+        perceiver: Perceiver,
+        config: StationConfig,
+        robot: RobotModel,
+        motions: Motions,
+        stages: Stages,
+        observer: TaskObserver,
+        X_hand_ee: Array,
+        strikes_since_look: Callable[[], int],
+    ) -> None:
+        self.estimates: list[tuple[float, InHandEstimate]] = []
+        self._station, self._perceiver, self._config, self._robot = station, perceiver, config, robot
+        self._motions, self._stages, self._observer = motions, stages, observer
+        self._X_hand_ee = X_hand_ee
+        self._strikes_since_look = strikes_since_look
+        self._related = False
+
+    def forget(self) -> None:
+        """Believe the next look alone: what was known of the pose no longer holds, for instance after a stop."""
+        self._related = False
+
+    def look(self, views: int) -> None:
+        """Estimate the pose of the face in the hand; on failure once more, from other views.
+
+        Args:
+            views: Number of views.
+
+        Raises:
+            PerceptionError: The tool was not found, or its pose cannot be trusted.
+            JobEnded: The tool has slipped too far since the last look.
+            TooleeError: A motion or a device failed.
+        """
+        look = Look(self._station, self._config, self._robot, self._perceiver, self._observer, self._X_hand_ee)
+        for attempt in (1, 2):
+            with self._stages(Stage.VIEW):
+                q_hand = self._motions.q_hand
+                # Another seed gives other views; the same views would give the same result.
+                plan = plan_views(
+                    self._robot,
+                    self._config,
+                    self._motions.world(),
+                    self._motions.q,
+                    q_hand,
+                    self._X_hand_ee,
+                    count=views,
+                    seed=attempt - 1,
+                )
+            for view in plan.views:
+                with self._stages(Stage.VIEW):
+                    self._motions.transfer("to a view", view.transfer)
+                    self._station.clock.sleep(SETTLE)
+                with self._stages(Stage.PERCEIVE):
+                    look.take()
+            try:
+                with self._stages(Stage.PERCEIVE):
+                    estimate = look.fuse()
+                    if self._related:
+                        estimate = self._after_slip(self.estimates[-1][1], estimate)
+                break
+            except (PerceptionError, JobEnded) as error:
+                # Not usable, or slipped too far: look once more, from other views.
+                if attempt == 2:
+                    raise
+                self._observer.message(f"{error}; looking again")
+        self.estimates.append((self._station.clock.now(), estimate))
+        self._motions.X_hand_ee = estimate.X_hand_ee
+        self._related = True
+
+    def _after_slip(self, before: InHandEstimate, now: InHandEstimate) -> InHandEstimate:
+        """Fuse the estimates of two looks; ends the job when the tool has slipped too far."""
+        task = self._config.task
+        distance, angle = slip(before, now)
+        self._observer.message(f"slip in the hand {distance * 1e3:.1f} mm, {np.rad2deg(angle):.1f}°")
+        if distance > task.abort_slip or angle > task.abort_slip_angle:
+            raise JobEnded(
+                Outcome.TOOL_SLIPPED,
+                f"the tool slipped {distance * 1e3:.0f} mm and {np.rad2deg(angle):.0f}° in the hand: grip it again",
+            )
+        strikes = max(self._strikes_since_look(), 1)
+        return merge(before, now, strikes * task.slip_per_strike, strikes * task.slip_angle_per_strike)
