@@ -11,16 +11,17 @@ import select
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import get_args
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.runtime.clock import HostClock, check_real_time_factor, is_loopback
 from toolee_robot.sim_backend.ur_controller.faults.fault_port import Faults
 from toolee_robot.sim_backend.ur_controller.faults.session import FaultSession
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName, SafetyLimits, profile
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS, ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
-from toolee_robot.sim_backend.ur_controller.robot.safety_limits import SafetyLimits
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server.dashboard import DashboardSession
 from toolee_robot.sim_backend.ur_controller.server.port import Port
@@ -51,7 +52,10 @@ class ControllerOptions:
         safeguard_resumes: Whether closing the safeguard resumes the program that it paused, as on a CB3 controller
             without a safeguard reset input.
         powered: Whether the arm is powered on and its brakes are released.
-        limits: Limits of the safety system.
+        profile: How the controller follows, measures and stops: `ideal`, or `harsh` for the values of the model's
+            generation.
+        seed: Seed of the noise of the sensors.
+        limits: Limits of the safety system; the profile's if None.
         real_time_factor: Real-time factor of the robot's time; its clients' clocks must run at the same factor.
     """
 
@@ -62,7 +66,9 @@ class ControllerOptions:
     remote: bool = True
     safeguard_resumes: bool = False
     powered: bool = True
-    limits: SafetyLimits = field(default_factory=SafetyLimits)
+    profile: ProfileName = "ideal"
+    seed: int = 0
+    limits: SafetyLimits | None = None
     real_time_factor: float = 1.0
 
 
@@ -130,7 +136,8 @@ class Controller:
         self.clock = HostClock(options.real_time_factor)
         self.publish_at = 0.0
         model = MODELS[options.model]
-        self.robot = Robot(model, plant(model), options.limits, log)
+        chosen = profile(options.profile, model.e_series)
+        self.robot = Robot(model, plant(model), options.limits, log, chosen, options.seed)
         self.robot.machine.speed_fraction = options.speed_slider
         self.robot.safety.remote = options.remote
         self.robot.safety.safeguard_resumes = options.safeguard_resumes
@@ -260,6 +267,9 @@ def _check(options: ControllerOptions) -> None:
             "127.0.0.3, ...",
             code="user.not_loopback",
         )
+    if options.profile not in get_args(ProfileName):
+        message = f"unknown profile {options.profile!r}: choose one of {', '.join(get_args(ProfileName))}"
+        raise UserError(message, code="user.controller_profile")
     check_real_time_factor(options.real_time_factor, options.host)
     if not 0.0 <= options.speed_slider <= 1.0:
         message = f"the speed slider must be between 0 and 1, not {options.speed_slider}"

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from toolee_robot.frames import Array
+from toolee_robot.sim_backend.ur_controller.robot.events import Event, EventKind
 from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
-from toolee_robot.sim_backend.ur_controller.robot.machine import Event, EventKind, Machine
+from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
 from toolee_robot.sim_backend.ur_controller.robot.model import UR10E, ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.registers import Registers
 from toolee_robot.sim_backend.ur_controller.urscript import ScriptRuntime

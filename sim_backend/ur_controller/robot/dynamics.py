@@ -1,0 +1,117 @@
+"""Rigid-body dynamics of the arm's set-point: joint torques, momentum.
+
+Masses and centres of mass of the links: Universal Robots, "DH parameters for calculations of kinematics and dynamics",
+in the links' Denavit-Hartenberg frames. The links are point masses there: the same page gives these arms no inertia
+matrices. Rotors, gears and friction are not known and left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, sin
+
+import numpy as np
+
+from toolee_robot.frames import Array
+from toolee_robot.sim_backend.ur_controller.robot.kinematics import Chain, chain
+from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
+
+CENTRES_OF_MASS = np.array(
+    [(0.021, 0, 0.027), (0.38, 0, 0.158), (0.24, 0, 0.068), (0, 0.007, 0.018), (0, 0.007, 0.018), (0, 0, -0.026)]
+)
+"""Centres of mass of the links of a UR10 and a UR10e, (6, 3) [m]."""
+MASSES = {"UR10": (7.1, 12.7, 4.27, 2.0, 2.0, 0.365), "UR10e": (7.369, 13.051, 3.989, 2.1, 1.98, 0.615)}
+"""Masses of the links [kg]."""
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """Result of one tick.
+
+    Attributes:
+        torques: Joint torques of the set-point's motion, gravity included, (6,) [Nm].
+        gravity: The part that holds the arm, (6,) [Nm].
+        momentum: Momentum of arm and payload, (3,) [kg m/s], base axes.
+    """
+
+    torques: Array
+    gravity: Array
+    momentum: Array
+
+
+class ArmDynamics:
+    """Dynamics of a set-point from one tick to the next.
+
+    Args:
+        model: The robot's model.
+    """
+
+    def __init__(self, model: ControllerModel) -> None:
+        self._masses = np.array([*MASSES[model.name], 0.0])
+        self._before: list[Array] = []
+
+    def step(self, model: ControllerModel, q: Array, payload: float, cog: Array, gravity: Array, dt: float) -> Dynamics:
+        """Advance by one tick.
+
+        Args:
+            model: The robot's model, with its DH parameters.
+            q: Set-point, (6,) [rad].
+            payload: Mass at the flange [kg].
+            cog: Its centre of gravity, flange frame, (3,) [m].
+            gravity: Acceleration of the base that is equivalent to gravity, (3,) [m/s^2].
+            dt: Length of the tick [s].
+
+        Returns:
+            Torques and momentum.
+        """
+        links = chain(model, q)
+        masses = self._masses
+        masses[6] = payload
+        centres = _centres(q, links, cog)
+        if not self._before:
+            self._before = [centres, centres]
+        last, older = self._before
+        self._before = [centres, last]
+        velocity = (centres - last) / dt
+        acceleration = (centres - 2.0 * last + older) / (dt * dt)
+        momentum = masses @ velocity
+        static = _torques(links, centres, masses[:, None] * gravity)
+        moving = _torques(links, centres, masses[:, None] * acceleration)
+        return Dynamics(static + moving, static, momentum)
+
+
+def _centres(q: Array, links: Chain, cog: Array) -> Array:
+    """Centres of mass of the six links and the payload in the base, (7, 3) [m]."""
+    q1, a2, q3 = (float(angle) for angle in q[:3])
+    s1, c1, a3 = sin(q1), cos(q1), a2 + q3
+    z1, z4, z5 = links.axes[1], links.axes[4], links.axes[5]
+    o, X = links.origins, links.X_base_flange
+    com = CENTRES_OF_MASS
+    x1 = np.array((c1, s1, 0.0))
+    x2 = np.array((c1 * cos(a2), s1 * cos(a2), sin(a2)))
+    x3 = np.array((c1 * cos(a3), s1 * cos(a3), sin(a3)))
+    found = np.empty((7, 3))
+    found[0] = o[1] + com[0, 0] * x1 + com[0, 2] * z1
+    found[1] = o[2] + com[1, 0] * x2 + com[1, 2] * z1
+    found[2] = o[3] + com[2, 0] * x3 + com[2, 2] * z1
+    found[3] = o[4] + com[3, 1] * z1 + com[3, 2] * z4  # y of frame 4 is z1, of frame 5 it is -z4
+    found[4] = o[5] + com[4, 2] * z5 - com[4, 1] * z4
+    found[5] = o[6] + com[5, 2] * z5
+    found[6] = X[:3, 3] + X[:3, :3] @ cog
+    return found
+
+
+def _torques(links: Chain, centres: Array, forces: Array) -> Array:
+    """Torques of the joints that exert forces (7, 3) [N] on the masses; joint i carries those from i on. (6,) [Nm]."""
+    moments = np.empty((7, 3))
+    moments[:, 0] = centres[:, 1] * forces[:, 2] - centres[:, 2] * forces[:, 1]
+    moments[:, 1] = centres[:, 2] * forces[:, 0] - centres[:, 0] * forces[:, 2]
+    moments[:, 2] = centres[:, 0] * forces[:, 1] - centres[:, 1] * forces[:, 0]
+    F = forces[::-1].cumsum(axis=0)[::-1][:6]
+    M = moments[::-1].cumsum(axis=0)[::-1][:6]
+    o, z = links.origins[:6], links.axes
+    arm = np.empty((6, 3))
+    arm[:, 0] = o[:, 1] * F[:, 2] - o[:, 2] * F[:, 1]
+    arm[:, 1] = o[:, 2] * F[:, 0] - o[:, 0] * F[:, 2]
+    arm[:, 2] = o[:, 0] * F[:, 1] - o[:, 1] * F[:, 0]
+    return np.asarray(((M - arm) * z).sum(axis=1))
