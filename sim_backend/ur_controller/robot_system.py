@@ -199,8 +199,8 @@ class Reading:
     @property
     def measured(self) -> Measured:
         """What the safety system compares with its limits."""
-        speed = self.tcp_speed
-        return Measured(self.q, self.qd, float(np.sqrt(speed[:3] @ speed[:3])), self._chain)
+        arm = self._tip - self._chain.origins[-1]
+        return Measured(self.q, self.qd, self.tcp_speed, self._jacobian, arm)
 
     @cached_property
     def tcp_pose(self) -> list[float]:
@@ -210,7 +210,7 @@ class Reading:
     @cached_property
     def tcp_speed(self) -> Array:
         """Velocity of the TCP, (6,) [m/s, rad/s], base axes."""
-        return self._chain.jacobian(self._tip) @ self.qd
+        return self._jacobian @ self.qd
 
     @cached_property
     def target_tcp_pose(self) -> list[float]:
@@ -242,9 +242,16 @@ class Reading:
     @cached_property
     def momentum(self) -> float:
         """Momentum of arm and payload [kg m/s]; of the payload alone where the profile needs no dynamics."""
-        machine, speed = self._robot.machine, self.tcp_speed[:3]
-        whole = machine.sensors.dynamics.momentum
-        return float(np.sqrt(whole @ whole)) or float(machine.payload * np.sqrt(speed @ speed))
+        machine = self._robot.machine
+        dynamics = machine.sensors.dynamics
+        momentum = machine.payload * self.tcp_speed[:3] if dynamics is None else dynamics.momentum
+        return float(np.sqrt(momentum @ momentum))
+
+    @cached_property
+    def target_moment(self) -> Array:
+        """Joint torques of the set-point's motion, (6,) [Nm]; zero where the profile needs no dynamics."""
+        dynamics = self._robot.machine.sensors.dynamics
+        return np.zeros(6) if dynamics is None else dynamics.torques
 
     @cached_property
     def elbow(self) -> Array:
@@ -256,8 +263,13 @@ class Reading:
         return chain(self._robot.model, self.q)
 
     @cached_property
+    def _jacobian(self) -> Array:
+        return self._chain.jacobian(self._tip)
+
+    @cached_property
     def _target_chain(self) -> Chain:
-        return chain(self._robot.model, self._robot.machine.q_target)
+        dynamics = self._robot.machine.sensors.dynamics
+        return chain(self._robot.model, self._robot.machine.q_target) if dynamics is None else dynamics.links
 
     @cached_property
     def _X_flange_tcp(self) -> Array:

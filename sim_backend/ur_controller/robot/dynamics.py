@@ -24,19 +24,24 @@ MASSES = {"UR10": (7.1, 12.7, 4.27, 2.0, 2.0, 0.365), "UR10e": (7.369, 13.051, 3
 """Masses of the links [kg]."""
 
 
+_NEXT, _LAST = np.array((1, 2, 0)), np.array((2, 0, 1))
+
+
 @dataclass(frozen=True)
 class Dynamics:
     """Result of one tick.
 
     Attributes:
         torques: Joint torques of the set-point's motion, gravity included, (6,) [Nm].
-        gravity: The part that holds the arm, (6,) [Nm].
+        acceleration: The part that accelerates the arm, (6,) [Nm].
         momentum: Momentum of arm and payload, (3,) [kg m/s], base axes.
+        links: Geometry of the arm at the set-point.
     """
 
     torques: Array
-    gravity: Array
+    acceleration: Array
     momentum: Array
+    links: Chain
 
 
 class ArmDynamics:
@@ -75,9 +80,9 @@ class ArmDynamics:
         velocity = (centres - last) / dt
         acceleration = (centres - 2.0 * last + older) / (dt * dt)
         momentum = masses @ velocity
-        static = _torques(links, centres, masses[:, None] * gravity)
         moving = _torques(links, centres, masses[:, None] * acceleration)
-        return Dynamics(static + moving, static, momentum)
+        static = _torques(links, centres, masses[:, None] * gravity)
+        return Dynamics(static + moving, moving, momentum, links)
 
 
 def _centres(q: Array, links: Chain, cog: Array) -> Array:
@@ -103,15 +108,14 @@ def _centres(q: Array, links: Chain, cog: Array) -> Array:
 
 def _torques(links: Chain, centres: Array, forces: Array) -> Array:
     """Torques of the joints that exert forces (7, 3) [N] on the masses; joint i carries those from i on. (6,) [Nm]."""
-    moments = np.empty((7, 3))
-    moments[:, 0] = centres[:, 1] * forces[:, 2] - centres[:, 2] * forces[:, 1]
-    moments[:, 1] = centres[:, 2] * forces[:, 0] - centres[:, 0] * forces[:, 2]
-    moments[:, 2] = centres[:, 0] * forces[:, 1] - centres[:, 1] * forces[:, 0]
-    F = forces[::-1].cumsum(axis=0)[::-1][:6]
-    M = moments[::-1].cumsum(axis=0)[::-1][:6]
-    o, z = links.origins[:6], links.axes
-    arm = np.empty((6, 3))
-    arm[:, 0] = o[:, 1] * F[:, 2] - o[:, 2] * F[:, 1]
-    arm[:, 1] = o[:, 2] * F[:, 0] - o[:, 0] * F[:, 2]
-    arm[:, 2] = o[:, 0] * F[:, 1] - o[:, 1] * F[:, 0]
-    return np.asarray(((M - arm) * z).sum(axis=1))
+    both = np.empty((7, 6))
+    both[:, :3] = forces
+    both[:, 3:] = cross_rows(centres, forces)
+    carried = both[::-1].cumsum(axis=0)[:0:-1]
+    torque = carried[:, 3:] - cross_rows(links.origins[:6], carried[:, :3])
+    return np.asarray(np.einsum("ij,ij->i", torque, links.axes))
+
+
+def cross_rows(a: Array, b: Array) -> Array:
+    """Cross products of the rows of two arrays (n, 3): numpy's own is slow for so few."""
+    return a[:, _NEXT] * b[:, _LAST] - a[:, _LAST] * b[:, _NEXT]

@@ -51,7 +51,7 @@ OUTPUTS: dict[str, Output] = {
     "target_qd": Output(_VECTOR, lambda r: r.machine.qd_target),
     "target_qdd": Output(_VECTOR, lambda r: r.machine.qdd_target),
     "target_current": Output(_VECTOR, _no_torque),
-    "target_moment": Output(_VECTOR, lambda r: r.machine.sensors.dynamics.torques),
+    "target_moment": Output(_VECTOR, lambda r: r.reading.target_moment),
     "actual_q": Output(_VECTOR, lambda r: r.reading.q),
     "actual_qd": Output(_VECTOR, lambda r: r.reading.qd),
     "actual_current": Output(_VECTOR, _no_torque),

@@ -7,9 +7,8 @@ from math import inf
 
 import numpy as np
 
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, cross
 from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits
-from toolee_robot.sim_backend.ur_controller.robot.kinematics import Chain
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
 from toolee_robot.sim_backend.ur_controller.robot.safety import error_codes as codes
 from toolee_robot.sim_backend.ur_controller.robot.safety.error_codes import ErrorCode
@@ -22,14 +21,16 @@ class Measured:
     Attributes:
         q: Joint positions, (6,) [rad].
         qd: Joint velocities, (6,) [rad/s].
-        tcp_speed: Speed of the TCP [m/s].
-        links: Geometry of the arm at q.
+        twist: Velocity of the TCP, (6,) [m/s, rad/s].
+        jacobian: Jacobian of the TCP, (6, 6).
+        arm: From the flange's origin to the TCP, (3,) [m], base axes.
     """
 
     q: Array
     qd: Array
-    tcp_speed: float
-    links: Chain
+    twist: Array
+    jacobian: Array
+    arm: Array
 
 
 class CollisionDetection:
@@ -49,6 +50,9 @@ class CollisionDetection:
         self.limits = limits
         self.deviation_ratio = self.collision_ratio = 0.0
         self._machine = machine
+        model = machine.model
+        self._largest, self._range = np.array(model.torque), np.array(model.position)
+        self._fastest = limits.joint_speed * np.array(model.velocity)
         self._force = np.zeros(3)
         self._torque = np.zeros(6)
         self._power = 0.0
@@ -69,7 +73,8 @@ class CollisionDetection:
         self._force += share * (wrench[:3] - self._force)
         found = self._deviation(measured) or self._violation(measured)
         if min(limits.collision_torque, limits.power) < inf:
-            outside = measured.links.jacobian(measured.links.origins[6]).T @ wrench
+            at_tcp = np.concatenate([wrench[:3], wrench[3:] - cross(measured.arm, wrench[:3])])
+            outside = measured.jacobian.T @ at_tcp
             self._torque += share * (outside - self._torque)
             self._power += share * (abs(float(outside @ measured.qd)) - self._power)
             found = found or self._collision()
@@ -87,7 +92,7 @@ class CollisionDetection:
 
     def _collision(self) -> ErrorCode | None:
         machine, limits = self._machine, self.limits
-        ratios = np.abs(self._torque) / (limits.collision_torque * np.asarray(machine.model.torque))
+        ratios = np.abs(self._torque) / (limits.collision_torque * self._largest)
         joint = int(ratios.argmax())
         self.collision_ratio = float(ratios[joint])
         if self.collision_ratio >= 1.0:
@@ -102,18 +107,19 @@ class CollisionDetection:
         limits, machine = self.limits, self._machine
         argument, detail = 0, ""
         force = float(np.sqrt(self._force @ self._force))
-        over = np.abs(measured.qd) - limits.joint_speed * np.asarray(machine.model.velocity)
-        momentum = machine.sensors.dynamics.momentum
-        carried = float(np.sqrt(momentum @ momentum))
+        over = np.abs(measured.qd) - self._fastest
+        speed = float(np.sqrt(measured.twist[:3] @ measured.twist[:3]))
+        dynamics = machine.sensors.dynamics
+        carried = 0.0 if dynamics is None else float(np.sqrt(dynamics.momentum @ dynamics.momentum))
         if force > limits.force:
             argument, detail = codes.TORQUE_WINDOW, f"force of {force:.0f} N is over {limits.force:.0f} N"
-        elif np.any(np.abs(measured.q) > machine.model.position):
-            joint = int(np.argmax(np.abs(measured.q) - machine.model.position))
+        elif (beyond := np.abs(measured.q) - self._range).max() > 0.0:
+            joint = int(beyond.argmax())
             argument, detail = codes.JOINT_POSITION, f"joint {joint} is at its limit"
         elif over.max() > 0.0:
             argument, detail = codes.JOINT_SPEED, f"joint {int(over.argmax())} is too fast"
-        elif measured.tcp_speed > limits.tcp_speed:
-            detail = f"TCP speed of {measured.tcp_speed:.2f} m/s is over {limits.tcp_speed:.2f} m/s"
+        elif speed > limits.tcp_speed:
+            detail = f"TCP speed of {speed:.2f} m/s is over {limits.tcp_speed:.2f} m/s"
             argument = codes.TCP_SPEED
         elif carried > limits.momentum:
             detail = f"momentum of {carried:.1f} kg m/s is over {limits.momentum:.1f} kg m/s"
@@ -128,17 +134,16 @@ class CollisionDetection:
         if self._uncommanded > 1 and speed > limits.sudden_stop:
             detail = f"no command at {speed:.2f} rad/s"
             return ErrorCode(codes.PATH_SANITY, codes.SUDDEN_STOP, detail)
-        if limits.motion_torque == inf:
+        if limits.motion_torque == inf or machine.sensors.dynamics is None:
             return None
         planned, last = machine.sensors.dynamics.torques, self._planned
         self._planned = planned
-        largest = np.asarray(machine.model.torque)
-        shares = np.abs(planned) / largest
+        shares = np.abs(planned) / self._largest
         joint = int(shares.argmax())
         if shares[joint] > limits.motion_torque:
             return ErrorCode(codes.HIGH_TORQUE, joint, f"{abs(planned[joint]):.0f} Nm")
         if last is not None:
-            jumps = np.abs(planned - last) / largest
+            jumps = np.abs(planned - last) / self._largest
             joint = int(jumps.argmax())
             if jumps[joint] > limits.torque_jump:
                 return ErrorCode(codes.TORQUE_JUMP, joint, f"{abs(planned[joint] - last[joint]):.0f} Nm in a tick")

@@ -9,7 +9,6 @@ import numpy as np
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.ur_controller.profile import ForceErrors
 from toolee_robot.sim_backend.ur_controller.robot.dynamics import Dynamics
-from toolee_robot.sim_backend.ur_controller.robot.kinematics import Chain
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.sensing.noise import Noise
 
@@ -41,15 +40,14 @@ class WrenchErrors:
         self._phase = 2.0 * np.pi * noise.vector()
         self._time = 0.0
 
-    def step(self, dt: float, q: Array, qd: Array, links: Chain, dynamics: Dynamics) -> tuple[Array, Array]:
+    def step(self, dt: float, q: Array, qd: Array, dynamics: Dynamics) -> tuple[Array, Array]:
         """Advance by one tick.
 
         Args:
             dt: Length of the tick [s].
             q: Joint positions, (6,) [rad].
             qd: Joint velocities, (6,) [rad/s].
-            links: Geometry of the arm at q.
-            dynamics: Torques of the set-point's motion.
+            dynamics: Torques and geometry of the set-point's motion.
 
         Returns:
             The steady part of the error and its noise, (6,) [N, Nm] each, base axes.
@@ -60,11 +58,12 @@ class WrenchErrors:
         self._fluctuation = self._keep * self._fluctuation + fresh * self._sd * self._noise.vector()
         drift = self._pose_drift * np.sin(self._waves @ q + self._phase)
         slow = self._offset + drift + (1.0 - exp(-self._time / errors.warm_up)) * self._warming
-        R = links.X_base_flange[:3, :3]
-        wrench, noise = (np.concatenate([R @ each[:3], R @ each[3:]]) for each in (slow, self._fluctuation))
+        links = dynamics.links
+        turned = np.stack((slow, self._fluctuation)).reshape(4, 3) @ links.X_base_flange[:3, :3].T
+        wrench, noise = turned.reshape(2, 6)
         if errors.friction > 0.0 or errors.inertia > 0.0:
             missed = errors.friction * self._torque * np.tanh(qd / FRICTION_SPEED)
-            missed += errors.inertia * (dynamics.torques - dynamics.gravity)
+            missed += errors.inertia * dynamics.acceleration
             J = links.jacobian(links.origins[6])
             wrench += np.linalg.solve(J @ J.T + DAMPING**2 * np.eye(6), J @ missed)
         return wrench, noise

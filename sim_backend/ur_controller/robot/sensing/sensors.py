@@ -9,13 +9,10 @@ import numpy as np
 from toolee_robot.frames import Array, cross
 from toolee_robot.sim_backend.ur_controller.profile import IDEAL, EncoderNoise, ForceErrors, Profile
 from toolee_robot.sim_backend.ur_controller.robot.dynamics import ArmDynamics, Dynamics
-from toolee_robot.sim_backend.ur_controller.robot.kinematics import chain
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
 from toolee_robot.sim_backend.ur_controller.robot.sensing.force_errors import WrenchErrors
 from toolee_robot.sim_backend.ur_controller.robot.sensing.noise import Noise
-
-_STILL = Dynamics(np.zeros(6), np.zeros(6), np.zeros(3))
 
 
 @dataclass
@@ -42,16 +39,16 @@ class Sensors:
 
     Attributes:
         fluctuation: The part of the wrench that is noise, (6,) [N, Nm], base axes.
-        dynamics: Torques and momentum of the set-point's motion; zero where the profile needs none.
+        dynamics: Torques, momentum and geometry of the set-point's motion; None where nothing needs them.
         payload_error: Mass that the controller does not know; a fault.
     """
 
     def __init__(self, model: ControllerModel, plant: Plant, profile: Profile, seed: int) -> None:
         self.fluctuation = np.zeros(6)
-        self.dynamics = _STILL
+        self.dynamics: Dynamics | None = None
         self.payload_error = PayloadError()
         self._plant, self._profile, self._noise = plant, profile, Noise(seed)
-        self._dynamics = None if profile.name == IDEAL.name else ArmDynamics(model)
+        self._arm = ArmDynamics(model)
         self._q_error, self._qd_error, self._wrench_error = np.zeros(6), np.zeros(6), np.zeros(6)
         self._encoders, self._errors = profile.encoders, self._wrench_errors(model, profile.force)
 
@@ -97,20 +94,20 @@ class Sensors:
             gravity: Acceleration of the base that is equivalent to gravity, (3,) [m/s^2].
             dt: Length of the tick [s].
         """
-        if self._dynamics is not None:
-            self.dynamics = self._dynamics.step(model, q_target, payload, cog, gravity, dt)
+        unknown = self.payload_error.mass != 0.0
+        self.dynamics = None
+        if self._profile.name != IDEAL.name or self._errors is not None or unknown:
+            self.dynamics = self._arm.step(model, q_target, payload, cog, gravity, dt)
         encoders, noise = self._encoders, self._noise
         self._q_error = encoders.position * noise.vector() if encoders.position > 0.0 else np.zeros(6)
         self._qd_error = encoders.velocity * noise.vector() if encoders.velocity > 0.0 else np.zeros(6)
         self._wrench_error, self.fluctuation = np.zeros(6), np.zeros(6)
-        if self._errors is None and self.payload_error.mass == 0.0:
+        if self.dynamics is None:
             return
-        q, qd = self._plant.q, self._plant.qd
-        links = chain(model, q)
-        if self.payload_error.mass != 0.0:
+        if unknown:
             weight = -self.payload_error.mass * gravity
-            arm = links.X_base_flange[:3, :3] @ self.payload_error.cog
+            arm = self.dynamics.links.X_base_flange[:3, :3] @ self.payload_error.cog
             self._wrench_error = np.concatenate([weight, cross(arm, weight)])
         if self._errors is not None:
-            steady, self.fluctuation = self._errors.step(dt, q, qd, links, self.dynamics)
+            steady, self.fluctuation = self._errors.step(dt, self._plant.q, self._plant.qd, self.dynamics)
             self._wrench_error = self._wrench_error + steady + self.fluctuation
