@@ -134,7 +134,7 @@ class CollisionDetection:
         if self._uncommanded > 1 and speed > limits.sudden_stop:
             detail = f"no command at {speed:.2f} rad/s"
             return ErrorCode(codes.PATH_SANITY, codes.SUDDEN_STOP, detail)
-        if limits.motion_torque == inf or machine.sensors.dynamics is None:
+        if limits.motion_torque == limits.torque_jump == inf or machine.sensors.dynamics is None:
             return None
         planned, last = machine.sensors.dynamics.torques, self._planned
         self._planned = planned
