@@ -1,4 +1,4 @@
-"""The control script of the installed ur_rtde, verbatim, on a harsh controller: no stop that ur_rtde does not ask for."""
+"""The control script of the installed ur_rtde, verbatim, on a harsh controller: it stops when ur_rtde asks for it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from tests.sim_backend.ur_controller.ur_rtde.test_control_script import (
     SERVOJ,
     SPEED_STOP,
     SPEEDJ,
-    STOPJ,
     WATCHDOG,
 )
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
@@ -84,7 +83,7 @@ def test_streams_and_moves_that_ur_rtde_ends_are_no_sudden_stops(remote: HarshRe
     remote.call(MOVEJ, [*remote.start, 1.0, 2.0], [0])
     remote.call(ZERO_FORCE)
     remote.servo(0.6)
-    remote.call(STOPJ, [5.0], [0])
+    remote.call(SERVO_STOP, [5.0])
     remote.rest(0.2)
     robot = remote.robot
     assert robot.safety.mode is SafetyMode.NORMAL, robot.safety.reason
