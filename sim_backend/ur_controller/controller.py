@@ -49,8 +49,7 @@ class ControllerOptions:
         fault_port: TCP port of the fault port; the other ports are the robot's.
         speed_slider: Position of the speed slider, 0 to 1.
         remote: Whether an e-Series controller is in remote control.
-        safeguard_resumes: Whether closing the safeguard resumes the program that it paused, as on a CB3 controller
-            without a safeguard reset input.
+        safeguard_resumes: Whether closing the safeguard resumes the program that it paused; the profile's if None.
         powered: Whether the arm is powered on and its brakes are released.
         profile: How the controller follows, measures and stops: `ideal`, or `harsh` for the values of the model's
             generation.
@@ -64,7 +63,7 @@ class ControllerOptions:
     fault_port: int = FAULT_PORT
     speed_slider: float = 1.0
     remote: bool = True
-    safeguard_resumes: bool = False
+    safeguard_resumes: bool | None = None
     powered: bool = True
     profile: ProfileName = "ideal"
     seed: int = 0
@@ -140,7 +139,8 @@ class Controller:
         self.robot = Robot(model, plant(model), options.limits, log, chosen, options.seed)
         self.robot.machine.speed_fraction = options.speed_slider
         self.robot.safety.remote = options.remote
-        self.robot.safety.safeguard_resumes = options.safeguard_resumes
+        if options.safeguard_resumes is not None:
+            self.robot.safety.safeguard_resumes = options.safeguard_resumes
         if not options.powered:
             self.robot.safety.power_off()
         self.schedule = Schedule(model.period, self.clock)

@@ -148,6 +148,8 @@ class Profile:
         limits: Limits of the safety system.
         stops: Decelerations of the stops.
         version: Version of the software: major, minor, bugfix, build; None for the model's.
+        safeguard_resumes: Whether closing the safeguard resumes the program that it paused, as on a CB3 controller
+            without a safeguard reset input.
     """
 
     name: str
@@ -157,9 +159,24 @@ class Profile:
     limits: SafetyLimits = field(default_factory=SafetyLimits)
     stops: StopDecelerations = StopDecelerations()
     version: tuple[int, int, int, int] | None = None
+    safeguard_resumes: bool = False
 
 
 IDEAL = Profile("ideal")
+
+HARSH_LIMITS = SafetyLimits(
+    # 150 N and 5 m/s: as ever. 1000 W and 100 kg m/s: A, an installation with the least restricted limits, which
+    # Universal Robots asks for where joints need their torque and the risk assessment permits it. PolyScope 3's own
+    # defaults are 300 W and 25 kg m/s (M, from an installation of a UR5).
+    power=1000.0,
+    momentum=100.0,
+    # A, from here on. Half of a joint's torque is about what the 150 N do at the lever of its usual load.
+    following_error=0.1,
+    collision_torque=0.5,
+    motion_torque=1.0,
+    torque_jump=0.5,
+    sudden_stop=0.1,
+)
 
 CB3 = Profile(
     "harsh",
@@ -178,17 +195,9 @@ CB3 = Profile(
         inertia=0.1,
         zeroed=False,
     ),
-    # 150 N, 300 W and 25 kg m/s: the defaults of a safety configuration made by PolyScope 3 (M). The rest: A.
-    limits=SafetyLimits(
-        following_error=0.1,
-        power=300.0,
-        momentum=25.0,
-        collision_torque=0.35,
-        motion_torque=1.0,
-        torque_jump=0.5,
-        sudden_stop=0.1,
-    ),
+    limits=HARSH_LIMITS,
     stops=StopDecelerations(program=5.0, protective=10.0, safeguard=10.0, emergency=15.0),  # A
+    safeguard_resumes=True,  # A: an installation without a safeguard reset input
 )
 
 E_SERIES = Profile(
@@ -201,17 +210,7 @@ E_SERIES = Profile(
     force=ForceErrors(
         noise=(1.5, 0.06), correlation=0.004, offset=(4.0, 0.4), pose_drift=(1.5, 0.1), time_drift=(1.0, 0.05)
     ),
-    # A: wider than PolyScope 3's defaults, since Universal Robots asks for the least restricted limits that the risk
-    # assessment permits where joints need their torque.
-    limits=SafetyLimits(
-        following_error=0.1,
-        power=1000.0,
-        momentum=100.0,
-        collision_torque=0.3,
-        motion_torque=1.0,
-        torque_jump=0.5,
-        sudden_stop=0.1,
-    ),
+    limits=HARSH_LIMITS,
     stops=StopDecelerations(program=5.0, protective=15.0, safeguard=10.0, emergency=20.0),  # A
     version=(5, 22, 0, 1214729),  # has the deviation and collision ratios, and is the newest that ur_rtde 1.6.5 accepts
 )

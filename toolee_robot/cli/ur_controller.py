@@ -85,7 +85,7 @@ class UrController:
             fault_port=self.fault_port,
             speed_slider=self.speed_slider,
             remote=not self.local,
-            safeguard_resumes=self.safeguard_resumes,
+            safeguard_resumes=self.safeguard_resumes or None,
             powered=not self.off,
             profile=self.profile,
             seed=self.seed,

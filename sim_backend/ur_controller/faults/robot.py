@@ -56,7 +56,8 @@ class RobotFaults(HookGroup):
         robot.identity = Identity.of(nominal, robot.machine.profile)
         robot.calibrate(nominal)
         robot.machine.speed_fraction, robot.machine.speed_scaling = options.speed_slider, 1.0
-        robot.safety.safeguard_resumes = options.safeguard_resumes
+        own = robot.machine.profile.safeguard_resumes
+        robot.safety.safeguard_resumes = own if options.safeguard_resumes is None else options.safeguard_resumes
         robot.safety.remote = options.remote
         robot.safety.restore()
 

@@ -53,7 +53,8 @@ class ArmDynamics:
 
     def __init__(self, model: ControllerModel) -> None:
         self._masses = np.array([*MASSES[model.name], 0.0])
-        self._before: list[Array] = []
+        # centres of the links and pose of the flange in the last tick, and in the one before
+        self._before: tuple[tuple[Array, Array], tuple[Array, Array]] | None = None
 
     def step(self, model: ControllerModel, q: Array, payload: float, cog: Array, gravity: Array, dt: float) -> Dynamics:
         """Advance by one tick.
@@ -72,11 +73,11 @@ class ArmDynamics:
         links = chain(model, q)
         masses = self._masses
         masses[6] = payload
-        centres = _centres(q, links, cog)
-        if not self._before:
-            self._before = [centres, centres]
-        last, older = self._before
-        self._before = [centres, last]
+        now = (_centres(q, links), links.X_base_flange)
+        last_tick, tick_before = self._before or (now, now)
+        self._before = (now, last_tick)
+        # A payload that is set anew has not moved there: its present centre is taken in all three ticks.
+        centres, last, older = (_with_payload(*each, cog) for each in (now, last_tick, tick_before))
         velocity = (centres - last) / dt
         acceleration = (centres - 2.0 * last + older) / (dt * dt)
         momentum = masses @ velocity
@@ -85,24 +86,28 @@ class ArmDynamics:
         return Dynamics(static + moving, moving, momentum, links)
 
 
-def _centres(q: Array, links: Chain, cog: Array) -> Array:
+def _with_payload(links: Array, X_base_flange: Array, cog: Array) -> Array:
     """Centres of mass of the six links and the payload in the base, (7, 3) [m]."""
+    return np.concatenate([links, [X_base_flange[:3, 3] + X_base_flange[:3, :3] @ cog]])
+
+
+def _centres(q: Array, links: Chain) -> Array:
+    """Centres of mass of the six links in the base, (6, 3) [m]."""
     q1, a2, q3 = (float(angle) for angle in q[:3])
     s1, c1, a3 = sin(q1), cos(q1), a2 + q3
     z1, z4, z5 = links.axes[1], links.axes[4], links.axes[5]
-    o, X = links.origins, links.X_base_flange
+    o = links.origins
     com = CENTRES_OF_MASS
     x1 = np.array((c1, s1, 0.0))
     x2 = np.array((c1 * cos(a2), s1 * cos(a2), sin(a2)))
     x3 = np.array((c1 * cos(a3), s1 * cos(a3), sin(a3)))
-    found = np.empty((7, 3))
+    found = np.empty((6, 3))
     found[0] = o[1] + com[0, 0] * x1 + com[0, 2] * z1
     found[1] = o[2] + com[1, 0] * x2 + com[1, 2] * z1
     found[2] = o[3] + com[2, 0] * x3 + com[2, 2] * z1
     found[3] = o[4] + com[3, 1] * z1 + com[3, 2] * z4  # y of frame 4 is z1, of frame 5 it is -z4
     found[4] = o[5] + com[4, 2] * z5 - com[4, 1] * z4
     found[5] = o[6] + com[5, 2] * z5
-    found[6] = X[:3, 3] + X[:3, :3] @ cog
     return found
 
 

@@ -93,7 +93,7 @@ class Safety:
         self.mode = SafetyMode.NORMAL
         self.reason = ""
         self.remote = True
-        self.safeguard_resumes = False
+        self.safeguard_resumes = machine.profile.safeguard_resumes
         self._machine, self._log, self._report, self._power_time = machine, log, report, power_time
         self._stop_program, self._pause_program, self._resume_program = stop_program, pause_program, resume_program
         self._since_stop = 0.0

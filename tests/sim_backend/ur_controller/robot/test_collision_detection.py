@@ -99,7 +99,7 @@ def test_a_torque_at_a_joint(model: str, payload: float, code: str) -> None:
 
 @both
 def test_a_force(model: str) -> None:
-    served = robot(model, "harsh", **(LOOSE | {"force": 150.0}))
+    served = robot(model, "harsh", limits=LOOSE | {"force": 150.0})
     served.plant.external_force = np.array([0.0, 0.0, 190.0, 0.0, 0.0, 0.0])
     stopped_by(served, "C191A7")
 
@@ -110,7 +110,7 @@ def test_a_force(model: str) -> None:
     [({"power": 100.0}, "C191A6"), ({"momentum": 4.0}, "C191A12"), ({"tcp_speed": 0.5}, "C191A3")],
 )
 def test_a_motion_beyond_the_safety_limits(model: str, limits: dict[str, float], code: str) -> None:
-    served = robot(model, "harsh", **(LOOSE | limits))
+    served = robot(model, "harsh", limits=LOOSE | limits)
     served.program.upload("def swing():\n  speedj([1.5, 0, 0, 0, 0, 0], 4, 5)\nend\n")
     served.plant.external_force = np.array([120.0, 120.0, 0.0, 0.0, 0.0, 0.0])
     run(served, 1.0)
@@ -119,7 +119,7 @@ def test_a_motion_beyond_the_safety_limits(model: str, limits: dict[str, float],
 
 @both
 def test_a_joint_that_is_too_fast(model: str) -> None:
-    served = robot(model, "harsh", **(LOOSE | {"joint_speed": 0.5}))
+    served = robot(model, "harsh", limits=LOOSE | {"joint_speed": 0.5})
     served.program.upload("def swing():\n  speedj([1.5, 0, 0, 0, 0, 0], 4, 5)\nend\n")
     run(served, 1.0)
     stopped_by(served, "C191A2")
@@ -128,7 +128,7 @@ def test_a_joint_that_is_too_fast(model: str) -> None:
 @both
 def test_a_motion_that_needs_more_torque_than_a_joint_has(model: str) -> None:
     """The largest payload at the end of the stretched arm: its elbow is the first to lack torque."""
-    served = robot(model, "harsh", **(LOOSE | {"motion_torque": 0.6}))
+    served = robot(model, "harsh", limits=LOOSE | {"motion_torque": 0.6})
     served.machine.set_payload(10.0, [0.0, 0.0, 0.3])
     served.program.upload("def lift():\n  movej([0, 0, 0, 0, 0, 0], 1.0, 1.0)\nend\n")
     run(served, 4.0)
@@ -137,7 +137,7 @@ def test_a_motion_that_needs_more_torque_than_a_joint_has(model: str) -> None:
 
 @both
 def test_a_motion_whose_torque_jumps(model: str) -> None:
-    served = robot(model, "harsh", **(LOOSE | {"motion_torque": inf, "torque_jump": 0.3}))
+    served = robot(model, "harsh", limits=LOOSE | {"motion_torque": inf, "torque_jump": 0.3})
     served.machine.set_payload(8.0, [0.0, 0.0, 0.2])
     served.program.upload("def jerk():\n  speedj([0, -2, 0, 0, 0, 0], 40, 1)\nend\n")
     run(served, 0.5)
@@ -160,9 +160,18 @@ def test_a_mass_that_the_controller_does_not_know_looks_like_a_collision() -> No
     served = robot("UR10e", "harsh")
     served.machine.set_payload(1.0, [0.0, 0.0, 0.0])
     served.machine.sensors.payload_error.mass = 12.0
-    served.machine.sensors.payload_error.cog = np.array([0.0, 0.15, 0.1])
+    served.machine.sensors.payload_error.cog = np.array([0.0, 0.3, 0.1])
     run(served, 0.5)
     assert codes(served)[0].startswith("C157")
+
+
+@both
+def test_a_payload_that_is_set_anew_is_no_motion(model: str) -> None:
+    served = robot(model, "harsh", limits={"momentum": 1.0, "torque_jump": 0.3})
+    run(served, 0.1)
+    served.machine.set_payload(5.0, [0.0, 0.1, 0.2])
+    run(served, 0.1)
+    assert codes(served) == []
 
 
 def test_clients_of_the_primary_interface_are_told_the_code() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import inf
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -70,7 +72,7 @@ def test_a_cb3_feels_its_own_motion_and_an_e_series_less() -> None:
     swing = "def s():\n  movej([0.6, -1.2, 1.4, -1.5, -1.5, 0.4], 3, 1.5)\nend\n"
     felt = {}
     for model in ("UR10", "UR10e"):
-        served = robot(model, "harsh", force=1e9, collision_torque=1e9, power=1e9, momentum=1e9)
+        served = robot(model, "harsh", limits={"force": inf, "collision_torque": inf, "power": inf})
         still = record(served, 1.0)["force"][:, :3].mean(axis=0)
         served.program.upload(swing)
         felt[model] = float(np.linalg.norm(record(served, 0.6)["force"][:, :3] - still, axis=1).mean())

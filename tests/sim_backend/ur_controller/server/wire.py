@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import struct
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -39,11 +40,13 @@ class Recorder:
         return data
 
 
-def robot(model: str = "UR10", name: ProfileName = "ideal", seed: int = 0, **limits: float) -> Robot:
+def robot(
+    model: str = "UR10", name: ProfileName = "ideal", seed: int = 0, limits: Mapping[str, float] | None = None
+) -> Robot:
     """A robot on ideal joints; `limits` replace some of its profile's."""
     kind = MODELS[model]
     chosen = profile(name, kind.e_series)
-    return Robot(kind, resting_joints(kind), replace(chosen.limits, **limits), profile=chosen, seed=seed)
+    return Robot(kind, resting_joints(kind), replace(chosen.limits, **(limits or {})), profile=chosen, seed=seed)
 
 
 class RtdeServer:
