@@ -160,7 +160,7 @@ def test_a_mass_that_the_controller_does_not_know_looks_like_a_collision() -> No
     served = robot("UR10e", "harsh")
     served.machine.set_payload(1.0, [0.0, 0.0, 0.0])
     served.machine.sensors.payload_error.mass = 12.0
-    served.machine.sensors.payload_error.cog = np.array([0.0, 0.3, 0.1])
+    served.machine.sensors.payload_error.cog = np.array([0.3, 0.3, 0.1])
     run(served, 0.5)
     assert codes(served)[0].startswith("C157")
 
