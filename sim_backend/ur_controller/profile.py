@@ -7,7 +7,7 @@ measured on a robot by this project. docs/reference/ur_controller.md has the tab
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Literal
 
@@ -164,12 +164,10 @@ class Profile:
 
 IDEAL = Profile("ideal")
 
-HARSH_LIMITS = SafetyLimits(
-    # 150 N and 5 m/s: as ever. 1000 W and 100 kg m/s: A, an installation with the least restricted limits, which
-    # Universal Robots asks for where joints need their torque and the risk assessment permits it. PolyScope 3's own
-    # defaults are 300 W and 25 kg m/s (M, from an installation of a UR5).
-    power=1000.0,
-    momentum=100.0,
+CB3_LIMITS = SafetyLimits(
+    # 150 N, 300 W and 25 kg m/s: M, the defaults in an installation of PolyScope 3 (of a UR5).
+    power=300.0,
+    momentum=25.0,
     # A, from here on. Half of a joint's torque is about what the 150 N do at the lever of its usual load.
     following_error=0.1,
     collision_torque=0.5,
@@ -195,7 +193,7 @@ CB3 = Profile(
         inertia=0.1,
         zeroed=False,
     ),
-    limits=HARSH_LIMITS,
+    limits=CB3_LIMITS,
     stops=StopDecelerations(program=5.0, protective=10.0, safeguard=10.0, emergency=15.0),  # A
     safeguard_resumes=True,  # A: an installation without a safeguard reset input
 )
@@ -210,7 +208,9 @@ E_SERIES = Profile(
     force=ForceErrors(
         noise=(1.5, 0.06), correlation=0.004, offset=(4.0, 0.4), pose_drift=(1.5, 0.1), time_drift=(1.0, 0.05)
     ),
-    limits=HARSH_LIMITS,
+    # 1000 W and 100 kg m/s: A, an installation with the least restricted limits, which Universal Robots asks for where
+    # joints need their torque and the risk assessment permits it.
+    limits=replace(CB3_LIMITS, power=1000.0, momentum=100.0),
     stops=StopDecelerations(program=5.0, protective=15.0, safeguard=10.0, emergency=20.0),  # A
     version=(5, 22, 0, 1214729),  # has the deviation and collision ratios, and is the newest that ur_rtde 1.6.5 accepts
 )

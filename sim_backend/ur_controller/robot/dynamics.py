@@ -53,8 +53,8 @@ class ArmDynamics:
 
     def __init__(self, model: ControllerModel) -> None:
         self._masses = np.array([*MASSES[model.name], 0.0])
-        # centres of the links and pose of the flange in the last tick, and in the one before
-        self._before: tuple[tuple[Array, Array], tuple[Array, Array]] | None = None
+        self._poses: Array | None = None  # of the flange, in this tick, the last, and the one before
+        self._links = np.empty(0)  # centres of the links, likewise
 
     def step(self, model: ControllerModel, q: Array, payload: float, cog: Array, gravity: Array, dt: float) -> Dynamics:
         """Advance by one tick.
@@ -73,22 +73,23 @@ class ArmDynamics:
         links = chain(model, q)
         masses = self._masses
         masses[6] = payload
-        now = (_centres(q, links), links.X_base_flange)
-        last_tick, tick_before = self._before or (now, now)
-        self._before = (now, last_tick)
+        fresh = self._poses is None
+        if self._poses is None:
+            self._poses, self._links = np.empty((3, 4, 4)), np.empty((3, 6, 3))
+        self._poses[1:], self._links[1:] = self._poses[:-1].copy(), self._links[:-1].copy()
+        self._poses[0], self._links[0] = links.X_base_flange, _centres(q, links)
+        if fresh:
+            self._poses[1:], self._links[1:] = self._poses[0], self._links[0]
+        centres = np.empty((3, 7, 3))
+        centres[:, :6] = self._links
         # A payload that is set anew has not moved there: its present centre is taken in all three ticks.
-        centres, last, older = (_with_payload(*each, cog) for each in (now, last_tick, tick_before))
-        velocity = (centres - last) / dt
-        acceleration = (centres - 2.0 * last + older) / (dt * dt)
-        momentum = masses @ velocity
-        moving = _torques(links, centres, masses[:, None] * acceleration)
-        static = _torques(links, centres, masses[:, None] * gravity)
+        centres[:, 6] = self._poses[:, :3, :3] @ cog + self._poses[:, :3, 3]
+        momentum = masses @ (centres[0] - centres[1]) / dt
+        forces = np.empty((2, 7, 3))
+        forces[0] = masses[:, None] * (centres[0] - 2.0 * centres[1] + centres[2]) / (dt * dt)
+        forces[1] = masses[:, None] * gravity
+        moving, static = _torques(links, centres[0], forces)
         return Dynamics(static + moving, moving, momentum, links)
-
-
-def _with_payload(links: Array, X_base_flange: Array, cog: Array) -> Array:
-    """Centres of mass of the six links and the payload in the base, (7, 3) [m]."""
-    return np.concatenate([links, [X_base_flange[:3, 3] + X_base_flange[:3, :3] @ cog]])
 
 
 def _centres(q: Array, links: Chain) -> Array:
@@ -112,15 +113,13 @@ def _centres(q: Array, links: Chain) -> Array:
 
 
 def _torques(links: Chain, centres: Array, forces: Array) -> Array:
-    """Torques of the joints that exert forces (7, 3) [N] on the masses; joint i carries those from i on. (6,) [Nm]."""
-    both = np.empty((7, 6))
-    both[:, :3] = forces
-    both[:, 3:] = cross_rows(centres, forces)
-    carried = both[::-1].cumsum(axis=0)[:0:-1]
-    torque = carried[:, 3:] - cross_rows(links.origins[:6], carried[:, :3])
-    return np.asarray(np.einsum("ij,ij->i", torque, links.axes))
+    """Torques of the joints that exert forces (n, 7, 3) [N] on the masses; joint i carries those from i on. (n, 6)."""
+    both = np.concatenate((forces, cross_rows(centres, forces)), axis=-1)
+    carried = both[:, ::-1].cumsum(axis=1)[:, :0:-1]
+    torque = carried[..., 3:] - cross_rows(links.origins[:6], carried[..., :3])
+    return np.asarray((torque * links.axes).sum(axis=-1))
 
 
 def cross_rows(a: Array, b: Array) -> Array:
-    """Cross products of the rows of two arrays (n, 3): numpy's own is slow for so few."""
-    return a[:, _NEXT] * b[:, _LAST] - a[:, _LAST] * b[:, _NEXT]
+    """Cross products of the rows of two arrays (..., 3): numpy's own is slow for so few."""
+    return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
