@@ -19,6 +19,7 @@ from rich.markup import escape
 
 from toolee_robot.cli.bench.command import Bench
 from toolee_robot.cli.bench.servo import BenchServo
+from toolee_robot.cli.bench.swing import BenchSwing
 from toolee_robot.cli.dataset import Dataset
 from toolee_robot.cli.doctor import Doctor
 from toolee_robot.cli.estimate import Estimate
@@ -36,6 +37,7 @@ Command = (
     | Annotated[Estimate, tyro.conf.subcommand("estimate")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[BenchServo, tyro.conf.subcommand("bench-servo")]
+    | Annotated[BenchSwing, tyro.conf.subcommand("bench-swing")]
     | Annotated[Dataset, tyro.conf.subcommand("dataset")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
@@ -44,7 +46,9 @@ Command = (
     | Annotated[UrController, tyro.conf.subcommand("ur-controller")]
 )
 
-AnyCommand = Hammer | Estimate | Bench | BenchServo | Dataset | Doctor | Evaluate | Faults | Train | UrController
+AnyCommand = (
+    Hammer | Estimate | Bench | BenchServo | BenchSwing | Dataset | Doctor | Evaluate | Faults | Train | UrController
+)
 
 
 def main(args: Sequence[str] | None = None) -> None:

@@ -33,7 +33,16 @@ class Face:
 
     @classmethod
     def build(cls, arm: ArmKinematics, X_flange_ee: Array, X_base_nail: Array) -> Face:
-        """Build from the nail's pose, (4, 4), whose z points into the wood."""
+        """Build from poses.
+
+        Args:
+            arm: Kinematics of the arm.
+            X_flange_ee: Pose of the end effector in the flange, (4, 4).
+            X_base_nail: Pose of the nail, (4, 4), z into the wood.
+
+        Returns:
+            The face.
+        """
         return cls(arm, X_flange_ee, X_base_nail[:3, :3].T, X_base_nail[:3, 3])
 
     def place(self, q: Array) -> tuple[Array, Array]:

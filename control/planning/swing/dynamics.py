@@ -81,6 +81,9 @@ class SwingDynamics:
         return float(1.0 / (along @ np.linalg.solve(self.at_rest(q)[0], along)))
 
 
+_UPPER, _ABOVE = np.triu(np.ones((6, 6))), np.triu(np.ones((6, 6)), 1)
+
+
 def _symmetric(M: Array) -> Array:
     """Complete a matrix of which Pinocchio fills the upper triangle."""
-    return np.asarray(np.triu(M) + np.triu(M, 1).T)
+    return np.asarray(_UPPER * M + (_ABOVE * M).T)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -154,31 +155,33 @@ class _Swing:
         self._carried = np.concatenate([*points, robot.arm.X_joint6_flange[None, :3, 3]])
         self._spline = Spline.build(knot_interval(config.arm), BEFORE, AFTER)
 
-    def contacts(self, q_start: Array) -> list[tuple[float, Array]]:
-        """Choose the contacts through which a swing may be fast and free, best first.
+    def contacts(self, q_start: Array) -> Iterator[tuple[float, Array]]:
+        """Find the contacts through which a swing may be fast and free, best first.
 
         Args:
             q_start: Present joint positions, (6,) [rad].
 
-        Returns:
+        Yields:
             Spin of the face [rad] and joint positions, (6,) [rad], of each.
 
         Raises:
             UnreachableError: No spin and branch reaches the nail.
+            LimitError: None of them can be struck faster than MIN_SPEED.
             CollisionError: All of them bring bodies together.
         """
         config, limits = self._config, self._limits
         found = candidates(self._robot.ik, self._X_base_nail, self._X_flange_ee, config.arm, q_start)
         score = self._score(found, q_start)
-        chosen: list[tuple[float, Array]] = []
+        chosen = 0
         nearest: Clearance | None = None
         for i in np.argsort(-score, kind="stable"):
-            if score[i] <= 0 or len(chosen) == SHORTLIST:
+            if score[i] <= 0 or chosen == SHORTLIST:
                 break
             clearance = self._world.closest(found.q[i], FAR, BRAKE_EXEMPT)
             nearest = nearest or clearance
             if clearance.distance >= config.strike.clearance:
-                chosen.append((float(found.theta[i]), found.q[i]))
+                chosen += 1
+                yield float(found.theta[i]), found.q[i]
         if nearest is None:
             raise LimitError(
                 f"from {MIN_SPEED} m/s the arm cannot turn a tool of {limits.tool.mass:.2f} kg back within "
@@ -191,7 +194,6 @@ class _Swing:
                 "the block, or use a higher stand",
                 code="collision.strike",
             )
-        return chosen
 
     def _score(self, found: Candidates, near: Array) -> Array:
         """Kinematic rank plus the speed from which the arm can turn back in time, as a share of the wanted one."""
