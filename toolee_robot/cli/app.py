@@ -20,6 +20,7 @@ from rich.markup import escape
 from toolee_robot.cli.arm.command import Arm
 from toolee_robot.cli.bench.command import Bench
 from toolee_robot.cli.bench.servo import BenchServo
+from toolee_robot.cli.bench.swing import BenchSwing
 from toolee_robot.cli.dataset import Dataset
 from toolee_robot.cli.doctor import Doctor
 from toolee_robot.cli.estimate import Estimate
@@ -38,6 +39,7 @@ Command = (
     | Annotated[Arm, tyro.conf.subcommand("arm")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[BenchServo, tyro.conf.subcommand("bench-servo")]
+    | Annotated[BenchSwing, tyro.conf.subcommand("bench-swing")]
     | Annotated[Dataset, tyro.conf.subcommand("dataset")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
@@ -46,7 +48,9 @@ Command = (
     | Annotated[UrController, tyro.conf.subcommand("ur-controller")]
 )
 
-AnyCommand = Hammer | Estimate | Arm | Bench | BenchServo | Dataset | Doctor | Evaluate | Faults | Train | UrController
+AnyCommand = (
+    Hammer | Estimate | Arm | Bench | BenchServo | BenchSwing | Dataset | Doctor | Evaluate | Faults | Train | UrController
+)
 
 
 def main(args: Sequence[str] | None = None) -> None:

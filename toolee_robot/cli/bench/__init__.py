@@ -1,1 +1,1 @@
-"""`toolee bench` and `toolee bench-servo`."""
+"""`toolee bench`, `toolee bench-servo` and `toolee bench-swing`."""

@@ -1,0 +1,343 @@
+"""Planning of a swing: choice of the contact's configuration, the optimal motion through it, the checks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from toolee_robot.arm_data import ARM_DATA
+from toolee_robot.config import ArmLimits, StationConfig
+from toolee_robot.control.collision import BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Clearance, CollisionWorld
+from toolee_robot.control.collision_shapes import TOOL_JOINT
+from toolee_robot.control.correction import Candidates, candidates, rank
+from toolee_robot.control.limits import check_trajectory
+from toolee_robot.control.modes import carried_speed
+from toolee_robot.control.planning.swing.contact import Face, decelerations, fastest
+from toolee_robot.control.planning.swing.dynamics import SwingDynamics
+from toolee_robot.control.planning.swing.limits import SwingLimits
+from toolee_robot.control.planning.swing.problem import SwingProblem
+from toolee_robot.control.planning.swing.spline import Spline
+from toolee_robot.control.planning.timing import SAMPLE_PERIOD
+from toolee_robot.control.planning.transfer import NEED, STEP, plan_transfer
+from toolee_robot.control.records import StrikePlan
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.errors import CollisionError, LimitError, PlanningError, UnreachableError, UserError
+from toolee_robot.frames import Array, is_rigid
+from toolee_robot.types import Trajectory
+
+SHORTLIST = 12
+"""Number of contacts through which a swing may be planned."""
+ENOUGH, MOST = 2, 5
+"""Number of swings of which the fastest is taken; more, up to MOST, while none can be reached on a straight way."""
+MIN_SPEED = 0.3
+"""Least useful speed [m/s]; a slower strike does not drive the nail."""
+BEFORE, AFTER = 10, 8
+"""Intervals of the spline before and after the contact."""
+
+
+def plan_swing(
+    robot: RobotModel,
+    config: StationConfig,
+    world: CollisionWorld,
+    q_start: Array,
+    q_hand: Array,
+    X_hand_ee: Array,
+    X_base_nail: Array,
+    *,
+    speed: float | None = None,
+    limits: SwingLimits | None = None,
+) -> StrikePlan:
+    """Plan one swing: an optimal motion of all joints through the contact and back.
+
+    At the contact the face's centre is on the nail's axis, its normal along it, and its velocity too. The result
+    depends on the arguments only.
+
+    Args:
+        robot: Kinematic model of arm and hand.
+        config: Configuration of the station.
+        world: Collision model with the same `q_hand` and `X_hand_ee`.
+        q_start: Present joint positions of the arm, at rest, (6,) [rad].
+        q_hand: Joint positions of the hand, wrist first, (n,) [rad].
+        X_hand_ee: Estimated pose of the end effector in the hand, (4, 4).
+        X_base_nail: Pose of the nail, (4, 4), z into the wood.
+        speed: Wanted speed at the contact [m/s]; None for `config.strike.speed`, infinite for the fastest. It is
+            reduced where a limit requires it.
+        limits: Further limits, and the tool's mass; None for the defaults.
+
+    Returns:
+        The plan; its `run_up` is the height of the face over the contact at the start, its `brake_length` the deepest
+        place of the command beyond the contact.
+
+    Raises:
+        UnreachableError: No spin and branch reaches the nail.
+        CollisionError: Every swing would collide; the message names the closest pair.
+        LimitError: No swing satisfies the limits, or none is faster than MIN_SPEED.
+        UserError: A pose is not a rigid transform.
+    """
+    began = time.perf_counter()
+    if not (is_rigid(X_hand_ee) and is_rigid(X_base_nail)):
+        raise UserError("X_hand_ee and X_base_nail must be finite rigid 4x4 transforms", code="user.not_rigid")
+    # From within an obstacle no swing can begin, whatever its contact.
+    world.check(q_start, 1e-6, "the start of the transfer")
+    wanted = config.strike.speed if speed is None else speed
+    swing = _Swing(robot, config, world, q_hand, X_hand_ee, X_base_nail, limits or SwingLimits(), wanted)
+    failure: PlanningError | None = None
+    found: list[_Solved] = []
+    for theta, q_contact in swing.contacts(q_start):
+        try:
+            found.append(swing.solve(theta, q_contact, q_start))
+        except (UnreachableError, LimitError, CollisionError) as error:
+            failure = failure or error
+            continue
+        best = max(found, key=_value)
+        if len(found) == MOST or ((len(found) >= ENOUGH or best.speed >= 0.99 * wanted) and best.direct):
+            break
+    for solved in sorted(found, key=_value, reverse=True):
+        try:
+            approach = plan_transfer(robot, config, world, q_start, solved.strike.q[0])
+        except (UnreachableError, LimitError, CollisionError) as error:
+            failure = failure or error
+            continue
+        return swing.plan(solved, approach, wanted, began)
+    assert failure is not None
+    raise failure
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """A swing that satisfies every limit, before the way to its start is planned.
+
+    Attributes:
+        theta: Spin of the face [rad].
+        strike: The motion.
+        contact: Index of the sample at the contact.
+        speed: Speed of the face at the contact [m/s].
+        beyond: Distance of the face beyond the contact at the samples, (N,) [m].
+        direct: Whether the straight way to its start is free: others take seconds to find.
+    """
+
+    theta: float
+    strike: Trajectory
+    contact: int
+    speed: float
+    beyond: Array
+    direct: bool
+
+
+def _value(solved: _Solved) -> float:
+    return solved.speed * (1.0 if solved.direct else 0.8)
+
+
+class _Swing:
+    """What all contacts of one nail have in common."""
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        config: StationConfig,
+        world: CollisionWorld,
+        q_hand: Array,
+        X_hand_ee: Array,
+        X_base_nail: Array,
+        limits: SwingLimits,
+        wanted: float,
+    ) -> None:
+        self._robot, self._config, self._world, self._limits = robot, config, world, limits
+        self._wanted, self._X_base_nail = wanted, X_base_nail
+        self._X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
+        self._face = Face.build(robot.arm, self._X_flange_ee, X_base_nail)
+        self._dynamics = SwingDynamics(robot, q_hand, X_hand_ee, limits.tool)
+        self._torque = limits.torque_share * np.array(ARM_DATA[config.arm.model].torque)
+        points = [body.spheres[:, :3] for body in world.bodies if body.joint == TOOL_JOINT]
+        self._carried = np.concatenate([*points, robot.arm.X_joint6_flange[None, :3, 3]])
+        self._spline = Spline.build(knot_interval(config.arm), BEFORE, AFTER)
+
+    def contacts(self, q_start: Array) -> Iterator[tuple[float, Array]]:
+        """Find the contacts through which a swing may be fast and free, best first.
+
+        Args:
+            q_start: Present joint positions, (6,) [rad].
+
+        Yields:
+            Spin of the face [rad] and joint positions, (6,) [rad], of each.
+
+        Raises:
+            UnreachableError: No spin and branch reaches the nail.
+            LimitError: None of them can be struck faster than MIN_SPEED.
+            CollisionError: All of them bring bodies together.
+        """
+        config, limits = self._config, self._limits
+        found = candidates(self._robot.ik, self._X_base_nail, self._X_flange_ee, config.arm, q_start)
+        score = self._score(found, q_start)
+        chosen = 0
+        nearest: Clearance | None = None
+        for i in np.argsort(-score, kind="stable"):
+            if score[i] <= 0 or chosen == SHORTLIST:
+                break
+            clearance = self._world.closest(found.q[i], FAR, BRAKE_EXEMPT)
+            nearest = nearest or clearance
+            if clearance.distance >= config.strike.clearance:
+                chosen += 1
+                yield float(found.theta[i]), found.q[i]
+        if nearest is None:
+            raise LimitError(
+                f"from {MIN_SPEED} m/s the arm cannot turn a tool of {limits.tool.mass:.2f} kg back within "
+                f"{limits.deepest * 1e3:.0f} mm of this nail: move the block nearer, or use a lighter hammer",
+                code="limit.swing",
+            )
+        if not chosen:
+            raise CollisionError(
+                f"every swing at this nail would bring bodies together, the best one {nearest}: clear the way, move "
+                "the block, or use a higher stand",
+                code="collision.strike",
+            )
+
+    def _score(self, found: Candidates, near: Array) -> Array:
+        """Kinematic rank plus the speed from which the arm can turn back in time, as a share of the wanted one."""
+        top = min(self._wanted, self._config.supervisor.unattended_speed)
+        score = rank(found, top, near)
+        if not np.isfinite(self._limits.deepest):
+            return score
+        slow = decelerations(self._face, self._dynamics, found.q, self._config.arm.acceleration, self._torque)
+        possible = np.minimum(np.sqrt(2 * np.maximum(slow, 0.0) * self._limits.deepest) / top, 1.0)
+        return np.where(possible * top > MIN_SPEED, score + 6.0 * possible, 0.0)
+
+    def solve(self, theta: float, q_contact: Array, q_start: Array) -> _Solved:
+        """Find the swing through one contact, and check it.
+
+        Args:
+            theta: Spin of the face [rad].
+            q_contact: Joint positions at the contact, (6,) [rad].
+            q_start: Present joint positions, (6,) [rad].
+
+        Returns:
+            The swing.
+
+        Raises:
+            PlanningError: It is too slow, violates a limit, or collides.
+        """
+        config, world, arm, limits = self._config, self._world, self._robot.arm, self._limits
+        problem = SwingProblem(
+            face=self._face,
+            dynamics=self._dynamics,
+            spline=self._spline,
+            q_contact=q_contact,
+            carried=self._carried,
+            wanted=min(self._wanted, config.supervisor.unattended_speed),
+            velocity=np.asarray(config.arm.velocity),
+            acceleration=config.arm.acceleration,
+            jerk=config.arm.jerk,
+            torque=self._torque,
+            speed=config.supervisor.unattended_speed,
+            deepest=limits.deepest,
+            height_error=limits.height_error,
+        )
+        strike, contact = self._within(q_contact, problem.solve())
+        J = self._face.place(q_contact[None])[1][0]
+        speed = float(J[2] @ strike.qd[contact])
+        if speed < MIN_SPEED:
+            raise LimitError(
+                f"a swing at this nail reaches no more than {speed:.2f} m/s: move the block nearer to the middle of "
+                "the arm's reach, or permit a deeper place beyond the contact",
+                code="limit.swing_speed",
+            )
+        beyond = self._face.place(strike.q)[0][:, 2]
+        deepest = float(np.max(beyond[contact:]))
+        if deepest > limits.deepest:
+            raise LimitError(f"the swing turns back only {deepest * 1e3:.1f} mm beyond the contact", code="limit.swing")
+        self._check_clear(strike, contact)
+        check_trajectory(strike, arm, config.arm, config.scene)
+        count = max(2, int(np.ceil(np.max(np.abs(strike.q[0] - q_start)) / STEP)) + 1)
+        way = q_start + np.linspace(0.0, 1.0, count)[:, None] * (strike.q[0] - q_start)
+        direct = world.free(way[:: max(1, count // 8)], NEED) and world.free(way, NEED)
+        return _Solved(theta, strike, contact, speed, beyond, direct)
+
+    def _check_clear(self, strike: Trajectory, contact: int) -> None:
+        """Raise CollisionError if bodies come too near."""
+        need = self._config.strike.clearance
+        self._world.check(strike.q[: contact + 1 : 4], need, "the swing", RUN_UP_EXEMPT)
+        self._world.check(strike.q[contact + 1 :: 4], need, "turning back after the strike", BRAKE_EXEMPT)
+
+    def plan(self, solved: _Solved, approach: Trajectory, wanted: float, began: float) -> StrikePlan:
+        """Describe a swing.
+
+        Args:
+            solved: The swing.
+            approach: The way to its start.
+            wanted: Wanted speed [m/s].
+            began: When the planning began, by `time.perf_counter` [s].
+
+        Returns:
+            The plan.
+        """
+        strike, contact, arm = solved.strike, solved.contact, self._robot.arm
+        q_contact = strike.q[contact]
+        J = self._face.place(q_contact[None])[1][0]
+        nearest = (
+            self._world.closest(strike.q[: contact + 1 : 4], FAR, RUN_UP_EXEMPT),
+            self._world.closest(strike.q[contact + 1 :: 4], FAR, BRAKE_EXEMPT),
+        )
+        return StrikePlan(
+            theta=solved.theta,
+            q_standoff=strike.q[0],
+            q_contact=q_contact,
+            approach=approach,
+            strike=strike,
+            contact_time=float(strike.times[contact]),
+            speed=solved.speed,
+            wanted_speed=wanted,
+            attainable_speed=fastest(J, np.asarray(self._config.arm.velocity)),
+            run_up=-float(solved.beyond[0]),
+            brake_length=float(np.max(solved.beyond[contact:])),
+            clearance=min(nearest, key=lambda c: c.distance),
+            margin=float(np.min(np.minimum(strike.q - arm.lower, arm.upper - strike.q))),
+            X_base_ee_contact=arm.fk(q_contact) @ self._X_flange_ee,
+            planning_time=time.perf_counter() - began,
+        )
+
+    def _within(self, q_contact: Array, x: Array) -> tuple[Trajectory, int]:
+        """Sample a solution, slowed down by what it exceeds the limits that were linearised.
+
+        Slowing keeps the path, and so its deepest place.
+
+        Returns:
+            The trajectory, and the index of the sample at the contact.
+
+        Raises:
+            LimitError: Gravity alone exceeds a torque; code `limit.torque`.
+        """
+        trajectory, contact = self._sampled(q_contact, x, 1.0)
+        q, rest = trajectory.q, np.zeros_like(trajectory.q)
+        static = self._dynamics.torques(q, rest, rest)
+        dynamic = self._dynamics.torques(q, trajectory.qd, trajectory.qdd) - static
+        room = self._torque - np.sign(dynamic) * static
+        if np.any(room <= 0):
+            raise LimitError("holding the arm takes more torque than is permitted", code="limit.torque")
+        slower = max(
+            float(np.sqrt(np.max(np.abs(dynamic) / room))),
+            float(np.max(carried_speed(trajectory, self._world))) / (0.998 * self._config.supervisor.unattended_speed),
+        )
+        return (trajectory, contact) if slower <= 1.0 else self._sampled(q_contact, x, slower * (1 + 1e-4))
+
+    def _sampled(self, q_contact: Array, x: Array, slower: float) -> tuple[Trajectory, int]:
+        spline = self._spline
+        per_interval = int(np.ceil(spline.step * slower / SAMPLE_PERIOD - 1e-9))
+        times = np.linspace(0.0, spline.knots[-1], spline.intervals * per_interval + 1)
+        q, qd, qdd = (spline.at(times, order) @ x.T for order in range(3))
+        return Trajectory(slower * times, q_contact + q, qd / slower, qdd / slower**2), spline.contact * per_interval
+
+
+def knot_interval(limits: ArmLimits) -> float:
+    """Compute the time between two knots [s], a multiple of the sample period.
+
+    The intervals before the contact take a joint from rest to some 2 rad/s and from full acceleration to full
+    deceleration, with 40 % to spare.
+
+    Args:
+        limits: Limits of acceleration and jerk.
+    """
+    needed = 1.4 * (2.0 / limits.acceleration + 3.0 * limits.acceleration / limits.jerk)
+    return SAMPLE_PERIOD * max(4, round(needed / BEFORE / SAMPLE_PERIOD))

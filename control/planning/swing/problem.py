@@ -1,0 +1,230 @@
+"""The swing as a sequence of quadratic programs.
+
+    maximise    v - EFFORT (mean |jerk / jerk_max|^2 + 0.3 mean |qdd / qdd_max|^2)
+    subject to  q(t_c) = q_c,  lateral velocity at t_c = 0,  axial velocity at t_c = v <= wanted
+                |qd| <= qd_max, |qdd| <= qdd_max, |jerk| <= jerk_max, q_min <= q <= q_max
+                |tau(q, qd, qdd)| <= share * tau_max                  inverse dynamics
+                z(q) <= 0 before the contact, z(q) <= deepest after it, near the nail's axis around it
+                speed of the fastest point of hand and tool <= the station's
+
+z is the distance of the face's centre beyond the contact along the nail's axis. Every joint's motion is a cubic
+B-spline, in whose coefficients the first two lines are linear. The others are linearised about the previous solution,
+the first time about rest at the contact. Source of the method: Betts, "Practical Methods for Optimal Control and
+Estimation Using Nonlinear Programming", 2010 (direct transcription).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import daqp
+import numpy as np
+
+from toolee_robot.control.planning.swing.contact import Face
+from toolee_robot.control.planning.swing.dynamics import SwingDynamics
+from toolee_robot.control.planning.swing.spline import Spline
+from toolee_robot.errors import LimitError
+from toolee_robot.frames import Array
+
+EFFORT = 0.002
+"""Weight of the effort against the speed; small, so that it decides only between motions of equal speed."""
+ITERATIONS = 6
+"""Number of quadratic programs, at most; at least 3."""
+HOLD = 3.0
+"""Weight of the change of the joint positions from one program to the next [m/s/rad^2]."""
+INSIDE = 0.98
+"""Share of a linearised bound that the programs use; the rest is for the error of the linearisation."""
+SQUARE = np.deg2rad(0.65)
+"""Tilt of the face about each of two axes within the nail's height error [rad]; 0.92 deg in all."""
+LATERAL, SLOPE = 0.002, 0.25
+"""The face comes down within a cone about the nail's axis: LATERAL wide at the contact [m], wider by SLOPE."""
+LATERAL_AFTER = 0.006
+"""Lateral distance that is permitted while the face turns back [m]."""
+RETREAT = 0.03
+"""Least height of the face over the contact at the end [m]."""
+_FREE = 1e9
+
+
+@dataclass(frozen=True)
+class SwingProblem:
+    """What a swing has to keep, at one configuration of the contact.
+
+    Attributes:
+        face: The face and the nail.
+        dynamics: Dynamics of arm, hand and tool.
+        spline: Parametrisation of the motion.
+        q_contact: Joint positions at the contact, (6,) [rad].
+        carried: Points of hand and tool in the frame of the last joint, (P, 3) [m].
+        wanted: Wanted speed [m/s].
+        velocity: Velocity limits, (6,) [rad/s].
+        acceleration: Acceleration limit of every joint [rad/s^2].
+        jerk: Jerk limit of every joint [rad/s^3].
+        torque: Permitted torques, (6,) [Nm].
+        speed: Largest speed of any point of hand and tool [m/s].
+        deepest: Largest distance of the face beyond the contact [m].
+        height_error: Error of the nail's height [m].
+    """
+
+    face: Face
+    dynamics: SwingDynamics
+    spline: Spline
+    q_contact: Array
+    carried: Array
+    wanted: float
+    velocity: Array
+    acceleration: float
+    jerk: float
+    torque: Array
+    speed: float
+    deepest: float
+    height_error: float
+
+    def solve(self) -> Array:
+        """Solve the sequence of programs.
+
+        Returns:
+            Coefficients of the spline, (6, m), relative to `q_contact`.
+
+        Raises:
+            LimitError: There is no motion within the limits; code `limit.swing`.
+        """
+        H, f = self._cost()
+        near = self.spline.at(self.spline.contact_time + self.spline.step * np.arange(-3.0, 4.0))
+        hold = HOLD * _kron(np.eye(6), near.T @ near)
+        fixed = self._joint_limits()
+        x: Array = np.zeros(len(f))
+        held: Array = np.zeros_like(H)
+        for iteration in range(ITERATIONS):
+            rows = _Rows([*fixed.parts])
+            self._contact(rows)
+            self._torques(rows, x)
+            self._place(rows, x)
+            if iteration:
+                self._points(rows, x)
+            A, lower, upper, sense = rows.stacked()
+            x, _, flag, _ = daqp.solve(H + held, f - held @ x, A, upper, lower, sense, iter_limit=3000)
+            if flag <= 0:
+                raise LimitError(
+                    "no swing through this contact keeps the limits of joints and torques: move the block, or use a "
+                    "lighter hammer",
+                    code="limit.swing",
+                )
+            held = hold
+            if iteration >= 2 and self._depth(x) <= self.deepest:
+                break
+        return np.asarray(x.reshape(6, -1))
+
+    def _depth(self, x: Array) -> float:
+        """Deepest place of the face beyond the contact within the first intervals after it [m]."""
+        M = self.spline.at(self.spline.contact_time + self.spline.step * np.linspace(0, 3, 19)[1:])
+        return float(np.max(self.face.place(self.q_contact + self._joint_values(M, x))[0][:, 2]))
+
+    def _cost(self) -> tuple[Array, Array]:
+        spline, m = self.spline, self.spline.size
+        jerk = spline.jerk() / self.jerk
+        push = spline.at(spline.knots, 2) / self.acceleration
+        effort = jerk.T @ jerk / len(jerk) + 0.3 * push.T @ push / len(push)
+        return _kron(np.eye(6), EFFORT * effort + 1e-7 * np.eye(m)), -self._contact_velocity()[2]
+
+    def _contact_velocity(self) -> Array:
+        """Map of the coefficients to the face's velocity at the contact, (6, 6 m)."""
+        J = self.face.place(self.q_contact[None])[1][0]
+        return _kron(J, self.spline.at(np.array([self.spline.contact_time]), 1))
+
+    def _joint_limits(self) -> _Rows:
+        spline, arm, rows = self.spline, self.face.arm, _Rows([])
+        rows.each_joint(spline.at(spline.knots[1:-1], 2), np.full(6, self.acceleration))
+        rows.each_joint(spline.jerk(), np.full(6, self.jerk))
+        rows.each_joint(spline.velocity_hull()[2:-2], self.velocity)
+        # The ends are the extremes of a swing out and back; `check_trajectory` looks at the rest.
+        ends = spline.control[[0, -1]]
+        lower, upper = np.repeat(arm.lower - self.q_contact, 2), np.repeat(arm.upper - self.q_contact, 2)
+        rows.add(_kron(np.eye(6), ends), lower, upper)
+        return rows
+
+    def _contact(self, rows: _Rows) -> None:
+        C = self._contact_velocity()
+        rows.add(C[:2], np.zeros(2), np.zeros(2), equality=True)
+        rows.below(C[2:3], np.array([self.wanted]))
+        # The face turns by less than SQUARE while it covers the height error.
+        rate = SQUARE / self.height_error * C[2:3]
+        for turn in (C[3:5], -C[3:5]):
+            rows.below(turn - rate, np.zeros(2))
+
+    def _torques(self, rows: _Rows, x: Array) -> None:
+        times = self.spline.knots[1:]
+        maps = [self.spline.at(times, order) for order in range(3)]
+        state = [self._joint_values(m, x) for m in maps]
+        tau, *slopes = self.dynamics.derivatives(self.q_contact + state[0], state[1], state[2])
+        A = sum(s[:, :, :, None] * m[:, None, None, :] for s, m in zip(slopes, maps, strict=True))
+        A = np.asarray(A).reshape(6 * len(times), -1)
+        rest, bound = tau.ravel() - A @ x, np.tile(INSIDE * self.torque, len(times))
+        rows.add(A / bound[:, None], -1 - rest / bound, 1 - rest / bound)
+
+    def _place(self, rows: _Rows, x: Array) -> None:
+        spline = self.spline
+        steps = np.array([-5.0, -4, -3, -2.5, -2, -1.5, -1, -0.5, 0.25, 0.5, 0.75, 1, 1.25, 1.5, 2, 2.5, 3, 4, 5])
+        steps = steps[(steps >= -spline.contact) & (steps <= spline.intervals - spline.contact)]
+        times = np.append(spline.contact_time + steps * spline.step, spline.knots[-1])
+        M = spline.at(times)
+        p, J = self.face.place(self.q_contact + self._joint_values(M, x))
+        A = J[:, :3, :, None] * M[:, None, None, :]
+        A = A.reshape(len(times), 3, -1)
+        rest = p - A @ x
+        up, down = np.append(steps < 0, False), np.append(steps > 0, False)
+        rows.below(A[up, 2], -rest[up, 2])
+        for sign, axis in ((1, 0), (-1, 0), (1, 1), (-1, 1)):
+            rows.below(sign * A[up, axis] + SLOPE * A[up, 2], LATERAL - sign * rest[up, axis] - SLOPE * rest[up, 2])
+        if np.isfinite(self.deepest):
+            rows.below(A[down, 2], INSIDE * self.deepest - rest[down, 2])
+            soon = np.append((steps > 0) & (steps <= 3), False)
+            rows.add(A[soon, 0], -LATERAL_AFTER - rest[soon, 0], LATERAL_AFTER - rest[soon, 0])
+            rows.add(A[soon, 1], -LATERAL_AFTER - rest[soon, 1], LATERAL_AFTER - rest[soon, 1])
+            rows.below(A[-1:, 2], -RETREAT - rest[-1:, 2])
+
+    def _points(self, rows: _Rows, x: Array) -> None:
+        times = self.spline.knots[1:-1]
+        place, rate = self.spline.at(times), self.spline.at(times, 1)
+        q, qd = self.q_contact + self._joint_values(place, x), self._joint_values(rate, x)
+        R, p = self.face.arm.joints(q)
+        X, J = self.face.arm.fk_jacobian(q)
+        r = self.carried @ np.swapaxes(R[:, 5], 1, 2) + (p[:, 5] - X[:, :3, 3])[:, None]
+        flange = (J @ qd[:, :, None])[:, :, 0]
+        v = flange[:, None, :3] + np.cross(flange[:, None, 3:], r)
+        size = np.linalg.norm(v, axis=-1)
+        fastest = (np.arange(len(times)), np.argmax(size, axis=1))
+        u, r = v[fastest] / np.maximum(size[fastest], 1e-9)[:, None], r[fastest]
+        along = np.einsum("ni,nij->nj", u, J[:, :3]) + np.einsum("ni,nij->nj", np.cross(r, u), J[:, 3:])
+        A = (along[:, :, None] * rate[:, None, :]).reshape(len(times), -1)
+        rows.below(A, np.full(len(times), INSIDE * self.speed))
+
+    def _joint_values(self, M: Array, x: Array) -> Array:
+        """Apply a map of one joint's coefficients, (N, m), to all joints; (N, 6)."""
+        return np.asarray(M @ x.reshape(6, -1).T)
+
+
+class _Rows:
+    """Linear constraints lower <= A x <= upper, collected in parts."""
+
+    def __init__(self, parts: list[tuple[Array, Array, Array, bool]]) -> None:
+        self.parts = parts
+
+    def add(self, A: Array, lower: Array, upper: Array, *, equality: bool = False) -> None:
+        self.parts.append((A, lower, upper, equality))
+
+    def below(self, A: Array, upper: Array) -> None:
+        self.add(A, np.full(len(A), -_FREE), upper)
+
+    def each_joint(self, M: Array, limit: Array) -> None:
+        """Bound |M x_j| by the joint's limit, (6,)."""
+        A = _kron(np.diag(1.0 / limit), M)
+        self.add(A, -np.ones(len(A)), np.ones(len(A)))
+
+    def stacked(self) -> tuple[Array, Array, Array, Array]:
+        A, lower, upper = (np.concatenate([part[i] for part in self.parts]) for i in range(3))
+        sense = np.concatenate([np.full(len(part[0]), 5 if part[3] else 0, dtype=np.int32) for part in self.parts])
+        return A, lower, upper, sense
+
+
+def _kron(a: Array, b: Array) -> Array:
+    return np.asarray(np.kron(a, b), dtype=np.float64)
