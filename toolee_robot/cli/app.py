@@ -49,7 +49,18 @@ Command = (
 )
 
 AnyCommand = (
-    Hammer | Estimate | Arm | Bench | BenchServo | BenchSwing | Dataset | Doctor | Evaluate | Faults | Train | UrController
+    Hammer
+    | Estimate
+    | Arm
+    | Bench
+    | BenchServo
+    | BenchSwing
+    | Dataset
+    | Doctor
+    | Evaluate
+    | Faults
+    | Train
+    | UrController
 )
 
 

@@ -13,8 +13,8 @@ from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.station import RemoteJudge, remote_station
 from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.station import draw_handover
-from toolee_robot.stations.ur import ur_driver
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
+from toolee_robot.stations.ur import ur_driver
 
 
 class UrStation:

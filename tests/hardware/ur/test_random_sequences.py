@@ -26,7 +26,7 @@ from toolee_robot.config import ArmLimits
 from toolee_robot.errors import DeviceError, MotionFaultError
 from toolee_robot.frames import Array
 from toolee_robot.hardware.ur.config import UrArmConfig
-from toolee_robot.hardware.ur.driver import UrArm
+from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend.ur_controller.faults.client import Trace
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
@@ -42,7 +42,7 @@ QUIET = 0.25
 """[s] of observation after the last step: a program that could still go on would."""
 HOSTS = {ArmModel.UR10: "127.0.0.24", ArmModel.UR10E: "127.0.0.25"}
 
-STEPS: dict[str, Callable[[UrArm, ControllerProcess], object]] = {
+STEPS: dict[str, Callable[[UnsupervisedUrArm, ControllerProcess], object]] = {
     "stop": lambda arm, _: arm.stop(),
     "protective stop": lambda _, robot: robot.fault("protective_stop"),
     "unlock": lambda _, robot: robot.fault("unlock"),
@@ -84,7 +84,7 @@ class Session:
         commanded: Start and end of every motion that was not refused, time.monotonic [s].
     """
 
-    def __init__(self, arm: UrArm, robot: ControllerProcess, config: UrArmConfig) -> None:
+    def __init__(self, arm: UnsupervisedUrArm, robot: ControllerProcess, config: UrArmConfig) -> None:
         self.arm, self.robot, self.config = arm, robot, config
         self.commanded: list[tuple[float, float]] = []
         self._threads: list[threading.Thread] = []
@@ -134,7 +134,7 @@ class Session:
     def uncommanded(self, trace: Trace) -> Array:
         """Stamps of the ticks in which a joint moves although no command is younger than the robot's watchdog."""
         moving = trace.stamps[np.abs(trace.qd).max(axis=1) > MOVING]
-        grace = 1.0 / self.config.watchdog + BRAKING
+        grace = 1.0 / self.config.servo.watchdog + BRAKING
         allowed = np.zeros(len(moving), dtype=bool)
         for start, end in self.commanded:
             allowed |= (start <= moving) & (moving <= end + grace)
@@ -145,7 +145,7 @@ class Session:
 def session(request: pytest.FixtureRequest) -> Iterator[Session]:
     model: ArmModel = request.param
     config = patient(HOSTS[model])
-    with stand_in(model, config.host) as robot, UrArm(config, ArmLimits(model=model)) as arm:
+    with stand_in(model, config.host) as robot, UnsupervisedUrArm(config, ArmLimits(model=model)) as arm:
         yield Session(arm, robot, config)
 
 

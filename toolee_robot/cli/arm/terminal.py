@@ -87,4 +87,4 @@ class TerminalPerson:
         """See `hal.Person`."""
         return False
 
-    release = take_tool = confirm_swing = request_handover
+    release = take_tool = confirm_swing = confirm_inspection = hold_switch = request_handover
