@@ -9,18 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA
-from toolee_robot.config import ArmLimits, StationConfig
+from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Clearance, CollisionWorld
 from toolee_robot.control.collision_shapes import TOOL_JOINT
 from toolee_robot.control.correction import Candidates, candidates, rank
 from toolee_robot.control.limits import check_trajectory
-from toolee_robot.control.modes import carried_speed
 from toolee_robot.control.planning.swing.contact import Face, decelerations, fastest
 from toolee_robot.control.planning.swing.dynamics import SwingDynamics
 from toolee_robot.control.planning.swing.limits import SwingLimits
 from toolee_robot.control.planning.swing.problem import SwingProblem
-from toolee_robot.control.planning.swing.spline import Spline
-from toolee_robot.control.planning.timing import SAMPLE_PERIOD
+from toolee_robot.control.planning.swing.sampling import sampled_within, spline_for
 from toolee_robot.control.planning.transfer import NEED, STEP, plan_transfer
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
@@ -34,8 +32,6 @@ ENOUGH, MOST = 2, 5
 """Number of swings of which the fastest is taken; more, up to MOST, while none can be reached on a straight way."""
 MIN_SPEED = 0.3
 """Least useful speed [m/s]; a slower strike does not drive the nail."""
-BEFORE, AFTER = 10, 8
-"""Intervals of the spline before and after the contact."""
 
 
 def plan_swing(
@@ -153,7 +149,7 @@ class _Swing:
         self._torque = limits.torque_share * np.array(ARM_DATA[config.arm.model].torque)
         points = [body.spheres[:, :3] for body in world.bodies if body.joint == TOOL_JOINT]
         self._carried = np.concatenate([*points, robot.arm.X_joint6_flange[None, :3, 3]])
-        self._spline = Spline.build(knot_interval(config.arm), BEFORE, AFTER)
+        self._spline = spline_for(config.arm)
 
     def contacts(self, q_start: Array) -> Iterator[tuple[float, Array]]:
         """Find the contacts through which a swing may be fast and free, best first.
@@ -235,7 +231,8 @@ class _Swing:
             deepest=limits.deepest,
             height_error=limits.height_error,
         )
-        strike, contact = self._within(q_contact, problem.solve())
+        x = problem.solve()
+        strike, contact = sampled_within(self._spline, self._dynamics, world, q_contact, x, self._torque, problem.speed)
         J = self._face.place(q_contact[None])[1][0]
         speed = float(J[2] @ strike.qd[contact])
         if speed < MIN_SPEED:
@@ -297,47 +294,3 @@ class _Swing:
             X_base_ee_contact=arm.fk(q_contact) @ self._X_flange_ee,
             planning_time=time.perf_counter() - began,
         )
-
-    def _within(self, q_contact: Array, x: Array) -> tuple[Trajectory, int]:
-        """Sample a solution, slowed down by what it exceeds the limits that were linearised.
-
-        Slowing keeps the path, and so its deepest place.
-
-        Returns:
-            The trajectory, and the index of the sample at the contact.
-
-        Raises:
-            LimitError: Gravity alone exceeds a torque; code `limit.torque`.
-        """
-        trajectory, contact = self._sampled(q_contact, x, 1.0)
-        q, rest = trajectory.q, np.zeros_like(trajectory.q)
-        static = self._dynamics.torques(q, rest, rest)
-        dynamic = self._dynamics.torques(q, trajectory.qd, trajectory.qdd) - static
-        room = self._torque - np.sign(dynamic) * static
-        if np.any(room <= 0):
-            raise LimitError("holding the arm takes more torque than is permitted", code="limit.torque")
-        slower = max(
-            float(np.sqrt(np.max(np.abs(dynamic) / room))),
-            float(np.max(carried_speed(trajectory, self._world))) / (0.998 * self._config.supervisor.unattended_speed),
-        )
-        return (trajectory, contact) if slower <= 1.0 else self._sampled(q_contact, x, slower * (1 + 1e-4))
-
-    def _sampled(self, q_contact: Array, x: Array, slower: float) -> tuple[Trajectory, int]:
-        spline = self._spline
-        per_interval = int(np.ceil(spline.step * slower / SAMPLE_PERIOD - 1e-9))
-        times = np.linspace(0.0, spline.knots[-1], spline.intervals * per_interval + 1)
-        q, qd, qdd = (spline.at(times, order) @ x.T for order in range(3))
-        return Trajectory(slower * times, q_contact + q, qd / slower, qdd / slower**2), spline.contact * per_interval
-
-
-def knot_interval(limits: ArmLimits) -> float:
-    """Compute the time between two knots [s], a multiple of the sample period.
-
-    The intervals before the contact take a joint from rest to some 2 rad/s and from full acceleration to full
-    deceleration, with 40 % to spare.
-
-    Args:
-        limits: Limits of acceleration and jerk.
-    """
-    needed = 1.4 * (2.0 / limits.acceleration + 3.0 * limits.acceleration / limits.jerk)
-    return SAMPLE_PERIOD * max(4, round(needed / BEFORE / SAMPLE_PERIOD))

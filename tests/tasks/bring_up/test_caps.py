@@ -50,7 +50,7 @@ _number = st.one_of(st.floats(-0.3, 0.3), st.floats(), st.floats(-10.0, 10.0))
 _three = st.tuples(_number, _number, _number)
 _frame = st.sampled_from(["pendant_base", "base_link", "tool"])
 _starts = st.lists(st.floats(-0.3, 0.3), min_size=6, max_size=6).map(lambda change: HOME + change)
-_caps = st.one_of(st.just((SPEED, ACCELERATION)), st.tuples(st.floats(0.01, 50.0), st.floats(0.1, 500.0)))
+_caps = st.one_of(st.just((SPEED, ACCELERATION)), st.tuples(st.floats(1e-3, 50.0), st.floats(1e-2, 500.0)))
 _plain = st.one_of(
     st.builds(lambda joint, by: {"joint": joint, "by": by}, st.integers(-1, 8), _number),
     st.builds(lambda to: {"to": to}, st.tuples(*[_number] * 6)),

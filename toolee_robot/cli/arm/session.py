@@ -69,6 +69,7 @@ class Session:
 
         Raises:
             PersonNearError: It was not confirmed, or a key was pressed.
+            DeviceError: The arm was stopped.
             TooleeError: What `Supervisor.execute` raises.
         """
         self.show(what, trajectory)

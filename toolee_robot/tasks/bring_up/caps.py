@@ -19,6 +19,8 @@ from toolee_robot.errors import UserError
 
 SPEED, ACCELERATION = 0.1, 1.0
 """Caps of every joint that hold unless a person raises them [rad/s], [rad/s^2]."""
+LEAST_SPEED, LEAST_ACCELERATION = 1e-3, 1e-2
+"""Caps below which nothing useful moves [rad/s], [rad/s^2]."""
 RAMP = 0.1
 """Time in which a jerk-limited ramp reaches the cap of the acceleration, and a stop ends from the cap of the speed
 [s]."""
@@ -34,16 +36,19 @@ class Caps:
             and the acceleration was not, so that it still ends within RAMP.
 
     Raises:
-        UserError: A cap is not a positive number.
+        UserError: A cap is no number, or smaller than anything useful.
     """
 
     speed: float = SPEED
     acceleration: float = ACCELERATION
 
     def __post_init__(self) -> None:
-        for name, value in (("speed", self.speed), ("acceleration", self.acceleration)):
-            if not (math.isfinite(value) and value > 0):
-                raise UserError(f"the cap of the {name} is {value}: give a positive number", code="user.cap")
+        for name, value, least in (
+            ("speed", self.speed, LEAST_SPEED),
+            ("acceleration", self.acceleration, LEAST_ACCELERATION),
+        ):
+            if not (math.isfinite(value) and value >= least):
+                raise UserError(f"the cap of the {name} is {value}: give a number from {least:g} on", code="user.cap")
 
     def apply(self, config: StationConfig) -> StationConfig:
         """Lower the limits of a station's arm.

@@ -16,6 +16,9 @@ from toolee_robot.types import Trajectory
 LONGEST = 2.0
 """Length of a straight motion above which it is a mistake, such as millimetres [m]."""
 
+SLOWEST = 1e-4
+"""Speed of a straight motion below which it would take hours [m/s]."""
+
 
 class MotionFrame(StrEnum):
     """Frames in which a person gives the direction of a motion: those of the base, and the flange's own axes.
@@ -109,7 +112,8 @@ def plan_line(
         The trajectory, from rest to rest.
 
     Raises:
-        UserError: The displacement is no length between a tenth of a millimetre and LONGEST, or the speed not positive.
+        UserError: The displacement is no length between a tenth of a millimetre and LONGEST, or the speed not between
+            SLOWEST and the handover speed.
         PlanningError: As `plan_straight`.
     """
     length = float(np.linalg.norm(vector)) if np.all(np.abs(vector) <= LONGEST) else np.inf
@@ -120,8 +124,8 @@ def plan_line(
         )
     robot, config = slow.robot, slow.config
     top = config.supervisor.handover_speed
-    if speed is not None and not 0.0 < speed <= top:
-        raise UserError(f"a speed of {speed:g} m/s: give over 0, up to {top:g}", code="user.speed")
+    if speed is not None and not SLOWEST <= speed <= top:
+        raise UserError(f"a speed of {speed:g} m/s: give {SLOWEST:g} to {top:g}", code="user.speed")
     x, y, z = (frame.to_base(vector, robot.arm.fk(q)) / length).tolist()
     move = plan_straight(robot, config, slow.world, q, length, (x, y, z), top if speed is None else speed)
     return slowed_to(move, slow.world, top)
