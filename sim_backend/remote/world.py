@@ -12,6 +12,7 @@ from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.channel import Channel
 from toolee_robot.sim_backend.remote.world_setup import WorldJob
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 
 
 class RemoteWorld:
@@ -26,12 +27,21 @@ class RemoteWorld:
         options: Options of the run.
         host: Loopback address of the controller.
         clock: Clock of the world.
+        profile: How the controller follows, measures and stops; its noise has the run's seed.
 
     Attributes:
         controller: The controller's process, for faults and timing statistics.
     """
 
-    def __init__(self, config: StationConfig, seed: int, options: SimOptions, host: str, clock: HostClock) -> None:
+    def __init__(
+        self,
+        config: StationConfig,
+        seed: int,
+        options: SimOptions,
+        host: str,
+        clock: HostClock,
+        profile: ProfileName = "ideal",
+    ) -> None:
         self._clock = clock
         ours, theirs = socket.socketpair()
         self._theirs = theirs
@@ -44,6 +54,8 @@ class RemoteWorld:
             host=host,
             realtime=True,
             real_time_factor=clock.real_time_factor,
+            profile=profile,
+            seed=seed,
         )
         self._channel = Channel(Connection(ours.detach()))
 

@@ -11,16 +11,17 @@ import select
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import get_args
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.runtime.clock import HostClock, check_real_time_factor, is_loopback
 from toolee_robot.sim_backend.ur_controller.faults.fault_port import Faults
 from toolee_robot.sim_backend.ur_controller.faults.session import FaultSession
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName, SafetyLimits, profile
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS, ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
-from toolee_robot.sim_backend.ur_controller.robot.safety_limits import SafetyLimits
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server.dashboard import DashboardSession
 from toolee_robot.sim_backend.ur_controller.server.port import Port
@@ -48,10 +49,12 @@ class ControllerOptions:
         fault_port: TCP port of the fault port; the other ports are the robot's.
         speed_slider: Position of the speed slider, 0 to 1.
         remote: Whether an e-Series controller is in remote control.
-        safeguard_resumes: Whether closing the safeguard resumes the program that it paused, as on a CB3 controller
-            without a safeguard reset input.
+        safeguard_resumes: Whether closing the safeguard resumes the program that it paused; the profile's if None.
         powered: Whether the arm is powered on and its brakes are released.
-        limits: Limits of the safety system.
+        profile: How the controller follows, measures and stops: `ideal`, or `harsh` for the values of the model's
+            generation.
+        seed: Seed of the noise of the sensors.
+        limits: Limits of the safety system; the profile's if None.
         real_time_factor: Real-time factor of the robot's time; its clients' clocks must run at the same factor.
     """
 
@@ -60,9 +63,11 @@ class ControllerOptions:
     fault_port: int = FAULT_PORT
     speed_slider: float = 1.0
     remote: bool = True
-    safeguard_resumes: bool = False
+    safeguard_resumes: bool | None = None
     powered: bool = True
-    limits: SafetyLimits = field(default_factory=SafetyLimits)
+    profile: ProfileName = "ideal"
+    seed: int = 0
+    limits: SafetyLimits | None = None
     real_time_factor: float = 1.0
 
 
@@ -130,10 +135,12 @@ class Controller:
         self.clock = HostClock(options.real_time_factor)
         self.publish_at = 0.0
         model = MODELS[options.model]
-        self.robot = Robot(model, plant(model), options.limits, log)
+        chosen = profile(options.profile, model.e_series)
+        self.robot = Robot(model, plant(model), options.limits, log, chosen, options.seed)
         self.robot.machine.speed_fraction = options.speed_slider
         self.robot.safety.remote = options.remote
-        self.robot.safety.safeguard_resumes = options.safeguard_resumes
+        if options.safeguard_resumes is not None:
+            self.robot.safety.safeguard_resumes = options.safeguard_resumes
         if not options.powered:
             self.robot.safety.power_off()
         self.schedule = Schedule(model.period, self.clock)
@@ -260,6 +267,9 @@ def _check(options: ControllerOptions) -> None:
             "127.0.0.3, ...",
             code="user.not_loopback",
         )
+    if options.profile not in get_args(ProfileName):
+        message = f"unknown profile {options.profile!r}: choose one of {', '.join(get_args(ProfileName))}"
+        raise UserError(message, code="user.controller_profile")
     check_real_time_factor(options.real_time_factor, options.host)
     if not 0.0 <= options.speed_slider <= 1.0:
         message = f"the speed slider must be between 0 and 1, not {options.speed_slider}"

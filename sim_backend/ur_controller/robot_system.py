@@ -12,14 +12,17 @@ from functools import cached_property
 import numpy as np
 
 from toolee_robot.frames import Array, cross
+from toolee_robot.sim_backend.ur_controller.profile import IDEAL, Profile, SafetyLimits
 from toolee_robot.sim_backend.ur_controller.robot import poses
+from toolee_robot.sim_backend.ur_controller.robot.events import EventKind
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import Chain, chain
-from toolee_robot.sim_backend.ur_controller.robot.machine import EventKind, Machine
+from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
 from toolee_robot.sim_backend.ur_controller.robot.registers import Registers
-from toolee_robot.sim_backend.ur_controller.robot.safety import RobotMode, Safety
-from toolee_robot.sim_backend.ur_controller.robot.safety_limits import SafetyLimits
+from toolee_robot.sim_backend.ur_controller.robot.safety.collision_detection import Measured
+from toolee_robot.sim_backend.ur_controller.robot.safety.error_codes import ErrorCode
+from toolee_robot.sim_backend.ur_controller.robot.safety.system import RobotMode, Safety
 from toolee_robot.sim_backend.ur_controller.urscript.program import Program, RuntimeState
 
 MESSAGES = 100  # messages of the script that are kept
@@ -48,9 +51,18 @@ class Identity:
     theta: tuple[float, ...] = (0.0,) * 6
 
     @classmethod
-    def of(cls, model: ControllerModel) -> Identity:
-        """The true identity of a controller of this model."""
-        return cls(model.name, model.version, "20185500001", model.a, model.d, model.alpha)
+    def of(cls, model: ControllerModel, profile: Profile = IDEAL) -> Identity:
+        """The true identity of a controller.
+
+        Args:
+            model: The robot's model.
+            profile: The controller's profile.
+
+        Returns:
+            The identity.
+        """
+        version = model.version if profile.version is None else profile.version
+        return cls(model.name, version, "20185500001", model.a, model.d, model.alpha)
 
     @property
     def checksum(self) -> tuple[int, ...]:
@@ -65,8 +77,10 @@ class Robot:
     Args:
         model: Model of arm and controller.
         plant: What the controller moves.
-        limits: Limits of the safety system; the defaults if None.
+        limits: Limits of the safety system; the profile's if None.
         log: Called with each line of the log.
+        profile: How the controller follows, measures and stops.
+        seed: Seed of the noise of the sensors.
 
     Attributes:
         model: Model of arm and controller, with the arm's DH parameters.
@@ -79,7 +93,7 @@ class Robot:
         safety: Safety system and power.
         joint_offset: Offset added to the measured joint positions, (6,) [rad]; a fault.
         ticks: Ticks since the process started; continues across a reboot.
-        messages: Output and errors of scripts as (timestamp [s], text), the newest last.
+        messages: Output of scripts and errors that stopped the arm, as (timestamp [s], text or error), oldest first.
         said: Number of messages so far.
         popup: Text of the popup on the screen.
         reading: What is measured in the latest tick.
@@ -91,16 +105,19 @@ class Robot:
         plant: Plant,
         limits: SafetyLimits | None = None,
         log: Callable[[str], None] = lambda _line: None,
+        profile: Profile = IDEAL,
+        seed: int = 0,
     ) -> None:
         self.model, self.plant, self.log = model, plant, log
-        self.identity = Identity.of(model)
+        self.identity = Identity.of(model, profile)
         self.registers = Registers()
-        self.machine = Machine(model, plant, self.registers)
+        self.machine = Machine(model, plant, self.registers, profile, seed)
         self.program = Program(self.machine, lambda: self.safety.forbidden(), log)
         self.safety = Safety(
             self.machine,
-            limits or SafetyLimits(),
+            limits or profile.limits,
             log,
+            report=self.say,
             stop_program=self.program.stop,
             pause_program=self.program.pause,
             resume_program=self.program.resume,
@@ -108,7 +125,7 @@ class Robot:
         self.joint_offset = np.zeros(6)
         self.ticks = 0
         self._boot_tick = 0
-        self.messages: deque[tuple[float, str]] = deque(maxlen=MESSAGES)
+        self.messages: deque[tuple[float, str | ErrorCode]] = deque(maxlen=MESSAGES)
         self.said = 0
         self.popup = ""
         self.reading = Reading(self)
@@ -131,13 +148,12 @@ class Robot:
         self.ticks += 1
         self.reading = Reading(self)
         self._handle_events()
-        speed = self.reading.tcp_speed
-        self.safety.step(dt, self.reading.q, float(np.sqrt(speed[:3] @ speed[:3])))
+        self.safety.step(dt, self.reading.measured)
 
-    def say(self, text: str) -> None:
+    def say(self, message: str | ErrorCode) -> None:
         """Add a message to the robot's log, which clients of the primary interface receive."""
         self.said += 1
-        self.messages.append((self.timestamp, text))
+        self.messages.append((self.timestamp, message))
 
     def _handle_events(self) -> None:
         events = self.machine.events
@@ -163,7 +179,7 @@ class Robot:
     def reboot(self) -> None:
         """Restart as with the power button: the program ends, registers and settings are lost, the arm is off."""
         self.program.stop()
-        self.machine.stop(self.model.safety_deceleration)  # the brakes engage
+        self.machine.stop(self.machine.stops.emergency)  # the brakes engage
         self.safety.restart()
         self.safety.robot_mode = RobotMode.POWER_OFF
         fresh = Registers()
@@ -185,8 +201,14 @@ class Reading:
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
-        self.q = robot.plant.q + robot.joint_offset
-        self.qd = robot.plant.qd
+        self.q = robot.machine.sensors.q + robot.joint_offset
+        self.qd = robot.machine.sensors.qd
+
+    @property
+    def measured(self) -> Measured:
+        """What the safety system compares with its limits."""
+        arm = self._tip - self._chain.origins[-1]
+        return Measured(self.q, self.qd, self.tcp_speed, self._jacobian, arm)
 
     @cached_property
     def tcp_pose(self) -> list[float]:
@@ -196,7 +218,7 @@ class Reading:
     @cached_property
     def tcp_speed(self) -> Array:
         """Velocity of the TCP, (6,) [m/s, rad/s], base axes."""
-        return self._chain.jacobian(self._tip) @ self.qd
+        return self._jacobian @ self.qd
 
     @cached_property
     def target_tcp_pose(self) -> list[float]:
@@ -212,14 +234,14 @@ class Reading:
     @cached_property
     def tcp_force(self) -> Array:
         """Wrench of the environment at the TCP, (6,) [N, Nm], base axes."""
-        wrench = self._robot.plant.wrench
+        wrench = self._robot.machine.force_sensor.wrench(self._chain.X_base_flange[:3, :3])
         arm = self._tip - self._chain.origins[-1]
         return np.concatenate([wrench[:3], wrench[3:] - cross(arm, wrench[:3])])
 
     @cached_property
     def raw_wrench(self) -> Array:
         """Wrench in the flange's axes, (6,) [N, Nm], including the payload's weight, as the e-Series sensor reports."""
-        machine, wrench = self._robot.machine, self._robot.plant.wrench
+        machine, wrench = self._robot.machine, self._robot.machine.sensors.wrench
         R = self._chain.X_base_flange[:3, :3]
         weight = R.T @ (-machine.payload * np.asarray(machine.gravity))
         torque = R.T @ wrench[3:] + cross(machine.payload_cog, weight)
@@ -227,9 +249,17 @@ class Reading:
 
     @cached_property
     def momentum(self) -> float:
-        """Momentum of the payload [kg m/s], the known part of the arm's momentum."""
-        speed = self.tcp_speed[:3]
-        return float(self._robot.machine.payload * np.sqrt(speed @ speed))
+        """Momentum of arm and payload [kg m/s]; of the payload alone where the profile needs no dynamics."""
+        machine = self._robot.machine
+        dynamics = machine.sensors.dynamics
+        momentum = machine.payload * self.tcp_speed[:3] if dynamics is None else dynamics.momentum
+        return float(np.sqrt(momentum @ momentum))
+
+    @cached_property
+    def target_moment(self) -> Array:
+        """Joint torques of the set-point's motion, (6,) [Nm]; zero where the profile needs no dynamics."""
+        dynamics = self._robot.machine.sensors.dynamics
+        return np.zeros(6) if dynamics is None else dynamics.torques
 
     @cached_property
     def elbow(self) -> Array:
@@ -241,8 +271,13 @@ class Reading:
         return chain(self._robot.model, self.q)
 
     @cached_property
+    def _jacobian(self) -> Array:
+        return self._chain.jacobian(self._tip)
+
+    @cached_property
     def _target_chain(self) -> Chain:
-        return chain(self._robot.model, self._robot.machine.q_target)
+        dynamics = self._robot.machine.sensors.dynamics
+        return chain(self._robot.model, self._robot.machine.q_target) if dynamics is None else dynamics.links
 
     @cached_property
     def _X_flange_tcp(self) -> Array:

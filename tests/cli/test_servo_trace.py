@@ -14,7 +14,7 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome, MotionReport
 from toolee_robot.hardware.ur.servo_benchmark import drift, wave
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
-from toolee_robot.sim_backend.ur_controller.robot.servoj import ServoJ
+from toolee_robot.sim_backend.ur_controller.robot.servo.exact import ServoJ
 
 RATE, N = 500.0, 3000
 PERIOD = 1.0 / RATE

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import tyro
@@ -11,8 +11,11 @@ from rich.console import Console
 from rich.markup import escape
 
 from toolee_robot.cli.options import Flag
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName, profile
 
-METRES_PER_SECOND, NEWTONS, RADIANS = (tyro.conf.arg(metavar=unit) for unit in ("M/S", "N", "RAD"))
+METRES_PER_SECOND, NEWTONS, RADIANS, WATTS, MOMENTUM = (
+    tyro.conf.arg(metavar=unit, help_behavior_hint="") for unit in ("M/S", "N", "RAD", "W", "KG*M/S")
+)
 
 
 @dataclass(frozen=True)
@@ -39,19 +42,27 @@ class UrController:
     """Closing the safeguard resumes the program that it paused, as on a CB3 without a safeguard reset input."""
     off: Flag = False
     """Start with the arm switched off: clients must power it on and release the brakes."""
-    force_limit: Annotated[float, NEWTONS] = 150.0
-    """Force on the flange, smoothed over 20 ms, that triggers a protective stop."""
-    following_error: Annotated[float, RADIANS] = 0.2
-    """Deviation of a joint from its set-point that triggers a protective stop."""
-    tcp_speed_limit: Annotated[float, METRES_PER_SECOND] = 5.0
-    """Speed of the TCP that triggers a protective stop."""
+    profile: Annotated[ProfileName, tyro.conf.arg(metavar="ideal|harsh")] = "ideal"
+    """How the controller follows, measures and stops: exactly, or as one of the model's generation."""
+    seed: int = 0
+    """Seed of the sensors' noise in the harsh profile."""
+    force_limit: Annotated[float | None, NEWTONS] = None
+    """Force on the flange, smoothed over 20 ms, that triggers a protective stop, instead of the profile's."""
+    following_error: Annotated[float | None, RADIANS] = None
+    """Deviation of a joint from its set-point that triggers a protective stop, instead of the profile's."""
+    tcp_speed_limit: Annotated[float | None, METRES_PER_SECOND] = None
+    """Speed of the TCP that triggers a protective stop, instead of the profile's."""
+    power_limit: Annotated[float | None, WATTS] = None
+    """Power on the environment that triggers a protective stop, instead of the profile's."""
+    momentum_limit: Annotated[float | None, MOMENTUM] = None
+    """Momentum of the arm that triggers a protective stop, instead of the profile's."""
     real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 1.0
     """Rate of the robot's time relative to wall-clock time; clients must use the same."""
 
     def run(self) -> int:
         from toolee_robot.sim_backend.ur_controller.controller import Controller, ControllerOptions
         from toolee_robot.sim_backend.ur_controller.process import resting_joints
-        from toolee_robot.sim_backend.ur_controller.robot.safety_limits import SafetyLimits
+        from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
 
         console = Console(highlight=False)
         begin = time.monotonic()
@@ -59,17 +70,25 @@ class UrController:
         def log(line: str) -> None:
             console.print(f"[dim]{time.monotonic() - begin:9.3f}[/dim]  {escape(line)}", soft_wrap=True)
 
-        limits = SafetyLimits(
-            force=self.force_limit, following_error=self.following_error, tcp_speed=self.tcp_speed_limit
-        )
+        given = {
+            "force": self.force_limit,
+            "following_error": self.following_error,
+            "tcp_speed": self.tcp_speed_limit,
+            "power": self.power_limit,
+            "momentum": self.momentum_limit,
+        }
+        chosen = profile(self.profile, MODELS[self.model].e_series)
+        limits = replace(chosen.limits, **{name: value for name, value in given.items() if value is not None})
         options = ControllerOptions(
             model=self.model,
             host=self.host,
             fault_port=self.fault_port,
             speed_slider=self.speed_slider,
             remote=not self.local,
-            safeguard_resumes=self.safeguard_resumes,
+            safeguard_resumes=self.safeguard_resumes or None,
             powered=not self.off,
+            profile=self.profile,
+            seed=self.seed,
             limits=limits,
             real_time_factor=self.real_time_factor,
         )
@@ -77,9 +96,10 @@ class UrController:
         try:
             controller.listen()
             model = controller.robot.model
-            version = ".".join(str(number) for number in model.version)
+            version = ".".join(str(number) for number in controller.robot.identity.version)
             console.print(
-                f"[bold]{model.name}[/bold], controller software {version}, {model.rate:.0f} Hz, on {self.host}"
+                f"[bold]{model.name}[/bold], controller software {version}, {model.rate:.0f} Hz, "
+                f"{self.profile} profile, on {self.host}"
             )
             for port in (*controller.ports.values(), controller.fault_port):
                 console.print(f"  {port.number}  {port.name}")

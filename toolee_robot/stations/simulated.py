@@ -10,6 +10,7 @@ from toolee_robot.hal import Station
 from toolee_robot.sim_backend.ground_truth.verdict import Truth
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.station import SimStation
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.tools import Tool
 
 
@@ -40,10 +41,12 @@ class StandIn:
     Attributes:
         host: Loopback address of the stand-in.
         real_time_factor: Rate of the job's time relative to wall-clock time; 1 is real time.
+        profile: How the controller follows, measures and stops: `ideal`, or `harsh` as one of the arm's generation.
     """
 
     host: str
     real_time_factor: float
+    profile: ProfileName = "ideal"
 
 
 def open_station(
@@ -72,4 +75,4 @@ def open_station(
         return SimStation.build(config, seed, options)
     from toolee_robot.stations.ur_rehearsal import UrStation  # imported only where driver and stand-in are used
 
-    return UrStation(config, seed, options, stand_in.host, stand_in.real_time_factor)
+    return UrStation(config, seed, options, stand_in.host, stand_in.real_time_factor, stand_in.profile)

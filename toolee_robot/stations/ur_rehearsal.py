@@ -16,6 +16,7 @@ from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.station import RemoteJudge, remote_station
 from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.station import draw_handover
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 
 
 class UrStation:
@@ -29,6 +30,7 @@ class UrStation:
         options: Options of the simulation.
         host: Loopback address of the stand-in.
         real_time_factor: Rate of the station's time relative to wall-clock time; 1 is real time.
+        profile: How the controller follows, measures and stops.
 
     Attributes:
         station: The devices of the station; set inside the context.
@@ -39,11 +41,17 @@ class UrStation:
     station: Station
 
     def __init__(
-        self, config: StationConfig, seed: int, options: SimOptions, host: str, real_time_factor: float
+        self,
+        config: StationConfig,
+        seed: int,
+        options: SimOptions,
+        host: str,
+        real_time_factor: float,
+        profile: ProfileName = "ideal",
     ) -> None:
         self._config, self._seed, self._host, self._clock = config, seed, host, HostClock(real_time_factor)
         self.tool, _ = draw_handover(seed, options)
-        self._world = RemoteWorld(config, seed, options, host, self._clock)
+        self._world = RemoteWorld(config, seed, options, host, self._clock, profile)
         self.judge = RemoteJudge(self._world)
         self._open = ExitStack()
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from toolee_robot.sim_backend.ur_controller.faults.hooks import HookGroup, hook
+from toolee_robot.sim_backend.ur_controller.faults.measuring import MeasuringFaults
 from toolee_robot.sim_backend.ur_controller.faults.network import NetworkFaults
 from toolee_robot.sim_backend.ur_controller.faults.queries import Queries
 from toolee_robot.sim_backend.ur_controller.faults.robot import RobotFaults
@@ -31,7 +32,8 @@ class Faults:
         network = NetworkFaults(controller)
         robot = RobotFaults(controller, network)
         # A reset ends the robot's faults before the network's.
-        self._groups = (robot, RtdeFaultHooks(controller), network, Queries(controller))
+        measuring = MeasuringFaults(controller)
+        self._groups = (robot, measuring, RtdeFaultHooks(controller), network, Queries(controller))
         self._hooks = {
             name: found for group in (*self._groups, _Reset(self._groups)) for name, found in group.hooks().items()
         }

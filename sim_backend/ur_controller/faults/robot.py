@@ -11,7 +11,7 @@ from pydantic import Field
 from toolee_robot.sim_backend.ur_controller.faults.hooks import Count, HookGroup, Seconds, Six, Three, hook
 from toolee_robot.sim_backend.ur_controller.faults.network import NetworkFaults
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
-from toolee_robot.sim_backend.ur_controller.robot.safety import UNLOCK_DELAY, RobotMode
+from toolee_robot.sim_backend.ur_controller.robot.safety.system import UNLOCK_DELAY, RobotMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Identity
 
 if TYPE_CHECKING:
@@ -53,10 +53,11 @@ class RobotFaults(HookGroup):
         self._force_until, self._boot_until = np.inf, None
         robot.joint_offset = np.zeros(6)
         nominal = MODELS[options.model]
-        robot.identity = Identity.of(nominal)
+        robot.identity = Identity.of(nominal, robot.machine.profile)
         robot.calibrate(nominal)
         robot.machine.speed_fraction, robot.machine.speed_scaling = options.speed_slider, 1.0
-        robot.safety.safeguard_resumes = options.safeguard_resumes
+        own = robot.machine.profile.safeguard_resumes
+        robot.safety.safeguard_resumes = own if options.safeguard_resumes is None else options.safeguard_resumes
         robot.safety.remote = options.remote
         robot.safety.restore()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from toolee_robot.sim_backend.ur_controller.robot.safety import RobotMode, SafetyMode
+from toolee_robot.sim_backend.ur_controller.robot.safety.system import RobotMode, SafetyMode
 
 if TYPE_CHECKING:
     from toolee_robot.sim_backend.ur_controller.controller import Controller
@@ -16,6 +16,7 @@ def describe(controller: Controller) -> dict[str, Any]:
     machine, safety, program, statistics = robot.machine, robot.safety, robot.program, controller.schedule.statistics
     return {
         "model": robot.model.name,
+        "profile": machine.profile.name,
         "timestamp": robot.timestamp,
         "stamp": controller.clock.now(),
         "tick": robot.ticks,
@@ -29,6 +30,8 @@ def describe(controller: Controller) -> dict[str, Any]:
         "robot_mode": RobotMode(safety.robot_mode).name,
         "safety_mode": SafetyMode(safety.mode).name,
         "safety_reason": safety.reason,
+        "deviation_ratio": safety.detection.deviation_ratio,
+        "collision_ratio": safety.detection.collision_ratio,
         "remote": safety.remote,
         "program_state": program.state.name,
         "program_name": program.name,
@@ -39,7 +42,7 @@ def describe(controller: Controller) -> dict[str, Any]:
         "tcp": list(machine.tcp),
         "speed_slider": machine.speed_fraction,
         "popup": robot.popup,
-        "messages": [text for _, text in list(robot.messages)[-10:]],
+        "messages": [str(said) for _, said in list(robot.messages)[-10:]],
         "clients": {name: len(port.clients) for name, port in controller.ports.items()},
         "ticks": {
             "done": statistics.ticks,

@@ -8,49 +8,26 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
 from toolee_robot.frames import Array
+from toolee_robot.sim_backend.ur_controller.profile import IDEAL, Profile
 from toolee_robot.sim_backend.ur_controller.robot import poses
 from toolee_robot.sim_backend.ur_controller.robot.cartesian import tcp_twist
 from toolee_robot.sim_backend.ur_controller.robot.compliance import Compliance
+from toolee_robot.sim_backend.ur_controller.robot.events import Event, EventKind
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import chain, forward
 from toolee_robot.sim_backend.ur_controller.robot.model import ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.motion import STANDSTILL, Brake, Motion, MotionError, Move
 from toolee_robot.sim_backend.ur_controller.robot.plant import Plant
 from toolee_robot.sim_backend.ur_controller.robot.registers import Registers
-from toolee_robot.sim_backend.ur_controller.robot.servoj import ServoJ
+from toolee_robot.sim_backend.ur_controller.robot.sensing.force_sensor import ForceSensor
+from toolee_robot.sim_backend.ur_controller.robot.sensing.sensors import Sensors
 from toolee_robot.sim_backend.ur_controller.robot.watchdog import Watchdogs
 
 RATE_SLEW = 4.0  # [1/s] slew rate of the speed scaling when the slider moves or a pause begins
 HISTORY = 2.0  # [s] duration of the histories of joints and forces
-
-
-class EventKind(StrEnum):
-    """Requests of the script to the rest of the controller."""
-
-    TEXT = "text"
-    POPUP = "popup"
-    PROTECTIVE_STOP = "protective_stop"
-    HALT = "halt"
-    PAUSE = "pause"
-    STOP = "stop"
-
-
-@dataclass(frozen=True)
-class Event:
-    """A request of the script.
-
-    Attributes:
-        kind: What is requested.
-        text: Text or reason.
-    """
-
-    kind: EventKind
-    text: str = ""
 
 
 class Machine:
@@ -60,10 +37,16 @@ class Machine:
         model: The robot's model.
         plant: What the controller moves.
         registers: General purpose registers.
+        profile: How the controller follows, measures and stops.
+        seed: Seed of the noise of the sensors.
 
     Attributes:
         model: The robot's model.
         plant: What the controller moves.
+        profile: How the controller follows, measures and stops.
+        servo_lag: Lag of `servoj`, or None; the profile's, unless a fault changes it.
+        sensors: The sensors of the arm.
+        force_sensor: The wrench that the controller reports.
         registers: General purpose registers.
         events: Requests of the script, the oldest first; the controller handles them once per tick.
         watchdogs: RTDE watchdogs of the script.
@@ -80,7 +63,6 @@ class Machine:
         compliance: Force mode or freedrive, or None.
         freedrive: Whether the compliance is freedrive.
         force_gain: Gain of force mode.
-        external_sensor: Whether the wrench comes from RTDE's external_force_torque.
         digital_in: Digital inputs.
         digital_out: Digital outputs.
         analog_in: Analog inputs, 0 to 1.
@@ -91,8 +73,18 @@ class Machine:
         X_flange_tcp: Pose of the TCP in the flange frame, 4x4.
     """
 
-    def __init__(self, model: ControllerModel, plant: Plant, registers: Registers) -> None:
-        self.model, self.plant, self.registers = model, plant, registers
+    def __init__(
+        self,
+        model: ControllerModel,
+        plant: Plant,
+        registers: Registers,
+        profile: Profile = IDEAL,
+        seed: int = 0,
+    ) -> None:
+        self.model, self.plant, self.registers, self.profile = model, plant, registers, profile
+        self.stops, self.servo_lag = profile.stops, profile.servo
+        self.sensors = Sensors(model, plant, profile, seed)
+        self.force_sensor = ForceSensor(self.sensors, registers, profile.force.zeroed)
         self.events: deque[Event] = deque()
         self.watchdogs = Watchdogs()
         self.q_target, self.qd_target, self.qdd_target = plant.q.copy(), np.zeros(6), np.zeros(6)
@@ -103,7 +95,6 @@ class Machine:
         self.compliance: Compliance | None = None
         self.freedrive = False
         self.force_gain = 1.0
-        self.external_sensor = False
         self.digital_in, self.digital_out = [False] * 18, [False] * 18
         self.analog_in, self.analog_out = [0.0] * 4, [0.0] * 4
         self.temperatures = [30.0] * 6
@@ -117,7 +108,7 @@ class Machine:
         self._running_out: list[Move] = []  # blended moves that have not ended
         self._halt: Brake | None = None  # the safety system's stop, while a motion waits behind it
         self._rate = 1.0
-        self._bias = np.zeros(6)  # of the wrench, flange axes
+        self._let_go = False  # a script function has ended during its motion, and none has begun since
 
     # -- settings
 
@@ -141,11 +132,8 @@ class Machine:
         self.plant.set_payload(self.payload, self.payload_cog)
 
     def zero_wrench(self) -> None:
-        """Zero the force sensor at the current wrench."""
-        self._bias = np.zeros(6)
-        R = forward(self.model, self.plant.q)[:3, :3]
-        felt = self.wrench()
-        self._bias = np.concatenate([R.T @ felt[:3], R.T @ felt[3:]])
+        """Zero the force sensor at the current wrench, where the controller can."""
+        self.force_sensor.zero(forward(self.model, self.plant.q)[:3, :3])
 
     # -- state
 
@@ -156,21 +144,16 @@ class Machine:
 
     def tcp_pose(self, target: bool = False) -> Array:
         """Pose X_base_tcp, 4x4, measured or, with `target`, of the set-point."""
-        return forward(self.model, self.q_target if target else self.plant.q) @ self.X_flange_tcp
+        return forward(self.model, self.q_target if target else self.sensors.q) @ self.X_flange_tcp
 
     def tcp_speed(self, target: bool = False) -> Array:
         """Velocity of the TCP, (6,) [m/s, rad/s], base axes, measured or, with `target`, of the set-point."""
-        q, qd = (self.q_target, self.qd_target) if target else (self.plant.q, self.plant.qd)
+        q, qd = (self.q_target, self.qd_target) if target else (self.sensors.q, self.sensors.qd)
         return tcp_twist(self.model, q, self.X_flange_tcp, qd)
 
     def wrench(self) -> Array:
         """Wrench of the environment at the flange's origin, (6,) [N, Nm], base axes, less the script's zero."""
-        R = forward(self.model, self.plant.q)[:3, :3]
-        felt = self.plant.wrench
-        if self.external_sensor:
-            external = np.array(self.registers.external_force_torque)
-            felt = np.concatenate([R @ external[:3], R @ external[3:]])
-        return felt - np.concatenate([R @ self._bias[:3], R @ self._bias[3:]])
+        return self.force_sensor.wrench(forward(self.model, self.plant.q)[:3, :3])
 
     def tcp_force(self) -> Array:
         """Wrench of the environment at the TCP, as `wrench`."""
@@ -187,6 +170,11 @@ class Machine:
         links = chain(self.model, self.plant.q)
         return -links.jacobian(links.X_base_flange[:3, 3]).T @ self.wrench()
 
+    @property
+    def uncommanded(self) -> bool:
+        """Whether a script function has let go of the arm during its motion, and no other one has taken it."""
+        return self._let_go and not self.paused
+
     # -- motion
 
     @contextmanager
@@ -202,9 +190,9 @@ class Machine:
             raise MotionError("another thread is already controlling the robot")
         if isinstance(motion, Move) and self._running_out:
             motion.start(self._running_out[-1].q_end)
-        if isinstance(motion, ServoJ) and isinstance(self._motion, ServoJ):
+        if self._motion is not None:
             motion.follow(self._motion)
-        self._motion, self._held = motion, True
+        self._motion, self._held, self._let_go = motion, True, False
         try:
             yield
         finally:
@@ -217,22 +205,24 @@ class Machine:
         if isinstance(motion, Move) and motion.blending and not motion.done:
             self._running_out.append(motion)
             self._motion = None
-        elif not motion.done and not motion.stays:
-            self._motion = Brake(self.model.stop_deceleration)
+        elif not motion.done:
+            self._let_go = True
+            if not motion.stays:
+                self._motion = Brake(self.stops.program)
 
     def stop(self, deceleration: float | None = None) -> None:
         """Bring every joint to rest; force mode and freedrive end, and script functions see their motion as finished.
 
         Args:
-            deceleration: Deceleration [rad/s^2]; the model's `stop_deceleration` if None.
+            deceleration: Deceleration [rad/s^2]; that of a program's end if None.
         """
         self.compliance, self.freedrive = None, False
         if self._motion is not None:
             self._motion.done = True
         self._running_out.clear()
         self._halt = None
-        self._motion = self._stop = Brake(self.model.stop_deceleration if deceleration is None else deceleration)
-        self._held = False
+        self._motion = self._stop = Brake(self.stops.program if deceleration is None else deceleration)
+        self._held = self._let_go = False
 
     def halt(self, deceleration: float) -> None:
         """Bring every joint to rest in the middle of a motion, which waits for `resume`; force mode and freedrive end.
@@ -254,9 +244,9 @@ class Machine:
     def end_program(self) -> None:
         """Clean up after a program: a moving arm decelerates; force mode, freedrive and watchdogs end."""
         self.watchdogs.clear()
-        self.external_sensor, self.paused = False, False
+        self.force_sensor.external, self.paused = False, False
         if self._halt is not None:
-            self.stop(self.model.safety_deceleration)
+            self.stop(self.stops.protective)
         elif self._motion is None or self._motion is not self._stop:
             self.stop()
 
@@ -264,7 +254,7 @@ class Machine:
         """End force mode or freedrive; without a motion in progress the arm comes to rest."""
         self.compliance, self.freedrive = None, False
         if self._motion is None:
-            self._motion = Brake(self.model.stop_deceleration)
+            self._motion = Brake(self.stops.program)
 
     def step(self, dt: float) -> None:
         """Advance the motion by one tick of dt [s], command the plant and step it."""
@@ -277,7 +267,7 @@ class Machine:
                 qd = self.compliance.apply(self.model, self.X_flange_tcp, self.q_target, qd, felt, dt)
         except MotionError as error:
             self.events.append(Event(EventKind.PROTECTIVE_STOP, str(error)))
-            self.stop(self.model.safety_deceleration)
+            self.stop(self.stops.protective)
             qd = self._way(dt) / dt
         motion = self._halt or self._motion
         over = motion is None or motion.done
@@ -286,8 +276,9 @@ class Machine:
         self.qd_target, self.qdd_target = final, (final - self.qd_target) / dt
         self.plant.command(self.q_target, self.qd_target)
         self.plant.step(dt)
-        self.history.append(self.plant.q)
-        self.force_history.append(self.plant.wrench[:3])
+        self.sensors.step(self.model, self.q_target, self.payload, self.payload_cog, self.gravity, dt)
+        self.history.append(self.sensors.q)
+        self.force_history.append(self.sensors.wrench[:3])
 
     def _way(self, dt: float) -> Array:
         if self._halt is not None:

@@ -28,8 +28,6 @@ class ControllerModel:
         alpha: Standard DH parameters alpha, (6,) [rad].
         position: Joint position limits, (6,) [rad], in both directions.
         acceleration: Joint acceleration limit while a script runs [rad/s^2].
-        stop_deceleration: Joint deceleration when a program ends during a motion [rad/s^2].
-        safety_deceleration: Joint deceleration when the safety system stops the arm [rad/s^2].
     """
 
     name: str
@@ -43,8 +41,6 @@ class ControllerModel:
     alpha: tuple[float, ...]
     position: tuple[float, ...] = (2 * pi,) * 6
     acceleration: float = 40.0
-    stop_deceleration: float = 5.0
-    safety_deceleration: float = 15.0
 
     @property
     def e_series(self) -> bool:

@@ -39,6 +39,9 @@ class Motion(ABC):
     def replan(self) -> None:  # noqa: B027  (most motions compute each tick from where the arm is)
         """Take into account that the arm has left the motion's path and stands."""
 
+    def follow(self, before: Motion) -> None:  # noqa: B027  (most motions take nothing over)
+        """Take over from the motion that this one replaces."""
+
     @abstractmethod
     def step(self, q: Array, qd: Array, scaled: float, dt: float) -> Array:
         """Compute the displacement of one tick.

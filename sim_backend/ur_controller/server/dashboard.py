@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from toolee_robot.sim_backend.ur_controller.robot.safety import RobotMode
+from toolee_robot.sim_backend.ur_controller.robot.safety.system import RobotMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server.link import Sink
 from toolee_robot.sim_backend.ur_controller.urscript.program import RuntimeState

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import struct
 
-from toolee_robot.sim_backend.ur_controller.robot.safety import SafetyMode
+from toolee_robot.sim_backend.ur_controller.robot.safety.error_codes import ErrorCode
+from toolee_robot.sim_backend.ur_controller.robot.safety.system import SafetyMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server.link import Sink
 from toolee_robot.sim_backend.ur_controller.server.script_ports import ScriptSession
@@ -17,7 +18,8 @@ from toolee_robot.sim_backend.ur_controller.urscript.program import RuntimeState
 STATE_RATE = 10.0  # [Hz]
 SKIP_BACKLOG = 65536  # [bytes] unread by the client above which messages are omitted
 _ROBOT_STATE, _ROBOT_MESSAGE = 16, 20
-_VERSION_MESSAGE, _TEXT_MESSAGE = 3, 0
+_VERSION_MESSAGE, _TEXT_MESSAGE, _ERROR_MESSAGE = 3, 0, 6
+_REPORT_VIOLATION = 3  # report level of an error that stops the arm
 _MODE, _JOINTS, _CARTESIAN, _KINEMATICS = 0, 1, 4, 5
 _JOINT_RUNNING, _JOINT_OFF = 253, 239
 
@@ -45,8 +47,8 @@ class StateSession(ScriptSession):
         changed = self._calibration != robot.identity.checksum
         self._calibration = robot.identity.checksum
         self._sink.send(robot_state(robot, kinematics=changed))
-        for _, text in list(robot.messages)[max(0, len(robot.messages) - (robot.said - self._seen)) :]:
-            self._sink.send(text_message(robot, text))
+        for _, said in list(robot.messages)[max(0, len(robot.messages) - (robot.said - self._seen)) :]:
+            self._sink.send(error_message(robot, said) if isinstance(said, ErrorCode) else text_message(robot, said))
         self._seen = robot.said
 
 
@@ -69,6 +71,21 @@ def text_message(robot: Robot, text: str) -> bytes:
         The message, as bytes of the primary interface.
     """
     return _robot_message(robot, _TEXT_MESSAGE, text.encode("ascii", "replace"))
+
+
+def error_message(robot: Robot, error: ErrorCode) -> bytes:
+    """Make a robot message with an error that has stopped the arm.
+
+    Args:
+        robot: The robot.
+        error: The error.
+
+    Returns:
+        The message, as bytes of the primary interface: code, argument, report level, type and value of its data (none),
+        text.
+    """
+    body = struct.pack(">iiiII", error.code, error.argument, _REPORT_VIOLATION, 0, 0)
+    return _robot_message(robot, _ERROR_MESSAGE, body + str(error).encode("ascii", "replace"))
 
 
 def robot_state(robot: Robot, kinematics: bool) -> bytes:

@@ -40,7 +40,7 @@ def _bits(flags: Iterable[bool]) -> int:
 
 
 def _no_torque(_: Robot) -> list[float]:
-    """Zero: joint torques [Nm] and currents [A] are not modelled."""
+    """Zero: motor currents [A] are not modelled."""
     return [0.0] * 6
 
 
@@ -51,7 +51,7 @@ OUTPUTS: dict[str, Output] = {
     "target_qd": Output(_VECTOR, lambda r: r.machine.qd_target),
     "target_qdd": Output(_VECTOR, lambda r: r.machine.qdd_target),
     "target_current": Output(_VECTOR, _no_torque),
-    "target_moment": Output(_VECTOR, _no_torque),
+    "target_moment": Output(_VECTOR, lambda r: r.reading.target_moment),
     "actual_q": Output(_VECTOR, lambda r: r.reading.q),
     "actual_qd": Output(_VECTOR, lambda r: r.reading.qd),
     "actual_current": Output(_VECTOR, _no_torque),
@@ -90,6 +90,9 @@ OUTPUTS: dict[str, Output] = {
     "payload_cog": Output("VECTOR3D", lambda r: r.machine.payload_cog, (3, 11), (5, 6)),
     "payload_inertia": Output(_VECTOR, lambda r: r.machine.payload_inertia, (3, 15), (5, 11)),
     "ft_raw_wrench": Output(_VECTOR, lambda r: r.reading.raw_wrench, None, (5, 9)),
+    # DOUBLE, 1 stops the arm: RTDE guide; the first versions that have them were not found: assumed.
+    "joint_position_deviation_ratio": Output("DOUBLE", lambda r: r.safety.detection.deviation_ratio, None, (5, 15)),
+    "collision_detection_ratio": Output("DOUBLE", lambda r: r.safety.detection.collision_ratio, None, (5, 15)),
     "actual_qdd": Output(_VECTOR, lambda r: r.machine.qdd_target, None, (5, 23)),
     "output_bit_registers0_to_31": Output("UINT32", lambda r: _bits(r.registers.bool_out[:32])),
     "output_bit_registers32_to_63": Output("UINT32", lambda r: _bits(r.registers.bool_out[32:64])),

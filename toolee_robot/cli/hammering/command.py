@@ -16,6 +16,7 @@ from toolee_robot.cli.output import json_line
 from toolee_robot.config import StationConfig, load_station
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import check_real_time_factor, is_loopback
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.types import ArmModel
 
 WORLD_REAL_TIME_FACTOR = {ArmModel.UR10: 0.25, ArmModel.UR10E: 0.1}
@@ -52,6 +53,10 @@ class Hammer:
     ] = None
     """With --world: rate of the station's time relative to wall-clock time. 1 is real time, which a busy machine does
     not sustain."""
+    controller_profile: Annotated[
+        ProfileName, tyro.conf.arg(name="controller-profile", aliases=["--profile"], metavar="ideal|harsh")
+    ] = "ideal"
+    """With --world: how the controller follows, measures and stops: exactly, or as one of the arm's generation."""
     robot: Annotated[Literal["UR10", "UR10e"] | None, tyro.conf.arg(metavar="UR10|UR10e", help_behavior_hint="")] = None
     """Model of the arm, instead of the configured one."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
@@ -90,7 +95,7 @@ class Hammer:
             )
             from toolee_robot.stations.simulated import StandIn
 
-            stand_in = None if address is None else StandIn(*address)
+            stand_in = None if address is None else StandIn(*address, self.controller_profile)
             correction, perfect = not self.no_correction, self.perfect_perception
             job = HammerJob(
                 config, self.seed, correction=correction, perfect_perception=perfect, gui=self.gui, stand_in=stand_in
@@ -114,6 +119,11 @@ class Hammer:
             if self.robot_host is not None:
                 raise UserError(
                     "--robot-host without --arm ur-rtde: the simulated arm has no address", code="user.option"
+                )
+            if self.controller_profile != "ideal":
+                raise UserError(
+                    "--controller-profile without --arm ur-rtde: the simulated arm itself has no controller",
+                    code="user.option",
                 )
             return None
         if self.world is None:

@@ -151,7 +151,7 @@ class HammerJob:
         if self.stand_in is not None:
             words = (
                 f", {self.config.arm.model} over ur_rtde at {self.stand_in.host}, "
-                f"real-time factor {self.stand_in.real_time_factor:g}"
+                f"{self.stand_in.profile} controller, real-time factor {self.stand_in.real_time_factor:g}"
             )
         if self.perfect_perception:
             return f"{words}, poses from the simulation's ground truth"
@@ -200,6 +200,7 @@ class HammerJob:
             "tool": tool.name,
             "arm": "sim" if self.stand_in is None else "ur-rtde",
             "real_time_factor": None if self.stand_in is None else self.stand_in.real_time_factor,
+            "controller_profile": None if self.stand_in is None else self.stand_in.profile,
             "machine_stall_ms": None if longest_stall is None else _rounded(longest_stall * 1e3),
             "machine_stalled": machine_stalled,
             "robot": str(self.config.arm.model),

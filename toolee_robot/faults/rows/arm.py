@@ -27,7 +27,7 @@ from toolee_robot.faults.rigs.driver_rig import Happening, Rig
 from toolee_robot.faults.rigs.joints_path import braking_time
 from toolee_robot.faults.rigs.time_bounds import PATIENT, SHORT_AGE, STRICT_AGE, STRICT_LOOP
 from toolee_robot.hal import MotionOutcome, MotionWatch
-from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
+from toolee_robot.sim_backend.ur_controller.profile import StopDecelerations
 
 AT_REST = 1e-4  # [rad]: what counts as standing still
 OFF_PATH = 5e-3  # [rad]
@@ -199,8 +199,8 @@ def _braking(fault: ArmFault, rig: Rig, happened: Happening) -> float:
     """Shortest braking time from the position and speed at the fault [s]."""
     limits = rig.swing.config.arm
     if fault.by_robot:
-        model = MODELS[limits.model.value]
-        return happened.stop.speed / (model.safety_deceleration if fault.emergency else model.stop_deceleration)
+        stops = StopDecelerations()
+        return happened.stop.speed / (stops.emergency if fault.emergency else stops.program)
     path_time = happened.stop.path_time + fault.notice(rig)
     return braking_time(rig.strike, path_time, rig.period, limits)
 

@@ -22,7 +22,7 @@ from toolee_robot.sim_backend.ur_controller.robot.motion import (
     Move,
     SpeedJ,
 )
-from toolee_robot.sim_backend.ur_controller.robot.servoj import ServoJ
+from toolee_robot.sim_backend.ur_controller.robot.servo.servoj import servoj
 from toolee_robot.sim_backend.ur_controller.urscript.functions.library import matrix, six
 from toolee_robot.sim_backend.ur_controller.urscript.values import Pose, numbers
 
@@ -115,11 +115,13 @@ class MotionFunctions:
         lookahead_time: float = 0.1,
         gain: float = 300,
     ) -> Wait:
-        """Servo to joint positions. a and v are not used, as on the robot; lookahead_time and gain: see `ServoJ`."""
+        """Servo to joint positions. a and v are not used, as on the robot."""
         numbers(a, v)
         numbers(lookahead_time, gain)
         goal = self._joints(list(six(q, "joint vector")))
-        yield from self._for(ServoJ(self._machine.model, goal, positive(t, "t")), t)
+        machine = self._machine
+        motion = servoj(machine.model, machine.servo_lag, goal, positive(t, "t"), lookahead_time, gain)
+        yield from self._for(motion, t)
 
     def servoc(self, pose: Any, a: float = 1.2, v: float = 0.25, r: float = 0) -> Wait:
         machine = self._machine

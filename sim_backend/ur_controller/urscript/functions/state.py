@@ -31,10 +31,10 @@ class StateFunctions:
     # -- joints and TCP
 
     def get_actual_joint_positions(self) -> list[float]:
-        return _list(self._machine.plant.q)
+        return _list(self._machine.sensors.q)
 
     def get_actual_joint_speeds(self) -> list[float]:
-        return _list(self._machine.plant.qd)
+        return _list(self._machine.sensors.qd)
 
     def get_target_joint_positions(self) -> list[float]:
         return _list(self._machine.q_target)
@@ -56,7 +56,7 @@ class StateFunctions:
         return as_pose(self._machine.tcp_pose(target=True))
 
     def get_actual_tool_flange_pose(self) -> Pose:
-        return as_pose(forward(self._machine.model, self._machine.plant.q))
+        return as_pose(forward(self._machine.model, self._machine.sensors.q))
 
     def get_actual_tcp_speed(self) -> list[float]:
         return _list(self._machine.tcp_speed())
@@ -75,7 +75,7 @@ class StateFunctions:
     # -- kinematics
 
     def get_forward_kin(self, q: Any = "current_joint_positions", tcp: Any = "active_tcp") -> Pose:
-        joints = self._machine.plant.q if isinstance(q, str) else six(q, "joint vector")
+        joints = self._machine.sensors.q if isinstance(q, str) else six(q, "joint vector")
         return as_pose(forward(self._machine.model, joints) @ self._offset(tcp))
 
     def get_inverse_kin(
@@ -158,7 +158,7 @@ class StateFunctions:
         """Use RTDE's external_force_torque, at the flange in its axes, as the wrench; the sensor's mass is ignored."""
         del sensor_measuring_offset, sensor_cog
         numbers(sensor_mass, 0)
-        self._machine.external_sensor = enable is True
+        self._machine.force_sensor.external = enable is True
 
     def enable_external_ft_sensor(
         self, enable: Any, sensor_mass: float = 0, sensor_measuring_offset: Any = None, sensor_cog: Any = None

@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from tests.examples import examples
 from tests.sim_backend.ur_controller.urscript.script_robot import READY, ScriptRobot
 from toolee_robot.frames import Array
+from toolee_robot.sim_backend.ur_controller.profile import StopDecelerations
 from toolee_robot.sim_backend.ur_controller.robot import poses
+from toolee_robot.sim_backend.ur_controller.robot.events import EventKind
 from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward
-from toolee_robot.sim_backend.ur_controller.robot.machine import EventKind
 from toolee_robot.sim_backend.ur_controller.robot.model import UR10, UR10E, ControllerModel
 
 both = pytest.mark.parametrize("model", [UR10, UR10E], ids=lambda m: m.name)
@@ -183,9 +184,9 @@ end"""
     assert not robot.machine.moving
     speeds = robot.speeds()[before:, 5]
     fall = -np.diff(speeds) * model.rate
-    assert fall.max() == pytest.approx(model.stop_deceleration, rel=1e-3)
+    assert fall.max() == pytest.approx(StopDecelerations().program, rel=1e-3)
     took = np.count_nonzero(speeds > 1e-6) / model.rate
-    assert took == pytest.approx(1.0 / model.stop_deceleration, abs=4 * model.period)
+    assert took == pytest.approx(1.0 / StopDecelerations().program, abs=4 * model.period)
 
 
 MOTIONS = [
@@ -210,9 +211,9 @@ def test_every_motion_can_be_stopped_at_any_time(motion: str, when: float, model
     speed = robot.machine.qd_target
     before = len(robot.trace)
     if hard:
-        robot.machine.stop(model.safety_deceleration)
+        robot.machine.stop(StopDecelerations().protective)
     runtime.stop()
-    deceleration = model.safety_deceleration if hard else model.stop_deceleration
+    deceleration = StopDecelerations().protective if hard else StopDecelerations().program
     robot.tick(round((np.abs(speed).max() / deceleration + 0.02) * model.rate) + 1)
     assert not robot.machine.moving
     after = np.vstack([speed, robot.speeds()[before - 1 :]])

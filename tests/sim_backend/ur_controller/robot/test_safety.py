@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from tests.examples import examples
 from tests.sim_backend.ur_controller.server.wire import Recorder, robot
 from toolee_robot.sim_backend.ur_controller.process import Q_START
-from toolee_robot.sim_backend.ur_controller.robot.safety import RobotMode, SafetyMode
+from toolee_robot.sim_backend.ur_controller.profile import StopDecelerations
+from toolee_robot.sim_backend.ur_controller.robot.safety.system import RobotMode, SafetyMode
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server.primary import StateSession
 from toolee_robot.sim_backend.ur_controller.server.script_ports import MAX_SCRIPT, ScriptReader, ScriptSession
@@ -58,8 +59,8 @@ def test_stops_brake_as_hard_as_the_model_says(
         served.step()
         speeds.append(served.plant.qd[0])
     deceleration = -np.diff(speeds) * served.model.rate
-    assert np.max(deceleration) <= served.model.safety_deceleration * (1 + 1e-9)
-    shortest = 1.5 / served.model.safety_deceleration
+    assert np.max(deceleration) <= StopDecelerations().emergency * (1 + 1e-9)
+    shortest = 1.5 / StopDecelerations().emergency
     assert (len(speeds) - 1) * served.model.period <= shortest + 2 * served.model.period
     at_rest = served.plant.q.copy()
     ticks(served, 0.5)
@@ -111,7 +112,7 @@ def test_a_program_stopped_while_paused_never_goes_on(end: str) -> None:
     served.step()  # still braking
     speed = served.plant.qd[0]
     served.program.stop()
-    ticks(served, 0.5 * speed / served.model.safety_deceleration)
+    ticks(served, 0.5 * speed / StopDecelerations().emergency)
     assert served.plant.qd[0] == pytest.approx(0.5 * speed, abs=0.15), "the end of the program must not soften the stop"
     ticks(served, 6.0)
     stopped = served.plant.q.copy()

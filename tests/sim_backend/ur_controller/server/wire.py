@@ -5,10 +5,12 @@ from __future__ import annotations
 import socket
 import struct
 import time
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 from toolee_robot.sim_backend.ur_controller.process import resting_joints
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName, profile
 from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
 from toolee_robot.sim_backend.ur_controller.robot_system import Robot
 from toolee_robot.sim_backend.ur_controller.server.rtde import RtdeFaults, RtdeSession
@@ -38,8 +40,13 @@ class Recorder:
         return data
 
 
-def robot(model: str = "UR10") -> Robot:
-    return Robot(MODELS[model], resting_joints(MODELS[model]))
+def robot(
+    model: str = "UR10", name: ProfileName = "ideal", seed: int = 0, limits: Mapping[str, float] | None = None
+) -> Robot:
+    """A robot on ideal joints; `limits` replace some of its profile's."""
+    kind = MODELS[model]
+    chosen = profile(name, kind.e_series)
+    return Robot(kind, resting_joints(kind), replace(chosen.limits, **(limits or {})), profile=chosen, seed=seed)
 
 
 class RtdeServer:

@@ -9,9 +9,10 @@ import pytest
 
 from tests.sim_backend.ur_controller.ur_rtde.control_script import control_script
 from tests.sim_backend.ur_controller.urscript.script_robot import READY, ScriptRobot
+from toolee_robot.sim_backend.ur_controller.profile import StopDecelerations
 from toolee_robot.sim_backend.ur_controller.robot import poses
+from toolee_robot.sim_backend.ur_controller.robot.events import EventKind
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward
-from toolee_robot.sim_backend.ur_controller.robot.machine import EventKind
 from toolee_robot.sim_backend.ur_controller.robot.model import UR10, UR10E, ControllerModel
 
 pytestmark = pytest.mark.sim
@@ -118,7 +119,7 @@ def test_the_watchdog_ends_the_program_and_the_motion(robot: Remote) -> None:
     assert robot.plant.qd[4] == pytest.approx(0.5)
     robot.tick(round(0.1 * robot.model.rate) + 2)
     assert not robot.runtime.running
-    robot.tick(round(0.5 / robot.model.stop_deceleration * robot.model.rate) + 2)
+    robot.tick(round(0.5 / StopDecelerations().program * robot.model.rate) + 2)
     assert not robot.machine.moving
 
 

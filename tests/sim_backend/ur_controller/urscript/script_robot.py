@@ -7,8 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from toolee_robot.frames import Array
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName, profile
+from toolee_robot.sim_backend.ur_controller.robot.events import Event, EventKind
 from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
-from toolee_robot.sim_backend.ur_controller.robot.machine import Event, EventKind, Machine
+from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
 from toolee_robot.sim_backend.ur_controller.robot.model import UR10E, ControllerModel
 from toolee_robot.sim_backend.ur_controller.robot.registers import Registers
 from toolee_robot.sim_backend.ur_controller.urscript import ScriptRuntime
@@ -18,10 +20,10 @@ READY = (0.3, -1.4, 1.6, -1.8, -1.5, 0.2)
 
 
 class ScriptRobot:
-    def __init__(self, model: ControllerModel = UR10E, q: Sequence[float] = READY) -> None:
+    def __init__(self, model: ControllerModel = UR10E, q: Sequence[float] = READY, name: ProfileName = "ideal") -> None:
         self.model, self.registers = model, Registers()
         self.plant = JointPlant(model, np.array(q))
-        self.machine = Machine(model, self.plant, self.registers)
+        self.machine = Machine(model, self.plant, self.registers, profile(name, model.e_series))
         self.runtime: ScriptRuntime | None = None
         self.events: list[Event] = []
         self.trace: list[Array] = [self.plant.q]

@@ -12,8 +12,8 @@ from tests.sim_backend.ur_controller.urscript.script_robot import READY, ScriptR
 from tests.strategies import transforms
 from toolee_robot.frames import Array, inverse
 from toolee_robot.sim_backend.ur_controller.robot import poses
+from toolee_robot.sim_backend.ur_controller.robot.events import EventKind
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward
-from toolee_robot.sim_backend.ur_controller.robot.machine import EventKind
 from toolee_robot.sim_backend.ur_controller.robot.model import UR10, UR10E
 from toolee_robot.sim_backend.ur_controller.urscript import ScriptError
 

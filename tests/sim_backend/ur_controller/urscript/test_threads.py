@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tests.sim_backend.ur_controller.urscript.script_robot import ScriptRobot
-from toolee_robot.sim_backend.ur_controller.robot.machine import EventKind
+from toolee_robot.sim_backend.ur_controller.profile import StopDecelerations
+from toolee_robot.sim_backend.ur_controller.robot.events import EventKind
 from toolee_robot.sim_backend.ur_controller.robot.model import UR10, UR10E, ControllerModel
 from toolee_robot.sim_backend.ur_controller.urscript import ScriptRuntime
 
@@ -141,7 +142,7 @@ end"""
     )
     robot.tick(round(0.5 * 125) + 1)
     assert robot.machine.moving
-    robot.tick(round(125 / UR10.stop_deceleration) + 1)
+    robot.tick(round(125 / StopDecelerations().program) + 1)
     assert not robot.machine.moving
     assert robot.plant.q[0] < 1.0
 

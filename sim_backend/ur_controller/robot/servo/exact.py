@@ -40,12 +40,14 @@ class ServoJ(Motion):
         self._standing = False
         self._since, self._goal_speed = 0.0, np.zeros(6)
 
-    def follow(self, before: ServoJ) -> None:
+    def follow(self, before: Motion) -> None:
         """Replace the previous `servoj`.
 
         The same goal stands still; another one is assumed to continue at the velocity with which it moved since its
         last change.
         """
+        if not isinstance(before, ServoJ):
+            return
         self._standing = bool(np.all(self._goal == before._goal))
         if self._standing:
             self._since = before._since

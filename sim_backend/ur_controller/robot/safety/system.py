@@ -11,9 +11,10 @@ from enum import IntEnum
 
 import numpy as np
 
-from toolee_robot.frames import Array
+from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits
 from toolee_robot.sim_backend.ur_controller.robot.machine import Machine
-from toolee_robot.sim_backend.ur_controller.robot.safety_limits import SafetyLimits
+from toolee_robot.sim_backend.ur_controller.robot.safety.collision_detection import CollisionDetection, Measured
+from toolee_robot.sim_backend.ur_controller.robot.safety.error_codes import ErrorCode
 
 UNLOCK_DELAY = 5.0  # [s] after a protective stop during which it cannot be unlocked, as on a real robot
 SETTLE_SPEED = 1e-3  # [rad/s] below which the arm counts as standing and is powered off after an emergency stop
@@ -60,13 +61,14 @@ class Safety:
         machine: The robot.
         limits: Limits that cause a protective stop.
         log: Called with each line of the log.
+        report: Called with each error that stops the arm.
         stop_program: Ends the running program.
         pause_program: Pauses the running program; returns whether one was playing.
         resume_program: Resumes a paused program.
         power_time: Duration of powering on, and of releasing the brakes [s].
 
     Attributes:
-        limits: Limits that cause a protective stop.
+        detection: Detection of collisions.
         robot_mode: Robot mode.
         mode: Safety mode.
         reason: Reason of the last stop.
@@ -80,21 +82,21 @@ class Safety:
         machine: Machine,
         limits: SafetyLimits,
         log: Callable[[str], None],
+        report: Callable[[ErrorCode], None],
         stop_program: Callable[[], None],
         pause_program: Callable[[], bool],
         resume_program: Callable[[], bool],
         power_time: float = 0.5,
     ) -> None:
-        self.limits = limits
+        self.detection = CollisionDetection(machine, limits)
         self.robot_mode = RobotMode.RUNNING
         self.mode = SafetyMode.NORMAL
         self.reason = ""
         self.remote = True
-        self.safeguard_resumes = False
-        self._machine, self._log, self._power_time = machine, log, power_time
+        self.safeguard_resumes = machine.profile.safeguard_resumes
+        self._machine, self._log, self._report, self._power_time = machine, log, report, power_time
         self._stop_program, self._pause_program, self._resume_program = stop_program, pause_program, resume_program
         self._since_stop = 0.0
-        self._force = np.zeros(3)
         self._goal: RobotMode | None = None
         self._wait = 0.0
 
@@ -128,18 +130,18 @@ class Safety:
 
     # -- stops
 
-    def protective_stop(self, reason: str) -> None:
+    def protective_stop(self, reason: str | ErrorCode) -> None:
         """Stop and hold; the program is paused, with its motion. Unlocked through the dashboard after UNLOCK_DELAY.
 
         Unlocking moves nothing. Play resumes the program and its motion, from where the arm stands to the old goal
         (ur_robot_driver, `robot_state_helper`; Universal_Robots_ROS2_Driver #515).
         """
         if self.mode in _RUNS:
-            self._pause_program()
-            stop = self._machine.halt if self._machine.paused else self._machine.stop
-            stop(self._machine.model.safety_deceleration)
+            self._pause_and_brake(self._machine.stops.protective)
             self._since_stop = 0.0
-            self._enter(SafetyMode.PROTECTIVE_STOP, reason)
+            if isinstance(reason, ErrorCode):
+                self._report(reason)
+            self._enter(SafetyMode.PROTECTIVE_STOP, str(reason))
 
     def emergency_stop(self, system: bool = False) -> None:
         """Press the emergency stop: the arm stops and is powered off, the program ends."""
@@ -156,9 +158,7 @@ class Safety:
     def safeguard_stop(self) -> None:
         """Open the safeguard: the program pauses, the arm stops as after a protective stop."""
         if self.mode in _RUNS:
-            self._pause_program()
-            stop = self._machine.halt if self._machine.paused else self._machine.stop
-            stop(self._machine.model.safety_deceleration)
+            self._pause_and_brake(self._machine.stops.safeguard)
             self._enter(SafetyMode.SAFEGUARD_STOP, "safeguard input")
 
     def release_safeguard_stop(self) -> None:
@@ -182,7 +182,7 @@ class Safety:
                 "Cannot unlock protective stop until 5s after occurrence. "
                 "Always inspect cause of protective stop before unlocking"
             )
-        self._force = np.zeros(3)
+        self.detection.forget()
         self._enter(SafetyMode.NORMAL, "")
         return ""
 
@@ -192,7 +192,7 @@ class Safety:
 
     def restore(self) -> None:
         """Restore the initial state: normal and running."""
-        self._force = np.zeros(3)
+        self.detection.forget()
         if self.mode is not SafetyMode.NORMAL:
             self._enter(SafetyMode.NORMAL, "")
         self._power(RobotMode.RUNNING)
@@ -220,43 +220,29 @@ class Safety:
 
     # -- the tick
 
-    def step(self, dt: float, q: Array, tcp_speed: float) -> None:
+    def step(self, dt: float, measured: Measured) -> None:
         """Check the limits after a tick.
 
         Args:
             dt: Length of the tick [s].
-            q: Measured joint positions, (6,) [rad].
-            tcp_speed: Speed of the TCP [m/s].
+            measured: What was measured in it.
         """
         self._since_stop += dt
         self._step_power(dt)
         if self.emergency and self.powered and not np.any(np.abs(self._machine.plant.qd) > SETTLE_SPEED):
             self._power(RobotMode.POWER_OFF)
-        self._force += min(1.0, dt / self.limits.force_time) * (self._machine.plant.wrench[:3] - self._force)
-        if self.mode in _RUNS and self.robot_mode is RobotMode.RUNNING and (reason := self._breach(q, tcp_speed)):
-            self.protective_stop(reason)
+        error = self.detection.step(dt, measured)
+        if error is not None and self.mode in _RUNS and self.robot_mode is RobotMode.RUNNING:
+            self.protective_stop(error)
 
-    def _breach(self, q: Array, tcp_speed: float) -> str:
-        limits, machine = self.limits, self._machine
-        force = float(np.sqrt(self._force @ self._force))
-        if force > limits.force:
-            return f"force of {force:.0f} N is over {limits.force:.0f} N"
-        error = np.abs(machine.q_target - q)
-        if error.max() > limits.following_error:
-            joint = int(error.argmax())
-            return f"joint {joint} is {error[joint]:.2f} rad from its set-point"
-        if np.any(np.abs(q) > machine.model.position):
-            return f"joint {int(np.argmax(np.abs(q) - machine.model.position))} is at its limit"
-        over = np.abs(machine.plant.qd) - limits.joint_speed * np.asarray(machine.model.velocity)
-        if over.max() > 0.0:
-            return f"joint {int(over.argmax())} is too fast"
-        if tcp_speed > limits.tcp_speed:
-            return f"TCP speed of {tcp_speed:.2f} m/s is over {limits.tcp_speed:.2f} m/s"
-        return ""
+    def _pause_and_brake(self, deceleration: float) -> None:
+        self._pause_program()
+        stop = self._machine.halt if self._machine.paused else self._machine.stop
+        stop(deceleration)
 
     def _stop(self, mode: SafetyMode, reason: str) -> None:
         self._stop_program()
-        self._machine.stop(self._machine.model.safety_deceleration)
+        self._machine.stop(self._machine.stops.emergency)
         self._since_stop = 0.0
         self._enter(mode, reason)
 

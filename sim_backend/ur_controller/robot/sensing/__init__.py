@@ -1,0 +1,1 @@
+"""What the controller measures: joints and forces, with the errors of a profile."""

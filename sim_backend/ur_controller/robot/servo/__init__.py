@@ -1,0 +1,1 @@
+"""The motion of `servoj`: exact, or with the lag of a real controller."""
