@@ -52,7 +52,15 @@ class Identity:
 
     @classmethod
     def of(cls, model: ControllerModel, profile: Profile = IDEAL) -> Identity:
-        """The true identity of a controller of this model and profile."""
+        """The true identity of a controller.
+
+        Args:
+            model: The robot's model.
+            profile: The controller's profile.
+
+        Returns:
+            The identity.
+        """
         version = model.version if profile.version is None else profile.version
         return cls(model.name, version, "20185500001", model.a, model.d, model.alpha)
 

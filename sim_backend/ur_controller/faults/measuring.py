@@ -98,7 +98,12 @@ class MeasuringFaults(HookGroup):
 
     @hook
     def stuck_input(self, index: int, stuck: bool = True) -> None:
-        """Let a digital input stay as it is, whatever is wired to it does, or end that."""
+        """Let a digital input stay as it is, whatever is wired to it does, or end that.
+
+        Args:
+            index: Its number, 0 to 17.
+            stuck: Whether it is stuck.
+        """
         self._check(index)
         if stuck:
             self._stuck.add(index)

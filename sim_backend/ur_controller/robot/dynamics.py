@@ -121,5 +121,13 @@ def _torques(links: Chain, centres: Array, forces: Array) -> Array:
 
 
 def cross_rows(a: Array, b: Array) -> Array:
-    """Cross products of the rows of two arrays (..., 3): numpy's own is slow for so few."""
+    """Cross products of rows; numpy's own is slow for so few.
+
+    Args:
+        a: Left factors, (..., 3).
+        b: Right factors, (..., 3).
+
+    Returns:
+        The products, (..., 3).
+    """
     return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]

@@ -66,7 +66,15 @@ class CollisionDetection:
         self.collision_ratio = 0.0
 
     def step(self, dt: float, measured: Measured) -> ErrorCode | None:
-        """Check a tick of dt [s]; returns the error, or None."""
+        """Check a tick.
+
+        Args:
+            dt: Length of the tick [s].
+            measured: What was measured in it.
+
+        Returns:
+            The error that stops the arm, or None.
+        """
         limits, machine = self.limits, self._machine
         share = min(1.0, dt / limits.force_time)
         wrench = machine.sensors.wrench
