@@ -76,6 +76,8 @@ def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
             "release",
             "take_tool",
             "confirm_swing",
+            "confirm_inspection",
+            "hold_switch",
             "zone_occupied",
             "enabling_switch_held",
         },
