@@ -79,7 +79,7 @@ class Lag(MotionOptions):
         else:
             words = f"gain {best.gain:g}, lookahead {best.lookahead:g} s, lag {best.lag:g} s"
             console.print(
-                f"[bold]Recommended: {words}[/bold]. Measured at {slow.config.arm.velocity[0]:g} rad/s only.",
+                f"[bold]Recommended: {words}[/bold]. Measured at up to {limits.velocity[self.joint - 1]:g} rad/s.",
                 soft_wrap=True,
             )
         if best is not None and self.write and self.config is not None:
