@@ -14,8 +14,8 @@ from tests.tasks.noisy_arm import Rig
 from toolee_robot.errors import DeviceError
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.frames import Array
+from toolee_robot.motion.touch_force import deviation_of_mean, onset, touch_settings
 from toolee_robot.sim_backend.ur_controller.profile import CB3
-from toolee_robot.tasks.hammering.touch import deviation_of_mean, onset, touch_settings
 
 NOISE, RATE = CB3.force.noise[0], 125.0
 
@@ -81,7 +81,7 @@ def test_the_threshold_follows_from_the_noise_and_its_correlation(sigma: float, 
         return np.asarray(lfilter([1.0], [1.0, -keep], fresh, axis=0)[100:])
 
     rest = noise(375)
-    settings = touch_settings(rest, RATE, CONFIG)
+    settings = touch_settings(rest, RATE, CONFIG.strike)
     assert CONFIG.strike.touch_force <= settings.force <= 1.5 * CONFIG.strike.touch_force
     assert settings.window * settings.speed == pytest.approx(0.00144)
     later = noise(20_000)
