@@ -85,8 +85,9 @@ def _force(sd: float, offset: float, rate: float = 125.0) -> Array:
     ("sd", "offset", "touch", "level"),
     [
         (0.1, 1.0, 8.0, Level.OK),
-        (3.6 / np.sqrt(3), 7.0, 8.0, Level.WARN),  # a CB3's, as a user measured it
-        (3.6 / np.sqrt(3), 7.0, 15.0, Level.OK),
+        (3.6, 7.0, 8.0, Level.OK),  # a CB3's, as a user measured it: slower
+        (3.6, 7.0, 1.0, Level.WARN),
+        (20.0, 7.0, 8.0, Level.WARN),
         (0.1, 30.0, 8.0, Level.FAIL),
         (0.0, 0.0, 8.0, Level.OK),
     ],
@@ -94,8 +95,7 @@ def _force(sd: float, offset: float, rate: float = 125.0) -> Array:
 def test_the_force_of_a_touch_is_held_against_the_noise(sd: float, offset: float, touch: float, level: Level) -> None:
     config = replace(CONFIG, strike=replace(CONFIG.strike, touch_force=touch))
     force = force_at_rest(_force(sd, offset), 125.0)
-    assert force.offset == pytest.approx(offset, abs=0.5)
-    assert force.noise == pytest.approx(sd * np.sqrt(3) / np.sqrt(3), rel=0.25, abs=1e-9), "three readings averaged"
+    assert force.offset == pytest.approx(offset, abs=0.5 + 0.2 * sd)
     finding = check_force(force, config)
     assert finding.level is level, finding
     assert bool(finding.remedy) is (level is not Level.OK)

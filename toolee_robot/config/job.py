@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from toolee_robot.config.values import STRICT, Count, NotNegative, Positive
 
@@ -26,6 +28,12 @@ class StrikeConfig:
     hammer."""
     contact_force: Positive = 15.0
     """Force that counts as the contact of a strike [N]."""
+    max_load: Annotated[float, Field(gt=0, le=1)] = 0.6
+    """Largest joint position deviation ratio and collision detection ratio of the controller in a strike, where it has
+    them; at 1 the robot stops itself. After a strike with more, the job ends."""
+    max_torque_share: Positive = 1.0
+    """Largest computed torque of a joint in a strike as a share of its largest one, without friction and rotors. After
+    a strike with more, the job ends. The braking of a straight strike at 1.2 m/s takes some 0.7 of the elbow's."""
     clearance: NotNegative = 0.008
     """Least distance between any two bodies during a strike, other than face and nail [m]."""
 

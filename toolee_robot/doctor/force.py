@@ -12,13 +12,10 @@ from toolee_robot.errors import DeviceError, ProtocolError
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.frames import Array
 from toolee_robot.hardware.ur.protocols.rtde import RtdeReader
+from toolee_robot.motion.touch_force import touch_settings
 
 DURATION, PATIENCE = 1.0, 2.0
 """Duration of the measurement, and time for connecting on top [s]."""
-WINDOW = 0.024
-"""Time over which a touch averages the force [s]."""
-MULTIPLE = 5.0
-"""A touch is safe from noise whose force is so many times the averaged force's standard deviation."""
 OFFSET = 15.0
 """Offset at rest above which the payload is suspected, or a contact [N]. A CB3's estimate was seen to be 7 N off."""
 FEW = 50
@@ -33,14 +30,15 @@ class ForceAtRest:
         mean: Mean of the magnitude |F| of the readings [N].
         sd: Standard deviation of that magnitude [N].
         offset: Magnitude of the mean force, which zeroing takes away [N].
-        noise: Standard deviation of the force, averaged over WINDOW, about its mean: the root of the sum over the three
-            axes [N].
+        forces: The readings, (N, 3) [N].
+        rate: Their rate [Hz].
     """
 
     mean: float
     sd: float
     offset: float
-    noise: float
+    forces: Array
+    rate: float
 
 
 def measure_force(host: str, rate: float) -> ForceAtRest:
@@ -79,14 +77,11 @@ def force_at_rest(forces: Array, rate: float) -> ForceAtRest:
         rate: Their rate [Hz].
 
     Returns:
-        Mean, deviation, offset and noise.
+        Mean, deviation and offset.
     """
-    width = max(1, round(WINDOW * rate))
-    averaged = np.stack([np.convolve(axis, np.full(width, 1.0 / width), mode="valid") for axis in forces.T])
     magnitude = np.linalg.norm(forces, axis=1)
     offset = float(np.linalg.norm(np.mean(forces, axis=0)))
-    noise = float(np.sqrt(np.sum(np.var(averaged, axis=1))))
-    return ForceAtRest(float(np.mean(magnitude)), float(np.std(magnitude)), offset, noise)
+    return ForceAtRest(float(np.mean(magnitude)), float(np.std(magnitude)), offset, forces, rate)
 
 
 def check_force(force: ForceAtRest, config: StationConfig) -> Finding:
@@ -99,17 +94,13 @@ def check_force(force: ForceAtRest, config: StationConfig) -> Finding:
     Returns:
         The finding.
     """
-    name, touch = "force", config.strike.touch_force
-    need = MULTIPLE * force.noise
-    message = (
-        f"at rest |F| is {force.mean:.1f} N, sd {force.sd:.1f} N; offset {force.offset:.1f} N, noise over "
-        f"{1e3 * WINDOW:.0f} ms {force.noise:.2f} N; strike.touch_force {touch:g} N is "
-        f"{touch / max(force.noise, 1e-9):.1f} times that"
-        if force.noise > 1e-6
-        else f"at rest |F| is {force.mean:.1f} N without any noise, as only a simulation's is"
-    )
+    name, strike = "force", config.strike
+    message = f"at rest |F| is {force.mean:.1f} N, sd {force.sd:.1f} N; offset {force.offset:.1f} N"
     if force.offset > OFFSET:
         return fail(name, message, "correct the payload, or take away what the arm leans against")
-    if touch < need:
-        return warn(name, message, f"a touch would end in free space: set strike.touch_force to {np.ceil(need):g} N")
-    return ok(name, message)
+    try:
+        touch = touch_settings(force.forces, force.rate, strike)
+    except DeviceError as error:
+        return warn(name, message, str(error))
+    message += f"; a touch goes at {1e3 * touch.speed:.0f} mm/s and ends at {touch.force:.1f} N"
+    return ok(name, message if force.sd > 1e-6 else f"{message}; no noise, as only a simulation's")

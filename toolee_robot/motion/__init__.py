@@ -1,1 +1,1 @@
-"""Checks and stops of trajectories that every arm driver shares."""
+"""Checks and stops of trajectories that every arm driver shares, and the force of a guarded touch."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -94,6 +95,7 @@ class RecordingObserver(TaskObserver):
     def strike(self, strike: Strike) -> None:
         data: dict[str, Any] = {"number": strike.number, "protrusion": strike.protrusion}
         data |= {"speed": strike.speed, "peak_force": strike.peak_force, "meeting": str(strike.meeting)}
+        data |= asdict(strike.load)
         self._recorder.record_event(strike.stamp, "blow", data)
 
     def ended(self, result: HammerResult) -> None:

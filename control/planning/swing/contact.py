@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import daqp
 import numpy as np
 
+from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
 from toolee_robot.control.kinematics import ArmKinematics
-from toolee_robot.control.planning.swing.dynamics import SwingDynamics
 from toolee_robot.frames import Array
 
 _TINY = 1e-6
@@ -78,7 +78,7 @@ def fastest(J: Array, velocity: Array) -> float:
     return float(J[2] @ qd) if flag > 0 else 0.0
 
 
-def decelerations(face: Face, dynamics: SwingDynamics, q: Array, acceleration: float, torque: Array) -> Array:
+def decelerations(face: Face, dynamics: ArmDynamics, q: Array, acceleration: float, torque: Array) -> Array:
     """Compute the largest deceleration of the face along the nail's axis from the contact on.
 
     A linear program for each configuration: the joints' accelerations within their limit, the torques of the inverse

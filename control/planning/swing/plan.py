@@ -13,9 +13,9 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Clearance, CollisionWorld
 from toolee_robot.control.collision_shapes import TOOL_JOINT
 from toolee_robot.control.correction import Candidates, candidates, rank
+from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
 from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.planning.swing.contact import Face, decelerations, fastest
-from toolee_robot.control.planning.swing.dynamics import SwingDynamics
 from toolee_robot.control.planning.swing.limits import SwingLimits
 from toolee_robot.control.planning.swing.problem import SwingProblem
 from toolee_robot.control.planning.swing.sampling import sampled_within, spline_for
@@ -145,7 +145,7 @@ class _Swing:
         self._wanted, self._X_base_nail = wanted, X_base_nail
         self._X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
         self._face = Face.build(robot.arm, self._X_flange_ee, X_base_nail)
-        self._dynamics = SwingDynamics(robot, q_hand, X_hand_ee, limits.tool)
+        self._dynamics = ArmDynamics(robot, q_hand, X_hand_ee, limits.tool)
         self._torque = limits.torque_share * np.array(ARM_DATA[config.arm.model].torque)
         points = [body.spheres[:, :3] for body in world.bodies if body.joint == TOOL_JOINT]
         self._carried = np.concatenate([*points, robot.arm.X_joint6_flange[None, :3, 3]])

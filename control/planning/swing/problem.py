@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import daqp
 import numpy as np
 
+from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
 from toolee_robot.control.planning.swing.contact import Face
-from toolee_robot.control.planning.swing.dynamics import SwingDynamics
 from toolee_robot.control.planning.swing.spline import Spline
 from toolee_robot.errors import LimitError
 from toolee_robot.frames import Array
@@ -66,7 +66,7 @@ class SwingProblem:
     """
 
     face: Face
-    dynamics: SwingDynamics
+    dynamics: ArmDynamics
     spline: Spline
     q_contact: Array
     carried: Array

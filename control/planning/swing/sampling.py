@@ -6,8 +6,8 @@ import numpy as np
 
 from toolee_robot.config import ArmLimits
 from toolee_robot.control.collision import CollisionWorld
+from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
 from toolee_robot.control.modes import carried_speed
-from toolee_robot.control.planning.swing.dynamics import SwingDynamics
 from toolee_robot.control.planning.swing.spline import Spline
 from toolee_robot.control.planning.timing import SAMPLE_PERIOD
 from toolee_robot.errors import LimitError
@@ -36,7 +36,7 @@ def spline_for(limits: ArmLimits) -> Spline:
 
 def sampled_within(
     spline: Spline,
-    dynamics: SwingDynamics,
+    dynamics: ArmDynamics,
     world: CollisionWorld,
     q_contact: Array,
     x: Array,

@@ -11,7 +11,8 @@ import numpy as np
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
-from toolee_robot.control.planning.swing import Face, SwingDynamics, SwingLimits, plan_swing
+from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
+from toolee_robot.control.planning.swing import Face, SwingLimits, plan_swing
 from toolee_robot.control.planning.timing import ramp_length
 from toolee_robot.errors import PlanningError
 from toolee_robot.frames import Array, inverse
@@ -103,7 +104,7 @@ def compare(
         def straight(args: tuple = args) -> StrikePlan:  # type: ignore[type-arg]
             return plan_strike(*args, speed=0.99 * station_speed)
 
-        dynamics = SwingDynamics(robot, q_hand, X_hand_ee, held)
+        dynamics = ArmDynamics(robot, q_hand, X_hand_ee, held)
         face = Face.build(robot.arm, robot.X_flange_hand(q_hand) @ X_hand_ee, X_base_nail)
         rated = np.array(ARM_DATA[model].torque)
         strikes += _plan(STRAIGHT, nail, straight, dynamics, face, rated)
@@ -113,7 +114,7 @@ def compare(
 
 
 def _plan(
-    kind: str, nail: int, planner: Callable[[], StrikePlan], dynamics: SwingDynamics, face: Face, rated: Array
+    kind: str, nail: int, planner: Callable[[], StrikePlan], dynamics: ArmDynamics, face: Face, rated: Array
 ) -> Iterator[Strike]:
     began, cpu = time.perf_counter(), time.process_time()
     try:

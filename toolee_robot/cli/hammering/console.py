@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
+from toolee_robot.control.dynamics.strike_load import StrikeLoad
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array
@@ -127,7 +128,8 @@ class ConsoleObserver(TaskObserver):
         self._console.print(
             f"  strike {strike.number:>2}  {strike.protrusion * 1e3:5.1f} mm over the wood  "
             f"[dim]({gained:+.1f})[/dim]  "
-            f"[blue]{bar:<20}[/blue] [dim]{strike.speed:.1f} m/s, {strike.peak_force:.0f} N[/dim]"
+            f"[blue]{bar:<20}[/blue] [dim]{strike.speed:.1f} m/s, {strike.peak_force:.0f} N, "
+            f"{load_text(strike.load)}[/dim]"
         )
         if self._task is not None:
             driven = max(self._start - strike.protrusion, 0.0)
@@ -143,6 +145,13 @@ class ConsoleObserver(TaskObserver):
         if self._task is not None:
             self._progress.stop()
             self._task = None
+
+
+def load_text(load: StrikeLoad) -> str:
+    """Format the load of a strike: impulse, torque, and the controller's ratios where it has them."""
+    ratios = {"deviation": load.position_deviation_ratio, "collision": load.collision_ratio}
+    known = "".join(f", {name} {ratio:.2f}" for name, ratio in ratios.items() if ratio is not None)
+    return f"{load.impulse:.1f} N s, {100 * load.torque_share:.0f} % torque{known}"
 
 
 def plan_text(plan: StrikePlan) -> str:

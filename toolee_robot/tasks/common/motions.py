@@ -22,16 +22,15 @@ from toolee_robot.hal import ContactGuard, MotionOutcome, MotionReport, Station
 from toolee_robot.tasks.common.hand_watch import HandWatch, check_held
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.person_proof import PersonProof
-from toolee_robot.types import Trajectory
+from toolee_robot.types import Payload, Trajectory
 
 UP = (0.0, 0.0, 1.0)
 """Unit vector in `base`."""
 STRAIGHT_SPEED = 0.25
 """Largest speed of a straight motion [m/s]."""
-QUIET_TIME, QUIET_STEP, QUIET_PATIENCE = 0.1, 0.02, 2.0
-"""Required time below the force threshold, polling period, and time-out of `wait_until_quiet` [s]."""
-STILL_PATIENCE = 1.0
-"""Longest wait for an arm that oscillates after a contact [s]; the supervisor refuses one that still moves."""
+STILL_STEP, STILL_PATIENCE = 0.02, 1.0
+"""Polling period and longest wait for an arm that oscillates after a contact [s]; the supervisor refuses one that still
+moves."""
 RETREAT, RETREAT_SPEED = 0.20, 0.15
 """Length [m] and speed [m/s] of the retreat after the tool has dropped."""
 HOLD_SWITCH = "Release the enabling switch, then hold it: the arm moves slowly."
@@ -54,6 +53,7 @@ class Motions:
         q: Joint positions that the arm holds, (6,) [rad]; set by `begin`.
         X_hand_ee: Estimated pose of the end effector in the hand, (4, 4).
         held: Whether the hand holds the tool.
+        payload: What the flange carries; None before it was set.
     """
 
     q: Array
@@ -68,6 +68,8 @@ class Motions:
     ) -> None:
         self.X_hand_ee = X_hand_ee
         self.held = False
+        self.payload: Payload | None = None
+        self._zeroed: Array | None = None
         self.person = PersonProof(station.person)
         self.arm = Supervisor(station.arm, self.person, robot, config, self.world)
         self._station = station
@@ -82,6 +84,7 @@ class Motions:
             StaleDataError: The arm's data is too old.
         """
         self.q = self.arm.state().q_commanded
+        self._zeroed = None  # a reset may have undone it
 
     @property
     def q_hand(self) -> Array:
@@ -96,6 +99,18 @@ class Motions:
     def world(self) -> CollisionWorld:
         """Collision model of the present state."""
         return CollisionWorld(self._robot, self._config, self.q_hand, self.X_hand_ee if self.held else None)
+
+    def set_payload(self, payload: Payload) -> None:
+        """Tell the arm what its flange carries; see `hal.Arm`.
+
+        Args:
+            payload: Mass [kg] and centre of mass [m], flange frame.
+
+        Raises:
+            LimitError: The arm cannot carry it.
+        """
+        self.arm.set_payload(payload)
+        self.payload, self._zeroed = payload, None
 
     def execute(
         self, name: str, trajectory: Trajectory, guard: ContactGuard | None = None, *, at_work: bool = False
@@ -196,23 +211,37 @@ class Motions:
                     return True
         return False
 
-    def wait_until_quiet(self, force: float) -> bool:
-        """Wait until the sensed force is small, since a swinging tool would be taken for a contact.
+    def zero_wrench(self) -> None:
+        """Zero the force reading, at rest and away from everything; see `hal.Arm`.
+
+        Raises:
+            TooleeError: As `Supervisor.zero_wrench`.
+        """
+        self._wait_until_still()
+        self.arm.zero_wrench()
+        self._zeroed = self._flange()
+
+    def zeroed_within(self, distance: float) -> bool:
+        """Whether the force was zeroed with the flange within a distance [m] of its present place."""
+        return self._zeroed is not None and bool(np.linalg.norm(self._flange() - self._zeroed) < distance)
+
+    def forces(self, duration: float) -> Array:
+        """Read the force of the arm at rest.
 
         Args:
-            force: Threshold that the force must stay below for QUIET_TIME [N].
+            duration: Time over which it is read [s].
 
         Returns:
-            Whether it did so within QUIET_PATIENCE.
+            The readings, one a cycle, (N, 3) [N], `base` axes.
+
+        Raises:
+            DeviceError: The arm does not answer.
         """
-        quiet = 0.0
-        for _ in range(int(QUIET_PATIENCE / QUIET_STEP)):
-            self._station.clock.sleep(QUIET_STEP)
-            felt = float(np.linalg.norm(self.arm.state().wrench[:3]))
-            quiet = quiet + QUIET_STEP if felt < force else 0.0
-            if quiet >= QUIET_TIME:
-                return True
-        return False
+        readings = []
+        for _ in range(max(round(duration * self.arm.rate), 1)):
+            self._station.clock.sleep(1.0 / self.arm.rate)
+            readings.append(self.arm.state().wrench[:3])
+        return np.array(readings)
 
     def check_hand(self) -> None:
         """Check the hand before a strike.
@@ -261,12 +290,16 @@ class Motions:
                     self._report(name, fault.report)
             raise
 
+    def _flange(self) -> Array:
+        """Position of the flange in `base`, (3,) [m]."""
+        return self._robot.arm.fk(self.q)[:3, 3]
+
     def _wait_until_still(self) -> None:
         with suppress(DeviceError):  # the supervisor refuses an arm without data, with the specific reason
-            for _ in range(int(STILL_PATIENCE / QUIET_STEP)):
+            for _ in range(int(STILL_PATIENCE / STILL_STEP)):
                 if np.abs(self.arm.state().joints.qd).max() < AT_REST:
                     return
-                self._station.clock.sleep(QUIET_STEP)
+                self._station.clock.sleep(STILL_STEP)
 
     def _done(self, name: str, report: MotionReport, hand: HandWatch | None) -> None:
         # The arm holds the commanded position, where the next motion must start; the servo's lag is zero at rest.

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from toolee_robot.control.contact import Meeting
+from toolee_robot.control.dynamics.strike_load import StrikeLoad
 from toolee_robot.types import InHandEstimate
 
 
@@ -27,6 +28,7 @@ class Outcome(StrEnum):
     POSE_UNKNOWN = "pose_unknown"
     NO_PLAN = "no_plan"
     NAIL_MISSED = "nail_missed"
+    OVERLOAD = "overload"
     PERSON_NEAR = "person_near"
     DEVICE_FAULT = "device_fault"
     INTERRUPTED = "interrupted"
@@ -71,6 +73,7 @@ class Strike:
         speed: Planned speed of the face at the contact [m/s].
         peak_force: Largest sensed force at the flange [N].
         meeting: How the strike met the nail.
+        load: What the strike asked of the arm.
         protrusion: Height of the nail's head over the wood that the touch after the strike measured [m]; None where it
             could not be measured.
     """
@@ -80,6 +83,7 @@ class Strike:
     speed: float
     peak_force: float
     meeting: Meeting
+    load: StrikeLoad
     protrusion: float | None
 
 

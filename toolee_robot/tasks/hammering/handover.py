@@ -81,7 +81,7 @@ class Handover:
             self._motions.held = True
             grasp = self._grasp
             q_hand = self._motions.q_hand
-            self._motions.arm.set_payload(self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
+            self._motions.set_payload(self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
 
     def clear_person(self, prompt: str) -> None:
         """Ask the person to step back, and allow fast motion once they were seen out of reach.
@@ -122,7 +122,7 @@ class Handover:
         """Note that the hand is empty, and tell the arm as much: it carries the hammer no longer."""
         self._motions.held = False
         with suppress(DeviceError):  # a stopped arm may take no payload; the next job sets it
-            self._motions.arm.set_payload(self._robot.description.hand_payload(self._motions.q_hand))
+            self._motions.set_payload(self._robot.description.hand_payload(self._motions.q_hand))
 
     def _empty_hand(self) -> None:
         """Open the hand; a person takes a tool that it still holds first, so that it does not fall."""

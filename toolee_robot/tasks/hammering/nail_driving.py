@@ -9,6 +9,7 @@ import numpy as np
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control.contact import ContactVerdict, Meeting
+from toolee_robot.control.dynamics.strike_load import strike_load
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
@@ -107,6 +108,7 @@ class NailDriving:
             if len(self.strikes) >= task.max_strikes:
                 end = f"after {task.max_strikes} strikes the head stands {height * 1e3:.1f} mm over the wood"
                 return Outcome.OUT_OF_STRIKES, f"{end}, not confirmed by another strike" if flush else end
+            self._check_load()
             if self.strikes_since_look >= task.strikes_between_looks and not flush:
                 self._look(task.views_again)
             plan = self._plan(height)
@@ -176,6 +178,7 @@ class NailDriving:
     def _swing(self, plan: StrikePlan) -> tuple[MotionReport, ContactVerdict]:
         """Execute the strike, then retract straight up from where it ended."""
         motions = self._motions
+        motions.zero_wrench()
         motions.transfer("to the run-up", plan.approach)
         motions.arm.permit_swings(self._config.task.handover_timeout)
         report, verdict = motions.swing("strike", plan)
@@ -189,9 +192,17 @@ class NailDriving:
         stamp = report.stamps[-1] if report.contact is None else report.contact.stamp
         if report.contact is not None:
             self._observer.contact(stamp, force, plan.X_base_ee_contact)
-        strike = Strike(len(self.strikes) + 1, float(stamp), plan.speed, force, verdict.meeting, height)
+        payload, model = self._motions.payload, self._config.arm.model
+        assert payload is not None, "the payload is set when the hand has closed"
+        load = strike_load(report, self._robot, self._motions.q_hand, payload, model)
+        strike = Strike(len(self.strikes) + 1, float(stamp), plan.speed, force, verdict.meeting, load, height)
         self.strikes.append(strike)
         self._observer.strike(strike)
+
+    def _check_load(self) -> None:
+        """Allow no further strike after one that brought the arm too near to a stop of its own."""
+        if self.strikes and (excess := self.strikes[-1].load.excess(self._config.strike)):
+            raise JobEnded(Outcome.OVERLOAD, excess)
 
     @contextmanager
     def _check_missed(self, missed: int) -> Iterator[None]:

@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from toolee_robot.config import StationConfig
-from toolee_robot.control.planning.straight import plan_over_nail, plan_straight
+from toolee_robot.control.planning.straight import plan_over_nail
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.control.slip import protrusion
 from toolee_robot.frames import transform
-from toolee_robot.hal import ContactGuard
 from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome
+from toolee_robot.tasks.hammering.touch import Touch
 
 TOLERANCE = 0.012
 """Largest deviation of a touch from the expected height at which it counts as the nail's head [m]."""
@@ -23,8 +22,6 @@ LIFT = 0.006
 """Retraction after a touch, before the face moves aside [m]."""
 MARGIN = 0.004
 """Height over the expected wood at which the slow approach starts [m]."""
-TOUCH_TIME = 0.024
-"""Averaging window of the touch force [s]: three readings of a CB3, 0.7 mm of travel."""
 MAX_DEPTH_PER_STRIKE = 0.008
 """Largest depth that a strike of this arm can drive a nail [m]; a head that sinks more has bent."""
 IMPLAUSIBLE_DEPTH = 0.004
@@ -47,10 +44,8 @@ class NailGauge:
     """
 
     def __init__(self, motions: Motions, config: StationConfig, robot: RobotModel, observer: TaskObserver) -> None:
-        self._motions = motions
-        self._config = config
-        self._robot = robot
-        self._observer = observer
+        self._motions, self._config, self._robot = motions, config, robot
+        self._touch = Touch(motions, config, robot, observer)
         self._reference = 0.0
 
     def begin(self, plan: StrikePlan) -> None:
@@ -100,7 +95,7 @@ class NailGauge:
             JobEnded: A touch met nothing, or the tool already touches something before it.
         """
         motions = self._motions
-        nail = self._touch("nail", CLEAR + TOLERANCE, missed)
+        nail = self._lower("nail", CLEAR + TOLERANCE, missed)
         motions.straight("up", UP, LIFT)
         # Towards the handle, so that the hand moves away from the block.
         aside = motions.X_base_ee[:3, 0] * [1.0, 1.0, 0.0]
@@ -112,11 +107,11 @@ class NailGauge:
         fast = max(min(expected, nail) - MARGIN, 0.0)
         motions.straight("down", UP, -fast)
         reach = expected + LIFT + TOLERANCE - fast
-        wood = self._touch("wood", reach, Outcome.NAIL_MISSED)
+        wood = self._lower("wood", reach, Outcome.NAIL_MISSED)
         if nail - wood + self._reference < expected - IMPLAUSIBLE_DEPTH:
             # A force felt above the wood makes the nail seem driven deeper; none can be felt below it.
             motions.straight("up", UP, LIFT)
-            wood = min(wood, self._touch("wood", reach + LIFT, Outcome.NAIL_MISSED))
+            wood = min(wood, self._lower("wood", reach + LIFT, Outcome.NAIL_MISSED))
         motions.straight("up", UP, expected + LIFT + MARGIN)
         measured = nail - wood + self._reference
         # Correct the face's position along its normal, from the nail's head that it rested on.
@@ -128,21 +123,15 @@ class NailGauge:
         way = plan_over_nail(self._robot, self._config, motions.world(), motions.q, plan, before=CLEAR)
         motions.transfer("to the touch", way)
 
-    def _touch(self, what: str, reach: float, missed: Outcome) -> float:
-        """Lower the face slowly by up to `reach` [m]; returns the apparent height over the wood at the contact [m]."""
-        motions, strike = self._motions, self._config.strike
-        if not motions.wait_until_quiet(0.5 * strike.touch_force):
+    def _lower(self, what: str, reach: float, missed: Outcome) -> float:
+        """Touch something up to `reach` [m] below; returns its apparent height over the wood [m]."""
+        motions = self._motions
+        if not self._touch.prepare():
             motions.straight("up", UP, CLEAR)
-            raise JobEnded(
-                missed, f"before the {what} was touched the arm felt a force: the tool leans against something"
-            )
-        down = plan_straight(self._robot, self._config, motions.world(), motions.q, -reach, UP, strike.touch_speed)
-        report = motions.execute(
-            f"touch the {what}", down, ContactGuard(strike.touch_force, averaging_window=TOUCH_TIME), at_work=True
-        )
-        if report.contact is None:
+            message = f"before the {what} was touched the arm felt a force: the tool leans against something"
+            raise JobEnded(missed, message)
+        height = self._touch.lower(what, reach)
+        if height is None:
             motions.straight("up", UP, reach)
             raise JobEnded(missed, f"the face was lowered to where the {what} should be and met nothing")
-        X_base_ee = self._robot.X_base_ee(report.contact.q, motions.q_hand, motions.X_hand_ee)
-        self._observer.contact(report.contact.stamp, strike.touch_force, X_base_ee)
-        return protrusion(X_base_ee, self._config.work.X_base_nail(0.0))
+        return height

@@ -13,7 +13,7 @@ from toolee_robot.frames import Array
 from toolee_robot.types import Payload
 
 
-class SwingDynamics:
+class ArmDynamics:
     """Dynamics of the six arm joints.
 
     Args:

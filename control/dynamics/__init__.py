@@ -1,0 +1,1 @@
+"""Rigid-body dynamics of the arm, and what a strike asked of it."""

@@ -1,0 +1,81 @@
+"""A simulated arm whose force has a CB3's errors, as the controller stand-in has them, and what it touches with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tests.tasks.bench import Log
+from toolee_robot.control import Mode, RobotModel, plan_over_nail, plan_strike
+from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
+from toolee_robot.frames import inverse
+from toolee_robot.sim_backend.devices.flange_sensor import FlangeSensor
+from toolee_robot.sim_backend.ur_controller.profile import CB3
+from toolee_robot.sim_backend.ur_controller.robot.dynamics import ArmDynamics
+from toolee_robot.sim_backend.ur_controller.robot.model import UR10
+from toolee_robot.sim_backend.ur_controller.robot.sensing.force_errors import WrenchErrors
+from toolee_robot.sim_backend.ur_controller.robot.sensing.noise import Noise
+from toolee_robot.tasks.common.motions import UP, Motions
+from toolee_robot.tasks.hammering.touch import Touch
+
+GRAVITY = np.array([0.0, 0.0, 9.81])
+
+
+class NoisySensor(FlangeSensor):
+    """The simulated arm's force with noise, offset, drift and the errors in motion of a CB3, times `scale`."""
+
+    def disturb(self, seed: int, scale: float = 1.0) -> None:
+        self._scale = scale
+        self._dynamics = ArmDynamics(UR10)
+        self._errors = WrenchErrors(UR10, CB3.force, Noise(seed))
+
+    def _finish(self) -> None:
+        super()._finish()
+        robot, payload = self._world.robot, self.payload
+        q, qd = robot.arm_state()
+        dynamics = self._dynamics.step(
+            UR10, robot.q_arm_target, payload.mass, payload.center_of_mass, GRAVITY, self.period
+        )
+        steady, noise = self._errors.step(self.period, q, qd, dynamics)
+        self.wrench = self.wrench + self._scale * (steady + noise)
+
+
+class Rig:
+    """The face over the nail, which a noisy arm touches."""
+
+    def __init__(self, bench: Bench, seed: int, scale: float = 1.0) -> None:
+        self._world = bench.sim.world
+        sensor = bench.arm._sensor
+        sensor.__class__ = NoisySensor
+        assert isinstance(sensor, NoisySensor)
+        sensor.disturb(seed, scale)
+        robot = self._robot = RobotModel.of_station(CONFIG)
+        bench.hand.close()
+        self.log = Log()
+        motions = self.motions = Motions(bench.station, CONFIG, robot, self.log, bench.true_grasp.X_hand_ee)
+        motions.begin()
+        grasp = bench.true_grasp
+        motions.set_payload(robot.payload(motions.q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com))
+        motions.held = True
+        assert motions.person.hold_switch("", 1.0)
+        assert motions.person.request_handover("", 1.0)
+        assert motions.person.release("", 1.0)
+        motions.arm.mode = Mode.UNATTENDED
+        self.touch = Touch(motions, CONFIG, robot, self.log)
+        nail = CONFIG.work.X_base_nail(self._world.nail.protrusion)
+        self._plan = plan_strike(robot, CONFIG, motions.world(), motions.q, motions.q_hand, motions.X_hand_ee, nail)
+
+    def go_over(self, over: float) -> None:
+        """Go to rest so far over the nail [m], and look where the face is: the tool hangs in the hand."""
+        motions = self.motions
+        way = plan_over_nail(self._robot, CONFIG, motions.world(), motions.q, self._plan, over)
+        motions.transfer("over the nail", way)
+        self._world.advance(0.3)
+        motions.X_hand_ee = inverse(self._world.X_base_hand()) @ self._world.X_base_ee()
+
+    def error(self, over: float) -> float:
+        """Touch the nail from so far over it [m]; returns the height's error [m], NaN where nothing was met."""
+        self.go_over(over)
+        assert self.touch.prepare()
+        height = self.touch.lower("nail", over + 0.010)
+        self.motions.straight("up", UP, 0.010)
+        return np.nan if height is None else height - self._world.nail.protrusion

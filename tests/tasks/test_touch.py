@@ -1,0 +1,110 @@
+"""Guarded touches with the force of a CB3: noisy, offset, drifting; where they end, and when they are refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+
+from tests.errors import raises
+from tests.examples import examples
+from tests.tasks.noisy_arm import Rig
+from toolee_robot.errors import DeviceError
+from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
+from toolee_robot.frames import Array
+from toolee_robot.motion.touch_force import deviation_of_mean, onset, touch_settings
+from toolee_robot.sim_backend.ur_controller.profile import CB3
+
+NOISE, RATE = CB3.force.noise[0], 125.0
+
+
+def touches(bench: Bench, seeds: range, each: int) -> Array:
+    """Errors of touches against the simulated nail [m]: `each` for every seed of noise, offset and drift."""
+    rng, errors, motions = np.random.default_rng(seeds.start), [], 0
+    for seed in seeds:
+        bench.reset()
+        rig = Rig(bench, seed)
+        errors += [rig.error(float(over)) for over in rng.uniform(0.006, 0.020, each)]
+        motions += rig.log.motions.count("touch the nail")
+    found = np.array(errors)
+    print(
+        f"\n{len(found)} touches: error {np.median(found) * 1e3:+.2f} mm in the median, {np.min(found) * 1e3:+.2f} to "
+        f"{np.max(found) * 1e3:+.2f} mm; {motions - len(found)} phantoms that were recognised"
+    )
+    return found
+
+
+@pytest.mark.sim(seconds=10)
+def test_touches_with_a_cb3s_force_end_on_the_nail(bench: Bench) -> None:
+    assert np.all(np.abs(touches(bench, range(1, 2), each=3)) < 1e-3)
+
+
+@pytest.mark.nightly
+@pytest.mark.sim(seconds=900)
+def test_a_hundred_touches_of_a_hundred_end_within_a_millimetre(bench: Bench) -> None:
+    errors = touches(bench, range(100, 120), each=5)
+    assert np.sum(np.abs(errors) < 1e-3) == len(errors) == 100, errors
+
+
+@pytest.mark.sim(seconds=10)
+def test_a_force_too_noisy_for_the_threshold_is_refused(bench: Bench) -> None:
+    rig = Rig(bench, 2, scale=2.5)
+    before = bench.sim.world.robot.arm_state()[0]
+    with raises(DeviceError, code="device.force_noise"):
+        rig.touch.prepare()
+    assert np.allclose(bench.sim.world.robot.arm_state()[0], before, atol=1e-3), "nothing moved"
+
+
+@pytest.mark.sim(seconds=10)
+def test_a_face_that_leans_against_something_is_not_zeroed(bench: Bench) -> None:
+    """Zeroed while touching, the force of the nail would be gone, and the next touch would press twice as hard."""
+    rig = Rig(bench, 3, scale=0.0)
+    rig.go_over(0.006)
+    assert rig.touch.prepare()
+    assert rig.touch.lower("nail", 0.016) is not None
+    pressing = bench.arm.state().wrench[2]
+    assert pressing > CONFIG.strike.touch_force
+    assert not rig.touch.prepare()
+    assert bench.arm.state().wrench[2] == pytest.approx(pressing, abs=1.0)
+
+
+@given(sigma=st.floats(0.05, 4.0), correlation=st.floats(0.0, 0.03), seed=st.integers(0, 10_000))
+@examples(60)
+def test_the_threshold_follows_from_the_noise_and_its_correlation(sigma: float, correlation: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+
+    def noise(n: int) -> Array:
+        keep = np.exp(-1 / (RATE * correlation)) if correlation > 1e-3 else 0.0
+        fresh = sigma * np.sqrt(1 - keep**2) * rng.normal(size=(n + 100, 3))
+        return np.asarray(lfilter([1.0], [1.0, -keep], fresh, axis=0)[100:])
+
+    rest = noise(375)
+    settings = touch_settings(rest, RATE, CONFIG.strike)
+    assert CONFIG.strike.touch_force <= settings.force <= 1.5 * CONFIG.strike.touch_force
+    assert settings.window * settings.speed == pytest.approx(0.00144)
+    later = noise(20_000)
+    n = round(settings.window * RATE)
+    true = float(np.sqrt(np.mean(np.convolve(later[:, 0], np.full(n, 1 / n), mode="valid") ** 2)))
+    assert 0.5 * true < deviation_of_mean(rest, RATE, settings.window) < 2.0 * true
+    assert settings.force > 3.0 * true
+
+
+@given(
+    begin=st.floats(-0.002, 0.002),
+    stiffness=st.floats(4e3, 5e4),
+    offset=st.floats(-2.0, 2.0),
+    seed=st.integers(0, 10_000),
+)
+@examples(60)
+def test_the_onset_of_a_noisy_force_is_found(begin: float, stiffness: float, offset: float, seed: int) -> None:
+    """At the speed that a touch has with this noise, up to where the mean force of a window passes 9 N."""
+    speed = 0.03 / NOISE
+    heights = np.arange(0.015, -0.015, -speed / RATE)
+    forces = stiffness * np.maximum(begin - heights, 0.0)
+    forces += offset + np.random.default_rng(seed).normal(0.0, NOISE, len(heights))
+    n = round(0.00144 / speed * RATE)
+    mean = np.convolve(forces - offset, np.full(n, 1 / n))[: len(heights)]
+    end = int(np.argmax((mean > 9.0) & (heights < begin))) + 1
+    assert onset(heights[:end], forces[:end]) == pytest.approx(begin, abs=0.001)

@@ -1,0 +1,136 @@
+"""A guarded touch: zero the force at rest, then lower the face until it meets something, and make sure that it did.
+
+The motion ends when the mean force of a window exceeds a threshold that follows from the noise, which is measured at
+rest once in a job. What still presses on the face at rest is a contact; what does not was a phantom, and the face goes
+on. Where the face met the thing is the place from which the force has risen, found in the course of force over height.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control.planning.straight import plan_straight
+from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.control.slip import protrusion
+from toolee_robot.errors import DeviceError
+from toolee_robot.frames import Array
+from toolee_robot.hal import ContactGuard, MotionReport
+from toolee_robot.motion.touch_force import TouchSettings, onset, touch_settings
+from toolee_robot.tasks.common.motions import UP, Motions
+from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.types import JointState
+
+NOISE_TIME, NOISE_TIMES = 1.0, 3
+"""Time over which the noise is measured at rest [s], and how many times at most before the force is too noisy."""
+CONFIRM_TIME, CONFIRM_SHARE = 0.1, 0.5
+"""A contact is sure when over this time [s] at rest at least this share of the threshold still presses on the face."""
+MAX_PHANTOMS = 3
+"""Number of phantoms in one touch after which the force is not to be relied on."""
+LEAN_TIME, LEAN_TIMES, NEAR = 0.16, 10, 0.10
+"""The face leans against something if over this time at rest [s], so many times, the force differs from its zero by the
+threshold, and the zero was taken within this distance of the flange [m]; farther away the offset itself may have
+changed. A tool that swings comes to rest meanwhile."""
+
+
+class Touch:
+    """Guarded touches of one job.
+
+    Args:
+        motions: The arm and what it carries.
+        config: Configuration of the station.
+        robot: Kinematic model of arm and hand.
+        observer: Receives the contacts.
+    """
+
+    def __init__(self, motions: Motions, config: StationConfig, robot: RobotModel, observer: TaskObserver) -> None:
+        self._motions, self._config, self._robot, self._observer = motions, config, robot, observer
+        self._settings: TouchSettings | None = None
+
+    def prepare(self) -> bool:
+        """Zero the force at rest, before a touch; the first time, measure its noise.
+
+        Returns:
+            Whether the face is free; if the arm feels a force, nothing is zeroed.
+
+        Raises:
+            DeviceError: The force is too noisy for `strike.touch_force`, or the arm cannot zero it.
+        """
+        motions = self._motions
+        if self._settings is not None and motions.zeroed_within(NEAR):
+            force = self._settings.force
+            free = (np.linalg.norm(np.mean(motions.forces(LEAN_TIME), axis=0)) <= force for _ in range(LEAN_TIMES))
+            if not any(free):
+                return False
+        motions.zero_wrench()
+        if self._settings is None:
+            self._settings = self._measured()
+        return True
+
+    def lower(self, what: str, reach: float) -> float | None:
+        """Lower the face until it touches something; `prepare` was called just before.
+
+        Args:
+            what: What is touched, for the recording.
+            reach: Length of the motion without a contact [m].
+
+        Returns:
+            Height over the wood [m] of the face's centre plane on the nail's axis where the face met the thing, by the
+            estimated pose of the face in the hand; None if it met nothing.
+
+        Raises:
+            DeviceError: The force jumps without a contact, again and again.
+            TooleeError: A motion failed.
+        """
+        motions, settings = self._motions, self._settings
+        assert settings is not None, "prepare() comes first"
+        # The wrist as it is while nothing presses on the face: it gives way under the contact.
+        X_flange_ee = self._robot.X_flange_hand(motions.q_hand) @ motions.X_hand_ee
+        guard = ContactGuard(settings.force, averaging_window=settings.window)
+        end = self._height(X_flange_ee) - reach
+        for _ in range(MAX_PHANTOMS):
+            left = max(self._height(X_flange_ee) - end, 0.001)
+            down = plan_straight(self._robot, self._config, motions.world(), motions.q, -left, UP, settings.speed)
+            report = motions.execute(f"touch the {what}", down, guard, at_work=True)
+            if report.contact is None:
+                return None
+            pressing = np.mean(motions.forces(max(CONFIRM_TIME, settings.window)), axis=0)
+            if pressing @ self._up > CONFIRM_SHARE * settings.force:
+                return self._contact(report, report.contact, X_flange_ee)
+        raise DeviceError(
+            f"{MAX_PHANTOMS} times the force rose above {settings.force:.0f} N while the {what} was approached, and "
+            "nothing was there: see that nothing swings or pulls at tool and cables, then look at the force with "
+            "toolee doctor",
+            code="device.force_noise",
+        )
+
+    def _measured(self) -> TouchSettings:
+        """Settings by the noise at rest; the longer it is measured, the better it is known."""
+        motions = self._motions
+        forces = np.empty((0, 3))
+        for last in range(NOISE_TIMES):
+            forces = np.concatenate([forces, motions.forces(NOISE_TIME)])
+            try:
+                return touch_settings(forces, motions.arm.rate, self._config.strike)
+            except DeviceError:
+                if last == NOISE_TIMES - 1:
+                    raise
+        raise AssertionError
+
+    @property
+    def _up(self) -> Array:
+        """Direction out of the wood in `base`, (3,)."""
+        return -self._config.work.X_base_nail(0.0)[:3, 2]
+
+    def _height(self, X_flange_ee: Array) -> float:
+        X_base_ee = self._robot.arm.fk(self._motions.q) @ X_flange_ee
+        return protrusion(X_base_ee, self._config.work.X_base_nail(0.0))
+
+    def _contact(self, report: MotionReport, contact: JointState, X_flange_ee: Array) -> float:
+        rows = report.stamps <= contact.stamp
+        poses = self._robot.arm.fk(report.q_measured[rows]) @ X_flange_ee
+        wood = self._config.work.X_base_nail(0.0)
+        heights = np.array([protrusion(X, wood) for X in poses])
+        forces = report.wrenches[rows, :3] @ self._up
+        self._observer.contact(contact.stamp, float(forces[-1]), self._robot.arm.fk(contact.q) @ X_flange_ee)
+        return onset(heights, forces)
