@@ -7,22 +7,22 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.errors import DeviceError, LatchedError, MotionFaultError
 from toolee_robot.faults.rigs.joints_path import MOVING, Stop, stop_after
+from toolee_robot.faults.rigs.setting import Setting
 from toolee_robot.faults.rigs.strikes import Swing, plan_swing
-from toolee_robot.faults.rigs.time_bounds import PATIENT, SERVO
+from toolee_robot.faults.rigs.time_bounds import PATIENT
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
-from toolee_robot.types import ArmModel, Trajectory
+from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits
+from toolee_robot.types import Trajectory
 
 FAST = 1.0  # [rad/s] of the fastest joint: what counts as mid-swing
 BEFORE_CONTACT = 0.02  # [s]: near the highest speed, before the planned braking
@@ -57,14 +57,15 @@ class Rig:
         controller: The controller stand-in.
         arm: The driver.
         swing: The planned swing.
+        setting: Model and profile of the stand-in.
     """
 
-    def __init__(self, controller: ControllerProcess, arm: UnsupervisedUrArm, swing: Swing) -> None:
-        self.controller, self.arm, self.swing = controller, arm, swing
+    def __init__(self, controller: ControllerProcess, arm: UnsupervisedUrArm, swing: Swing, setting: Setting) -> None:
+        self.controller, self.arm, self.swing, self.setting = controller, arm, swing, setting
 
     @property
     def name(self) -> str:
-        return f"{self.swing.config.arm.model.value}, {self.arm.rate:.0f} Hz"
+        return self.setting.name
 
     @property
     def strike(self) -> Trajectory:
@@ -126,7 +127,8 @@ class Rig:
             if time.monotonic() > began + START_TIME:
                 return
             time.sleep(1e-3)
-        time.sleep(max(self.swing.plan.contact_time - BEFORE_CONTACT, 0.0))
+        # The joints lag behind the commands, whose planned braking begins at the contact.
+        time.sleep(max(self.swing.plan.contact_time - BEFORE_CONTACT - self.setting.lag, 0.0))
         at[0] = time.monotonic()
         try:
             answer[0] = action()
@@ -168,6 +170,10 @@ class Rig:
     def prepare(self) -> None:
         """Make the arm ready and move it to the start of the swing."""
         self.make_ready()
+        self.go_to_start()
+
+    def go_to_start(self) -> None:
+        """Move to the start of the swing."""
         limits = self.swing.config.arm
         way = joint_move(
             self.q_commanded,
@@ -184,20 +190,19 @@ class Rig:
 
 
 @contextmanager
-def rig(model: ArmModel, host: str) -> Iterator[Rig]:
+def rig(setting: Setting, limits: SafetyLimits | None = None) -> Iterator[Rig]:
     """Context with a stand-in, the driver connected to it, and a planned swing.
 
     Args:
-        model: Model of the arm.
-        host: Loopback address of the stand-in.
+        setting: Model, address and profile of the stand-in.
+        limits: Its safety limits; the profile's if None.
 
     Yields:
         The rig.
     """
-    swing = plan_swing(model)
-    plant = partial(JointPlant, q=swing.plan.strike.q[0])
+    swing = plan_swing(setting.model)
     with (
-        ControllerProcess(model=model.value, host=host, plant=plant, realtime=True) as controller,
-        UnsupervisedUrArm(UrArmConfig(host, SERVO), swing.config.arm) as arm,
+        setting.start(swing.plan.strike.q[0], limits) as controller,
+        UnsupervisedUrArm(UrArmConfig(setting.host, setting.servo), swing.config.arm) as arm,
     ):
-        yield Rig(controller, arm, swing)
+        yield Rig(controller, arm, swing, setting)
