@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -24,13 +25,18 @@ from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits
 from toolee_robot.types import Trajectory
 
+OFF_PATH = 5e-3  # [rad]
+OFF_PATH_BY_ROBOT = 20e-3  # [rad]: an arm that is fast passes the last command and returns
 FAST = 1.0  # [rad/s] of the fastest joint: what counts as mid-swing
 BEFORE_CONTACT = 0.02  # [s]: near the highest speed, before the planned braking
 START_TIME, SETTLE_TIME, RESET_TIME, NOTICE_TIME = 5.0, 0.6, 15.0, 0.2  # [s]
 
+StopKind = Literal["program", "protective", "safeguard", "emergency"]
+"""A field of `StopDecelerations`."""
+
 
 class MissedMomentError(DeviceError):
-    """The fault was injected before or after the swing."""
+    """The fault was injected before or after the swing, or the arm did not get to its start."""
 
 
 @dataclass(frozen=True)
@@ -153,6 +159,25 @@ class Rig:
             return False
         return False
 
+    def off_path(self, path_time: float, by_robot: StopKind | None, notice: float) -> float:
+        """Largest distance of the joints from the swing's path that a stop may bring.
+
+        Args:
+            path_time: Time on the path at the fault [s].
+            by_robot: With which of its decelerations the controller brakes; None where the driver does, on the path.
+            notice: Longest time until the stop begins [s].
+
+        Returns:
+            The distance [rad].
+        """
+        rounding = self.setting.rounding(self.strike)
+        if by_robot is None:
+            return OFF_PATH + rounding
+        if by_robot == "program":  # after the watchdog's time, when the arm has come to rest at the last command
+            return OFF_PATH_BY_ROBOT + rounding
+        deceleration = float(getattr(self.setting.stops, by_robot))
+        return OFF_PATH + rounding + self.setting.straight_on(self.strike, path_time, notice, deceleration)
+
     def make_ready(self) -> None:
         """Clear the robot as a person would, then reset the arm."""
         self.controller.fault("reset")
@@ -168,12 +193,16 @@ class Rig:
                 time.sleep(0.1)
 
     def prepare(self) -> None:
-        """Make the arm ready and move it to the start of the swing."""
+        """Make the arm ready and move it to the start of the swing; see `go_to_start`."""
         self.make_ready()
         self.go_to_start()
 
     def go_to_start(self) -> None:
-        """Move to the start of the swing."""
+        """Move to the start of the swing.
+
+        Raises:
+            MissedMomentError: Something stopped the arm on the way, as a busy machine does.
+        """
         limits = self.swing.config.arm
         way = joint_move(
             self.q_commanded,
@@ -182,7 +211,10 @@ class Rig:
             np.full(6, limits.transfer_acceleration),
             np.full(6, limits.jerk),
         )
-        self.arm.execute(way, None, PATIENT)
+        try:
+            self.arm.execute(way, None, PATIENT)
+        except MotionFaultError as error:
+            raise MissedMomentError(f"the arm was stopped before the fault came: {error}") from error
 
     def _nudge(self, q: np.ndarray) -> Trajectory:
         limits = self.swing.config.arm

@@ -163,6 +163,25 @@ class Setting:
         exact = self.values.servo is None and lag is None
         return 0.0 if exact else float(self._lagging(path, lag)[1].max())
 
+    def straight_on(self, path: Trajectory, start: float, notice: float, deceleration: float) -> float:
+        """How far a stop of the controller's own leaves a path: it brakes straight on, and the path is curved.
+
+        Args:
+            path: The trajectory.
+            start: Time on it that the joints had reached at the fault [s].
+            notice: Longest time until the controller brakes [s].
+            deceleration: Deceleration of the fastest joint [rad/s^2].
+
+        Returns:
+            The distance [rad].
+        """
+        points = []
+        for time in np.arange(start, start + notice + self.period, self.period):
+            q, qd = (np.array([np.interp(time, path.times, c) for c in columns.T]) for columns in (path.q, path.qd))
+            stop = np.linspace(0.0, np.abs(qd).max() / deceleration, 20)
+            points += [q + qd * (t - 0.5 * t * t / max(stop[-1], 1e-9)) for t in stop]
+        return float(projected(np.array(points), path)[1].max())
+
     def _command_time(self, path: Trajectory, path_time: float) -> float:
         """Time on the path of the command in force when the joints are at `path_time` [s]."""
         if self.values.servo is None:

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
 
 import numpy as np
 
@@ -24,14 +23,12 @@ from toolee_robot.errors import (
 )
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.rigs.driver_rig import Happening, Rig
+from toolee_robot.faults.rigs.driver_rig import Happening, Rig, StopKind
 from toolee_robot.faults.rigs.joints_path import MOVING
 from toolee_robot.faults.rigs.time_bounds import PATIENT, SHORT_AGE, STRICT_AGE, STRICT_LOOP
 from toolee_robot.hal import MotionOutcome, MotionWatch
 
 AT_REST = 1e-4  # [rad]: what counts as standing still
-OFF_PATH = 5e-3  # [rad]
-OFF_PATH_BY_ROBOT = 20e-3  # [rad]: the controller brakes along the present direction, and the path is curved
 WATCHDOG = 0.1  # [s] of silence after which the controller stops the program: `ServoConfig.watchdog`
 HEARTBEAT = 0.1  # [s] `ServoConfig.heartbeat_timeout`
 REST_TIME = 0.4  # [s] until a fault at rest must be detected
@@ -63,7 +60,7 @@ class ArmFault:
     inject: Callable[[Rig], object]
     error: type[Exception] | None
     notice: Callable[[Rig], float]
-    by_robot: Literal["program", "protective", "safeguard", "emergency"] | None = None
+    by_robot: StopKind | None = None
     slider: float = 1.0
     at_rest: bool | None = True
     watch: MotionWatch = PATIENT
@@ -189,8 +186,7 @@ def _in_swing(fault: ArmFault, rig: Rig) -> FaultRow:
     wrong = _wrong(fault, happened, latched)
     if stop.standstill > allowed:
         wrong.append(f"standstill after {stop.standstill * 1e3:.0f} ms, {allowed * 1e3:.0f} allowed")
-    rounding = rig.setting.rounding(rig.strike)
-    if stop.off_path > (OFF_PATH_BY_ROBOT if fault.by_robot else OFF_PATH) + rounding:
+    if stop.off_path > rig.off_path(stop.path_time, fault.by_robot, fault.notice(rig)):
         wrong.append(f"the joints left the path by {stop.off_path:.4f} rad")
     got = type(happened.error).__name__ if happened.error else str(happened.report and happened.report.outcome)
     return FaultRow(

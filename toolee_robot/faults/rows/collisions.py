@@ -13,20 +13,24 @@ from functools import partial
 
 import numpy as np
 
-from toolee_robot.errors import MotionFaultError, ProtectiveStopError
+from toolee_robot.errors import DeviceError, ProtectiveStopError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.rigs.driver_rig import Rig, rig
+from toolee_robot.faults.rigs.driver_rig import FAST, SETTLE_TIME, MissedMomentError, Rig, rig
+from toolee_robot.faults.rigs.joints_path import Stop, stop_after
 from toolee_robot.faults.rigs.setting import Setting
-from toolee_robot.faults.rows.arm import AT_REST, OFF_PATH_BY_ROBOT, REST_TIME, push_off
+from toolee_robot.faults.rigs.time_bounds import PATIENT
+from toolee_robot.faults.rows.arm import AT_REST, REST_TIME, push_off
 from toolee_robot.faults.rows.released_stops import program_not_ended, travel
 from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits
+from toolee_robot.sim_backend.ur_controller.robot.safety.system import SafetyMode
 from toolee_robot.types import Payload
 
 EXPECTED = "the robot stops, the driver latches and ends its program; nothing moves after release and Play"
 DETECTION = 0.06  # [s]: three times the detection's own smoothing, after which 95 % of a step have come through
 LOAD = Payload(1.5, np.array([0.0, 0.0, 0.08]))
 NO_LOAD = replace(LOAD, mass=0.0)
+BOTH = (Phase.SWING, Phase.REST)
 DEVIATION, COLLISION, UNTOLD = "position_deviation", "collision", ""
 
 
@@ -40,9 +44,9 @@ class Collision:
         inject: Brings it about.
         kind: Last part of the code of the driver's error where the robot reports the ratios.
         payload: Payload that is set in the controller.
-        limits: Changes of the safety configuration, given the profile's and the swing's highest values.
+        limits: The safety configuration, given the profile's own.
         ideal: Whether an ideal controller detects it, too.
-        at_rest: Whether it can happen at rest.
+        phases: When it is brought about.
     """
 
     code: str
@@ -52,7 +56,7 @@ class Collision:
     payload: Payload = LOAD
     limits: Callable[[SafetyLimits], SafetyLimits] | None = None
     ideal: bool = False
-    at_rest: bool = False
+    phases: tuple[Phase, ...] = (Phase.SWING,)
 
 
 def _push(wrench: list[float]) -> Callable[[Rig], object]:
@@ -71,18 +75,22 @@ def _nothing(_: Rig) -> None:
 
 
 COLLISIONS = (
-    Collision("C159", "pushed off its path, no payload set", _deviate, DEVIATION, NO_LOAD, ideal=True, at_rest=True),
-    Collision("C153", "pushed off its path", _deviate, DEVIATION, ideal=True, at_rest=True),
-    Collision("C158", "80 Nm on the tool, no payload set", _TWIST, COLLISION, NO_LOAD, at_rest=True),
-    Collision("C157", "80 Nm on the tool", _TWIST, COLLISION, at_rest=True),
-    Collision("C191A7", "250 N on the flange", _push([-250.0, 0.0, 0.0, 0.0, 0.0, 0.0]), ideal=True, at_rest=True),
+    Collision("C159", "pushed off its path, no payload set", _deviate, DEVIATION, NO_LOAD, ideal=True, phases=BOTH),
+    Collision("C153", "pushed off its path", _deviate, DEVIATION, ideal=True, phases=BOTH),
+    Collision("C158", "80 Nm on the tool, no payload set", _TWIST, COLLISION, NO_LOAD, phases=BOTH),
+    Collision("C157", "80 Nm on the tool", _TWIST, COLLISION, phases=BOTH),
+    Collision("C191A7", "250 N on the flange", _push([-250.0, 0.0, 0.0, 0.0, 0.0, 0.0]), ideal=True, phases=BOTH),
     Collision(
-        "C173", "payload set to 50 kg at the pendant",
-        lambda r: r.controller.fault("payload", mass=50.0, cog=[0.0, 0.0, 0.1]), at_rest=True,
+        "C173", "payload jumps from 1.5 to 50 kg",
+        lambda r: r.controller.fault("payload", mass=50.0, cog=[0.0, 0.0, 0.1]), phases=BOTH,
+    ),
+    Collision(
+        "C174", "payload jumps from 1.5 to 14.5 kg",
+        lambda r: r.controller.fault("payload", mass=14.5, cog=[0.0, 0.0, 0.1]), phases=(Phase.REST,),
     ),
     Collision(
         "C157", "12 kg hang on the flange that the robot does not know",
-        lambda r: r.controller.fault("payload_error", mass=12.0, cog=[0.3, 0.3, 0.1]), COLLISION, at_rest=True,
+        lambda r: r.controller.fault("payload_error", mass=12.0, cog=[0.3, 0.3, 0.1]), COLLISION, phases=BOTH,
     ),
 )  # fmt: skip
 """On the profile's own limits."""
@@ -90,13 +98,11 @@ RESTRICTED = (
     Collision("C191A2", "joint speed over the safety configuration's", _nothing, ideal=True,
               limits=lambda own: replace(own, joint_speed=0.6)),
     Collision("C191A3", "TCP speed over the safety configuration's", _nothing, ideal=True,
-              limits=lambda own: replace(own, tcp_speed=0.7)),
+              limits=lambda own: replace(own, tcp_speed=1.0)),
     Collision("C191A12", "momentum over the safety configuration's", _nothing,
-              limits=lambda own: replace(own, momentum=3.0)),
+              limits=lambda own: replace(own, momentum=8.0)),
     Collision("C191A6", "power over the safety configuration's", _push([0.0, 0.0, 100.0, 0.0, 0.0, 0.0]),
               limits=lambda own: replace(own, power=30.0)),
-    Collision("C174", "torques jump more than is allowed", _nothing,
-              limits=lambda own: replace(own, torque_jump=0.05)),
 )  # fmt: skip
 """In a safety configuration that is more restricted than the swing needs."""
 
@@ -106,8 +112,8 @@ def collision_rows(rig: Rig) -> Iterator[Measurement]:
     for fault in COLLISIONS:
         if not fault.ideal and rig.setting.profile == "ideal":
             continue
-        for phase in (Phase.SWING, Phase.REST) if fault.at_rest else (Phase.SWING,):
-            run = partial(_in_swing if phase is Phase.SWING else _at_rest, fault, rig)
+        for phase in fault.phases:
+            run = partial(collision_row, fault, phase, rig)
             yield Measurement(12, f"{fault.code}: {fault.fault}", phase, rig.name, EXPECTED, run)
 
 
@@ -119,6 +125,20 @@ def restricted_rows(setting: Setting) -> Iterator[Measurement]:
             yield Measurement(12, f"{fault.code}: {fault.fault}", Phase.SWING, setting.name, EXPECTED, run)
 
 
+def collision_row(fault: Collision, phase: Phase, rig: Rig) -> FaultRow:
+    """Measure one protective stop.
+
+    Args:
+        fault: Its cause.
+        phase: When it is brought about.
+        rig: The rig.
+
+    Returns:
+        The row of the fault table.
+    """
+    return _in_swing(fault, rig) if phase is Phase.SWING else _at_rest(fault, rig)
+
+
 def _on_its_own(fault: Collision, setting: Setting) -> FaultRow:
     assert fault.limits is not None
     with rig(setting, fault.limits(setting.values.limits)) as arm_rig:
@@ -128,21 +148,45 @@ def _on_its_own(fault: Collision, setting: Setting) -> FaultRow:
 def _in_swing(fault: Collision, rig: Rig) -> FaultRow:
     rig.make_ready()
     rig.arm.set_payload(fault.payload)
-    happened = rig.inject(partial(fault.inject, rig))
-    stop = happened.stop
+    if fault.inject is _nothing:
+        stop, error = _swing_over_a_limit(rig)
+        detection = 0.0
+    else:
+        happened = rig.inject(partial(fault.inject, rig))
+        stop, error, detection = happened.stop, happened.error, DETECTION
     wrong, code, latched = _judge(fault, rig)
-    if (said := _wrong_error(fault, rig, happened.error)) is not None:
+    if (said := _wrong_error(fault, rig, error)) is not None:
         wrong.append(said)
-    allowed = DETECTION + stop.speed / rig.setting.stops.protective + 2 * rig.period
+    allowed = detection + stop.speed / rig.setting.stops.protective + 2 * rig.period
     if stop.standstill > allowed:
         wrong.append(f"standstill after {stop.standstill * 1e3:.0f} ms, {allowed * 1e3:.0f} allowed")
-    if stop.off_path > OFF_PATH_BY_ROBOT + rig.setting.rounding(rig.strike):
+    if stop.off_path > rig.off_path(stop.path_time, "protective", detection):
         wrong.append(f"the joints left the path by {stop.off_path:.4f} rad")
-    got = f"{code}, {getattr(happened.error, 'code', type(happened.error).__name__)}"
+    got = f"{code}, {getattr(happened.error, 'code', type(error).__name__)}"
     return FaultRow(
         12, f"{fault.code}: {fault.fault}", Phase.SWING, rig.name, EXPECTED, got, latched, not wrong, "; ".join(wrong),
         stop.reaction, stop.standstill, allowed, stop.speed, stop.off_path,
     )  # fmt: skip
+
+
+def _swing_over_a_limit(rig: Rig) -> tuple[Stop, Exception | None]:
+    """Swing until the controller stops the arm by itself: the stop from then on, and the error of the motion."""
+    rig.prepare()
+    before = rig.controller.state()["tick"]
+    error: Exception | None = None
+    try:
+        rig.arm.execute(rig.strike, None, PATIENT)
+    except DeviceError as raised:
+        error = raised
+    time.sleep(SETTLE_TIME)
+    trace = rig.controller.trace(before)
+    stopped = np.flatnonzero(trace.safety == SafetyMode.PROTECTIVE_STOP)
+    if not len(stopped):
+        raise MissedMomentError(f"the controller has not stopped the swing: {error}")
+    stop = stop_after(trace, rig.strike, float(trace.stamps[stopped[0]]) - 0.5 * rig.period)
+    if stop.speed < FAST:
+        raise MissedMomentError(f"the controller stopped the arm at {stop.speed:.2f} rad/s: no mid-swing")
+    return stop, error
 
 
 def _at_rest(fault: Collision, rig: Rig) -> FaultRow:
@@ -189,5 +233,4 @@ def _wrong_error(fault: Collision, rig: Rig, error: Exception | None) -> str | N
     expected = f"protective_stop.{fault.kind}" if told and fault.kind else "protective_stop"
     if not isinstance(error, ProtectiveStopError):
         return f"ProtectiveStopError expected, got {error!r}"
-    assert isinstance(error, MotionFaultError)
     return None if error.code == expected else f"the error's code is {error.code}, {expected} expected"

@@ -24,11 +24,11 @@ from toolee_robot.errors import (
 )
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.rigs.driver_rig import Happening, Rig
+from toolee_robot.faults.rigs.driver_rig import OFF_PATH, Happening, Rig
 from toolee_robot.faults.rigs.people import People
 from toolee_robot.faults.rigs.time_bounds import PATIENT
 from toolee_robot.faults.rows import bad_commands as bad
-from toolee_robot.faults.rows.arm import AT_REST, OFF_PATH
+from toolee_robot.faults.rows.arm import AT_REST
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
 from toolee_robot.types import Trajectory

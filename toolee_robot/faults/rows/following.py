@@ -12,9 +12,9 @@ import numpy as np
 from toolee_robot.errors import TooleeError, TrackingError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.rigs.driver_rig import Rig
+from toolee_robot.faults.rigs.driver_rig import OFF_PATH, Rig
 from toolee_robot.faults.rigs.time_bounds import PATIENT
-from toolee_robot.faults.rows.arm import AT_REST, OFF_PATH
+from toolee_robot.faults.rows.arm import AT_REST
 from toolee_robot.faults.rows.released_stops import travel
 from toolee_robot.hal import ContactGuard, MotionOutcome
 from toolee_robot.sim_backend.ur_controller.profile import profile as profile_of

@@ -15,11 +15,11 @@ import numpy as np
 from toolee_robot.errors import DeviceError, MotionFaultError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.rigs.driver_rig import BEFORE_CONTACT, SETTLE_TIME, START_TIME
+from toolee_robot.faults.rigs.driver_rig import BEFORE_CONTACT, OFF_PATH, SETTLE_TIME, START_TIME
 from toolee_robot.faults.rigs.joints_path import MOVING, stop_after
 from toolee_robot.faults.rigs.setting import Setting
 from toolee_robot.faults.rigs.strikes import plan_swing
-from toolee_robot.faults.rows.arm import AT_REST, HEARTBEAT, OFF_PATH
+from toolee_robot.faults.rows.arm import AT_REST, HEARTBEAT
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 
 HEARTBEAT_PERIOD = 0.02  # [s] between two heartbeats

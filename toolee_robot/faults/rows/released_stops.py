@@ -11,15 +11,14 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
 
 import numpy as np
 
 from toolee_robot.errors import EmergencyStopError, MotionFaultError, ProtectiveStopError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.rigs.driver_rig import Rig
-from toolee_robot.faults.rows.arm import AT_REST, OFF_PATH_BY_ROBOT, REST_TIME
+from toolee_robot.faults.rigs.driver_rig import Rig, StopKind
+from toolee_robot.faults.rows.arm import AT_REST, REST_TIME
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 
 EXPECTED = "the robot's program is ended; nothing moves after release and Play; latched"
@@ -47,7 +46,7 @@ class ReleasedStop:
     stop: Callable[[ControllerProcess], object]
     release: Callable[[ControllerProcess], object]
     error: type[MotionFaultError]
-    by_robot: Literal["program", "protective", "safeguard"]
+    by_robot: StopKind
     notice: float = 0.0
 
 
@@ -79,8 +78,23 @@ RELEASED_STOPS = (
 def released_rows(rig: Rig) -> Iterator[Measurement]:
     """Yield each stop, its release and Play, in mid-swing and at rest."""
     for fault in RELEASED_STOPS:
-        for phase, run in ((Phase.SWING, _in_swing), (Phase.REST, _at_rest)):
-            yield Measurement(fault.number, fault.fault, phase, rig.name, EXPECTED, partial(run, fault, rig))
+        for phase in (Phase.SWING, Phase.REST):
+            run = partial(released_row, fault, phase, rig)
+            yield Measurement(fault.number, fault.fault, phase, rig.name, EXPECTED, run)
+
+
+def released_row(fault: ReleasedStop, phase: Phase, rig: Rig) -> FaultRow:
+    """Measure one stop, its release and Play.
+
+    Args:
+        fault: The stop.
+        phase: When it comes.
+        rig: The rig.
+
+    Returns:
+        The row of the fault table.
+    """
+    return _in_swing(fault, rig) if phase is Phase.SWING else _at_rest(fault, rig)
 
 
 def _in_swing(fault: ReleasedStop, rig: Rig) -> FaultRow:
@@ -93,7 +107,7 @@ def _in_swing(fault: ReleasedStop, rig: Rig) -> FaultRow:
         wrong.append(f"{fault.error.__name__} expected, got {happened.error!r}")
     if stop.standstill > allowed:
         wrong.append(f"standstill after {stop.standstill * 1e3:.0f} ms, {allowed * 1e3:.0f} allowed")
-    if stop.off_path > OFF_PATH_BY_ROBOT + rig.setting.rounding(rig.strike):
+    if stop.off_path > rig.off_path(stop.path_time, fault.by_robot, 2 * rig.period):
         wrong.append(f"the joints left the path by {stop.off_path:.4f} rad")
     got = f"{type(happened.error).__name__}, moves {moved * 1e3:.1f} mrad after Play"
     return FaultRow(
