@@ -16,6 +16,7 @@ from toolee_robot.faults.rows.arm import arm_rows
 from toolee_robot.faults.rows.collisions import collision_rows, restricted_rows
 from toolee_robot.faults.rows.commands import command_rows
 from toolee_robot.faults.rows.following import following_rows
+from toolee_robot.faults.rows.inputs import input_rows
 from toolee_robot.faults.rows.job import job_rows
 from toolee_robot.faults.rows.process import process_rows
 from toolee_robot.faults.rows.released_stops import released_rows
@@ -85,6 +86,7 @@ def _arm_part(setting: Setting) -> Iterator[Measurement]:
         yield from command_rows(arm_rig)
         yield from released_rows(arm_rig)
         yield from following_rows(arm_rig)
+        yield from input_rows(arm_rig)
         yield from collision_rows(arm_rig)
     yield from restricted_rows(setting)
     yield from process_rows(setting)

@@ -149,7 +149,7 @@ class Rig:
         for _ in range(2):
             q = np.array(self.controller.state()["q_target"])
             try:
-                self.arm.execute(self._nudge(q), None, PATIENT)
+                self.nudge()
             except LatchedError:
                 return bool(np.abs(np.array(self.controller.state()["q_target"]) - q).max() < 1e-9)
             except MotionFaultError:
@@ -216,9 +216,11 @@ class Rig:
         except MotionFaultError as error:
             raise MissedMomentError(f"the arm was stopped before the fault came: {error}") from error
 
-    def _nudge(self, q: np.ndarray) -> Trajectory:
-        limits = self.swing.config.arm
-        return joint_move(q, q + 0.02, np.full(6, 0.2), np.full(6, 1.0), np.full(6, limits.jerk))
+    def nudge(self) -> None:
+        """Move every joint a little, from where the next motion starts; raises what `execute` raises."""
+        q, limits = self.q_commanded, self.swing.config.arm
+        move = joint_move(q, q + 0.02, np.full(6, 0.2), np.full(6, 1.0), np.full(6, limits.jerk))
+        self.arm.execute(move, None, PATIENT)
 
 
 @contextmanager

@@ -23,6 +23,7 @@ from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 
 EXPECTED = "the robot's program is ended; nothing moves after release and Play; latched"
 PLAY_TIME = 0.6  # [s] of observation after Play: a resumed swing would be over
+DOOR = 0  # digital input of the door
 BLINK = 0.06  # [s] for which a light curtain is broken
 PAUSE_SLEW = 0.25  # [s] in which a pause at the pendant brings the arm to rest
 
@@ -56,6 +57,12 @@ def _blink(controller: ControllerProcess) -> None:
     controller.fault("safeguard_stop", active=False)
 
 
+def _open_the_door(controller: ControllerProcess) -> None:
+    controller.fault("digital_input", index=DOOR, high=True)
+    controller.fault("stuck_input", index=DOOR)
+    controller.fault("door", opened=True, index=DOOR)
+
+
 RELEASED_STOPS = (
     ReleasedStop(
         12, "protective stop, released, Play", lambda c: c.fault("protective_stop"), lambda c: c.fault("unlock"),
@@ -67,6 +74,10 @@ RELEASED_STOPS = (
     ),
     ReleasedStop(
         13, f"safeguard open for {BLINK * 1e3:.0f} ms, Play", _blink, lambda _: None, MotionFaultError, "safeguard",
+    ),
+    ReleasedStop(
+        27, "door opened, its input stuck closed, Play", _open_the_door,
+        lambda c: c.fault("door", opened=False, index=DOOR), EmergencyStopError, "safeguard",
     ),
     ReleasedStop(
         13, "paused at the pendant, Play", lambda c: c.fault("pause"), lambda _: None, MotionFaultError, "program",
