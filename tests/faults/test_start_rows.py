@@ -6,14 +6,17 @@ from collections.abc import Iterator
 
 import pytest
 
+from toolee_robot.faults.rigs.setting import Setting
 from toolee_robot.faults.rows.start import HAND, START_FAULTS, StartFault, start_row
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.types import ArmModel
 
+SETTING = Setting(ArmModel.UR10E, "127.0.0.68")
+
 
 @pytest.fixture(scope="module")
 def controller() -> Iterator[ControllerProcess]:
-    with ControllerProcess(model=ArmModel.UR10E, host="127.0.0.68") as controller:
+    with ControllerProcess(model=SETTING.model, host=SETTING.host) as controller:
         yield controller
 
 
@@ -21,7 +24,7 @@ def controller() -> Iterator[ControllerProcess]:
 @pytest.mark.parametrize("name", ["wrong payload", "wrong TCP", "local control"])
 def test_the_driver_refuses_to_start(controller: ControllerProcess, name: str) -> None:
     (fault,) = (f for f in START_FAULTS if f.fault == name)
-    row = start_row(fault, ArmModel.UR10E, controller)
+    row = start_row(fault, SETTING, controller)
     assert row.handled, row.why
     assert row.off_path == 0.0
 
@@ -29,7 +32,7 @@ def test_the_driver_refuses_to_start(controller: ControllerProcess, name: str) -
 @pytest.mark.realtime
 def test_a_robot_that_is_as_configured_is_no_handled_fault(controller: ControllerProcess) -> None:
     right = {"mass": HAND.mass, "cog": HAND.center_of_mass.tolist()}
-    row = start_row(StartFault("none", "payload", right, "kg", "payload page"), ArmModel.UR10E, controller)
+    row = start_row(StartFault("none", "payload", right, "kg", "payload page"), SETTING, controller)
     assert not row.handled
     assert "the driver started" in row.why
     assert "a program was sent to the robot" in row.why

@@ -15,6 +15,7 @@ from toolee_robot.types import ArmModel
 
 if TYPE_CHECKING:
     from toolee_robot.faults.record import FaultRow
+    from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,8 @@ class Faults:
 
     robot: Literal["both", "UR10", "UR10e"] = "both"
     """Under which arm's controller stand-in."""
+    profile: Literal["both", "ideal", "harsh"] = "both"
+    """How that controller follows, measures and stops: exactly, or as one of its generation."""
     only: Literal["all", "arm", "job"] = "all"
     """One part of the matrix: arm, which is driver and supervisor on the stand-in, or job, which is the task on the
     simulated station."""
@@ -46,9 +49,10 @@ class Faults:
         from toolee_robot.runtime.latency_monitor import STALL_LIMIT
 
         models = tuple(ArmModel) if self.robot == "both" else (ArmModel(self.robot),)
+        profiles: tuple[ProfileName, ...] = ("ideal", "harsh") if self.profile == "both" else (self.profile,)
         rows: list[FaultRow] = []
         with console.status("planning the swing") as status:
-            for row in run_matrix(MatrixOptions(self.host, models, Part(self.only))):
+            for row in run_matrix(MatrixOptions(self.host, models, profiles, Part(self.only))):
                 rows.append(row)
                 status.update(f"{len(rows)} rows; last: {row.number} {row.fault}, {row.phase}")
                 if not row.handled:

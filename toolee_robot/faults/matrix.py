@@ -5,18 +5,25 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import get_args
 
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow
 from toolee_robot.faults.rigs.driver_rig import rig
 from toolee_robot.faults.rigs.job_rig import Bench
+from toolee_robot.faults.rigs.setting import Setting
 from toolee_robot.faults.rows.arm import arm_rows
+from toolee_robot.faults.rows.collisions import collision_rows, restricted_rows
 from toolee_robot.faults.rows.commands import command_rows
+from toolee_robot.faults.rows.following import following_rows
+from toolee_robot.faults.rows.inputs import input_rows
 from toolee_robot.faults.rows.job import job_rows
 from toolee_robot.faults.rows.process import process_rows
+from toolee_robot.faults.rows.released_stops import released_rows
 from toolee_robot.faults.rows.start import calibration_rows, start_rows
 from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
 from toolee_robot.runtime.latency_monitor import LatencyMonitor
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.types import ArmModel
 
 ELSEWHERE = {
@@ -46,11 +53,13 @@ class MatrixOptions:
     Attributes:
         host: Loopback address of the stand-ins.
         models: Models of the arm under which the arm's faults are injected.
+        profiles: Profiles of the controller under which they are, each on every model.
         part: Part of the matrix.
     """
 
     host: str = "127.0.0.70"
     models: tuple[ArmModel, ...] = (ArmModel.UR10, ArmModel.UR10E)
+    profiles: tuple[ProfileName, ...] = get_args(ProfileName)
     part: Part = Part.ALL
 
 
@@ -63,18 +72,24 @@ def run_matrix(options: MatrixOptions) -> Iterator[FaultRow]:
 
 def _measurements(options: MatrixOptions) -> Iterator[Measurement]:
     if options.part is not Part.JOB:
-        for model in options.models:
-            yield from _arm_part(model, options.host)
+        for profile in options.profiles:
+            for model in options.models:
+                yield from _arm_part(Setting(model, options.host, profile))
     if options.part is not Part.ARM:
         yield from _job_part()
 
 
-def _arm_part(model: ArmModel, host: str) -> Iterator[Measurement]:
-    yield from start_rows(model, host)
-    with rig(model, host) as arm_rig:
+def _arm_part(setting: Setting) -> Iterator[Measurement]:
+    yield from start_rows(setting)
+    with rig(setting) as arm_rig:
         yield from arm_rows(arm_rig)
         yield from command_rows(arm_rig)
-    yield from process_rows(model, host)
+        yield from released_rows(arm_rig)
+        yield from following_rows(arm_rig)
+        yield from input_rows(arm_rig)
+        yield from collision_rows(arm_rig)
+    yield from restricted_rows(setting)
+    yield from process_rows(setting)
 
 
 def _job_part() -> Iterator[Measurement]:

@@ -7,30 +7,36 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from typing import Literal
 
 import numpy as np
 
 from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.errors import DeviceError, LatchedError, MotionFaultError
 from toolee_robot.faults.rigs.joints_path import MOVING, Stop, stop_after
+from toolee_robot.faults.rigs.setting import Setting
 from toolee_robot.faults.rigs.strikes import Swing, plan_swing
-from toolee_robot.faults.rigs.time_bounds import PATIENT, SERVO
+from toolee_robot.faults.rigs.time_bounds import PATIENT
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
-from toolee_robot.types import ArmModel, Trajectory
+from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits
+from toolee_robot.types import Trajectory
 
+OFF_PATH = 5e-3  # [rad]
+OFF_PATH_BY_ROBOT = 20e-3  # [rad]: an arm that is fast passes the last command and returns
 FAST = 1.0  # [rad/s] of the fastest joint: what counts as mid-swing
 BEFORE_CONTACT = 0.02  # [s]: near the highest speed, before the planned braking
 START_TIME, SETTLE_TIME, RESET_TIME, NOTICE_TIME = 5.0, 0.6, 15.0, 0.2  # [s]
 
+StopKind = Literal["program", "protective", "safeguard", "emergency"]
+"""A field of `StopDecelerations`."""
+
 
 class MissedMomentError(DeviceError):
-    """The fault was injected before or after the swing."""
+    """The fault was injected before or after the swing, or the arm did not get to its start."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +63,15 @@ class Rig:
         controller: The controller stand-in.
         arm: The driver.
         swing: The planned swing.
+        setting: Model and profile of the stand-in.
     """
 
-    def __init__(self, controller: ControllerProcess, arm: UnsupervisedUrArm, swing: Swing) -> None:
-        self.controller, self.arm, self.swing = controller, arm, swing
+    def __init__(self, controller: ControllerProcess, arm: UnsupervisedUrArm, swing: Swing, setting: Setting) -> None:
+        self.controller, self.arm, self.swing, self.setting = controller, arm, swing, setting
 
     @property
     def name(self) -> str:
-        return f"{self.swing.config.arm.model.value}, {self.arm.rate:.0f} Hz"
+        return self.setting.name
 
     @property
     def strike(self) -> Trajectory:
@@ -126,7 +133,8 @@ class Rig:
             if time.monotonic() > began + START_TIME:
                 return
             time.sleep(1e-3)
-        time.sleep(max(self.swing.plan.contact_time - BEFORE_CONTACT, 0.0))
+        # The joints lag behind the commands, whose planned braking begins at the contact.
+        time.sleep(max(self.swing.plan.contact_time - BEFORE_CONTACT - self.setting.lag, 0.0))
         at[0] = time.monotonic()
         try:
             answer[0] = action()
@@ -141,7 +149,7 @@ class Rig:
         for _ in range(2):
             q = np.array(self.controller.state()["q_target"])
             try:
-                self.arm.execute(self._nudge(q), None, PATIENT)
+                self.nudge()
             except LatchedError:
                 return bool(np.abs(np.array(self.controller.state()["q_target"]) - q).max() < 1e-9)
             except MotionFaultError:
@@ -150,6 +158,25 @@ class Rig:
                 return False
             return False
         return False
+
+    def off_path(self, path_time: float, by_robot: StopKind | None, notice: float) -> float:
+        """Largest distance of the joints from the swing's path that a stop may bring.
+
+        Args:
+            path_time: Time on the path at the fault [s].
+            by_robot: With which of its decelerations the controller brakes; None where the driver does, on the path.
+            notice: Longest time until the stop begins [s].
+
+        Returns:
+            The distance [rad].
+        """
+        rounding = self.setting.rounding(self.strike)
+        if by_robot is None:
+            return OFF_PATH + rounding
+        if by_robot == "program":  # after the watchdog's time, when the arm has come to rest at the last command
+            return OFF_PATH_BY_ROBOT + rounding
+        deceleration = float(getattr(self.setting.stops, by_robot))
+        return OFF_PATH + rounding + self.setting.straight_on(self.strike, path_time, notice, deceleration)
 
     def make_ready(self) -> None:
         """Clear the robot as a person would, then reset the arm."""
@@ -166,8 +193,16 @@ class Rig:
                 time.sleep(0.1)
 
     def prepare(self) -> None:
-        """Make the arm ready and move it to the start of the swing."""
+        """Make the arm ready and move it to the start of the swing; see `go_to_start`."""
         self.make_ready()
+        self.go_to_start()
+
+    def go_to_start(self) -> None:
+        """Move to the start of the swing.
+
+        Raises:
+            MissedMomentError: Something stopped the arm on the way, as a busy machine does.
+        """
         limits = self.swing.config.arm
         way = joint_move(
             self.q_commanded,
@@ -176,28 +211,32 @@ class Rig:
             np.full(6, limits.transfer_acceleration),
             np.full(6, limits.jerk),
         )
-        self.arm.execute(way, None, PATIENT)
+        try:
+            self.arm.execute(way, None, PATIENT)
+        except MotionFaultError as error:
+            raise MissedMomentError(f"the arm was stopped before the fault came: {error}") from error
 
-    def _nudge(self, q: np.ndarray) -> Trajectory:
-        limits = self.swing.config.arm
-        return joint_move(q, q + 0.02, np.full(6, 0.2), np.full(6, 1.0), np.full(6, limits.jerk))
+    def nudge(self) -> None:
+        """Move every joint a little, from where the next motion starts; raises what `execute` raises."""
+        q, limits = self.q_commanded, self.swing.config.arm
+        move = joint_move(q, q + 0.02, np.full(6, 0.2), np.full(6, 1.0), np.full(6, limits.jerk))
+        self.arm.execute(move, None, PATIENT)
 
 
 @contextmanager
-def rig(model: ArmModel, host: str) -> Iterator[Rig]:
+def rig(setting: Setting, limits: SafetyLimits | None = None) -> Iterator[Rig]:
     """Context with a stand-in, the driver connected to it, and a planned swing.
 
     Args:
-        model: Model of the arm.
-        host: Loopback address of the stand-in.
+        setting: Model, address and profile of the stand-in.
+        limits: Its safety limits; the profile's if None.
 
     Yields:
         The rig.
     """
-    swing = plan_swing(model)
-    plant = partial(JointPlant, q=swing.plan.strike.q[0])
+    swing = plan_swing(setting.model)
     with (
-        ControllerProcess(model=model.value, host=host, plant=plant, realtime=True) as controller,
-        UnsupervisedUrArm(UrArmConfig(host, SERVO), swing.config.arm) as arm,
+        setting.start(swing.plan.strike.q[0], limits) as controller,
+        UnsupervisedUrArm(UrArmConfig(setting.host, setting.servo), swing.config.arm) as arm,
     ):
-        yield Rig(controller, arm, swing)
+        yield Rig(controller, arm, swing, setting)

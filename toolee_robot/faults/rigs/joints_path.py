@@ -44,8 +44,8 @@ class Stop:
 def stop_after(trace: Trace, trajectory: Trajectory, event: float) -> Stop:
     """Analyse the stop after a fault.
 
-    The path is that of the controller's set-point, which the stand-in's joints follow exactly and which no sensor fault
-    changes; speeds are those of the joints.
+    The path is that of the controller's set-point, with the lag of its servo, which the stand-in's joints follow
+    exactly and which neither noise nor a sensor fault changes; speeds are those of the joints, without noise.
 
     Args:
         trace: Trace that starts before the motion.
@@ -66,7 +66,7 @@ def stop_after(trace: Trace, trajectory: Trajectory, event: float) -> Stop:
     last = int(moving[-1]) if len(moving) else 0
     if last > len(fastest) - REST_TICKS:
         raise DeviceError(f"the arm still moves {trace.stamps[-1] - event:.2f} s after the fault")
-    times, distance = _projected(trace.q_target, trajectory)
+    times, distance = projected(trace.q_target, trajectory)
     progress = np.diff(times, prepend=times[0])
     period = float(np.median(np.diff(trace.stamps)))
     changed = np.flatnonzero((progress[i:] < SLOWER * period) & (times[i:] < trajectory.duration - period))
@@ -95,8 +95,16 @@ def braking_time(path: Trajectory, start: float, period: float, limits: ArmLimit
     return period * len(list(stop_on_path(path, start, period, limits.stop_acceleration, limits.stop_jerk)))
 
 
-def _projected(q: Array, trajectory: Trajectory) -> tuple[Array, Array]:
-    """Project joint positions on a trajectory; returns times, (N,) [s], and distances, (N,) [rad]."""
+def projected(q: Array, trajectory: Trajectory) -> tuple[Array, Array]:
+    """Project joint positions on a trajectory.
+
+    Args:
+        q: Joint positions, (N, 6) [rad].
+        trajectory: The trajectory.
+
+    Returns:
+        Times on the trajectory, (N,) [s], and distances from it, (N,) [rad].
+    """
     grid = np.linspace(0.0, trajectory.duration, max(2, round(trajectory.duration / RESOLUTION)))
     dense = np.stack([np.interp(grid, trajectory.times, column) for column in trajectory.q.T], axis=1)
     distance, index = cKDTree(dense).query(q)

@@ -1,27 +1,33 @@
 """A task in a process of its own, for faults that kill or stall the process.
 
-    python -m toolee_robot.faults.rigs.swinging_task HOST MODEL
+    python -m toolee_robot.faults.rigs.swinging_task HOST MODEL PROFILE
 
 It prints "ready" at the start of the swing, swings when it reads a line from standard input, and prints the outcome.
 """
 
 from __future__ import annotations
 
+import signal
 import sys
 
 from toolee_robot.errors import DeviceError
+from toolee_robot.faults.rigs.setting import Setting
 from toolee_robot.faults.rigs.strikes import plan_swing
-from toolee_robot.faults.rigs.time_bounds import PATIENT, SERVO
+from toolee_robot.faults.rigs.time_bounds import PATIENT
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.types import ArmModel
 
 
 def main() -> None:
     """Connect the arm, wait for the line, swing."""
-    host, model = sys.argv[1], ArmModel(sys.argv[2])
-    swing = plan_swing(model)
-    with UnsupervisedUrArm(UrArmConfig(host, SERVO), swing.config.arm) as arm:
+    # A process that a shell started in the background inherits that Ctrl-C is ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    profile: ProfileName = "harsh" if sys.argv[3] == "harsh" else "ideal"
+    setting = Setting(ArmModel(sys.argv[2]), sys.argv[1], profile)
+    swing = plan_swing(setting.model)
+    with UnsupervisedUrArm(UrArmConfig(setting.host, setting.servo), swing.config.arm) as arm:
         print("ready", flush=True)
         sys.stdin.readline()
         try:

@@ -23,15 +23,12 @@ from toolee_robot.errors import (
 )
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.rigs.driver_rig import Happening, Rig
-from toolee_robot.faults.rigs.joints_path import braking_time
+from toolee_robot.faults.rigs.driver_rig import Happening, Rig, StopKind
+from toolee_robot.faults.rigs.joints_path import MOVING
 from toolee_robot.faults.rigs.time_bounds import PATIENT, SHORT_AGE, STRICT_AGE, STRICT_LOOP
 from toolee_robot.hal import MotionOutcome, MotionWatch
-from toolee_robot.sim_backend.ur_controller.profile import StopDecelerations
 
 AT_REST = 1e-4  # [rad]: what counts as standing still
-OFF_PATH = 5e-3  # [rad]
-OFF_PATH_BY_ROBOT = 20e-3  # [rad]: the controller brakes along the present direction, and the path is curved
 WATCHDOG = 0.1  # [s] of silence after which the controller stops the program: `ServoConfig.watchdog`
 HEARTBEAT = 0.1  # [s] `ServoConfig.heartbeat_timeout`
 REST_TIME = 0.4  # [s] until a fault at rest must be detected
@@ -49,8 +46,9 @@ class ArmFault:
         inject: Injects the fault.
         error: Error that the motion must raise; None for a motion that reports STOPPED.
         notice: Largest time until the fault is detected [s].
-        by_robot: Whether the controller brakes with its own deceleration, instead of the driver along the path.
-        emergency: Whether the controller brakes with the deceleration of its safety system.
+        by_robot: With which of its decelerations (`StopDecelerations`) the controller brakes; None where the driver
+            brakes along the path.
+        slider: Position of the speed slider after the fault, 0 to 1.
         at_rest: Whether the fault must latch at rest; None where it is no fault at rest.
         watch: Bounds of the motion.
         rest: Time until a fault at rest must be detected [s].
@@ -62,8 +60,8 @@ class ArmFault:
     inject: Callable[[Rig], object]
     error: type[Exception] | None
     notice: Callable[[Rig], float]
-    by_robot: bool = False
-    emergency: bool = False
+    by_robot: StopKind | None = None
+    slider: float = 1.0
     at_rest: bool | None = True
     watch: MotionWatch = PATIENT
     rest: float = REST_TIME
@@ -85,18 +83,33 @@ def _hold_up(rig: Rig, seconds: float) -> None:
     os.kill(pid, signal.SIGCONT)
 
 
+def push_off(rig: Rig, angle: float) -> None:
+    """Push the fastest joint of the swing off its path, against its motion, as an obstacle would.
+
+    Args:
+        rig: The rig.
+        angle: How far [rad].
+    """
+    qd = np.array(rig.controller.state()["qd_target"])
+    speed = qd if np.abs(qd).max() > MOVING else np.eye(6)[1]
+    offset = np.zeros(6)
+    joint = int(np.abs(speed).argmax())
+    offset[joint] = -np.copysign(angle, speed[joint])
+    rig.controller.fault("joint_offset", offset=offset.tolist())
+
+
 ARM_FAULTS = (
     ArmFault(
         0, "stop from another thread", "brakes on the path", lambda r: r.arm.stop(), None, _cycles(2), at_rest=None
     ),
     ArmFault(
-        7, "joints are not where they were sent (0.1 rad)", "brakes on the path, latches",
-        lambda r: r.controller.fault("joint_offset", offset=[0.0, 0.1, 0.0, 0.0, 0.0, 0.0]), TrackingError, _cycles(3),
+        7, "joints are not where they were sent (0.08 rad)", "brakes on the path, latches",
+        lambda r: push_off(r, 0.08), TrackingError, _cycles(3),
     ),
     ArmFault(
         8, "data stops coming (stalled network)", "brakes on the path, latches",
         lambda r: r.controller.fault("stall", seconds=0.5, port="rtde"), LinkLostError, _seconds(WATCHDOG),
-        by_robot=True, at_rest=None, watch=STRICT_AGE,
+        by_robot="program", at_rest=None, watch=STRICT_AGE,
     ),
     ArmFault(
         8, "data comes, its timestamp stands still", "brakes on the path, latches",
@@ -105,21 +118,22 @@ ARM_FAULTS = (
     ),
     ArmFault(
         9, "connection closed (FIN)", "robot's watchdog stops it, latches",
-        lambda r: r.controller.fault("drop", port="rtde"), DeviceError, _seconds(WATCHDOG), by_robot=True,
+        lambda r: r.controller.fault("drop", port="rtde"), DeviceError, _seconds(WATCHDOG), by_robot="program",
     ),
     ArmFault(
         9, "connection reset (RST)", "robot's watchdog stops it, latches",
-        lambda r: r.controller.fault("drop", port="rtde", reset=True), DeviceError, _seconds(WATCHDOG), by_robot=True,
+        lambda r: r.controller.fault("drop", port="rtde", reset=True), DeviceError, _seconds(WATCHDOG),
+        by_robot="program",
     ),
     ArmFault(
         9, "half-open connection", "robot's watchdog stops it, latches",
-        lambda r: r.controller.fault("half_open", port="rtde"), LinkLostError, _seconds(WATCHDOG), by_robot=True,
+        lambda r: r.controller.fault("half_open", port="rtde"), LinkLostError, _seconds(WATCHDOG), by_robot="program",
         rest=QUIET_TIME, watch=SHORT_AGE,
     ),
     ArmFault(
         9, "controller reboots", "robot's brakes fall in, latches",
-        lambda r: r.controller.fault("reboot", seconds=1.0, powered=True), DeviceError, _cycles(2), by_robot=True,
-        emergency=True,
+        lambda r: r.controller.fault("reboot", seconds=1.0, powered=True), DeviceError, _cycles(2),
+        by_robot="emergency",
     ),
     ArmFault(
         10, "servo loop late by 60 ms", "brakes on the path, latches",
@@ -127,31 +141,32 @@ ARM_FAULTS = (
     ),
     ArmFault(
         11, "servo process killed", "robot's watchdog stops it, latches",
-        lambda r: os.kill(r.arm.servo_pid, signal.SIGKILL), ServoCrashError, _seconds(WATCHDOG), by_robot=True,
+        lambda r: os.kill(r.arm.servo_pid, signal.SIGKILL), ServoCrashError, _seconds(WATCHDOG), by_robot="program",
     ),
     ArmFault(
         11, "servo process hangs", "robot's watchdog stops it, latches",
-        lambda r: os.kill(r.arm.servo_pid, signal.SIGSTOP), ServoCrashError, _seconds(WATCHDOG), by_robot=True,
+        lambda r: os.kill(r.arm.servo_pid, signal.SIGSTOP), ServoCrashError, _seconds(WATCHDOG), by_robot="program",
     ),
     ArmFault(
         12, "protective stop", "robot stops, latches until a person releases it",
-        lambda r: r.controller.fault("protective_stop"), ProtectiveStopError, _cycles(2), by_robot=True, emergency=True,
+        lambda r: r.controller.fault("protective_stop"), ProtectiveStopError, _cycles(2), by_robot="protective",
     ),
     ArmFault(
         13, "emergency stop", "robot stops, latches, nothing queued goes out",
-        lambda r: r.controller.fault("emergency_stop"), EmergencyStopError, _cycles(2), by_robot=True, emergency=True,
+        lambda r: r.controller.fault("emergency_stop"), EmergencyStopError, _cycles(2), by_robot="emergency",
     ),
     ArmFault(
         13, "safeguard stop", "robot stops, latches",
-        lambda r: r.controller.fault("safeguard_stop"), EmergencyStopError, _cycles(2), by_robot=True, emergency=True,
+        lambda r: r.controller.fault("safeguard_stop"), EmergencyStopError, _cycles(2), by_robot="safeguard",
     ),
     ArmFault(
         13, "paused at the pendant", "robot stops, latches, its program is ended",
-        lambda r: r.controller.fault("pause"), MotionFaultError, _seconds(0.25), by_robot=True,
+        lambda r: r.controller.fault("pause"), MotionFaultError, _seconds(0.25), by_robot="program",
     ),
     ArmFault(
         7, "speed slider moved to 50 %", "brakes on the path, latches",
-        lambda r: r.controller.fault("speed_slider", fraction=0.5), MotionFaultError, _seconds(0.1), at_rest=None,
+        lambda r: r.controller.fault("speed_slider", fraction=0.5), MotionFaultError, _cycles(3), at_rest=None,
+        slider=0.5,
     ),
 )  # fmt: skip
 
@@ -171,7 +186,7 @@ def _in_swing(fault: ArmFault, rig: Rig) -> FaultRow:
     wrong = _wrong(fault, happened, latched)
     if stop.standstill > allowed:
         wrong.append(f"standstill after {stop.standstill * 1e3:.0f} ms, {allowed * 1e3:.0f} allowed")
-    if stop.off_path > (OFF_PATH_BY_ROBOT if fault.by_robot else OFF_PATH):
+    if stop.off_path > rig.off_path(stop.path_time, fault.by_robot, fault.notice(rig)):
         wrong.append(f"the joints left the path by {stop.off_path:.4f} rad")
     got = type(happened.error).__name__ if happened.error else str(happened.report and happened.report.outcome)
     return FaultRow(
@@ -197,12 +212,10 @@ def _wrong(fault: ArmFault, happened: Happening, latched: bool) -> list[str]:
 
 def _braking(fault: ArmFault, rig: Rig, happened: Happening) -> float:
     """Shortest braking time from the position and speed at the fault [s]."""
-    limits = rig.swing.config.arm
-    if fault.by_robot:
-        stops = StopDecelerations()
-        return happened.stop.speed / (stops.emergency if fault.emergency else stops.program)
-    path_time = happened.stop.path_time + fault.notice(rig)
-    return braking_time(rig.strike, path_time, rig.period, limits)
+    if fault.by_robot is not None:
+        return happened.stop.speed / float(getattr(rig.setting.stops, fault.by_robot))
+    limits, path_time = rig.swing.config.arm, happened.stop.path_time
+    return rig.setting.braking(rig.strike, path_time, fault.notice(rig), limits, slider=fault.slider)
 
 
 def _at_rest(fault: ArmFault, rig: Rig) -> FaultRow:

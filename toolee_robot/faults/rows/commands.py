@@ -24,12 +24,11 @@ from toolee_robot.errors import (
 )
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.rigs.driver_rig import Happening, Rig
-from toolee_robot.faults.rigs.joints_path import braking_time
+from toolee_robot.faults.rigs.driver_rig import OFF_PATH, Happening, Rig
 from toolee_robot.faults.rigs.people import People
 from toolee_robot.faults.rigs.time_bounds import PATIENT
 from toolee_robot.faults.rows import bad_commands as bad
-from toolee_robot.faults.rows.arm import AT_REST, OFF_PATH
+from toolee_robot.faults.rows.arm import AT_REST
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
 from toolee_robot.types import Trajectory
@@ -143,7 +142,7 @@ def _in_swing(fault: CommandFault, rig: Rig) -> FaultRow:
         wrong.append(f"the swing was disturbed: {happened.error}")
     elif happened.stop.reached < rig.strike.duration - 2 * rig.period:
         wrong.append("the swing did not reach its end")
-    if happened.stop.off_path > OFF_PATH:
+    if happened.stop.off_path > OFF_PATH + rig.setting.rounding(rig.strike):
         wrong.append(f"the joints left the path by {happened.stop.off_path:.4f} rad")
     end, stop = "swing braked" if fault.latches else "swing undisturbed", happened.stop
     return FaultRow(
@@ -195,7 +194,7 @@ def _refuses(supervisor: Supervisor, rig: Rig) -> bool:
 
 
 def _allowed(rig: Rig, happened: Happening, notice: float) -> float:
-    braking = braking_time(rig.strike, happened.stop.path_time + notice, rig.period, rig.swing.config.arm)
+    braking = rig.setting.braking(rig.strike, happened.stop.path_time, notice, rig.swing.config.arm)
     return notice + braking + 2 * rig.period
 
 
@@ -214,7 +213,7 @@ def _person_comes(rig: Rig) -> FaultRow:
         wrong.append(f"PersonNearError expected, got {happened.error!r}")
     if not supervisor.latched:
         wrong.append("it did not latch")
-    if happened.stop.off_path > OFF_PATH:
+    if happened.stop.off_path > OFF_PATH + rig.setting.rounding(rig.strike):
         wrong.append(f"the joints left the path by {happened.stop.off_path:.4f} rad")
     stop = happened.stop
     return FaultRow(

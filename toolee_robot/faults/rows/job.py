@@ -17,11 +17,11 @@ from toolee_robot.control.planning.timing import joint_move
 from toolee_robot.errors import DeviceError, LatchedError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow
+from toolee_robot.faults.rigs.driver_rig import OFF_PATH
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, Log, at_rest, grip_kept
 from toolee_robot.faults.rigs.joint_watch import JointWatch
 from toolee_robot.faults.rigs.joints_path import Stop
 from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception
-from toolee_robot.faults.rows.arm import OFF_PATH
 from toolee_robot.faults.rows.job_fault import IN_STRIKE, JobFault, Scene
 from toolee_robot.faults.rows.job_faults import JOB_FAULTS
 from toolee_robot.frames import Array

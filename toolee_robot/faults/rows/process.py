@@ -15,13 +15,12 @@ import numpy as np
 from toolee_robot.errors import DeviceError, MotionFaultError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
-from toolee_robot.faults.rigs.driver_rig import BEFORE_CONTACT, SETTLE_TIME, START_TIME
-from toolee_robot.faults.rigs.joints_path import MOVING, braking_time, stop_after
+from toolee_robot.faults.rigs.driver_rig import BEFORE_CONTACT, OFF_PATH, SETTLE_TIME, START_TIME
+from toolee_robot.faults.rigs.joints_path import MOVING, stop_after
+from toolee_robot.faults.rigs.setting import Setting
 from toolee_robot.faults.rigs.strikes import plan_swing
-from toolee_robot.faults.rows.arm import AT_REST, HEARTBEAT, OFF_PATH
+from toolee_robot.faults.rows.arm import AT_REST, HEARTBEAT
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
-from toolee_robot.types import ArmModel
 
 HEARTBEAT_PERIOD = 0.02  # [s] between two heartbeats
 
@@ -50,30 +49,21 @@ TASK_FAULTS = (
 )
 
 
-def process_rows(model: ArmModel, host: str) -> Iterator[Measurement]:
-    """Yield each fault in mid-swing and at rest, each with its own task and stand-in.
-
-    Args:
-        model: Model of the arm.
-        host: Loopback address of the stand-ins.
-
-    Yields:
-        The measurements.
-    """
-    name = f"{model.value}, {500 if model is ArmModel.UR10E else 125} Hz"
+def process_rows(setting: Setting) -> Iterator[Measurement]:
+    """Yield each fault in mid-swing and at rest, each with its own task and stand-in."""
     for fault in TASK_FAULTS:
         for phase in (Phase.SWING, Phase.REST):
-            run = partial(_row, fault, phase, model, host, name)
-            yield Measurement(11, fault.fault, phase, name, "brakes on the path", run)
+            run = partial(_row, fault, phase, setting)
+            yield Measurement(11, fault.fault, phase, setting.name, "brakes on the path", run)
 
 
-def _row(fault: TaskFault, phase: Phase, model: ArmModel, host: str, name: str) -> FaultRow:
-    swing = plan_swing(model)
+def _row(fault: TaskFault, phase: Phase, setting: Setting) -> FaultRow:
+    swing, name = plan_swing(setting.model), setting.name
     strike, limits = swing.plan.strike, swing.config.arm
-    plant = partial(JointPlant, q=strike.q[0])
-    with ControllerProcess(model=model.value, host=host, plant=plant, realtime=True) as controller:
+    task_arguments = (setting.host, setting.model.value, setting.profile)
+    with setting.start(strike.q[0]) as controller:
         task = subprocess.Popen(
-            [sys.executable, "-m", "toolee_robot.faults.rigs.swinging_task", host, model.value],
+            [sys.executable, "-m", "toolee_robot.faults.rigs.swinging_task", *task_arguments],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
         )  # fmt: skip
         try:
@@ -86,7 +76,7 @@ def _row(fault: TaskFault, phase: Phase, model: ArmModel, host: str, name: str) 
                 task.stdin.write("go\n")
                 task.stdin.flush()
                 _await_motion(controller)
-                time.sleep(swing.plan.contact_time - BEFORE_CONTACT)
+                time.sleep(swing.plan.contact_time - BEFORE_CONTACT - setting.lag)
             at = time.monotonic()
             task.send_signal(fault.signal)
             time.sleep(1.0 + SETTLE_TIME)
@@ -105,16 +95,14 @@ def _row(fault: TaskFault, phase: Phase, model: ArmModel, host: str, name: str) 
             off_path=moved,
         )  # fmt: skip
     stop = stop_after(trace, strike, at)
-    period = 1 / 500 if model is ArmModel.UR10E else 1 / 125
-    braking = braking_time(strike, stop.path_time + fault.notice, period, limits)
-    allowed = fault.notice + braking + 2 * period
+    allowed = fault.notice + setting.braking(strike, stop.path_time, fault.notice, limits) + 2 * setting.period
     wrong = []
     latched = program_ended or said == MotionFaultError.__name__
     if not latched:
         wrong.append("the robot's program runs on, and the task was told nothing")
     if stop.standstill > allowed:
         wrong.append(f"standstill after {stop.standstill * 1e3:.0f} ms, {allowed * 1e3:.0f} allowed")
-    if stop.off_path > OFF_PATH:
+    if stop.off_path > OFF_PATH + setting.rounding(strike):
         wrong.append(f"the joints left the path by {stop.off_path:.4f} rad")
     got = "at rest, program ended" if program_ended else f"at rest, then {said}"
     return FaultRow(

@@ -14,11 +14,11 @@ from toolee_robot.errors import NotReadyError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, Log, at_rest, grip_kept
+from toolee_robot.faults.rigs.setting import Setting
 from toolee_robot.faults.rows.job import ON
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
-from toolee_robot.sim_backend.ur_controller.robot.model import MODELS
 from toolee_robot.tasks.common.outcome import Outcome
 from toolee_robot.types import ArmModel, Payload
 
@@ -61,30 +61,22 @@ START_FAULTS = (
 )  # fmt: skip
 
 
-def start_rows(model: ArmModel, host: str) -> Iterator[Measurement]:
-    """Yield each fault, injected before the driver connects, on one stand-in.
-
-    Args:
-        model: Model of the arm.
-        host: Loopback address of the stand-in.
-
-    Yields:
-        The measurements.
-    """
-    with ControllerProcess(model=model.value, host=host) as controller:
+def start_rows(setting: Setting) -> Iterator[Measurement]:
+    """Yield each fault, injected before the driver connects, on one stand-in."""
+    with ControllerProcess(model=setting.model.value, host=setting.host, profile=setting.profile) as controller:
         for fault in START_FAULTS:
-            if fault.e_series and model is not ArmModel.UR10E:
+            if fault.e_series and setting.model is not ArmModel.UR10E:
                 continue
-            run = partial(start_row, fault, model, controller)
-            yield Measurement(14, fault.fault, Phase.START, _name(model), REFUSES, run)
+            run = partial(start_row, fault, setting, controller)
+            yield Measurement(14, fault.fault, Phase.START, setting.name, REFUSES, run)
 
 
-def start_row(fault: StartFault, model: ArmModel, controller: ControllerProcess) -> FaultRow:
+def start_row(fault: StartFault, setting: Setting, controller: ControllerProcess) -> FaultRow:
     """Measure one fault.
 
     Args:
         fault: The fault.
-        model: Model of the arm.
+        setting: Model and profile of the stand-in.
         controller: The running stand-in.
 
     Returns:
@@ -96,7 +88,7 @@ def start_row(fault: StartFault, model: ArmModel, controller: ControllerProcess)
     before = controller.state()
     wrong, got = [], "started"
     try:
-        with UnsupervisedUrArm(config, ArmLimits(model=model)):
+        with UnsupervisedUrArm(config, ArmLimits(model=setting.model)):
             pass
         wrong.append("the driver started")
     except NotReadyError as error:
@@ -113,7 +105,7 @@ def start_row(fault: StartFault, model: ArmModel, controller: ControllerProcess)
     if after["uploads"] != before["uploads"]:
         wrong.append("a program was sent to the robot")
     return FaultRow(
-        14, fault.fault, Phase.START, _name(model), REFUSES, got, False, not wrong, "; ".join(wrong), off_path=moved
+        14, fault.fault, Phase.START, setting.name, REFUSES, got, False, not wrong, "; ".join(wrong), off_path=moved
     )
 
 
@@ -121,10 +113,6 @@ def _as_it_should_be(controller: ControllerProcess) -> None:
     controller.fault("reset")
     controller.fault("payload", mass=HAND.mass, cog=HAND.center_of_mass.tolist())
     controller.fault("tcp", pose=[0.0] * 6)
-
-
-def _name(model: ArmModel) -> str:
-    return f"{model.value}, {MODELS[model.value].rate:.0f} Hz"
 
 
 OURS = CalibrationConfig("2026-01-01", SIMULATED, SIMULATED, 0.001, valid_days=None)

@@ -1,0 +1,121 @@
+"""Rows of the arm's part on a harsh controller are handled, and a row whose reaction fails to come is not."""
+
+from __future__ import annotations
+
+import signal
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import pytest
+
+from toolee_robot.faults.measuring import Measurement
+from toolee_robot.faults.record import Phase
+from toolee_robot.faults.rigs.driver_rig import Rig, rig
+from toolee_robot.faults.rigs.setting import Setting
+from toolee_robot.faults.rows.collisions import COLLISIONS, RESTRICTED, collision_row, collision_rows, restricted_rows
+from toolee_robot.faults.rows.following import following_rows
+from toolee_robot.faults.rows.process import process_rows
+from toolee_robot.faults.rows.released_stops import RELEASED_STOPS, released_row, released_rows
+from toolee_robot.runtime.latency_monitor import LatencyMonitor
+from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.sim_backend.ur_controller.robot.safety import error_codes
+from toolee_robot.types import ArmModel
+
+pytestmark = pytest.mark.realtime
+
+HARSH = Setting(ArmModel.UR10E, "127.0.0.64", "harsh")
+SCRIPT_PORT = 30002
+MOVES = "def moves():\n  q = get_actual_joint_positions()\n  q[5] = q[5] + 0.1\n  movej(q, 1.4, 1.0)\nend\n"
+
+
+@pytest.fixture(scope="module")
+def machine() -> Iterator[LatencyMonitor]:
+    with LatencyMonitor() as monitor:
+        yield monitor
+
+
+@pytest.fixture(scope="module")
+def arm_rig() -> Iterator[Rig]:
+    with rig(HARSH) as arm_rig:
+        yield arm_rig
+
+
+@contextmanager
+def ctrl_c_ignored() -> Iterator[None]:
+    """As in whatever a shell starts in the background."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def uploaded_again(controller: ControllerProcess) -> None:
+    """A release after which a program moves the arm."""
+    controller.fault("unlock")
+    with socket.create_connection((controller.host, SCRIPT_PORT), 2.0) as sock:
+        sock.sendall(MOVES.encode())
+
+
+def check(measurement: Measurement, machine: LatencyMonitor) -> None:
+    row = measurement.row(machine)
+    assert row.handled, row.why
+
+
+def test_every_detection_has_a_row() -> None:
+    codes = {fault.code for fault in (*COLLISIONS, *RESTRICTED)}
+    kinds = {"C153", "C157", "C158", "C159", "C173", "C174"}
+    arguments = (
+        error_codes.JOINT_SPEED, error_codes.TCP_SPEED, error_codes.POWER, error_codes.TORQUE_WINDOW,
+        error_codes.MOMENTUM,
+    )  # fmt: skip
+    assert codes == kinds | {f"C{error_codes.SAFETY_VIOLATION}A{argument}" for argument in arguments}
+
+
+def test_release_and_play_move_nothing(arm_rig: Rig, machine: LatencyMonitor) -> None:
+    first = next(iter(released_rows(arm_rig)))
+    check(first, machine)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("rows", [released_rows, following_rows, collision_rows])
+def test_rows_on_one_stand_in(rows: object, arm_rig: Rig, machine: LatencyMonitor) -> None:
+    for measurement in rows(arm_rig):  # type: ignore[operator]
+        check(measurement, machine)
+
+
+@pytest.mark.nightly
+def test_a_restricted_safety_configuration(machine: LatencyMonitor) -> None:
+    for measurement in restricted_rows(HARSH):
+        check(measurement, machine)
+
+
+@pytest.mark.nightly
+def test_ctrl_c_reaches_a_task_whose_parent_ignores_it(machine: LatencyMonitor) -> None:
+    with ctrl_c_ignored():
+        check(next(iter(process_rows(HARSH))), machine)
+
+
+# -- the matrix can fail -------------------------------------------------------------------------------------------
+
+
+def test_a_stop_that_does_not_come_is_not_handled(arm_rig: Rig) -> None:
+    row = released_row(replace(RELEASED_STOPS[0], stop=lambda _: None), Phase.REST, arm_rig)
+    assert not row.handled
+    assert "the next motion was not refused" in row.why
+    assert "program is PLAYING" in row.why
+
+
+def test_an_arm_that_moves_after_the_release_is_not_handled(arm_rig: Rig) -> None:
+    row = released_row(replace(RELEASED_STOPS[0], release=uploaded_again), Phase.REST, arm_rig)
+    assert not row.handled
+    assert "after release and Play" in row.why
+
+
+def test_another_code_than_that_of_the_cause_is_not_handled(arm_rig: Rig) -> None:
+    (push,) = (fault for fault in COLLISIONS if fault.code == "C153")
+    row = collision_row(replace(push, code="C157"), Phase.REST, arm_rig)
+    assert not row.handled
+    assert "C157 expected, the controller says C153" in row.why
