@@ -54,7 +54,7 @@ def _frame_args(
 @pytest.mark.parametrize(
     ("args", "expected_text"),
     [
-        ([], "hammer, estimate, bench"),
+        ([], "hammer, estimate, arm, bench"),
         (["hamer"], "hamer"),
         (["hammer", "--sed", "3"], "--seed"),
         (["hammer", "--seed", "three"], "--seed"),

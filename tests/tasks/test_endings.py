@@ -80,7 +80,7 @@ def test_the_tool_leaves_the_hand_as_it_is_let_go(bench: Bench) -> None:
 
 @pytest.mark.parametrize("gives", [True, False])
 def test_nothing_moves_while_a_person_may_be_near(bench: Bench, gives: bool) -> None:
-    bench.people = People(gives=gives, steps_back=False)
+    bench.people.gives, bench.people.steps_back = gives, False
     log = Log()
     result = bench.blind_task(log).run()
     assert result.outcome is (Outcome.PERSON_NEAR if gives else Outcome.NO_HANDOVER)

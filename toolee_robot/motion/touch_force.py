@@ -11,8 +11,8 @@ from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 
 WINDOW_WAY, LONGEST_WINDOW = 0.00144, 0.3
-"""Travel over which the force of a touch is averaged [m]: 48 ms, six readings of a CB3, at 0.03 m/s; and longest time for
-it [s]."""
+"""Travel over which the force of a touch is averaged [m]: 48 ms, six readings of a CB3, at 0.03 m/s; and the longest
+time for it [s]."""
 QUIET = 1.0
 """Standard deviation of the force up to which a touch goes at `strike.touch_speed` [N]; with more, slower."""
 SLOWEST = 0.2
