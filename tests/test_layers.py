@@ -78,6 +78,7 @@ def test_the_hardware_abstraction_offers_these_and_no_truth() -> None:
             "confirm_swing",
             "confirm_inspection",
             "hold_switch",
+            "readings_certain",
             "zone_occupied",
             "enabling_switch_held",
         },

@@ -147,6 +147,10 @@ class SimPerson:
         """Whether the person is nearer than half a step to their place at the arm."""
         return bool(np.linalg.norm(self.center - self._place) < 0.5 * STEP_BACK)
 
+    def readings_certain(self) -> bool:
+        """See `hal.Person`."""
+        return True
+
     def enabling_switch_held(self) -> bool:
         """Whether the person holds the enabling switch."""
         return self.holds_switch and self._switch_taken

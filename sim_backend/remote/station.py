@@ -113,6 +113,10 @@ class RemotePerson:
         """See `hal.Person`."""
         return bool(self._world.call("person.zone_occupied"))
 
+    def readings_certain(self) -> bool:
+        """See `hal.Person`."""
+        return True
+
     def enabling_switch_held(self) -> bool:
         """See `hal.Person`."""
         return bool(self._world.call("person.enabling_switch_held"))

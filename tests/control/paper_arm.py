@@ -134,5 +134,9 @@ class Bystander:
     def zone_occupied(self) -> bool:
         return self.here
 
+    def readings_certain(self) -> bool:
+        """See `hal.Person`."""
+        return True
+
     def enabling_switch_held(self) -> bool:
         return self.holds

@@ -103,6 +103,12 @@ class Person(Protocol):
     def enabling_switch_held(self) -> bool:
         """Whether the person holds the enabling switch, which lets the arm move slowly while they are near."""
 
+    def readings_certain(self) -> bool:
+        """Whether both readings are known, and not assumed for want of data or of time to settle.
+
+        An assumed reading is the safe one, occupied or not held, and proves nothing about the input.
+        """
+
 
 def wait_until_clear(zone_occupied: Callable[[], bool], clock: Clock, timeout: float) -> bool:
     """Wait until the zone has been empty without interruption for CLEAR_TIME.

@@ -79,6 +79,10 @@ class TerminalPerson:
             self._enabled = False
         return self._enabled
 
+    def readings_certain(self) -> bool:
+        """See `hal.Person`."""
+        return False
+
     def zone_occupied(self) -> bool:
         """See `hal.Person`: the person at the terminal may be anywhere."""
         return True

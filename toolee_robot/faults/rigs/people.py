@@ -60,6 +60,10 @@ class People:
         """See `hal.Person`: while the tool is handed over somebody is there."""
         return self.is_inside or self._at_hand
 
+    def readings_certain(self) -> bool:
+        """See `hal.Person`."""
+        return True
+
     def enabling_switch_held(self) -> bool:
         """See `hal.Person`."""
         return self.holds_switch and self._switch_taken

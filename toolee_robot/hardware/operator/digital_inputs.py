@@ -111,6 +111,11 @@ class DigitalInputPerson:
         with self._lock:
             return self._fresh() and self._switch.made
 
+    def readings_certain(self) -> bool:
+        """Whether both contacts have been read and have settled; see `hal.Person`."""
+        with self._lock:
+            return self._fresh() and all(contact.made or contact.broken for contact in (self._door, self._switch))
+
     def _switch_released(self) -> bool:
         with self._lock:
             return self._fresh() and self._switch.broken

@@ -71,8 +71,7 @@ class PersonProof:
             PersonNearError: Nobody seems to be inside, but the inputs are not proven; code
                 `person_near.inputs_not_proven`.
         """
-        occupied = self._person.zone_occupied()
-        self._saw("zone", occupied)
+        occupied = self._read("zone", self._person.zone_occupied)
         if not occupied and self._missing:
             raise PersonNearError(
                 f"the person's inputs are not to be believed yet ({'; '.join(self.missing)}): no fast motion; look "
@@ -83,9 +82,11 @@ class PersonProof:
 
     def enabling_switch_held(self) -> bool:
         """See `hal.Person`."""
-        held = self._person.enabling_switch_held()
-        self._saw("switch", held)
-        return held
+        return self._read("switch", self._person.enabling_switch_held)
+
+    def readings_certain(self) -> bool:
+        """See `hal.Person`."""
+        return self._person.readings_certain()
 
     def _ask(self, question: Callable[[str, float], bool], prompt: str, timeout: float) -> bool:
         self._look()
@@ -96,11 +97,16 @@ class PersonProof:
 
     def _look(self) -> str:
         try:
-            self._saw("zone", self._person.zone_occupied())
-            self._saw("switch", self._person.enabling_switch_held())
+            self._read("zone", self._person.zone_occupied)
+            self._read("switch", self._person.enabling_switch_held)
         except DeviceError:
             pass  # an input that cannot be read proves nothing
         return ""
 
-    def _saw(self, what: str, reading: bool) -> None:
-        self._missing.pop((what, reading), None)
+    def _read(self, what: str, read: Callable[[], bool]) -> bool:
+        """Read an input; what was certain before and after it counts as seen."""
+        certain = self._person.readings_certain()
+        reading = read()
+        if certain and self._person.readings_certain():
+            self._missing.pop((what, reading), None)
+        return reading

@@ -16,7 +16,7 @@ from toolee_robot.control.slip import protrusion
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionReport
-from toolee_robot.motion.touch_force import TouchSettings, onset, touch_settings
+from toolee_robot.motion.touch_force import WINDOW_WAY, TouchSettings, onset, touch_settings
 from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.types import JointState
@@ -72,7 +72,8 @@ class Touch:
 
         Args:
             what: What is touched, for the recording.
-            reach: Length of the motion without a contact [m].
+            reach: How far below the face the thing may lie [m]; the face goes on by the travel that the force is
+                averaged over, without which a contact at the very end would not be felt.
 
         Returns:
             Height over the wood [m] of the face's centre plane on the nail's axis where the face met the thing, by the
@@ -87,7 +88,7 @@ class Touch:
         # The wrist as it is while nothing presses on the face: it gives way under the contact.
         X_flange_ee = self._robot.X_flange_hand(motions.q_hand) @ motions.X_hand_ee
         guard = ContactGuard(settings.force, averaging_window=settings.window)
-        end = self._height(X_flange_ee) - reach
+        end = self._height(X_flange_ee) - reach - 2.0 * WINDOW_WAY
         for _ in range(MAX_PHANTOMS):
             left = max(self._height(X_flange_ee) - end, 0.001)
             down = plan_straight(self._robot, self._config, motions.world(), motions.q, -left, UP, settings.speed)
