@@ -215,7 +215,8 @@ class StandInRig(Rig):
         self.controller.fault("reset")
 
     def hold_up(self) -> None:
-        self.controller.fault("joint_offset", offset=[0.2, 0, 0, 0, 0, 0])
+        # Less than the 0.2 rad at which the stand-in itself stops.
+        self.controller.fault("joint_offset", offset=[0.15, 0, 0, 0, 0, 0])
 
     def cut(self) -> None:
         self.controller.fault("half_open", port="rtde")
