@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from toolee_robot.frames import Array, cross
+from toolee_robot.hal import ZERO_TIME
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.types import Payload
 
-ZERO_WINDOW = 0.5  # [s]
 GRAVITY = np.array([0.0, 0.0, -9.81])  # [m/s^2]
 
 
@@ -60,10 +60,10 @@ class FlangeSensor:
         self._velocity = self._payload_velocity()[0]
 
     def zero(self) -> None:
-        """Let the world advance by ZERO_WINDOW, and subtract the mean wrench of that time from all to come."""
+        """Let the world advance by ZERO_TIME, and subtract the mean wrench of that time from all to come."""
         means = []
         self.begin()
-        for _ in range(round(ZERO_WINDOW / self.period)):
+        for _ in range(round(ZERO_TIME / self.period)):
             self._world.advance(self.period)
             means.append(self.wrench + self.offset)
         self.offset = np.mean(means, axis=0)

@@ -7,6 +7,7 @@ the context brings the device to a safe standstill. A device that cannot determi
 """
 
 from toolee_robot.hal.arm import (
+    ZERO_TIME,
     Arm,
     ArmState,
     ArmStatus,
@@ -24,6 +25,7 @@ from toolee_robot.hal.station import Station
 
 __all__ = [
     "CLEAR_TIME",
+    "ZERO_TIME",
     "Arm",
     "ArmState",
     "ArmStatus",

@@ -9,6 +9,7 @@ import numpy as np
 from toolee_robot.config import StrikeConfig
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
+from toolee_robot.hal import ZERO_TIME
 
 WINDOW_WAY, LONGEST_WINDOW = 0.00144, 0.3
 """Travel over which the force of a touch is averaged [m]: 48 ms, six readings of a CB3, at 0.03 m/s; and the longest
@@ -20,8 +21,6 @@ SLOWEST = 0.2
 SIGMAS = 4.5
 """Threshold of a contact in standard deviations of the window's mean force: one touch in some fifty with a CB3's noise
 is a phantom, which is recognised."""
-ZERO_TIME = 0.5
-"""Time over which an arm zeroes its force [s]; see `hal.Arm.zero_wrench`."""
 MAX_FACTOR = 1.5
 """The noise may raise the threshold to this multiple of `strike.touch_force`; with more, nothing is touched."""
 SLOPE_RANGE = 0.008

@@ -15,6 +15,7 @@ from toolee_robot.control.collision_shapes import TOOL_JOINT
 from toolee_robot.control.correction import Candidates, candidates, rank
 from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
 from toolee_robot.control.limits import check_trajectory
+from toolee_robot.control.planning.strike import MIN_SPEED
 from toolee_robot.control.planning.swing.contact import Face, decelerations, fastest
 from toolee_robot.control.planning.swing.limits import SwingLimits
 from toolee_robot.control.planning.swing.problem import SwingProblem
@@ -30,8 +31,6 @@ SHORTLIST = 12
 """Number of contacts through which a swing may be planned."""
 ENOUGH, MOST = 2, 5
 """Number of swings of which the fastest is taken; more, up to MOST, while none can be reached on a straight way."""
-MIN_SPEED = 0.3
-"""Least useful speed [m/s]; a slower strike does not drive the nail."""
 
 
 def plan_swing(

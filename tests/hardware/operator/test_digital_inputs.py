@@ -172,6 +172,30 @@ def test_a_person_that_always_answers_no_is_not_believed() -> None:
             proof.zone_occupied()
 
 
+def test_what_is_assumed_for_want_of_data_is_no_change_that_was_seen() -> None:
+    """A door whose contact is stuck closed reads as open while the link is silent; that proves nothing."""
+    panel = Panel()
+    panel.high = DOOR_CLOSED
+    panel.dead = True
+    with at(panel, ONE_CONTACT) as person:
+        proof = PersonProof(person)
+        assert proof.zone_occupied()
+        assert not proof.enabling_switch_held()
+        panel.dead = False
+        assert eventually(person.readings_certain)
+        later(panel.hold)
+        assert proof.hold_switch("hold it", 2.0)
+        with raises(PersonNearError, "person_near.inputs_not_proven"):
+            proof.zone_occupied()
+        panel.dead = True
+        assert eventually(person.zone_occupied)
+        assert proof.zone_occupied()
+        panel.dead = False
+        assert eventually(person.readings_certain)
+        with raises(PersonNearError, "person_near.inputs_not_proven"):
+            proof.zone_occupied()
+
+
 # -- doctor, station file --------------------------------------------------------------------------------------------
 
 

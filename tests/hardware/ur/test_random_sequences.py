@@ -2,7 +2,7 @@
 
 Sequences of commands, stops, releases, pauses and Plays are drawn at random and executed on the controller stand-in in
 real time; the property is asserted on the stand-in's own trace. `pytest --nightly` draws 200 of them; more with
-`TOOLEE_SEQUENCES=10000 pytest --nightly tests/hardware/ur/test_random_sequences.py`, at some 2 s each.
+`TOOLEE_SEQUENCES=10000 pytest --nightly tests/hardware/ur/test_random_sequences.py`, at 2 to 4 s each.
 """
 
 from __future__ import annotations

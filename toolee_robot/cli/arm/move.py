@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import tyro
-from rich.console import Console
 
 from toolee_robot.cli.arm.options import MotionOptions, Vector
-from toolee_robot.cli.output import json_line
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 
@@ -54,14 +52,9 @@ class Move(MotionOptions):
             raise UserError("--joint goes with --by, and --along with --frame", code="user.option")
         if jog + (self.to is not None) + (self.along is not None) != 1:
             raise UserError("give one of --joint and --by, --to, or --along and --frame", code="user.option")
-        console = Console(stderr=self.json, highlight=False)
-        from toolee_robot.cli.arm.session import session
+        from toolee_robot.cli.arm.session import run_motion
 
-        with session(self, console) as robot:
-            figures = robot.move("move", self.plan(robot.slow, robot.q))
-        if self.json:
-            print(json_line(figures), flush=True)
-        return 0
+        return run_motion(self, "move", self.plan)
 
     def plan(self, slow: SlowStation, q: Array) -> Trajectory:
         """Plan the motion.

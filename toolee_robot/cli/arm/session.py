@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from rich.table import Table
 
 from toolee_robot.cli.arm.options import ArmOptions, MotionOptions
 from toolee_robot.cli.arm.terminal import TerminalPerson
+from toolee_robot.cli.output import json_line
 from toolee_robot.control import Supervisor
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array, BaseFrame, inverse
@@ -101,13 +102,36 @@ def session(options: ArmOptions, console: Console) -> Iterator[Session]:
     caps = Caps(options.max_speed, options.max_acceleration) if isinstance(options, MotionOptions) else Caps()
     slow = SlowStation.of(options.load(), caps)
     person = TerminalPerson(console, absent=options.yes)
+    stack = ExitStack()
     with console.status(f"asking the robot at {options.robot_host}"):
-        supervisor = open_arm(slow.config, options.robot_host, person)
-        supervisor.__enter__()
-    try:
-        yield Session(supervisor, slow, person, console)
-    finally:
-        supervisor.__exit__(None, None, None)
+        arm = open_arm(slow.config, options.robot_host, person)
+        stack.enter_context(arm)
+    with stack:
+        yield Session(arm, slow, person, console)
+
+
+def run_motion(options: MotionOptions, what: str, plan: Callable[[SlowStation, Array], Trajectory]) -> int:
+    """Plan one motion and execute it, once a person has confirmed it.
+
+    Args:
+        options: Where the robot is, and how fast it may move.
+        what: Name of the motion.
+        plan: Plans it from the present joint positions, (6,) [rad].
+
+    Returns:
+        The exit code.
+
+    Raises:
+        TooleeError: The options do not fit, the robot is not ready, or the motion was refused or stopped.
+    """
+    console = Console(stderr=options.json, highlight=False)
+    with session(options, console) as robot:
+        with console.status("planning"):
+            trajectory = plan(robot.slow, robot.q)
+        figures = robot.move(what, trajectory)
+    if options.json:
+        print(json_line(figures), flush=True)
+    return 0
 
 
 def motion_table(trajectory: Trajectory) -> Table:

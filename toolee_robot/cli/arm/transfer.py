@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
-from rich.console import Console
 
 from toolee_robot.cli.arm.options import MotionOptions
-from toolee_robot.cli.output import json_line
 from toolee_robot.frames import Array
 
 if TYPE_CHECKING:
@@ -33,16 +31,9 @@ class Transfer(MotionOptions):
     """Which view, with --to view."""
 
     def run(self) -> int:
-        console = Console(stderr=self.json, highlight=False)
-        from toolee_robot.cli.arm.session import session
+        from toolee_robot.cli.arm.session import run_motion
 
-        with session(self, console) as robot:
-            with console.status("planning"):
-                plan = self.plan(robot.slow, robot.q)
-            figures = robot.move(f"to {self.to}", plan)
-        if self.json:
-            print(json_line(figures), flush=True)
-        return 0
+        return run_motion(self, f"to {self.to}", self.plan)
 
     def plan(self, slow: SlowStation, q: Array) -> Trajectory:
         """Plan the motion.

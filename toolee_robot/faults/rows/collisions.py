@@ -21,7 +21,8 @@ from toolee_robot.faults.rigs.joints_path import Stop, stop_after
 from toolee_robot.faults.rigs.setting import Setting
 from toolee_robot.faults.rigs.time_bounds import PATIENT
 from toolee_robot.faults.rows.arm import AT_REST, REST_TIME, push_off
-from toolee_robot.faults.rows.released_stops import program_not_ended, travel
+from toolee_robot.faults.rows.released_stops import release_and_play, travel
+from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.profile import SafetyLimits
 from toolee_robot.sim_backend.ur_controller.robot.safety.system import SafetyMode
 from toolee_robot.types import Payload
@@ -208,24 +209,16 @@ def _at_rest(fault: Collision, rig: Rig) -> FaultRow:
 
 def _judge(fault: Collision, rig: Rig) -> tuple[list[str], str, bool]:
     """What is wrong after the stop, the controller's code, and whether the arm is latched."""
-    controller, load = rig.controller, fault.payload
-    state = controller.state()
-    code = str(state["safety_reason"]).partition(":")[0]
+    load = fault.payload
+    code = str(rig.controller.state()["safety_reason"]).partition(":")[0]
     wrong = [] if code.startswith(fault.code) else [f"{fault.code} expected, the controller says {code or 'nothing'}"]
-    wrong += program_not_ended(rig)
-    before = state["tick"]
-    controller.fault("payload", mass=load.mass, cog=load.center_of_mass.tolist())  # as a person who has found it
-    controller.fault("unlock")
-    if controller.fault("play")["resumed"]:
-        wrong.append("Play resumed the program")
-    time.sleep(REST_TIME)
-    latched = rig.is_latched()
-    if not latched:
-        wrong.append("the next motion was not refused")
-    moved = travel(rig, before)
-    if moved > AT_REST:
-        wrong.append(f"the arm moved by {moved:.4f} rad after release and Play")
-    return wrong, code, latched
+
+    def release(controller: ControllerProcess) -> None:
+        controller.fault("payload", mass=load.mass, cog=load.center_of_mass.tolist())  # as a person who has found it
+        controller.fault("unlock")
+
+    after, _, latched = release_and_play(rig, release)
+    return wrong + after, code, latched
 
 
 def _wrong_error(fault: Collision, rig: Rig, error: Exception | None) -> str | None:

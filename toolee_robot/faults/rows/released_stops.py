@@ -111,7 +111,7 @@ def released_row(fault: ReleasedStop, phase: Phase, rig: Rig) -> FaultRow:
 def _in_swing(fault: ReleasedStop, rig: Rig) -> FaultRow:
     happened = rig.inject(lambda: fault.stop(rig.controller))
     stop = happened.stop
-    wrong, moved, latched = _release_and_play(fault, rig)
+    wrong, moved, latched = release_and_play(rig, fault.release)
     # A pause of the program ends with the driver's stop of it, after which the controller brakes.
     allowed = fault.notice + stop.speed / float(getattr(rig.setting.stops, fault.by_robot)) + 4 * rig.period
     if not isinstance(happened.error, fault.error):
@@ -132,7 +132,7 @@ def _at_rest(fault: ReleasedStop, rig: Rig) -> FaultRow:
     before = rig.controller.state()["tick"]
     fault.stop(rig.controller)
     time.sleep(REST_TIME)
-    wrong, moved, latched = _release_and_play(fault, rig)
+    wrong, moved, latched = release_and_play(rig, fault.release)
     moved = max(moved, travel(rig, before))
     if moved > AT_REST:
         wrong.append(f"the arm moved by {moved:.4f} rad")
@@ -143,12 +143,20 @@ def _at_rest(fault: ReleasedStop, rig: Rig) -> FaultRow:
     )  # fmt: skip
 
 
-def _release_and_play(fault: ReleasedStop, rig: Rig) -> tuple[list[str], float, bool]:
-    """Release the stop and press Play: what is wrong, how far a joint moves [rad], whether the arm is latched."""
+def release_and_play(rig: Rig, release: Callable[[ControllerProcess], object]) -> tuple[list[str], float, bool]:
+    """Release a stop and press Play.
+
+    Args:
+        rig: The rig, with its robot stopped.
+        release: Releases the stop, as a person does at the robot.
+
+    Returns:
+        What is wrong, how far a joint moves [rad], and whether the arm is latched.
+    """
     controller = rig.controller
     wrong = program_not_ended(rig)
     before = controller.state()["tick"]
-    fault.release(controller)
+    release(controller)
     time.sleep(0.1)  # a controller may resume the program by itself
     if controller.fault("play")["resumed"]:
         wrong.append("Play resumed the program")

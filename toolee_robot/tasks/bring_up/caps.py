@@ -1,8 +1,10 @@
 """The caps of a bring-up: a station's limits, lowered. The supervisor and the driver refuse whatever exceeds them.
 
-slow = SlowStation.of(load_station(Path("lab.yaml")), Caps())
-with open_arm(slow.config, host, person) as arm:
-arm.execute(plan_joints(slow, arm.state().q_commanded, q_goal))
+    slow = SlowStation.of(load_station(Path("lab.yaml")), Caps())
+    with open_arm(slow.config, host, person) as arm:
+        arm.execute(plan_joints(slow, arm.state().q_commanded, q_goal))
+
+Both get the station under its caps, so neither knows any other limit.
 """
 
 from __future__ import annotations

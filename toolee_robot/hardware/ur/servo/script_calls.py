@@ -15,7 +15,7 @@ import numpy as np
 from toolee_robot.arm_data import CB3_RATE
 from toolee_robot.errors import DeviceError, NotReadyError
 from toolee_robot.frames import Array
-from toolee_robot.hal import ArmStatus
+from toolee_robot.hal import ZERO_TIME, ArmStatus
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.hardware.ur.servo.rtde_link import AT_REST, UrLink, bounded
 from toolee_robot.hardware.ur.servo.shared_memory import StateColumn
@@ -25,9 +25,6 @@ PAYLOAD_TOLERANCE: Final = 1e-3
 """[kg], [m] Largest difference between the payload set and the payload reported by the controller."""
 TCP_TOLERANCE: Final = 1e-5
 """[m], [rad] Largest difference between the TCP set and the TCP reported by the controller."""
-ZERO_WINDOW: Final = 0.5
-"""[s] Time over which the force reading at rest is averaged to zero it: 62 readings of a CB3, 250 of an e-Series, so
-that a noise of 3.6 N leaves 0.5 N and 0.2 N."""
 LARGEST_OFFSET: Final = 20.0
 """[N] Largest force at rest that is taken for an offset of the reading, twice the accuracy that a CB3 is said to have.
 Beyond it the arm touches something, or its payload is wrong."""
@@ -96,7 +93,7 @@ class ScriptCalls:
         """Zero the force reading of an arm that stands and touches nothing.
 
         An e-Series controller zeroes its sensor, which is then looked at; a CB3, which estimates the force from the
-        joints' currents, cannot. What the reading is on average over ZERO_WINDOW is then subtracted from all readings
+        joints' currents, cannot. What the reading is on average over ZERO_TIME is then subtracted from all readings
         to come, also from those that a contact guard sees. A CB3's offset changes with the pose: its zero is good near
         the pose at which it was taken.
 
@@ -114,8 +111,8 @@ class ScriptCalls:
                 self._accepted(link.control.zeroFtSensor(), "the zero of its force sensor")
             link.catch_up()
         link.unread()
-        wrenches, end = list[Array](), self._clock.now() + 2.0 * ZERO_WINDOW
-        while len(wrenches) < round(ZERO_WINDOW * link.rate):
+        wrenches, end = list[Array](), self._clock.now() + 2.0 * ZERO_TIME
+        while len(wrenches) < round(ZERO_TIME * link.rate):
             self._wait_cycle()
             for reading in link.unread():
                 self._expect_standstill(reading.qd)
