@@ -51,6 +51,7 @@ def test_the_arm_of_a_station_file_moves_slowly_and_by_hand_with_a_person_who_le
         with raises(PersonNearError, code="person_near.freedrive"), arm.freedrive():
             pass
         people.holds_switch = True
+        assert people.hold_switch("", 1.0)
         assert arm.execute(line([q, q + 0.02], 1.5)).outcome is MotionOutcome.COMPLETED
         with arm.freedrive():
             pass
