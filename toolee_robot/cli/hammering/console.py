@@ -124,12 +124,10 @@ class ConsoleObserver(TaskObserver):
         gained = (self._last - strike.protrusion) * 1e3
         self._last = strike.protrusion
         left = max(strike.protrusion, 0.0) / max(self._start, 1e-9)
-        bar = "█" * round(20 * min(left, 1.0))
-        self._console.print(
-            f"  strike {strike.number:>2}  {strike.protrusion * 1e3:5.1f} mm over the wood  "
-            f"[dim]({gained:+.1f})[/dim]  "
-            f"[blue]{bar:<20}[/blue] [dim]{strike.speed:.1f} m/s, {strike.peak_force:.0f} N, "
-            f"{load_text(strike.load)}[/dim]"
+        bar = "█" * round(10 * min(left, 1.0))
+        self._console.print(  # within 80 columns, but for a controller that reports its ratios; the plan has the speed
+            f"  strike {strike.number:>2}  {strike.protrusion * 1e3:5.1f} mm left  [dim]({gained:+.1f})[/dim]  "
+            f"[blue]{bar:<10}[/blue]  [dim]{strike.peak_force:.0f} N, {load_text(strike.load)}[/dim]"
         )
         if self._task is not None:
             driven = max(self._start - strike.protrusion, 0.0)
