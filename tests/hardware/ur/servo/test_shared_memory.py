@@ -91,6 +91,29 @@ def test_a_writer_that_died_in_mid_write_is_an_error_not_a_hang() -> None:
         memory.read_state()
 
 
+_TWICE = """
+import gc, threading
+from toolee_robot.hardware.ur.servo.shared_memory import ServoMemory
+for _ in range(3):
+    memory = ServoMemory.create(longest=1.0)
+    task = threading.Thread(target=memory.owner.hold)
+    task.start()
+    task.join()
+    while memory.owner.owner_alive:
+        pass
+    memory.close()
+    del memory, task
+    gc.collect()
+print("alive")
+"""
+
+
+def test_a_thread_that_has_seen_an_owner_die_outlives_the_memory() -> None:
+    """The mutex that it took over must not stay in its list of robust mutexes: the next one would crash the process."""
+    seen = subprocess.run([sys.executable, "-c", _TWICE], capture_output=True, text=True, check=False)
+    assert (seen.returncode, seen.stdout) == (0, "alive\n"), seen.stderr
+
+
 def test_the_end_of_a_thread_cuts_the_life_line_that_it_holds() -> None:
     memory = ServoMemory.create(longest=0.1)
     held, ended = threading.Event(), threading.Event()

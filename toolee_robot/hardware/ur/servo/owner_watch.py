@@ -49,9 +49,13 @@ class OwnerWatch:
     def owner_alive(self) -> bool:
         """Whether the thread that called `hold` is alive, for the servo process; takes about a microsecond.
 
-        Once False it stays False; this thread then holds the mutex, so the memory must stay mapped.
+        Once False it stays False.
         """
-        self._died = self._died or _libc.pthread_mutex_trylock(self._mutex) == errno.EOWNERDEAD
+        if not self._died and _libc.pthread_mutex_trylock(self._mutex) == errno.EOWNERDEAD:
+            # This thread took it over. Unlocked without being made consistent it is never taken again, and leaves the
+            # thread's list of robust mutexes, which would otherwise point into the memory after it is unmapped.
+            _call("pthread_mutex_unlock", self._mutex)
+            self._died = True
         return not self._died
 
 
