@@ -15,6 +15,7 @@ from toolee_robot.errors import (
 )
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ArmStatus, ContactGuard, MotionOutcome, MotionReport, MotionWatch
+from toolee_robot.motion.contact_force import ContactForce
 from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.motion.trajectory_checks import check_payload, check_trajectory
 from toolee_robot.sim_backend.devices.flange_sensor import FlangeSensor
@@ -188,6 +189,7 @@ class SimArm:
         watch = MotionWatch() if watch is None else watch
         log = MotionLog(RATE)
         contact: JointState | None = None
+        force = None if guard is None else ContactForce(guard, 1 / RATE)
         outcome, fault = MotionOutcome.COMPLETED, None
         self._stop_asked, self._moving = False, True
         t = 0.0
@@ -200,11 +202,8 @@ class SimArm:
                 if fault is not None or self._stop_asked:
                     outcome = MotionOutcome.STOPPED
                     break
-                if (
-                    guard is not None
-                    and t >= guard.ignore_before
-                    and log.mean_force(guard.averaging_window) > guard.force
-                ):
+                touches = force is not None and force.add(log.wrenches[-1][:3])
+                if touches and guard is not None and t >= guard.ignore_before:
                     outcome = MotionOutcome.CONTACT
                     contact = JointState(*self._world.robot.arm_state(), self._world.time)
                     break

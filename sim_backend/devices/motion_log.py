@@ -47,11 +47,6 @@ class MotionLog:
         self.measured.append(measured)
         self.wrenches.append(wrench)
 
-    def mean_force(self, duration: float) -> float:
-        """Norm [N] of the mean force over the last `duration` [s], at least one reading; 0 until that has passed."""
-        n = max(round(duration * self.rate), 1)
-        return float(np.linalg.norm(np.mean(self.wrenches[-n:], axis=0)[:3])) if len(self.wrenches) >= n else 0.0
-
     def count(self, late: bool) -> None:
         """Count a command, and whether it was sent late."""
         self.late += late

@@ -12,7 +12,8 @@ from tests.sim_backend.physics.energy_balance import driven_by
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover, plan_straight, plan_strike
 from toolee_robot.frames import inverse, rotation_angle
-from toolee_robot.hal import ContactGuard, MotionOutcome
+from toolee_robot.hal import MotionOutcome
+from toolee_robot.motion.strike_contact import strike_guard
 from toolee_robot.sim_backend import SimStation
 
 pytestmark = pytest.mark.sim
@@ -52,7 +53,7 @@ def test_strikes_drive_the_nail_by_the_hammers_energy_and_the_hand_keeps_it(held
         station.arm.execute(plan.approach)
         wrist: list[float] = []
         held.observers.append(lambda sample, seen=wrist: seen.append(float(sample.q_hand[0])))  # type: ignore[misc]
-        guard = ContactGuard(CONFIG.strike.contact_force, ignore_before=0.5 * plan.contact_time)
+        guard = strike_guard(CONFIG.strike, plan.contact_time, plan.expected_contact.direction)
         report = station.arm.execute(plan.strike, guard)
         station.clock.sleep(0.1)
         held.observers.clear()

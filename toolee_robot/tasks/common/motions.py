@@ -19,6 +19,7 @@ from toolee_robot.control.supervisor_checks import AT_REST
 from toolee_robot.errors import DeviceError, GripDoubtError, MotionFaultError, PersonNearError, PlanningError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionOutcome, MotionReport, Station
+from toolee_robot.motion.strike_contact import strike_guard
 from toolee_robot.tasks.common.hand_watch import HandWatch, check_held
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.person_proof import PersonProof
@@ -54,6 +55,7 @@ class Motions:
         X_hand_ee: Estimated pose of the end effector in the hand, (4, 4).
         held: Whether the hand holds the tool.
         payload: What the flange carries; None before it was set.
+        noise: Readings of the force at rest, one a cycle, (N, 3) [N]; None before they were taken.
     """
 
     q: Array
@@ -69,6 +71,7 @@ class Motions:
         self.X_hand_ee = X_hand_ee
         self.held = False
         self.payload: Payload | None = None
+        self.noise: Array | None = None
         self._zeroed: Array | None = None
         self.person = PersonProof(station.person)
         self.arm = Supervisor(station.arm, self.person, robot, config, self.world)
@@ -166,7 +169,8 @@ class Motions:
             TooleeError: As `execute`.
         """
         self.check_hand()
-        guard = ContactGuard(self._config.strike.contact_force, ignore_before=0.5 * plan.contact_time)
+        direction = plan.expected_contact.direction
+        guard = strike_guard(self._config.strike, plan.contact_time, direction, self.noise, self.arm.rate)
         with self._watched(name) as hand:
             report, verdict = self.arm.swing(plan.strike, guard, plan.expected_contact)
         self._done(name, report, hand)

@@ -112,7 +112,9 @@ class Touch:
         for last in range(NOISE_TIMES):
             forces = np.concatenate([forces, motions.forces(NOISE_TIME)])
             try:
-                return touch_settings(forces, motions.arm.rate, self._config.strike)
+                settings = touch_settings(forces, motions.arm.rate, self._config.strike)
+                motions.noise = forces
+                return settings
             except DeviceError:
                 if last == NOISE_TIMES - 1:
                     raise

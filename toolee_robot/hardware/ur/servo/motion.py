@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator
 from typing import Final, Protocol
 
@@ -17,6 +16,7 @@ from toolee_robot.hardware.ur.servo.shared_memory import Column, ServoMemory, St
 from toolee_robot.hardware.ur.servo.state_stream import Reading
 from toolee_robot.hardware.ur.servo.tracking import tracking_error
 from toolee_robot.hardware.ur.status import FULL_SPEED
+from toolee_robot.motion.contact_force import ContactForce
 from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.runtime.clock import HostClock
 
@@ -65,8 +65,7 @@ class Motion:
         self._lag_cycles = request.lag / self._period
         self._window = int(self._lag_cycles + request.watch.data_cycles) + 8
         self._readings: list[Reading] = []
-        window = 0.0 if request.guard is None else request.guard.averaging_window
-        self._forces: deque[Array] = deque(maxlen=max(round(window / self._period), 1))
+        self._contact = None if request.guard is None else ContactForce(request.guard, self._period)
 
     def run(self) -> Cause:
         """Execute the motion and return why it ended."""
@@ -156,14 +155,12 @@ class Motion:
             yield q
 
     def _touches(self) -> bool:
-        """Whether the averaged force exceeds the guard's at any of the new readings."""
-        guard, touches = self._request.guard, False
-        for reading in self._readings:
-            self._forces.append(reading.wrench[:3])
-            force = np.mean(self._forces, axis=0)
-            full = len(self._forces) == self._forces.maxlen
-            touches |= guard is not None and full and float(np.sqrt(force @ force)) > guard.force
-        return touches and guard is not None and self._time >= guard.ignore_before and not self._brakes
+        """Whether the force is a contact at any of the new readings."""
+        guard, contact = self._request.guard, self._contact
+        if guard is None or contact is None:
+            return False
+        touches = [contact.add(reading.wrench[:3]) for reading in self._readings]
+        return any(touches) and self._time >= guard.ignore_before and not self._brakes
 
     def _tracking_error(self) -> float:
         reading = self._link.reading
