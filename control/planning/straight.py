@@ -50,6 +50,7 @@ def plan_straight(
     length: float,
     direction: tuple[float, float, float] = (0.0, 0.0, 1.0),
     speed: float = 0.25,
+    acceleration: float | None = None,
 ) -> Trajectory:
     """Plan a straight motion of the flange with constant orientation, from rest to rest.
 
@@ -61,6 +62,7 @@ def plan_straight(
         length: Length of the motion [m]; negative against the direction.
         direction: Direction in `base`; up by default.
         speed: Largest speed [m/s].
+        acceleration: Largest acceleration of every joint [rad/s^2]; that of transfers if None.
 
     Returns:
         The trajectory, checked for collisions and limits, at rest at both ends.
@@ -71,19 +73,26 @@ def plan_straight(
         UnreachableError: The line is out of reach or singular.
     """
     line = Line.through(robot.ik, q_start, np.asarray(direction, dtype=np.float64))
-    move = _travel(line, config, 0.0, length, speed)
+    move = _travel(line, config, 0.0, length, speed, acceleration)
     world.check(move.q[:: max(1, len(move.q) // 20)], 0.0, "the straight move", BRAKE_EXEMPT)
     check_trajectory(move, robot.arm, config.arm, config.scene)
     return move
 
 
-def _travel(line: Line, config: StationConfig, start: float, end: float, speed: float = 0.25) -> Trajectory:
+def _travel(
+    line: Line,
+    config: StationConfig,
+    start: float,
+    end: float,
+    speed: float = 0.25,
+    acceleration: float | None = None,
+) -> Trajectory:
     """Build a motion along the line with the limits of transfers, from rest to rest."""
     q = line.q(np.linspace(start, end, 9))
     limits = line.travel_limits(
         q,
         config.arm.transfer_velocity_scale * np.asarray(config.arm.velocity),
-        config.arm.transfer_acceleration,
+        config.arm.transfer_acceleration if acceleration is None else acceleration,
         config.arm.jerk,
         speed,
     )

@@ -119,7 +119,8 @@ class ConsoleObserver(TaskObserver):
 
     def strike(self, strike: Strike) -> None:
         if strike.protrusion is None:
-            self._console.print(f"  strike {strike.number:>2}  [red]the nail could not be measured after it[/red]")
+            load = f"{strike.peak_force:.0f} N, {load_text(strike.load)}"
+            self._console.print(f"  strike {strike.number:>2}  [dim]not measured after it {load:>29}[/dim]")
             return
         gained = (self._last - strike.protrusion) * 1e3
         self._last = strike.protrusion

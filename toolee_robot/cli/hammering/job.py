@@ -200,6 +200,8 @@ class HammerJob:
             "strike_tilt_deg": _rounded(verdict.strike_tilt_deg),
             "contact_speed": _rounded(verdict.contact_speed),
             "stage_seconds": {str(k): round(v, 3) for k, v in result.stage_seconds.items()},
+            "robot_seconds": round(result.robot_seconds, 3),
+            "nail_seconds": round(result.nail_seconds, 3),
             "seconds": round(seconds, 3),
             "seed": self.seed,
             "tool": tool.name,

@@ -176,21 +176,30 @@ class Motions:
         self._done(name, report, hand)
         return report, verdict
 
-    def straight(self, name: str, direction: tuple[float, float, float], length: float) -> None:
+    def straight(
+        self,
+        name: str,
+        direction: tuple[float, float, float],
+        length: float,
+        speed: float = STRAIGHT_SPEED,
+        acceleration: float | None = None,
+    ) -> None:
         """Move on a straight line with constant orientation; the tool may touch the work.
 
         Args:
             name: Name of the motion.
             direction: Unit vector in `base`.
             length: Length along it [m]; negative for the opposite direction.
+            speed: Largest speed [m/s]; less where the mode allows less.
+            acceleration: Largest acceleration of every joint [rad/s^2]; that of transfers if None.
 
         Raises:
             TooleeError: As `execute`, and what `plan_straight` raises.
         """
         if abs(length) > 1e-4:
             world = self.world()
-            speed = min(STRAIGHT_SPEED, 0.95 * self.arm.mode.speed(self._config.supervisor))
-            move = plan_straight(self._robot, self._config, world, self.q, length, direction, speed)
+            speed = min(speed, 0.95 * self.arm.mode.speed(self._config.supervisor))
+            move = plan_straight(self._robot, self._config, world, self.q, length, direction, speed, acceleration)
             self.execute(name, move, at_work=True)
 
     def retreat(self) -> bool:

@@ -75,7 +75,7 @@ class Strike:
         meeting: How the strike met the nail.
         load: What the strike asked of the arm.
         protrusion: Height of the nail's head over the wood that the touch after the strike measured [m]; None where it
-            could not be measured.
+            was not measured, or could not be.
     """
 
     number: int
@@ -98,6 +98,8 @@ class HammerResult:
         protrusion: Height of the nail's head over the wood as measured last [m]; None before the first strike.
         estimates: Fused poses of the end effector in the hand, each with its time on the station's clock [s].
         stage_seconds: Wall-clock time spent in each stage [s], by the stage's name.
+        robot_seconds: Time that the job took on the station's clock [s].
+        nail_seconds: Part of it in which the nail was driven: all after the first look at the tool [s].
     """
 
     outcome: Outcome
@@ -106,6 +108,8 @@ class HammerResult:
     protrusion: float | None
     estimates: tuple[tuple[float, InHandEstimate], ...] = ()
     stage_seconds: dict[str, float] = field(default_factory=dict)
+    robot_seconds: float = 0.0
+    nail_seconds: float = 0.0
 
     @property
     def success(self) -> bool:

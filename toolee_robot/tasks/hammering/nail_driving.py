@@ -1,4 +1,4 @@
-"""Drive the nail with successive strikes, each measured by a touch, until an end condition holds."""
+"""Drive the nail with successive strikes and measurements until an end condition holds."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage, Strike
 from toolee_robot.tasks.common.stages import Stages
+from toolee_robot.tasks.hammering.nail_forecast import NailForecast
 from toolee_robot.tasks.hammering.nail_gauge import CLEAR, MAX_DEPTH_PER_STRIKE, NailGauge
 
 FLUSH_WHEN_STALLED = 0.0015
@@ -27,6 +28,8 @@ BLIND_MISSES = 3
 """Number of successive misses after which the uncorrected baseline gives up."""
 CONFIRMED = 0.0005
 """Largest progress of a strike on a flush nail [m]."""
+RETRACT_SPEED, RETRACT_ACCELERATION = 0.6, 0.4
+"""Largest speed of the way up after a strike, with nobody in reach [m/s], and acceleration as a share of a strike's."""
 
 
 class NailDriving:
@@ -39,12 +42,14 @@ class NailDriving:
         clock: The station's clock.
         stages: Times the stages of the job.
         observer: Receives the events of the job.
-        look: Looks at the tool from the given number of views and sets `motions.X_hand_ee`.
+        look: Looks at the tool from the given number of views and sets `motions.X_hand_ee`; returns whether the tool
+            has hardly slipped.
         correction: Whether the estimated in-hand pose is used.
 
     Attributes:
         strikes: The strikes done so far.
         protrusion: Height of the nail's head over the wood as measured last [m]; None before `run`.
+        seconds: Time that the nail has taken so far, from the first look's end on [s], station clock.
     """
 
     def __init__(
@@ -55,18 +60,21 @@ class NailDriving:
         clock: Clock,
         stages: Stages,
         observer: TaskObserver,
-        look: Callable[[int], None],
+        look: Callable[[int], bool],
         *,
         correction: bool,
     ) -> None:
         self.strikes: list[Strike] = []
         self.protrusion: float | None = None
+        self.seconds = 0.0
         self._motions, self._config, self._robot, self._clock = motions, config, robot, clock
         self._stages, self._observer = stages, observer
         self._look_from = look
         self._correction = correction
         self._gauge = NailGauge(motions, config, robot, observer)
+        self._forecast = NailForecast(config.task.flush_protrusion, motions.arm.rate)
         self._strikes_seen = 0
+        self._interval = config.task.strikes_between_looks
         self._measured = False
 
     @property
@@ -87,20 +95,20 @@ class NailDriving:
             JobEnded: The nail was not met as expected.
             TooleeError: A motion or a plan failed.
         """
-        config, task = self._config, self._config.task
-        height = config.work.nail_protrusion if self.protrusion is None else self.protrusion
-        self.protrusion, self._strikes_seen = height, len(self.strikes)
-        plan = self._plan(height)
-        with self._stages(Stage.TOUCH), self._check_blind():
-            if self._measured:
-                height = self.protrusion = self._gauge.resume(plan, height)
-            else:
-                self._gauge.begin(plan)
-                self._measured = True
+        began = self._clock.now()
+        try:
+            return self._run()
+        finally:
+            self.seconds += self._clock.now() - began
+
+    def _run(self) -> tuple[Outcome, str]:
+        task, forecast = self._config.task, self._forecast
+        self._begin()
         stalled = flush = missed = 0
         progress = np.inf
         doubted = False
         while True:
+            height = forecast.height
             # Another strike confirms it: after slip a measurement is accurate only to half a millimetre.
             flush = flush + 1 if height <= task.flush_protrusion else 0
             if flush > 2 or (flush == 2 and progress < CONFIRMED):
@@ -109,20 +117,22 @@ class NailDriving:
                 end = f"after {task.max_strikes} strikes the head stands {height * 1e3:.1f} mm over the wood"
                 return Outcome.OUT_OF_STRIKES, f"{end}, not confirmed by another strike" if flush else end
             self._check_load()
-            if self.strikes_since_look >= task.strikes_between_looks and not flush:
+            if self.strikes_since_look >= self._interval and not flush:
                 self._look(task.views_again)
             plan = self._plan(height)
-            before = height
+            before, measured = height, None
             missed += 1
             with self._check_missed(missed):
-                height = self.protrusion = self._strike_nail(plan, before)
+                measured = self._strike_nail(plan, before)
                 missed = 0
-            if missed:
+            if missed or measured is None:
                 continue
-            progress = before - height
+            struck = forecast.unmeasured
+            progress, height = forecast.measured(measured), measured
+            self.protrusion = height
             if progress > MAX_DEPTH_PER_STRIKE:
                 return Outcome.BENT, f"the head sank {progress * 1e3:.1f} mm in one strike: the nail has bent away"
-            stalled = stalled + 1 if progress < task.min_progress else 0
+            stalled = stalled + struck if progress < task.min_progress else 0
             if stalled < 2:
                 continue
             if height <= FLUSH_WHEN_STALLED:
@@ -133,9 +143,25 @@ class NailDriving:
             doubted, stalled = True, 0
             self._look(task.views)
 
-    def _look(self, views: int) -> None:
-        self._look_from(views)
+    def _begin(self) -> None:
+        """Touch the nail: its height is known, but for an interruption, and the face's place along it is not."""
+        known = self._config.work.nail_protrusion if self.protrusion is None else self._forecast.height
         self._strikes_seen = len(self.strikes)
+        plan = self._plan(known)
+        height = known
+        with self._stages(Stage.TOUCH), self._check_blind():
+            if self._measured:
+                height = self._gauge.resume(plan, known)
+            else:
+                self._gauge.begin(plan)
+                self._measured = True
+        self._forecast.measured(height)
+        self.protrusion = height
+
+    def _look(self, views: int) -> None:
+        hardly_slipped = self._look_from(views)
+        self._strikes_seen = len(self.strikes)
+        self._interval = self._config.task.strikes_between_looks * (2 if hardly_slipped else 1)
 
     def _plan(self, height: float) -> StrikePlan:
         """Plan a strike at a nail that protrudes by `height` [m]."""
@@ -153,20 +179,34 @@ class NailDriving:
             self._observer.planned(self._clock.now(), plan)
             return plan
 
-    def _strike_nail(self, plan: StrikePlan, before: float) -> float:
-        """Strike a nail that protrudes by `before` [m] and measure its new protrusion [m].
+    def _strike_nail(self, plan: StrikePlan, before: float) -> float | None:
+        """Strike a nail that protrudes by `before` [m], as far as is known.
 
         The strike is recorded in every case.
+
+        Returns:
+            The protrusion measured after it [m]; None where the forecast is good enough.
 
         Raises:
             JobEnded: The strike, or the touch after it, does not meet the nail.
         """
         with self._stages(Stage.STRIKE):
             report, verdict = self._swing(plan)
+            met = verdict.meeting is Meeting.EXPECTED
+            measure = self._forecast.struck(verdict, plan.speed) if met else True
+            # Straight up from where it ended: the strike may have been stopped above the nail by an obstacle.
+            below = self._robot.arm.fk(plan.q_contact)[2, 3] - self._robot.arm.fk(self._motions.q)[2, 3]
+            above = CLEAR if measure else plan.run_up
+            acceleration = RETRACT_ACCELERATION * self._config.arm.acceleration
+            self._motions.straight("up", UP, above + max(float(below), 0.0), RETRACT_SPEED, acceleration)
         height = None
         try:
-            if verdict.meeting is not Meeting.EXPECTED:
+            if not met:
                 raise JobEnded(Outcome.NAIL_MISSED, f"{verdict}: the nail is not where the face went")
+            if not measure:
+                return None
+            if self._forecast.surprise:
+                self._observer.message(self._forecast.surprise)
             with self._stages(Stage.TOUCH):
                 # With a corrected face pose, a head that is no longer there after a strike means a bent nail.
                 missed = Outcome.BENT if self._correction else Outcome.NAIL_MISSED
@@ -176,16 +216,11 @@ class NailDriving:
             self._record(plan, report, verdict, height)
 
     def _swing(self, plan: StrikePlan) -> tuple[MotionReport, ContactVerdict]:
-        """Execute the strike, then retract straight up from where it ended."""
+        """Execute the strike."""
         motions = self._motions
-        motions.zero_wrench()
         motions.transfer("to the run-up", plan.approach)
         motions.arm.permit_swings(self._config.task.handover_timeout)
-        report, verdict = motions.swing("strike", plan)
-        below = self._robot.arm.fk(plan.q_contact)[2, 3] - self._robot.arm.fk(motions.q)[2, 3]
-        # The strike may have been stopped above the nail by an obstacle: retract from there, never move down.
-        motions.straight("up", UP, CLEAR + max(float(below), 0.0))
-        return report, verdict
+        return motions.swing("strike", plan)
 
     def _record(self, plan: StrikePlan, report: MotionReport, verdict: ContactVerdict, height: float | None) -> None:
         force = float(np.max(np.linalg.norm(report.wrenches[:, :3], axis=1)))

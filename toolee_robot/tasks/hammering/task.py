@@ -89,6 +89,7 @@ class HammeringTask:
             strikes_since_look=lambda: nail_driving.strikes_since_look,
         )  # fmt: skip
         self._outcome: Outcome | None = None
+        self._began = station.clock.now()
 
     def run(self) -> HammerResult:
         """Do the job and park the arm.
@@ -98,6 +99,7 @@ class HammeringTask:
         Returns:
             The result of the job.
         """
+        self._began = self._station.clock.now()
         return self._end(self._job)
 
     def resume(self, *, confirmed: bool = False) -> HammerResult:
@@ -175,6 +177,8 @@ class HammeringTask:
             self._nail_driving.protrusion,
             tuple(self._tool_pose.estimates),
             dict(self._stages.seconds),
+            self._station.clock.now() - self._began,
+            self._nail_driving.seconds,
         )
 
     def _end(self, job: Callable[[], tuple[Outcome, str]]) -> HammerResult:
@@ -252,9 +256,8 @@ class HammeringTask:
         self._handover.tool_gone()
         return f"the arm moved away from it: {PUT_AWAY}" if self._motions.retreat() else PUT_AWAY
 
-    def _look(self, views: int) -> None:
-        if self._correction:
-            self._tool_pose.look(views)
+    def _look(self, views: int) -> bool:
+        return self._correction and self._tool_pose.look(views)
 
     def _check_calibration(self) -> None:
         """Refuse a station whose camera calibration is missing or invalid."""
