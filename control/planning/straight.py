@@ -35,9 +35,9 @@ def plan_over_nail(
     Raises:
         PlanningError: As `plan_transfer` and `plan_straight`.
     """
-    line = _line_of(robot, plan)
-    lower = _travel(line, config, -plan.run_up, -before)
-    approach = concatenate(plan_transfer(robot, config, world, q_start, plan.q_standoff), lower)
+    line, high = _line_of(robot, plan), min(plan.run_up, config.strike.run_up)
+    lower = _travel(line, config, -high, -before)
+    approach = concatenate(plan_transfer(robot, config, world, q_start, lower.q[0]), lower)
     check_trajectory(approach, robot.arm, config.arm, config.scene)
     return approach
 

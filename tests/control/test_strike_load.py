@@ -11,7 +11,6 @@ from tests.control.test_swing import RATED, torques
 from toolee_robot.config import StationConfig, StrikeConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
 from toolee_robot.control.dynamics.strike_load import StrikeLoad, strike_load
-from toolee_robot.control.planning.swing import SwingLimits
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome, MotionReport
 from toolee_robot.robots import SHADOW_HAND
@@ -23,7 +22,7 @@ CONFIG = StationConfig()
 @pytest.fixture(scope="module")
 def struck(X_tool_ee: Array, home: Array) -> tuple[RobotModel, StrikePlan, Array, Array, Payload]:
     robot = RobotModel.of_station(CONFIG)
-    q_hand, tool = robot.description.hand_closed, SwingLimits().tool
+    q_hand, tool = robot.description.hand_closed, Payload(1.05, np.array([0.06, 0.0, -0.05]))
     X_hand_ee = SHADOW_HAND.grasp.X_hand_tool(0.016) @ X_tool_ee
     world = CollisionWorld(robot, CONFIG, q_hand, X_hand_ee)
     plan = plan_strike(robot, CONFIG, world, home, q_hand, X_hand_ee, CONFIG.work.X_base_nail())

@@ -24,15 +24,18 @@ from toolee_robot.control.supervisor_checks import check_limits, check_speed
 from toolee_robot.errors import CollisionError, LimitError, PlanningError, UnreachableError, UserError
 from toolee_robot.frames import Array, angle_between, transform
 from toolee_robot.robots import SHADOW_HAND
-from toolee_robot.types import ArmModel
+from toolee_robot.types import ArmModel, Payload
 
 RATED = np.array([330.0, 330, 150, 56, 56, 56])
 """Of the UR10 and the UR10e [Nm], from their data sheets."""
 
+TOOL = Payload(1.05, np.array([0.06, 0.0, -0.05]))
+"""The heaviest hammer for one hand."""
+
 
 def torques(robot: RobotModel, plan: StrikePlan, q_hand: Array, X_hand_ee: Array) -> Array:
     """Inverse dynamics of arm, hand with all its joints, and tool; largest of each arm joint (6,) [Nm]."""
-    model, tool = robot.model.copy(), SwingLimits().tool
+    model, tool = robot.model.copy(), TOOL
     frame = model.frames[model.getFrameId(robot.description.hand_frame)]
     p = (X_hand_ee @ np.append(tool.center_of_mass, 1.0))[:3]
     inertia = pin.Inertia(tool.mass, np.zeros(3), np.zeros((3, 3)))
@@ -98,7 +101,7 @@ def test_any_plan_keeps_every_promise(
 ) -> None:  # fmt: skip
     config = StationConfig()
     config = replace(config, arm=replace(config.arm, model=model), work=replace(config.work, nail_xy=(x, y)))
-    robot, limits = RobotModel.of_station(config), SwingLimits(deepest=deep)
+    robot, limits = RobotModel.of_station(config), SwingLimits(TOOL, deepest=deep)
     q_hand = robot.description.hand_closed
     turn = Rotation.from_euler("ZYX", [about, tilt, -tilt], degrees=True)
     X_hand_ee = SHADOW_HAND.grasp.X_hand_tool(0.016) @ transform(turn, [0, 0, along]) @ X_tool_ee
@@ -127,7 +130,11 @@ def test_most_nails_can_be_struck(robot: RobotModel, home: Array, q_hand: Array,
         config = replace(base, work=replace(base.work, nail_xy=xy))
         world = CollisionWorld(robot, config, q_hand, X_hand_ee)
         nail = config.work.X_base_nail()
-        speeds.append(plan_swing(robot, config, world, home, q_hand, X_hand_ee, nail, speed=np.inf).speed)
+        speeds.append(
+            plan_swing(
+                robot, config, world, home, q_hand, X_hand_ee, nail, speed=np.inf, limits=SwingLimits(TOOL)
+            ).speed
+        )
     assert np.min(speeds) > 0.5
 
 
@@ -137,7 +144,7 @@ def test_a_deeper_turn_is_faster_and_the_stations_speed_ends_it(
     nail = config.work.X_base_nail()
     speeds = []
     for deepest in (0.005, 0.010, 0.030, np.inf):
-        limits = SwingLimits(deepest=deepest)
+        limits = SwingLimits(TOOL, deepest=deepest)
         plan = plan_swing(robot, config, world, home, q_hand, X_hand_ee, nail, speed=np.inf, limits=limits)
         speeds.append(plan.speed)
         assert np.max(carried_speed(plan.strike, world)) <= config.supervisor.unattended_speed * 1.001
@@ -149,7 +156,7 @@ def test_a_speed_that_is_asked_for_is_met(
     robot: RobotModel, config: StationConfig, world: CollisionWorld, home: Array, q_hand: Array, X_hand_ee: Array
 ) -> None:
     nail = config.work.X_base_nail()
-    plan = plan_swing(robot, config, world, home, q_hand, X_hand_ee, nail, speed=0.5)
+    plan = plan_swing(robot, config, world, home, q_hand, X_hand_ee, nail, speed=0.5, limits=SwingLimits(TOOL))
     assert plan.speed == pytest.approx(0.5, rel=0.02)
     assert plan.wanted_speed == 0.5
 
@@ -157,9 +164,9 @@ def test_a_speed_that_is_asked_for_is_met(
 @pytest.mark.parametrize(
     ("xy", "limits", "error", "code"),
     [
-        ((1.9, 0.0), SwingLimits(), UnreachableError, "unreachable.nail"),
-        ((0.75, 0.1), SwingLimits(torque_share=0.05), LimitError, "limit.swing"),
-        ((0.75, 0.1), SwingLimits(deepest=0.001), LimitError, "limit.swing"),
+        ((1.9, 0.0), SwingLimits(TOOL), UnreachableError, "unreachable.nail"),
+        ((0.75, 0.1), SwingLimits(TOOL, torque_share=0.05), LimitError, "limit.swing"),
+        ((0.75, 0.1), SwingLimits(TOOL, deepest=0.001), LimitError, "limit.swing"),
     ],
 )
 def test_an_infeasible_nail_is_refused(
@@ -179,12 +186,12 @@ def test_a_wall_in_the_way_and_a_broken_pose_are_refused(
     roof = box_body("shelf", (x, y, config.work.wood_height + 0.10), (0.5, 0.5, 0.02))
     walled, nail = CollisionWorld(robot, config, q_hand, X_hand_ee, extra=(roof,)), config.work.X_base_nail()
     with pytest.raises(CollisionError, match="shelf"):
-        plan_swing(robot, config, walled, home, q_hand, X_hand_ee, nail)
+        plan_swing(robot, config, walled, home, q_hand, X_hand_ee, nail, limits=SwingLimits(TOOL))
     with raises(UserError, code="user.not_rigid"):
-        plan_swing(robot, config, world, home, q_hand, X_hand_ee * np.nan, nail)
+        plan_swing(robot, config, world, home, q_hand, X_hand_ee * np.nan, nail, limits=SwingLimits(TOOL))
     for wrong in ((0.0, 0.9, 0.003), (0.01, 1.1, 0.003), (0.01, 0.9, -0.001), (np.nan, 0.9, 0.003)):
         with raises(UserError, code="user.swing_limits"):
-            SwingLimits(*wrong)
+            SwingLimits(TOOL, *wrong)
 
 
 @given(x=st.lists(st.floats(-1, 1), min_size=10, max_size=10), u=st.floats(0, 1))

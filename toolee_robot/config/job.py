@@ -21,6 +21,10 @@ class StrikeConfig:
     1.5 m/s; beside the block, the hand has less than the latter with a short hammer."""
     run_up: Positive = 0.20
     """Length of the straight run-up to the nail [m]."""
+    deepest: Annotated[float, Field(ge=0.001)] | None = None
+    """Largest distance of the commanded face beyond the contact [m]; a servo that lags goes there, too, only later.
+    Null only for a hand whose wrist gives way by some 90 mm at 1.2 m/s: the strike is then a straight line that brakes
+    from the contact on. With a rigid hand or mount 0.01: the strike is a swing that turns back there, and slower."""
     touch_speed: Positive = 0.03
     """Speed of the guarded touch that measures where the face meets the nail [m/s]."""
     touch_force: Positive = 8.0

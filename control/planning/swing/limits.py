@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
-import numpy as np
+from dataclasses import dataclass
 
 from toolee_robot.errors import UserError
 from toolee_robot.types import Payload
-
-
-def _heavy_hammer() -> Payload:
-    return Payload(1.05, np.array([0.06, 0.0, -0.05]))
 
 
 @dataclass(frozen=True)
@@ -19,22 +13,21 @@ class SwingLimits:
     """Limits of a swing in addition to `StationConfig.arm` and `supervisor.unattended_speed`.
 
     Attributes:
+        tool: Mass of the tool [kg] and its centre of mass in the end effector's frame [m].
         deepest: Largest distance of the commanded face beyond the contact along the nail's axis [m]; infinite for no
             bound. An arm lags behind its command and would follow it into the wood.
         torque_share: Share of the joints' rated torques that the inverse dynamics may take. The rest is for what is not
             modelled: friction, the motors' rotors, errors of the masses.
         height_error: Error of the nail's height within which the face is still square to 1 deg [m].
-        tool: Mass of the tool [kg] and its centre of mass in the end effector's frame [m]; the default is the heaviest
-            hammer for one hand (`tools.SWUNG_MASS`).
 
     Raises:
         UserError: A value is out of its range; code `user.swing_limits`.
     """
 
+    tool: Payload
     deepest: float = 0.010
     torque_share: float = 0.9
     height_error: float = 0.003
-    tool: Payload = field(default_factory=_heavy_hammer)
 
     def __post_init__(self) -> None:
         if not (self.deepest >= 0.001 and 0 < self.torque_share <= 1 and 0 < self.height_error <= 0.05):

@@ -43,7 +43,7 @@ def plan_swing(
     X_base_nail: Array,
     *,
     speed: float | None = None,
-    limits: SwingLimits | None = None,
+    limits: SwingLimits,
 ) -> StrikePlan:
     """Plan one swing: an optimal motion of all joints through the contact and back.
 
@@ -60,7 +60,7 @@ def plan_swing(
         X_base_nail: Pose of the nail, (4, 4), z into the wood.
         speed: Wanted speed at the contact [m/s]; None for `config.strike.speed`, infinite for the fastest. It is
             reduced where a limit requires it.
-        limits: Further limits, and the tool's mass; None for the defaults.
+        limits: The tool's mass, and further limits.
 
     Returns:
         The plan; its `run_up` is the height of the face over the contact at the start, its `brake_length` the deepest
@@ -78,7 +78,7 @@ def plan_swing(
     # From within an obstacle no swing can begin, whatever its contact.
     world.check(q_start, 1e-6, "the start of the transfer")
     wanted = config.strike.speed if speed is None else speed
-    swing = _Swing(robot, config, world, q_hand, X_hand_ee, X_base_nail, limits or SwingLimits(), wanted)
+    swing = _Swing(robot, config, world, q_hand, X_hand_ee, X_base_nail, limits, wanted)
     failure: PlanningError | None = None
     found: list[_Solved] = []
     for theta, q_contact in swing.contacts(q_start):

@@ -15,18 +15,18 @@ from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
 from toolee_robot.control.planning.swing import Face, SwingLimits, plan_swing
 from toolee_robot.control.planning.timing import ramp_length
 from toolee_robot.errors import PlanningError
-from toolee_robot.frames import Array, inverse
+from toolee_robot.frames import Array
 from toolee_robot.sim_backend.devices.operator import handed_over
 from toolee_robot.sim_backend.options import InHandOffset
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tools import ToolKind, make_tool, test_seeds
-from toolee_robot.types import ArmModel, Payload
+from toolee_robot.types import ArmModel
 
 STRAIGHT, STRAIGHT_BOUND = "line", "line 10 mm"
 SWING, SWING_BOUND = "swing", "swing 10 mm"
 """Kinds of strikes: straight and swing, each without and with a bound of 10 mm beyond the contact."""
 KINDS = (STRAIGHT, SWING, STRAIGHT_BOUND, SWING_BOUND)
-DEEPEST = SwingLimits().deepest
+DEEPEST = 0.010
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def compare(
     q_hand, home = robot.description.hand_closed, np.array(base.scene.home)
     tool = make_tool(ToolKind.CLAW_HAMMER, test_seeds(1)[0])
     grasp = nominal_grasp(tool, base)
-    held = Payload(grasp.mass, (inverse(grasp.X_tool_ee) @ np.append(grasp.p_tool_com, 1.0))[:3])
+    held = grasp.swung
     strikes: list[Strike] = []
     for nail in range(draws):
         xy = (float(rng.uniform(0.55, 0.95)), float(rng.uniform(-0.30, 0.45)))
@@ -99,7 +99,7 @@ def compare(
         args = (robot, config, world, home, q_hand, X_hand_ee, X_base_nail)
 
         def swing(deepest: float, args: tuple = args) -> StrikePlan:  # type: ignore[type-arg]
-            return plan_swing(*args, speed=np.inf, limits=SwingLimits(deepest=deepest, tool=held))
+            return plan_swing(*args, speed=np.inf, limits=SwingLimits(held, deepest))
 
         def straight(args: tuple = args) -> StrikePlan:  # type: ignore[type-arg]
             return plan_strike(*args, speed=0.99 * station_speed)

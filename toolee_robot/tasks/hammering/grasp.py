@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from toolee_robot.config import StationConfig
 from toolee_robot.end_effectors import Category
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, inverse
 from toolee_robot.robots import hand_model
 from toolee_robot.tools import Tool
+from toolee_robot.types import Payload
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,11 @@ class Grasp:
     def X_hand_ee(self) -> Array:
         """Nominal pose of the end effector in the hand, (4, 4)."""
         return self.X_hand_tool @ self.X_tool_ee
+
+    @property
+    def swung(self) -> Payload:
+        """Mass of the tool [kg] and its centre of mass in the end effector's frame [m]."""
+        return Payload(self.mass, (inverse(self.X_tool_ee) @ np.append(self.p_tool_com, 1.0))[:3])
 
 
 def nominal_grasp(tool: Tool, config: StationConfig) -> Grasp:

@@ -11,8 +11,10 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control.contact import ContactVerdict, Meeting
 from toolee_robot.control.dynamics.strike_load import strike_load
 from toolee_robot.control.planning.strike import plan_strike
+from toolee_robot.control.planning.swing import SwingLimits, plan_swing
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
+from toolee_robot.frames import inverse
 from toolee_robot.hal import Clock, MotionReport
 from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.common.observer import TaskObserver
@@ -20,6 +22,7 @@ from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage, Strike
 from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.tasks.hammering.nail_forecast import NailForecast
 from toolee_robot.tasks.hammering.nail_gauge import CLEAR, MAX_DEPTH_PER_STRIKE, NailGauge
+from toolee_robot.types import Payload
 
 FLUSH_WHEN_STALLED = 0.0015
 """Protrusion up to which a nail that no longer moves counts as flush [m]; after slip a measurement is accurate to half
@@ -44,6 +47,7 @@ class NailDriving:
         observer: Receives the events of the job.
         look: Looks at the tool from the given number of views and sets `motions.X_hand_ee`; returns whether the tool
             has hardly slipped.
+        tool: Mass [kg] and centre of mass of the tool in the frame of its end effector [m].
         correction: Whether the estimated in-hand pose is used.
 
     Attributes:
@@ -61,6 +65,7 @@ class NailDriving:
         stages: Stages,
         observer: TaskObserver,
         look: Callable[[int], bool],
+        tool: Payload,
         *,
         correction: bool,
     ) -> None:
@@ -70,6 +75,7 @@ class NailDriving:
         self._motions, self._config, self._robot, self._clock = motions, config, robot, clock
         self._stages, self._observer = stages, observer
         self._look_from = look
+        self._tool = tool
         self._correction = correction
         self._gauge = NailGauge(motions, config, robot, observer)
         self._forecast = NailForecast(config.task.flush_protrusion, motions.arm.rate)
@@ -166,16 +172,14 @@ class NailDriving:
     def _plan(self, height: float) -> StrikePlan:
         """Plan a strike at a nail that protrudes by `height` [m]."""
         with self._stages(Stage.PLAN):
-            motions = self._motions
-            plan = plan_strike(
-                self._robot,
-                self._config,
-                motions.world(),
-                motions.q,
-                motions.q_hand,
-                motions.X_hand_ee,
-                self._config.work.X_base_nail(height),
-            )
+            motions, deepest = self._motions, self._config.strike.deepest
+            X_base_nail = self._config.work.X_base_nail(height)
+            state = motions.world(), motions.q, motions.q_hand, motions.X_hand_ee
+            if deepest is None:
+                plan = plan_strike(self._robot, self._config, *state, X_base_nail)
+            else:
+                limits = SwingLimits(self._tool, deepest)
+                plan = plan_swing(self._robot, self._config, *state, X_base_nail, limits=limits)
             self._observer.planned(self._clock.now(), plan)
             return plan
 
@@ -194,11 +198,7 @@ class NailDriving:
             report, verdict = self._swing(plan)
             met = verdict.meeting is Meeting.EXPECTED
             measure = self._forecast.struck(verdict, plan.speed) if met else True
-            # Straight up from where it ended: the strike may have been stopped above the nail by an obstacle.
-            below = self._robot.arm.fk(plan.q_contact)[2, 3] - self._robot.arm.fk(self._motions.q)[2, 3]
-            above = CLEAR if measure else plan.run_up
-            acceleration = RETRACT_ACCELERATION * self._config.arm.acceleration
-            self._motions.straight("up", UP, above + max(float(below), 0.0), RETRACT_SPEED, acceleration)
+            self._retract(plan, CLEAR if measure else min(plan.run_up, self._config.strike.run_up))
         height = None
         try:
             if not met:
@@ -208,6 +208,8 @@ class NailDriving:
             if self._forecast.surprise:
                 self._observer.message(self._forecast.surprise)
             with self._stages(Stage.TOUCH):
+                if self._config.strike.deepest is not None:  # after a swing the face is no longer square to the nail
+                    self._gauge.go_over(plan)
                 # With a corrected face pose, a head that is no longer there after a strike means a bent nail.
                 missed = Outcome.BENT if self._correction else Outcome.NAIL_MISSED
                 height = self._gauge.measure(before, missed=missed)
@@ -221,6 +223,17 @@ class NailDriving:
         motions.transfer("to the run-up", plan.approach)
         motions.arm.permit_swings(self._config.task.handover_timeout)
         return motions.swing("strike", plan)
+
+    def _retract(self, plan: StrikePlan, above: float) -> None:
+        """Move straight up from where a strike ended, to `above` [m] over the nail.
+
+        The strike may have been stopped above the nail by an obstacle: never down.
+        """
+        fk = self._robot.arm.fk
+        X_base_ee = fk(self._motions.q) @ inverse(fk(plan.q_contact)) @ plan.X_base_ee_contact
+        below = float(plan.X_base_ee_contact[2, 3] - X_base_ee[2, 3])
+        acceleration = RETRACT_ACCELERATION * self._config.arm.acceleration
+        self._motions.straight("up", UP, above + max(below, 0.0), RETRACT_SPEED, acceleration)
 
     def _record(self, plan: StrikePlan, report: MotionReport, verdict: ContactVerdict, height: float | None) -> None:
         force = float(np.max(np.linalg.norm(report.wrenches[:, :3], axis=1)))

@@ -57,7 +57,7 @@ class NailGauge:
         Raises:
             JobEnded: The offset is too large, or a touch met nothing.
         """
-        self._go_over(plan)
+        self.go_over(plan)
         known = self._config.work.nail_protrusion
         measured = self.measure(known)
         self._reference = known - measured
@@ -78,7 +78,7 @@ class NailGauge:
         Raises:
             JobEnded: A touch met nothing.
         """
-        self._go_over(plan)
+        self.go_over(plan)
         return self.measure(expected)
 
     def measure(self, expected: float, missed: Outcome = Outcome.NAIL_MISSED) -> float:
@@ -118,7 +118,15 @@ class NailGauge:
         motions.X_hand_ee = motions.X_hand_ee @ transform(p=[0.0, 0.0, nail - measured])
         return measured
 
-    def _go_over(self, plan: StrikePlan) -> None:
+    def go_over(self, plan: StrikePlan) -> None:
+        """Move to CLEAR over the nail, the face square to it.
+
+        Args:
+            plan: The strike whose line leads to the nail.
+
+        Raises:
+            TooleeError: There is no way there, or the motion failed.
+        """
         motions = self._motions
         way = plan_over_nail(self._robot, self._config, motions.world(), motions.q, plan, before=CLEAR)
         motions.transfer("to the touch", way)

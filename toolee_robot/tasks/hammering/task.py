@@ -82,7 +82,7 @@ class HammeringTask:
         self._stages = stages = Stages(observer)
         self._handover = Handover(station, config, robot, motions, stages, observer, grasp)
         self._nail_driving = nail_driving = NailDriving(
-            motions, config, robot, station.clock, stages, observer, self._look, correction=correction
+            motions, config, robot, station.clock, stages, observer, self._look, grasp.swung, correction=correction
         )
         self._tool_pose = ToolPose(
             station, perceiver, config, robot, motions, stages, observer, grasp.X_hand_ee,
