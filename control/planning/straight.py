@@ -38,7 +38,7 @@ def plan_over_nail(
     line = _line_of(robot, plan)
     lower = _travel(line, config, -plan.run_up, -before)
     approach = concatenate(plan_transfer(robot, config, world, q_start, plan.q_standoff), lower)
-    check_trajectory(approach, robot.arm, config.arm, config.scene)
+    check_trajectory(approach, robot.arm, config.arm, config.scene, world)
     return approach
 
 
@@ -73,7 +73,7 @@ def plan_straight(
     line = Line.through(robot.ik, q_start, np.asarray(direction, dtype=np.float64))
     move = _travel(line, config, 0.0, length, speed)
     world.check(move.q[:: max(1, len(move.q) // 20)], 0.0, "the straight move", BRAKE_EXEMPT)
-    check_trajectory(move, robot.arm, config.arm, config.scene)
+    check_trajectory(move, robot.arm, config.arm, config.scene, world)
     return move
 
 

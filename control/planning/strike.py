@@ -107,7 +107,7 @@ def _plan(
             need = config.strike.clearance
             world.check(strike.q[: contact + 1 : 4], need, "the run-up", RUN_UP_EXEMPT)
             world.check(strike.q[contact + 1 :: 4], need, "braking after the strike", BRAKE_EXEMPT)
-            check_trajectory(strike, robot.arm, config.arm, config.scene)
+            check_trajectory(strike, robot.arm, config.arm, config.scene, world)
             approach = plan_transfer(robot, config, world, q_start, strike.q[0])
         except (UnreachableError, LimitError, CollisionError) as error:
             failure = failure or error
