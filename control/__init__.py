@@ -13,7 +13,6 @@ if __name__ != "toolee_robot.control":
     raise ImportError("import toolee_robot.control: the short name would make a second copy of every module")
 
 from toolee_robot.control.collision import Clearance, CollisionWorld
-from toolee_robot.control.collision_shapes import ToolEnvelope
 from toolee_robot.control.contact import ContactVerdict, ExpectedContact, Meeting
 from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.modes import Mode, slowed_to
@@ -36,7 +35,6 @@ __all__ = [
     "RobotModel",
     "StrikePlan",
     "Supervisor",
-    "ToolEnvelope",
     "View",
     "ViewPlan",
     "check_trajectory",

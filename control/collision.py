@@ -6,6 +6,7 @@ pairs whose bound is small are measured exactly (coal, GJK).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import coal
@@ -15,10 +16,10 @@ from numpy.typing import NDArray
 from toolee_robot.config import StationConfig
 from toolee_robot.control.collision_shapes import (
     Body,
-    ToolEnvelope,
     arm_bodies,
     hand_bodies,
     station_bodies,
+    tool_bodies,
 )
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import CollisionError
@@ -62,9 +63,15 @@ class CollisionWorld:
         robot: Kinematic model of arm and hand.
         config: Configuration of the station.
         q_hand: Joint positions at which the hand is locked, (n,) [rad].
-        X_hand_ee: Estimated pose of the end effector in the hand, (4, 4), which a nominal hammer's shape encloses; None
-            without a tool.
+        X_hand_ee: Estimated pose of the end effector in the hand, (4, 4), around which the configured envelope of the
+            tool lies; None without a tool.
         extra: Further bodies of the station.
+
+    Attributes:
+        robot: Kinematic model of arm and hand.
+        workspace: Lower and upper corner of the workspace in `base`, (3,) each [m].
+        carried: Bodies of hand and tool.
+        bodies: All bodies.
     """
 
     def __init__(
@@ -76,14 +83,16 @@ class CollisionWorld:
         extra: tuple[Body, ...] = (),
     ) -> None:
         self.robot = robot
+        self.workspace = np.array(config.scene.workspace_lower), np.array(config.scene.workspace_upper)
         arm = list(arm_bodies(robot))
         carried = hand_bodies(robot, q_hand)
         held: list[Body] = []
         if X_hand_ee is not None:
             X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
-            held = ToolEnvelope().bodies(X_flange_ee, robot.arm.X_joint6_flange)
+            held = tool_bodies(config.tool_envelope, X_flange_ee, robot.arm.X_joint6_flange)
         station = [*station_bodies(config), *extra]
-        self.bodies = [*arm, *carried, *held, *station]
+        self.carried = [*carried, *held]
+        self.bodies = [*arm, *self.carried, *station]
         self._index = {body.name: i for i, body in enumerate(self.bodies)}
         self.pairs = np.array(list(self._pairs(arm, carried, held, station)))
         groups = np.array([body.group for body in self.bodies])
@@ -201,6 +210,39 @@ class CollisionWorld:
             exempt: Pairs of groups that may touch.
         """
         return self.closest(q, need, exempt, first=True).distance >= need
+
+    def extremes(self, q: Array) -> Iterator[tuple[str, Array, Array]]:
+        """Find the extremes of the carried bodies that the workspace might not hold.
+
+        Args:
+            q: Joint positions of the arm, (N, 6) [rad].
+
+        Yields:
+            Name of a body, and the least and greatest x, y and z of its points in `base`, (N, 3) each [m]. Bodies whose
+            covering spheres lie within the workspace are left out.
+        """
+        lower, upper = self.workspace
+        R, p = self.robot.arm.joints(q)
+        R, p = np.swapaxes(R[:, 5], 1, 2), p[:, 5, None]
+        for body in self.carried:
+            x, radius = body.spheres[:, :3] @ R + p, body.spheres[:, 3:]
+            if np.any(x - radius < lower) or np.any(x + radius > upper):
+                x = body.points @ R + p
+                yield body.name, x.min(axis=1), x.max(axis=1)
+
+    def inside(self, q: Array) -> bool:
+        """Whether flange, hand and tool are within the workspace over a batch of configurations.
+
+        Args:
+            q: Joint positions of the arm, (N, 6) [rad].
+        """
+        lower, upper = self.workspace
+        flange = self.robot.arm.fk(q)[:, :3, 3]
+        return bool(
+            np.all(flange >= lower)
+            and np.all(flange <= upper)
+            and all(np.all(low >= lower) and np.all(high <= upper) for _, low, high in self.extremes(q))
+        )
 
     def _bounds(self, R: Array, p: Array) -> Array:
         """Lower bounds of the distances of all pairs, (N, pairs) [m]."""

@@ -11,15 +11,17 @@ import numpy as np
 import pinocchio as pin
 import trimesh
 
-from toolee_robot.config import StationConfig
+from toolee_robot.config import StationConfig, ToolEnvelope
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.frames import Array, frame_from_axes, transform, transform_points
-from toolee_robot.robots import HandModel
+from toolee_robot.robots import SHAPE_MARGIN, HandModel
 
 WORLD_JOINT = 0
 """Joint index of a body that stands still."""
 TOOL_JOINT = 6
 """Joint index of a body on the flange."""
+_RIM = 16
+"""Corners of the polygon around a cylinder's rim."""
 
 
 @dataclass(frozen=True)
@@ -43,73 +45,70 @@ class Body:
     X_joint_shape: Array = field(repr=False)
     spheres: Array = field(repr=False)
 
+    @property
+    def points(self) -> Array:
+        """Points whose convex hull encloses a carried body, (m, 3), in the frame of its joint [m]."""
+        shape = self.geometry
+        if isinstance(shape, coal.Convex):
+            return transform_points(self.X_joint_shape, np.asarray(shape.points()))
+        angle = np.linspace(0.0, 2.0 * np.pi, _RIM, endpoint=False)
+        r = shape.radius / np.cos(np.pi / _RIM)
+        rim = np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(_RIM, shape.halfLength)])
+        return transform_points(self.X_joint_shape, np.concatenate([rim, rim * [1.0, 1.0, -1.0]]))
+
     def moved(self, X: Array) -> Body:
         """Return the body transformed by X, (4, 4), in the frame of its joint."""
         spheres = np.column_stack([transform_points(X, self.spheres[:, :3]), self.spheres[:, 3]])
         return replace(self, X_joint_shape=X @ self.X_joint_shape, spheres=spheres)
 
 
-@dataclass(frozen=True)
-class ToolEnvelope:
-    """Three cylinders that enclose a hammer, in its EE frame: face centre, z the face's normal, x towards the butt.
+def tool_bodies(envelope: ToolEnvelope, X_flange_ee: Array, X_joint6_flange: Array) -> list[Body]:
+    """Build the bodies of the held tool, which move with the arm's last joint.
 
-    The head's cylinder is around z, from the face back to -head_length. The claw's is parallel to it at
-    x = claw_radius / 2, behind the handle. The handle's is parallel to x. The defaults enclose the hammers of
-    `toolee_robot.tools`.
+    Args:
+        envelope: The tool's size.
+        X_flange_ee: Pose of the end effector in the flange, (4, 4).
+        X_joint6_flange: Pose of the flange in the last joint, (4, 4).
 
-    Attributes:
-        head_radius: Radius of the head [m].
-        head_length: Length of the head from face to claw [m].
-        claw_radius: Radius of the claw, which curls towards the handle [m].
-        handle_radius: Radius of the handle [m].
-        handle_depth: Distance of the handle's axis behind the face [m].
-        handle_length: Length of the handle from the face's centre [m].
+    Returns:
+        Head, claw and handle.
     """
-
-    head_radius: float = 0.033
-    head_length: float = 0.14
-    claw_radius: float = 0.05
-    handle_radius: float = 0.032
-    handle_depth: float = 0.050
-    handle_length: float = 0.36
-
-    def bodies(self, X_flange_ee: Array, X_joint6_flange: Array) -> list[Body]:
-        """Build the bodies of head, claw and handle, which move with the arm's last joint.
-
-        Args:
-            X_flange_ee: Pose of the end effector in the flange, (4, 4).
-            X_joint6_flange: Pose of the flange in the last joint, (4, 4).
-
-        Returns:
-            Head, claw and handle, on the arm's last joint.
-        """
-        X = X_joint6_flange @ X_flange_ee
-        x, z = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
-        head = X @ transform(p=-0.5 * self.head_length * z)
-        claw_length = self.head_length - self.handle_depth
-        claw = X @ transform(p=0.5 * self.claw_radius * x - (self.head_length - 0.5 * claw_length) * z)
-        handle = X @ frame_from_axes(z=x, x=z, p=0.5 * self.handle_length * x - self.handle_depth * z)
-        return [
-            _cylinder("tool head", self.head_radius, self.head_length, head),
-            _cylinder("tool claw", self.claw_radius, claw_length, claw),
-            _cylinder("tool handle", self.handle_radius, self.handle_length, handle),
-        ]
+    e = envelope
+    X = X_joint6_flange @ X_flange_ee
+    x, z = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
+    head = X @ transform(p=-0.5 * e.head_length * z)
+    claw_length = e.head_length - e.handle_depth
+    claw = X @ transform(p=0.5 * e.claw_radius * x - (e.head_length - 0.5 * claw_length) * z)
+    handle = X @ frame_from_axes(z=x, x=z, p=0.5 * e.handle_length * x - e.handle_depth * z)
+    return [
+        _cylinder("tool head", e.head_radius, e.head_length, head),
+        _cylinder("tool claw", e.claw_radius, claw_length, claw),
+        _cylinder("tool handle", e.handle_radius, e.handle_length, handle),
+    ]
 
 
 @lru_cache(maxsize=2)
 def arm_bodies(robot: RobotModel) -> tuple[Body, ...]:
-    """Build the convex hulls of the arm's collision meshes."""
+    """Build the convex hulls of the arm's collision meshes, with the margin of the arm's model around them."""
     description = robot.description
     geometry = pin.buildGeomFromUrdf(robot.model, str(description.urdf_path), pin.GeometryType.COLLISION)
-    bodies = []
+    margin = SHAPE_MARGIN[description.model]
+    joints: dict[str, int] = {}
+    vertices: dict[str, list[Array]] = {}
     for item in geometry.geometryObjects:
         link = robot.model.frames[item.parentFrame].name
         if link in description.hand.tree.by_name:
             continue
-        vertices = transform_points(item.placement.homogeneous, np.asarray(item.geometry.vertices()))
-        name = link.removesuffix("_link").replace("_", " ")
-        bodies.append(_hull(name, "arm", item.parentJoint, vertices))
-    return tuple(bodies)
+        joints[link] = item.parentJoint
+        points = transform_points(item.placement.homogeneous, np.asarray(item.geometry.vertices()))
+        vertices.setdefault(link, []).append(points)
+    return tuple(
+        _hull(
+            link.removesuffix("_link").replace("_", " "), "arm", joint, np.concatenate(vertices[link]),
+            margin.get(link, 0.0),
+        )
+        for link, joint in joints.items()
+    )  # fmt: skip
 
 
 _HAND_CACHE: dict[tuple[HandModel, bytes], tuple[Body, ...]] = {}
@@ -134,6 +133,7 @@ def hand_bodies(robot: RobotModel, q_hand: Array) -> list[Body]:
         poses = hand.link_poses(q_hand)
         for link, mesh in hand.meshes.items():
             part = "forearm of the hand" if link in hand.forearm else hand.part_of(link)
+            part = hand.name if hand.clamps else part
             parts.setdefault(part, []).append(transform_points(poses[link], mesh.vertices))
         if len(_HAND_CACHE) > 32:
             _HAND_CACHE.clear()
@@ -187,7 +187,8 @@ def _cover(X: Array, length: float, radius: float, count: int) -> Array:
     return np.column_stack([transform_points(X, z[:, None] * np.array([[0, 0, 1.0]])), r])
 
 
-def _hull(name: str, group: str, joint: int, vertices: Array) -> Body:
+def _hull(name: str, group: str, joint: int, vertices: Array, margin: float = 0.0) -> Body:
+    """Build the convex hull of vertices (n, 3), with everything that is nearer to it than the margin [m]."""
     hull = trimesh.convex.convex_hull(vertices)
     points = coal.StdVec_Vec3s()
     for v in np.asarray(hull.vertices, dtype=np.float64):
@@ -204,4 +205,8 @@ def _hull(name: str, group: str, joint: int, vertices: Array) -> Body:
     other = np.eye(3)[int(np.argmin(np.abs(axis)))]
     X = frame_from_axes(z=axis, x=other, p=center + axis * (along.min() + length / 2))
     count = max(1, round(length / radius))
-    return Body(name, group, joint, coal.Convex(points, faces), np.eye(4), _cover(X, length, radius, count))
+    spheres = _cover(X, length, radius, count)
+    spheres[:, 3] += margin
+    convex = coal.Convex(points, faces)
+    convex.setSweptSphereRadius(margin)
+    return Body(name, group, joint, convex, np.eye(4), spheres)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from toolee_robot.config import ArmLimits, SceneConfig
+from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.kinematics import ArmKinematics
 from toolee_robot.errors import LimitError
 from toolee_robot.frames import Array
@@ -14,11 +15,18 @@ TOLERANCE = 1e-3
 """Relative tolerance of the comparisons, for rounding."""
 ROUNDING = 1e-6
 """Residual of inverse kinematics, for positions [rad] and velocities [rad/s]."""
+AXES = ("x", "y", "z")
 REST = 1e-3
 """Joint speed that counts as rest [rad/s]."""
 
 
-def check_trajectory(trajectory: Trajectory, arm: ArmKinematics, limits: ArmLimits, scene: SceneConfig) -> None:
+def check_trajectory(
+    trajectory: Trajectory,
+    arm: ArmKinematics,
+    limits: ArmLimits,
+    scene: SceneConfig,
+    world: CollisionWorld | None = None,
+) -> None:
     """Check a trajectory against the limits of joints and workspace.
 
     The limits are checked at the samples, and the samples are checked against each other: the change of position
@@ -31,6 +39,7 @@ def check_trajectory(trajectory: Trajectory, arm: ArmKinematics, limits: ArmLimi
         arm: Kinematics and position limits of the arm.
         limits: Limits of velocity, acceleration and jerk.
         scene: Workspace of the flange.
+        world: Bodies of hand and tool, and their workspace; None where the flange alone counts.
 
     Raises:
         LimitError: The trajectory is not finite, does not start and end at rest, or violates a limit; the code names
@@ -59,8 +68,12 @@ def check_trajectory(trajectory: Trajectory, arm: ArmKinematics, limits: ArmLimi
         np.array(scene.workspace_lower),
         np.array(scene.workspace_upper),
         t,
-        axes=("x", "y", "z"),
+        axes=AXES,
     )
+    if world is not None:
+        for name, low, high in world.extremes(q):
+            for x in (low, high):
+                _within(f"position of the {name}", "m", x, *world.workspace, t, AXES, "limit.carried_position")
 
 
 def _no_step(trajectory: Trajectory, velocity: Array, jerk: float) -> None:
@@ -80,7 +93,14 @@ def _no_step(trajectory: Trajectory, velocity: Array, jerk: float) -> None:
 
 
 def _within(
-    what: str, unit: str, x: Array, lower: Array, upper: Array, t: Array, axes: tuple[str, ...] | None = None
+    what: str,
+    unit: str,
+    x: Array,
+    lower: Array,
+    upper: Array,
+    t: Array,
+    axes: tuple[str, ...] | None = None,
+    code: str | None = None,
 ) -> None:
     """Raise LimitError for the first value of x, (N, n), outside its bounds; bounds are (n,) or (N, n)."""
     bad = (x < lower) | (x > upper)
@@ -92,5 +112,5 @@ def _within(
     raise LimitError(
         f"{what} of {name} is {x[row, column]:.5g} {unit} at {t[row]:.3f} s, outside "
         f"[{lower[row, column]:.3g}, {upper[row, column]:.3g}]: nothing is sent; slow down or move the target",
-        code=f"limit.{what.replace(' ', '_')}",
+        code=code or f"limit.{what.replace(' ', '_')}",
     )

@@ -12,7 +12,7 @@ from toolee_robot.control.inverse_kinematics import InverseKinematics
 from toolee_robot.control.kinematics import ArmKinematics
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.frames import Array, inverse, is_rigid
-from toolee_robot.robots import SHADOW_HAND, RobotDescription, load_robot
+from toolee_robot.robots import SHADOW_HAND, HandChoice, RobotDescription, load_robot
 from toolee_robot.types import ArmModel, DhCalibration, Payload
 
 
@@ -52,14 +52,16 @@ class RobotModel:
 
     @staticmethod
     def load(
-        model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None = None, hand: str = SHADOW_HAND.name
+        model: ArmModel = ArmModel.UR10,
+        calibration: DhCalibration | None = None,
+        hand: str | HandChoice = SHADOW_HAND.name,
     ) -> RobotModel:
         """Load the model of an arm with a hand; the result is cached.
 
         Args:
             model: Model of the arm.
             calibration: Factory calibration of the arm; None for the nominal kinematics.
-            hand: Name of the hand, one of `robots.HANDS`.
+            hand: Name of the hand, one of `robots.HANDS`; or what a station file says of it.
 
         Returns:
             The model.
@@ -73,7 +75,7 @@ class RobotModel:
     @staticmethod
     def of_station(config: StationConfig) -> RobotModel:
         """Load the model of a station's arm and hand; errors as `load`."""
-        return RobotModel.load(config.arm.model, config.arm.calibration, config.hand.model)
+        return RobotModel.load(config.arm.model, config.arm.calibration, config.hand)
 
     def configuration(self, q_arm: Array, q_hand: Array) -> Array:
         """Assemble Pinocchio's configuration vector.

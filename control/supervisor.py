@@ -250,8 +250,8 @@ class Supervisor:
             self._latch("a command held NaN or infinite values")
             message = f"{self._latched}: nothing was sent; find out where they come from, then reset"
             raise LimitError(message, code="limit.not_finite")
-        check_limits(trajectory, self._robot, config)
         world = self._world()
+        check_limits(trajectory, self._robot, config, world)
         check_speed(trajectory, world, self._mode.speed(config.supervisor), self._mode)
         state = self._arm.state(config.supervisor.max_data_age)
         check_ready(state)

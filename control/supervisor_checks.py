@@ -31,20 +31,21 @@ def is_finite(trajectory: Trajectory) -> bool:
     return all(np.all(np.isfinite(x)) for x in (trajectory.times, trajectory.q, trajectory.qd, trajectory.qdd))
 
 
-def check_limits(trajectory: Trajectory, robot: RobotModel, config: StationConfig) -> None:
+def check_limits(trajectory: Trajectory, robot: RobotModel, config: StationConfig, world: CollisionWorld) -> None:
     """Check a trajectory against the limits of configuration, model and workspace.
 
     Args:
         trajectory: The trajectory.
         robot: Model of the arm, with its own velocity limits.
         config: The configured limits and workspace.
+        world: Bodies of hand and tool.
 
     Raises:
         LimitError: A limit is violated, or a value is not finite.
     """
     velocity = np.minimum(config.arm.velocity, robot.description.velocity[:6])
     limits = replace(config.arm, velocity=tuple(velocity.tolist()))
-    check_trajectory(trajectory, robot.arm, limits, config.scene)
+    check_trajectory(trajectory, robot.arm, limits, config.scene, world)
 
 
 def check_speed(trajectory: Trajectory, world: CollisionWorld, speed: float, mode: Mode) -> None:

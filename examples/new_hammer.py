@@ -21,7 +21,7 @@ CENTER_OF_MASS = np.array([0.0, 0.0, 0.155])  # [m]
 
 def drive_nail(station: Station, perception: ToolPerception, config: StationConfig) -> HammerResult:
     """The job with this hammer, on any station."""
-    X_hand_tool = hand_model(config.hand.model).grasp.X_hand_tool(HANDLE_RADIUS)
+    X_hand_tool = hand_model(config.hand).grasp.X_hand_tool(HANDLE_RADIUS)
     grasp = Grasp(X_hand_tool, X_TOOL_FACE, MASS, CENTER_OF_MASS)
     return HammeringTask(station, perception, config, grasp).run()
 

@@ -16,6 +16,7 @@ from toolee_robot.sim_backend.devices.arm import SimArm
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.clock import SimClock
 from toolee_robot.sim_backend.devices.hand import SimHand
+from toolee_robot.sim_backend.devices.mount import SimMount
 from toolee_robot.sim_backend.devices.operator import SimPerson
 from toolee_robot.sim_backend.ground_truth.judge import Judge
 from toolee_robot.sim_backend.options import InHandOffset, SimOptions
@@ -86,6 +87,19 @@ def build_world(config: StationConfig, tool: Tool, options: SimOptions) -> SimWo
     return SimWorld(config, tool, transform(p=[x, y + 0.35, 1.0]), options)
 
 
+def simulated_hand(world: SimWorld, options: SimOptions) -> SimHand | SimMount:
+    """Build the device of what the flange carries: a hand or a tool mount.
+
+    Args:
+        world: The world.
+        options: Options of the run.
+
+    Returns:
+        The device.
+    """
+    return SimMount(world) if world.robot.robot.hand.clamps else SimHand(world, options.friction)
+
+
 class SimStation:
     """A simulated station; create it with `SimStation.build`.
 
@@ -139,7 +153,7 @@ class SimStation:
             clock = SimClock(world)
             visuals = SceneVisuals(config, tool, seed, lambda: scene_state(world, person))
             camera = SimCamera(visuals, clock, config.camera, seed)
-            hand = SimHand(world, options.friction)
+            hand = simulated_hand(world, options)
             station = Station(SimArm(world), hand, camera, person, clock, SIMULATED, SIMULATED)
             judge = Judge(world)
             world.after_step.append(judge.after_step)

@@ -91,7 +91,7 @@ class SimWorld:
         self.after_step: list[Callable[[], None]] = []
         self.observers: list[Callable[[Sample], None]] = []
         pb.setGravity(0.0, 0.0, -9.81, physicsClientId=self.client)
-        robot = load_robot(config.arm.model, config.arm.calibration, config.hand.model)
+        robot = load_robot(config.arm.model, config.arm.calibration, config.hand)
         q_arm = np.array(config.scene.home if options.q_start is None else options.q_start)
         self.robot = RobotBody(self.client, robot, q_arm, robot.hand_open)
         self.furniture = Furniture.build(self.client, config)

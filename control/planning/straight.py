@@ -38,7 +38,7 @@ def plan_over_nail(
     line, high = _line_of(robot, plan), min(plan.run_up, config.strike.run_up)
     lower = _travel(line, config, -high, -before)
     approach = concatenate(plan_transfer(robot, config, world, q_start, lower.q[0]), lower)
-    check_trajectory(approach, robot.arm, config.arm, config.scene)
+    check_trajectory(approach, robot.arm, config.arm, config.scene, world)
     return approach
 
 
@@ -75,7 +75,7 @@ def plan_straight(
     line = Line.through(robot.ik, q_start, np.asarray(direction, dtype=np.float64))
     move = _travel(line, config, 0.0, length, speed, acceleration)
     world.check(move.q[:: max(1, len(move.q) // 20)], 0.0, "the straight move", BRAKE_EXEMPT)
-    check_trajectory(move, robot.arm, config.arm, config.scene)
+    check_trajectory(move, robot.arm, config.arm, config.scene, world)
     return move
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -56,39 +57,65 @@ def plan_transfer(
     need = min(NEED, world.closest(q_start, NEED).distance)
     if need <= 0:
         world.check(q_start, 1e-6, "the start of the transfer")
-    path = _path(robot, config, world, q_start, q_goal, max(need - 1e-6, 0.0), seed)
+    # A way from or to a place outside is refused below, with the body that is outside.
+    bounded = world.inside(np.stack([q_start, q_goal]))
+    way = _Way(world, max(need - 1e-6, 0.0), bounded)
+    path = _path(robot, config, way, q_start, q_goal, seed)
     limits = config.arm
     velocity = limits.transfer_velocity_scale * np.asarray(limits.velocity)
     acceleration = np.full(6, limits.transfer_acceleration)
     jerk = np.minimum(limits.jerk, 10 * acceleration)
     moves = [joint_move(a, b, velocity, acceleration, jerk) for a, b in itertools.pairwise(path)]
     trajectory = concatenate(*moves)
-    check_trajectory(trajectory, robot.arm, limits, config.scene)
+    check_trajectory(trajectory, robot.arm, limits, config.scene, world)
     return trajectory
 
 
-def _path(
-    robot: RobotModel,
-    config: StationConfig,
-    world: CollisionWorld,
-    start: Array,
-    goal: Array,
-    need: float,
-    seed: int,
-) -> list[Array]:
-    if _free(world, start, goal, need):
+@dataclass(frozen=True)
+class _Way:
+    """What a way must keep.
+
+    Attributes:
+        world: The collision model.
+        need: Clearance [m].
+        bounded: Whether hand and tool must stay within the workspace.
+    """
+
+    world: CollisionWorld
+    need: float
+    bounded: bool
+
+    def free(self, line: Array) -> bool:
+        """Whether configurations, (N, 6) [rad], keep it."""
+        return self.world.free(line, self.need) and (not self.bounded or self.world.inside(line))
+
+    def direct(self, a: Array, b: Array) -> bool:
+        """Whether the straight way between two configurations, (6,) [rad], keeps it."""
+        line = _between(a, b)
+        # A few samples first: most colliding motions are found by them.
+        return self.free(line[:: max(1, len(line) // 8)]) and self.free(line)
+
+
+def _path(robot: RobotModel, config: StationConfig, way: _Way, start: Array, goal: Array, seed: int) -> list[Array]:
+    if way.direct(start, goal):
         return [start, goal]
     home = np.asarray(config.scene.home)
     middle = (start + goal) / 2
     vias = [home, np.concatenate([middle[:1], home[1:]]), np.concatenate([start[:1], home[1:]])]
     vias.append(np.concatenate([goal[:1], home[1:4], goal[4:]]))
     for via in vias:
-        if _free(world, start, via, need) and _free(world, via, goal, need):
+        if way.direct(start, via) and way.direct(via, goal):
             return [start, via, goal]
-    path = _rrt_connect(world, robot, start, goal, need, np.random.default_rng(seed))
+    path = _rrt_connect(way, robot, start, goal, np.random.default_rng(seed))
     if path is None:
         line = _between(start, goal)
-        closest = world.closest(line, max(need, 1e-6))
+        closest = way.world.closest(line, max(way.need, 1e-6))
+        if closest.distance >= way.need:
+            raise CollisionError(
+                "no way found for the transfer: on the straight one hand or tool leave the workspace; enlarge it, or "
+                "move the target",
+                code="collision.no_path",
+            )
         raise CollisionError(
             f"no way found for the transfer: on the straight one {closest} collide; clear the way or move the target",
             code="collision.no_path",
@@ -102,18 +129,11 @@ def _between(a: Array, b: Array, step: float = STEP) -> Array:
     return a + np.linspace(0.0, 1.0, count)[:, None] * (b - a)
 
 
-def _free(world: CollisionWorld, a: Array, b: Array, need: float) -> bool:
-    line = _between(a, b)
-    # A few samples first: most colliding motions are found by them.
-    return world.free(line[:: max(1, len(line) // 8)], need) and world.free(line, need)
-
-
 def _rrt_connect(
-    world: CollisionWorld,
+    way: _Way,
     robot: RobotModel,
     start: Array,
     goal: Array,
-    need: float,
     rng: np.random.Generator,
     iterations: int = 400,
     reach: float = 0.5,
@@ -131,7 +151,7 @@ def _rrt_connect(
         change = target - nodes[nearest]
         length = float(np.max(np.abs(change)))
         new = target if length <= reach else nodes[nearest] + change * (reach / length)
-        if not world.free(_between(nodes[nearest], new), need):
+        if not way.free(_between(nodes[nearest], new)):
             return False
         nodes.append(new)
         parents.append(nearest)
@@ -157,16 +177,16 @@ def _rrt_connect(
                     path = branch(trees[0])[::-1] + branch(trees[1])[1:]
                     if not np.array_equal(path[0], start):
                         path.reverse()
-                    return _shortcut(world, path, need)
+                    return _shortcut(way, path)
         trees.reverse()
     return None
 
 
-def _shortcut(world: CollisionWorld, path: list[Array], need: float) -> list[Array]:
+def _shortcut(way: _Way, path: list[Array]) -> list[Array]:
     """Remove every via point that is not needed."""
     out, i = [path[0]], 0
     while i < len(path) - 1:
-        j = next(j for j in range(len(path) - 1, i, -1) if j == i + 1 or _free(world, path[i], path[j], need))
+        j = next(j for j in range(len(path) - 1, i, -1) if j == i + 1 or way.direct(path[i], path[j]))
         out.append(path[j])
         i = j
     return out

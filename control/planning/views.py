@@ -20,7 +20,7 @@ from toolee_robot.control.kinematics import smallest_singular_value
 from toolee_robot.control.planning.transfer import NEED, plan_transfer
 from toolee_robot.control.records import View, ViewPlan
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.errors import CollisionError, PlanningError, UnreachableError, UserError
+from toolee_robot.errors import CollisionError, LimitError, PlanningError, UnreachableError, UserError
 from toolee_robot.frames import Array, frame_from_axes, inverse, transform, transform_points
 from toolee_robot.types import Trajectory
 
@@ -54,6 +54,7 @@ def plan_handover(
     Raises:
         UnreachableError: The handover position is out of reach.
         CollisionError: Every posture or path would collide.
+        LimitError: Hand or tool would leave the workspace.
     """
     scene = config.scene
     facing = np.asarray(scene.handover_facing) / np.linalg.norm(scene.handover_facing)
@@ -84,7 +85,7 @@ def plan_handover(
         try:
             with_tool.check(q[i], NEED, "the handover, once the tool is in the hand,")
             return plan_transfer(robot, config, world, q_start, q[i])
-        except CollisionError as error:
+        except (CollisionError, LimitError) as error:
             failure = failure or error
     raise failure or CollisionError("no handover posture is free of collisions", code="collision.handover")
 
@@ -146,10 +147,11 @@ def plan_views(
                 views.append(View(q[i], transfer, *_nominal(config.camera, Xs_base_ee[i])))
                 here = q[i]
             return ViewPlan(tuple(views), clearance)
-        except CollisionError:
+        except (CollisionError, LimitError):  # hand or tool would leave the workspace on the way
             continue
     raise CollisionError(
-        f"fewer than {count} views of the tool are free of collisions: clear the space before the camera or move it",
+        f"fewer than {count} views of the tool are free of collisions and within the workspace: clear the space before "
+        "the camera, or move it",
         code="collision.views",
     )
 

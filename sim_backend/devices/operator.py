@@ -166,9 +166,14 @@ class SimPerson:
         set_body_pose(self._world.client, self.body, transform(p=self.center))
 
     def _clear_of_hand(self) -> Array:
-        """The intended X_hand_tool, moved along the palm's normal until hand and tool do not overlap."""
+        """The intended X_hand_tool, moved along the palm's normal until hand and tool do not overlap.
+
+        A mount's clamp lies around the handle: there it is the intended one.
+        """
         world = self._world
         X = self.intended_X_hand_tool.copy()
+        if world.robot.robot.hand.clamps:
+            return X
         kept = world.X_base_tool()
         for _ in range(100):
             world.tool.place(world.X_base_hand() @ X)

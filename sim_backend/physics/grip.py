@@ -51,6 +51,11 @@ class GripLimits:
     tilting: float
 
     @classmethod
+    def clamped(cls) -> GripLimits:
+        """The bounds of a clamp that does not slip: none."""
+        return cls(np.inf, np.inf, np.inf, np.inf)
+
+    @classmethod
     def from_contact(cls, normal_force: float, friction: float, handle_radius: float, width: float) -> GripLimits:
         """The bounds for a grip by contact.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from toolee_robot.frames import Array
-from toolee_robot.robots import RobotDescription
+from toolee_robot.robots import RobotDescription, WristJoint
 from toolee_robot.sim_backend.physics.bullet import pb, rotation_matrix
 
 ARM_GAIN = 100.0  # [1/s] of the arm's position loop
@@ -55,7 +55,10 @@ class RobotBody:
         self._arm_effort = robot.effort[:6].tolist()
         self.hand_effort = robot.effort[6:].copy()
         self._hand_gain = np.full(len(robot.hand_joints), FINGER_GAIN)
+        self._springs: dict[int, WristJoint] = {}
         for i, joint in enumerate(robot.hand.wrist):
+            if joint.stiffness > 0.0:
+                self._springs[i] = joint
             self.hand_effort[i] = min(self.hand_effort[i], joint.torque)
             self._hand_gain[i] = WRIST_GAIN
         for link in range(-1, len(infos)):
@@ -95,7 +98,10 @@ class RobotBody:
         # The target at the end of the step; the motor's velocity is gain * error + feed-forward.
         q = self.q_arm_target + self.qd_arm_target * self._since_command
         self._set(self._arm, q, self.qd_arm_target, self._arm_effort, np.full(6, ARM_GAIN * dt))
-        if self._hand_set_for != dt:
+        for i, joint in self._springs.items():
+            position = pb.getJointState(self.body, self._hand[i], physicsClientId=self._client)[0]
+            self.hand_effort[i] = joint.torque + joint.stiffness * abs(position - joint.rest)
+        if self._springs or self._hand_set_for != dt:
             self._hand_set_for = dt
             zeros = np.zeros(len(self._hand))
             self._set(self._hand, self.q_hand_target, zeros, self.hand_effort.tolist(), self._hand_gain * dt)

@@ -165,6 +165,6 @@ def remote_station(world: Caller, config: StationConfig, seed: int, tool: Tool, 
         now: SceneState = world.call("scene")
         return now
 
-    hand = RemoteHand(world, load_robot(config.arm.model, config.arm.calibration, config.hand.model).hand_joints)
+    hand = RemoteHand(world, load_robot(config.arm.model, config.arm.calibration, config.hand).hand_joints)
     camera = SimCamera(SceneVisuals(config, tool, seed, state), clock, config.camera, seed)
     return Station(arm, hand, camera, RemotePerson(world), clock, SIMULATED, SIMULATED)

@@ -18,13 +18,12 @@ from typing import Any
 from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, TooleeError
 from toolee_robot.hal import Clock, HandState
-from toolee_robot.sim_backend.devices.hand import SimHand
 from toolee_robot.sim_backend.devices.operator import SimPerson
 from toolee_robot.sim_backend.ground_truth.judge import Judge
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.device_commands import Commands
 from toolee_robot.sim_backend.remote.host_timed_truth import HostTimedTruth
-from toolee_robot.sim_backend.station import build_world, draw_handover
+from toolee_robot.sim_backend.station import build_world, draw_handover, simulated_hand
 from toolee_robot.sim_backend.visuals.scene import scene_state
 
 Handler = Callable[..., Any]
@@ -53,7 +52,7 @@ class WorldService:
         self.ended: Callable[[], None] = lambda: None
         self._connection, self._clock = connection, clock
         self._commands = Commands(world)
-        self._hand = hand = SimHand(world, options.friction)
+        self._hand = hand = simulated_hand(world, options)
         person = SimPerson(world, offset, options.hands_over)
         judge = Judge(HostTimedTruth(world, clock))
         world.after_step.append(judge.after_step)

@@ -61,7 +61,7 @@ class WorldJob:
         """
         assert self._service is not None, "`plant` must be called first"
         config, robot = self.config, controller.robot
-        model = load_robot(config.arm.model, config.arm.calibration, config.hand.model)
+        model = load_robot(config.arm.model, config.arm.calibration, config.hand)
         hand = model.hand_payload(model.hand_open)
         robot.machine.payload, robot.machine.payload_cog = hand.mass, hand.center_of_mass
         robot.plant.set_payload(hand.mass, hand.center_of_mass)

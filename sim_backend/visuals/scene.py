@@ -101,7 +101,7 @@ class SceneVisuals:
         self._shirt = SHIRT_COLORS[int(rng.integers(len(SHIRT_COLORS)))]
         self._links = {
             name: (Mesh.build(mesh.vertices, mesh.faces), of_hand)
-            for of_hand, meshes in ((False, arm_meshes()), (True, hand_model(config.hand.model).meshes))
+            for of_hand, meshes in ((False, arm_meshes()), (True, hand_model(config.hand).meshes))
             for name, mesh in meshes.items()
         }
         self._parts = [

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import coal
 import numpy as np
+import pinocchio as pin
 import pytest
 
-from toolee_robot.config import StationConfig
-from toolee_robot.control import CollisionWorld, RobotModel, ToolEnvelope
+from toolee_robot.config import StationConfig, ToolEnvelope
+from toolee_robot.control import CollisionWorld, RobotModel
 from toolee_robot.control.collision import FAR
-from toolee_robot.control.collision_shapes import TOOL_JOINT, Body, box_body
+from toolee_robot.control.collision_shapes import TOOL_JOINT, Body, arm_bodies, box_body, tool_bodies
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import CollisionError
 from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.tools import Family, kinds_of, make_tool
 from toolee_robot.tools import test_seeds as seeds_of_test_tools
+from toolee_robot.types import ArmModel
 
 
 def exact(world: CollisionWorld, q: Array) -> dict[tuple[str, str], float]:
@@ -80,16 +84,70 @@ def test_the_row_of_the_batch_is_reported(world: CollisionWorld, home: Array) ->
     assert closest.distance < 0
 
 
-def test_covering_spheres_cover(world: CollisionWorld) -> None:
-    for body in world.bodies:
+@pytest.mark.parametrize("model", list(ArmModel))
+def test_covering_spheres_cover(model: ArmModel, config: StationConfig, q_hand: Array, X_hand_ee: Array) -> None:
+    for body in CollisionWorld(RobotModel.load(model), config, q_hand, X_hand_ee).bodies:
         if isinstance(body.geometry, coal.Convex):
             vertices = transform_points(body.X_joint_shape, np.asarray(body.geometry.points()))
             gap = np.linalg.norm(vertices[:, None] - body.spheres[:, :3], axis=-1) - body.spheres[:, 3]
-            assert np.max(np.min(gap, axis=1)) < 1e-9, body.name
+            assert np.max(np.min(gap, axis=1)) < 1e-9 - body.geometry.getSweptSphereRadius(), body.name
+
+
+def test_a_ur10e_reaches_from_joint_to_joint(home: Array) -> None:
+    """No gap in the arm's model: every link comes up to the next one's, and the last up to the flange."""
+    robot = RobotModel.load(ArmModel.UR10E)
+    bodies = {body.name: body for body in arm_bodies(robot)}
+    R, p = robot.arm.joints(home)
+    names = ("base", "shoulder", "upper arm", "forearm", "wrist 1", "wrist 2", "wrist 3")
+    X = [transform(), *(transform(R[i], p[i]) for i in range(6))]
+    placed = [coal.Transform3s(x[:3, :3], x[:3, 3]) for x in X]
+    for i, (a, b) in enumerate(pairwise(names)):
+        result = coal.DistanceResult()
+        request = coal.DistanceRequest()
+        gap = coal.distance(bodies[a].geometry, placed[i], bodies[b].geometry, placed[i + 1], request, result)
+        assert gap < 0.0, (a, b)
+    at = coal.Transform3s(np.eye(3), robot.arm.X_joint6_flange[:3, 3])
+    result, request = coal.DistanceResult(), coal.DistanceRequest()
+    wrist = bodies["wrist 3"].geometry
+    assert coal.distance(wrist, coal.Transform3s(), coal.Sphere(0.001), at, request, result) < 0.0
+
+
+# Lower and upper corners of the real UR10e's links in the link frames [m], read off the maker's collision meshes.
+UR10E_LINKS = {
+    "base": ((-0.095, -0.095, 0.0), (0.095, 0.095, 0.099)),
+    "shoulder": ((-0.076, -0.076, -0.082), (0.076, 0.095, 0.094)),
+    "upper arm": ((-0.076, -0.126, -0.077), (0.076, 0.048, 0.672)),
+    "forearm": ((-0.058, -0.068, -0.059), (0.058, 0.057, 0.618)),
+    "wrist 1": ((-0.047, 0.057, -0.058), (0.047, 0.172, 0.067)),
+    "wrist 2": ((-0.047, -0.057, 0.066), (0.047, 0.068, 0.166)),
+    "wrist 3": ((-0.044, 0.068, -0.046), (0.044, 0.116, 0.052)),
+}
+
+
+def test_a_ur10e_s_bodies_enclose_its_links() -> None:
+    robot = RobotModel.load(ArmModel.UR10E)
+    for body in arm_bodies(robot):
+        X_joint_link = next(
+            frame.placement.homogeneous
+            for frame in robot.model.frames
+            if frame.name == f"{body.name.replace(' ', '_')}_link" and frame.type == pin.FrameType.BODY
+        )
+        margin = body.geometry.getSweptSphereRadius()
+        points = transform_points(inverse(X_joint_link), body.points)
+        lower, upper = UR10E_LINKS[body.name]
+        assert np.all(points.min(axis=0) - margin <= lower), body.name
+        assert np.all(points.max(axis=0) + margin >= upper), body.name
+
+
+def test_the_station_file_sets_the_tool_s_envelope(robot: RobotModel, q_hand: Array, X_hand_ee: Array) -> None:
+    long = StationConfig(tool_envelope=ToolEnvelope(handle_length=0.6))
+    world = CollisionWorld(robot, long, q_hand, X_hand_ee)
+    handle = next(body for body in world.bodies if body.name == "tool handle")
+    assert 2 * handle.geometry.halfLength == pytest.approx(0.6)
 
 
 def test_the_envelope_holds_every_kind_of_hammer() -> None:
-    bodies = ToolEnvelope().bodies(np.eye(4), np.eye(4))
+    bodies = tool_bodies(ToolEnvelope(), np.eye(4), np.eye(4))
     assert all(body.joint == TOOL_JOINT for body in bodies)
     rng = np.random.default_rng(0)
     for kind in kinds_of(Family.HAMMERS):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -102,7 +103,7 @@ def _from(name: str, row: int, value: float) -> Callable[[Trajectory], Trajector
         (_spoil("qdd", 40, 3, 30.0), "acceleration"),
         (lambda t: replace(t, times=t.times / 30, qd=t.qd * 30, qdd=t.qdd * 900), "velocity"),
         (lambda t: replace(t, q=t.q + 0.02), "start"),
-        (lambda t: replace(t, q=t.q + 0.2), "start"),
+        (lambda t: replace(t, q=t.q + np.array([0.2, 0, 0, 0, 0, 0])), "start"),
         (lambda t: replace(t, q=t.q + np.array([0, 0, 3.0, 0, 0, 0])), "position"),
         (lambda t: replace(t, q=t.q[:, :5], qd=t.qd[:, :5], qdd=t.qdd[:, :5]), "joint_count"),
     ],
@@ -131,6 +132,30 @@ def test_the_workspace_ends_somewhere(
     low = replace(config, scene=replace(config.scene, workspace_upper=(1.2, 1.2, 0.3)))
     desk = Desk(robot, low, world, home)
     refused(desk, LimitError, lambda: desk.supervisor.execute(desk.slow()), "limit.flange_position")
+
+
+def test_hand_and_tool_stay_within_the_workspace(
+    robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_hand_ee: Array
+) -> None:
+    """The tool hangs below the flange: a floor between the two stops it, and without the tool the hand."""
+
+    def at_home(floor: float, held: Array | None) -> Desk:
+        low = replace(config, scene=replace(config.scene, workspace_lower=(-1.0, -1.2, floor)))
+        return Desk(robot, low, CollisionWorld(robot, low, q_hand, held), home)
+
+    def lowest(held: Array | None) -> float:
+        R, p = robot.arm.joints(home)
+        return min(float((b.points @ R[5].T + p[5])[:, 2].min()) for b in at_home(0.05, held).world.carried)
+
+    tool, hand, flange = lowest(X_hand_ee), lowest(None), float(robot.arm.fk(home)[2, 3])
+    assert tool < hand - 0.02
+    assert hand < flange - 0.1
+    for floor, held in ((0.5 * (tool + hand), X_hand_ee), (0.5 * (hand + flange), None)):
+        desk = at_home(floor, held)
+        move = desk.slow()
+        refused(desk, LimitError, partial(desk.supervisor.execute, move), "limit.carried_position")
+    desk = at_home(tool - 0.001, X_hand_ee)
+    desk.supervisor.execute(desk.slow(0.05))
 
 
 def test_handover_is_slow_and_unattended_is_fast_but_not_any_fast(desk: Desk) -> None:

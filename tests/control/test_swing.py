@@ -56,8 +56,8 @@ def check_plan(
     """Everything that a swing promises, from the trajectory alone."""
     strike, world = plan.strike, CollisionWorld(robot, config, q_hand, X_hand_ee)
     for trajectory in (plan.approach, strike):
-        check_trajectory(trajectory, robot.arm, config.arm, config.scene)
-        check_limits(trajectory, robot, config)
+        check_trajectory(trajectory, robot.arm, config.arm, config.scene, world)
+        check_limits(trajectory, robot, config, world)
     check_speed(strike, world, config.supervisor.unattended_speed, Mode.UNATTENDED)
     assert np.max(np.diff(strike.times)) <= 0.0041
     assert np.allclose(plan.approach.q[-1], strike.q[0], atol=1e-9)

@@ -9,7 +9,7 @@ calibration. Lengths are in metres and angles in radians unless a field states o
 """
 
 from toolee_robot.config.calibration import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig
-from toolee_robot.config.cell import CameraConfig, SceneConfig, WorkConfig
+from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope, WorkConfig
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.config.person import PersonConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
@@ -30,6 +30,7 @@ __all__ = [
     "StrikeConfig",
     "SupervisorConfig",
     "TaskConfig",
+    "ToolEnvelope",
     "WorkConfig",
     "load_station",
     "servo_lag",

@@ -1,4 +1,4 @@
-"""Objects of the station: camera, work, obstacles, and the hand on the flange."""
+"""Objects of the station: camera, work, tool and obstacles."""
 
 from __future__ import annotations
 
@@ -109,6 +109,35 @@ class WorkConfig:
 
 
 @dataclass(frozen=True)
+class ToolEnvelope:
+    """Three cylinders that enclose the tool for collision checks.
+
+    They are in its EE frame: origin in the face's centre, z the face's normal, x towards the handle's butt. The head's
+    cylinder is around z, from the face back to -head_length. The claw's is parallel to it at x = claw_radius / 2,
+    behind the handle. The handle's is parallel to x. The defaults enclose the hammers of the simulation
+    (`toolee_robot.tools`).
+    """
+
+    __pydantic_config__ = STRICT
+    head_radius: Positive = 0.033
+    """Radius of the head [m]."""
+    head_length: Positive = 0.14
+    """Length of the head from face to claw [m]."""
+    claw_radius: Positive = 0.05
+    """Radius of the claw, which curls towards the handle [m]."""
+    handle_radius: Positive = 0.032
+    """Radius of the handle [m]."""
+    handle_depth: Positive = 0.050
+    """Distance of the handle's axis behind the face [m]."""
+    handle_length: Positive = 0.36
+    """Length of the handle from the face's centre [m]."""
+
+    def __post_init__(self) -> None:
+        if self.handle_depth >= self.head_length:
+            raise ValueError(f"handle_depth {self.handle_depth} is not within head_length {self.head_length}")
+
+
+@dataclass(frozen=True)
 class SceneConfig:
     """Obstacles in the station, and the arm's home posture, handover pose and workspace.
 
@@ -131,9 +160,9 @@ class SceneConfig:
     handover_facing: tuple[float, float, float] = (-0.4, -1.0, 0.0)
     """Direction that the palm faces at the handover, towards the person, in `base`; any length."""
     workspace_lower: tuple[float, float, float] = (-1.0, -1.2, 0.05)
-    """Lower corner of the box that the flange may not leave, in `base` [m]."""
+    """Lower corner of the box that flange, hand and tool may not leave, in `base` [m]."""
     workspace_upper: tuple[float, float, float] = (1.2, 1.2, 1.6)
-    """Upper corner of the box that the flange may not leave, in `base` [m]."""
+    """Upper corner of the box that flange, hand and tool may not leave, in `base` [m]."""
 
     def __post_init__(self) -> None:
         if np.linalg.norm(self.handover_facing) < 1e-6:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated
 
 from pydantic import Field
 
 from toolee_robot.config.values import STRICT, Positive
-from toolee_robot.types import ArmModel, DhCalibration
+from toolee_robot.types import ArmModel, DhCalibration, ToolMount
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,31 @@ class ArmLimits:
     """Largest acceleration of every joint in a transfer [rad/s^2]."""
 
 
+MOUNT = "mount"
+"""Model of a tool mount."""
+
+
 @dataclass(frozen=True)
 class HandConfig:
-    """The hand on the flange."""
+    """The hand on the flange, or a tool mount without a hand."""
 
     __pydantic_config__ = STRICT
     model: str = "shadow_right"
-    """Name of the hand, one of `toolee_robot.robots.HANDS`."""
+    """Name of the hand, one of `toolee_robot.robots.HANDS`; `mount` for a tool mount without a hand."""
+    yield_torque: Positive | None = None
+    """Torque at which the wrist or the mount gives way in a strike [Nm]; null for the hand's own. A mount needs it."""
+    mount: ToolMount | None = None
+    """The tool mount, for the model `mount` only; every one of its fields must be measured."""
+
+    def __post_init__(self) -> None:
+        if self.model != MOUNT:
+            if self.mount is not None:
+                raise ValueError(f"mount is for the model {MOUNT!r} only, not for {self.model!r}")
+            return
+        missing = []
+        if self.yield_torque is None:
+            missing.append("hand.yield_torque")
+        if self.mount is None:
+            missing.extend(f"hand.mount.{field.name}" for field in fields(ToolMount))
+        if missing:
+            raise ValueError(f"a mount has no defaults; measure yours and give {', '.join(missing)}")

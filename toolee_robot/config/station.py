@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from toolee_robot.config.calibration import SIMULATED_CALIBRATION, CalibrationConfig
-from toolee_robot.config.cell import CameraConfig, SceneConfig, WorkConfig
+from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope, WorkConfig
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.config.person import PersonConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
@@ -35,6 +35,8 @@ class StationConfig:
     """Parameters of the arm's servo, its measured lag, and the driver's timeouts."""
     hand: HandConfig = field(default_factory=HandConfig)
     """The hand on the flange."""
+    tool_envelope: ToolEnvelope = field(default_factory=ToolEnvelope)
+    """What encloses the tool in collision checks."""
     strike: StrikeConfig = field(default_factory=StrikeConfig)
     """Parameters of a strike and of the guarded touch."""
     task: TaskConfig = field(default_factory=TaskConfig)

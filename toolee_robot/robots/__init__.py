@@ -12,12 +12,23 @@ Pinocchio.
 
 from toolee_robot.robots.description import (
     ARM_JOINTS,
+    SHAPE_MARGIN,
     RobotDescription,
     arm_link_poses,
     arm_meshes,
     load_robot,
 )
-from toolee_robot.robots.hands import HANDS, PALM, SHADOW_HAND, HandModel, NominalGrasp, hand_model
+from toolee_robot.robots.hands import (
+    HANDS,
+    MOUNT,
+    PALM,
+    SHADOW_HAND,
+    HandChoice,
+    HandModel,
+    NominalGrasp,
+    WristJoint,
+    hand_model,
+)
 from toolee_robot.robots.tree import FLANGE_FRAME
 from toolee_robot.robots.wrap import wrap_fingers
 
@@ -25,11 +36,15 @@ __all__ = [
     "ARM_JOINTS",
     "FLANGE_FRAME",
     "HANDS",
+    "MOUNT",
     "PALM",
     "SHADOW_HAND",
+    "SHAPE_MARGIN",
+    "HandChoice",
     "HandModel",
     "NominalGrasp",
     "RobotDescription",
+    "WristJoint",
     "arm_link_poses",
     "arm_meshes",
     "hand_model",

@@ -13,10 +13,10 @@ import numpy as np
 import trimesh
 
 from toolee_robot.errors import AssetError
-from toolee_robot.frames import Array, inverse
+from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.robots.assets import UR10_URDF, cache_folder
 from toolee_robot.robots.dh import joint_origins
-from toolee_robot.robots.hands import SHADOW_HAND, HandModel, hand_model
+from toolee_robot.robots.hands import SHADOW_HAND, HandChoice, HandModel, hand_model
 from toolee_robot.robots.meshes import link_mesh
 from toolee_robot.robots.tree import FLANGE_FRAME, Shape, Tree
 from toolee_robot.robots.urdf import read_urdf, write_urdf
@@ -26,6 +26,19 @@ ARM_JOINTS = (
     "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
 )  # fmt: skip
 
+SHAPE_MARGIN: dict[ArmModel, dict[str, float]] = {
+    ArmModel.UR10: {},
+    ArmModel.UR10E: {
+        "base_link": 0.021, "shoulder_link": 0.009, "upper_arm_link": 0.018, "forearm_link": 0.010,
+        "wrist_1_link": 0.006, "wrist_2_link": 0.007, "wrist_3_link": 0.006,
+    },
+}  # fmt: skip
+"""By link, how far the real arm stands out of the convex hull of the collision shapes here, at most [m].
+
+Measured on the UR10e collision meshes of Universal_Robots_ROS2_Description (meshes/ur10e), which are not part of this
+package."""
+_SAME = 0.002
+"""Shift of a joint below which a mesh is not moved along [m]; a tenth of the largest margin."""
 _ARM_CELL = 0.012
 """Cell size [m] of the vertex clustering that simplifies the meshes of the arm."""
 
@@ -34,8 +47,9 @@ _ARM_CELL = 0.012
 class RobotDescription:
     """Arm and hand as one kinematic tree rooted in `base` (the UR base_link).
 
-    A UR10e has its own kinematics but, as an approximation, the meshes and inertias of the UR10: their base is 53 mm
-    lower than that of the arm.
+    A UR10e has its own kinematics and the inertias of the UR10. Its collision shapes are the UR10's meshes at both
+    joints of each link (`arm_tree`); `SHAPE_MARGIN` says how far the real links stand out. Pictures show the UR10's
+    meshes as they are.
     """
 
     model: ArmModel
@@ -116,6 +130,9 @@ class RobotDescription:
 def arm_tree(model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None = None) -> Tree:
     """The links of the arm from base to flange.
 
+    The shapes of a UR10e's link are those of the UR10's twice: where its own joint has them, and where the next joint
+    does, which is up to 53 mm from there. The convex hull of both reaches from joint to joint.
+
     Args:
         model: The arm.
         calibration: Factory calibration of the arm; None: nominal kinematics.
@@ -129,14 +146,26 @@ def arm_tree(model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None 
     links = read_urdf(UR10_URDF, None, np.eye(4)).links
     if model is not ArmModel.UR10 or calibration is not None:
         origins = joint_origins([link.X_parent_joint for link in links[1:]], model, calibration)
-        moved = (replace(link, X_parent_joint=X) for link, X in zip(links[1:], origins, strict=True))
-        links = (links[0], *moved)
+        nominal = joint_origins([link.X_parent_joint for link in links[1:]], model, None)
+        shifts = [X[:3, 3] - link.X_parent_joint[:3, 3] for link, X in zip(links[1:], nominal, strict=True)]
+        origins = [links[0].X_parent_joint, *origins]
+        links = tuple(
+            replace(link, X_parent_joint=X, collisions=_stretched(link.collisions, shift))
+            for link, X, shift in zip(links, origins, [*shifts, np.zeros(3)], strict=True)
+        )
     tree = Tree(links)
     if tree.joints != ARM_JOINTS:
         raise AssetError(
             f"{UR10_URDF} has unexpected joints: {tree.joints}; reinstall toolee_robot", code="asset.joints"
         )
     return tree
+
+
+def _stretched(shapes: tuple[Shape, ...], shift: Array) -> tuple[Shape, ...]:
+    """The shapes, and again displaced by a shift (3,) [m] in the link's frame."""
+    if np.linalg.norm(shift) < _SAME:
+        return shapes
+    return (*shapes, *(replace(s, X_link_shape=transform(p=shift) @ s.X_link_shape) for s in shapes))
 
 
 @lru_cache(maxsize=8)
@@ -199,14 +228,16 @@ def _install(name: str, tree: Tree) -> Path:
 
 
 def load_robot(
-    model: ArmModel = ArmModel.UR10, calibration: DhCalibration | None = None, hand: str = SHADOW_HAND.name
+    model: ArmModel = ArmModel.UR10,
+    calibration: DhCalibration | None = None,
+    hand: str | HandChoice = SHADOW_HAND.name,
 ) -> RobotDescription:
     """Build the merged robot, or load it from the cache.
 
     Args:
         model: The arm.
         calibration: Factory calibration of the arm; None: nominal kinematics.
-        hand: Name of the hand, see `toolee_robot.robots.hands.HANDS`.
+        hand: Name of the hand, see `toolee_robot.robots.hands.HANDS`; or what a station file says of it.
 
     Returns:
         Names, URDF and meshes of arm and hand.

@@ -1,6 +1,7 @@
 """Frozen records that the stages exchange. SI units and radians; poses are 4x4 arrays named X_AB."""
 
 from toolee_robot.types.arm import ArmModel, DhCalibration, JointState, Payload, Six, Trajectory
+from toolee_robot.types.mount import ToolMount
 from toolee_robot.types.perception import (
     CameraIntrinsics,
     Detection,
@@ -24,5 +25,6 @@ __all__ = [
     "RgbdFrame",
     "Six",
     "ToolEstimate",
+    "ToolMount",
     "Trajectory",
 ]

@@ -245,7 +245,7 @@ class _Swing:
         if deepest > limits.deepest:
             raise LimitError(f"the swing turns back only {deepest * 1e3:.1f} mm beyond the contact", code="limit.swing")
         self._check_clear(strike, contact)
-        check_trajectory(strike, arm, config.arm, config.scene)
+        check_trajectory(strike, arm, config.arm, config.scene, world)
         count = max(2, int(np.ceil(np.max(np.abs(strike.q[0] - q_start)) / STEP)) + 1)
         way = q_start + np.linspace(0.0, 1.0, count)[:, None] * (strike.q[0] - q_start)
         direct = world.free(way[:: max(1, count // 8)], NEED) and world.free(way, NEED)

@@ -62,6 +62,8 @@ class WristJoint:
     torque: float = np.inf
     """Most that it holds against while hammering [Nm]: beyond it the wrist yields instead of the grip. The motor's own
     limit holds too."""
+    stiffness: float = 0.0
+    """Torque that it holds beyond `torque`, by angle from rest [Nm/rad]."""
     shown: tuple[float, float] = (0.0, 0.0)
     """Range of positions in synthetic images [rad]."""
 
@@ -143,6 +145,8 @@ class HandModel:
     """Most that one finger presses with [N]."""
     grip_width: float
     """Width across the fingers that hold, along the handle [m]."""
+    clamps: bool = False
+    """Whether it is a mount, in which a person fixes the tool: it neither closes nor opens, and senses no hold."""
     mesh_cell: float = 0.0042
     """Meshes are thinned to this size for rendering and planning [m]."""
     root_mesh_cell: float = 0.0042
@@ -166,6 +170,16 @@ class HandModel:
     def wrist_index(self) -> list[int]:
         """Places of the wrist's joints in `joints`."""
         return list(range(len(self.wrist)))
+
+    @property
+    def yielding(self) -> int | None:
+        """Place in `joints` of the wrist's joint that yields in a strike; None where none does."""
+        return next((i for i, joint in enumerate(self.wrist) if np.isfinite(joint.torque)), None)
+
+    @property
+    def yield_torque(self) -> float | None:
+        """Torque above which the wrist or the mount yields in a strike [Nm]; None where nothing does."""
+        return None if self.yielding is None else self.wrist[self.yielding].torque
 
     @property
     def opposing(self) -> Finger:

@@ -51,5 +51,5 @@ def nominal_grasp(tool: Tool, config: StationConfig) -> Grasp:
     Returns:
         Pose of the tool in the hand, pose of its striking face, and mass properties.
     """
-    X_hand_tool = hand_model(config.hand.model).grasp.X_hand_tool(tool.handle.grip_radius)
+    X_hand_tool = hand_model(config.hand).grasp.X_hand_tool(tool.handle.grip_radius)
     return Grasp(X_hand_tool, tool.ee(Category.HAMMER_HEAD).X_tool_ee, tool.mass, tool.center_of_mass)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import dataclass
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import CollisionWorld
@@ -17,6 +18,31 @@ from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage
 from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.tasks.hammering.grasp import Grasp
+
+
+@dataclass(frozen=True)
+class _Prompts:
+    """What a person is asked to do.
+
+    Attributes:
+        give: At the handover.
+        take: To take the tool back.
+    """
+
+    give: str
+    take: str
+
+
+_HAND = _Prompts(
+    "Put the hammer's handle into the open hand, face towards the fingertips.",
+    "Take a firm hold of the hammer and confirm: the hand opens.",
+)
+_MOUNT = _Prompts(
+    "Fix the hammer's handle in the mount, face towards its working side. Pull at it, then confirm.",
+    "Take the hammer out of the mount, then confirm.",
+)
+MOUNT_EMPTY = "The mount cannot tell whether a tool is in it. Is it empty? The arm is about to move to the handover."
+"""Question before the arm moves an empty mount."""
 
 
 class Handover:
@@ -48,9 +74,12 @@ class Handover:
         self.person_clear = True
         self._station, self._config, self._robot, self._motions = station, config, robot, motions
         self._stages, self._observer, self._grasp = stages, observer, grasp
+        self._prompts = _MOUNT if robot.description.hand.clamps else _HAND
 
     def take_tool(self) -> None:
         """Bring the empty hand to the handover, close it around the tool, and see the person out of reach.
+
+        A mount neither closes nor senses the tool: the person fixes it and says so.
 
         Raises:
             JobEnded: No tool was handed over, or the hand does not hold it.
@@ -67,9 +96,7 @@ class Handover:
                 "to the handover", plan_handover(self._robot, self._config, world, self._motions.q, q_hand)
             )
             self.person_clear = False
-            if not person.request_handover(
-                "Put the hammer's handle into the open hand, face towards the fingertips.", timeout
-            ):
+            if not person.request_handover(self._prompts.give, timeout):
                 raise JobEnded(Outcome.NO_HANDOVER, "nobody handed a tool over in time: run the job again")
         with self._stages(Stage.GRIP):
             hand.close()
@@ -103,6 +130,8 @@ class Handover:
     def give_back(self) -> bool:
         """Open the hand at standstill, once a person has confirmed that they hold the tool. Nothing else moves.
 
+        A mount does not open: there the person confirms that they have taken the tool out.
+
         Returns:
             Whether the hand was opened; without a confirmation it keeps its grip.
 
@@ -111,8 +140,7 @@ class Handover:
         """
         self._motions.stand_still()
         self.person_clear = False
-        prompt = "Take a firm hold of the hammer and confirm: the hand opens."
-        if not self._motions.person.take_tool(prompt, self._config.task.handover_timeout):
+        if not self._motions.person.take_tool(self._prompts.take, self._config.task.handover_timeout):
             return False
         self._station.hand.open()
         self.tool_gone()
@@ -125,7 +153,15 @@ class Handover:
             self._motions.set_payload(self._robot.description.hand_payload(self._motions.q_hand))
 
     def _empty_hand(self) -> None:
-        """Open the hand; a person takes a tool that it still holds first, so that it does not fall."""
+        """Open the hand; a person takes a tool that it still holds first, so that it does not fall.
+
+        Whether a mount is empty, only a person knows.
+        """
+        if self._robot.description.hand.clamps:
+            if not self._motions.person.confirm_inspection(MOUNT_EMPTY, self._config.task.handover_timeout):
+                raise JobEnded(Outcome.NOT_READY, "nobody confirmed that the mount is empty: take the tool out of it")
+            self._station.hand.open()
+            return
         if self._station.hand.state().holding:
             self.person_clear = False
             prompt = "The hand still holds a tool: take hold of it, the hand opens."

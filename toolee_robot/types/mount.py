@@ -1,0 +1,86 @@
+"""Record of a tool mount: what a station file says of a clamp on the flange that takes the place of a hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from toolee_robot.frames import Array, frame_from_axes
+
+Three = tuple[float, float, float]
+"""A point [m] or a direction."""
+SQUARE = 0.05
+"""Largest cosine of the angle between handle and working side: 3 deg off a right angle."""
+TURNED = 0.7
+"""Least cosine of the angle between the hinge's axis and a strike's torque: 45 deg."""
+
+
+@dataclass(frozen=True)
+class ToolMount:
+    """A tool mount on the flange: a body, and a clamp that yields about one hinge when the tool strikes.
+
+    All positions and directions are in the flange's axes, the mount at rest. No field has a default: a lab measures its
+    mount. The hinge stands for whatever gives way: a bushing, a spring, a breakaway. At rest it lies against a stop; a
+    strike that exceeds `hand.yield_torque` turns it away from there.
+    """
+
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012  (read by pydantic, not a field)
+    position: Three
+    """Middle of the clamp, on the axis of a handle in it [m]."""
+    handle: Three
+    """Direction of a handle in the clamp, from its butt to the tool's head; any length."""
+    working_side: Three
+    """Direction in which the tool works, of a hammer its face's normal; at a right angle to `handle`, any length."""
+    mass: float
+    """Mass of the whole mount, without a tool [kg]."""
+    center_of_mass: Three
+    """Centre of mass of the whole mount [m]."""
+    clamp_mass: float
+    """Mass of the part that yields together with the tool; its centre is taken to be at `position` [kg]."""
+    body_size: Three
+    """Edge lengths of the box, along the flange's axes, that encloses the mount in collision checks [m]."""
+    body_position: Three
+    """Centre of that box [m]."""
+    hinge_position: Three
+    """A point on the axis about which the clamp yields [m]."""
+    hinge_axis: Three
+    """Direction of that axis, about at a right angle to `handle` and `working_side`; any length, either sign."""
+    stiffness: float
+    """Torque beyond the yield torque by angle [Nm/rad]; 0 for a mount that yields at a constant torque."""
+    travel: float
+    """Angle by which the clamp yields before it meets its end stop [rad]."""
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "clamp_mass", "travel"):
+            if getattr(self, name) <= 0.0:
+                raise ValueError(f"{name} must be more than 0")
+        if self.stiffness < 0.0 or min(self.body_size) <= 0.0:
+            raise ValueError("stiffness must be 0 or more, and every edge of body_size more than 0")
+        if self.clamp_mass >= self.mass:
+            raise ValueError(f"clamp_mass {self.clamp_mass} is part of mass {self.mass}: it must be less")
+        for name in ("handle", "working_side", "hinge_axis"):
+            if np.linalg.norm(getattr(self, name)) < 1e-6:
+                raise ValueError(f"{name} is no direction")
+        handle, side, axis = (_unit(v) for v in (self.handle, self.working_side, self.hinge_axis))
+        if abs(handle @ side) > SQUARE:
+            raise ValueError("handle and working_side must be at a right angle to each other")
+        if abs(axis @ np.cross(side, handle)) < TURNED:
+            raise ValueError(
+                "hinge_axis is not at a right angle to handle and working_side: a strike would not turn it"
+            )
+
+    @property
+    def X_flange_mount(self) -> Array:
+        """Pose of the clamp in the flange at rest, (4, 4) [m]: x along the handle, z towards the working side."""
+        return frame_from_axes(z=np.array(self.working_side), x=np.array(self.handle), p=self.position)
+
+    @property
+    def axis(self) -> Array:
+        """Unit vector of the hinge in the flange, (3,), about which a strike turns the clamp in the positive sense."""
+        axis = _unit(self.hinge_axis)
+        return axis if axis @ np.cross(self.working_side, self.handle) > 0.0 else -axis
+
+
+def _unit(v: Three) -> Array:
+    return np.asarray(v) / np.linalg.norm(v)
