@@ -172,22 +172,29 @@ class Motions:
         self._done(name, report, hand)
         return report, verdict
 
-    def straight(self, name: str, direction: tuple[float, float, float], length: float) -> None:
+    def straight(
+        self, name: str, direction: tuple[float, float, float], length: float, guard: ContactGuard | None = None
+    ) -> bool:
         """Move on a straight line with constant orientation; the tool may touch the work.
 
         Args:
             name: Name of the motion.
             direction: Unit vector in `base`.
             length: Length along it [m]; negative for the opposite direction.
+            guard: Contact detection; None for none.
+
+        Returns:
+            Whether a contact ended the motion.
 
         Raises:
             TooleeError: As `execute`, and what `plan_straight` raises.
         """
-        if abs(length) > 1e-4:
-            world = self.world()
-            speed = min(STRAIGHT_SPEED, 0.95 * self.arm.mode.speed(self._config.supervisor))
-            move = plan_straight(self._robot, self._config, world, self.q, length, direction, speed)
-            self.execute(name, move, at_work=True)
+        if abs(length) <= 1e-4:
+            return False
+        world = self.world()
+        speed = min(STRAIGHT_SPEED, 0.95 * self.arm.mode.speed(self._config.supervisor))
+        move = plan_straight(self._robot, self._config, world, self.q, length, direction, speed)
+        return self.execute(name, move, guard, at_work=True).contact is not None
 
     def retreat(self) -> bool:
         """After the tool has dropped, move slowly up and away from the person's place, else up, else not at all.
