@@ -114,7 +114,7 @@ class Line:
         return Trajectory(profile.times, q, first * profile.v[:, None], qdd)
 
     def travel_limits(self, q: Array, velocity: Array, acceleration: float, jerk: float, wanted: float) -> PathLimits:
-        """Compute the limits of a slow motion along the line.
+        """Compute the limits of a slow motion along the line, where |q' a + q'' v^2| counts as acceleration.
 
         Args:
             q: Configurations on the line, (M, 6) [rad].
@@ -128,7 +128,7 @@ class Line:
         """
         first, second = (np.maximum(np.abs(d), 1e-9) for d in self.derivatives(q))
         speed = min(wanted, float(np.min(velocity / first)), float(np.sqrt(np.min(0.5 * acceleration / second))))
-        top = float(np.min(0.5 * acceleration / first))
+        top = float(np.min((acceleration - second * speed**2) / first))
         return PathLimits(speed, top, top, 0.5 * jerk / float(np.max(first)))
 
 

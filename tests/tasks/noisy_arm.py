@@ -67,10 +67,15 @@ class Rig:
     def go_over(self, over: float) -> None:
         """Go to rest so far over the nail [m], and look where the face is: the tool hangs in the hand."""
         motions = self.motions
-        way = plan_over_nail(self._robot, CONFIG, motions.world(), motions.q, self._plan, over)
-        motions.transfer("over the nail", way)
+        self.back_over(over)
         self._world.advance(0.3)
         motions.X_hand_ee = inverse(self._world.X_base_hand()) @ self._world.X_base_ee()
+
+    def back_over(self, over: float) -> None:
+        """Go to rest so far over the nail [m], with the face believed where it was."""
+        motions = self.motions
+        way = plan_over_nail(self._robot, CONFIG, motions.world(), motions.q, self._plan, over)
+        motions.transfer("over the nail", way)
 
     def error(self, over: float) -> float:
         """Touch the nail from so far over it [m]; returns the height's error [m], NaN where nothing was met."""

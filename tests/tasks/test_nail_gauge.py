@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from tests.tasks.bench import Log
-from toolee_robot.faults.rigs.job_rig import Bench
+from tests.tasks.noisy_arm import Rig
+from toolee_robot.control import RobotModel
+from toolee_robot.faults.rigs.job_rig import CONFIG, Bench
 from toolee_robot.hal import ArmState, ContactGuard, MotionReport, MotionWatch
 from toolee_robot.sim_backend.physics.bullet import pb
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome
+from toolee_robot.tasks.hammering.nail_gauge import CLEAR, NailGauge
 from toolee_robot.types import Trajectory
 
 pytestmark = pytest.mark.sim(seconds=20)
@@ -47,6 +50,18 @@ def measured(bench: Bench, log: Log, result: HammerResult) -> None:
     assert result.outcome is Outcome.OUT_OF_STRIKES, result.reason
     (strike,) = log.strikes
     assert strike.protrusion == pytest.approx(bench.sim.world.nail.protrusion, abs=0.001)
+
+
+def test_a_head_that_stands_higher_than_expected_ends_the_fast_way(bench: Bench) -> None:
+    """What was expected 12 mm lower is met fast, and then touched slowly from the start."""
+    rig = Rig(bench, 1, scale=0.0)
+    gauge = NailGauge(rig.motions, CONFIG, RobotModel.of_station(CONFIG), rig.log)
+    protrusion = bench.sim.world.nail.protrusion
+    rig.go_over(CLEAR)
+    assert gauge.measure(protrusion) == pytest.approx(protrusion, abs=0.001)
+    rig.back_over(CLEAR)
+    assert gauge.measure(protrusion - 0.012) == pytest.approx(protrusion, abs=0.001)
+    assert rig.log.motions.count("touch the nail") == 2
 
 
 def test_a_knock_of_one_cycle_is_no_wood(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -181,26 +181,33 @@ class Motions:
         name: str,
         direction: tuple[float, float, float],
         length: float,
+        guard: ContactGuard | None = None,
+        *,
         speed: float = STRAIGHT_SPEED,
         acceleration: float | None = None,
-    ) -> None:
+    ) -> bool:
         """Move on a straight line with constant orientation; the tool may touch the work.
 
         Args:
             name: Name of the motion.
             direction: Unit vector in `base`.
             length: Length along it [m]; negative for the opposite direction.
+            guard: Contact detection; None for none.
             speed: Largest speed [m/s]; less where the mode allows less.
             acceleration: Largest acceleration of every joint [rad/s^2]; that of transfers if None.
+
+        Returns:
+            Whether a contact ended the motion.
 
         Raises:
             TooleeError: As `execute`, and what `plan_straight` raises.
         """
-        if abs(length) > 1e-4:
-            world = self.world()
-            speed = min(speed, 0.95 * self.arm.mode.speed(self._config.supervisor))
-            move = plan_straight(self._robot, self._config, world, self.q, length, direction, speed, acceleration)
-            self.execute(name, move, at_work=True)
+        if abs(length) <= 1e-4:
+            return False
+        world = self.world()
+        speed = min(speed, 0.95 * self.arm.mode.speed(self._config.supervisor))
+        move = plan_straight(self._robot, self._config, world, self.q, length, direction, speed, acceleration)
+        return self.execute(name, move, guard, at_work=True).contact is not None
 
     def retreat(self) -> bool:
         """After the tool has dropped, move slowly up and away from the person's place, else up, else not at all.

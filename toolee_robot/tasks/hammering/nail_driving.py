@@ -233,7 +233,7 @@ class NailDriving:
         X_base_ee = fk(self._motions.q) @ inverse(fk(plan.q_contact)) @ plan.X_base_ee_contact
         below = float(plan.X_base_ee_contact[2, 3] - X_base_ee[2, 3])
         acceleration = RETRACT_ACCELERATION * self._config.arm.acceleration
-        self._motions.straight("up", UP, above + max(below, 0.0), RETRACT_SPEED, acceleration)
+        self._motions.straight("up", UP, above + max(below, 0.0), speed=RETRACT_SPEED, acceleration=acceleration)
 
     def _record(self, plan: StrikePlan, report: MotionReport, verdict: ContactVerdict, height: float | None) -> None:
         force = float(np.max(np.linalg.norm(report.wrenches[:, :3], axis=1)))

@@ -8,7 +8,9 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control.planning.straight import plan_over_nail
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.frames import transform
+from toolee_robot.control.slip import protrusion
+from toolee_robot.frames import Array, transform
+from toolee_robot.hal import ContactGuard
 from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, Outcome
@@ -19,9 +21,10 @@ TOLERANCE = 0.012
 CLEAR = 0.020
 """Height over the nail's head at which a measurement starts [m]."""
 LIFT = 0.006
-"""Retraction after a touch, before the face moves aside [m]."""
-MARGIN = 0.004
-"""Height over the expected wood at which the slow approach starts [m]."""
+"""Height over what was touched at which the face moves aside [m]."""
+MARGIN = 0.005
+"""Height over the expected head or wood at which the slow approach starts [m]; the tool rarely slips as far in one
+strike, and a contact ends the fast way."""
 MAX_DEPTH_PER_STRIKE = 0.008
 """Largest depth that a strike of this arm can drive a nail [m]; a head that sinks more has bent."""
 IMPLAUSIBLE_DEPTH = 0.004
@@ -47,6 +50,7 @@ class NailGauge:
         self._motions, self._config, self._robot = motions, config, robot
         self._touch = Touch(motions, config, robot, observer)
         self._reference = 0.0
+        self._corrected: Array | None = None  # `motions.X_hand_ee` as the last measurement has left it
 
     def begin(self, plan: StrikePlan) -> None:
         """Touch a nail of known height, and the wood, to find the offset of the face along its normal.
@@ -61,6 +65,7 @@ class NailGauge:
         known = self._config.work.nail_protrusion
         measured = self.measure(known)
         self._reference = known - measured
+        self._corrected = None  # the place of the face will shift by the offset in the next measurement
         if abs(self._reference) > 0.5 * TOLERANCE:
             off = f"{abs(self._reference) * 1e3:.1f} mm too {'high' if measured > known else 'low'}"
             raise JobEnded(Outcome.NAIL_MISSED, f"the nail's head seems to stand {off}: set it as in config.work")
@@ -78,11 +83,12 @@ class NailGauge:
         Raises:
             JobEnded: A touch met nothing.
         """
+        self._corrected = None
         self.go_over(plan)
         return self.measure(expected)
 
     def measure(self, expected: float, missed: Outcome = Outcome.NAIL_MISSED) -> float:
-        """Measure the protrusion, starting and ending CLEAR over the nail.
+        """Measure the protrusion, starting CLEAR over the nail; it ends beside the nail, above its head.
 
         Args:
             expected: Expected protrusion [m].
@@ -94,28 +100,28 @@ class NailGauge:
         Raises:
             JobEnded: A touch met nothing, or the tool already touches something before it.
         """
-        motions = self._motions
-        nail = self._lower("nail", CLEAR + TOLERANCE, missed)
-        motions.straight("up", UP, LIFT)
+        motions, expected = self._motions, max(expected, 0.0)
+        known = motions.X_hand_ee is self._corrected  # but for the slip of a strike
+        lowest = self._height() - CLEAR - TOLERANCE
+        nail = self._lower("nail", expected + MARGIN if known else None, lowest, missed)
+        self._rise_to(nail + LIFT)
         # Towards the handle, so that the hand moves away from the block.
         aside = motions.X_base_ee[:3, 0] * [1.0, 1.0, 0.0]
         aside /= np.linalg.norm(aside)
         motions.straight("aside", (float(aside[0]), float(aside[1]), 0.0), ASIDE)
-        # Fast only over the certain part of the protrusion: if the nail sank further than expected, a fast motion would
-        # push the face into the wood.
-        expected = max(expected, 0.0)
-        fast = max(min(expected, nail) - MARGIN, 0.0)
-        motions.straight("down", UP, -fast)
-        reach = expected + LIFT + TOLERANCE - fast
-        wood = self._lower("wood", reach, Outcome.NAIL_MISSED)
+        # The nail may have sunk, never risen: the tool has slipped by at least this.
+        slipped, margin = nail - expected, MARGIN if known else MAX_DEPTH_PER_STRIKE
+        lowest = min(slipped, 0.0) - TOLERANCE
+        wood = self._lower("wood", max(slipped, 0.0) + margin, lowest, Outcome.NAIL_MISSED)
         if nail - wood + self._reference < expected - IMPLAUSIBLE_DEPTH:
             # A force felt above the wood makes the nail seem driven deeper; none can be felt below it.
-            motions.straight("up", UP, LIFT)
-            wood = min(wood, self._lower("wood", reach + LIFT, Outcome.NAIL_MISSED))
-        motions.straight("up", UP, expected + LIFT + MARGIN)
+            self._rise_to(wood + LIFT)
+            wood = min(wood, self._lower("wood", None, lowest, Outcome.NAIL_MISSED))
+        self._rise_to(max(nail, wood) + LIFT + MARGIN)
         measured = nail - wood + self._reference
         # Correct the face's position along its normal, from the nail's head that it rested on.
         motions.X_hand_ee = motions.X_hand_ee @ transform(p=[0.0, 0.0, nail - measured])
+        self._corrected = motions.X_hand_ee
         return measured
 
     def go_over(self, plan: StrikePlan) -> None:
@@ -131,13 +137,37 @@ class NailGauge:
         way = plan_over_nail(self._robot, self._config, motions.world(), motions.q, plan, before=CLEAR)
         motions.transfer("to the touch", way)
 
-    def _lower(self, what: str, reach: float, missed: Outcome) -> float:
-        """Touch something up to `reach` [m] below; returns its apparent height over the wood [m]."""
+    def _height(self) -> float:
+        """Height of the face's centre over the wood by its estimated pose [m], as `Touch.lower` tells it."""
+        return protrusion(self._motions.X_base_ee, self._config.work.X_base_nail(0.0))
+
+    def _rise_to(self, height: float) -> None:
+        self._motions.straight("up", UP, max(height - self._height(), 0.0))
+
+    def _lower(self, what: str, above: float | None, lowest: float, missed: Outcome) -> float:
+        """Touch something.
+
+        Args:
+            what: What is touched.
+            above: Height of the face down to which it moves fast [m]; None for nowhere.
+            lowest: Least height of the face at which the thing may lie [m].
+            missed: Outcome of the job if nothing is met.
+
+        Returns:
+            The thing's apparent height over the wood [m].
+        """
         motions = self._motions
         if not self._touch.prepare():
             motions.straight("up", UP, CLEAR)
             message = f"before the {what} was touched the arm felt a force: the tool leans against something"
             raise JobEnded(missed, message)
+        begin = self._height()
+        if above is not None and above < begin:
+            guard = ContactGuard(self._config.strike.contact_force)
+            if motions.straight("down", UP, above - begin, guard):
+                # The thing stands higher than expected, or the arm's own motion was felt: slowly from the start.
+                self._rise_to(begin)
+        reach = self._height() - lowest
         height = self._touch.lower(what, reach)
         if height is None:
             motions.straight("up", UP, reach)

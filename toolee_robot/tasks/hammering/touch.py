@@ -2,7 +2,8 @@
 
 The motion ends when the mean force of a window exceeds a threshold that follows from the noise, which is measured at
 rest once in a job. What still presses on the face at rest is a contact; what does not was a phantom, and the face goes
-on. Where the face met the thing is the place from which the force has risen, found in the course of force over height.
+on. Where the face met the thing is the place from which the force has risen, found in the course of force over height:
+on the way down, or where the noise is too large for that, on a slow way up until the force is gone.
 """
 
 from __future__ import annotations
@@ -15,11 +16,10 @@ from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.slip import protrusion
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
-from toolee_robot.hal import ContactGuard, MotionReport
-from toolee_robot.motion.touch_force import WINDOW_WAY, TouchSettings, onset, touch_settings
+from toolee_robot.hal import ZERO_TIME, ContactGuard, MotionReport
+from toolee_robot.motion.touch_force import SLOPE_RANGE, WINDOW_WAY, TouchSettings, onset, touch_settings
 from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.types import JointState
 
 NOISE_TIME, NOISE_TIMES = 1.0, 3
 """Time over which the noise is measured at rest [s], and how many times at most before the force is too noisy."""
@@ -27,10 +27,15 @@ CONFIRM_TIME, CONFIRM_SHARE = 0.1, 0.5
 """A contact is sure when over this time [s] at rest at least this share of the threshold still presses on the face."""
 MAX_PHANTOMS = 3
 """Number of phantoms in one touch after which the force is not to be relied on."""
-LEAN_TIME, LEAN_TIMES, NEAR = 0.16, 10, 0.10
-"""The face leans against something if over this time at rest [s], so many times, the force differs from its zero by the
-threshold, and the zero was taken within this distance of the flange [m]; farther away the offset itself may have
-changed. A tool that swings comes to rest meanwhile."""
+LEAN_TIME, LEAN_TIMES, NEAR = 0.08, 20, 0.10
+"""The face leans against something if over this time at rest [s], or the window's where that is longer, so many times,
+the force differs from its zero by the threshold, and the zero was taken within this distance of the flange [m]; farther
+away the offset itself may have changed. A tool that swings comes to rest meanwhile."""
+ZERO_SHARE = 0.1
+"""A zero is kept when the force at rest differs from it by at most this share of the threshold; a force so noisy that
+the face is released slowly is zeroed before every touch."""
+FREE = 0.002
+"""Way of a release beyond the place where the force should be gone [m]."""
 
 
 class Touch:
@@ -48,7 +53,7 @@ class Touch:
         self._settings: TouchSettings | None = None
 
     def prepare(self) -> bool:
-        """Zero the force at rest, before a touch; the first time, measure its noise.
+        """Zero the force at rest, before a touch, unless it still is zero; the first time, measure its noise.
 
         Returns:
             Whether the face is free; if the arm feels a force, nothing is zeroed.
@@ -57,10 +62,18 @@ class Touch:
             DeviceError: The force is too noisy for `strike.touch_force`, or the arm cannot zero it.
         """
         motions = self._motions
-        if self._settings is not None and motions.zeroed_within(NEAR):
-            force = self._settings.force
-            free = (np.linalg.norm(np.mean(motions.forces(LEAN_TIME), axis=0)) <= force for _ in range(LEAN_TIMES))
-            if not any(free):
+        settings = self._settings
+        if settings is not None and motions.zeroed_within(NEAR):
+            duration = max(LEAN_TIME, settings.window)
+            for looked in range(1, LEAN_TIMES + 1):
+                rest = float(np.linalg.norm(np.mean(motions.forces(duration), axis=0)))
+                # A noisy force does not show that it still is zero.
+                if settings.release is None and rest <= ZERO_SHARE * settings.force:
+                    return True
+                # To wait for a tool that swings is shorter than to zero.
+                if rest <= settings.force and (settings.release is not None or looked * duration >= ZERO_TIME):
+                    break
+            else:
                 return False
         motions.zero_wrench()
         if self._settings is None:
@@ -96,8 +109,19 @@ class Touch:
             if report.contact is None:
                 return None
             pressing = np.mean(motions.forces(max(CONFIRM_TIME, settings.window)), axis=0)
-            if pressing @ self._up > CONFIRM_SHARE * settings.force:
-                return self._contact(report, report.contact, X_flange_ee)
+            if pressing @ self._up < CONFIRM_SHARE * settings.force:
+                continue
+            heights, forces = self._course(report, report.contact.stamp, X_flange_ee)
+            rise = onset(heights, forces)
+            height = float(heights[-1]) if rise is None else rise.height
+            if settings.release is not None:
+                released = self._release(what, height, settings.release, X_flange_ee)
+                if released is None:
+                    continue
+                height = released
+            X_base_ee = self._robot.arm.fk(report.contact.q) @ X_flange_ee
+            self._observer.contact(report.contact.stamp, float(forces[-1]), X_base_ee)
+            return height
         raise DeviceError(
             f"{MAX_PHANTOMS} times the force rose above {settings.force:.0f} N while the {what} was approached, and "
             "nothing was there: see that nothing swings or pulls at tool and cables, then look at the force with "
@@ -129,11 +153,26 @@ class Touch:
         X_base_ee = self._robot.arm.fk(self._motions.q) @ X_flange_ee
         return protrusion(X_base_ee, self._config.work.X_base_nail(0.0))
 
-    def _contact(self, report: MotionReport, contact: JointState, X_flange_ee: Array) -> float:
-        rows = report.stamps <= contact.stamp
-        poses = self._robot.arm.fk(report.q_measured[rows]) @ X_flange_ee
+    def _release(self, what: str, height: float, speed: float, X_flange_ee: Array) -> float | None:
+        """Lift the face slowly from what it presses on, which it met at about `height` [m].
+
+        Returns:
+            Height at which the force is gone [m]; None if no force goes with the way up, so that nothing was touched.
+        """
+        motions, settings = self._motions, self._settings
+        assert settings is not None, "prepare() comes first"
+        way = float(np.clip(height - self._height(X_flange_ee), 0.0, SLOPE_RANGE - FREE)) + FREE
+        up = plan_straight(self._robot, self._config, motions.world(), motions.q, way, UP, speed)
+        report = motions.execute(f"release the {what}", up, at_work=True)
+        heights, forces = self._course(report, np.inf, X_flange_ee)
+        rise = onset(heights, forces)
+        if rise is None or rise.stiffness * (rise.height - np.min(heights)) < CONFIRM_SHARE * settings.force:
+            return None
+        return rise.height
+
+    def _course(self, report: MotionReport, until: float, X_flange_ee: Array) -> tuple[Array, Array]:
+        """Heights of the face over the wood [m] and upward forces [N] in a motion up to a time [s], (N,) each."""
+        rows = report.stamps <= until
         wood = self._config.work.X_base_nail(0.0)
-        heights = np.array([protrusion(X, wood) for X in poses])
-        forces = report.wrenches[rows, :3] @ self._up
-        self._observer.contact(contact.stamp, float(forces[-1]), self._robot.arm.fk(contact.q) @ X_flange_ee)
-        return onset(heights, forces)
+        poses = self._robot.arm.fk(report.q_measured[rows]) @ X_flange_ee
+        return np.array([protrusion(X, wood) for X in poses]), report.wrenches[rows, :3] @ self._up
