@@ -14,6 +14,7 @@ import numpy as np
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Clearance, CollisionWorld
+from toolee_robot.control.compliance import yield_length
 from toolee_robot.control.correction import Candidates, candidates, flange_targets, rank
 from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.planning.line import Line, PathLimits, line_derivatives, strike_limits
@@ -61,7 +62,7 @@ def plan_strike(
     Raises:
         UnreachableError: No spin and branch reaches the nail with its run-up.
         CollisionError: Every strike would collide; the message names the closest pair.
-        LimitError: No strike satisfies the limits.
+        LimitError: No strike satisfies the limits, among them the travel of a mount.
         UserError: A pose is not a rigid transform.
     """
     began = time.perf_counter()
@@ -73,13 +74,23 @@ def plan_strike(
     order = np.argsort(-rank(found, wanted, q_start))[:SHORTLIST]
     short = found.take(order)
     fastest = min(wanted, float(np.max(short.attainable_speed)))
+    yields = yield_length(robot, q_hand, X_flange_ee)
     failure: PlanningError | None = None
-    # An obstacle below the nail may leave too little length for braking: then a slower strike.
+    # An obstacle below the nail, or a mount, may leave too little length for braking: then a slower strike.
     for share in (1.0, 0.8, 0.6):
         try:
-            return _plan(robot, config, world, q_start, short, X_base_nail, X_flange_ee, share * fastest, wanted, began)
+            plan = _plan(robot, config, world, q_start, short, X_base_nail, X_flange_ee, share * fastest, wanted, began)
         except CollisionError as error:
             failure = failure or error
+            continue
+        if plan.brake_length <= yields:
+            return plan
+        failure = failure or LimitError(
+            f"the arm needs {plan.brake_length * 1e3:.0f} mm to stop behind the contact, and the "
+            f"{robot.description.hand.label} yields by no more than {yields * 1e3:.0f} mm at this tool's face: lower "
+            "strike.speed, or take a mount with more travel",
+            code="limit.yield_travel",
+        )
     assert failure is not None
     raise failure
 

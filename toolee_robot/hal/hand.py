@@ -17,7 +17,8 @@ class HandState:
         joints: Measured state of the n joints in the order of `Hand.joint_names`, wrist first.
         contact_forces: Force on the pads of each finger [N], 0 without contact, by the finger's name in the hand's
             `HandModel`; "palm" as well where the hand can sense it.
-        holding: Whether the hand itself judges that it holds an object.
+        holding: Whether the hand itself judges that it holds an object. A mount senses nothing: there it is what a
+            person said last.
         assisted: Whether the object is held by the simulation's assisted grip rather than by friction alone.
         temperature: Temperature of the hottest part [deg C]; None where the hand cannot measure it.
         fault: Description of the hand's fault (stalled, over current, ...); empty if none.

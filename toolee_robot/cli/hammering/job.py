@@ -21,6 +21,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.perception import ToolPerception
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
 from toolee_robot.recording.recorder import RunRecorder
+from toolee_robot.robots import hand_model
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
@@ -209,6 +210,8 @@ class HammerJob:
             "machine_stall_ms": None if longest_stall is None else _rounded(longest_stall * 1e3),
             "machine_stalled": machine_stalled,
             "robot": str(self.config.arm.model),
+            "hand": self.config.hand.model,
+            "yield_torque": hand_model(self.config.hand).yield_torque,
             "correction": self.correction,
             "perfect_perception": self.perfect_perception,
         }

@@ -1,0 +1,1 @@
+"""Drivers of what the flange carries."""
