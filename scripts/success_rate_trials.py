@@ -64,7 +64,15 @@ def main(options: tyro.conf.Positional[tuple[str, ...]] = (), first_seed: int = 
     if given := sorted({option.split("=")[0].replace("_", "-") for option in options} & OUR_OWN):
         print(f"error: {', '.join(given)}: the trials say this themselves (--first-seed, --baseline)", file=sys.stderr)
         raise SystemExit(2)
-    names = ("strikes", "pose_error_mm", "pose_error_deg", "strike_offset_mm", "strike_tilt_deg")
+    names = (
+        "strikes",
+        "pose_error_mm",
+        "pose_error_deg",
+        "strike_offset_mm",
+        "strike_tilt_deg",
+        "robot_seconds",
+        "nail_seconds",
+    )
     table = Table("mode", "success", "95 % (Wilson)", *(f"median {name}" for name in names))
     records: dict[str, list[dict[str, float | None]]] = {}
     for mode, more in {"correction": [], **({"no correction": ["--no-correction"]} if baseline else {})}.items():
@@ -78,7 +86,7 @@ def main(options: tyro.conf.Positional[tuple[str, ...]] = (), first_seed: int = 
             print(f"{mode}, seed {run['seed']}: {ending}{tries}", file=sys.stderr, flush=True)
         ci = binomtest(wins := sum(bool(run["success"]) for run in runs), trials).proportion_ci(method="wilson")
         table.add_row(mode, f"{wins}/{trials}", f"{ci.low:.2f} to {ci.high:.2f}", *(median(runs, n) for n in names))
-    Console(width=None if sys.stdout.isatty() else 140).print(table)  # a file takes whole rows
+    Console(width=None if sys.stdout.isatty() else 180).print(table)  # a file takes whole rows
 
 
 if __name__ == "__main__":

@@ -63,6 +63,7 @@ class HammerReport:
             ("nail over the wood", _figure(f["protrusion_mm"], " mm")),
             ("pose error *", f"{_figure(f['pose_error_mm'], ' mm')}, {_figure(f['pose_error_deg'], '°')}"),
             ("strike offset, tilt *", f"{_figure(f['strike_offset_mm'], ' mm')}, {_figure(f['strike_tilt_deg'], '°')}"),
+            ("robot's time", f"{f['robot_seconds']:.0f} s, {f['nail_seconds']:.0f} s of it for the nail"),
             ("time", f"{f['seconds']:.1f} s  [dim]({seconds})[/dim]"),
             ("files", escape(str(folder))),
         ]
