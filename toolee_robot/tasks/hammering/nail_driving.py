@@ -197,7 +197,8 @@ class NailDriving:
         with self._stages(Stage.STRIKE):
             report, verdict = self._swing(plan)
             met = verdict.meeting is Meeting.EXPECTED
-            measure = self._forecast.struck(verdict, plan.speed) if met else True
+            last = len(self.strikes) + 1 >= self._config.task.max_strikes
+            measure = self._forecast.struck(verdict, plan.speed) or last if met else True
             self._retract(plan, CLEAR if measure else min(plan.run_up, self._config.strike.run_up))
         height = None
         try:
