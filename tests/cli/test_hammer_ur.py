@@ -58,14 +58,15 @@ def _nobody_serves(host: str) -> bool:
 
 @pytest.mark.realtime
 @pytest.mark.nightly
-def test_the_nail_is_driven_through_the_real_driver(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("robot", "profile"), [("UR10", "ideal"), ("UR10", "harsh"), ("UR10e", "harsh")])
+def test_the_nail_is_driven_through_the_real_driver(robot: str, profile: str, tmp_path: Path) -> None:
     """The acceptance: handover, looks, touches and strikes over the unmodified ur_rtde, to a flush nail."""
-    process = _start(tmp_path, "127.0.0.34")
-    out, err = process.communicate(timeout=400)
+    process = _start(tmp_path, "127.0.0.34", "--robot", robot, "--controller-profile", profile)
+    out, err = process.communicate(timeout=1500)
     record = _record(out)
     assert process.returncode == 0, err
     assert (record["success"], record["outcome"], record["nail"]) == (True, "flush", "flush")
-    assert (record["arm"], record["robot"]) == ("ur-rtde", "UR10")
+    assert (record["arm"], record["robot"], record["controller_profile"]) == ("ur-rtde", robot, profile)
     assert record["strikes"] >= 3
     assert record["strike_offset_mm"] < 6.0
     assert record["contact_speed"] > 0.9
@@ -75,6 +76,9 @@ def test_the_nail_is_driven_through_the_real_driver(tmp_path: Path) -> None:
     folder = next((tmp_path / "runs").iterdir())
     assert sorted(p.name for p in folder.iterdir()) == ["picture.png", "recording.mcap", "summary.json"]
     summary = json.loads((folder / "summary.json").read_text())
+    ratios = [strike["load"]["collision_ratio"] for strike in summary["strike_log"]]
+    assert all(ratio is None or ratio < 0.6 for ratio in ratios)
+    assert (ratios[0] is not None) == (robot == "UR10e"), "a CB3 has no ratios"
     stamps = [strike["stamp"] for strike in summary["strike_log"]]
     truths = [strike["stamp"] for strike in summary["strike_truth"]]
     # One clock for task, driver, controller and judge: each strike is felt when it happens, give or take the link. (A
