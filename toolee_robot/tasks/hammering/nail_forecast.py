@@ -6,15 +6,17 @@ measured strikes, and each strike confirms it: the place of the contact tells wh
 
 from __future__ import annotations
 
+import numpy as np
+
 from toolee_robot.control.contact import ContactVerdict
 
 LONGEST = 4
 """Largest number of successive strikes without a measurement."""
 DECAY = 0.9
 """Progress of a strike relative to the one before: the deeper a nail, the more wood holds it."""
-DISAGREEMENT = 0.003
-"""Deviation of a contact from the forecast beyond the arm's travel in a control cycle above which the nail is measured
-[m]; a force is felt up to a cycle late."""
+DISAGREEMENT, LATENESS = 0.003, 1.5
+"""Deviation of a contact from the forecast above which the nail is measured [m], beyond the arm's travel in so many
+control cycles: a force is felt up to a cycle late, and another one where it is noisy."""
 
 
 class NailForecast:
@@ -37,7 +39,7 @@ class NailForecast:
         self._flush, self._rate = flush, rate
         self._measured = 0.0
         self._progress: float | None = None
-        self._usual: float | None = None
+        self._delays: list[float] = []
 
     def measured(self, height: float) -> float:
         """Take over a measurement.
@@ -69,10 +71,10 @@ class NailForecast:
         """
         self.unmeasured += 1
         if self.unmeasured == 1:
-            self._usual = verdict.before  # the nail's height was known: this is the delay of the detection
-        off = 0.0 if self._usual is None else verdict.before - self._usual
+            self._delays.append(verdict.before)  # the nail's height was known: this is the delay of the detection
+        off = verdict.before - float(np.mean(self._delays))
         self.surprise = ""
-        if abs(off) > speed / self._rate + DISAGREEMENT:
+        if abs(off) > LATENESS * speed / self._rate + DISAGREEMENT:
             where = f"{abs(off) * 1e3:.0f} mm {'above' if off > 0 else 'below'}"
             self.surprise = f"the strike met the nail {where} where it was expected: measuring it"
         if self._progress is None:
