@@ -124,7 +124,7 @@ def test_the_whole_job_leaves_a_whole_folder(corrected: _Job) -> None:
         topics = {c.topic: counts.statistics.channel_message_counts[i] for i, c in counts.channels.items()}
     assert topics["/camera/rgb"] == topics["/camera/depth"] >= 3
     assert topics["/arm/measured"] > 100
-    assert topics["/contacts"] >= 2 * record["strikes"]
+    assert topics["/contacts"] >= record["strikes"] + 6, "nail and wood were touched three times at the least"
 
 
 def test_without_correction_the_same_hammer_misses_the_nail(tmp_path: Path) -> None:

@@ -58,8 +58,8 @@ def test_the_nail_takes_a_panel_of_its_own() -> None:
     assert _share(three, wood) > 0.01
 
 
-@pytest.mark.parametrize("protrusion", [(), (20.0,), (20.0, 20.0), (20.0, -0.3)])
-def test_any_number_of_strikes_can_be_drawn(protrusion: tuple[float, ...]) -> None:
+@pytest.mark.parametrize("protrusion", [(), (20.0,), (20.0, 20.0), (20.0, None, None, -0.3)])
+def test_any_number_of_strikes_can_be_drawn(protrusion: tuple[float | None, ...]) -> None:
     assert _pixels(draw(_frame(), [], NailCurve(protrusion, 1.0))).size
 
 

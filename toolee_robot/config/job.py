@@ -66,8 +66,7 @@ class TaskConfig:
     views_again: Count = 4
     """Number of views of each later look."""
     strikes_between_looks: Count = 4
-    """Number of strikes after which the tool is looked at again; twice as many after a look that found less than half
-    of the slip that `slip_per_strike` and `slip_angle_per_strike` lead one to expect."""
+    """Number of strikes after which the tool is looked at again."""
     handover_timeout: Positive = 30.0
     """Time that a person has to hand over the tool, and to answer each question [s]."""
 

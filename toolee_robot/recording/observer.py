@@ -141,6 +141,6 @@ class PictureCollector(TaskObserver):
         """
         if self._best is None:
             return None
-        measured = (b.protrusion * 1e3 for b in self.strikes if b.protrusion is not None)
+        measured = (None if b.protrusion is None else b.protrusion * 1e3 for b in self.strikes)
         nail = NailCurve((self._protrusion_mm, *measured), self._flush_mm)
         return draw(*self._best, nail, title=title, note=note, focus=Category.HAMMER_HEAD)

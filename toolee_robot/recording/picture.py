@@ -33,11 +33,12 @@ class NailCurve:
     """The nail's protrusion as the robot measured it.
 
     Attributes:
-        protrusion_mm: Protrusion over the wood before the first strike and after each strike [mm].
+        protrusion_mm: Protrusion over the wood before the first strike and after each strike [mm]; None where it was
+            not measured.
         flush_mm: Largest protrusion that counts as flush [mm].
     """
 
-    protrusion_mm: tuple[float, ...]
+    protrusion_mm: tuple[float | None, ...]
     flush_mm: float
 
 
@@ -213,8 +214,8 @@ def _draw_cloud(figure: Figure, panel: SubplotSpec, frame: RgbdFrame, best: Tool
 def _draw_nail(figure: Figure, panel: SubplotSpec, nail: NailCurve) -> None:
     _heading(figure, panel, "The nail, as the robot measures it")
     ax = figure.add_subplot(panel)
-    values = np.array(nail.protrusion_mm)
-    strikes = np.arange(len(values))
+    known = [(strike, value) for strike, value in enumerate(nail.protrusion_mm) if value is not None]
+    strikes, values = [strike for strike, _ in known], np.array([value for _, value in known])
     top = max(values.max(initial=1.0), 1.0) * 1.12
     bottom = -0.14 * top
     ax.axhspan(bottom, 0.0, color="#d9b48a", lw=0)
@@ -235,7 +236,7 @@ def _draw_nail(figure: Figure, panel: SubplotSpec, nail: NailCurve) -> None:
             )  # fmt: skip
     ax.set(
         ylim=(bottom, top),
-        xlim=(-0.6, max(len(values) - 1, 4) + 0.6),
+        xlim=(-0.6, max(len(nail.protrusion_mm) - 1, 4) + 0.6),
         xlabel="strike",
         ylabel="nail over the wood [mm]",
     )

@@ -45,8 +45,7 @@ class NailDriving:
         clock: The station's clock.
         stages: Times the stages of the job.
         observer: Receives the events of the job.
-        look: Looks at the tool from the given number of views and sets `motions.X_hand_ee`; returns whether the tool
-            has hardly slipped.
+        look: Looks at the tool from the given number of views and sets `motions.X_hand_ee`.
         tool: Mass [kg] and centre of mass of the tool in the frame of its end effector [m].
         correction: Whether the estimated in-hand pose is used.
 
@@ -64,7 +63,7 @@ class NailDriving:
         clock: Clock,
         stages: Stages,
         observer: TaskObserver,
-        look: Callable[[int], bool],
+        look: Callable[[int], None],
         tool: Payload,
         *,
         correction: bool,
@@ -80,7 +79,6 @@ class NailDriving:
         self._gauge = NailGauge(motions, config, robot, observer)
         self._forecast = NailForecast(config.task.flush_protrusion, motions.arm.rate)
         self._strikes_seen = 0
-        self._interval = config.task.strikes_between_looks
         self._measured = False
 
     @property
@@ -123,7 +121,7 @@ class NailDriving:
                 end = f"after {task.max_strikes} strikes the head stands {height * 1e3:.1f} mm over the wood"
                 return Outcome.OUT_OF_STRIKES, f"{end}, not confirmed by another strike" if flush else end
             self._check_load()
-            if self.strikes_since_look >= self._interval and not flush:
+            if self.strikes_since_look >= task.strikes_between_looks and not flush:
                 self._look(task.views_again)
             plan = self._plan(height)
             before, measured = height, None
@@ -165,9 +163,8 @@ class NailDriving:
         self.protrusion = height
 
     def _look(self, views: int) -> None:
-        hardly_slipped = self._look_from(views)
+        self._look_from(views)
         self._strikes_seen = len(self.strikes)
-        self._interval = self._config.task.strikes_between_looks * (2 if hardly_slipped else 1)
 
     def _plan(self, height: float) -> StrikePlan:
         """Plan a strike at a nail that protrudes by `height` [m]."""

@@ -22,8 +22,6 @@ from toolee_robot.types import InHandEstimate
 
 SETTLE = 0.3
 """Time at standstill before a frame is taken, so that arm, wrist and tool have stopped swinging [s]."""
-HARDLY = 0.5
-"""Slip since the last look, as a share of the expected one, below which the next look may wait longer."""
 
 
 class ToolPose:
@@ -67,15 +65,11 @@ class ToolPose:
         """Believe the next look alone: what was known of the pose no longer holds, for instance after a stop."""
         self._related = False
 
-    def look(self, views: int) -> bool:
+    def look(self, views: int) -> None:
         """Estimate the pose of the face in the hand; on failure once more, from other views.
 
         Args:
             views: Number of views.
-
-        Returns:
-            Whether the tool has slipped less than HARDLY of what was expected since the last look; False after the
-            first one.
 
         Raises:
             PerceptionError: The tool was not found, or its pose cannot be trusted.
@@ -83,7 +77,6 @@ class ToolPose:
             TooleeError: A motion or a device failed.
         """
         look = Look(self._station, self._config, self._robot, self._perceiver, self._observer, self._X_hand_ee)
-        hardly_slipped = False
         for attempt in (1, 2):
             with self._stages(Stage.VIEW):
                 q_hand = self._motions.q_hand
@@ -108,7 +101,7 @@ class ToolPose:
                 with self._stages(Stage.PERCEIVE):
                     estimate = look.fuse()
                     if self._related:
-                        estimate, hardly_slipped = self._after_slip(self.estimates[-1][1], estimate)
+                        estimate = self._after_slip(self.estimates[-1][1], estimate)
                 break
             except (PerceptionError, JobEnded) as error:
                 # Not usable, or slipped too far: look once more, from other views.
@@ -118,10 +111,9 @@ class ToolPose:
         self.estimates.append((self._station.clock.now(), estimate))
         self._motions.X_hand_ee = estimate.X_hand_ee
         self._related = True
-        return hardly_slipped
 
-    def _after_slip(self, before: InHandEstimate, now: InHandEstimate) -> tuple[InHandEstimate, bool]:
-        """Fuse the estimates of two looks, and say whether it hardly slipped; ends the job if it slipped too far."""
+    def _after_slip(self, before: InHandEstimate, now: InHandEstimate) -> InHandEstimate:
+        """Fuse the estimates of two looks; ends the job when the tool has slipped too far."""
         task = self._config.task
         distance, angle = slip(before, now)
         self._observer.message(f"slip in the hand {distance * 1e3:.1f} mm, {np.rad2deg(angle):.1f}°")
@@ -131,6 +123,4 @@ class ToolPose:
                 f"the tool slipped {distance * 1e3:.0f} mm and {np.rad2deg(angle):.0f}° in the hand: grip it again",
             )
         strikes = max(self._strikes_since_look(), 1)
-        expected, expected_angle = strikes * task.slip_per_strike, strikes * task.slip_angle_per_strike
-        hardly_slipped = distance < HARDLY * expected and angle < HARDLY * expected_angle
-        return merge(before, now, expected, expected_angle), hardly_slipped
+        return merge(before, now, strikes * task.slip_per_strike, strikes * task.slip_angle_per_strike)
