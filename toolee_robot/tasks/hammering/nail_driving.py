@@ -196,7 +196,8 @@ class NailDriving:
             met = verdict.meeting is Meeting.EXPECTED
             last = len(self.strikes) + 1 >= self._config.task.max_strikes
             measure = self._forecast.struck(verdict, plan.speed) or last if met else True
-            self._retract(plan, CLEAR if measure else min(plan.run_up, self._config.strike.run_up))
+            look_due = self.strikes_since_look + 1 >= self._config.task.strikes_between_looks
+            self._retract(plan, CLEAR if measure or look_due else min(plan.run_up, self._config.strike.run_up))
         height = None
         try:
             if not met:
