@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from toolee_robot.control.contact import ContactVerdict, Meeting
-from toolee_robot.tasks.hammering.nail_forecast import LONGEST, NailForecast
+from toolee_robot.tasks.hammering.nail_forecast import DISAGREEMENT, LATENESS, LONGEST, NailForecast
 
 FLUSH, SPEED, RATE, DELAY = 0.001, 1.2, 500.0, -0.015
 
@@ -44,7 +44,7 @@ def test_a_nail_is_measured_after_its_first_strike_and_before_it_is_taken_for_fl
     assert np.diff([0, *measured]).max() <= LONGEST + 1
     assert forecast.height > FLUSH or forecast.unmeasured == 0, "flush by forecast alone"
     # What a contact disagrees with is measured at once.
-    assert np.abs(errors).max() < 2.5 * SPEED / RATE + 0.003 + first
+    assert np.abs(errors).max() < (LATENESS + 1.0) * SPEED / RATE + DISAGREEMENT + first
 
 
 def test_most_strikes_of_a_usual_nail_need_no_measurement() -> None:

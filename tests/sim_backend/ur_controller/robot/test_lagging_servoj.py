@@ -98,7 +98,9 @@ def test_any_goals_are_reached_within_the_limits(
     model, profile = kind
     ticks = round(0.2 * model.rate)
     path = [np.zeros(6)] + [np.array(goal) for goal in goals for _ in range(ticks)]
-    settled = 1.5 + 16.0 * lag_of(profile).lag(gain, lookahead, model.period) / rate
+    # The farthest way at the scaled speed, from where the jumps before it have led, and eight lags.
+    travel = 1.5 / (rate * min(model.velocity)) + 0.4
+    settled = travel + 8.0 * lag_of(profile).lag(gain, lookahead, model.period) / rate
     path += [np.array(goals[-1])] * round(settled * model.rate)
     q = stream(model, profile, np.array(path), gain, lookahead, rate)
     np.testing.assert_allclose(q[-1], goals[-1], atol=1e-3)
