@@ -157,7 +157,8 @@ def test_a_fault_in_mid_swing(swing: Swing, name: str) -> None:
     stood = report.stamps[1:][moving][-1] - happened[0]
     assert stood <= BRAKING + noticed
     assert report.stamps[-1] - happened[0] <= BRAKING + noticed + SETTLING or sticks
-    assert report.contact is None
+    # A joint that stops dead shakes the hammer, which feels like a contact: the arm brakes at once, and then finds out.
+    assert report.contact is None or sticks
     if fault.number == 10:
         assert report.overruns > CONFIG.supervisor.overruns
     if not sticks:

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from toolee_robot.config.values import STRICT, Positive
-from toolee_robot.types import ArmModel, DhCalibration, ToolMount
+from toolee_robot.types import MOUNT, ArmModel, DhCalibration, ToolMount
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,6 @@ class ArmLimits:
     """Share of `velocity` used for transfers through free space."""
     transfer_acceleration: Positive = 3.0
     """Largest acceleration of every joint in a transfer [rad/s^2]."""
-
-
-MOUNT = "mount"
-"""Model of a tool mount."""
 
 
 @dataclass(frozen=True)

@@ -73,15 +73,12 @@ class ContactGuard:
             Vibration (a late command, a swinging tool) changes sign and averages out, an obstacle does not.
         baseline: Time before that window whose mean force is subtracted [s], so that only a rise within it counts and
             not an offset that changes slowly; 0 for the absolute force.
-        direction: Unit vector in `base` along which the tool moves, (3,): only what pushes back counts; None for a
-            force in any direction.
     """
 
     force: float
     ignore_before: float = 0.0
     averaging_window: float = 0.0
     baseline: float = 0.0
-    direction: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)

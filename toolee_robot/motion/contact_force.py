@@ -24,7 +24,6 @@ class ContactForce:
 
     def __init__(self, guard: ContactGuard, period: float) -> None:
         self._force = guard.force
-        self._against = None if guard.direction is None else -np.asarray(guard.direction)
         self._window = max(round(guard.averaging_window / period), 1)
         self._baseline = max(round(guard.baseline / period), 1) if guard.baseline > 0.0 else 0
         self._readings: deque[Array] = deque(maxlen=self._window + self._baseline)
@@ -41,8 +40,7 @@ class ContactForce:
         self._readings.append(force)
         if len(self._readings) < self._window + self._baseline:
             return False
-        force = step(np.array(self._readings), self._baseline)
-        return float(np.linalg.norm(force) if self._against is None else self._against @ force) > self._force
+        return bool(np.linalg.norm(step(np.array(self._readings), self._baseline)) > self._force)
 
 
 def step(readings: Array, baseline: int) -> Array:

@@ -12,8 +12,8 @@ from toolee_robot.motion.contact_force import step
 
 STEP_WINDOW, STEP_BASELINE = 0.008, 0.05
 """Averaging window and baseline of a strike's contact detection [s]: one reading of a CB3 against six."""
-SIGMAS = 4.5
-"""Threshold of a strike's contact in standard deviations of the noise along it: one strike in thousands ends early."""
+SIGMAS = 5.5
+"""Threshold of a strike's contact in standard deviations of an axis of its step: one strike in thousands ends early."""
 MAX_FACTOR = 1.5
 """The noise may raise the threshold to this multiple of `strike.contact_force`; with more there are no strikes."""
 ARMED_FROM = 0.5
@@ -21,14 +21,13 @@ ARMED_FROM = 0.5
 
 
 def strike_guard(
-    strike: StrikeConfig, contact_time: float, direction: Array, noise: Array | None = None, rate: float = 1.0
+    strike: StrikeConfig, contact_time: float, noise: Array | None = None, rate: float = 1.0
 ) -> ContactGuard:
     """Build the contact detection of a strike, whose threshold bears the noise of the force.
 
     Args:
         strike: Configured force of a contact.
         contact_time: When the strike should meet the nail, on its trajectory [s].
-        direction: Direction of the strike, a unit vector in `base`, (3,).
         noise: Readings of the force at rest, one a cycle, (N, 3) [N]; None if it was not measured.
         rate: Rate of these readings [Hz].
 
@@ -51,6 +50,4 @@ def strike_guard(
             "swings, or raise it as far as hand and tool can bear",
             code="device.force_noise",
         )
-    x, y, z = map(float, direction)
-    force = max(strike.contact_force, needed)
-    return ContactGuard(force, ARMED_FROM * contact_time, STEP_WINDOW, STEP_BASELINE, (x, y, z))
+    return ContactGuard(max(strike.contact_force, needed), ARMED_FROM * contact_time, STEP_WINDOW, STEP_BASELINE)

@@ -1,7 +1,7 @@
 """Frozen records that the stages exchange. SI units and radians; poses are 4x4 arrays named X_AB."""
 
 from toolee_robot.types.arm import ArmModel, DhCalibration, JointState, Payload, Six, Trajectory
-from toolee_robot.types.mount import ToolMount
+from toolee_robot.types.mount import MOUNT, ToolMount
 from toolee_robot.types.perception import (
     CameraIntrinsics,
     Detection,
@@ -13,6 +13,7 @@ from toolee_robot.types.perception import (
 )
 
 __all__ = [
+    "MOUNT",
     "ArmModel",
     "CameraIntrinsics",
     "Detection",

@@ -8,6 +8,8 @@ import numpy as np
 
 from toolee_robot.frames import Array, frame_from_axes
 
+MOUNT = "mount"
+"""What a station file's `hand.model` calls a tool mount."""
 Three = tuple[float, float, float]
 """A point [m] or a direction."""
 SQUARE = 0.05

@@ -53,7 +53,7 @@ def test_strikes_drive_the_nail_by_the_hammers_energy_and_the_hand_keeps_it(held
         station.arm.execute(plan.approach)
         wrist: list[float] = []
         held.observers.append(lambda sample, seen=wrist: seen.append(float(sample.q_hand[0])))  # type: ignore[misc]
-        guard = strike_guard(CONFIG.strike, plan.contact_time, plan.expected_contact.direction)
+        guard = strike_guard(CONFIG.strike, plan.contact_time)
         report = station.arm.execute(plan.strike, guard)
         station.clock.sleep(0.1)
         held.observers.clear()

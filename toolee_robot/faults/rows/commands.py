@@ -116,7 +116,7 @@ def _supervised(rig: Rig) -> tuple[Supervisor, People]:
 
 def _swing(supervisor: Supervisor, rig: Rig) -> Callable[[Trajectory, ContactGuard | None, MotionWatch], MotionReport]:
     plan, config = rig.swing.plan, rig.swing.config
-    guard = strike_guard(config.strike, plan.contact_time, plan.expected_contact.direction)
+    guard = strike_guard(config.strike, plan.contact_time)
     return lambda strike, _guard, _watch: supervisor.swing(strike, guard, plan.expected_contact)[0]
 
 

@@ -68,8 +68,7 @@ def _swing_with_noise(rig: Rig, armed: bool) -> FaultRow:
     config, strike = rig.swing.config.strike, rig.strike
     guard = None
     if armed:
-        expected = rig.swing.plan.expected_contact
-        guard = strike_guard(config, expected.time, expected.direction, _forces(rig), rig.arm.rate)
+        guard = strike_guard(config, rig.swing.plan.contact_time, _forces(rig), rig.arm.rate)
     wrong: list[str] = []
     began = time.monotonic()
     try:

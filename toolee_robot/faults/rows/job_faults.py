@@ -227,8 +227,7 @@ ARM = (
         JobFault(number, name, SWING, BRAKES, inject, IN_STRIKE, FAULT, message, 1, "strike", braking=braking,
                  job_latches=True, arm_latches=True, person=person)
         for number, name, inject, message, braking, person in (
-            # Until the joint is off by the tracking error; the shock of it is no force against the motion.
-            (7, "a joint sticks", _stick, "away from its command", Braking(10, arm_off=True), False),
+            (7, "a joint sticks", _stick, "away from its command", Braking(8, arm_off=True), False),
             (9, "network link cut", lambda s: s.bench.arm.cut_link(), "network link", Braking(4), True),
             (10, "commands go out late", lambda s: s.bench.arm.delay_commands(50), "sent late", Braking(5), False),
             (12, "protective stop", lambda s: s.bench.arm.protective_stop(), "protective", Braking(1), True),

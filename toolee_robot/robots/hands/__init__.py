@@ -10,9 +10,9 @@ from typing import Protocol
 
 from toolee_robot.errors import ConfigError
 from toolee_robot.robots.hands.model import PALM, Finger, HandModel, NominalGrasp, Phalanx, WristJoint
-from toolee_robot.robots.hands.mount import MOUNT, mount_model
+from toolee_robot.robots.hands.mount import mount_model
 from toolee_robot.robots.hands.shadow import SHADOW_HAND
-from toolee_robot.types import ToolMount
+from toolee_robot.types import MOUNT, ToolMount
 
 HANDS: dict[str, HandModel] = {hand.name: hand for hand in (SHADOW_HAND,)}
 """Name in the station file -> hand."""

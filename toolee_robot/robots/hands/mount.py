@@ -10,10 +10,8 @@ import numpy as np
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.robots.hands.model import HandModel, NominalGrasp, WristJoint
 from toolee_robot.robots.tree import Inertial, Link, Shape, Tree
-from toolee_robot.types import ToolMount
+from toolee_robot.types import MOUNT, ToolMount
 
-MOUNT = "mount"
-"""What a station file's `hand.model` calls a tool mount."""
 HINGE = "mount_hinge"
 _BODY, _CLAMP, _FRAME = "mount_body", "mount_clamp", "mount"
 _CLAMP_SIZE = 0.04  # [m] edge of the cube as which the clamp's inertia is taken

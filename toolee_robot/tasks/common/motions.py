@@ -169,8 +169,7 @@ class Motions:
             TooleeError: As `execute`.
         """
         self.check_hand()
-        direction = plan.expected_contact.direction
-        guard = strike_guard(self._config.strike, plan.contact_time, direction, self.noise, self.arm.rate)
+        guard = strike_guard(self._config.strike, plan.contact_time, self.noise, self.arm.rate)
         with self._watched(name) as hand:
             report, verdict = self.arm.swing(plan.strike, guard, plan.expected_contact)
         self._done(name, report, hand)
