@@ -15,7 +15,7 @@ from toolee_robot.hal import ContactGuard
 
 
 class ContactForce:
-    """Detects a contact in the readings of one motion.
+    """Detects a contact in the readings of one motion; a reading costs the same however long the windows are.
 
     Args:
         guard: What counts as a contact.
@@ -26,7 +26,8 @@ class ContactForce:
         self._force = guard.force
         self._window = max(round(guard.averaging_window / period), 1)
         self._baseline = max(round(guard.baseline / period), 1) if guard.baseline > 0.0 else 0
-        self._readings: deque[Array] = deque(maxlen=self._window + self._baseline)
+        self._readings: deque[Array] = deque()
+        self._newest, self._older = np.zeros(3), np.zeros(3)  # sums over window and baseline
 
     def add(self, force: Array) -> bool:
         """Add a reading.
@@ -37,21 +38,17 @@ class ContactForce:
         Returns:
             Whether the newest readings are a contact.
         """
-        self._readings.append(force)
-        if len(self._readings) < self._window + self._baseline:
+        readings, longest = self._readings, self._window + self._baseline
+        readings.append(force)
+        self._newest += force
+        if len(readings) > self._window:
+            self._newest -= readings[-self._window - 1]
+            self._older += readings[-self._window - 1]
+        if len(readings) > longest:
+            self._older -= readings.popleft()
+        if len(readings) < longest:
             return False
-        return bool(np.linalg.norm(step(np.array(self._readings), self._baseline)) > self._force)
-
-
-def step(readings: Array, baseline: int) -> Array:
-    """Rise of the force within a series of readings.
-
-    Args:
-        readings: Readings, (N, 3) [N].
-        baseline: Number of readings, from the first on, to compare with; 0 for the absolute force.
-
-    Returns:
-        Mean of the readings after the baseline, less the baseline's mean, (3,) [N].
-    """
-    mean: Array = np.mean(readings[baseline:], axis=0)
-    return mean - np.mean(readings[:baseline], axis=0) if baseline else mean
+        step = self._newest / self._window
+        if self._baseline:
+            step -= self._older / self._baseline
+        return float(step @ step) > self._force**2
