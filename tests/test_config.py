@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from tests.errors import raises
-from toolee_robot.config import SIMULATED, CalibrationConfig, ServoConfig, StationConfig, load_station, servo_lag
+from toolee_robot.config import (
+    MEASURED,
+    SIMULATED,
+    CalibrationConfig,
+    ServoConfig,
+    StationConfig,
+    load_lab_station,
+    load_station,
+    servo_lag,
+    unmeasured,
+)
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.frames import is_rigid
 from toolee_robot.hardware.ur.config import UrArmConfig
@@ -139,3 +152,47 @@ def test_the_default_station_is_calibrated_for_the_simulated_devices_and_no_othe
     assert calibration.problems(SIMULATED, SIMULATED, date(2040, 1, 1)) == []
     assert len(calibration.problems("20235012345", "F1370001", date(2026, 11, 20))) == 2
     assert load_station(_write(tmp_path, "calibration: null")).calibration is None
+
+
+MEASURED_FILE = Path(__file__).parent.parent / "docs" / "how-to" / "bring_up_a_ur.md"
+
+
+def _documented_station() -> dict[str, Any]:
+    text = MEASURED_FILE.read_text()
+    return yaml.safe_load(text[(start := text.index("# lab.yaml")) : text.index("```", start)])
+
+
+def test_the_documents_station_file_gives_what_a_lab_must_measure(tmp_path: Path) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_text(yaml.safe_dump(_documented_station()))
+    assert unmeasured(path) == []
+    config = load_lab_station(path)
+    assert config.calibration is not None
+    assert config.calibration.robot_serial == "20185500001"
+
+
+@pytest.mark.parametrize(("section", "name"), [(s, n) for s, names in MEASURED.items() for n in names])
+def test_a_robots_station_file_without_a_measured_field_is_refused_by_its_name(
+    tmp_path: Path, section: str, name: str
+) -> None:
+    data = _documented_station()
+    del data[section][name]
+    path = tmp_path / "lab.yaml"
+    path.write_text(yaml.safe_dump(data))
+    with raises(ConfigError, "config.unmeasured") as caught:
+        load_lab_station(path)
+    assert f"give {section}.{name}" in str(caught.value)
+
+
+def test_a_robots_station_file_without_a_calibration_is_uncalibrated(tmp_path: Path) -> None:
+    data = _documented_station()
+    del data["calibration"]
+    path = tmp_path / "lab.yaml"
+    path.write_text(yaml.safe_dump(data))
+    assert load_lab_station(path).calibration is None
+
+
+def test_every_measured_field_is_one_of_the_station_file() -> None:
+    for section, names in MEASURED.items():
+        record = getattr(StationConfig(), section)
+        assert set(names) <= {field.name for field in fields(record)}

@@ -190,6 +190,14 @@ def test_what_nobody_attends_or_nobody_can_mean_is_exit_2(
     assert expected_text in capsys.readouterr().err
 
 
+def test_a_robots_station_file_that_leaves_out_what_is_measured_moves_nothing(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Otherwise the simulated camera, nail and person would be taken for the lab's."""
+    assert run(["arm", "home", "--robot-host", "192.0.2.7", "--config", str(lab)]) == 2
+    assert "camera.position" in capsys.readouterr().err
+
+
 @pytest.fixture
 def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """The other end of a terminal that is the standard input."""

@@ -71,6 +71,7 @@ def test_a_robot_that_is_set_up_is_ready_for_slow_motions(
     assert record["arm_calibration"]["delta_a"] == pytest.approx([0.0] * 6, abs=1e-9)
     levels = {f["name"]: f["level"] for f in record["findings"]}
     assert (levels["hand"], levels["camera"], levels["calibration"]) == ("warn", "warn", "warn"), "nobody looked"
+    assert levels["measured"] == "warn", "the file gives next to nothing, which a stand-in bears"
     assert (levels["TCP place"], levels["force"], levels["jogged point"]) == ("ok", "ok", "warn")
     after = robot.state()
     assert (after["q"], after["uploads"]) == (before["q"], before["uploads"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -12,6 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.examples import examples
+from toolee_robot.config import HandConfig, StationConfig
+from toolee_robot.control import RobotModel
 from toolee_robot.frames import Array, inverse, transform_points
 from toolee_robot.robots import (
     SHADOW_HAND,
@@ -19,6 +22,7 @@ from toolee_robot.robots import (
     load_robot,
     wrap_fingers,
 )
+from toolee_robot.types import HandWeight
 
 
 def _configurations(n: int) -> Array:
@@ -129,3 +133,15 @@ def test_fingers_wrap_without_sinking_into_the_handle(radius: float) -> None:
         assert np.hypot(in_tool[0], in_tool[1]) > radius + 0.006  # the axis of a capsule of 7 mm radius, outside
         assert np.hypot(in_tool[0], in_tool[1]) < radius + 0.035
         assert in_tool[1] > 0  # around the far side: palmar is tool y
+
+
+def test_a_weighed_hand_is_the_payload_in_every_posture() -> None:
+    """What a lab has weighed goes to the controller, not the masses of a model that nobody can edit."""
+    weighed = HandWeight(4.2, (0.001, -0.002, 0.12))
+    robot = RobotModel.of_station(replace(StationConfig(), hand=HandConfig(weighed=weighed)))
+    for q_hand in (robot.description.hand_open, robot.description.hand_closed):
+        payload = robot.description.hand_payload(q_hand)
+        assert payload.mass == weighed.mass
+        np.testing.assert_array_equal(payload.center_of_mass, weighed.center_of_mass)
+    carried = robot.payload(robot.description.hand_closed, np.eye(4), 1.0, np.zeros(3))
+    assert carried.mass == pytest.approx(5.2)

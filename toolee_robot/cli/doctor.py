@@ -71,7 +71,9 @@ class Doctor:
             from toolee_robot.cli.doctor_sections import DoctorReport
 
         point = None if self.jogged_point is None else 1e-3 * np.array(self.jogged_point)
-        report = DoctorReport(config, self.robot_host, self.world is not None, self.out, point, console.status)
+        report = DoctorReport(
+            config, self.robot_host, self.world is not None, self.out, point, console.status, self.config
+        )
         found: list[tuple[str, Finding]] = []
         for section, findings in report.sections():
             found += [(section, finding) for finding in findings]

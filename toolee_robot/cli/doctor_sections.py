@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from toolee_robot.config import StationConfig
-from toolee_robot.doctor.configuration import check_calibration, check_limits
+from toolee_robot.doctor.configuration import check_calibration, check_limits, check_measured
 from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_person
 from toolee_robot.doctor.machine import check_disk, check_processor, check_real_time
 from toolee_robot.doctor.reach import check_reach
@@ -20,7 +20,7 @@ from toolee_robot.errors import DeviceError
 from toolee_robot.findings import Finding, warn
 from toolee_robot.frames import Array
 from toolee_robot.hal import Station
-from toolee_robot.runtime.clock import HostClock
+from toolee_robot.runtime.clock import HostClock, is_loopback
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.station import remote_station
 from toolee_robot.sim_backend.remote.world import RemoteWorld
@@ -42,6 +42,7 @@ class DoctorReport:
         out: Folder for recordings.
         jogged_point: The TCP that the teach pendant shows now, feature Base, (3,) [m]; None if nobody has read it.
         doing: Context manager that shows what is in progress.
+        path: The station file; None for the simulated station.
         facts: Further results for --json.
     """
 
@@ -51,6 +52,7 @@ class DoctorReport:
     out: Path
     jogged_point: Array | None
     doing: Callable[[str], AbstractContextManager[object]]
+    path: Path | None = None
     facts: dict[str, Any] = field(default_factory=dict)
     _rate: float | None = field(default=None, init=False)
     _robot_serial: str | None = field(default=None, init=False)
@@ -61,7 +63,10 @@ class DoctorReport:
         yield from self._simulated() if self.host is None else self._controller(self.host)
         config = self.config
         with self.doing("planning"):
-            findings = [
+            findings = (
+                [] if self.host is None or self.with_world else [check_measured(self.path, is_loopback(self.host))]
+            )
+            findings += [
                 check_calibration(config, self._robot_serial, self._camera_serial, date.today()),
                 *check_limits(config),
                 *check_reach(config),

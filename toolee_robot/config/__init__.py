@@ -2,7 +2,8 @@
 
     from toolee_robot.config import StationConfig, load_station
     config = StationConfig()                 # the simulated station
-    config = load_station(Path("lab.yaml"))  # a real station: any subset of the fields
+    config = load_station(Path("lab.yaml"))  # another station in simulation: any subset of the fields
+    config = load_lab_station(Path("lab.yaml"))  # a real robot's: nothing that is measured has a default
 
 The records hold everything that is measured once per station: the poses of camera, stand and nail, the limits, and the
 calibration. Lengths are in metres and angles in radians unless a field states otherwise.
@@ -11,12 +12,14 @@ calibration. Lengths are in metres and angles in radians unless a field states o
 from toolee_robot.config.calibration import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig
 from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope, WorkConfig
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
+from toolee_robot.config.measured import MEASURED, load_lab_station, unmeasured
 from toolee_robot.config.person import PersonConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
 from toolee_robot.config.servo import ServoConfig, servo_lag
 from toolee_robot.config.station import StationConfig, load_station
 
 __all__ = [
+    "MEASURED",
     "SIMULATED",
     "SIMULATED_CALIBRATION",
     "ArmLimits",
@@ -32,6 +35,8 @@ __all__ = [
     "TaskConfig",
     "ToolEnvelope",
     "WorkConfig",
+    "load_lab_station",
     "load_station",
     "servo_lag",
+    "unmeasured",
 ]

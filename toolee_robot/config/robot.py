@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from toolee_robot.config.values import STRICT, Positive
-from toolee_robot.types import MOUNT, ArmModel, DhCalibration, ToolMount
+from toolee_robot.types import MOUNT, ArmModel, DhCalibration, HandWeight, ToolMount
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,9 @@ class HandConfig:
     """Name of the hand, one of `toolee_robot.robots.HANDS`; `mount` for a tool mount without a hand."""
     yield_torque: Positive | None = None
     """Torque at which the wrist or the mount gives way in a strike [Nm]; null for the hand's own. A mount needs it."""
+    weighed: HandWeight | None = None
+    """Mass and centre of mass of all that hangs on the flange without a tool; null for those of the hand's model. A
+    mount's are in `mount`."""
     mount: ToolMount | None = None
     """The tool mount, for the model `mount` only; every one of its fields must be measured."""
 
@@ -60,6 +63,8 @@ class HandConfig:
             if self.mount is not None:
                 raise ValueError(f"mount is for the model {MOUNT!r} only, not for {self.model!r}")
             return
+        if self.weighed is not None:
+            raise ValueError("weighed is for a hand: of a mount give mount.mass and mount.center_of_mass")
         missing = []
         if self.yield_torque is None:
             missing.append("hand.yield_torque")

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from datetime import date
+from pathlib import Path
 
 import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA
-from toolee_robot.config import StationConfig
+from toolee_robot.config import MEASURED, StationConfig, unmeasured
 from toolee_robot.control import RobotModel
 from toolee_robot.findings import Finding, fail, ok, warn
 from toolee_robot.tools import SWUNG_MASS
@@ -49,6 +50,27 @@ def check_limits(config: StationConfig) -> Iterator[Finding]:
     if supervisor.unattended_speed > USUAL_SPEED:
         message = f"up to {supervisor.unattended_speed} m/s"
         yield warn("swing speed", message, "compare it with the robot's own TCP speed limit")
+
+
+def check_measured(path: Path | None, stand_in: bool) -> Finding:
+    """Check whether a robot's station file gives everything that a lab must measure.
+
+    Args:
+        path: The station file; None for none.
+        stand_in: Whether the robot is a stand-in, which may do without.
+
+    Returns:
+        OK, or FAIL with the fields that are left out; WARN for a stand-in.
+
+    Raises:
+        ConfigError: The file cannot be read.
+    """
+    missing = list(MEASURED) if path is None else unmeasured(path)
+    if not missing:
+        return ok("measured", "the file gives everything that describes a lab")
+    message = f"the simulated station's values stand in for {', '.join(missing)}"
+    remedy = "measure and enter them" + (": `toolee arm` moves no real robot without" if stand_in else "")
+    return (warn if stand_in else fail)("measured", message, remedy)
 
 
 def check_calibration(

@@ -107,14 +107,16 @@ class RobotDescription:
         return inverse(poses[self.flange_frame]) @ poses[self.hand_frame]
 
     def hand_payload(self, q_hand: Array) -> Payload:
-        """Payload of the flange: the hand with its forearm and mounting plate.
+        """Payload of the flange: the hand with its forearm and mounting plate, as weighed where the station has.
 
         Args:
-            q_hand: Joint positions of the hand (n,) [rad].
+            q_hand: Joint positions of the hand (n,) [rad]; what was weighed holds for all.
 
         Returns:
             Mass [kg] and centre of mass (3,) [m] in the flange frame.
         """
+        if (weighed := self.hand.weighed) is not None:
+            return Payload(weighed.mass, np.array(weighed.center_of_mass))
         poses = self.tree.link_poses(np.concatenate([np.zeros(len(self.arm_joints)), q_hand]))
         X_flange_base = inverse(poses[self.flange_frame])
         mass, moment = 0.0, np.zeros(3)

@@ -1,6 +1,6 @@
 """Frozen records that the stages exchange. SI units and radians; poses are 4x4 arrays named X_AB."""
 
-from toolee_robot.types.arm import ArmModel, DhCalibration, JointState, Payload, Six, Trajectory
+from toolee_robot.types.arm import ArmModel, DhCalibration, HandWeight, JointState, Payload, Six, Trajectory
 from toolee_robot.types.mount import MOUNT, ToolMount
 from toolee_robot.types.perception import (
     CameraIntrinsics,
@@ -18,6 +18,7 @@ __all__ = [
     "CameraIntrinsics",
     "Detection",
     "DhCalibration",
+    "HandWeight",
     "HoldingHand",
     "InHandEstimate",
     "JointState",

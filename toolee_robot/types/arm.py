@@ -106,6 +106,24 @@ class Trajectory:
 
 
 @dataclass(frozen=True)
+class HandWeight:
+    """What hangs on the flange without a tool, as weighed: adapter, hand, cables' share.
+
+    The robot's own payload estimation measures both (PolyScope, *Payload*), with the hand open.
+    """
+
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012  (read by pydantic, not a field)
+    mass: float
+    """Mass [kg]."""
+    center_of_mass: tuple[float, float, float]
+    """Centre of mass in the flange frame [m]."""
+
+    def __post_init__(self) -> None:
+        if self.mass <= 0.0:
+            raise ValueError("mass must be more than 0")
+
+
+@dataclass(frozen=True)
 class Payload:
     """Mass properties of what the flange carries.
 

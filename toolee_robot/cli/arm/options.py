@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.config import StationConfig, load_station
+from toolee_robot.config import StationConfig, load_lab_station, load_station
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import is_loopback
 
@@ -35,7 +35,7 @@ class ArmOptions:
 
         Raises:
             UserError: A robot without a station file, or one that nobody attends.
-            ConfigError: The file is invalid.
+            ConfigError: The file is invalid, or a robot's leaves out what must be measured.
         """
         if not is_loopback(self.robot_host):
             if self.yes:
@@ -48,6 +48,7 @@ class ArmOptions:
                     f"--robot-host {self.robot_host} without --config: a robot moves in its own station only",
                     code="user.no_station",
                 )
+            return load_lab_station(self.config)
         return StationConfig() if self.config is None else load_station(self.config)
 
 

@@ -12,7 +12,7 @@ from toolee_robot.errors import ConfigError
 from toolee_robot.robots.hands.model import PALM, Finger, HandModel, NominalGrasp, Phalanx, WristJoint
 from toolee_robot.robots.hands.mount import mount_model
 from toolee_robot.robots.hands.shadow import SHADOW_HAND
-from toolee_robot.types import MOUNT, ToolMount
+from toolee_robot.types import MOUNT, HandWeight, ToolMount
 
 HANDS: dict[str, HandModel] = {hand.name: hand for hand in (SHADOW_HAND,)}
 """Name in the station file -> hand."""
@@ -30,6 +30,10 @@ class HandChoice(Protocol):
         """Torque above which wrist or mount yields [Nm]; None for the hand's own."""
 
     @property
+    def weighed(self) -> HandWeight | None:
+        """What hangs on the flange without a tool; None for the hand's own masses."""
+
+    @property
     def mount(self) -> ToolMount | None:
         """The tool mount; None for a hand."""
 
@@ -41,12 +45,15 @@ def hand_model(hand: str | HandChoice) -> HandModel:
         hand: Name of the hand, a key of `HANDS`; or what the station file says of it.
 
     Returns:
-        The hand, with the station's yield torque where it gives one.
+        The hand, with the station's yield torque and weight where it gives them.
 
     Raises:
         ConfigError: There is no such hand, the message names those that are known; or it has no wrist that could yield.
     """
-    name, torque, mount = (hand, None, None) if isinstance(hand, str) else (hand.model, hand.yield_torque, hand.mount)
+    if isinstance(hand, str):
+        name, torque, weighed, mount = hand, None, None, None
+    else:
+        name, torque, weighed, mount = hand.model, hand.yield_torque, hand.weighed, hand.mount
     if mount is not None and torque is not None:
         return mount_model(mount, torque)
     if name == MOUNT:
@@ -58,16 +65,18 @@ def hand_model(hand: str | HandChoice) -> HandModel:
         raise ConfigError(
             f"there is no hand {name!r} (hand.model in a station file, --hand): choose one of {known}"
         ) from None
-    return model if torque is None else _yielding_at(model, torque)
+    return model if torque is None and weighed is None else _with(model, torque, weighed)
 
 
 @lru_cache(maxsize=8)
-def _yielding_at(hand: HandModel, torque: float) -> HandModel:
+def _with(hand: HandModel, torque: float | None, weighed: HandWeight | None) -> HandModel:
+    if torque is None:
+        return replace(hand, weighed=weighed)
     index = hand.yielding
     if index is None:
         raise ConfigError(f"hand.yield_torque: the {hand.label} has no wrist that yields; remove the field")
     wrist = (*hand.wrist[:index], replace(hand.wrist[index], torque=torque), *hand.wrist[index + 1 :])
-    return replace(hand, wrist=wrist)
+    return replace(hand, wrist=wrist, weighed=weighed)
 
 
 __all__ = [

@@ -19,6 +19,7 @@ from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, frame_from_axes, inverse
 from toolee_robot.robots.meshes import link_mesh
 from toolee_robot.robots.tree import FLANGE_FRAME, Tree
+from toolee_robot.types import HandWeight
 
 PALM = "palm"
 """Part of the links that belong neither to a finger nor to the forearm."""
@@ -151,6 +152,8 @@ class HandModel:
     """Meshes are thinned to this size for rendering and planning [m]."""
     root_mesh_cell: float = 0.0042
     """Likewise the root link's."""
+    weighed: HandWeight | None = None
+    """What hangs on the flange without a tool, as a station has weighed it; None: the links' masses."""
 
     def __post_init__(self) -> None:
         known = set(self.joints)

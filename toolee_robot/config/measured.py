@@ -1,0 +1,92 @@
+"""What a lab must measure: station files of real robots, in which nothing measured may have a simulated value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from toolee_robot.config.station import StationConfig, load_station
+from toolee_robot.errors import ConfigError
+from toolee_robot.runtime.yaml_files import read_yaml
+from toolee_robot.types import MOUNT
+
+MEASURED: Mapping[str, tuple[str, ...]] = {
+    "arm": ("model",),
+    "hand": ("model", "weighed"),
+    "scene": (
+        "home",
+        "workspace_lower",
+        "workspace_upper",
+        "table_size",
+        "person_center",
+        "person_size",
+        "handover_position",
+        "handover_facing",
+        "camera_size",
+    ),
+    "camera": ("position", "target", "fx", "fy", "cx", "cy", "width", "height"),
+    "work": (
+        "nail_xy",
+        "stand_height",
+        "stand_size",
+        "block_size",
+        "nail_diameter",
+        "nail_length",
+        "nail_head_diameter",
+        "nail_protrusion",
+        "wood_specific_gravity",
+        "pilot_hole_diameter",
+    ),
+}
+"""Fields that describe a lab and nobody else's: section of the station file, and names. A calibration is not among
+them: without one a station is uncalibrated, which every job refuses."""
+
+
+def unmeasured(path: Path) -> list[str]:
+    """List what a station file leaves out of what a lab must measure.
+
+    Args:
+        path: The station file.
+
+    Returns:
+        Names of the fields, such as `camera.position`, in the order of `MEASURED`.
+
+    Raises:
+        ConfigError: The file cannot be read.
+    """
+    data = read_yaml(path, "station's file") or {}
+    wanted = [(section, name) for section, names in MEASURED.items() for name in names]
+    missing = [f"{section}.{name}" for section, name in wanted if _field(data, section, name) is None]
+    if _field(data, "hand", "model") == MOUNT and "hand.weighed" in missing:
+        missing.remove("hand.weighed")  # a mount's data say what it weighs
+    return missing
+
+
+def load_lab_station(path: Path) -> StationConfig:
+    """Load the station file of a real robot.
+
+    Args:
+        path: The file, as for `load_station`, with every field of `MEASURED`.
+
+    Returns:
+        The validated configuration, its positions in `base`; its calibration is None where the file gives none.
+
+    Raises:
+        ConfigError: As `load_station`, or the file leaves out what must be measured; the message names it.
+    """
+    config = load_station(path)
+    if missing := unmeasured(path):
+        raise ConfigError(
+            f"{path} leaves out what describes your station, and the simulated one's values would stand in for it: "
+            f"measure and give {', '.join(missing)}",
+            code="config.unmeasured",
+        )
+    data = read_yaml(path, "station's file")
+    return config if data.get("calibration") else replace(config, calibration=None)
+
+
+def _field(data: Any, section: str, name: str) -> Any:
+    fields = data.get(section) if isinstance(data, dict) else None
+    return fields.get(name) if isinstance(fields, dict) else None
