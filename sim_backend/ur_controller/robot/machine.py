@@ -157,9 +157,20 @@ class Machine:
 
     def tcp_force(self) -> Array:
         """Wrench of the environment at the TCP, as `wrench`."""
-        felt = self.wrench()
+        return self._at_tcp(self.wrench())
+
+    def _at_tcp(self, wrench: Array) -> Array:
         arm = forward(self.model, self.plant.q)[:3, :3] @ self.tcp[:3]
-        return np.concatenate([felt[:3], felt[3:] - np.cross(arm, felt[:3])])
+        return np.concatenate([wrench[:3], wrench[3:] - np.cross(arm, wrench[:3])])
+
+    def _compliant(self, qd: Array, dt: float) -> Array:
+        """Commanded joint velocities (6,) [rad/s], modified by force mode or freedrive."""
+        if self.compliance is None:
+            return qd
+        felt = self.tcp_force()
+        if self.freedrive:
+            felt = self._at_tcp(self.force_sensor.push(forward(self.model, self.plant.q)[:3, :3]))
+        return self.compliance.apply(self.model, self.X_flange_tcp, self.q_target, qd, felt, dt)
 
     def goal(self) -> Array:
         """Joint positions at the end of the current move, (6,) [rad]; without a move, the set-point."""
@@ -261,10 +272,7 @@ class Machine:
         wanted = 0.0 if self.paused else self.speed_fraction * self.speed_scaling
         self._rate += max(-RATE_SLEW * dt, min(RATE_SLEW * dt, wanted - self._rate))
         try:
-            qd = self._way(dt) / dt
-            if self.compliance is not None:
-                felt = self.tcp_force()
-                qd = self.compliance.apply(self.model, self.X_flange_tcp, self.q_target, qd, felt, dt)
+            qd = self._compliant(self._way(dt) / dt, dt)
         except MotionError as error:
             self.events.append(Event(EventKind.PROTECTIVE_STOP, str(error)))
             self.stop(self.stops.protective)

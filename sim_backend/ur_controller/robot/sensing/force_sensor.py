@@ -37,6 +37,10 @@ class ForceSensor:
         """
         return self._felt(R) - _turned(R, self._bias)
 
+    def push(self, R: Array) -> Array:
+        """What moves the arm in freedrive: the client's wrench where there is one, else `Sensors.push`; as `wrench`."""
+        return self._felt(R) if self.external else self._sensors.push
+
     def zero(self, R: Array) -> None:
         """Take the present wrench for zero, free of its noise, as a mean would; `R` as for `wrench`."""
         if self._zeroed:

@@ -39,12 +39,13 @@ class Sensors:
 
     Attributes:
         fluctuation: The part of the wrench that is noise, (6,) [N, Nm], base axes.
+        unknown_weight: The part of the wrench that is `payload_error`'s weight, (6,) [N, Nm], base axes.
         dynamics: Torques, momentum and geometry of the set-point's motion; None where nothing needs them.
         payload_error: Mass that the controller does not know; a fault.
     """
 
     def __init__(self, model: ControllerModel, plant: Plant, profile: Profile, seed: int) -> None:
-        self.fluctuation = np.zeros(6)
+        self.fluctuation, self.unknown_weight = np.zeros(6), np.zeros(6)
         self.dynamics: Dynamics | None = None
         self.payload_error = PayloadError()
         self._plant, self._profile, self._noise = plant, profile, Noise(seed)
@@ -66,6 +67,15 @@ class Sensors:
     def wrench(self) -> Array:
         """Measured wrench of the environment at the flange's origin, (6,) [N, Nm], base axes, not zeroed."""
         return self._plant.wrench + self._wrench_error
+
+    @property
+    def push(self) -> Array:
+        """What moves the arm in freedrive: wrench of the environment and of what the controller does not know to carry.
+
+        As `wrench`, free of the reading's own errors: freedrive balances joint torques, and the gearboxes' friction
+        holds the arm against what little those are off (assumed; nothing is published).
+        """
+        return self._plant.wrench + self.unknown_weight
 
     def set_noise(self, model: ControllerModel, encoders: EncoderNoise | None, force: ForceErrors | None) -> None:
         """Set the noise; a fault, or its end.
@@ -101,13 +111,13 @@ class Sensors:
         encoders, noise = self._encoders, self._noise
         self._q_error = encoders.position * noise.vector() if encoders.position > 0.0 else np.zeros(6)
         self._qd_error = encoders.velocity * noise.vector() if encoders.velocity > 0.0 else np.zeros(6)
-        self._wrench_error, self.fluctuation = np.zeros(6), np.zeros(6)
+        self._wrench_error, self.fluctuation, self.unknown_weight = np.zeros(6), np.zeros(6), np.zeros(6)
         if self.dynamics is None:
             return
         if unknown:
             weight = -self.payload_error.mass * gravity
             arm = self.dynamics.links.X_base_flange[:3, :3] @ self.payload_error.cog
-            self._wrench_error = np.concatenate([weight, cross(arm, weight)])
+            self.unknown_weight = self._wrench_error = np.concatenate([weight, cross(arm, weight)])
         if self._errors is not None:
             steady, self.fluctuation = self._errors.step(dt, self._plant.q, self._plant.qd, self.dynamics)
             self._wrench_error = self._wrench_error + steady + self.fluctuation

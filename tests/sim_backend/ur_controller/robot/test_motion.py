@@ -16,6 +16,7 @@ from toolee_robot.sim_backend.ur_controller.robot.events import EventKind
 from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
 from toolee_robot.sim_backend.ur_controller.robot.kinematics import forward
 from toolee_robot.sim_backend.ur_controller.robot.model import UR10, UR10E, ControllerModel
+from toolee_robot.sim_backend.ur_controller.robot.sensing.sensors import PayloadError
 
 both = pytest.mark.parametrize("model", [UR10, UR10E], ids=lambda m: m.name)
 offsets = st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6).map(np.array)
@@ -149,6 +150,22 @@ def test_freedrive_goes_where_it_is_pushed_and_stops_when_it_is_let_go() -> None
     assert np.abs(moved[[0, 2]]).max() < 0.01
     robot.tick(200)
     assert not robot.machine.moving
+
+
+@both
+def test_noise_and_offset_of_the_force_move_no_arm_in_freedrive_but_a_wrong_payload_does(
+    model: ControllerModel,
+) -> None:
+    robot = ScriptRobot(model, name="harsh")
+    robot.start("def a():\n teach_mode()\n sleep(10)\nend")
+    ticks = round(model.rate)
+    start = robot.machine.tcp_pose(target=True)[:3, 3]
+    robot.tick(ticks)
+    assert np.linalg.norm(robot.machine.wrench()[:3]) > 1.0, "the reading is off, and noisy"
+    np.testing.assert_allclose(robot.machine.tcp_pose(target=True)[:3, 3], start, atol=1e-6)
+    robot.machine.sensors.payload_error = PayloadError(1.0)
+    robot.tick(ticks)
+    assert robot.machine.tcp_pose(target=True)[2, 3] < start[2] - 0.02
 
 
 # -- speed and stopping
