@@ -14,6 +14,7 @@ from toolee_robot.frames import Array
 from toolee_robot.hal import Arm, MotionWatch
 from toolee_robot.hardware.ur.config import UrArmConfig
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.sim_backend.ur_controller.robot.joint_plant import JointPlant
 from toolee_robot.types import ArmModel
 
@@ -39,12 +40,15 @@ def held(arm: Arm) -> Array:
 
 
 @contextmanager
-def stand_in(model: ArmModel, host: str, real_time_factor: float = 1.0) -> Iterator[ControllerProcess]:
+def stand_in(
+    model: ArmModel, host: str, real_time_factor: float = 1.0, profile: ProfileName = "ideal"
+) -> Iterator[ControllerProcess]:
     with ControllerProcess(
         model=model.value,
         host=host,
         plant=partial(JointPlant, q=HOME),
         realtime=True,
         real_time_factor=real_time_factor,
+        profile=profile,
     ) as controller:
         yield controller

@@ -19,9 +19,10 @@ from toolee_robot.cli.arm.touch import Touch
 from toolee_robot.cli.arm.transfer import Transfer
 from toolee_robot.config import StationConfig
 from toolee_robot.control import Supervisor
-from toolee_robot.errors import LimitError, TooleeError, UserError
+from toolee_robot.errors import DeviceError, LimitError, TooleeError, UserError
 from toolee_robot.frames import Array
-from toolee_robot.hal import ContactGuard, MotionReport, MotionWatch
+from toolee_robot.hal import ArmState, ContactGuard, MotionReport, MotionWatch
+from toolee_robot.motion.touch_force import TouchSettings
 from toolee_robot.tasks.bring_up.caps import ACCELERATION, SPEED, Caps, SlowStation
 from toolee_robot.tasks.bring_up.lag_motion import lag_motion
 from toolee_robot.tasks.bring_up.touch import approach
@@ -33,17 +34,24 @@ HOST = "127.0.0.2"
 
 
 class ListeningArm(PaperArm):
-    """An arm on paper that keeps the trajectories that it was given."""
+    """An arm on paper that keeps the trajectories that it was given. presses: force at rest after a contact [N]."""
 
     def __init__(self, q: Array) -> None:
         super().__init__(q)
         self.given: list[Trajectory] = []
+        self.presses, self._touches = 1e4, False
+
+    def state(self, max_age: float = 0.1) -> ArmState:
+        state = super().state(max_age)
+        return replace(state, wrench=np.array([0.0, 0.0, self.presses * self._touches, 0.0, 0.0, 0.0]))
 
     def execute(
         self, trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None
     ) -> MotionReport:
         self.given.append(trajectory)
-        return super().execute(trajectory, guard, watch)
+        report = super().execute(trajectory, guard, watch)
+        self._touches = report.contact is not None
+        return report
 
 
 _number = st.one_of(st.floats(-0.3, 0.3), st.floats(), st.floats(-10.0, 10.0))
@@ -81,7 +89,7 @@ def _executed(command: Move | Touch | Transfer, slow: SlowStation, q: Array) -> 
         plan = command.plan(slow, q)
         if isinstance(command, Touch):
             arm.meets = 0.5
-            approach(supervisor, slow, plan, command.force or 1.0)
+            approach(supervisor, slow, plan, TouchSettings(command.force or 1.0, 0.024, command.speed, None))
         else:
             supervisor.execute(plan)
     except TooleeError:
@@ -141,6 +149,19 @@ def test_what_a_bring_up_asks_for_is_carried_out(command: Move | Touch | Transfe
     assert np.ptp(given[0].q, axis=0).max() > 0.01
     if isinstance(command, Touch):
         np.testing.assert_allclose(given[1].q[-1], given[0].q[0], atol=1e-6)
+
+
+def test_a_touch_that_feels_contacts_where_nothing_presses_goes_on_and_gives_up_after_three() -> None:
+    slow = SlowStation.of(STATION, Caps())
+    arm = ListeningArm(HOME)
+    arm.meets, arm.presses = 0.2, 1.0
+    command = Touch(robot_host=HOST, along=(0.0, 0.0, -0.05), frame="base_link")
+    supervisor = Supervisor(arm, Bystander(), slow.robot, slow.config, lambda: slow.world)
+    with raises(DeviceError, code="device.force_noise"):
+        approach(supervisor, slow, command.plan(slow, HOME), TouchSettings(8.0, 0.024, 0.01, None))
+    heights = [slow.robot.arm.fk(trajectory.q[-1])[2, 3] for trajectory in arm.given]
+    np.testing.assert_allclose(heights[:3], heights[0], atol=1e-6)
+    np.testing.assert_allclose(arm.q, HOME, atol=1e-6)
 
 
 def test_the_supervisor_itself_refuses_what_is_over_the_caps() -> None:

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from toolee_robot.tasks.bring_up.servo_tuning import Trial
 
 EXIT_FAILED = 1
-_HEADER = "  gain  lookahead    speed       lag  amplitude  overshoot     noise  vibration  ratio"
-_UNITS = "              [s]  [rad/s]      [ms]                  [%]    [mrad]     [mrad]       "
+_HEADER = " gain lookahead    speed     lag amplitude overshoot   noise vibration ratio"
+_UNITS = "            [s]  [rad/s]    [ms]                 [%]  [mrad]    [mrad]"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,12 +67,12 @@ class Lag(MotionOptions):
             robot.show(f"lag of joint {self.joint}: up to {len(PAIRS) * len(SHARES)} times", motion.trajectory)
             console.print(f"to both sides of where it is, by {motion.reach:.3f} rad at most")
         person.confirm("Move?")
-        console.print(f"{_HEADER}\n{_UNITS}", markup=False)
+        console.print(f"{_HEADER}\n{_UNITS}", markup=False, soft_wrap=True)
         trials: list[Trial] = []
         with person.attending():
             for trial in tune(open_with, slow, self.joint):
                 trials.append(trial)
-                console.print(_row(trial))
+                console.print(_row(trial), soft_wrap=True)
         best = recommend(trials)
         if best is None:
             console.print("[red]Already the gentlest settings are bad:[/red] look at payload, mount and load.")
@@ -94,8 +94,8 @@ class Lag(MotionOptions):
 def _row(trial: Trial) -> str:
     f = trial.figures
     return (
-        f"{trial.gain:6.0f}  {trial.lookahead:9.2f}  {f.speed:7.3f}  {1e3 * f.lag:8.1f}  {f.gain:9.3f}  "
-        f"{100 * f.overshoot:9.1f}  {1e3 * f.noise:8.3f}  {1e3 * f.vibration:9.3f}  "
+        f"{trial.gain:5.0f} {trial.lookahead:9.2f} {f.speed:8.3f} {1e3 * f.lag:7.1f} {f.gain:9.3f} "
+        f"{100 * f.overshoot:9.1f} {1e3 * f.noise:7.3f} {1e3 * f.vibration:9.3f} "
         + ("    -" if f.ratio is None else f"{f.ratio:5.2f}")
         + ("  [red]vibrates[/red]" if f.vibrates else "  [red]too sharp[/red]" if trial.bad else "")
     )

@@ -33,29 +33,34 @@ class Touch(MotionOptions):
     frame: Literal["pendant_base", "base_link", "tool"]
     """Frame of --along: the pendant's Base, ROS's base_link (half a turn about z from it), or the flange's axes."""
     force: Annotated[float | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
-    """Force that ends the approach (default: strike.touch_force)."""
+    """Force that ends the approach (default: strike.touch_force); a noisy force raises it by half at most."""
     speed: Annotated[float, tyro.conf.arg(metavar="M/S")] = 0.01
-    """Speed of the approach."""
+    """Speed of the approach; a noisy force lowers it."""
 
     def run(self) -> int:
         console = Console(stderr=self.json, highlight=False)
         from toolee_robot.cli.arm.session import place_figures, place_text, session
-        from toolee_robot.tasks.bring_up.touch import approach
+        from toolee_robot.tasks.bring_up.touch import approach, measured_settings
 
         with session(self, console) as robot:
-            force = robot.slow.config.strike.touch_force if self.force is None else self.force
-            plan = self.plan(robot.slow, robot.q)
-            robot.show(f"touch: until {force:g} N, at {self.speed:g} m/s, and back", plan)
+            strike = robot.slow.config.strike
+            force = strike.touch_force if self.force is None else self.force
+            with console.status("measuring the force at rest"):
+                settings = measured_settings(robot.arm, strike, force)
+            speed = min(self.speed, settings.speed)
+            plan = self.plan(robot.slow, robot.q, speed)
+            slower = "" if speed == self.speed else " for the noise of the force"
+            robot.show(f"touch: until {settings.force:.1f} N, at {1e3 * speed:.1f} mm/s{slower}, and back", plan)
             robot.person.confirm("Move?")
             with robot.person.attending():
-                touch = approach(robot.arm, robot.slow, plan, force)
+                touch = approach(robot.arm, robot.slow, plan, settings)
         if touch is None:
             console.print("[yellow]Nothing was felt on the whole way.[/yellow] The arm is back where it began.")
             figures: dict[str, object] = {"contact": False}
         else:
             where = place_text(touch.X_base_flange)
             console.print(
-                f"Contact after {touch.travelled * 1e3:.1f} mm, up to {touch.force:.1f} N. Flange: {where}",
+                f"Contact after {touch.travelled * 1e3:.1f} mm, {touch.force:.1f} N at rest. Flange: {where}",
                 soft_wrap=True,
             )
             figures = {"contact": True, "travelled": touch.travelled, "force": touch.force}
@@ -64,12 +69,13 @@ class Touch(MotionOptions):
             print(json_line(figures), flush=True)
         return int(touch is None)
 
-    def plan(self, slow: SlowStation, q: Array) -> Trajectory:
+    def plan(self, slow: SlowStation, q: Array, speed: float | None = None) -> Trajectory:
         """Plan the approach.
 
         Args:
             slow: The station under its caps.
             q: Present joint positions, (6,) [rad].
+            speed: Speed [m/s]; None for --speed.
 
         Returns:
             The trajectory, from rest to rest.
@@ -79,4 +85,4 @@ class Touch(MotionOptions):
         """
         from toolee_robot.tasks.bring_up.jog import MotionFrame, plan_line
 
-        return plan_line(slow, q, np.array(self.along), MotionFrame(self.frame), self.speed)
+        return plan_line(slow, q, np.array(self.along), MotionFrame(self.frame), self.speed if speed is None else speed)

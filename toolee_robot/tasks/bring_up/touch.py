@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from toolee_robot.config import StrikeConfig
 from toolee_robot.control import Supervisor
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.frames import Array
 from toolee_robot.hal import Arm, ContactGuard
+from toolee_robot.motion.touch_force import TouchSettings, touch_settings
 from toolee_robot.tasks.bring_up.caps import SlowStation
-from toolee_robot.tasks.bring_up.jog import MotionFrame, plan_line
+from toolee_robot.tasks.bring_up.jog import SLOWEST, MotionFrame, plan_line
 from toolee_robot.types import Trajectory
 
 SPEED = 0.01
-"""Speed of the approach unless another is given [m/s]."""
-AVERAGING_WINDOW = 0.024
-"""Time over which the force is averaged, as in the touches of a job [s]."""
+"""Speed of the approach unless another is given [m/s]; a noisy force lowers it."""
 MOVED = 2e-4
-"""Way that is worth going back [m]."""
-QUIET_TIME, QUIET_STEP = 0.2, 0.02
-"""Time over which the force at rest is read before the approach, and the time between two readings [s]."""
+"""Way that is worth going back, or on [m]."""
+NOISE_TIME = 1.0
+"""Time over which the noise of the force is measured at rest [s]."""
+QUIET_TIME = 0.2
+"""Time over which the force is read at rest, before the approach and after a contact, or the window's if longer [s]."""
+PRESSING = 0.5
+"""A contact is sure when this share of the threshold presses at rest, and no approach begins with as much."""
+MAX_PHANTOMS = 3
+"""Number of contacts that were none after which the force is not to be relied on."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +38,7 @@ class Touch:
     Attributes:
         travelled: Way of the flange to the contact [m].
         X_base_flange: Measured pose of the flange at the contact, (4, 4).
-        force: Largest force of the approach [N].
+        force: Force that presses at rest after it [N].
     """
 
     travelled: float
@@ -40,48 +46,87 @@ class Touch:
     force: float
 
 
-def force_at_rest(arm: Arm) -> float:
-    """Magnitude of the mean force at rest over QUIET_TIME [N]."""
-    readings = []
-    for _ in range(round(QUIET_TIME / QUIET_STEP)):
-        readings.append(arm.state().wrench[:3])
-        time.sleep(QUIET_STEP)
-    return float(np.linalg.norm(np.mean(readings, axis=0)))
+def measured_settings(arm: Arm, strike: StrikeConfig, force: float) -> TouchSettings:
+    """Measure the noise of the force at rest, and choose how to touch with it, as a job does.
+
+    Args:
+        arm: The arm, at rest.
+        strike: The station's speed of a touch.
+        force: Force at the flange that ends the approach if the noise lets it [N].
+
+    Returns:
+        Threshold, averaging window and largest speed.
+
+    Raises:
+        UserError: The force is not positive.
+        DeviceError: The force is too noisy for it.
+    """
+    if not force > 0:
+        raise UserError(f"a force of {force} N: give a positive number", code="user.force")
+    return touch_settings(_forces(arm, NOISE_TIME), arm.rate, replace(strike, touch_force=force))
 
 
-def approach(arm: Supervisor, slow: SlowStation, trajectory: Trajectory, force: float) -> Touch | None:
+def approach(arm: Supervisor, slow: SlowStation, trajectory: Trajectory, settings: TouchSettings) -> Touch | None:
     """Zero the force, move until the arm feels one, then back to where the approach began.
+
+    Where nothing presses at rest after a contact it was none, a peak of the noise, and the approach goes on.
 
     Args:
         arm: The arm, under the supervisor.
         slow: The station under its caps.
         trajectory: The approach, from `plan_line`.
-        force: Force at the flange that ends it [N].
+        settings: Threshold and window, from `measured_settings`.
 
     Returns:
         The contact; None where the way ended without one.
 
     Raises:
-        UserError: The force is not positive.
-        DeviceError: The arm feels half of it already at rest.
+        DeviceError: The arm feels a force already at rest, or contacts that are none again and again.
         TooleeError: What `Supervisor.execute` raises.
     """
-    if not force > 0:
-        raise UserError(f"a force of {force} N: give a positive number", code="user.force")
     arm.zero_wrench()
-    felt = force_at_rest(arm)
-    if not felt < 0.5 * force:
+    quiet = max(QUIET_TIME, settings.window)
+    felt = float(np.linalg.norm(np.mean(_forces(arm, quiet), axis=0)))
+    if not felt < PRESSING * settings.force:
         raise DeviceError(
-            f"just zeroed, the arm feels {felt:.1f} N at rest, half of {force:g} N or more: take away what touches it, "
-            "or raise the force",
+            f"just zeroed, the arm feels {felt:.1f} N at rest, half of {settings.force:.1f} N or more: take away what "
+            "touches it, or raise the force",
             code="device.force_at_rest",
         )
-    report = arm.execute(trajectory, ContactGuard(force, averaging_window=AVERAGING_WINDOW), at_work=True)
-    places = slow.robot.arm.fk(np.stack([trajectory.q[0], report.q_commanded[-1]]))[:, :3, 3]
-    if np.linalg.norm(way := places[0] - places[1]) > MOVED:
-        arm.execute(plan_line(slow, report.q_commanded[-1], way, MotionFrame.BASE_LINK), at_work=True)
-    if report.contact is None:
-        return None
-    X_base_flange = slow.robot.arm.fk(report.contact.q)
-    travelled = float(np.linalg.norm(X_base_flange[:3, 3] - places[0]))
-    return Touch(travelled, X_base_flange, float(np.max(np.linalg.norm(report.wrenches[:, :3], axis=1))))
+    fk = slow.robot.arm.fk
+    begin, end = fk(trajectory.q[[0, -1]])[:, :3, 3]
+    guard = ContactGuard(settings.force, averaging_window=settings.window)
+    touch, phantoms, report = None, 0, arm.execute(trajectory, guard, at_work=True)
+    while report.contact is not None:
+        pressing = float(np.linalg.norm(np.mean(_forces(arm, quiet), axis=0)))
+        if pressing >= PRESSING * settings.force:
+            X_base_flange = fk(report.contact.q)
+            travelled = float(np.linalg.norm(X_base_flange[:3, 3] - begin))
+            touch = Touch(travelled, X_base_flange, pressing)
+            break
+        phantoms += 1
+        q = report.q_commanded[-1]
+        left = end - fk(q)[:3, 3]
+        if phantoms == MAX_PHANTOMS or np.linalg.norm(left) < MOVED:
+            break
+        speed = float(np.linalg.norm(end - begin)) / trajectory.duration
+        report = arm.execute(plan_line(slow, q, left, MotionFrame.BASE_LINK, max(speed, SLOWEST)), guard, at_work=True)
+    q = report.q_commanded[-1]
+    if np.linalg.norm(back := begin - fk(q)[:3, 3]) > MOVED:
+        arm.execute(plan_line(slow, q, back, MotionFrame.BASE_LINK), at_work=True)
+    if phantoms == MAX_PHANTOMS:
+        raise DeviceError(
+            f"{phantoms} times the force rose above {settings.force:.1f} N, and nothing was there: see that nothing "
+            "swings or pulls at hand and cables, then look at the force with toolee doctor",
+            code="device.force_noise",
+        )
+    return touch
+
+
+def _forces(arm: Arm, duration: float) -> Array:
+    """Readings of the force at rest, one a cycle, (N, 3) [N]."""
+    readings = []
+    for _ in range(max(round(duration * arm.rate), 1)):
+        time.sleep(1.0 / arm.rate)
+        readings.append(arm.state().wrench[:3])
+    return np.array(readings)
