@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from toolee_robot.config.values import STRICT, Positive
-from toolee_robot.types import MOUNT, ArmModel, DhCalibration, HandWeight, ToolMount
+from toolee_robot.types import MOUNT, ArmModel, DhCalibration, HandMounting, HandWeight, ToolMount
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,14 @@ class HandConfig:
     mount's are in `mount`."""
     mount: ToolMount | None = None
     """The tool mount, for the model `mount` only; every one of its fields must be measured."""
+    mounting: HandMounting | None = None
+    """How the hand sits on the flange, for a hand that every lab screws on in its own way (`inspire_rh56`); every one
+    of its fields must be measured. Null for the others."""
+    port: str | None = None
+    """Serial port of the hand's driver, such as `/dev/serial/by-id/...`; null for a simulated hand, and for one without
+    a port."""
+    hand_id: Annotated[int, Field(ge=1, le=254)] = 1
+    """Number of the hand on its RS-485 line; 1 as delivered."""
 
     def __post_init__(self) -> None:
         if self.model != MOUNT:
@@ -65,6 +73,8 @@ class HandConfig:
             return
         if self.weighed is not None:
             raise ValueError("weighed is for a hand: of a mount give mount.mass and mount.center_of_mass")
+        if self.mounting is not None or self.port is not None:
+            raise ValueError(f"mounting and port are for hands, not for the model {MOUNT!r}")
         missing = []
         if self.yield_torque is None:
             missing.append("hand.yield_torque")

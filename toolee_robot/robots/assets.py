@@ -10,6 +10,7 @@ MODELS = Path(__file__).parent / "models"
 """Model files and licences of arms and hands, one folder each."""
 UR10_URDF = MODELS / "ur10" / "ur10_robot.urdf"
 SHADOW_HAND_URDF = MODELS / "shadow_hand" / "shadow_hand.urdf"
+INSPIRE_RH56_URDF = MODELS / "inspire_rh56" / "inspire_rh56.urdf"
 
 
 def cache_folder() -> Path:

@@ -2,6 +2,7 @@
 
 from toolee_robot.types.arm import ArmModel, DhCalibration, HandWeight, JointState, Payload, Six, Trajectory
 from toolee_robot.types.mount import MOUNT, ToolMount
+from toolee_robot.types.mounting import HandMounting
 from toolee_robot.types.perception import (
     CameraIntrinsics,
     Detection,
@@ -18,6 +19,7 @@ __all__ = [
     "CameraIntrinsics",
     "Detection",
     "DhCalibration",
+    "HandMounting",
     "HandWeight",
     "HoldingHand",
     "InHandEstimate",

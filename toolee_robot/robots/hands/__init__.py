@@ -8,13 +8,17 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Protocol
 
+import numpy as np
+
 from toolee_robot.errors import ConfigError
-from toolee_robot.robots.hands.model import PALM, Finger, HandModel, NominalGrasp, Phalanx, WristJoint
+from toolee_robot.frames import inverse
+from toolee_robot.robots.hands.inspire import INSPIRE_RH56
+from toolee_robot.robots.hands.model import PALM, UNMOUNTED, Finger, HandModel, NominalGrasp, Phalanx, WristJoint
 from toolee_robot.robots.hands.mount import mount_model
 from toolee_robot.robots.hands.shadow import SHADOW_HAND
-from toolee_robot.types import MOUNT, HandWeight, ToolMount
+from toolee_robot.types import MOUNT, HandMounting, HandWeight, ToolMount
 
-HANDS: dict[str, HandModel] = {hand.name: hand for hand in (SHADOW_HAND,)}
+HANDS: dict[str, HandModel] = {hand.name: hand for hand in (SHADOW_HAND, INSPIRE_RH56)}
 """Name in the station file -> hand."""
 
 
@@ -37,6 +41,10 @@ class HandChoice(Protocol):
     def mount(self) -> ToolMount | None:
         """The tool mount; None for a hand."""
 
+    @property
+    def mounting(self) -> HandMounting | None:
+        """How the hand sits on the flange; None for one whose model says so."""
+
 
 def hand_model(hand: str | HandChoice) -> HandModel:
     """Look up a hand, or build a tool mount.
@@ -45,10 +53,12 @@ def hand_model(hand: str | HandChoice) -> HandModel:
         hand: Name of the hand, a key of `HANDS`; or what the station file says of it.
 
     Returns:
-        The hand, with the station's yield torque and weight where it gives them.
+        The hand, with the station's yield torque, weight and mounting where it gives them. By its name alone, a hand
+        that every lab screws on in its own way has no `tree`.
 
     Raises:
-        ConfigError: There is no such hand, the message names those that are known; or it has no wrist that could yield.
+        ConfigError: There is no such hand, the message names those that are known; or it has no wrist that could yield;
+            or the station file does not say how it sits on the flange, or says so of a hand whose model does.
     """
     if isinstance(hand, str):
         name, torque, weighed, mount = hand, None, None, None
@@ -65,7 +75,25 @@ def hand_model(hand: str | HandChoice) -> HandModel:
         raise ConfigError(
             f"there is no hand {name!r} (hand.model in a station file, --hand): choose one of {known}"
         ) from None
+    if not isinstance(hand, str):
+        model = _mounted(model, hand.mounting)
     return model if torque is None and weighed is None else _with(model, torque, weighed)
+
+
+@lru_cache(maxsize=8)
+def _mounted(hand: HandModel, mounting: HandMounting | None) -> HandModel:
+    if mounting is None and hand.mounted:
+        return hand
+    if mounting is None:
+        fields = ", ".join(f"hand.mounting.{name}" for name in HandMounting.__dataclass_fields__)
+        message = f"the {hand.label} sits on the flange as a lab screws it on, so there is no default: measure it and"
+        raise ConfigError(f"{message} give {fields}", code="config.hand_mounting")
+    if hand.mounted:
+        message = f"hand.mounting: the model of the {hand.label} says how it sits on the flange; remove the field"
+        raise ConfigError(message, code="config.hand_mounting")
+    at_flange = replace(hand, X_flange_root=np.eye(4))
+    X_root_hand = at_flange.tree.link_poses(at_flange.posture("open"))[hand.frame]
+    return replace(hand, X_flange_root=mounting.X_flange_hand @ inverse(X_root_hand))
 
 
 @lru_cache(maxsize=8)
@@ -81,9 +109,11 @@ def _with(hand: HandModel, torque: float | None, weighed: HandWeight | None) -> 
 
 __all__ = [
     "HANDS",
+    "INSPIRE_RH56",
     "MOUNT",
     "PALM",
     "SHADOW_HAND",
+    "UNMOUNTED",
     "Finger",
     "HandChoice",
     "HandModel",

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from toolee_robot.errors import AssetError
+from toolee_robot.errors import AssetError, ConfigError
 from toolee_robot.frames import Array, frame_from_axes, inverse
 from toolee_robot.robots.meshes import link_mesh
 from toolee_robot.robots.tree import FLANGE_FRAME, Tree
@@ -23,6 +23,9 @@ from toolee_robot.types import HandWeight
 
 PALM = "palm"
 """Part of the links that belong neither to a finger nor to the forearm."""
+
+UNMOUNTED = np.full((4, 4), np.nan)
+"""Mount of a hand that every lab screws on in its own way: the station file has to say how (`hand.mounting`)."""
 
 Read = Callable[[Path, str, Array], Tree]
 """A reader of a hand's model: its file, the link that carries it, and the pose (4x4) of its root link in that link."""
@@ -120,7 +123,7 @@ class HandModel:
     read: Read
     """Reads `source`: `toolee_robot.robots.urdf.read_urdf`, or a reader of its own."""
     X_flange_root: Array
-    """Pose (4x4) of the hand's root link in the flange: its mount."""
+    """Pose (4x4) of the hand's root link in the flange: its mount. `UNMOUNTED` where only the lab knows it."""
     frame: str
     """Link that is the hand frame (see the module's docstring)."""
     wrist: tuple[WristJoint, ...]
@@ -170,6 +173,11 @@ class HandModel:
         return (*(joint.name for joint in self.wrist), *self.finger_joints)
 
     @property
+    def mounted(self) -> bool:
+        """Whether it is known how the hand sits on the flange."""
+        return self.X_flange_root is not UNMOUNTED
+
+    @property
     def wrist_index(self) -> list[int]:
         """Places of the wrist's joints in `joints`."""
         return list(range(len(self.wrist)))
@@ -216,8 +224,11 @@ class HandModel:
         """The hand's links, rooted in its mount on the flange.
 
         Raises:
+            ConfigError: How the hand sits on the flange is not known.
             AssetError: The model file cannot be read, or has other joints or no link for the hand frame.
         """
+        if not self.mounted:
+            raise ConfigError(f"the {self.label} sits on the flange as a lab screws it on: give hand.mounting")
         tree = self.read(self.source, FLANGE_FRAME, self.X_flange_root)
         if tree.joints != self.joints:
             raise AssetError(f"{self.source}: its joints are {tree.joints}, the {self.label}'s are {self.joints}")

@@ -14,7 +14,7 @@ from toolee_robot.runtime.clock import HostClock
 
 
 def test_a_mount_holds_what_a_person_fixed_in_it() -> None:
-    config = load_station(Path(__file__).parents[2] / "examples" / "mount.yaml")
+    config = load_station(Path(__file__).parents[3] / "examples" / "mount.yaml")
     with MountedTool(hand_model(config.hand), HostClock()) as mount:
         assert isinstance(mount, Hand)
         assert mount.joint_names == ("mount_hinge",)

@@ -1,0 +1,173 @@
+"""The emulated hand: its registers, and what reading and writing them does."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from toolee_robot.sim_backend.inspire_hand.motor import RANGE, Motor
+from toolee_robot.sim_backend.inspire_hand.requests import ReadRequest, WriteRequest, reply
+
+NAMES = ("little", "ring", "middle", "index", "thumb_bend", "thumb_rotation")
+"""The motors in the order of the registers."""
+STEP = 0.002
+"""Longest step of the motors [s]."""
+_THUMB_ROTATION = 5
+_SAVE_TIME, _CALIBRATION_TIME = 1.0, 6.0  # [s] until the second frame
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame that the hand sends."""
+
+    data: bytes
+    """Its bytes."""
+    delay: float = 0.0
+    """Time that passes before it is sent, beyond that of every reply [s]."""
+
+
+class Hand:
+    """The hand at one end of the line; it does not know of ports. Not safe for several threads.
+
+    Args:
+        clock: Returns the time [s].
+        number: The hand's number on the line.
+
+    Attributes:
+        motors: The six motors, little finger first.
+        number: The hand's number.
+    """
+
+    def __init__(self, clock: Callable[[], float], number: int = 1) -> None:
+        self.motors = tuple(Motor() for _ in NAMES)
+        self.number = number
+        self._clock, self._now = clock, clock()
+        self._calibration: list[tuple[float, tuple[float, ...]]] = []
+
+    @property
+    def angles(self) -> tuple[float, ...]:
+        """Where the motors are now [counts], in the order of NAMES."""
+        self.run()
+        return tuple(motor.position for motor in self.motors)
+
+    def hold(self, met_at: float | None, *, thumb: float | None = None) -> None:
+        """Put something into the hand, or take it out.
+
+        Args:
+            met_at: Angle at which the fingers meet it [counts]; None for nothing.
+            thumb: That of the thumb; None for the same.
+        """
+        self.run()
+        for motor in self.motors[:4]:
+            motor.met_at = met_at
+        self.motors[4].met_at = met_at if thumb is None else thumb
+
+    def slip(self, way: float) -> None:
+        """Let what the hand holds give way.
+
+        Args:
+            way: By how much further the fingers have to close to meet it [counts].
+        """
+        self.run()
+        for motor in self.motors:
+            if motor.met_at is not None:
+                motor.met_at -= way
+
+    def run(self) -> None:
+        """Let the motors move until now."""
+        end = self._clock()
+        while self._now < end:
+            step = min(STEP, end - self._now)
+            self._now += step
+            while self._calibration and self._calibration[0][0] <= self._now:
+                _, targets = self._calibration.pop(0)
+                for motor, target in zip(self.motors, targets, strict=True):
+                    motor.go(target, self._now)
+            for motor in self.motors:
+                motor.advance(self._now, step)
+
+    def answer(self, request: ReadRequest | WriteRequest) -> list[Frame]:
+        """Carry out a request.
+
+        Args:
+            request: A request to this hand.
+
+        Returns:
+            The frames that answer it.
+        """
+        self.run()
+        if isinstance(request, ReadRequest):
+            data = bytes(self._byte(address) for address in range(request.address, request.address + request.count))
+            return [Frame(reply(self.number, 0x11, request.address, data))]
+        done = self._write(request)
+        result = Frame(reply(self.number, 0x12, request.address, bytes([done])))
+        later = {1005: _SAVE_TIME, 1009: _CALIBRATION_TIME}.get(request.address) if done else None
+        return [result] if later is None else [result, Frame(result.data, later)]
+
+    def _byte(self, address: int) -> int:
+        if address == 1000:
+            return self.number
+        for first, values in self._words().items():
+            if first <= address < first + 12:
+                return struct.pack("<6h", *values)[address - first]
+        for first, values in self._bytes().items():
+            if first <= address < first + 6:
+                return values[address - first]
+        return struct.pack("<h", 24000)[address - 1472] if 1472 <= address < 1474 else 0
+
+    def _words(self) -> dict[int, list[int]]:
+        motors = self.motors
+        return {
+            1474: [round(2.0 * (RANGE - motor.target)) for motor in motors],
+            1486: [round(motor.target) for motor in motors],
+            1498: [round(motor.threshold) for motor in motors],
+            1522: [round(motor.speed) for motor in motors],
+            1534: [round(2.0 * (RANGE - motor.position)) for motor in motors],
+            1546: [round(motor.position) for motor in motors],
+            1582: [round(motor.force) for motor in motors],
+            1594: [round(motor.current) for motor in motors],
+        }
+
+    def _bytes(self) -> dict[int, list[int]]:
+        return {
+            1606: [motor.error for motor in self.motors],
+            1612: [motor.status for motor in self.motors],
+            1618: [round(motor.temperature) for motor in self.motors],
+        }
+
+    def _write(self, request: WriteRequest) -> bool:
+        address, data = request.address, request.data
+        if address == 1000 and len(data) == 1 and 1 <= data[0] <= 254:
+            self.number = data[0]
+            return True
+        if address in (1004, 1005, 1009) and data == b"\x01":
+            if address == 1004:
+                for motor in self.motors:
+                    motor.clear()
+            if address == 1009:
+                self._calibrate()
+            return True
+        for first, take in ((1486, self._aim), (1498, self._limit), (1522, self._pace)):
+            if first <= address and address + len(data) <= first + 12 and (address - first) % 2 == len(data) % 2 == 0:
+                for i in range(0, len(data), 2):
+                    (value,) = struct.unpack_from("<h", data, i)
+                    take(self.motors[(address - first + i) // 2], value)
+                return True
+        return False
+
+    def _aim(self, motor: Motor, value: int) -> None:
+        if 0 <= value <= RANGE:
+            motor.go(value, self._now)
+
+    def _limit(self, motor: Motor, value: int) -> None:
+        motor.threshold = min(max(value, 0), RANGE)
+
+    def _pace(self, motor: Motor, value: int) -> None:
+        motor.speed = min(max(value, 0), RANGE)
+
+    def _calibrate(self) -> None:
+        """Five motions in 6 s: all open, fingers bent, open, thumb bent, open."""
+        aside = self.motors[_THUMB_ROTATION].position
+        bends = ((RANGE,) * 5, (*(0.0,) * 4, RANGE), (RANGE,) * 5, (*(RANGE,) * 4, 0.0), (RANGE,) * 5)
+        self._calibration = [(self._now + 1.2 * i, (*bend, aside)) for i, bend in enumerate(bends)]

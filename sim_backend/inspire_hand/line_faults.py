@@ -1,0 +1,105 @@
+"""Faults of the line: what becomes of a reply on its way."""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class LineFault(StrEnum):
+    """What can become of a reply."""
+
+    GARBAGE = "garbage"
+    """Noise comes before it."""
+    CORRUPT = "corrupt"
+    """One of its bytes is another."""
+    SHORT = "short"
+    """Its end is missing."""
+    LATE = "late"
+    """It comes after the driver has given up on it."""
+    DOUBLED = "doubled"
+    """It comes twice."""
+    FOREIGN = "foreign"
+    """The reply of another hand comes before it."""
+    LOST = "lost"
+    """It does not come."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Bytes on the line."""
+
+    data: bytes
+    """The bytes."""
+    delay: float
+    """Time that passes before them [s]."""
+
+
+class LineFaults:
+    """Injects faults into the replies; from any thread.
+
+    Args:
+        seed: Seed of the noise, and of faults at random.
+
+    Attributes:
+        muted: Whether no reply comes at all.
+        echo: Whether the adapter repeats what it was sent, as two-wire ones do.
+        rates: Probability of each fault for each reply.
+        late_by: By how much late replies are late [s].
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        self.muted = self.echo = False
+        self.rates: Mapping[LineFault, float] = {}
+        self.late_by = 0.12
+        self._random = random.Random(seed)
+        self._next: deque[LineFault] = deque()
+
+    def upcoming(self, fault: LineFault, count: int = 1) -> None:
+        """Let a fault happen to the next replies.
+
+        Args:
+            fault: The fault.
+            count: Number of replies.
+        """
+        self._next.extend([fault] * count)
+
+    @property
+    def pending(self) -> int:
+        """Number of injected faults that have not happened yet."""
+        return len(self._next)
+
+    def on_the_way(self, frame: bytes) -> list[Piece]:
+        """What arrives of a reply.
+
+        Args:
+            frame: The reply.
+
+        Returns:
+            What arrives, one after the other.
+        """
+        if self.muted:
+            return []
+        fault = self._next.popleft() if self._next else self._drawn()
+        draw = self._random
+        if fault is LineFault.GARBAGE:
+            return [Piece(draw.randbytes(draw.randint(1, 30)) + frame, 0.0)]
+        if fault is LineFault.CORRUPT:
+            at = draw.randrange(len(frame))
+            return [Piece(frame[:at] + bytes([frame[at] ^ draw.randint(1, 255)]) + frame[at + 1 :], 0.0)]
+        if fault is LineFault.SHORT:
+            return [Piece(frame[: draw.randrange(len(frame))], 0.0)]
+        if fault is LineFault.LATE:
+            return [Piece(frame, self.late_by)]
+        if fault is LineFault.DOUBLED:
+            return [Piece(frame, 0.0), Piece(frame, 0.0)]
+        if fault is LineFault.FOREIGN:
+            other = [frame[2] % 254 + 1, *frame[3:-1]]
+            return [Piece(bytes([*frame[:2], *other, sum(other) % 256]), 0.0), Piece(frame, 0.0)]
+        return [] if fault is LineFault.LOST else [Piece(frame, 0.0)]
+
+    def _drawn(self) -> LineFault | None:
+        return next((fault for fault, rate in self.rates.items() if self._random.random() < rate), None)

@@ -1,0 +1,106 @@
+"""The hand's side of the wire: requests out of a stream of bytes, and the frames of replies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum, auto
+
+
+@dataclass(frozen=True)
+class ReadRequest:
+    """Somebody reads registers."""
+
+    address: int
+    """Address of the first byte."""
+    count: int
+    """Number of bytes."""
+
+
+@dataclass(frozen=True)
+class WriteRequest:
+    """Somebody writes registers."""
+
+    address: int
+    """Address of the first byte."""
+    data: bytes
+    """The bytes."""
+
+
+class _Wait(Enum):
+    FIRST, SECOND, NUMBER, LENGTH, BODY = auto(), auto(), auto(), auto(), auto()
+
+
+@dataclass
+class RequestParser:
+    """Takes the bytes of the line one by one, as a hand's firmware would.
+
+    Attributes:
+        number: The hand's own number.
+        ignored: Number of frames that were damaged, or for another hand.
+    """
+
+    number: int
+    ignored: int = 0
+    _state: _Wait = _Wait.FIRST
+    _sum: int = 0
+    _for: int = 0
+    _missing: int = 0
+    _body: bytearray = field(default_factory=bytearray)
+
+    def take(self, data: bytes) -> list[ReadRequest | WriteRequest]:
+        """Take bytes.
+
+        Args:
+            data: As they came over the line.
+
+        Returns:
+            The requests to this hand that they complete.
+        """
+        return [request for byte in data if (request := self._byte(byte)) is not None]
+
+    def _byte(self, byte: int) -> ReadRequest | WriteRequest | None:
+        if self._state is _Wait.FIRST:
+            self._state = _Wait.SECOND if byte == 0xEB else _Wait.FIRST
+        elif self._state is _Wait.SECOND:
+            self._state = _Wait.NUMBER if byte == 0x90 else _Wait.SECOND if byte == 0xEB else _Wait.FIRST
+        elif self._state is _Wait.NUMBER:
+            self._for, self._sum, self._state = byte, byte, _Wait.LENGTH
+        elif self._state is _Wait.LENGTH:
+            self._sum += byte
+            self._missing, self._body = byte + 1, bytearray()
+            self._state = _Wait.BODY if byte >= 4 else _Wait.FIRST
+        else:
+            self._body.append(byte)
+            self._missing -= 1
+            if self._missing == 0:
+                self._state = _Wait.FIRST
+                return self._request()
+        return None
+
+    def _request(self) -> ReadRequest | WriteRequest | None:
+        *body, received = self._body
+        command, low, high, *data = body
+        address = low + 256 * high
+        if (self._sum + sum(body)) % 256 == received and self._for == self.number:
+            if command == 0x11 and len(data) == 1:
+                return ReadRequest(address, data[0])
+            if command == 0x12:
+                return WriteRequest(address, bytes(data))
+        self.ignored += 1
+        return None
+
+
+def reply(number: int, command: int, address: int, data: bytes) -> bytes:
+    """Build a reply.
+
+    Args:
+        number: The hand's number.
+        command: That of the request.
+        address: That of the request.
+        data: What was read, or the result of a write.
+
+    Returns:
+        The frame.
+    """
+    after_header = [number, len(data) + 3, command, address % 256, address // 256, *data]
+    return bytes([0x90, 0xEB, *after_header, sum(after_header) % 256])

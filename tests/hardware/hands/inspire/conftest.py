@@ -1,0 +1,34 @@
+"""The driver on the emulated hand, whose motors are four times as fast as real ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from toolee_robot.config import HandConfig
+from toolee_robot.hardware.hands.inspire import InspireHand
+from toolee_robot.robots import HandModel, hand_model
+from toolee_robot.runtime.clock import HostClock
+from toolee_robot.sim_backend.inspire_hand import HandEmulator
+from toolee_robot.types import HandMounting
+
+PACE = 4.0
+MOUNTING = HandMounting(position=(0.0, 0.0, 0.08), fingers=(0.0, 0.0, 1.0), thumb=(1.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="session")
+def model() -> HandModel:
+    return hand_model(HandConfig("inspire_rh56", mounting=MOUNTING))
+
+
+@pytest.fixture
+def emulator() -> Iterator[HandEmulator]:
+    with HandEmulator(pace=PACE) as emulator:
+        yield emulator
+
+
+@pytest.fixture
+def hand(emulator: HandEmulator, model: HandModel) -> Iterator[InspireHand]:
+    with InspireHand(model, emulator.port, HostClock()) as hand:
+        yield hand

@@ -1,0 +1,266 @@
+"""The Inspire RH56 as a `hal.Hand`."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import suppress
+from typing import Self
+
+import numpy as np
+
+from toolee_robot.errors import DeviceError
+from toolee_robot.hal import Clock, HandState
+from toolee_robot.hardware.hands.inspire.forces import newtons
+from toolee_robot.hardware.hands.inspire.grip import Grip
+from toolee_robot.hardware.hands.inspire.line import HandLine, LineCounts
+from toolee_robot.hardware.hands.inspire.motion import Motion, fault_error
+from toolee_robot.hardware.hands.inspire.poller import Poller, Reading
+from toolee_robot.hardware.hands.inspire.registers import (
+    ANGLE_SET,
+    CLEAR_ERROR,
+    FORCE_SET,
+    FULL,
+    SPEED_SET,
+    pack,
+)
+from toolee_robot.robots.hands import HandModel
+from toolee_robot.robots.hands.inspire import CLOSED, MOTORS, OPEN, joints_of_counts
+from toolee_robot.types import JointState
+
+Counts = tuple[int, int, int, int, int, int]
+
+APPROACH_SPEED, FINISH_SPEED = 300, 25
+"""Speeds of the fingers until they touch, and of their pressing [counts; 1000 is the whole range in 0.8 s]. Above 25 a
+finger overshoots its force threshold: of one of 500 by 115 % at 250 and by 5 % at 25 (measured)."""
+TOUCH_FORCE, GRIP_FORCE = 100, 800
+"""Force thresholds of the two [counts, about 0.01 N each]."""
+MOTION_TIME = 8.0
+"""Time for a motion where nobody says another [s]: closing on nothing takes 4 s."""
+OPENED = 50
+"""Largest distance from the open hand's angle that counts as open [counts]."""
+REACTION = 0.07
+"""Time from a command until a motor follows it [s]."""
+PRESSES = 50
+"""Force above which a motor that closes is left to press when the hand is stopped [counts]."""
+RECENT = 0.1
+"""Time over which speeds are taken [s]."""
+_BEND, _ROTATION = MOTORS.index("thumb bend"), MOTORS.index("thumb rotation")
+_FINGER_OF_MOTOR = {"little": 0, "ring": 1, "middle": 2, "index": 3, "thumb": _BEND}
+
+
+class InspireHand:
+    """An Inspire RH56 on a serial port; use it in its `with` block. Entering it moves nothing.
+
+    Its two speeds: the fingers close until they touch, then press slowly up to the grip force. A grip is kept up: a
+    finger whose force has fallen closes further, and one that has closed by more than a little says that the tool has
+    slipped, which `state` reports as a fault until the hand is opened or closed again. No fault is cleared by itself:
+    `clear_faults` does, after a person has looked.
+
+    Its fingers press with 7 to 13 N: they do not hold a hammer that strikes. Use a strap or a mount.
+
+    Args:
+        model: The hand: `hand_model(config.hand)`.
+        port: The serial port.
+        clock: Clock of the station, the host's.
+        hand_id: The hand's number on the line.
+    """
+
+    def __init__(self, model: HandModel, port: str, clock: Clock, hand_id: int = 1) -> None:
+        self._model, self._port, self._clock, self._hand_id = model, port, clock, hand_id
+        self._line: HandLine | None = None
+        self._poller: Poller | None = None
+        self._grip = Grip()
+        self._target: Counts | None = None
+        self._recent: tuple[Reading, ...] = ()
+        self._moving = threading.Lock()
+        self._stopped = threading.Event()
+
+    def __enter__(self) -> Self:
+        """Open the port and read the hand once.
+
+        Raises:
+            NoAnswerError: The port cannot be opened, or no hand answers.
+            ProtocolError: What answers is no RH56.
+        """
+        self._line = HandLine(self._port, self._hand_id)
+        self._poller = Poller(self._line, self._clock, self._watch)
+        try:
+            self._poller.start()
+        except BaseException:
+            self._line.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Stop the fingers, which keep what they hold, and release the port."""
+        if self._poller is None or self._line is None:
+            return
+        with suppress(DeviceError):  # a hand that is out of reach cannot be stopped, and keeps its grip
+            self.stop()
+        self._poller.close()
+        self._poller = None
+        self._line.close()
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the model's twelve joints; six motors move them."""
+        return self._model.joints
+
+    @property
+    def line_counts(self) -> LineCounts:
+        """What happened on the line so far."""
+        return LineCounts() if self._line is None else self._line.counts
+
+    def state(self, max_age: float = 0.1) -> HandState:
+        """Return the newest state; it may be asked from any thread at any time.
+
+        Args:
+            max_age: Largest age of the reading [s].
+
+        Returns:
+            The joints as the motors' angles and the couplings give them, the forces of thumb and fingers as measured on
+            one hand, the highest of the six temperatures, and whether it holds something, averaged over 0.1 s.
+
+        Raises:
+            StaleDataError: The hand has been silent for longer than `max_age`.
+            NoAnswerError: Its port is gone.
+            DeviceError: It is closed.
+        """
+        reading = self._opened().newest(max_age)
+        q = joints_of_counts(np.array(reading.angles))
+        first = next(iter(self._recent), reading)
+        duration = max(reading.stamp - first.stamp, RECENT)
+        qd = (q - joints_of_counts(np.array(first.angles))) / duration
+        condition = reading.condition
+        forces = {finger: newtons(finger, condition.forces[motor]) for finger, motor in _FINGER_OF_MOTOR.items()}
+        return HandState(
+            JointState(q, qd, reading.stamp),
+            forces,
+            self._grip.holding,
+            temperature=float(max(condition.temperatures)),
+            fault=", ".join(filter(None, (condition.described, self._grip.slipped))),
+        )
+
+    def reading(self, max_age: float = 0.1) -> Reading:
+        """Return the newest reading as the hand gave it: counts, currents, faults and state of each motor.
+
+        Args:
+            max_age: Its largest age [s].
+
+        Raises:
+            StaleDataError: The hand has been silent for longer than `max_age`.
+            NoAnswerError: Its port is gone.
+            DeviceError: It is closed.
+        """
+        return self._opened().newest(max_age)
+
+    def open(self, timeout: float = MOTION_TIME) -> None:
+        """Open the thumb, then the fingers; the thumb stays before the palm.
+
+        Args:
+            timeout: Time for the motion [s].
+
+        Raises:
+            DeviceError: The motion timed out, something blocks a finger, a motor has a fault, or `stop` ended it.
+        """
+        with self._motion(timeout) as motion:  # whatever is wrong: a person waits for the tool
+            self._grip.end()
+            a, b, c, d, _, rotation = motion.reading.angles
+            self._command(FORCE_SET, (FULL,) * 6)
+            self._command(SPEED_SET, (FULL,) * 6)
+            self._move((a, b, c, d, OPEN[_BEND], rotation))
+            motion.until_still(_BEND)
+            self._move(OPEN)
+            motion.until_still()
+            at_goal = zip(MOTORS, motion.reading.angles, OPEN, strict=True)
+            short = [name for name, at, goal in at_goal if abs(at - goal) > OPENED]
+            if short:
+                if motion.reading.condition.worst is not None:
+                    raise fault_error(motion.reading.condition)
+                message = f"something blocks the hand: {', '.join(short)} did not open; look at it"
+                raise DeviceError(message, code="device.hand_blocked")
+
+    def close(self, timeout: float = MOTION_TIME) -> None:
+        """Close fingers and thumb until they hold something or are shut.
+
+        Args:
+            timeout: Time for the motion [s].
+
+        Raises:
+            DeviceError: The motion timed out, a motor has a fault, or `stop` ended it; the hand keeps its grip.
+        """
+        with self._motion(timeout) as motion:
+            motion.refuse_faults()
+            self._grip.end()
+            self._command(FORCE_SET, (TOUCH_FORCE,) * 5 + (FULL,))
+            self._command(SPEED_SET, (APPROACH_SPEED,) * 5 + (FULL,))
+            if motion.reading.angles[_ROTATION] > OPENED:  # the thumb turns before it bends
+                a, b, c, d, bend, _ = motion.reading.angles
+                self._move((a, b, c, d, bend, CLOSED[_ROTATION]))
+                motion.until_still(_ROTATION)
+            self._move(CLOSED)
+            motion.until_still()
+            self._command(FORCE_SET, (GRIP_FORCE,) * 5 + (FULL,))
+            self._command(SPEED_SET, (FINISH_SPEED,) * 5 + (FULL,))
+            self._move(CLOSED)
+            motion.until_still()
+            self._grip.begin(motion.reading)
+
+    def stop(self) -> None:
+        """Stop the fingers where they are; one that presses goes on pressing. `open` and `close` end with an error.
+
+        Setting a speed of zero is no stop, the hand was seen to move on. A motor that moves gets the angle as target
+        that it will have reached when it hears of it, so that none turns back.
+        """
+        self._stopped.set()
+        if self._poller is not None and self._target is not None:
+            self._poller.run(self._freeze)
+
+    def clear_faults(self) -> None:
+        """Clear what is wrong, after a person has looked; heat has to go by itself.
+
+        Raises:
+            DeviceError: The hand does not take it.
+        """
+        self._opened().run(lambda line: line.write(CLEAR_ERROR, b"\x01"))
+
+    def _opened(self) -> Poller:
+        if self._poller is None:
+            raise DeviceError("the hand is closed: use it inside its `with` block", code="device.closed")
+        return self._poller
+
+    def _command(self, register: int, values: tuple[int, ...]) -> None:
+        data = pack(values)
+        self._opened().run(lambda line: line.write(register, data))
+
+    def _move(self, target: Counts) -> None:
+        """Set the motors' targets; the hand is known to have them only once it has acknowledged them."""
+
+        def write(line: HandLine) -> None:
+            if self._stopped.is_set():
+                return
+            line.write(ANGLE_SET, pack(target))
+            self._target = target
+
+        self._opened().run(write)
+
+    def _motion(self, timeout: float) -> Motion:
+        return Motion(self._opened(), self._clock, self._moving, self._stopped, self._freeze, timeout)
+
+    def _freeze(self, line: HandLine) -> None:
+        if not self._recent or self._target is None:
+            return
+        first, now = self._recent[0], self._recent[-1]
+        target, angles = np.array(self._target), np.array(now.angles)
+        speed = (angles - first.angles) / max(now.stamp - first.stamp, RECENT)
+        reached = np.clip(angles + speed * REACTION, *np.sort([angles, target], axis=0))
+        presses = (target < angles) & (np.array(now.condition.forces) > PRESSES)
+        a, b, c, d, e, f = (int(count) for count in np.clip(np.where(presses, target, np.rint(reached)), 0, FULL))
+        line.write(ANGLE_SET, pack((a, b, c, d, e, f)))
+        self._target = (a, b, c, d, e, f)
+
+    def _watch(self, reading: Reading, line: HandLine) -> None:
+        """With every reading, in the poller's thread: judge the grip, and keep it up."""
+        self._recent = (*(old for old in self._recent if reading.stamp - old.stamp <= RECENT), reading)
+        if self._grip.follow(reading) and self._target is not None:
+            line.write(ANGLE_SET, pack(self._target))
