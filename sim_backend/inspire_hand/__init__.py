@@ -20,7 +20,8 @@ code. What it does is
 """
 
 from toolee_robot.sim_backend.inspire_hand.emulator import HandEmulator
+from toolee_robot.sim_backend.inspire_hand.events import happen
 from toolee_robot.sim_backend.inspire_hand.hand import Hand
 from toolee_robot.sim_backend.inspire_hand.line_faults import LineFault, LineFaults
 
-__all__ = ["Hand", "HandEmulator", "LineFault", "LineFaults"]
+__all__ = ["Hand", "HandEmulator", "LineFault", "LineFaults", "happen"]

@@ -27,6 +27,7 @@ from toolee_robot.cli.estimate import Estimate
 from toolee_robot.cli.evaluate import Evaluate
 from toolee_robot.cli.faults import Faults
 from toolee_robot.cli.hammering.command import Hammer
+from toolee_robot.cli.hand_emulator import HandEmulator
 from toolee_robot.cli.train.command import Train
 from toolee_robot.cli.ur_controller import UrController
 from toolee_robot.errors import TooleeError, UserError
@@ -44,6 +45,7 @@ Command = (
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Faults, tyro.conf.subcommand("faults")]
+    | Annotated[HandEmulator, tyro.conf.subcommand("hand-emulator")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[UrController, tyro.conf.subcommand("ur-controller")]
 )
@@ -59,6 +61,7 @@ AnyCommand = (
     | Doctor
     | Evaluate
     | Faults
+    | HandEmulator
     | Train
     | UrController
 )

@@ -16,7 +16,7 @@ from toolee_robot.doctor.machine import check_disk, check_processor, check_real_
 from toolee_robot.doctor.reach import check_reach
 from toolee_robot.doctor.robot import examine_robot
 from toolee_robot.doctor.weights import check_weights
-from toolee_robot.errors import DeviceError
+from toolee_robot.errors import ConfigError, DeviceError
 from toolee_robot.findings import Finding, warn
 from toolee_robot.frames import Array
 from toolee_robot.hal import Station
@@ -25,6 +25,7 @@ from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.station import remote_station
 from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.station import SimStation, draw_handover
+from toolee_robot.stations.hand import open_hand
 from toolee_robot.stations.ur import ur_driver
 
 Section = tuple[str, list[Finding]]
@@ -97,7 +98,7 @@ class DoctorReport:
             self.facts |= {"robot_serial": robot.serial, "arm_calibration": None if own is None else asdict(own)}
             yield "Robot", robot.findings
             if world is None:
-                findings = list(_without_driver())
+                findings = list(self._without_world())
             else:
                 with self.doing("connecting the arm's driver"):
                     findings = list(self._devices_behind(host, world))
@@ -119,7 +120,14 @@ class DoctorReport:
         yield from check_camera(station.camera, station.clock, self.config)
         yield check_person(station.person)
 
-
-def _without_driver() -> Iterator[Finding]:
-    for name in ("hand", "camera"):
-        yield warn(name, "has no driver here yet: nothing was checked", "look after it yourself")
+    def _without_world(self) -> Iterator[Finding]:
+        """Check the station's own hand; nothing moves. A camera has no driver here yet."""
+        unchecked = "has no driver here yet: nothing was checked", "look after it yourself"
+        try:
+            hand = open_hand(self.config.hand, HostClock())
+            with self.doing("asking the hand"), hand:
+                yield check_hand(hand, self.config)
+        except (ConfigError, DeviceError) as error:
+            no_driver = error.code == "config.hand_driver"
+            yield warn("hand", *unchecked) if no_driver else Finding.of_error("hand", error, "mend it, then look again")
+        yield warn("camera", *unchecked)

@@ -70,7 +70,7 @@ def test_the_makers_replies_are_understood() -> None:
     ("hand", "register", "count"), [(0, 1, 1), (255, 1, 1), (1, -1, 1), (1, 1 << 16, 1), (1, 1, 0)]
 )
 def test_no_request_is_built_that_no_hand_understands(hand: int, register: int, count: int) -> None:
-    with pytest.raises(ValueError, match="no such hand|1 to 252"):
+    with pytest.raises(ValueError, match="hand or register" if count else "1 to 252"):
         read_request(hand, register, count)
     with pytest.raises(ValueError, match="1 to 252"):
         write_request(1, 1, b"\x00" * 253)
@@ -102,18 +102,8 @@ def test_bytes_at_random_never_raise_and_the_reply_after_them_is_found(request_:
         assert bytes(request_.reply_length) in (search.feed(frame), search.feed(frame))
 
 
-MUTATIONS = (
-    "whole",
-    "changed",
-    "short",
-    "garbage",
-    "inserted",
-    "doubled",
-    "foreign",
-    "another register",
-    "echo",
-    "late",
-)
+HARMLESS = ("whole", "doubled", "foreign", "echo", "late")
+MUTATIONS = (*HARMLESS, "changed", "short", "garbage", "inserted", "another register")
 
 
 def mutated(kind: str, frame: bytes, request_: Request, draw: random.Random) -> bytes:
@@ -150,8 +140,8 @@ def test_ten_thousand_mutated_replies_are_decoded_right_or_refused() -> None:
         if found is not None:
             assert unpack_angles(found) == angles, f"case {i}: {kind}"
         outcomes[kind, "refused" if found is None else "decoded"] += 1
-    for kind in ("whole", "doubled", "foreign", "echo", "late"):
-        assert outcomes[kind, "refused"] == 0, "these harm nothing"
+    for kind in HARMLESS:
+        assert outcomes[kind, "refused"] == 0
     assert outcomes["changed", "decoded"] == outcomes["another register", "decoded"] == 0
     assert outcomes["garbage", "refused"] <= 2, "noise of which a reply's header is part"
 

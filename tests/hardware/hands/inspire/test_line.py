@@ -77,7 +77,7 @@ RATES = {LineFault.GARBAGE: 0.05, LineFault.CORRUPT: 0.03, LineFault.DOUBLED: 0.
 
 @pytest.mark.parametrize(
     ("duration", "rates"),
-    [(2.0, {}), (2.0, RATES), pytest.param(600.0, {}, marks=pytest.mark.nightly)],
+    [(1.5, {}), (1.5, RATES), pytest.param(600.0, {}, marks=pytest.mark.nightly)],
     ids=["clean", "noisy", "ten minutes"],
 )
 def test_polling_loses_no_reply_and_no_memory(

@@ -1,0 +1,84 @@
+"""`toolee hand-emulator`: the path of its port, and what is told to happen."""
+
+from __future__ import annotations
+
+import io
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+from tests.errors import raises
+from toolee_robot.cli.app import EXIT_USER, run
+from toolee_robot.errors import UserError
+from toolee_robot.hardware.hands.inspire.line import HandLine
+from toolee_robot.sim_backend.inspire_hand import HandEmulator, LineFault, happen
+
+
+def test_a_driver_finds_it_at_the_path_that_it_prints(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ours, theirs = os.pipe()
+    monkeypatch.setattr("sys.stdin", os.fdopen(ours))
+    link, angles = tmp_path / "hand", []
+
+    def drive() -> None:
+        while not link.exists():
+            pass
+        with HandLine(str(link), 3) as line:
+            angles.append(line.read(1546, 2))
+        os.write(theirs, b"\nnonsense\nshow\nunplug\n")
+        os.close(theirs)
+
+    driver = threading.Thread(target=drive)
+    driver.start()
+    assert run(["hand-emulator", "inspire", "--hand-id", "3", "--link", str(link)]) == 0
+    driver.join()
+    said = capsys.readouterr()
+    assert said.out.startswith("/dev/")
+    assert "nonsense" in said.err
+    assert "index 1000" in said.err
+    assert angles == [(1000).to_bytes(2, "little")]
+    assert not link.is_symlink()
+
+
+@pytest.mark.parametrize("options", [["--hand-id", "0"], ["--handle", "1200"], ["--link", "/no/such/folder/hand"]])
+def test_options_that_make_no_sense(options: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("unplug\n"))
+    assert run(["hand-emulator", "inspire", *options]) == EXIT_USER
+
+
+def test_events() -> None:
+    with HandEmulator() as emulator:
+        for event in (
+            "handle 600",
+            "slip 50",
+            "heat index 75",
+            "jam ring",
+            "free ring",
+            "mute",
+            "unmute",
+            "echo",
+            "drop",
+        ):
+            assert "thumb_rotation 1000" in happen(emulator, event)
+        assert emulator.faults.echo
+        assert not emulator.faults.muted
+        for fault in LineFault:
+            happen(emulator, f"{fault} 2")
+        assert emulator.faults.pending == 2 * len(LineFault)
+        for nonsense in (
+            "heat",
+            "heat nose 3",
+            "handle",
+            "handle x",
+            "mute 3",
+            "garbage x",
+            "jam ring 3",
+            "boo",
+            "boo ring",
+        ):
+            with raises(UserError, "user.hand_event"):
+                happen(emulator, nonsense)
+        assert happen(emulator, "unplug") == "unplugged"

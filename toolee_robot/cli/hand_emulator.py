@@ -1,0 +1,84 @@
+"""`toolee hand-emulator`: an emulated hand on a pseudo-terminal, for a driver to talk to."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+
+from toolee_robot.errors import UserError
+
+
+@dataclass(frozen=True)
+class HandEmulator:
+    """Emulate a hand on a pseudo-terminal: a driver opens it as it opens the hand's port. Ctrl-C ends it.
+
+    Example: toolee hand-emulator inspire --handle 400 --link hand.port
+
+    The first line of standard output is the path of the pseudo-terminal. Each line of standard input is an event:
+    handle COUNTS, drop, slip COUNTS, heat MOTOR DEGREES, jam MOTOR, free MOTOR, mute, unmute, echo, unplug, show, or a
+    fault of the next replies and their number: garbage, corrupt, short, late, doubled, foreign, lost.
+    docs/how-to/inspire_hand.md says what is emulated.
+    """
+
+    hand: Annotated[Literal["inspire"], tyro.conf.Positional]
+    """The hand: an Inspire RH56 on RS-485."""
+    hand_id: Annotated[int, tyro.conf.arg(metavar="1..254")] = 1
+    """Its number on the line."""
+    handle: Annotated[float | None, tyro.conf.arg(metavar="COUNTS", help_behavior_hint="")] = None
+    """Something lies in the hand, met by fingers and thumb at this angle, 0 to 1000."""
+    link: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """A symbolic link to the pseudo-terminal, made for the time being."""
+    seed: int = 0
+    """Seed of the line's noise."""
+
+    def run(self) -> int:
+        from toolee_robot.sim_backend.inspire_hand import HandEmulator as Emulator
+        from toolee_robot.sim_backend.inspire_hand import happen
+
+        if not 1 <= self.hand_id <= 254:
+            raise UserError(f"--hand-id {self.hand_id}: a hand's number is 1 to 254", code="user.option")
+        if self.handle is not None and not 0 <= self.handle <= 1000:
+            raise UserError(f"--handle {self.handle}: give 0 to 1000", code="user.option")
+        console = Console(stderr=True, highlight=False)
+        with Emulator(self.hand_id, self.seed) as emulator, self._linked(emulator.port):
+            emulator.tell(lambda hand: hand.hold(self.handle))
+            print(emulator.port, flush=True)
+            console.print(f"[bold]Inspire RH56[/bold] with number {self.hand_id}. [dim]Ctrl-C ends it.[/dim]")
+            with contextlib.suppress(KeyboardInterrupt):
+                for line in sys.stdin:
+                    if not line.split():
+                        continue
+                    try:
+                        told = happen(emulator, line)
+                    except UserError as error:
+                        told = f"[red]{error}[/red]"
+                    console.print(told, soft_wrap=True)
+                    if not emulator.plugged:
+                        return 0
+                signal.pause()
+        return 0
+
+    @contextlib.contextmanager
+    def _linked(self, port: str) -> Iterator[None]:
+        if self.link is None:
+            yield
+            return
+        if self.link.is_symlink():
+            self.link.unlink()
+        try:
+            self.link.symlink_to(port)
+        except OSError as error:
+            raise UserError(f"--link {self.link}: {error.strerror}", code="user.option") from error
+        try:
+            yield
+        finally:
+            if self.link.is_symlink() and self.link.readlink() == Path(port):
+                self.link.unlink()
