@@ -88,7 +88,8 @@ class Poller:
             command: Uses the line.
 
         Raises:
-            DeviceError: The command failed, or the hand is closed.
+            NoAnswerError: The hand does not answer, or its port is gone.
+            DeviceError: The command failed otherwise, or the hand is closed.
         """
         done: Future[None] = Future()
         with self._news:
@@ -127,6 +128,9 @@ class Poller:
         Args:
             after: Number of a reading.
             timeout: Longest wait [s].
+
+        Returns:
+            The newest reading.
 
         Raises:
             StaleDataError: None came in time.
