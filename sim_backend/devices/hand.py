@@ -231,7 +231,7 @@ class SimHand:
             return
         total = {name: min(force, self._model.finger_force) for name, force in total.items()}
         self._holding_forces = total
-        fingers = sum(force for name, force in total.items() if name != PALM)
+        fingers = sum(force for name, force in total.items() if name != PALM) + (world.config.hand.strap_force or 0.0)
         X_hand_tool = inverse(world.X_base_hand()) @ world.X_base_tool()
         # The grip's centre: the point of the handle's axis next to the palm's middle.
         along = (self._model.grasp.p[0] - X_hand_tool[0, 3]) / X_hand_tool[0, 2]

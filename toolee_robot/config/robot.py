@@ -63,6 +63,9 @@ class HandConfig:
     port: str | None = None
     """Serial port of the hand's driver, such as `/dev/serial/by-id/...`; null for a simulated hand, and for one without
     a port."""
+    strap_force: Positive | None = None
+    """Force with which a strap presses the handle into the hand [N], for a hand whose fingers do not hold a hammer that
+    strikes; null without a strap. The simulated grip counts it with the fingers' forces."""
     hand_id: Annotated[int, Field(ge=1, le=254)] = 1
     """Number of the hand on its RS-485 line; 1 as delivered."""
 
@@ -73,8 +76,8 @@ class HandConfig:
             return
         if self.weighed is not None:
             raise ValueError("weighed is for a hand: of a mount give mount.mass and mount.center_of_mass")
-        if self.mounting is not None or self.port is not None:
-            raise ValueError(f"mounting and port are for hands, not for the model {MOUNT!r}")
+        if self.mounting is not None or self.port is not None or self.strap_force is not None:
+            raise ValueError(f"mounting, port and strap_force are for hands, not for the model {MOUNT!r}")
         missing = []
         if self.yield_torque is None:
             missing.append("hand.yield_torque")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol, Self
 
 from toolee_robot.config import StationConfig
+from toolee_robot.errors import UserError
 from toolee_robot.hal import Station
 from toolee_robot.sim_backend.ground_truth.verdict import Truth
 from toolee_robot.sim_backend.options import SimOptions
@@ -49,8 +50,23 @@ class StandIn:
     profile: ProfileName = "ideal"
 
 
+@dataclass(frozen=True)
+class HandDriver:
+    """Selects the hand's own driver in front of the simulated hand, with an emulated hand at the end of its wire.
+
+    Attributes:
+        port: Port of the emulated hand; None: one is started, and feels what the simulated hand touches.
+    """
+
+    port: str | None = None
+
+
 def open_station(
-    config: StationConfig, seed: int = 0, options: SimOptions | None = None, stand_in: StandIn | None = None
+    config: StationConfig,
+    seed: int = 0,
+    options: SimOptions | None = None,
+    stand_in: StandIn | None = None,
+    hand_driver: HandDriver | None = None,
 ) -> SimulatedStation:
     """Build the simulated station of a job; enter its context to use the devices.
 
@@ -63,14 +79,21 @@ def open_station(
         options: Options of the simulation; None for the defaults.
         stand_in: Controller stand-in behind which the arm is driven by the real arm's driver, over ur_rtde; None to
             drive the simulated arm directly.
+        hand_driver: Driver of the hand; None for the simulated hand directly.
 
     Returns:
         The station, not yet entered.
 
     Raises:
-        UserError: The seed or an option is unusable.
+        UserError: The seed or an option is unusable, or both the arm and the hand are to have their drivers.
     """
     options = SimOptions() if options is None else options
+    if hand_driver is not None:
+        if stand_in is not None:
+            raise UserError("the arm's and the hand's drivers cannot be tried together yet", code="user.option")
+        from toolee_robot.stations.driven_hand import DrivenHandStation
+
+        return DrivenHandStation(config, seed, options, hand_driver.port)
     if stand_in is None:
         return SimStation.build(config, seed, options)
     from toolee_robot.stations.ur_rehearsal import UrStation  # imported only where driver and stand-in are used

@@ -23,6 +23,9 @@ WORLD_REAL_TIME_FACTOR = {ArmModel.UR10: 0.25, ArmModel.UR10E: 0.1}
 """Default real-time factors. A cycle then takes 32 and 20 ms, at least twice what the world needs for it in a strike,
 so that two busy cores keep the servo's schedule within a real robot's bounds."""
 
+HANDS = {"inspire": "inspire_rh56"}
+"""What --hand names -> what a station file calls it."""
+
 
 @dataclass(frozen=True)
 class Hammer:
@@ -61,6 +64,11 @@ class Hammer:
     """With --world: how the controller follows, measures and stops: exactly, or as one of the arm's generation."""
     robot: Annotated[Literal["UR10", "UR10e"] | None, tyro.conf.arg(metavar="UR10|UR10e", help_behavior_hint="")] = None
     """Model of the arm, instead of the configured one."""
+    hand: Annotated[Literal["inspire"] | None, tyro.conf.arg(metavar="inspire", help_behavior_hint="")] = None
+    """The hand of the station file by its own driver, over a pseudo-terminal; an emulated hand, which feels what the
+    simulated one touches, is at its other end. Needs a --config with that hand."""
+    hand_port: Annotated[str | None, tyro.conf.arg(metavar="PORT", help_behavior_hint="")] = None
+    """With --hand: the port of a hand that `toolee hand-emulator` emulates, which feels its own --handle instead."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """A station: any subset of the fields in docs/reference/station_file.md."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
@@ -86,6 +94,7 @@ class Hammer:
         if self.robot is not None:
             config = replace(config, arm=replace(config.arm, model=ArmModel(self.robot)))
         address = self._address(config.arm.model)
+        self._check_hand(config)
         console = Console(stderr=self.json, highlight=False)
 
         from toolee_robot.cli.hammering.run_folder import run_folder
@@ -95,7 +104,7 @@ class Hammer:
             from toolee_robot.cli.hammering.job import (
                 HammerJob,  # takes seconds to import: after the checks of the options
             )
-            from toolee_robot.stations.simulated import StandIn
+            from toolee_robot.stations.simulated import HandDriver, StandIn
 
             stand_in = None if address is None else StandIn(*address, self.controller_profile)
             correction, perfect = not self.no_correction, self.perfect_perception
@@ -104,7 +113,7 @@ class Hammer:
             ask = (lambda question: console.input(question, markup=False)) if interactive else None
             job = HammerJob(
                 config, self.seed, correction=correction, perfect_perception=perfect, gui=self.gui, stand_in=stand_in,
-                ask=ask,
+                hand_driver=None if self.hand is None else HandDriver(self.hand_port), ask=ask,
             )  # fmt: skip
             report = job.run(folder.path, console)
             folder.keep()
@@ -112,6 +121,22 @@ class Hammer:
         if self.json:
             print(json_line({**report.figures, "run_folder": str(folder.path)}), flush=True)
         return report.exit_code
+
+    def _check_hand(self, config: StationConfig) -> None:
+        if self.hand is None:
+            if self.hand_port is not None:
+                raise UserError("--hand-port without --hand: the simulated hand itself has no port", code="user.option")
+            return
+        if self.arm != "sim":
+            raise UserError(
+                "--hand with --arm ur-rtde: the two drivers cannot be tried together yet", code="user.option"
+            )
+        if config.hand.model != HANDS[self.hand]:
+            raise UserError(
+                f"--hand {self.hand} needs a station with that hand (hand.model: {HANDS[self.hand]}), such as --config "
+                "examples/inspire.yaml: nobody but the lab knows how it sits on the flange",
+                code="user.hand",
+            )
 
     def _address(self, model: ArmModel) -> tuple[str, float] | None:
         """Host and real-time factor of the controller stand-in; None for the simulated arm itself."""

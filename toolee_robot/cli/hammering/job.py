@@ -27,7 +27,7 @@ from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.ground_truth.verdict import StrikeTruth, Verdict
 from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.stations.simulated import StandIn, open_station
+from toolee_robot.stations.simulated import HandDriver, StandIn, open_station
 from toolee_robot.tasks.common.observer import Observers
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
@@ -86,6 +86,7 @@ class HammerJob:
         perfect_perception: Whether poses come from the ground truth, for tests and ablations only.
         gui: Whether pybullet's window is shown.
         stand_in: Controller stand-in through which the real driver drives the arm; None for the simulated arm itself.
+        hand_driver: The hand's own driver, on an emulated hand; None for the simulated hand itself.
         ask: Asks the person at the terminal what to do after a stop; None: the job then ends.
     """
 
@@ -95,6 +96,7 @@ class HammerJob:
     perfect_perception: bool = False
     gui: bool = False
     stand_in: StandIn | None = None
+    hand_driver: HandDriver | None = None
     ask: Callable[[str], str] | None = None
 
     def run(self, folder: Path, console: Console) -> HammerReport:
@@ -122,7 +124,7 @@ class HammerJob:
         metadata = {"seed": str(self.seed), "correction": str(self.correction)}
         with (
             nullcontext() if self.stand_in is None else LatencyMonitor() as machine,
-            open_station(self.config, self.seed, SimOptions(gui=self.gui), self.stand_in) as sim,
+            open_station(self.config, self.seed, SimOptions(gui=self.gui), self.stand_in, self.hand_driver) as sim,
             RunRecorder(folder / "recording.mcap", metadata) as recorder,
         ):
             console.print(f"[bold]{_words(sim.tool)}[/bold]  [dim]seed {self.seed}{self._mode()}[/dim]")
@@ -160,6 +162,8 @@ class HammerJob:
                 f", {self.config.arm.model} over ur_rtde at {self.stand_in.host}, "
                 f"{self.stand_in.profile} controller, real-time factor {self.stand_in.real_time_factor:g}"
             )
+        if self.hand_driver is not None:
+            words += f", {self.config.hand.model} by its driver"
         if self.perfect_perception:
             return f"{words}, poses from the simulation's ground truth"
         return words if self.correction else f"{words}, no correction: the nominal in-hand pose is believed"
@@ -214,6 +218,7 @@ class HammerJob:
             "machine_stalled": machine_stalled,
             "robot": str(self.config.arm.model),
             "hand": self.config.hand.model,
+            "hand_driver": self.hand_driver is not None,
             "yield_torque": hand_model(self.config.hand).yield_torque,
             "correction": self.correction,
             "perfect_perception": self.perfect_perception,
