@@ -1,6 +1,6 @@
 """The hand of a real station: the driver that its station file names.
 
-with open_hand(load_station(Path("lab.yaml")).hand, HostClock()) as hand:
+with open_hand(load_lab_station(Path("lab.yaml")).hand, HostClock()) as hand:
     hand.open()
 """
 
