@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from toolee_robot.errors import UserError
+from toolee_robot.perception.detection.backgrounds import Backgrounds
 from toolee_robot.perception.detection.config import DetectorConfig, working_size
 from toolee_robot.perception.detection.detector import CLASSES, Detector
 from toolee_robot.perception.detection.detector_weights import WEIGHTS_NAME, load_detector
@@ -36,11 +37,32 @@ class SegmentationTraining(ImageTraining):
 
     Attributes:
         augmentation: Strength of the augmentation; 0: none, 1: full.
+        wide: Share of images with a wide range of apparent sizes; above 0, all images also get photographs behind the
+            tools and the effects of cameras and depth sensors (`augment`).
+        backgrounds: Folder of photographs without tools, put behind the rendered ones; None: none.
+        init_share: Share of the initial weights in the exported ones, 0 to 1.
         model: Architecture of the detector.
     """
 
     augmentation: float = 1.0
+    wide: float = 0.0
+    backgrounds: Path | None = None
+    init_share: float = 0.0
     model: DetectorConfig = field(default_factory=DetectorConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (0 <= self.wide <= 1 and 0 <= self.init_share < 1):
+            raise UserError("wide must be 0 to 1, init_share 0 to under 1", code="user.training_options")
+        if self.backgrounds is not None and self.wide == 0:
+            raise UserError("backgrounds are used with wide above 0: give --wide 0.5", code="user.training_options")
+        if self.init_share and self.init is None:
+            raise UserError("init_share: say whose share that is, with --init FOLDER", code="user.init_share")
+
+    def to_json(self) -> dict[str, Any]:
+        """See `ImageTraining`."""
+        folder = self.backgrounds
+        return {**super().to_json(), "backgrounds": None if folder is None else folder.name}
 
 
 def train(config: SegmentationTraining, images: SegmentationImages | None = None) -> Path:
@@ -92,15 +114,20 @@ class _Run(ImageTrainingRun):
         detector = Detector(config.model)
         if config.init is not None:
             load_detector(detector, *load_weights(config.init, WEIGHTS_NAME))
+        self._initial = {k: v.clone() for k, v in detector.state_dict().items() if v.is_floating_point()}
         detector = detector.to(distributed.device).to(memory_format=torch.channels_last)
         loss = DetectorLoss(detector)
         self.augment = augment
+        self.backgrounds = None
+        if config.backgrounds is not None:
+            self.backgrounds = Backgrounds(config.backgrounds, distributed.device)
         if config.compile and distributed.device.type == "cuda":
             # About 10 % faster. The targets are not compiled: compiled, argmax takes the last of equal values instead
             # of the first, which gives wrong boxes.
             detector.backbone.compile(dynamic=False)
             loss.compile_proposal_losses()
-            self.augment = torch.compile(augment, dynamic=False)
+            if config.wide == 0:
+                self.augment = torch.compile(augment, dynamic=False)
         super().__init__(config, config.out, distributed, detector, loss)
 
     def images(self) -> int:
@@ -116,11 +143,19 @@ class _Run(ImageTrainingRun):
     def described(self) -> dict[str, Any]:
         return {"kind": "mask_rcnn_resnet18_fpn", "classes": list(CLASSES), "model": self.config.model.to_json()}
 
+    def averaged(self) -> dict[str, Tensor]:
+        """See `TrainingRun`: with a share of the initial weights, for what these knew (Wortsman et al. 2022)."""
+        share, found = self.config.init_share, super().averaged()
+        if share == 0:
+            return found
+        known = {k: v.to(self.distributed.device) for k, v in self._initial.items() if k in found}
+        return {**found, **{k: torch.lerp(found[k], v, share) for k, v in known.items()}}
+
     def losses(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         config, device = self.config, self.distributed.device
         sample = self.data.sample(config.batch)
         size = working_size(sample.rgb.shape[1], sample.rgb.shape[2], config.model.working_pixels)
-        batch, maps = self.augment(sample, size, config.augmentation)
+        batch, maps = self.augment(sample, size, config.augmentation, config.wide, self.backgrounds)
         instances = instances_from_maps(maps, sample.categories, self.data.tools)
         pixels = batch.pixels.contiguous(memory_format=torch.channels_last)
         with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):

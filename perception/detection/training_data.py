@@ -9,6 +9,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from toolee_robot.perception.detection.backgrounds import Backgrounds
+from toolee_robot.perception.detection.camera_effects import camera_effects, lose_depth
 from toolee_robot.perception.detection.inputs import STRIDE, RgbdBatch, encode_rgbd
 from toolee_robot.perception.training.labelled_images import DeviceStore, SegmentationImages, grown
 
@@ -74,7 +76,13 @@ class DeviceImages:
 
 
 @torch.no_grad()
-def augment(sample: ImageSample, size: tuple[int, int], strength: float = 1.0) -> tuple[RgbdBatch, Tensor]:
+def augment(
+    sample: ImageSample,
+    size: tuple[int, int],
+    strength: float = 1.0,
+    wide: float = 0.0,
+    backgrounds: Backgrounds | None = None,
+) -> tuple[RgbdBatch, Tensor]:
     """Augment images and encode them for the network.
 
     Geometry: mirror, scale 0.74 to 1.9 (as if by another lens: depths are unchanged), shift, roll (any angle for a
@@ -82,20 +90,32 @@ def augment(sample: ImageSample, size: tuple[int, int], strength: float = 1.0) -
     channel order, gamma; blur, noise, occluding rectangles. Depth: the focal length is off by about 1.5 % (standard
     deviation).
 
+    Of a share `wide` of the batches' images the scale is 0.35 to 4 (about a tool where it is large), and all images get
+    bright or plain tools, photographs behind them, and the effects of cameras and depth sensors.
+
     Args:
         sample: The images.
         size: Size (height, width) [px] to which they are resampled, before padding to multiples of STRIDE.
         strength: Strength of the augmentation; 0 only resamples.
+        wide: Share of images with the wide range of scales; 0: the first paragraph's augmentation alone.
+        backgrounds: Photographs; None: the rendered surroundings stay. Used with `wide` alone.
 
     Returns:
         The network's input and the id maps (B, 2, H', W') uint8.
     """
     n = len(sample.rgb)
     device = sample.rgb.device
-    images, depth, scale, maps = _warp(sample, size, strength)
+    images, depth, scale, maps = _warp(sample, size, strength, wide)
     focal = sample.focal * (size[1] / sample.rgb.shape[2]) * scale
+    if strength > 0 and wide > 0:
+        images = _repaint(images, maps[:, 1] > 0, strength)
+        if backgrounds is not None:
+            images = backgrounds.behind(images, maps[:, 1] > 0, strength)
+        depth = lose_depth(depth, maps[:, 1] > 0, strength)
     if strength > 0:
         images = recolour(images, strength)
+        if wide > 0:
+            images = camera_effects(images, strength)
         images = _blur(images, strength)
         images, depth, maps = _hide(images, depth, maps, strength)
         sigma = torch.rand((n, 1, 1, 1), device=device) ** 2 * 9 * strength
@@ -110,7 +130,31 @@ def _uniform(n: int, low: float, high: float, device: torch.device) -> Tensor:
     return torch.rand((n, 1, 1, 1), device=device) * (high - low) + low
 
 
-def _warp(sample: ImageSample, size: tuple[int, int], strength: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _repaint(images: Tensor, tool: Tensor, strength: float) -> Tensor:
+    """Make the tools of a quarter of the images bright or dark, half of them grey: polished, painted and plain ones."""
+    n, device = len(images), images.device
+    gain = torch.exp(_uniform(n, -0.7, 0.9, device))
+    grey = images.mean(1, keepdim=True)
+    plain = (torch.rand((n, 1, 1, 1), device=device) < 0.5).to(images.dtype)
+    painted = (images + (grey - images) * plain) * gain + _uniform(n, -15, 35, device)
+    chosen = torch.rand((n, 1, 1, 1), device=device) < 0.25 * strength
+    return torch.where(chosen & tool[:, None], painted.clamp(0, 255), images)
+
+
+def _middles(tool: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean place of the tools' pixels, x and y in -1..1, (B, 2), and whether there are any, (B,)."""
+    _, height, width = tool.shape
+    x = torch.linspace(-1, 1, width, device=tool.device)
+    y = torch.linspace(-1, 1, height, device=tool.device)
+    weight = tool.float()
+    total = weight.sum((1, 2))
+    middle = torch.stack([(weight.sum(1) * x).sum(1), (weight.sum(2) * y).sum(1)], 1) / total.clamp(min=1)[:, None]
+    return middle, total > 0
+
+
+def _warp(
+    sample: ImageSample, size: tuple[int, int], strength: float, wide: float = 0.0
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Images (B, 3, H', W'), depth (B, H', W'), magnification (B,) and maps (B, 2, H', W')."""
     images = sample.rgb.permute(0, 3, 1, 2).float()
     n, _, height, width = images.shape
@@ -122,6 +166,12 @@ def _warp(sample: ImageSample, size: tuple[int, int], strength: float) -> tuple[
     )
     mirror = torch.where(torch.rand(n, device=device) < 0.5 * strength, -1.0, 1.0)
     shift = (torch.rand((n, 2), device=device) - 0.5) * 0.5 * strength
+    if wide > 0:
+        widened = torch.rand(n, device=device) < wide
+        scale = torch.where(widened, torch.exp(_uniform(n, -1.05, 1.4, device).view(n) * strength), scale)
+        middle, seen = _middles(sample.maps[:, 0] > 0)
+        close = widened & seen & (scale > 1.5)
+        shift = torch.where(close[:, None], middle + 1.4 * shift / scale[:, None], shift)
     cos, sin = torch.cos(angle) / scale, torch.sin(angle) / scale
     aspect = height / width
     # affine_grid's coordinates are normalised by each side: the aspect keeps the rotation rigid.

@@ -13,7 +13,13 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from toolee_robot.cli.evaluate_tables import pose_tables, printed_samplers, segmentation_rows, text_table
+from toolee_robot.cli.evaluate_tables import (
+    photograph_tables,
+    pose_tables,
+    printed_samplers,
+    segmentation_rows,
+    text_table,
+)
 from toolee_robot.cli.host_info import describe_machine
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
@@ -183,6 +189,48 @@ class EvaluateSegmentation:
 
 
 @dataclass(frozen=True)
+class EvaluatePhotographs:
+    """Detector and estimator on real RGB-D frames: ends found, poses right, false alarms.
+
+    Example: toolee evaluate photographs data/photographs
+
+    docs/dataset.md says what such a folder holds and where the development set comes from.
+    """
+
+    data: _Dir
+    """A folder with frames.json."""
+    weights: _Folder = None
+    """Folder of weights (the shipped ones if left out)."""
+    limit: _Limit = None
+    """Only so many frames of each place."""
+    device: Annotated[str, tyro.conf.arg(metavar="DEVICE")] = "cpu"
+    """Where the networks run: cpu or cuda."""
+    out: _Out = None
+    """Folder for report.json (none if left out)."""
+    json: Flag = False
+    """Print one line of JSON; everything for people goes to standard error."""
+
+    def run(self) -> int:
+        from toolee_robot.perception.evaluation.photographs import evaluate, read_photographs
+        from toolee_robot.perception.pipeline import ToolPerception
+
+        console = Console(stderr=self.json, highlight=False)
+        photographs = read_photographs(self.data, self.limit)
+        perception = ToolPerception.load(self.weights, self.device)
+        with progress_bars(console) as report:
+            found = evaluate(perception, photographs, lambda k, n: report("photographs", k, n))
+        record = {"machine": asdict(describe_machine()), "data": self.data.name, **found}
+        if self.out is not None:
+            _make_folder(self.out)
+            write_atomic(self.out / "report.json", json_line(record).encode() + b"\n")
+        for table in photograph_tables(found):
+            console.print(table)
+        if self.json:
+            print(json_line(record))
+        return 0
+
+
+@dataclass(frozen=True)
 class Evaluate:
     """Measure the perception on a data set."""
 
@@ -190,6 +238,7 @@ class Evaluate:
         Annotated[EvaluatePose, tyro.conf.subcommand("pose")]
         | Annotated[EvaluateSegmentation, tyro.conf.subcommand("segmentation")]
         | Annotated[EvaluateSamplers, tyro.conf.subcommand("samplers")]
+        | Annotated[EvaluatePhotographs, tyro.conf.subcommand("photographs")]
     ]
     """What to evaluate."""
 
@@ -222,7 +271,7 @@ def _labelled(weights: tuple[str, ...]) -> dict[str, Path | None]:
     return labelled
 
 
-def _write(console: Console, out: Path, report: dict[str, Any], images: dict[str, bytes], html: str) -> None:
+def _make_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -230,6 +279,10 @@ def _write(console: Console, out: Path, report: dict[str, Any], images: dict[str
             f"cannot make the folder {out}: {error.strerror or error}; choose another place",
             code="user.folder_not_writable",
         ) from error
+
+
+def _write(console: Console, out: Path, report: dict[str, Any], images: dict[str, bytes], html: str) -> None:
+    _make_folder(out)
     write_atomic(out / "report.json", json_line(report).encode() + b"\n")
     for name, data in images.items():
         write_atomic(out / name, data)

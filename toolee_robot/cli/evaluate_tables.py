@@ -87,3 +87,28 @@ def segmentation_rows(found: dict[str, Any]) -> list[list[str]]:
 def _accuracy(record: dict[str, Any], masks: str, group: str) -> dict[str, Any]:
     accuracy: dict[str, Any] = record.get(masks, {}).get("groups", {}).get(group, {}).get("accuracy", {})
     return accuracy
+
+
+def photograph_tables(report: dict[str, Any]) -> Iterator[Table]:
+    """Tables of `toolee evaluate photographs`.
+
+    Args:
+        report: Its record.
+
+    Yields:
+        The ends that are found, and the false alarms.
+    """
+    ends, alarms = [], []
+    for row in report["table"]:
+        score = "-" if row["median_score"] is None else f"{row['median_score']:.2f}"
+        right = f"{row['right']} of {row['known_poses']}" if row["known_poses"] else "-"
+        counts = [str(row[k]) for k in ("ends", "found", "certain")]
+        ends.append([f"{row['half']}, {row['view']}", *counts, score, str(row["usable"]), right])
+    for row in [r for r in report["table"] if r["view"] == "whole"] + report["places"]:
+        keys = ("empty_frames", "false_alarms", "certain_false_alarms", "frames_with_usable_alarm")
+        alarms.append([row["place"] or f"half {row['half']}", *[str(row[k]) for k in keys]])
+    columns = ("half, view", "ends", "found", "certain", "median score", "usable", "right pose")
+    yield text_table("End effectors on photographs", columns, ends)
+    yield text_table(
+        "Frames without a tool", ("where", "frames", "false alarms", "certain", "frames with a usable one"), alarms
+    )

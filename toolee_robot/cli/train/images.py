@@ -75,11 +75,18 @@ class Segmentation(_ImageCommand):
     """Wall-clock of the optimisation (default: 12)."""
     batch: Count = None
     """Images a GPU (default: 32)."""
+    wide: Number = None
+    """Share of images with apparent sizes from 0.35 to 4 times the rendered ones; above 0, all images also get bright
+    and plain tools and the effects of cameras and depth sensors (default: 0)."""
+    backgrounds: Folder = None
+    """Folder of photographs without tools that are put behind the rendered ones; it needs --wide."""
+    init_share: Number = None
+    """Share of the weights of --init in the exported ones (default: 0)."""
 
     def run(self) -> int:
         from toolee_robot.perception.detection.train import SegmentationTraining, train
 
-        training, resumed = self._begin(SegmentationTraining, CHECKPOINT)
+        training, resumed = self._begin(SegmentationTraining, CHECKPOINT, backgrounds=self.backgrounds)
         train(training)
         return self.end(resumed)
 
