@@ -1,4 +1,4 @@
-"""Photographs behind and around the tools of training images, and tool-free RGB-D frames as training images."""
+"""Photographs behind the tools of training images."""
 
 from __future__ import annotations
 

@@ -37,8 +37,8 @@ class SegmentationTraining(ImageTraining):
 
     Attributes:
         augmentation: Strength of the augmentation; 0: none, 1: full.
-        wide: Share of images with a wide range of apparent sizes; above 0, all images also get photographs behind the
-            tools and the effects of cameras and depth sensors (`augment`).
+        wide: Share of images with a wide range of apparent sizes; above 0, all images also get bright and plain tools,
+            and the effects of cameras and depth sensors (`augment`).
         backgrounds: Folder of photographs without tools, put behind the rendered ones; None: none.
         init_share: Share of the initial weights in the exported ones, 0 to 1.
         model: Architecture of the detector.
@@ -114,7 +114,9 @@ class _Run(ImageTrainingRun):
         detector = Detector(config.model)
         if config.init is not None:
             load_detector(detector, *load_weights(config.init, WEIGHTS_NAME))
-        self._initial = {k: v.clone() for k, v in detector.state_dict().items() if v.is_floating_point()}
+        self._initial = {}
+        if config.init_share > 0:
+            self._initial = {k: v.clone() for k, v in detector.state_dict().items() if v.is_floating_point()}
         detector = detector.to(distributed.device).to(memory_format=torch.channels_last)
         loss = DetectorLoss(detector)
         self.augment = augment
@@ -145,9 +147,7 @@ class _Run(ImageTrainingRun):
 
     def averaged(self) -> dict[str, Tensor]:
         """See `TrainingRun`: with a share of the initial weights, for what these knew (Wortsman et al. 2022)."""
-        share, found = self.config.init_share, super().averaged()
-        if share == 0:
-            return found
+        found, share = super().averaged(), self.config.init_share
         known = {k: v.to(self.distributed.device) for k, v in self._initial.items() if k in found}
         return {**found, **{k: torch.lerp(found[k], v, share) for k, v in known.items()}}
 

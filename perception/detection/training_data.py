@@ -107,14 +107,15 @@ def augment(
     device = sample.rgb.device
     images, depth, scale, maps = _warp(sample, size, strength, wide)
     focal = sample.focal * (size[1] / sample.rgb.shape[2]) * scale
-    if strength > 0 and wide > 0:
+    varied = strength > 0 and wide > 0
+    if varied:
         images = _repaint(images, maps[:, 1] > 0, strength)
         if backgrounds is not None:
             images = backgrounds.behind(images, maps[:, 1] > 0, strength)
         depth = lose_depth(depth, maps[:, 1] > 0, strength)
     if strength > 0:
         images = recolour(images, strength)
-        if wide > 0:
+        if varied:
             images = camera_effects(images, strength)
         images = _blur(images, strength)
         images, depth, maps = _hide(images, depth, maps, strength)

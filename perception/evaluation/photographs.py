@@ -15,10 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
+from toolee_robot.perception.detection.boxes import pairwise_iou
 from toolee_robot.perception.image_files import read_depth, read_rgb
 from toolee_robot.perception.io import make_intrinsics
 from toolee_robot.perception.pipeline import ToolPerception
@@ -240,7 +242,7 @@ def _ends(photograph: Photograph, estimates: Sequence[ToolEstimate], view: str) 
     """A record per annotated end: its best detection of the right category."""
     records = []
     for end in photograph.ends:
-        good = [e for e in estimates if e.category == end.category and iou(e.detection.box, end.box) >= MIN_IOU]
+        good = [e for e in estimates if e.category == end.category and _iou(e.detection.box, end.box) >= MIN_IOU]
         best = max(good, key=lambda e: e.detection.score, default=None)
         fields: dict[str, Any] = {"name": photograph.name, "place": photograph.place, "half": photograph.half}
         fields |= {"view": view, "category": str(end.category), "score": 0.0, "usable": False, "right": None}
@@ -273,30 +275,12 @@ def _alarms(photograph: Photograph, estimates: Sequence[ToolEstimate]) -> dict[s
     }
 
 
-def iou(a: Box, b: Box) -> float:
-    """Intersection over union of two boxes.
-
-    Args:
-        a: A box, x0, y0, x1, y1 [px].
-        b: The other box [px].
-
-    Returns:
-        A number in [0, 1]; 0 where a box is empty.
-    """
-    inter = _intersection(a, b)
-    union = _area(a) + _area(b) - inter
-    return inter / union if union > 0 else 0.0
-
-
 def _overlap(a: Box, b: Box) -> float:
     """Share of box `a` that lies in box `b`."""
-    return _intersection(a, b) / _area(a) if _area(a) > 0 else 0.0
-
-
-def _intersection(a: Box, b: Box) -> float:
     w, h = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
-    return w * h if w > 0 and h > 0 else 0.0
+    area = (a[2] - a[0]) * (a[3] - a[1])
+    return w * h / area if w > 0 and h > 0 and area > 0 else 0.0
 
 
-def _area(a: Box) -> float:
-    return max(0.0, a[2] - a[0]) * max(0.0, a[3] - a[1])
+def _iou(a: Sequence[float], b: Box) -> float:
+    return float(pairwise_iou(torch.tensor([a]), torch.tensor([b])))

@@ -64,14 +64,13 @@ class DoctorReport:
         yield from self._simulated() if self.host is None else self._controller(self.host)
         config = self.config
         with self.doing("planning"):
-            findings = (
-                [] if self.host is None or self.with_world else [check_measured(self.path, is_loopback(self.host))]
-            )
-            findings += [
+            findings = [
                 check_calibration(config, self._robot_serial, self._camera_serial, date.today()),
                 *check_limits(config),
                 *check_reach(config),
             ]
+            if self.host is not None and not self.with_world:
+                findings.insert(0, check_measured(self.path, is_loopback(self.host)))
         yield "Station file", findings
         with self.doing("loading the networks, trying the clock"):
             findings = [check_weights(), check_disk(self.out), *check_processor()]

@@ -7,9 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from toolee_robot.config.station import StationConfig, load_station
+from toolee_robot.config.station import StationConfig, read_station, to_station
 from toolee_robot.errors import ConfigError
-from toolee_robot.runtime.yaml_files import read_yaml
 from toolee_robot.types import MOUNT
 
 MEASURED: Mapping[str, tuple[str, ...]] = {
@@ -56,12 +55,7 @@ def unmeasured(path: Path) -> list[str]:
     Raises:
         ConfigError: The file cannot be read.
     """
-    data = read_yaml(path, "station's file") or {}
-    wanted = [(section, name) for section, names in MEASURED.items() for name in names]
-    missing = [f"{section}.{name}" for section, name in wanted if _field(data, section, name) is None]
-    if _field(data, "hand", "model") == MOUNT and "hand.weighed" in missing:
-        missing.remove("hand.weighed")  # a mount's data say what it weighs
-    return missing
+    return _missing(read_station(path))
 
 
 def load_lab_station(path: Path) -> StationConfig:
@@ -76,15 +70,23 @@ def load_lab_station(path: Path) -> StationConfig:
     Raises:
         ConfigError: As `load_station`, or the file leaves out what must be measured; the message names it.
     """
-    config = load_station(path)
-    if missing := unmeasured(path):
+    data = read_station(path)
+    config = to_station(data, path)
+    if missing := _missing(data):
         raise ConfigError(
             f"{path} leaves out what describes your station, and the simulated one's values would stand in for it: "
             f"measure and give {', '.join(missing)}",
             code="config.unmeasured",
         )
-    data = read_yaml(path, "station's file")
     return config if data.get("calibration") else replace(config, calibration=None)
+
+
+def _missing(data: Any) -> list[str]:
+    wanted = [(section, name) for section, names in MEASURED.items() for name in names]
+    missing = [f"{section}.{name}" for section, name in wanted if _field(data, section, name) is None]
+    if _field(data, "hand", "model") == MOUNT and "hand.weighed" in missing:
+        missing.remove("hand.weighed")  # a mount's data say what it weighs
+    return missing
 
 
 def _field(data: Any, section: str, name: str) -> Any:

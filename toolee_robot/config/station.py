@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from toolee_robot.config.calibration import SIMULATED_CALIBRATION, CalibrationConfig
 from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope, WorkConfig
@@ -55,6 +56,21 @@ class StationConfig:
             )
 
 
+def read_station(path: Path) -> Any:
+    """Read what a station file holds, as it is.
+
+    Args:
+        path: The YAML file.
+
+    Returns:
+        Its mapping, empty for an empty file.
+
+    Raises:
+        ConfigError: The file cannot be read.
+    """
+    return read_yaml(path, "station's file") or {}
+
+
 def load_station(path: Path) -> StationConfig:
     """Load a station file.
 
@@ -69,9 +85,26 @@ def load_station(path: Path) -> StationConfig:
         ConfigError: The file cannot be read, or a field is invalid (the message lists every one), or positions are
             given and no frame is named.
     """
-    data, what = read_yaml(path, "station's file") or {}, "station"
+    return to_station(read_station(path), path)
+
+
+def to_station(data: Any, path: Path) -> StationConfig:
+    """Convert what a station file holds.
+
+    Args:
+        data: Its mapping, from `read_station`.
+        path: The file, for the errors.
+
+    Returns:
+        The validated configuration, its positions in `base`.
+
+    Raises:
+        ConfigError: As `load_station`.
+    """
+    what = "station"
     if not isinstance(data, dict):
         return to_record(data, path, StationConfig, what)
+    data = dict(data)
     frame = take_frame(data)
     config = to_record(data, path, StationConfig, what)
     return config if (converted := to_base(data, frame)) is data else to_record(converted, path, StationConfig, what)

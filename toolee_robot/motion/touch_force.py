@@ -9,7 +9,7 @@ import numpy as np
 from toolee_robot.config import StrikeConfig
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
-from toolee_robot.hal import ZERO_TIME
+from toolee_robot.hal import ZERO_TIME, Arm, Clock
 
 WINDOW_WAY, LONGEST_WINDOW = 0.00144, 0.3
 """Travel over which the force of a touch is averaged [m]: 48 ms, six readings of a CB3, at 0.03 m/s; and the longest
@@ -28,6 +28,10 @@ SIGMAS = 4.5
 is a phantom, which is recognised."""
 MAX_FACTOR = 1.5
 """The noise may raise the threshold to this multiple of `strike.touch_force`; with more, nothing is touched."""
+CONFIRM_SHARE = 0.5
+"""A contact is sure when at rest at least this share of the threshold still presses."""
+MAX_PHANTOMS = 3
+"""Number of contacts in one touch that were none after which the force is not to be relied on."""
 SLOPE_RANGE = 0.008
 """Height above the end of a touch over which the rise of the force is examined [m]."""
 
@@ -60,6 +64,27 @@ class Rise:
 
     height: float
     stiffness: float
+
+
+def forces_at_rest(arm: Arm, clock: Clock, duration: float) -> Array:
+    """Read the force of an arm at rest.
+
+    Args:
+        arm: The arm.
+        clock: The station's clock.
+        duration: Time over which it is read [s].
+
+    Returns:
+        The readings, one a cycle, (N, 3) [N], `base` axes.
+
+    Raises:
+        DeviceError: The arm does not answer.
+    """
+    readings = []
+    for _ in range(max(round(duration * arm.rate), 1)):
+        clock.sleep(1.0 / arm.rate)
+        readings.append(arm.state().wrench[:3])
+    return np.array(readings)
 
 
 def touch_settings(forces: Array, rate: float, strike: StrikeConfig) -> TouchSettings:

@@ -159,6 +159,10 @@ class Machine:
         """Wrench of the environment at the TCP, as `wrench`."""
         return self._at_tcp(self.wrench())
 
+    def _push(self) -> Array:
+        """Wrench at the TCP that moves the arm in freedrive, (6,) [N, Nm], base axes."""
+        return self._at_tcp(self.force_sensor.push(forward(self.model, self.plant.q)[:3, :3]))
+
     def _at_tcp(self, wrench: Array) -> Array:
         arm = forward(self.model, self.plant.q)[:3, :3] @ self.tcp[:3]
         return np.concatenate([wrench[:3], wrench[3:] - np.cross(arm, wrench[:3])])
@@ -167,9 +171,7 @@ class Machine:
         """Commanded joint velocities (6,) [rad/s], modified by force mode or freedrive."""
         if self.compliance is None:
             return qd
-        felt = self.tcp_force()
-        if self.freedrive:
-            felt = self._at_tcp(self.force_sensor.push(forward(self.model, self.plant.q)[:3, :3]))
+        felt = self._push() if self.freedrive else self.tcp_force()
         return self.compliance.apply(self.model, self.X_flange_tcp, self.q_target, qd, felt, dt)
 
     def goal(self) -> Array:

@@ -12,7 +12,7 @@ import pytest
 from tests.errors import raises
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
-from toolee_robot.perception.evaluation.photographs import crops, evaluate, iou, read_photographs
+from toolee_robot.perception.evaluation.photographs import crops, evaluate, read_photographs
 from toolee_robot.perception.pipeline import ToolPerception
 
 
@@ -57,12 +57,6 @@ def test_grey_pictures_score_nothing_and_raise_no_usable_alarm(folder: Path) -> 
     assert (whole_a["ends"], whole_a["found"], whole_a["known_poses"], whole_a["right"]) == (1, 0, 1, 0)
     assert (crop_a["ends"], crop_a["known_poses"]) == (1, 0)
     assert (whole_b["empty_frames"], whole_b["frames_with_usable_alarm"]) == (1, 0)
-
-
-def test_boxes_overlap_by_their_iou() -> None:
-    assert iou((0, 0, 2, 1), (1, 0, 3, 1)) == pytest.approx(1 / 3)
-    assert iou((0, 0, 1, 1), (2, 2, 3, 3)) == 0
-    assert iou((0, 0, 0, 0), (0, 0, 0, 0)) == 0
 
 
 def test_a_folder_without_a_set_is_named(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +11,14 @@ from toolee_robot.control import Supervisor
 from toolee_robot.errors import DeviceError, UserError
 from toolee_robot.frames import Array
 from toolee_robot.hal import Arm, ContactGuard
-from toolee_robot.motion.touch_force import TouchSettings, touch_settings
+from toolee_robot.motion.touch_force import (
+    CONFIRM_SHARE,
+    MAX_PHANTOMS,
+    TouchSettings,
+    forces_at_rest,
+    touch_settings,
+)
+from toolee_robot.runtime.clock import HostClock
 from toolee_robot.tasks.bring_up.caps import SlowStation
 from toolee_robot.tasks.bring_up.jog import SLOWEST, MotionFrame, plan_line
 from toolee_robot.types import Trajectory
@@ -24,11 +30,8 @@ MOVED = 2e-4
 NOISE_TIME = 1.0
 """Time over which the noise of the force is measured at rest [s]."""
 QUIET_TIME = 0.2
-"""Time over which the force is read at rest, before the approach and after a contact, or the window's if longer [s]."""
-PRESSING = 0.5
-"""A contact is sure when this share of the threshold presses at rest, and no approach begins with as much."""
-MAX_PHANTOMS = 3
-"""Number of contacts that were none after which the force is not to be relied on."""
+"""Time over which a quiet force is read at rest, before the approach and after a contact [s]; a noisy one is read for
+NOISE_TIME, and none shorter than the window."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ def measured_settings(arm: Arm, strike: StrikeConfig, force: float) -> TouchSett
     """
     if not force > 0:
         raise UserError(f"a force of {force} N: give a positive number", code="user.force")
-    return touch_settings(_forces(arm, NOISE_TIME), arm.rate, replace(strike, touch_force=force))
+    return touch_settings(forces_at_rest(arm, HostClock(), NOISE_TIME), arm.rate, replace(strike, touch_force=force))
 
 
 def approach(arm: Supervisor, slow: SlowStation, trajectory: Trajectory, settings: TouchSettings) -> Touch | None:
@@ -84,10 +87,14 @@ def approach(arm: Supervisor, slow: SlowStation, trajectory: Trajectory, setting
         DeviceError: The arm feels a force already at rest, or contacts that are none again and again.
         TooleeError: What `Supervisor.execute` raises.
     """
-    arm.zero_wrench()
-    quiet = max(QUIET_TIME, settings.window)
-    felt = float(np.linalg.norm(np.mean(_forces(arm, quiet), axis=0)))
-    if not felt < PRESSING * settings.force:
+    clock = HostClock()
+    quiet = max(QUIET_TIME if settings.release is None else NOISE_TIME, settings.window)
+    for _ in range(MAX_PHANTOMS):  # zero and reading both have the noise
+        arm.zero_wrench()
+        felt = float(np.linalg.norm(np.mean(forces_at_rest(arm, clock, quiet), axis=0)))
+        if felt < CONFIRM_SHARE * settings.force:
+            break
+    else:
         raise DeviceError(
             f"just zeroed, the arm feels {felt:.1f} N at rest, half of {settings.force:.1f} N or more: take away what "
             "touches it, or raise the force",
@@ -98,8 +105,8 @@ def approach(arm: Supervisor, slow: SlowStation, trajectory: Trajectory, setting
     guard = ContactGuard(settings.force, averaging_window=settings.window)
     touch, phantoms, report = None, 0, arm.execute(trajectory, guard, at_work=True)
     while report.contact is not None:
-        pressing = float(np.linalg.norm(np.mean(_forces(arm, quiet), axis=0)))
-        if pressing >= PRESSING * settings.force:
+        pressing = float(np.linalg.norm(np.mean(forces_at_rest(arm, clock, quiet), axis=0)))
+        if pressing >= CONFIRM_SHARE * settings.force:
             X_base_flange = fk(report.contact.q)
             travelled = float(np.linalg.norm(X_base_flange[:3, 3] - begin))
             touch = Touch(travelled, X_base_flange, pressing)
@@ -121,12 +128,3 @@ def approach(arm: Supervisor, slow: SlowStation, trajectory: Trajectory, setting
             code="device.force_noise",
         )
     return touch
-
-
-def _forces(arm: Arm, duration: float) -> Array:
-    """Readings of the force at rest, one a cycle, (N, 3) [N]."""
-    readings = []
-    for _ in range(max(round(duration * arm.rate), 1)):
-        time.sleep(1.0 / arm.rate)
-        readings.append(arm.state().wrench[:3])
-    return np.array(readings)

@@ -20,6 +20,7 @@ from toolee_robot.errors import DeviceError, GripDoubtError, MotionFaultError, P
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard, MotionOutcome, MotionReport, Station
 from toolee_robot.motion.strike_contact import strike_guard
+from toolee_robot.motion.touch_force import forces_at_rest
 from toolee_robot.tasks.common.hand_watch import HandWatch, check_held
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.person_proof import PersonProof
@@ -256,11 +257,7 @@ class Motions:
         Raises:
             DeviceError: The arm does not answer.
         """
-        readings = []
-        for _ in range(max(round(duration * self.arm.rate), 1)):
-            self._station.clock.sleep(1.0 / self.arm.rate)
-            readings.append(self.arm.state().wrench[:3])
-        return np.array(readings)
+        return forces_at_rest(self.arm, self._station.clock, duration)
 
     def check_hand(self) -> None:
         """Check the hand before a strike.

@@ -17,16 +17,22 @@ from toolee_robot.control.slip import protrusion
 from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ZERO_TIME, ContactGuard, MotionReport
-from toolee_robot.motion.touch_force import SLOPE_RANGE, WINDOW_WAY, TouchSettings, onset, touch_settings
+from toolee_robot.motion.touch_force import (
+    CONFIRM_SHARE,
+    MAX_PHANTOMS,
+    SLOPE_RANGE,
+    WINDOW_WAY,
+    TouchSettings,
+    onset,
+    touch_settings,
+)
 from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 
 NOISE_TIME, NOISE_TIMES = 1.0, 3
 """Time over which the noise is measured at rest [s], and how many times at most before the force is too noisy."""
-CONFIRM_TIME, CONFIRM_SHARE = 0.1, 0.5
-"""A contact is sure when over this time [s] at rest at least this share of the threshold still presses on the face."""
-MAX_PHANTOMS = 3
-"""Number of phantoms in one touch after which the force is not to be relied on."""
+CONFIRM_TIME = 0.1
+"""Time at rest over which a contact must still press on the face [s]."""
 LEAN_TIME, LEAN_TIMES, NEAR = 0.08, 20, 0.10
 """The face leans against something if over this time at rest [s], or the window's where that is longer, so many times,
 the force differs from its zero by the threshold, and the zero was taken within this distance of the flange [m]; farther
