@@ -7,10 +7,12 @@ and the physics advance, the safety system checks its limits, and the services (
 from __future__ import annotations
 
 import gc
+import os
 import select
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import get_args
 
@@ -181,13 +183,20 @@ class Controller:
             self.close()
             raise
 
-    def run(self) -> None:
+    def run(self, realtime: bool = False) -> None:
         """Run the tick loop until `stop` is called or an exception, such as Ctrl-C, ends it; then close every port.
 
         The garbage collector is off in the loop, since its pauses would delay ticks; it runs while no client is
         connected.
+
+        Args:
+            realtime: Whether the calling thread gets real-time priority if permitted, as a real controller has its own
+                computer.
         """
         self._running = True
+        if realtime:
+            with suppress(PermissionError):
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
         gc.collect()
         gc.freeze()
         gc.disable()

@@ -73,8 +73,8 @@ class ControllerProcess:
         if options is not None and changes:
             raise UserError("give either options or their fields", code="user.controller_options")
         self.options = options or ControllerOptions(**changes)
-        self._job = pickle.dumps((self.options, plant, setup, verbose))
-        self._inherit, self._realtime, self._verbose = inherit, realtime, verbose
+        self._job = pickle.dumps((self.options, plant, setup, verbose, realtime))
+        self._inherit, self._verbose = inherit, verbose
         self._child: subprocess.Popen[bytes] | None = None
         self._client: FaultClient | None = None
         self._on_exit: list[Callable[[], object]] = []
@@ -114,9 +114,6 @@ class ControllerProcess:
                 if answer:
                     raise UserError(answer, code="user.controller_refused")
                 raise DeviceError("the controller stand-in died at its start", code="device.controller_died")
-            if self._realtime:
-                with contextlib.suppress(PermissionError):
-                    os.sched_setscheduler(self._child.pid, os.SCHED_FIFO, os.sched_param(1))
             self._client = FaultClient(self.host, self.options.fault_port)
         except BaseException:
             self._end()
@@ -202,7 +199,7 @@ def _child() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     pipe = sys.stdin.buffer
-    options, plant, setup, verbose = pickle.loads(pipe.read(int.from_bytes(pipe.read(4), "big")))
+    options, plant, setup, verbose, realtime = pickle.loads(pipe.read(int.from_bytes(pipe.read(4), "big")))
 
     def log(line: str) -> None:
         if verbose:
@@ -218,7 +215,7 @@ def _child() -> None:
         print(str(error).replace("\n", " "), flush=True)
         return
     print("ready", flush=True)
-    controller.run()
+    controller.run(realtime)
 
 
 if __name__ == "__main__":

@@ -104,7 +104,7 @@ class UrController:
             for port in (*controller.ports.values(), controller.fault_port):
                 console.print(f"  {port.number}  {port.name}")
             console.print("[dim]Ctrl-C ends it; end its clients first.[/dim]")
-            controller.run()
+            controller.run(realtime=True)
         except KeyboardInterrupt:
             statistics = controller.schedule.statistics
             console.print(
