@@ -2,7 +2,7 @@
 
     robot = RobotModel.load()
     world = CollisionWorld(robot, config, q_hand, X_hand_ee)
-    plan = plan_strike(robot, config, world, q_arm, q_hand, X_hand_ee, X_base_nail)
+    plan = plan_strike(robot, config, world, q_arm, q_hand, X_hand_ee, X_base_nail, tool=hammer)
     arm = Supervisor(station.arm, station.person, robot, config, lambda: world)  # checks every motion
     arm.execute(plan.approach); arm.swing(plan.strike, ContactGuard(...), plan.expected_contact)
 

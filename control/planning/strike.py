@@ -12,10 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Clearance, CollisionWorld
 from toolee_robot.control.compliance import yield_length
 from toolee_robot.control.correction import Candidates, candidates, flange_targets, rank
+from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
+from toolee_robot.control.dynamics.torque_room import TORQUE_SHARE, torque_use
 from toolee_robot.control.limits import check_trajectory
 from toolee_robot.control.planning.line import Line, PathLimits, line_derivatives, strike_limits
 from toolee_robot.control.planning.timing import brake_profile, ramp_length, run_up_profile
@@ -24,10 +27,12 @@ from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import CollisionError, LimitError, PlanningError, UnreachableError, UserError
 from toolee_robot.frames import Array, is_rigid
-from toolee_robot.types import Trajectory
+from toolee_robot.types import Payload, Trajectory
 
 SHORTLIST = 24
 """Number of candidates whose whole line is solved and checked."""
+TORQUE_ROUNDS = 6
+"""Number of decelerations that are tried until a strike keeps the torques."""
 MIN_SPEED = 0.3
 """Least useful speed of a strike [m/s]; a slower one does not drive the nail."""
 
@@ -41,9 +46,12 @@ def plan_strike(
     X_hand_ee: Array,
     X_base_nail: Array,
     *,
+    tool: Payload,
     speed: float | None = None,
 ) -> StrikePlan:
     """Plan one strike.
+
+    The arm brakes as hard as its joints' accelerations and, with this tool, TORQUE_SHARE of their torques allow.
 
     Args:
         robot: Kinematic model of arm and hand.
@@ -53,6 +61,7 @@ def plan_strike(
         q_hand: Joint positions of the hand, wrist first, (n,) [rad].
         X_hand_ee: Estimated pose of the end effector in the hand, (4, 4); the nominal one for the uncorrected baseline.
         X_base_nail: Pose of the nail, (4, 4), z into the wood.
+        tool: Mass of the tool [kg] and its centre of mass in the end effector's frame [m].
         speed: Wanted speed at the contact [m/s]; `config.strike.speed` if None. It is reduced where a limit requires
             it.
 
@@ -62,7 +71,7 @@ def plan_strike(
     Raises:
         UnreachableError: No spin and branch reaches the nail with its run-up.
         CollisionError: Every strike would collide; the message names the closest pair.
-        LimitError: No strike satisfies the limits, among them the travel of a mount.
+        LimitError: No strike satisfies the limits, among them the joints' torques and the travel of a mount.
         UserError: A pose is not a rigid transform.
     """
     began = time.perf_counter()
@@ -75,12 +84,19 @@ def plan_strike(
     short = found.take(order)
     fastest = min(wanted, float(np.max(short.attainable_speed)))
     yields = yield_length(robot, q_hand, X_flange_ee)
+    dynamics = ArmDynamics(robot, q_hand, X_hand_ee, tool)
     failure: PlanningError | None = None
-    # An obstacle below the nail, or a mount, may leave too little length for braking: then a slower strike.
+    # An obstacle below the nail, a mount, or a heavy tool may leave too little room for braking: then a slower strike.
     for share in (1.0, 0.8, 0.6):
+        top = share * fastest
         try:
-            plan = _plan(robot, config, world, q_start, short, X_base_nail, X_flange_ee, share * fastest, wanted, began)
+            plan = _plan(robot, config, world, dynamics, q_start, short, X_base_nail, X_flange_ee, top, wanted, began)
         except CollisionError as error:
+            failure = failure or error
+            continue
+        except LimitError as error:
+            if error.code != "limit.torque":
+                raise
             failure = failure or error
             continue
         if plan.brake_length <= yields:
@@ -99,6 +115,7 @@ def _plan(
     robot: RobotModel,
     config: StationConfig,
     world: CollisionWorld,
+    dynamics: ArmDynamics,
     q_start: Array,
     short: Candidates,
     X_base_nail: Array,
@@ -109,11 +126,12 @@ def _plan(
 ) -> StrikePlan:
     """Plan the best strike of at most `speed` [m/s] among the shortlist."""
     failure: PlanningError | None = None
+    torque = TORQUE_SHARE * np.array(ARM_DATA[config.arm.model].torque)
     for found in _solve_lines(robot, config, world, short, q_start, X_base_nail, X_flange_ee, speed):
         line, limits, index = found.line, found.limits, found.index
         assert found.clearance is not None
         try:
-            strike, contact_time, brake = _time(line, limits, config.strike.run_up)
+            strike, contact_time, brake = _time(line, limits, config.strike.run_up, dynamics, torque)
             contact = int(np.searchsorted(strike.times, contact_time - 1e-9))
             need = config.strike.clearance
             world.check(strike.q[: contact + 1 : 4], need, "the run-up", RUN_UP_EXEMPT)
@@ -240,15 +258,34 @@ def _solve_lines(
     return sorted(clear, key=order)
 
 
-def _time(line: Line, limits: PathLimits, run_up: float) -> tuple[Trajectory, float, float]:
-    """Build the timed strike; returns it with the time of contact [s] and the braking length [m]."""
+def _time(
+    line: Line, limits: PathLimits, run_up: float, dynamics: ArmDynamics, torque: Array
+) -> tuple[Trajectory, float, float]:
+    """Build the timed strike, which brakes within the torques; (it, time of contact [s], braking length [m]).
+
+    Raises LimitError, with the code `limit.torque` where a slower strike may be possible.
+    """
     up = run_up_profile(run_up, limits.speed, limits.acceleration, limits.jerk)
-    down = brake_profile(limits.speed, limits.brake, limits.jerk)
-    whole = replace(
-        up,
-        times=np.concatenate([up.times, up.times[-1] + down.times[1:]]),
-        s=np.concatenate([up.s, down.s[1:]]),
-        v=np.concatenate([up.v, down.v[1:]]),
-        a=np.concatenate([up.a, down.a[1:]]),
+    contact_time, brake = float(up.times[-1]), limits.brake
+    for _ in range(TORQUE_ROUNDS):
+        down = brake_profile(limits.speed, brake, limits.jerk)
+        whole = replace(
+            up,
+            times=np.concatenate([up.times, contact_time + down.times[1:]]),
+            s=np.concatenate([up.s, down.s[1:]]),
+            v=np.concatenate([up.v, down.v[1:]]),
+            a=np.concatenate([up.a, down.a[1:]]),
+        )
+        strike = line.timed(whole)
+        use = torque_use(dynamics, strike, torque)
+        if np.max(use[: len(up.times)]) > 1.0:
+            break
+        if (most := float(np.max(use))) <= 1.0:
+            return strike, contact_time, float(down.s[-1])
+        # A part of the torque is that of the speed, which braking less hard does not change: hence the rounds.
+        brake *= 0.98 / most
+    raise LimitError(
+        f"a strike at {limits.speed:.2f} m/s takes more than {TORQUE_SHARE:g} of a joint's torque: lower strike.speed, "
+        "move the block nearer to the arm, or take a lighter hammer",
+        code="limit.torque",
     )
-    return line.timed(whole), float(up.times[-1]), float(down.s[-1])

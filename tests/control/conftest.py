@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.control.desk import Desk
+from tests.control.desk import TOOL, Desk
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
 from toolee_robot.frames import Array, frame_from_axes
@@ -56,4 +56,4 @@ def desk(robot: RobotModel, config: StationConfig, world: CollisionWorld, home: 
 @pytest.fixture(scope="session")
 def plan(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_hand_ee: Array) -> StrikePlan:
     world = CollisionWorld(robot, config, q_hand, X_hand_ee)
-    return plan_strike(robot, config, world, home, q_hand, X_hand_ee, config.work.X_base_nail())
+    return plan_strike(robot, config, world, home, q_hand, X_hand_ee, config.work.X_base_nail(), tool=TOOL)

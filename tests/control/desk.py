@@ -24,9 +24,12 @@ from toolee_robot.errors import (
 )
 from toolee_robot.frames import Array
 from toolee_robot.hal import ContactGuard
-from toolee_robot.types import Trajectory
+from toolee_robot.types import Payload, Trajectory
 
 GUARD = ContactGuard(15.0)
+
+TOOL = Payload(1.05, np.array([0.06, 0.0, -0.05]))
+"""The heaviest hammer for one hand; centre of mass in the frame of its face."""
 
 
 class Desk:

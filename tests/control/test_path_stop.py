@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
+from tests.control.desk import TOOL
 from tests.examples import examples
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_strike
@@ -38,7 +39,7 @@ def plans(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, 
         X_hand_ee = SHADOW_HAND.grasp.X_hand_tool(0.016) @ transform(turn, [0, 0, rng.uniform(-0.03, 0.03)]) @ X_tool_ee
         world = CollisionWorld(robot, config, q_hand, X_hand_ee)
         nail = config.work.X_base_nail(rng.uniform(0, 0.02))
-        plans.append(plan_strike(robot, config, world, home, q_hand, X_hand_ee, nail))
+        plans.append(plan_strike(robot, config, world, home, q_hand, X_hand_ee, nail, tool=TOOL))
     return plans
 
 

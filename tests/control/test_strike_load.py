@@ -25,7 +25,7 @@ def struck(X_tool_ee: Array, home: Array) -> tuple[RobotModel, StrikePlan, Array
     q_hand, tool = robot.description.hand_closed, Payload(1.05, np.array([0.06, 0.0, -0.05]))
     X_hand_ee = SHADOW_HAND.grasp.X_hand_tool(0.016) @ X_tool_ee
     world = CollisionWorld(robot, CONFIG, q_hand, X_hand_ee)
-    plan = plan_strike(robot, CONFIG, world, home, q_hand, X_hand_ee, CONFIG.work.X_base_nail())
+    plan = plan_strike(robot, CONFIG, world, home, q_hand, X_hand_ee, CONFIG.work.X_base_nail(), tool=tool)
     payload = robot.payload(q_hand, X_hand_ee, tool.mass, tool.center_of_mass)
     return robot, plan, q_hand, X_hand_ee, payload
 

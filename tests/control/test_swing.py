@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests.control.desk import TOOL
 from tests.errors import raises
 from tests.examples import examples
 from toolee_robot.config import StationConfig
@@ -29,13 +30,10 @@ from toolee_robot.types import ArmModel, Payload
 RATED = np.array([330.0, 330, 150, 56, 56, 56])
 """Of the UR10 and the UR10e [Nm], from their data sheets."""
 
-TOOL = Payload(1.05, np.array([0.06, 0.0, -0.05]))
-"""The heaviest hammer for one hand."""
 
-
-def torques(robot: RobotModel, plan: StrikePlan, q_hand: Array, X_hand_ee: Array) -> Array:
+def torques(robot: RobotModel, plan: StrikePlan, q_hand: Array, X_hand_ee: Array, tool: Payload = TOOL) -> Array:
     """Inverse dynamics of arm, hand with all its joints, and tool; largest of each arm joint (6,) [Nm]."""
-    model, tool = robot.model.copy(), TOOL
+    model = robot.model.copy()
     frame = model.frames[model.getFrameId(robot.description.hand_frame)]
     p = (X_hand_ee @ np.append(tool.center_of_mass, 1.0))[:3]
     inertia = pin.Inertia(tool.mass, np.zeros(3), np.zeros((3, 3)))

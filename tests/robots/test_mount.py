@@ -137,7 +137,8 @@ def test_a_strike_is_slower_where_less_yields(config: StationConfig, mount: Tool
         robot, grasp = RobotModel.of_station(own), nominal_grasp(tool, own)
         X_hand_ee, home = grasp.X_hand_ee, np.array(own.scene.home)
         world = CollisionWorld(robot, own, REST, X_hand_ee)
-        plan = plan_strike(robot, own, world, home, REST, X_hand_ee, own.work.X_base_nail())
+        state = home, REST, X_hand_ee, own.work.X_base_nail()
+        plan = plan_strike(robot, own, world, *state, tool=grasp.swung)
         return plan.speed, plan.brake_length, yield_length(robot, REST, robot.X_flange_hand(REST) @ X_hand_ee)
 
     fast, brake, reach = speed(0.8)

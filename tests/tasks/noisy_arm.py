@@ -62,7 +62,8 @@ class Rig:
         motions.arm.mode = Mode.UNATTENDED
         self.touch = Touch(motions, CONFIG, robot, self.log)
         nail = CONFIG.work.X_base_nail(self._world.nail.protrusion)
-        self._plan = plan_strike(robot, CONFIG, motions.world(), motions.q, motions.q_hand, motions.X_hand_ee, nail)
+        state = motions.world(), motions.q, motions.q_hand, motions.X_hand_ee, nail
+        self._plan = plan_strike(robot, CONFIG, *state, tool=grasp.swung)
 
     def go_over(self, over: float) -> None:
         """Go to rest so far over the nail [m], and look where the face is: the tool hangs in the hand."""

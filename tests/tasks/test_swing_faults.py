@@ -91,7 +91,8 @@ def over_nail() -> Iterator[tuple[Bench, StrikePlan]]:
     with bench.sim:
         q, q_hand, X_hand_ee = bench.arm.state().q_commanded, bench.hand.state().joints.q, bench.true_grasp.X_hand_ee
         world = CollisionWorld(robot, CONFIG, q_hand, X_hand_ee)
-        plan = plan_strike(robot, CONFIG, world, q, q_hand, X_hand_ee, CONFIG.work.X_base_nail())
+        nail = CONFIG.work.X_base_nail()
+        plan = plan_strike(robot, CONFIG, world, q, q_hand, X_hand_ee, nail, tool=bench.true_grasp.swung)
         bench.arm.execute(plan.approach)
         bench.sim.world.advance(0.5)
         bench.keep()

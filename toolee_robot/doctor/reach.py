@@ -11,8 +11,9 @@ from toolee_robot.control import CollisionWorld, RobotModel, plan_handover, plan
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import PlanningError
 from toolee_robot.findings import Finding, ok, warn
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, inverse
 from toolee_robot.tools import NAIL_DRIVERS, SWUNG_MASS, Tool, ToolKind, make_tool
+from toolee_robot.types import Payload
 
 SLOWER = 0.9
 """Share of the wanted speed below which a strike is reported as slow."""
@@ -25,8 +26,9 @@ def check_reach(config: StationConfig) -> Iterator[Finding]:
     yield _handover(robot, config, home, model.hand_open)
     tools = [make_tool(kind, _seed(kind)) for kind in NAIL_DRIVERS]
     grips = [model.hand.grasp.X_hand_tool(t.handle.grip_radius) @ _face(t) for t in tools]
+    swung = [Payload(t.mass, t.center_of_mass).seen_from(inverse(_face(t))) for t in tools]
     yield _views(robot, config, home, model.hand_closed, grips[0])
-    yield _strikes(robot, config, home, model.hand_closed, grips)
+    yield _strikes(robot, config, home, model.hand_closed, list(zip(grips, swung, strict=True)))
 
 
 def _seed(kind: ToolKind) -> int:
@@ -55,14 +57,16 @@ def _views(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array,
     return ok("views", f"the camera sees the tool from {config.task.views} sides")
 
 
-def _strikes(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, grips: list[Array]) -> Finding:
+def _strikes(
+    robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, grips: list[tuple[Array, Payload]]
+) -> Finding:
     name, X_base_nail, wanted = "strike", config.work.X_base_nail(), config.strike.speed
     speeds: list[float] = []
     failures: list[Finding] = []
-    for X_hand_ee in grips:
+    for X_hand_ee, tool in grips:
         world = CollisionWorld(robot, config, q_hand, X_hand_ee)
         try:
-            plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, X_base_nail)
+            plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, X_base_nail, tool=tool)
         except PlanningError as error:
             failures.append(Finding.of_error(name, error, "move the nail (work.nail_xy), or raise the stand"))
         else:

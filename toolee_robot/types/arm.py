@@ -125,12 +125,23 @@ class HandWeight:
 
 @dataclass(frozen=True)
 class Payload:
-    """Mass properties of what the flange carries.
+    """Mass properties of what the flange carries, or of a tool.
 
     Attributes:
         mass: Mass [kg].
-        center_of_mass: Centre of mass in the flange frame, (3,) [m].
+        center_of_mass: Centre of mass, (3,) [m]; in the flange frame unless said otherwise.
     """
 
     mass: float
     center_of_mass: Array = field(default_factory=lambda: np.zeros(3))
+
+    def seen_from(self, X_frame_this: Array) -> Payload:
+        """The same mass with its centre in another frame.
+
+        Args:
+            X_frame_this: Pose of the present frame in the other one, (4, 4).
+
+        Returns:
+            The mass properties in the other frame.
+        """
+        return Payload(self.mass, (X_frame_this @ np.append(self.center_of_mass, 1.0))[:3])

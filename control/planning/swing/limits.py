@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from toolee_robot.control.dynamics.torque_room import TORQUE_SHARE
 from toolee_robot.errors import UserError
 from toolee_robot.types import Payload
 
@@ -16,8 +17,7 @@ class SwingLimits:
         tool: Mass of the tool [kg] and its centre of mass in the end effector's frame [m].
         deepest: Largest distance of the commanded face beyond the contact along the nail's axis [m]; infinite for no
             bound. An arm lags behind its command and would follow it into the wood.
-        torque_share: Share of the joints' rated torques that the inverse dynamics may take. The rest is for what is not
-            modelled: friction, the motors' rotors, errors of the masses.
+        torque_share: Share of the joints' rated torques that the inverse dynamics may take.
         height_error: Error of the nail's height within which the face is still square to 1 deg [m].
 
     Raises:
@@ -26,7 +26,7 @@ class SwingLimits:
 
     tool: Payload
     deepest: float = 0.010
-    torque_share: float = 0.9
+    torque_share: float = TORQUE_SHARE
     height_error: float = 0.003
 
     def __post_init__(self) -> None:

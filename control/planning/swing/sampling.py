@@ -7,10 +7,10 @@ import numpy as np
 from toolee_robot.config import ArmLimits
 from toolee_robot.control.collision import CollisionWorld
 from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
+from toolee_robot.control.dynamics.torque_room import torque_use
 from toolee_robot.control.modes import carried_speed
 from toolee_robot.control.planning.swing.spline import Spline
 from toolee_robot.control.planning.timing import SAMPLE_PERIOD
-from toolee_robot.errors import LimitError
 from toolee_robot.frames import Array
 from toolee_robot.types import Trajectory
 
@@ -63,14 +63,8 @@ def sampled_within(
         LimitError: Gravity alone exceeds a torque; code `limit.torque`.
     """
     trajectory, contact = _sampled(spline, q_contact, x, 1.0)
-    q, rest = trajectory.q, np.zeros_like(trajectory.q)
-    static = dynamics.torques(q, rest, rest)
-    dynamic = dynamics.torques(q, trajectory.qd, trajectory.qdd) - static
-    room = torque - np.sign(dynamic) * static
-    if np.any(room <= 0):
-        raise LimitError("holding the arm takes more torque than is permitted", code="limit.torque")
     fastest = float(np.max(carried_speed(trajectory, world)))
-    slower = max(float(np.sqrt(np.max(np.abs(dynamic) / room))), fastest / (0.998 * speed))
+    slower = max(float(np.sqrt(np.max(torque_use(dynamics, trajectory, torque)))), fastest / (0.998 * speed))
     return (trajectory, contact) if slower <= 1.0 else _sampled(spline, q_contact, x, slower * (1 + 1e-4))
 
 

@@ -11,10 +11,12 @@ import pytest
 from tests.sim_backend.physics.energy_balance import driven_by
 from toolee_robot.config import StationConfig
 from toolee_robot.control import CollisionWorld, RobotModel, plan_handover, plan_straight, plan_strike
+from toolee_robot.end_effectors import Category
 from toolee_robot.frames import inverse, rotation_angle
 from toolee_robot.hal import MotionOutcome
 from toolee_robot.motion.strike_contact import strike_guard
 from toolee_robot.sim_backend import SimStation
+from toolee_robot.types import Payload
 
 pytestmark = pytest.mark.sim
 
@@ -53,6 +55,8 @@ def test_strikes_are_simulated_faster_than_real_time(held: SimStation) -> None:
 def _strike_twice(held: SimStation) -> tuple[float, float]:
     """Strike twice and check each strike; returns the simulated time and the processor's time [s]."""
     robot, station, world = RobotModel.load(), held.station, held.world
+    tool, X_tool_ee = held.tool, held.tool.ee(Category.HAMMER_HEAD).X_tool_ee
+    swung = Payload(tool.mass, tool.center_of_mass).seen_from(inverse(X_tool_ee))
     simulated, cpu = -world.time, -time.process_time()
     for _ in range(2):
         X_before = inverse(world.X_base_hand()) @ world.X_base_tool()
@@ -61,7 +65,8 @@ def _strike_twice(held: SimStation) -> tuple[float, float]:
         collisions = CollisionWorld(robot, CONFIG, q_hand, X_hand_ee)
         protrusion = world.nail.protrusion
         X_base_nail = CONFIG.work.X_base_nail(protrusion)
-        plan = plan_strike(robot, CONFIG, collisions, q, q_hand, X_hand_ee, X_base_nail, speed=SPEED)
+        state = q, q_hand, X_hand_ee, X_base_nail
+        plan = plan_strike(robot, CONFIG, collisions, *state, tool=swung, speed=SPEED)
         station.arm.execute(plan.approach)
         wrist: list[float] = []
         held.observers.append(lambda sample, seen=wrist: seen.append(float(sample.q_hand[0])))  # type: ignore[misc]

@@ -63,8 +63,8 @@ class BenchScene:
         """Plan a strike with a pose of the end effector in the hand, (4, 4); None where there is no plan."""
         with suppress(PlanningError):
             world = CollisionWorld(self.robot, self._config, self.q_hand, X_hand_ee)
-            X_base_nail = self._config.work.X_base_nail()
-            return plan_strike(self.robot, self._config, world, self.q_arm, self.q_hand, X_hand_ee, X_base_nail)
+            state = self.q_arm, self.q_hand, X_hand_ee, self._config.work.X_base_nail()
+            return plan_strike(self.robot, self._config, world, *state, tool=self._grasp.swung)
         return None
 
     def simulation_speed(self, seconds: float = 2.0) -> float:

@@ -102,7 +102,7 @@ def compare(
             return plan_swing(*args, speed=np.inf, limits=SwingLimits(held, deepest))
 
         def straight(args: tuple = args) -> StrikePlan:  # type: ignore[type-arg]
-            return plan_strike(*args, speed=0.99 * station_speed)
+            return plan_strike(*args, tool=held, speed=0.99 * station_speed)
 
         dynamics = ArmDynamics(robot, q_hand, X_hand_ee, held)
         face = Face.build(robot.arm, robot.X_flange_hand(q_hand) @ X_hand_ee, X_base_nail)

@@ -13,9 +13,9 @@ from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.end_effectors import Category
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, inverse
 from toolee_robot.sim_backend.station import draw_hammer
-from toolee_robot.types import ArmModel
+from toolee_robot.types import ArmModel, Payload
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,7 @@ class Swing:
         world: Collision model with the held hammer.
         q_hand: Joint positions of the hand, (n,) [rad].
         X_hand_ee: Pose of the end effector in the hand, (4, 4).
+        tool: Mass of the tool [kg] and its centre of mass in the end effector's frame [m].
         plan: Plan of the strike.
     """
 
@@ -36,6 +37,7 @@ class Swing:
     world: CollisionWorld
     q_hand: Array
     X_hand_ee: Array
+    tool: Payload
     plan: StrikePlan
 
 
@@ -46,9 +48,11 @@ def plan_swing(model: ArmModel) -> Swing:
     robot = RobotModel.load(model)
     tool = draw_hammer(np.random.default_rng([0, 10]))
     X_hand_tool = robot.description.hand.grasp.X_hand_tool(tool.handle.grip_radius)
-    X_hand_ee = X_hand_tool @ tool.ee(Category.HAMMER_HEAD).X_tool_ee
+    X_tool_ee = tool.ee(Category.HAMMER_HEAD).X_tool_ee
+    X_hand_ee = X_hand_tool @ X_tool_ee
+    swung = Payload(tool.mass, tool.center_of_mass).seen_from(inverse(X_tool_ee))
     q_hand = robot.description.hand_closed
     world = CollisionWorld(robot, config, q_hand, X_hand_ee)
     home = np.asarray(config.scene.home)
-    plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, config.work.X_base_nail())
-    return Swing(config, robot, world, q_hand, X_hand_ee, plan)
+    plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, config.work.X_base_nail(), tool=swung)
+    return Swing(config, robot, world, q_hand, X_hand_ee, swung, plan)

@@ -66,7 +66,8 @@ def _plan_far(_supervisor: Supervisor, rig: Rig, q: Array) -> object:
     swing = rig.swing
     X_base_nail = swing.config.work.X_base_nail()
     X_base_nail[0, 3] = FAR
-    return plan_strike(swing.robot, swing.config, swing.world, q, swing.q_hand, swing.X_hand_ee, X_base_nail)
+    state = q, swing.q_hand, swing.X_hand_ee, X_base_nail
+    return plan_strike(swing.robot, swing.config, swing.world, *state, tool=swing.tool)
 
 
 COMMAND_FAULTS = (

@@ -69,10 +69,12 @@ def _posture(slow: SlowStation, place: Place, view: int) -> Array:
     if place is Place.VIEW and not 1 <= view <= config.task.views:
         raise UserError(f"view {view}: the station has 1 to {config.task.views} (task.views)", code="user.view")
     q_hand, home = robot.description.hand_closed, np.asarray(config.scene.home)
-    X_hand_ee = nominal_grasp(make_tool(NAIL_DRIVERS[0], 0), config).X_hand_ee
+    grasp = nominal_grasp(make_tool(NAIL_DRIVERS[0], 0), config)
+    X_hand_ee = grasp.X_hand_ee
     with_tool = CollisionWorld(robot, config, q_hand, X_hand_ee)
     if place is Place.NAIL:
         X_base_nail = config.work.X_base_nail()
-        return plan_strike(robot, config, with_tool, home, q_hand, X_hand_ee, X_base_nail).q_standoff
+        state = home, q_hand, X_hand_ee, X_base_nail
+        return plan_strike(robot, config, with_tool, *state, tool=grasp.swung).q_standoff
     count = config.task.views
     return plan_views(robot, config, with_tool, home, q_hand, X_hand_ee, count=count).views[view - 1].q

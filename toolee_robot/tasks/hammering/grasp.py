@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from toolee_robot.config import StationConfig
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, inverse
@@ -38,7 +36,7 @@ class Grasp:
     @property
     def swung(self) -> Payload:
         """Mass of the tool [kg] and its centre of mass in the end effector's frame [m]."""
-        return Payload(self.mass, (inverse(self.X_tool_ee) @ np.append(self.p_tool_com, 1.0))[:3])
+        return Payload(self.mass, self.p_tool_com).seen_from(inverse(self.X_tool_ee))
 
 
 def nominal_grasp(tool: Tool, config: StationConfig) -> Grasp:

@@ -176,9 +176,9 @@ class Handover:
         """
         q_hand = self._robot.description.hand_closed
         world = CollisionWorld(self._robot, self._config, q_hand, self._motions.X_hand_ee)
-        X_base_nail = self._config.work.X_base_nail()
+        state = self._motions.q, q_hand, self._motions.X_hand_ee, self._config.work.X_base_nail()
         try:
-            plan_strike(self._robot, self._config, world, self._motions.q, q_hand, self._motions.X_hand_ee, X_base_nail)
+            plan_strike(self._robot, self._config, world, *state, tool=self._grasp.swung)
         except UnreachableError:
             raise
         except PlanningError as error:

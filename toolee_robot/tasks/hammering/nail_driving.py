@@ -173,7 +173,7 @@ class NailDriving:
             X_base_nail = self._config.work.X_base_nail(height)
             state = motions.world(), motions.q, motions.q_hand, motions.X_hand_ee
             if deepest is None:
-                plan = plan_strike(self._robot, self._config, *state, X_base_nail)
+                plan = plan_strike(self._robot, self._config, *state, X_base_nail, tool=self._tool)
             else:
                 limits = SwingLimits(self._tool, deepest)
                 plan = plan_swing(self._robot, self._config, *state, X_base_nail, limits=limits)
