@@ -12,7 +12,6 @@ import numpy as np
 from toolee_robot.errors import DeviceError, NoAnswerError, NotReadyError, TooleeError
 from toolee_robot.hal import Clock
 from toolee_robot.hardware.cameras.frame_gate import FrameGate, Refusal, stale
-from toolee_robot.hardware.cameras.lens import Undistortion
 from toolee_robot.hardware.cameras.registration import DepthRegistration
 from toolee_robot.hardware.cameras.stream import CameraProfile, CameraStream, RawImages
 from toolee_robot.types import CameraIntrinsics, RgbdFrame

@@ -12,12 +12,12 @@ class DeviceClock:
 
     An image arrives at `device stamp + offset + delay`. The delay has a least value and is now and then longer, never
     shorter, so the smallest difference of arrival and stamp is the offset plus the least delay. The smallest one seen
-    is let rise with MAX_DRIFT, the fastest that clocks drift apart: a minimum filter with a leak, after the clock filter
-    of NTP (D. Mills, RFC 5905, section 10), which trusts the samples of the least delay.
+    is let rise with MAX_DRIFT, the fastest that clocks drift apart: a minimum filter with a leak, after the clock
+    filter of NTP (D. Mills, RFC 5905, section 10), which trusts the samples of the least delay.
 
     A converted stamp is thus late by the least delay, which no software can see from the stamps alone, and by at most
-    MAX_DRIFT times twice the time since an image had it. A stream that becomes late stays seen as late: half a second of
-    delay would be forgotten after 40 minutes.
+    MAX_DRIFT times twice the time since an image had it. A stream that becomes late stays seen as late: half a second
+    of delay would be forgotten after 40 minutes.
     """
 
     def __init__(self) -> None:

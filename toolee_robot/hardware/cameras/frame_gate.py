@@ -34,8 +34,9 @@ class FrameGate:
     """Judges the pairs of images of one stream, in the order in which they arrive.
 
     A pair counts as a new frame if both images have stamps that are newer than the last ones, of the same time to half
-    a frame, pixels that differ from the last ones, since noise makes no two images of a sensor equal, and arrived in time. What cannot be is
-    an error and ends the stream: a wrong size or type, a clock that jumps, a depth that cannot be in metres.
+    a frame, pixels that differ from the last ones, since noise makes no two images of a sensor equal, and arrived in
+    time. What cannot be is an error and ends the stream: a wrong size or type, a clock that jumps, a depth that cannot
+    be in metres.
 
     Args:
         profile: The opened camera.

@@ -25,7 +25,8 @@ SILENCE = 1.0
 QUEUE = 8
 """Images that the SDK keeps until they are fetched; the oldest are dropped."""
 _COLOR_EXPOSURE_UNIT, _STEREO_EXPOSURE_UNIT = 1e-4, 1e-6
-"""Units of the exposure of a colour sensor (USB video class) and of a stereo module, whose own colour a D405 has [s]."""
+"""Units of the exposure of a colour sensor (USB video class) and of a stereo module, which a D405's colour is of [s].
+"""
 
 
 def sdk() -> Any:
@@ -90,7 +91,7 @@ class RealSenseStream:
         rs = self._rs = sdk()
         device = self._find()
         if device is None:
-            others = ", ".join(_info(rs, other, rs.camera_info.serial_number) for other in self._devices())
+            others = ", ".join(_info(other, rs.camera_info.serial_number) for other in self._devices())
             raise NoAnswerError(
                 f"no RealSense with serial number {self._serial} is connected (there are: {others or 'none'}): check "
                 "cable and camera.device.serial",
@@ -101,8 +102,8 @@ class RealSenseStream:
         except RuntimeError as error:  # the SDK's only exception
             self.close()
             raise NoAnswerError(
-                f"the RealSense {self._serial} cannot be opened ({error}): close other programs that use it, or plug it "
-                "in again",
+                f"the RealSense {self._serial} cannot be opened ({error}): close other programs that use it, or plug "
+                "it in again",
                 code="no_answer.camera_refuses",
             ) from error
         except BaseException:
@@ -117,7 +118,7 @@ class RealSenseStream:
         R = np.array(extrinsics.rotation, np.float64).reshape(3, 3, order="F")
         auto = rs.option.enable_auto_exposure
         profile = CameraProfile(
-            model=_info(rs, device, rs.camera_info.name),
+            model=_info(device, rs.camera_info.name),
             serial=self._serial,
             color=self._lens(rs, color),
             fps=float(self._mode.fps),
@@ -125,7 +126,7 @@ class RealSenseStream:
             X_color_depth=transform(R, extrinsics.translation),
             depth_scale=float(depth_sensor.as_depth_sensor().get_depth_scale()),
             auto_exposure=bool(color_sensor.get_option(auto)) if color_sensor.supports(auto) else None,
-            firmware=_info(rs, device, rs.camera_info.firmware_version),
+            firmware=_info(device, rs.camera_info.firmware_version),
         )
         self._queue = rs.frame_queue(QUEUE)
         self._color: Any = None
@@ -219,7 +220,7 @@ class RealSenseStream:
 
     def _find(self) -> Any | None:
         number = self._rs.camera_info.serial_number
-        found = (d for d in self._devices() if d.is_connected() and _info(self._rs, d, number) == self._serial)
+        found = (d for d in self._devices() if d.is_connected() and _info(d, number) == self._serial)
         return next(found, None)
 
     def _choose(self, device: Any, stream: Any, layout: Any) -> tuple[Any, Any]:
@@ -272,7 +273,9 @@ class RealSenseStream:
         models = {
             rs.distortion.none: LensModel.NONE,
             rs.distortion.brown_conrady: LensModel.BROWN_CONRADY,
-            rs.distortion.inverse_brown_conrady: LensModel.INVERSE_BROWN_CONRADY,
+            rs.distortion.modified_brown_conrady: LensModel.MODIFIED_BROWN_CONRADY,
+            # As rsutil.h computes it: its documents say that it undistorts, its code that it distorts.
+            rs.distortion.inverse_brown_conrady: LensModel.MODIFIED_BROWN_CONRADY,
         }
         if found.model not in models:
             message = f"this RealSense's lens is {found.model}, which the driver does not know: use another mode"
@@ -280,5 +283,5 @@ class RealSenseStream:
         return Lens(pinhole, models[found.model], tuple(map(float, found.coeffs)))
 
 
-def _info(rs: Any, device: Any, what: Any) -> str:
+def _info(device: Any, what: Any) -> str:
     return str(device.get_info(what)) if device.supports(what) else ""

@@ -12,7 +12,7 @@ from toolee_robot.hardware.cameras.stream import CameraProfile, RawImages
 
 
 class RecordedStream:
-    """The `CameraStream` of a recording: each frame once, at the pace at which it was recorded, from its beginning.
+    """The `CameraStream` of a recording: each frame once, as fast as it was recorded, from its beginning.
 
     After the last frame nothing comes any more, as from a camera that hangs.
 

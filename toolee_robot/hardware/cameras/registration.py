@@ -10,8 +10,8 @@ from toolee_robot.hardware.cameras.lens import Lens
 from toolee_robot.types import CameraIntrinsics
 
 MARGIN = 1.2
-"""Size of what a depth pixel covers in the colour image, of what its projection would cover. Above 1, so that surfaces
-that the colour camera sees less obliquely than the depth camera get no cracks; it widens edges by a tenth of a pixel."""
+"""Size of a depth pixel's footprint in the colour image, relative to its projection. Above 1, so that surfaces that the
+colour camera sees less obliquely than the depth camera get no cracks; it widens edges by a tenth of a pixel."""
 
 
 class DepthRegistration:
