@@ -124,7 +124,7 @@ class RealSenseStream:
             fps=float(self._mode.fps),
             depth=self._lens(rs, depth),
             X_color_depth=transform(R, extrinsics.translation),
-            depth_scale=float(depth_sensor.as_depth_sensor().get_depth_scale()),
+            depth_scale=float(depth_sensor.get_option(rs.option.depth_units)),
             auto_exposure=bool(color_sensor.get_option(auto)) if color_sensor.supports(auto) else None,
             firmware=_info(device, rs.camera_info.firmware_version),
         )
@@ -249,7 +249,7 @@ class RealSenseStream:
         auto, exposure = rs.option.enable_auto_exposure, rs.option.exposure
         if self._mode.exposure is None:
             if sensor.supports(auto):
-                sensor.set_option(auto, 1.0)
+                _set(sensor, auto, 1.0)
             return
         unit = _STEREO_EXPOSURE_UNIT if sensor.is_depth_sensor() else _COLOR_EXPOSURE_UNIT
         if not (sensor.supports(auto) and sensor.supports(exposure)):
@@ -262,8 +262,8 @@ class RealSenseStream:
                 f"{allowed.min * unit:g} to {allowed.max * unit:g}",
                 code="not_ready.camera_exposure",
             )
-        sensor.set_option(auto, 0.0)
-        sensor.set_option(exposure, float(value))
+        _set(sensor, auto, 0.0)
+        _set(sensor, exposure, float(value))
 
     def _lens(self, rs: Any, profile: Any) -> Lens:
         found = profile.get_intrinsics()
@@ -281,6 +281,11 @@ class RealSenseStream:
             message = f"this RealSense's lens is {found.model}, which the driver does not know: use another mode"
             raise NotReadyError(message, code="not_ready.camera_lens")
         return Lens(pinhole, models[found.model], tuple(map(float, found.coeffs)))
+
+
+def _set(sensor: Any, option: Any, value: float) -> None:
+    if sensor.get_option(option) != value:  # of a recording no option can be written
+        sensor.set_option(option, value)
 
 
 def _info(device: Any, what: Any) -> str:
