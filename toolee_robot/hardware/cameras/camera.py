@@ -23,8 +23,6 @@ OPENING_TIME = 5.0
 """Time for the first new frame after opening [s]."""
 FETCH_TIME = 0.2
 """Longest wait of the reading thread at a time [s]."""
-ROUNDING = 0.01
-"""Difference at which intrinsics are still those of the station file, where they are rounded [px]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +67,7 @@ class StreamedCamera:
         profile = self._profile = self._stream.open()
         try:
             if self._expected is not None:
-                _compare(profile.color.intrinsics, self._expected)
+                self._check_intrinsics(profile.color.intrinsics, self._expected)
             self._undistort = profile.color.undistortion() if profile.color.distorts else None
             self._register = None
             if profile.depth is not None and profile.X_color_depth is not None:
@@ -194,24 +192,21 @@ class StreamedCamera:
             self._error = error
             self._news.notify_all()
 
+    @staticmethod
+    def _check_intrinsics(found: CameraIntrinsics, expected: CameraIntrinsics) -> None:
+        if not found.agrees(expected):
+            raise NotReadyError(
+                f"the camera's intrinsics are {_text(found)}, the station file's {_text(expected)}: `toolee camera "
+                "show` prints what to enter under camera",
+                code="not_ready.camera_intrinsics",
+            )
+
     def _close(self) -> None:
         self._closing.set()
         if self._thread is not None:
             self._thread.join()
         self._thread, self._profile = None, None
         self._stream.close()
-
-
-def _compare(found: CameraIntrinsics, expected: CameraIntrinsics) -> None:
-    if (found.width, found.height) == (expected.width, expected.height) and np.allclose(
-        found.matrix, expected.matrix, rtol=0.0, atol=ROUNDING
-    ):
-        return
-    message = (
-        f"the camera's intrinsics are {_text(found)}, the station file's {_text(expected)}: "
-        "`toolee camera show` prints what to enter under camera"
-    )
-    raise NotReadyError(message, code="not_ready.camera_intrinsics")
 
 
 def _text(k: CameraIntrinsics) -> str:

@@ -50,6 +50,30 @@ def connected() -> list[Any]:
     return list(sdk().context().query_devices())
 
 
+def describe_connected(devices: Callable[[], Sequence[Any]] = connected) -> list[dict[str, str]]:
+    """Describe the connected cameras.
+
+    Args:
+        devices: Where they are looked for.
+
+    Returns:
+        Model, serial number, firmware and kind of port of each.
+
+    Raises:
+        UserError: The SDK is not installed.
+    """
+    info = sdk().camera_info
+    return [
+        {
+            "model": _info(device, info.name),
+            "serial": _info(device, info.serial_number),
+            "firmware": _info(device, info.firmware_version),
+            "port": f"USB {usb}" if (usb := _info(device, info.usb_type_descriptor)) else "",
+        }
+        for device in devices()
+    ]
+
+
 @dataclass(frozen=True)
 class RealSenseMode:
     """What is asked of the camera."""
