@@ -39,7 +39,9 @@ def test_show_prints_what_the_station_file_needs(folder: Path, capsys: pytest.Ca
     assert (told["width"], told["height"]) == (96, 72)
     assert told["device"]["serial"] == SERIAL
     assert told["device"]["least_range"] is None, "nobody but the lab knows it"
-    assert cv2.imread(str(picture)).shape == (72, 192, 3)
+    seen = cv2.imread(str(picture))
+    assert seen is not None
+    assert seen.shape == (72, 192, 3)
 
 
 @pytest.mark.realtime

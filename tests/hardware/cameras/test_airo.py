@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import time
 from typing import Any, Self
 
@@ -15,7 +16,7 @@ from toolee_robot.hardware.cameras.airo import AiroStream
 from toolee_robot.runtime.clock import HostClock
 
 try:
-    from airo_camera_toolkit.interfaces import RGBDCamera
+    RGBDCamera: Any = importlib.import_module("airo_camera_toolkit.interfaces").RGBDCamera
 except ImportError:
     RGBDCamera = object
 

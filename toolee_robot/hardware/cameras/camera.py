@@ -28,7 +28,9 @@ FETCH_TIME = 0.2
 @dataclass(frozen=True, eq=False)
 class _Arrived:
     images: RawImages
+    """A new pair."""
     stamp: float
+    """Its stamp on the station's clock [s]."""
 
 
 class StreamedCamera:

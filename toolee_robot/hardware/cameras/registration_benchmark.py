@@ -54,9 +54,13 @@ class _Scene:
     """A rectangle in front of a plane, in the colour camera's frame: z = 1 / (a x + b y + c) along a direction."""
 
     back: Array
+    """The plane's a, b, c."""
     front: Array
+    """The rectangle's."""
     window: tuple[float, float, float, float]
+    """The rectangle's limits x0, x1, y0, y1 at z = 1."""
     turn: float
+    """Turn of the rectangle about the optical axis [rad]."""
 
     def inverse_depths(self, x: Array, y: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Inverse depths of both planes along directions in the colour camera, and where the rectangle is."""
