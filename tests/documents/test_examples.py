@@ -83,7 +83,7 @@ def test_the_own_camera_is_a_camera_of_the_project() -> None:
         frame = camera.read()
         assert camera.profile.serial == "0042"
     assert np.median(frame.depth[100:-100, 100:-100]) == pytest.approx(0.8, abs=0.001)
-    assert np.mean(frame.depth > 0) > 0.85
+    assert np.mean(frame.depth > 0) == pytest.approx((525 / 570) ** 2, abs=0.01), "the depth camera sees less"
 
     def gone(timeout: float) -> None:  # noqa: ARG001
         raise OSError("no such device")
