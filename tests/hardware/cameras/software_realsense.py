@@ -35,13 +35,16 @@ class SoftwareRealSense:
         rgb: What the colour camera sees, (H, W, 3), without noise.
     """
 
-    def __init__(self, rs: Any, color_model: Any = None) -> None:
+    def __init__(
+        self, rs: Any, color_model: Any = None, color: CameraIntrinsics = COLOR, depth: CameraIntrinsics = DEPTH
+    ) -> None:
         self.rs = rs
+        self._color, self._depth = color, depth
         self.clock_offset, self.clock_rate, self.delay = 5000.0, 1.0 + 40e-6, 0.0
         self.frozen = self.repeats = self.silent = False
         self.plugged = True
-        self.depth: NDArray[np.float64] = np.full((DEPTH.height, DEPTH.width), 800.0)
-        self.rgb: NDArray[np.uint8] = np.full((COLOR.height, COLOR.width, 3), 120, np.uint8)
+        self.depth: NDArray[np.float64] = np.full((depth.height, depth.width), 800.0)
+        self.rgb: NDArray[np.uint8] = np.full((color.height, color.width, 3), 120, np.uint8)
         self.device = self._device(rs.distortion.inverse_brown_conrady if color_model is None else color_model)
         self._stop = threading.Event()
         self._number = 0
@@ -54,8 +57,10 @@ class SoftwareRealSense:
         device.register_info(rs.camera_info.firmware_version, "5.16.0.1")
         self._stereo, self._rgb = device.add_sensor("Stereo Module"), device.add_sensor("RGB Camera")
         none = rs.distortion.brown_conrady
-        depth = self._video(rs.stream.depth, 0, 2, rs.format.z16, DEPTH, none, (0.0,) * 5)
-        color = self._video(rs.stream.color, 1, 3, rs.format.rgb8, COLOR, color_model, COEFFICIENTS)
+        depth = self._video(rs.stream.depth, 0, 2, rs.format.z16, self._depth, none, (0.0,) * 5)
+        color = self._video(
+            rs.stream.color, 1, 3, rs.format.rgb8, self._color, color_model, self._coefficients(color_model)
+        )
         self._depth_profile = self._stereo.add_video_stream(depth, True)
         self._color_profile = self._rgb.add_video_stream(color, True)
         self._stereo.add_read_only_option(rs.option.depth_units, 0.001)
@@ -72,6 +77,9 @@ class SoftwareRealSense:
         self._depth_profile.register_extrinsics_to(self._color_profile, there)
         self._color_profile.register_extrinsics_to(self._depth_profile, back)
         return device
+
+    def _coefficients(self, color_model: Any) -> tuple[float, ...]:
+        return (0.0,) * 5 if color_model == self.rs.distortion.none else COEFFICIENTS
 
     def _video(
         self, kind: Any, uid: int, bpp: int, layout: Any, k: CameraIntrinsics, model: Any, c: tuple[float, ...]
