@@ -74,7 +74,7 @@ def test_the_held_hammer_is_found_in_its_frames() -> None:
         assert angle < np.deg2rad(10.0)
 
 
-def _depth_error(depth: Array, true: Array) -> float:
+def _depth_error(depth: Any, true: Any) -> float:
     known = (depth > 0) & (true > 0)
     assert known.mean() > 0.8
     return float(np.median(np.abs(depth - true)[known]))
