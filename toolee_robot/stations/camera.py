@@ -13,6 +13,7 @@ from toolee_robot.config import CameraConfig, CameraDevice
 from toolee_robot.errors import ConfigError, NotReadyError
 from toolee_robot.hal import Clock
 from toolee_robot.hardware.cameras import CameraProfile, CameraStream, RawImages, StreamedCamera
+from toolee_robot.hardware.cameras.orbbec import OrbbecMode, OrbbecStream
 from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStream
 from toolee_robot.hardware.cameras.recorded import RecordedStream
 from toolee_robot.stations.devices import installed, load
@@ -91,6 +92,13 @@ def _realsense(config: CameraConfig, device: CameraDevice, _clock: Clock) -> Cam
     return RealSenseStream(device.serial, RealSenseMode(config.width, config.height, device.fps, device.exposure))
 
 
+def _orbbec(config: CameraConfig, device: CameraDevice, _clock: Clock) -> CameraStream:
+    if device.exposure is not None:
+        message = "camera.device.exposure: this driver does not set it; do so in the maker's viewer, and leave it out"
+        raise ConfigError(message, code="config.camera_exposure")
+    return OrbbecStream(device.serial, OrbbecMode(config.width, config.height, device.fps))
+
+
 def _recorded(_config: CameraConfig, device: CameraDevice, clock: Clock) -> CameraStream:
     if device.folder is None:
         message = "camera.device.folder is missing: the folder of a recording by `toolee camera record`"
@@ -98,4 +106,4 @@ def _recorded(_config: CameraConfig, device: CameraDevice, clock: Clock) -> Came
     return RecordedStream(Path(device.folder), clock)
 
 
-_DRIVERS: dict[str, CameraDriver] = {"realsense": _realsense, "recorded": _recorded}
+_DRIVERS: dict[str, CameraDriver] = {"realsense": _realsense, "orbbec": _orbbec, "recorded": _recorded}

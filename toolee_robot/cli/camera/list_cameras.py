@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from toolee_robot.cli.options import Flag
@@ -14,7 +15,7 @@ from toolee_robot.errors import UserError
 
 @dataclass(frozen=True)
 class ListCameras:
-    """List the RealSense cameras that are connected, and the drivers that a station file may name.
+    """List the RealSense and Orbbec cameras that are connected, and the drivers that a station file may name.
 
     Example: toolee camera list
 
@@ -25,18 +26,23 @@ class ListCameras:
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
-        from toolee_robot.hardware.cameras.realsense import describe_connected
+        from toolee_robot.hardware.cameras import orbbec, realsense
         from toolee_robot.stations.camera import camera_drivers
 
         console = Console(stderr=self.json, highlight=False)
         found: list[dict[str, str]] = []
-        try:
-            found = describe_connected()
-        except UserError as error:
-            console.print(f"[yellow]{error}[/yellow]")
-        else:
-            if not found:
-                console.print("No RealSense is connected.")
+        for maker, describe in (
+            ("RealSense", realsense.describe_connected),
+            ("Orbbec", orbbec.describe_connected),
+        ):
+            try:
+                cameras = describe()
+            except UserError as error:
+                console.print(f"[yellow]{escape(str(error))}[/yellow]")
+                continue
+            found += cameras
+            if not cameras:
+                console.print(f"No {maker} is connected.")
         if found:
             table = Table("model", "serial", "firmware", "port", box=None, pad_edge=False)
             for camera in found:
