@@ -1,5 +1,5 @@
 """What `hal.RgbdCamera` promises, asked of every camera: the simulated one, a recording, and the RealSense driver on
-librealsense's software device."""
+librealsense's software device; with --camera lab.yaml, the station file's."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from tests.errors import raises
 from tests.hardware.cameras.software_realsense import COLOR, SERIAL, SoftwareRealSense
-from toolee_robot.config import StationConfig
+from toolee_robot.config import CameraConfig, StationConfig, load_station
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.hal import Clock, RgbdCamera
 from toolee_robot.hardware.cameras import StreamedCamera
@@ -22,6 +22,7 @@ from toolee_robot.hardware.cameras.recording import RecordingWriter
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.camera import SimCamera
+from toolee_robot.stations.camera import open_camera
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 EARLY = 1e-6
@@ -93,7 +94,23 @@ class RealSenseRig(Rig):
         self._device.frozen = False
 
 
-TIERS = {"simulated": pytest.mark.sim, "recorded": pytest.mark.realtime, "realsense": pytest.mark.realtime}
+class LabRig(Rig):
+    """The camera of a station file. Nothing is done to it."""
+
+    def __init__(self, config: CameraConfig) -> None:
+        self.clock = HostClock()
+        self.camera = open_camera(config, self.clock)
+
+    def freeze(self) -> None:
+        raise NotImplementedError
+
+
+TIERS = {
+    "simulated": pytest.mark.sim,
+    "recorded": pytest.mark.realtime,
+    "realsense": pytest.mark.realtime,
+    "lab": pytest.mark.realtime,
+}
 
 
 def on(*rigs: str) -> pytest.MarkDecorator:
@@ -105,6 +122,8 @@ def on(*rigs: str) -> pytest.MarkDecorator:
 def rig(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Rig]:
     if request.param == "recorded":
         yield RecordedRig(tmp_path / "frames")
+    elif request.param == "lab":
+        yield LabRig(load_station(Path(request.config.getoption("--camera"))).camera)
     elif request.param == "realsense":
         sdk = pytest.importorskip("pyrealsense2", exc_type=ImportError)
         with SoftwareRealSense(sdk) as device:
@@ -114,7 +133,7 @@ def rig(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Rig]:
             yield SimRig(simulation)
 
 
-@on("simulated", "recorded", "realsense")
+@on("simulated", "recorded", "realsense", "lab")
 def test_its_frames_are_new_registered_and_of_its_intrinsics(rig: Rig) -> None:
     with rig.camera as camera:
         assert isinstance(camera, RgbdCamera)
@@ -135,7 +154,7 @@ def test_its_frames_are_new_registered_and_of_its_intrinsics(rig: Rig) -> None:
         assert stamps == sorted(set(stamps))
 
 
-@on("simulated", "recorded", "realsense")
+@on("simulated", "recorded", "realsense", "lab")
 def test_closed_it_gives_nothing(rig: Rig) -> None:
     with rig.camera as camera:
         camera.read()
@@ -169,7 +188,7 @@ def test_it_goes_on_when_frames_come_again(rig: Rig) -> None:
         assert camera.read().stamp >= asked - EARLY
 
 
-@on("simulated", "recorded", "realsense")
+@on("simulated", "recorded", "realsense", "lab")
 def test_a_frame_that_was_given_stays_as_it_was(rig: Rig) -> None:
     with rig.camera as camera:
         first = camera.read()
