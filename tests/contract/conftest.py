@@ -1,7 +1,7 @@
 """On a robot and a camera as well.
 
-`pytest tests/contract --hardware HOST [--hardware-model UR10e]` runs the suite of arms on a robot, `--camera lab.yaml` that
-of cameras on the camera of a station file.
+`pytest tests/contract --hardware HOST [--hardware-model UR10e]` runs the suite of arms on a robot, `--camera lab.yaml`
+that of cameras on the camera of a station file.
 """
 
 from __future__ import annotations
