@@ -53,6 +53,7 @@ class StreamedCamera:
         self._newest: _Arrived | None = None
         self._error: TooleeError | None = None
         self._thread: threading.Thread | None = None
+        self._gate: FrameGate | None = None
         self._closing = threading.Event()
 
     def __enter__(self) -> Self:
@@ -74,8 +75,9 @@ class StreamedCamera:
             self._register = None
             if profile.depth is not None and profile.X_color_depth is not None:
                 self._register = DepthRegistration(profile.depth, profile.color.intrinsics, profile.X_color_depth)
-            self._gate = FrameGate(profile)
-            self._thread = threading.Thread(target=self._run, name=f"camera {profile.serial}", daemon=True)
+            gate = self._gate = FrameGate(profile)
+            name = f"camera {profile.serial}"
+            self._thread = threading.Thread(target=self._run, args=(gate,), name=name, daemon=True)
             self._thread.start()
             self._wait(after=-np.inf, max_age=OPENING_TIME)
         except BaseException:
@@ -110,7 +112,7 @@ class StreamedCamera:
     @property
     def refused(self) -> Counter[Refusal]:
         """Number of the pairs of images since the opening that were no new frames, by reason."""
-        return Counter(self._gate.refused)
+        return Counter() if self._gate is None else Counter(self._gate.refused)
 
     def read(self, max_age: float = 0.5) -> RgbdFrame:
         """Wait for a frame that was exposed after the call began.
@@ -158,7 +160,7 @@ class StreamedCamera:
     def _wait(self, after: float, max_age: float) -> _Arrived:
         """Wait for a frame whose stamp is not before `after`."""
         _ = self.profile  # open
-        before = self._gate.refused.copy()
+        before = self.refused
         end = self._clock.now() + max_age
         with self._news:
             while True:
@@ -168,17 +170,17 @@ class StreamedCamera:
                 if newest is not None and newest.stamp >= after and now - newest.stamp <= max_age:
                     return newest
                 if now >= end:
-                    raise stale(self._gate.refused - before, max_age)
+                    raise stale(self.refused - before, max_age)
                 self._news.wait(min(0.05, max(1e-3, end - now)))
 
-    def _run(self) -> None:
+    def _run(self, gate: FrameGate) -> None:
         """In the camera's thread: fetch, judge, keep the newest."""
         try:
             while not self._closing.is_set():
                 images = self._stream.fetch(FETCH_TIME)
                 if images is None:
                     continue
-                verdict = self._gate.admit(images, self._clock.now())
+                verdict = gate.admit(images, self._clock.now())
                 if isinstance(verdict, Refusal):
                     continue
                 with self._news:
