@@ -60,13 +60,13 @@ class SimRig(Rig):
 
 
 class RecordedRig(Rig):
-    """A recording of three seconds; what comes after its end is nothing."""
+    """A recording of a second and a half; what comes after its end is nothing."""
 
     def __init__(self, folder: Path) -> None:
         k = CameraIntrinsics(90.0, 91.0, 47.0, 35.0, 96, 72)
         rng = np.random.default_rng(0)
         with RecordingWriter(folder, "toy", "77", 30.0, k) as writer:
-            for n in range(90):
+            for n in range(45):
                 rgb = rng.integers(0, 255, (72, 96, 3)).astype(np.uint8)
                 depth = (0.5 + 0.3 * rng.random((72, 96))).astype(np.float32)
                 writer.add(RgbdFrame(rgb, depth, k, 1000.0 + n / 30))
@@ -74,7 +74,7 @@ class RecordedRig(Rig):
         self.camera = StreamedCamera(RecordedStream(folder, self.clock), self.clock)
 
     def freeze(self) -> None:
-        self.clock.sleep(3.2)
+        self.clock.sleep(1.7)
 
 
 class RealSenseRig(Rig):

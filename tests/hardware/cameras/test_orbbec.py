@@ -45,7 +45,7 @@ def recording(tmp_path: Path) -> Path:
 
 
 def stream(recording: Path, mode: OrbbecMode = MODE) -> OrbbecStream:
-    return OrbbecStream(SERIAL, mode, lambda _: sdk().PlaybackDevice(str(recording)))
+    return OrbbecStream(SERIAL, mode, lambda: {SERIAL: lambda: sdk().PlaybackDevice(str(recording))})
 
 
 @pytest.mark.realtime
@@ -108,8 +108,8 @@ def test_what_it_cannot_do_it_refuses(recording: Path) -> None:
 
 @pytest.mark.realtime
 def test_at_the_end_it_is_looked_for(recording: Path) -> None:
-    there = [True]
-    driver = OrbbecStream(SERIAL, MODE, lambda _: sdk().PlaybackDevice(str(recording)) if there else None)
+    there = {SERIAL: lambda: sdk().PlaybackDevice(str(recording))}
+    driver = OrbbecStream(SERIAL, MODE, lambda: there)
     with StreamedCamera(driver, HostClock()) as camera:
         camera.read()
         there.clear()

@@ -12,8 +12,9 @@ import importlib
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -66,33 +67,33 @@ def _printing_to_stderr() -> Iterator[None]:
         os.close(kept)
 
 
-def connected(serial: str) -> Any | None:
-    """The connected camera with a serial number, as `pyorbbecsdk.Device`; None if it is not there."""
-    ob = sdk()
-    devices = ob.Context().query_devices()
-    numbers = [devices.get_device_serial_number_by_index(i) for i in range(devices.get_count())]
-    return devices.get_device_by_index(numbers.index(serial)) if serial in numbers else None
+def connected() -> dict[str, Callable[[], Any]]:
+    """The connected cameras: by serial number, what opens each as a `pyorbbecsdk.Device`."""
+    devices = sdk().Context().query_devices()
+    return {
+        devices.get_device_serial_number_by_index(i): partial(devices.get_device_by_index, i)
+        for i in range(devices.get_count())
+    }
 
 
 def describe_connected() -> list[dict[str, str]]:
-    """Describe the connected cameras.
+    """Describe the connected cameras, without opening them.
 
     Returns:
-        Model, serial number, firmware and kind of port of each.
+        Model, serial number, firmware (which is not told so) and kind of port of each.
 
     Raises:
         UserError: The SDK is not installed.
     """
     devices = sdk().Context().query_devices()
-    infos = [devices.get_device_by_index(i).get_device_info() for i in range(devices.get_count())]
     return [
         {
-            "model": info.get_name(),
-            "serial": info.get_serial_number(),
-            "firmware": info.get_firmware_version(),
-            "port": info.get_connection_type(),
+            "model": devices.get_device_name_by_index(i),
+            "serial": devices.get_device_serial_number_by_index(i),
+            "firmware": "",
+            "port": devices.get_device_connection_type_by_index(i),
         }
-        for info in infos
+        for i in range(devices.get_count())
     ]
 
 
@@ -114,11 +115,13 @@ class OrbbecStream:
     Args:
         serial: The camera's serial number.
         mode: Size and rate.
-        find: Finds the camera by its serial number, again when it falls silent.
+        cameras: Where it is looked for, again when it falls silent.
     """
 
-    def __init__(self, serial: str, mode: OrbbecMode, find: Callable[[str], Any | None] = connected) -> None:
-        self._serial, self._mode, self._find = serial, mode, find
+    def __init__(
+        self, serial: str, mode: OrbbecMode, cameras: Callable[[], Mapping[str, Callable[[], Any]]] = connected
+    ) -> None:
+        self._serial, self._mode, self._cameras = serial, mode, cameras
         self._pipeline: Any = None
         self._device: Any = None
 
@@ -131,12 +134,16 @@ class OrbbecStream:
             NotReadyError: It does not have the mode, or not a known lens.
         """
         self._ob = sdk()
-        device = self._find(self._serial)
-        if device is None:
-            message = f"no Orbbec with serial number {self._serial} is connected: check cable and camera.device.serial"
-            raise NoAnswerError(message, code="no_answer.camera_missing")
+        cameras = self._cameras()
+        if self._serial not in cameras:
+            others = ", ".join(cameras) or "none"
+            raise NoAnswerError(
+                f"no Orbbec with serial number {self._serial} is connected (there are: {others}): check cable and "
+                "camera.device.serial",
+                code="no_answer.camera_missing",
+            )
         try:
-            return self._start(device)
+            return self._start(cameras[self._serial]())
         except self._ob.OBError as error:
             self.close()
             raise NoAnswerError(
@@ -213,7 +220,7 @@ class OrbbecStream:
 
     def _check_connected(self) -> None:
         if time.monotonic() - self._heard > SILENCE:
-            if self._find(self._serial) is None:
+            if self._serial not in self._cameras():
                 message = f"the Orbbec {self._serial} is unplugged: plug it in, and open it again"
                 raise NoAnswerError(message, code="no_answer.camera_unplugged")
             self._heard = time.monotonic()
