@@ -23,6 +23,10 @@ FPS = 30
 class SoftwareRealSense:
     """A D435 as software: a stereo module and a colour sensor whose images this process pushes.
 
+    From the SDK: profiles, lenses, extrinsics, options, queues, recorder and playback are librealsense's own.
+    Published: units of depth and exposure. Assumed: a clock that is 40 ppm fast, colour 2 ms after depth, no delay but
+    `delay`, noise of 2 mm and 3 grey levels, and that an unplugged camera is silent and no longer found.
+
     Attributes:
         clock_offset: Added to the stamps [s].
         clock_rate: Rate of its clock against the host's.

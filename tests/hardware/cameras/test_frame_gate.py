@@ -136,3 +136,23 @@ def test_no_old_picture_passes_whatever_happens(events: list[str], seed: int) ->
             passed.append(verdict)
         last = images
     assert passed == sorted(set(passed))
+
+
+@examples(30)
+@given(st.lists(st.floats(0.0, 0.19), min_size=5, max_size=40), st.integers(0, 100))
+def test_stamps_increase_whatever_the_delays(delays: list[float], seed: int) -> None:
+    stream, gate = pairs(seed), FrameGate(PROFILE)
+    arrival = 0.0
+    for _ in range(PROFILE.warm_up):  # all of them late, so that the first frames' stamps are too
+        images = next(stream)
+        arrival = max(arrival, images.color_stamp + DELAY + 0.09)
+        gate.admit(images, arrival)
+    stamps = []
+    for delay in delays:
+        images = next(stream)
+        arrival = max(arrival, images.color_stamp + DELAY + delay)
+        verdict = gate.admit(images, arrival)
+        if isinstance(verdict, float):
+            assert images.color_stamp <= verdict <= arrival
+            stamps.append(verdict)
+    assert stamps == sorted(set(stamps))

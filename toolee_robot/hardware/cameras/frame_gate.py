@@ -28,6 +28,7 @@ class Refusal(StrEnum):
     FROZEN = "its picture is frozen: new stamps on the same pixels"
     UNPAIRED = "colour and depth are of different times"
     LATE = "its frames come late"
+    SETTLING = "its clock is being followed better than before, which puts the frame before the last one"
 
 
 class FrameGate:
@@ -50,6 +51,7 @@ class FrameGate:
         self._clock = DeviceClock()
         self._seen = 0
         self._last: RawImages | None = None
+        self._newest = -np.inf
         self.refused: Counter[Refusal] = Counter()
 
     def admit(self, images: RawImages, arrival: float) -> float | Refusal:
@@ -95,7 +97,11 @@ class FrameGate:
         if self._seen <= self._profile.warm_up:
             return Refusal.WARMING_UP
         # The older of the two images, so that the frame is not said to be newer than any part of it.
-        return at_station - abs(images.color_stamp - images.depth_stamp)
+        at_station -= abs(images.color_stamp - images.depth_stamp)
+        if at_station <= self._newest:
+            return Refusal.SETTLING
+        self._newest = at_station
+        return at_station
 
     def _check_format(self, images: RawImages) -> None:
         color = self._profile.color.intrinsics
