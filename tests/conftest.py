@@ -25,6 +25,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the backgrou
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--hardware", metavar="HOST", help="run the arm's contract suite on this robot too: IT MOVES")
+    parser.addoption("--camera", metavar="YAML", help="run the camera's contract suite on this station file's too")
     parser.addoption("--hardware-model", default="UR10", choices=["UR10", "UR10e"], help="what robot that is")
 
 

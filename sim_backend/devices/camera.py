@@ -9,7 +9,7 @@ import numpy as np
 
 from toolee_robot.config import CameraConfig
 from toolee_robot.depth_noise import DepthNoise
-from toolee_robot.errors import DeviceError, StaleDataError
+from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
 from toolee_robot.hal import Clock
 from toolee_robot.render.lab import laboratory
 from toolee_robot.render.material import Material
@@ -29,7 +29,8 @@ class SimCamera:
     """A `hal.RgbdCamera` on a simulated world.
 
     A second `read` within one frame period sleeps on the station's clock until the next frame. The same seed and calls
-    give the same frames. Faults can be injected with `freeze`, `repeat` and `blinded`; `thaw` undoes them.
+    give the same frames. Faults can be injected with `freeze`, `repeat`, `unplug` and `blinded`; `thaw` undoes
+    them.
 
     Args:
         world: What the camera sees.
@@ -50,7 +51,7 @@ class SimCamera:
         self._materials: dict[str, Material] = {}
         self._last: RgbdFrame | None = None
         self._open = True
-        self._frozen, self._repeats, self.blinded = False, False, False
+        self._frozen, self._repeats, self._unplugged, self.blinded = False, False, False, False
 
     def __enter__(self) -> Self:
         self._open = True
@@ -72,9 +73,13 @@ class SimCamera:
         """Fault: `read` returns the last frame again and again, as a driver that has lost its camera."""
         self._repeats = True
 
+    def unplug(self) -> None:
+        """Fault: the cable is out, and the driver has noticed it."""
+        self._unplugged = True
+
     def thaw(self) -> None:
-        """Undo `freeze`, `repeat` and `blinded`."""
-        self._frozen, self._repeats, self.blinded = False, False, False
+        """Undo `freeze`, `repeat`, `unplug` and `blinded`."""
+        self._frozen, self._repeats, self._unplugged, self.blinded = False, False, False, False
 
     def read(self, max_age: float = 0.5) -> RgbdFrame:
         """Take a frame.
@@ -87,8 +92,12 @@ class SimCamera:
 
         Raises:
             StaleDataError: There is no new frame.
+            NoAnswerError: The camera is unplugged.
             DeviceError: The camera is closed.
         """
+        if self._unplugged:
+            message = "the camera is unplugged: plug it in, and open it again"
+            raise NoAnswerError(message, code="no_answer.camera_unplugged")
         if not self._open:
             raise DeviceError("the camera is closed: read inside its `with` block", code="device.closed")
         if self._frozen:

@@ -1,4 +1,8 @@
-"""`pytest tests/contract --hardware HOST [--hardware-model UR10e]` runs the suite on a robot as well."""
+"""On a robot and a camera as well.
+
+`pytest tests/contract --hardware HOST [--hardware-model UR10e]` runs the suite of arms on a robot, `--camera lab.yaml`
+that of cameras on the camera of a station file.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +25,13 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "shared_rig" in metafunc.fixturenames:
         rigs = (*_SIMULATED, _HARDWARE) if metafunc.config.getoption("--hardware") else _SIMULATED
         metafunc.parametrize("shared_rig", rigs, indirect=True, scope="module")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.getoption("--camera") is None:
+        lab = [item for item in items if item.name.endswith("[lab]")]
+        config.hook.pytest_deselected(items=lab)
+        items[:] = [item for item in items if item not in lab]
 
 
 @pytest.fixture(scope="module")

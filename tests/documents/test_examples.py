@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from examples.estimate_poses import print_poses
 from examples.new_hammer import drive_nail
-from examples.recorded_camera import RecordedCamera
+from examples.own_camera import OwnCameraStream
 from examples.serial_hand import SerialHand
 from examples.turn_screw import TurnScrew
 from tests.documents.blocks import blocks
@@ -18,11 +19,13 @@ from tests.documents.hand_device import HandDevice
 from tests.robots.three_finger import THREE_FINGER_HAND
 from toolee_robot import Category, StationConfig, ToolPerception
 from toolee_robot.config import TaskConfig, WorkConfig
-from toolee_robot.errors import DeviceError, StaleDataError
+from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
 from toolee_robot.frames import Array, angle_between, transform
 from toolee_robot.hal import Hand, RgbdCamera
+from toolee_robot.hardware.cameras import StreamedCamera
 from toolee_robot.perception.io import bop_images
 from toolee_robot.robots import hand_model
+from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.tools import ToolKind, make_tool, test_seeds
 
@@ -43,19 +46,6 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     command = f"dataset generate --config hard --size 4 --seed 6 --test-share 1 --out {out}"
     assert run(command.split()) == 0
     return out / "test" / "000000"
-
-
-class _Clock:
-    """Time that passes only when somebody sleeps."""
-
-    def __init__(self) -> None:
-        self.time = 5.0
-
-    def now(self) -> float:
-        return self.time
-
-    def sleep(self, duration: float) -> None:
-        self.time += duration
 
 
 def test_estimate_poses_prints_a_line_for_each_estimate(
@@ -80,25 +70,26 @@ def test_the_lines_of_the_readme_run(
     assert any(category in capsys.readouterr().out for category in Category)
 
 
-def test_the_recorded_camera_gives_each_frame_once_and_never_an_old_one(scene: Path) -> None:
-    clock = _Clock()
-    recorded = [image.read() for image in bop_images(scene)]
-    camera = RecordedCamera(scene, clock)
-    assert isinstance(camera, RgbdCamera)
-    with pytest.raises(DeviceError):
-        camera.read()
-    with camera:
-        assert camera.intrinsics == recorded[0].intrinsics
-        for expected in recorded:
-            clock.sleep(0.1)
-            frame = camera.read()
-            assert frame.stamp == clock.now()
-            np.testing.assert_array_equal(frame.rgb, expected.rgb)
-            np.testing.assert_array_equal(frame.depth, expected.depth)
-        before = clock.now()
-        with pytest.raises(StaleDataError):
-            camera.read(max_age=0.5)
-        assert clock.now() == before + 0.5
+def test_the_own_camera_is_a_camera_of_the_project() -> None:
+    rng, clock = np.random.default_rng(0), HostClock()
+
+    def grab(timeout: float) -> tuple[Any, Any, float] | None:
+        clock.sleep(min(timeout, 1 / 30))
+        color = rng.integers(90, 110, (480, 640, 3))
+        return color, rng.integers(798, 803, (480, 640)), 77.0 + clock.now()
+
+    with StreamedCamera(OwnCameraStream(grab, "0042"), clock) as camera:
+        assert isinstance(camera, RgbdCamera)
+        frame = camera.read()
+        assert camera.profile.serial == "0042"
+    assert np.median(frame.depth[100:-100, 100:-100]) == pytest.approx(0.8, abs=0.001)
+    assert np.mean(frame.depth > 0) == pytest.approx((525 / 570) ** 2, abs=0.01), "the depth camera sees less"
+
+    def gone(timeout: float) -> None:  # noqa: ARG001
+        raise OSError("no such device")
+
+    with pytest.raises(NoAnswerError), StreamedCamera(OwnCameraStream(gone, "0042"), clock):
+        pass
 
 
 class _WallClock:

@@ -21,7 +21,9 @@ from toolee_robot.cli.arm.command import Arm
 from toolee_robot.cli.bench.command import Bench
 from toolee_robot.cli.bench.servo import BenchServo
 from toolee_robot.cli.bench.swing import BenchSwing
+from toolee_robot.cli.camera.command import Camera
 from toolee_robot.cli.dataset import Dataset
+from toolee_robot.cli.devices import Devices
 from toolee_robot.cli.doctor import Doctor
 from toolee_robot.cli.estimate import Estimate
 from toolee_robot.cli.evaluate import Evaluate
@@ -41,7 +43,9 @@ Command = (
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[BenchServo, tyro.conf.subcommand("bench-servo")]
     | Annotated[BenchSwing, tyro.conf.subcommand("bench-swing")]
+    | Annotated[Camera, tyro.conf.subcommand("camera")]
     | Annotated[Dataset, tyro.conf.subcommand("dataset")]
+    | Annotated[Devices, tyro.conf.subcommand("devices")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Faults, tyro.conf.subcommand("faults")]
@@ -57,7 +61,9 @@ AnyCommand = (
     | Bench
     | BenchServo
     | BenchSwing
+    | Camera
     | Dataset
+    | Devices
     | Doctor
     | Evaluate
     | Faults

@@ -78,7 +78,7 @@ class Doctor:
         for section, findings in report.sections():
             found += [(section, finding) for finding in findings]
             console.print(f"\n[bold]{section}[/bold]")
-            console.print(_table(findings))
+            console.print(findings_table(findings))
         level = worst(finding for _, finding in found)
         console.print(f"\n{self._verdict([finding for _, finding in found])}")
         if self.json:
@@ -97,8 +97,8 @@ class Doctor:
         return f"[bold green]Ready for {'slow, attended motions' if real else 'the job'}[/bold green]{told}."
 
 
-def _table(findings: Iterable[Finding]) -> Table:
-    """Format the findings, one per line, with the remedy below."""
+def findings_table(findings: Iterable[Finding]) -> Table:
+    """Format findings, one per line, with the remedy below."""
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(width=3, justify="right")
     table.add_column(min_width=18)

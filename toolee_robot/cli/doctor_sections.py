@@ -16,7 +16,7 @@ from toolee_robot.doctor.machine import check_disk, check_processor, check_real_
 from toolee_robot.doctor.reach import check_reach
 from toolee_robot.doctor.robot import examine_robot
 from toolee_robot.doctor.weights import check_weights
-from toolee_robot.errors import ConfigError, DeviceError
+from toolee_robot.errors import ConfigError, DeviceError, UserError
 from toolee_robot.findings import Finding, warn
 from toolee_robot.frames import Array
 from toolee_robot.hal import Station
@@ -25,6 +25,7 @@ from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.station import remote_station
 from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.station import SimStation, draw_handover
+from toolee_robot.stations.camera import open_camera
 from toolee_robot.stations.hand import open_hand
 from toolee_robot.stations.ur import ur_driver
 
@@ -120,8 +121,8 @@ class DoctorReport:
         yield check_person(station.person)
 
     def _without_world(self) -> Iterator[Finding]:
-        """Check the station's own hand; nothing moves. A camera has no driver here yet."""
-        unchecked = "has no driver here yet: nothing was checked", "look after it yourself"
+        """Check the station's own hand and camera; nothing moves."""
+        unchecked = "has no driver here: nothing was checked", "look after it yourself"
         try:
             hand = open_hand(self.config.hand, HostClock())
             with self.doing("asking the hand"), hand:
@@ -129,4 +130,16 @@ class DoctorReport:
         except (ConfigError, DeviceError) as error:
             no_driver = error.code == "config.hand_driver"
             yield warn("hand", *unchecked) if no_driver else Finding.of_error("hand", error, "mend it, then look again")
-        yield warn("camera", *unchecked)
+        yield from self._own_camera()
+
+    def _own_camera(self) -> Iterator[Finding]:
+        if self.config.camera.device is None:
+            yield warn("camera", "the station file names none: nothing was checked", "give camera.device")
+            return
+        clock = HostClock()
+        try:
+            with self.doing("asking the camera"), open_camera(self.config.camera, clock) as camera:
+                self._camera_serial = camera.profile.serial
+                yield from check_camera(camera, clock, self.config)
+        except (UserError, DeviceError) as error:
+            yield Finding.of_error("camera", error, "mend it, then look again")

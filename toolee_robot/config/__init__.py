@@ -10,6 +10,7 @@ calibration. Lengths are in metres and angles in radians unless a field states o
 """
 
 from toolee_robot.config.calibration import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig
+from toolee_robot.config.camera_device import CameraDevice
 from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope, WorkConfig
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.config.measured import MEASURED, load_lab_station, unmeasured
@@ -25,6 +26,7 @@ __all__ = [
     "ArmLimits",
     "CalibrationConfig",
     "CameraConfig",
+    "CameraDevice",
     "HandConfig",
     "PersonConfig",
     "SceneConfig",

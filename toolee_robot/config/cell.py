@@ -8,6 +8,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from toolee_robot.config.camera_device import CameraDevice
 from toolee_robot.config.values import STRICT, Count, NotNegative, Positive
 from toolee_robot.frames import Array, frame_from_axes, transform
 from toolee_robot.types import CameraIntrinsics
@@ -38,6 +39,8 @@ class CameraConfig:
     """Width of the image [px]."""
     height: Count = 424
     """Height of the image [px]."""
+    device: CameraDevice | None = None
+    """The camera itself, for its driver; null for the simulated one."""
 
     @property
     def intrinsics(self) -> CameraIntrinsics:

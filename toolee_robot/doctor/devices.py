@@ -113,11 +113,11 @@ def check_camera(camera: RgbdCamera, clock: Clock, config: StationConfig) -> Ite
         yield warn(name, message, "jobs take longer: look for load on this machine and on its port")
     else:
         yield ok(name, f"new frames, {(now - second.stamp) * 1e3:.0f} ms old when they are here")
-    if second.intrinsics != config.camera.intrinsics:
+    if not second.intrinsics.agrees(config.camera.intrinsics):
         yield fail(
             "intrinsics",
             "the camera's are not the station file's",
-            "enter what the camera says under camera",
+            "enter what `toolee camera show` prints under camera",
         )
     known = float(np.mean(np.isfinite(second.depth) & (second.depth > 0)))
     if known < DEPTH_KNOWN:

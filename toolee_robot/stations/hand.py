@@ -43,4 +43,9 @@ def open_hand(config: HandConfig, clock: Clock) -> Hand:
     return _DRIVERS[config.model](model, config.port, clock, config.hand_id)
 
 
+def hand_drivers() -> dict[str, str]:
+    """The hands that a station file may name and that have a driver, and where each is from: this project."""
+    return dict.fromkeys((*_DRIVERS, MOUNT), "toolee_robot")
+
+
 _DRIVERS: dict[str, Callable[[HandModel, str, Clock, int], Hand]] = {INSPIRE: InspireHand}

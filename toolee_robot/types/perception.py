@@ -37,6 +37,19 @@ class CameraIntrinsics:
         """Camera matrix K, (3, 3) [px]."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    def agrees(self, other: CameraIntrinsics, tolerance: float = 0.01) -> bool:
+        """Whether two intrinsics are the same but for rounding, as in a station file.
+
+        Args:
+            other: The other intrinsics.
+            tolerance: Largest difference of a number [px]; the sizes must be equal.
+
+        Returns:
+            Whether they are.
+        """
+        same_size = (self.width, self.height) == (other.width, other.height)
+        return same_size and bool(np.allclose(self.matrix, other.matrix, rtol=0.0, atol=tolerance))
+
 
 @dataclass(frozen=True)
 class RgbdFrame:

@@ -159,7 +159,7 @@ class Hammer:
             return None
         if self.world is None:
             raise UserError(
-                "--arm ur-rtde on a real robot: this project has no driver for a real camera yet, so "
+                "--arm ur-rtde on a real robot: this command opens no real station yet, so "
                 "no job can be done there. Add --world pybullet for the simulated station behind the real driver; "
                 "`toolee doctor --arm ur-rtde --robot-host ...` checks a real arm",
                 code="user.no_world",

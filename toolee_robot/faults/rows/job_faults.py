@@ -57,6 +57,10 @@ def _repeat(s: Scene) -> None:
     s.bench.camera.repeat()
 
 
+def _unplug(s: Scene) -> None:
+    s.bench.camera.unplug()
+
+
 def _blind(s: Scene) -> None:
     s.bench.camera.blinded = True
 
@@ -167,6 +171,9 @@ HAND = (
 CAMERA = tuple(
     replace(fault, sees=True)
     for fault in (
+        JobFault(20, "camera unplugged", REST, NO_STRIKE, _unplug, Stage.VIEW, FAULT, "unplugged", 0, "to a view"),
+        JobFault(20, "camera unplugged", SWING, NO_NEXT, _unplug, IN_STRIKE, FAULT, "unplugged", 1, "to a view",
+                 max_strikes=2),
         JobFault(22, "camera frozen", REST, NO_STRIKE, _freeze, Stage.VIEW, FAULT, "no new frame", 0, "to a view"),
         JobFault(22, "camera frozen", SWING, NO_NEXT, _freeze, IN_STRIKE, FAULT, "no new frame", 1, "to a view",
                  max_strikes=2),

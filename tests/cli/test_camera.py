@@ -1,0 +1,109 @@
+"""`toolee camera` and `toolee devices`: on a recording, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import pytest
+import yaml
+
+from tests.hardware.cameras.toy_recording import INTRINSICS, SERIAL, toy_recording
+from toolee_robot.cli.app import EXIT_FAILED, EXIT_USER, run
+from toolee_robot.hardware.cameras.recording import open_recording
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    toy_recording(tmp_path / "r", 90)
+    return tmp_path / "r"
+
+
+def station(path: Path, folder: Path, **device: object) -> Path:
+    k = INTRINSICS
+    given = {"driver": "recorded", "serial": SERIAL, "least_range": 0.2, "folder": str(folder), **device}
+    size = {"fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy, "width": k.width, "height": k.height}
+    path.write_text(yaml.safe_dump({"camera": {**size, "device": given}}))
+    return path
+
+
+@pytest.mark.realtime
+def test_show_prints_what_the_station_file_needs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = folder.parent / "seen.png"
+    assert run(["camera", "show", "--recording", str(folder), "--picture", str(picture)]) == 0
+    out = capsys.readouterr().out
+    text = out[out.index("camera:") : out.index("\n\nWritten")]
+    told = yaml.safe_load(text)["camera"]
+    assert told["fx"] == INTRINSICS.fx
+    assert (told["width"], told["height"]) == (96, 72)
+    assert told["device"]["serial"] == SERIAL
+    assert told["device"]["least_range"] is None, "nobody but the lab knows it"
+    seen = cv2.imread(str(picture))
+    assert seen is not None
+    assert seen.shape == (72, 192, 3)
+
+
+@pytest.mark.realtime
+def test_record_writes_what_can_be_played(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = folder.parent / "again"
+    config = station(folder.parent / "lab.yaml", folder)
+    command = ["camera", "record", "--config", str(config), "--out", str(out), "--seconds", "0.7", "--json"]
+    assert run(command) == 0
+    told = json.loads(capsys.readouterr().out)
+    recording = open_recording(out)
+    assert told["frames"] == len(recording.stamps) >= 10
+    assert recording.serial == SERIAL
+    assert recording.intrinsics == INTRINSICS
+    assert run(command) == EXIT_USER, "never over another recording"
+
+
+@pytest.mark.realtime
+def test_doctor_ends_by_what_it_found(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for least, code in ((0.2, 0), (0.6, EXIT_FAILED)):
+        config = station(folder.parent / "lab.yaml", folder, least_range=least)
+        assert run(["camera", "doctor", "--config", str(config), "--seconds", "0.6", "--no-tool", "--json"]) == code
+        told = json.loads(capsys.readouterr().out)
+        levels = {f["name"]: f["level"] for f in told["findings"]}
+        assert levels["range"] == ("ok" if code == 0 else "fail")
+        assert levels["exposure"] == levels["gate"] == "ok"
+
+
+@pytest.mark.realtime
+def test_the_stations_doctor_asks_the_camera_too(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = station(folder.parent / "lab.yaml", folder)
+    run(["doctor", "--config", str(config), "--arm", "ur-rtde", "--robot-host", "127.0.0.77", "--json"])
+    told = json.loads(capsys.readouterr().out)
+    levels = {f["name"]: f["level"] for f in told["findings"] if f["section"] != "Station file"}
+    assert levels["camera"] == "ok"
+
+
+def test_list_and_devices(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["camera", "list", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert {"realsense", "recorded"} <= set(told["drivers"])
+    assert run(["devices", "list", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["camera"]["realsense"] == "toolee_robot"
+    assert "inspire_rh56" in told["hand"]
+
+
+def test_bench_prints_the_figures(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["camera", "bench", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["registration"]
+    assert [figures["color"] for figures in told] == ["512x424", "640x480"]
+    assert all(0.0 < figures["surface_rms"] < 0.5 for figures in told)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        [],
+        ["--driver", "realsense"],
+        ["--driver", "realsense", "--serial", "1", "--recording", "r"],
+        ["--recording", "no_such_folder"],
+        ["--driver", "kinect", "--serial", "1"],
+    ],
+)
+def test_which_camera_is_not_guessed(options: list[str]) -> None:
+    assert run(["camera", "show", *options]) == EXIT_USER

@@ -1,0 +1,97 @@
+"""A camera from a station file: nothing is assumed, another camera is refused, other packages' drivers are found."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.errors import raises
+from tests.hardware.cameras.toy_recording import INTRINSICS, SERIAL, toy_recording
+from toolee_robot.config import CameraConfig, CameraDevice, load_station
+from toolee_robot.errors import ConfigError, NoAnswerError, NotReadyError
+from toolee_robot.runtime.clock import HostClock
+from toolee_robot.stations.camera import camera_drivers, open_camera
+
+
+def config(device: CameraDevice | None) -> CameraConfig:
+    k = INTRINSICS
+    return CameraConfig(fx=k.fx, fy=k.fy, cx=k.cx, cy=k.cy, width=k.width, height=k.height, device=device)
+
+
+def recorded(folder: Path, serial: str = SERIAL) -> CameraConfig:
+    return config(CameraDevice("recorded", serial, 0.3, folder=str(folder)))
+
+
+def test_the_file_names_driver_serial_and_range(tmp_path: Path) -> None:
+    path = tmp_path / "lab.yaml"
+    given = {"driver": "realsense", "serial": '"832112070123"', "least_range": "0.2"}
+    for missing in (None, *given):
+        lines = "".join(f"    {name}: {value}\n" for name, value in given.items() if name != missing)
+        path.write_text(f"camera:\n  device:\n{lines}")
+        if missing is None:
+            device = load_station(path).camera.device
+            assert device == CameraDevice("realsense", "832112070123", 0.2)
+        else:
+            with raises(ConfigError, "config.invalid") as raised:
+                load_station(path)
+            assert f"camera.device.{missing}" in str(raised.value)
+
+
+def test_what_the_file_lacks_is_named() -> None:
+    clock = HostClock()
+    with raises(ConfigError, "config.camera_device"):
+        open_camera(config(None), clock)
+    with raises(ConfigError, "config.camera_driver") as raised:
+        open_camera(config(CameraDevice("kinect", "1", 0.5)), clock)
+    assert "realsense" in str(raised.value)
+    with raises(ConfigError, "config.camera_folder"):
+        open_camera(config(CameraDevice("recorded", "1", 0.5)), clock)
+
+
+def test_without_the_camera_it_says_which_are_there() -> None:
+    pytest.importorskip("pyrealsense2", exc_type=ImportError)
+    camera = open_camera(config(CameraDevice("realsense", "no such", 0.2)), HostClock())
+    with raises(NoAnswerError, "no_answer.camera_missing"), camera:
+        pass
+
+
+def test_another_camera_and_another_lens_are_refused(tmp_path: Path) -> None:
+    toy_recording(tmp_path / "r")
+    clock = HostClock()
+    with open_camera(recorded(tmp_path / "r"), clock) as camera:
+        assert camera.profile.serial == SERIAL
+    with raises(NotReadyError, "not_ready.camera_serial"), open_camera(recorded(tmp_path / "r", "78"), clock):
+        pass
+    zoomed = replace(recorded(tmp_path / "r"), fx=INTRINSICS.fx + 0.1)
+    with raises(NotReadyError, "not_ready.camera_intrinsics"), open_camera(zoomed, clock):
+        pass
+    with open_camera(replace(zoomed, fx=INTRINSICS.fx + 0.004), clock):
+        pass
+    with open_camera(zoomed, clock, check_intrinsics=False) as camera:
+        assert camera.intrinsics == INTRINSICS
+
+
+def test_a_labs_own_driver_is_found_by_its_entry_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    toy_recording(tmp_path / "r")
+    (tmp_path / "our_lab.py").write_text(
+        "from pathlib import Path\n"
+        "from toolee_robot.hardware.cameras.recorded import RecordedStream\n"
+        "def open_stream(config, device, clock):\n"
+        "    return RecordedStream(Path(__file__).parent / 'r', clock)\n"
+    )
+    info = tmp_path / "our_lab-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: our_lab\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[toolee_robot.devices]\ncamera.ours = our_lab:open_stream\ncamera.gone = our_lab:no_such\n"
+    )
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    assert camera_drivers()["ours"] == "our_lab:open_stream"
+    with open_camera(config(CameraDevice("ours", SERIAL, 0.3)), HostClock()) as camera:
+        assert camera.profile.serial == SERIAL
+    with raises(ConfigError, "config.device_plugin") as raised:
+        open_camera(config(CameraDevice("gone", SERIAL, 0.3)), HostClock())
+    assert "our_lab" in str(raised.value)

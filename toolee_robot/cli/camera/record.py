@@ -1,0 +1,55 @@
+"""`toolee camera record`: records a camera's frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from toolee_robot.cli.camera.options import CameraOptions
+from toolee_robot.cli.output import json_line
+from toolee_robot.errors import UserError
+
+
+@dataclass(frozen=True)
+class Record(CameraOptions):
+    """Record the frames of a camera, as a job would get them: undistorted, registered, with their stamps.
+
+    Example: toolee camera record --config lab.yaml --out frames --seconds 5
+
+    The folder can be played (`--recording frames`, or the driver `recorded` in a station file), and `toolee estimate
+    --bop frames` finds the tools in it. Ctrl-C ends the recording, which is kept.
+    """
+
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """A new folder."""
+    seconds: float = 5.0
+    """How long."""
+
+    def run(self) -> int:
+        from toolee_robot.hardware.cameras.recording import RecordingWriter
+        from toolee_robot.runtime.clock import HostClock
+        from toolee_robot.stations.camera import open_camera
+
+        if self.seconds <= 0:
+            raise UserError(f"--seconds {self.seconds:g}: give a time above 0", code="user.option")
+        console = Console(stderr=self.json, highlight=False)
+        clock, count, stamp = HostClock(), 0, 0.0
+        with open_camera(self.camera(), clock, check_intrinsics=False) as camera:
+            profile = camera.profile
+            writer = RecordingWriter(self.out, profile.model, profile.serial, profile.fps, camera.intrinsics)
+            end = clock.now() + self.seconds
+            with writer, console.status("recording"):
+                while clock.now() < end:
+                    frame = camera.newer(stamp)
+                    stamp = frame.stamp
+                    writer.add(frame)
+                    count += 1
+        rate = count / self.seconds
+        console.print(f"{count} frames in {self.out}, {rate:.1f} of {profile.fps:g} a second", soft_wrap=True)
+        if self.json:
+            print(json_line({"folder": str(self.out), "frames": count, "rate": rate}), flush=True)
+        return 0

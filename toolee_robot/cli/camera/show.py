@@ -1,0 +1,100 @@
+"""`toolee camera show`: what a camera is and sees, and what to enter into the station file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from toolee_robot.cli.camera.options import CameraOptions
+from toolee_robot.cli.output import json_line
+from toolee_robot.config import CameraConfig
+
+if TYPE_CHECKING:
+    from toolee_robot.hardware.cameras import CameraProfile
+
+
+@dataclass(frozen=True)
+class Show(CameraOptions):
+    """Open a camera, say what it is, and print what the station file needs to know of it.
+
+    Example: toolee camera show --driver realsense --serial 832112070123 --size 848 480 --picture seen.png
+
+    Exit code 0: it gives frames; 1: it does not; 2: invalid input.
+    """
+
+    picture: Annotated[Path | None, tyro.conf.arg(metavar="OUT.png", help_behavior_hint="")] = None
+    """Also write what it sees, colour and depth side by side."""
+
+    def run(self) -> int:
+        from toolee_robot.hardware.cameras.picture import write_picture
+        from toolee_robot.runtime.clock import HostClock
+        from toolee_robot.stations.camera import open_camera
+
+        console = Console(stderr=self.json, highlight=False)
+        config, clock = self.camera(), HostClock()
+        with console.status("opening the camera"), open_camera(config, clock, check_intrinsics=False) as camera:
+            frame = camera.newer(0.0)
+            age = clock.now() - frame.stamp
+            profile = camera.profile
+        k = frame.intrinsics
+        known = float((frame.depth > 0).mean())
+        table = Table.grid(padding=(0, 2, 0, 0))
+        facts = {
+            "model": profile.model,
+            "serial": profile.serial,
+            "firmware": profile.firmware or "not told",
+            "image": f"{k.width}x{k.height} at {profile.fps:g} Hz",
+            "lens": f"{profile.color.model.replace('_', ' ')}, undistorted here"
+            if profile.color.distorts
+            else "pinhole",
+            "depth": "registered by the device" if profile.depth is None else _registered(profile),
+            "exposure": {True: "automatic", False: "fixed", None: "not told"}[profile.auto_exposure],
+            "newest frame": f"{age * 1e3:.0f} ms old, depth known for {known:.0%} of it",
+        }
+        for name, value in facts.items():
+            table.add_row(name, value)
+        console.print(table)
+        console.print("\nFor the station file:\n")
+        console.print(_station_lines(config, profile), soft_wrap=True, markup=False)
+        if self.picture is not None:
+            write_picture(self.picture, frame)
+            console.print(f"\nWritten: {self.picture}", soft_wrap=True)
+        if self.json:
+            intrinsics = {"fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy, "width": k.width, "height": k.height}
+            print(json_line({**facts, "intrinsics": intrinsics, "known_depth": known}), flush=True)
+        return 0
+
+
+def _registered(profile: CameraProfile) -> str:
+    assert profile.depth is not None
+    k = profile.depth.intrinsics
+    return f"{k.width}x{k.height}, registered to the colour here"
+
+
+def _station_lines(config: CameraConfig, profile: CameraProfile) -> str:
+    k, device = profile.color.intrinsics, config.device
+    assert device is not None
+    lines = [
+        "camera:",
+        f"  fx: {k.fx:.3f}",
+        f"  fy: {k.fy:.3f}",
+        f"  cx: {k.cx:.3f}",
+        f"  cy: {k.cy:.3f}",
+        f"  width: {k.width}",
+        f"  height: {k.height}",
+        "  device:",
+        f"    driver: {device.driver}",
+        f'    serial: "{profile.serial}"',
+        f"    fps: {profile.fps:.0f}",
+        "    least_range:       # [m], of this mode, from the camera's data sheet",
+    ]
+    if device.exposure is not None:
+        lines.append(f"    exposure: {device.exposure:g}")
+    if device.folder is not None:
+        lines.append(f"    folder: {device.folder}")
+    return "\n".join(lines)

@@ -1,0 +1,168 @@
+"""Recorded frames: a folder in the BOP layout, with stamps, that `toolee estimate --bop` reads too.
+
+`rgb/000000.png` and `depth/000000.png` are the images of frame 0, undistorted and registered; `scene_camera.json` has
+for each frame `cam_K` [px], `depth_scale` [mm per unit of the depth image] and `stamp` [s]; `recording.json` says which
+camera it was.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from toolee_robot.errors import UserError
+from toolee_robot.runtime.files import write_atomic
+from toolee_robot.types import CameraIntrinsics, RgbdFrame
+
+DEPTH_UNIT = 1e-4
+"""Unit of recorded depths [m]; 16 bits then reach to 6.55 m, and what is farther is unknown."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording, its images not yet read."""
+
+    folder: Path
+    """Where it is."""
+    model: str
+    """Model of the camera that was recorded."""
+    serial: str
+    """Its serial number."""
+    fps: float
+    """Its frames per second."""
+    intrinsics: CameraIntrinsics
+    """Pinhole model of all images."""
+    depth_scale: float
+    """Metres per unit of the depth images."""
+    stamps: tuple[float, ...]
+    """Time of each frame on the clock of the recording [s], ascending."""
+
+    def read(self, number: int) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+        """Read the images of a frame.
+
+        Args:
+            number: Which one, from 0.
+
+        Returns:
+            Colour (H, W, 3), and depth (H, W) in units of `depth_scale`.
+
+        Raises:
+            UserError: A file is missing, or no image of the recording's size.
+        """
+        size = (self.intrinsics.height, self.intrinsics.width)
+        paths = [_image(self.folder, name, number) for name in ("rgb", "depth")]
+        bgr, depth = cv2.imread(str(paths[0]), cv2.IMREAD_COLOR), cv2.imread(str(paths[1]), cv2.IMREAD_UNCHANGED)
+        for path, image, shape in ((paths[0], bgr, (*size, 3)), (paths[1], depth, size)):
+            if image is None or image.shape != shape:
+                raise UserError(f"{path} is no image of the recording: record again", code="user.camera_recording")
+        if depth is None or bgr is None or depth.dtype != np.uint16:
+            raise UserError(f"{paths[1]} has not 16 bits: record again", code="user.camera_recording")
+        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8), np.asarray(depth, np.uint16)
+
+
+class RecordingWriter:
+    """Context manager that writes a recording, which is complete after the context, also after an exception.
+
+    Args:
+        folder: A new folder.
+        model: Model of the camera.
+        serial: Its serial number.
+        fps: Its frames per second.
+        intrinsics: Pinhole model of all frames.
+    """
+
+    def __init__(self, folder: Path, model: str, serial: str, fps: float, intrinsics: CameraIntrinsics) -> None:
+        self._folder, self._intrinsics = folder, intrinsics
+        size = {"width": intrinsics.width, "height": intrinsics.height}
+        self._camera = {"model": model, "serial": serial, "fps": fps, **size}
+        self._frames: dict[str, dict[str, Any]] = {}
+
+    def __enter__(self) -> Self:
+        """Make the folder.
+
+        Raises:
+            UserError: It exists, or cannot be made.
+        """
+        try:
+            self._folder.mkdir(parents=True)
+            for name in ("rgb", "depth"):
+                (self._folder / name).mkdir()
+        except OSError as error:
+            message = f"cannot record into {self._folder}: {error.strerror}; name a new folder"
+            raise UserError(message, code="user.not_writable") from error
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        write_atomic(self._folder / "recording.json", json.dumps(self._camera, indent=1).encode())
+        write_atomic(self._folder / "scene_camera.json", json.dumps(self._frames, indent=1).encode())
+
+    def add(self, frame: RgbdFrame) -> None:
+        """Write a frame.
+
+        Args:
+            frame: The frame, later than the last one, with the recording's intrinsics.
+
+        Raises:
+            UserError: It cannot be written.
+        """
+        number = len(self._frames)
+        units = np.rint(np.nan_to_num(frame.depth, nan=0.0, posinf=0.0, neginf=0.0) / DEPTH_UNIT)
+        depth = np.where((units > 0) & (units < 2**16), units, 0).astype(np.uint16)
+        for name, image in (("rgb", cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2BGR)), ("depth", depth)):
+            _, png = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+            write_atomic(_image(self._folder, name, number), png.tobytes())
+        self._frames[str(number)] = {
+            "cam_K": self._intrinsics.matrix.ravel().tolist(),
+            "depth_scale": DEPTH_UNIT * 1e3,
+            "stamp": frame.stamp,
+        }
+
+
+def open_recording(folder: Path) -> Recording:
+    """Read what a recording holds.
+
+    Args:
+        folder: A folder that `RecordingWriter` wrote.
+
+    Returns:
+        The recording.
+
+    Raises:
+        UserError: The folder is no recording; the message names the file.
+    """
+    camera, frames = _read(folder / "recording.json"), _read(folder / "scene_camera.json")
+    try:
+        entries = [frames[str(number)] for number in range(len(frames))]
+        if not entries:
+            raise UserError(f"{folder} holds no frame: record again", code="user.camera_recording")
+        fx, _, cx, _, fy, cy = (float(value) for value in entries[0]["cam_K"][:6])
+        return Recording(
+            folder,
+            str(camera["model"]),
+            str(camera["serial"]),
+            float(camera["fps"]),
+            CameraIntrinsics(fx, fy, cx, cy, int(camera["width"]), int(camera["height"])),
+            float(entries[0]["depth_scale"]) / 1e3,
+            tuple(float(entry["stamp"]) for entry in entries),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        message = f"{folder} is no recording by `toolee camera record` ({error!r}): record again"
+        raise UserError(message, code="user.camera_recording") from error
+
+
+def _read(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        message = f"cannot read {path}: give the folder of a recording by `toolee camera record`"
+        raise UserError(message, code="user.camera_recording") from error
+
+
+def _image(folder: Path, kind: str, number: int) -> Path:
+    return folder / kind / f"{number:06d}.png"

@@ -1,0 +1,109 @@
+"""The camera of a real station: the driver that its station file names.
+
+with open_camera(load_lab_station(Path("lab.yaml")).camera, HostClock()) as camera:
+    frame = camera.read()
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from toolee_robot.config import CameraConfig, CameraDevice
+from toolee_robot.errors import ConfigError, NotReadyError
+from toolee_robot.hal import Clock
+from toolee_robot.hardware.cameras import CameraProfile, CameraStream, RawImages, StreamedCamera
+from toolee_robot.hardware.cameras.orbbec import OrbbecMode, OrbbecStream
+from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStream
+from toolee_robot.hardware.cameras.recorded import RecordedStream
+from toolee_robot.stations.devices import installed, load
+
+CameraDriver = Callable[[CameraConfig, CameraDevice, Clock], CameraStream]
+"""What makes a driver's stream: from the station file's `camera`, its `camera.device`, and the station's clock."""
+
+
+def open_camera(config: CameraConfig, clock: Clock, *, check_intrinsics: bool = True) -> StreamedCamera:
+    """Build the driver of a station's camera.
+
+    Args:
+        config: What the station file says of the camera.
+        clock: The station's clock, the host's.
+        check_intrinsics: Whether a camera is refused whose intrinsics are not the station file's; not so where they are
+            only now asked for.
+
+    Returns:
+        The camera, not yet entered. Entering it raises what `StreamedCamera` raises, and a NotReadyError where the
+        camera reports another serial number.
+
+    Raises:
+        ConfigError: The station file names no camera, or a driver that is not there, or lacks what the driver needs.
+    """
+    device = config.device
+    if device is None:
+        raise ConfigError(
+            "camera.device is missing: give camera.device.driver, .serial and .least_range; `toolee camera list` shows "
+            "the cameras of this computer",
+            code="config.camera_device",
+        )
+    stream = _driver(device.driver)(config, device, clock)
+    expected = config.intrinsics if check_intrinsics else None
+    return StreamedCamera(_OfSerial(stream, device.serial), clock, expected)
+
+
+def camera_drivers() -> dict[str, str]:
+    """The drivers that a station file may name, and where each is from: this project, or an installed package."""
+    others = {name: entry.value for name, entry in installed("camera").items()}
+    return others | dict.fromkeys(_DRIVERS, "toolee_robot")
+
+
+def _driver(name: str) -> CameraDriver:
+    if name in _DRIVERS:
+        return _DRIVERS[name]
+    others = installed("camera")
+    if name not in others:
+        known = ", ".join(sorted({*_DRIVERS, *others}))
+        message = f"camera.device.driver {name!r} is not there: those that are: {known}; docs/how-to/add_a_camera.md"
+        raise ConfigError(message, code="config.camera_driver")
+    driver: CameraDriver = load(others[name])
+    return driver
+
+
+class _OfSerial:
+    """A stream that is refused where it is another camera's."""
+
+    def __init__(self, stream: CameraStream, serial: str) -> None:
+        self._stream, self._serial = stream, serial
+        self.fetch: Callable[[float], RawImages | None] = stream.fetch
+        self.close: Callable[[], None] = stream.close
+
+    def open(self) -> CameraProfile:
+        profile = self._stream.open()
+        if profile.serial != self._serial:
+            self._stream.close()
+            raise NotReadyError(
+                f"the camera's serial number is {profile.serial!r}, the station file's {self._serial!r}: connect the "
+                "calibrated camera, or calibrate this one and change camera.device.serial",
+                code="not_ready.camera_serial",
+            )
+        return profile
+
+
+def _realsense(config: CameraConfig, device: CameraDevice, _clock: Clock) -> CameraStream:
+    return RealSenseStream(device.serial, RealSenseMode(config.width, config.height, device.fps, device.exposure))
+
+
+def _orbbec(config: CameraConfig, device: CameraDevice, _clock: Clock) -> CameraStream:
+    if device.exposure is not None:
+        message = "camera.device.exposure: this driver does not set it; do so in the maker's viewer, and leave it out"
+        raise ConfigError(message, code="config.camera_exposure")
+    return OrbbecStream(device.serial, OrbbecMode(config.width, config.height, device.fps))
+
+
+def _recorded(_config: CameraConfig, device: CameraDevice, clock: Clock) -> CameraStream:
+    if device.folder is None:
+        message = "camera.device.folder is missing: the folder of a recording by `toolee camera record`"
+        raise ConfigError(message, code="config.camera_folder")
+    return RecordedStream(Path(device.folder), clock)
+
+
+_DRIVERS: dict[str, CameraDriver] = {"realsense": _realsense, "orbbec": _orbbec, "recorded": _recorded}
