@@ -1,0 +1,156 @@
+"""The ChArUco board: its specification, its true scale, its drawing."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from toolee_robot.errors import UserError
+from toolee_robot.frames import Array
+
+MARKER_SHARE = 0.75
+"""Edge of a marker, as a share of the square's."""
+BAR = 0.2
+"""Nominal length of the two scale bars on the sheet [m]."""
+LARGEST_SCALING = 0.1
+"""Largest deviation of a print's scale from the nominal one that is believed."""
+LARGEST_SHEAR = 0.003
+"""Largest difference between the scales along and across the sheet: an octave of what a good printer has."""
+
+
+@dataclass(frozen=True)
+class Board:
+    """A ChArUco board, printed.
+
+    Its frame: origin in the outer corner of the first square, x along the columns, y along the rows, z away from who
+    looks at it (OpenCV). Chessboard corners are numbered along x first, from 0.
+
+    Attributes:
+        columns: Squares along x.
+        rows: Squares along y.
+        square: Edge of a square [m], as measured on the print.
+        dictionary: Name of OpenCV's dictionary of markers.
+    """
+
+    __pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}  # noqa: RUF012  (read by pydantic, not a field)
+    columns: int
+    rows: int
+    square: float
+    dictionary: str = "DICT_4X4_50"
+
+    def __post_init__(self) -> None:
+        if self.columns < 3 or self.rows < 3 or not 1e-3 < self.square < 1.0:
+            raise UserError(
+                f"a board of {self.columns} x {self.rows} squares of {self.square} m: give 3 x 3 squares or more, and "
+                "metres",
+                code="user.board",
+            )
+        if not hasattr(cv2.aruco, self.dictionary):
+            raise UserError(f"OpenCV has no dictionary {self.dictionary!r}, such as DICT_4X4_50", code="user.board")
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Length along x and y of all squares [m]."""
+        return self.columns * self.square, self.rows * self.square
+
+    @property
+    def center(self) -> Array:
+        """Centre of the squares in the board's frame, (3,) [m]."""
+        width, height = self.size
+        return np.array([width / 2, height / 2, 0.0])
+
+    @property
+    def corners(self) -> Array:
+        """Chessboard corners in the board's frame, (M, 3) [m], by number."""
+        return np.asarray(self.charuco.getChessboardCorners(), np.float64)
+
+    @property
+    def charuco(self) -> Any:
+        """OpenCV's `CharucoBoard`."""
+        return _charuco(self)
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 over the specification with the measured square, hexadecimal."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+
+    def measured(self, along: float, across: float) -> Board:
+        """Apply the true scale of a print.
+
+        Args:
+            along: Measured length of the scale bar along x, nominally `BAR` [m].
+            across: Measured length of the scale bar along y [m].
+
+        Returns:
+            The board as printed.
+
+        Raises:
+            UserError: A length is implausible, or the two differ: the print is distorted.
+        """
+        scales = along / BAR, across / BAR
+        for scale in scales:
+            if not (math.isfinite(scale) and abs(scale - 1.0) <= LARGEST_SCALING):
+                raise UserError(
+                    f"a scale bar of {scale * BAR * 1e3:.1f} mm is not a print of one of {BAR * 1e3:.0f} mm: measure "
+                    "it again, from end line to end line",
+                    code="user.board_bar",
+                )
+        if abs(scales[0] - scales[1]) > LARGEST_SHEAR:
+            raise UserError(
+                f"the bars measure {along * 1e3:.1f} and {across * 1e3:.1f} mm: the print is distorted by more than "
+                f"{LARGEST_SHEAR * 100:.1f} %; print it again without scaling, or have it printed on a plate",
+                code="user.board_distorted",
+            )
+        return replace(self, square=self.square * (scales[0] + scales[1]) / 2)
+
+    def image(self, pixels_per_square: int) -> NDArray[np.uint8]:
+        """Draw the squares without a margin.
+
+        Args:
+            pixels_per_square: Edge of a square [px].
+
+        Returns:
+            The image, (rows * p, columns * p) uint8.
+        """
+        size = (self.columns * pixels_per_square, self.rows * pixels_per_square)
+        return np.asarray(self.charuco.generateImage(size, marginSize=0), np.uint8)
+
+
+@lru_cache(maxsize=8)
+def _charuco(board: Board) -> Any:
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+    return cv2.aruco.CharucoBoard(
+        (board.columns, board.rows), board.square, MARKER_SHARE * board.square, dictionary
+    )
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A sheet of paper and the board that fills it.
+
+    Attributes:
+        name: Name of the format.
+        width: Length of the longer edge [m].
+        height: Length of the shorter edge [m].
+        board: The board as it should be printed: no print is exactly so.
+    """
+
+    name: str
+    width: float
+    height: float
+    board: Board
+
+
+SHEETS = {
+    "a4": Sheet("a4", 0.297, 0.210, Board(7, 5, 0.036)),
+    "a3": Sheet("a3", 0.420, 0.297, Board(7, 5, 0.052)),
+}
+"""The sheets by name. A camera of 512 pixels in width sees the markers of an A4 up to 0.6 m away, of an A3 up to 0.9 m."""
