@@ -152,7 +152,7 @@ class SimStation:
             person = SimPerson(world, offset, options.hands_over)
             clock = SimClock(world)
             visuals = SceneVisuals(config, tool, seed, lambda: scene_state(world, person))
-            camera = SimCamera(visuals, clock, config.camera, seed)
+            camera = SimCamera(visuals, clock, config.camera.uncalibrated, seed)
             hand = simulated_hand(world, options)
             station = Station(SimArm(world), hand, camera, person, clock, SIMULATED, SIMULATED)
             judge = Judge(world)

@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,12 +17,14 @@ from toolee_robot.frames import Array
 
 MARKER_SHARE = 0.75
 """Edge of a marker, as a share of the square's."""
+DICTIONARIES = ("DICT_4X4_50", "DICT_4X4_100", "DICT_5X5_100", "DICT_6X6_250")
+"""OpenCV's dictionaries of markers that a board may have: the fewer bits, the larger each is in the image."""
 BAR = 0.2
 """Nominal length of the two scale bars on the sheet [m]."""
 LARGEST_SCALING = 0.1
 """Largest deviation of a print's scale from the nominal one that is believed."""
 LARGEST_SHEAR = 0.003
-"""Largest difference between the scales along and across the sheet: an octave of what a good printer has."""
+"""Largest difference between the scales along and across the sheet."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ class Board:
                 "metres",
                 code="user.board",
             )
-        if not hasattr(cv2.aruco, self.dictionary):
-            raise UserError(f"OpenCV has no dictionary {self.dictionary!r}, such as DICT_4X4_50", code="user.board")
+        if self.dictionary not in DICTIONARIES:
+            raise UserError(f"dictionary {self.dictionary!r}: give one of {', '.join(DICTIONARIES)}", code="user.board")
 
     @property
     def size(self) -> tuple[float, float]:
@@ -126,6 +127,8 @@ class Board:
 
 @lru_cache(maxsize=8)
 def _charuco(board: Board) -> Any:
+    import cv2  # here, since the station file's record names a board, and needs no OpenCV
+
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     return cv2.aruco.CharucoBoard(
         (board.columns, board.rows), board.square, MARKER_SHARE * board.square, dictionary

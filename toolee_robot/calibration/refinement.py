@@ -58,6 +58,8 @@ class Refined:
         weights: Weight of each view, (N,), 1 for one that fits.
         misfits: Squared Mahalanobis distance of each view's flange pose from what the others expect, over its 6 degrees
             of freedom: about 1 where the noise explains it, (N,).
+        arm_errors: By how much the arm's pose of each view would be off if the others and the image were right: position
+            [m] and rotation [rad], (N, 2).
         freedom: Degrees of freedom of the residuals of the poses.
     """
 
@@ -66,6 +68,7 @@ class Refined:
     noise: Noise
     weights: Array
     misfits: Array
+    arm_errors: Array
     freedom: float
 
     def point_covariance(self, p_camera: Array) -> Array:
@@ -160,7 +163,7 @@ def refine(views: Views, start: Estimate, *, noise: Noise | None = None, with_sc
     covariance = np.linalg.inv(reduced.information(V, weights))
     misfits = reduced.distances(V, covariance, weights) / 6.0
     freedom = 6.0 * float(np.sum(np.minimum(weights, 1.0))) - size
-    return Refined(estimate, covariance, now, weights, misfits, max(freedom, 4.0))
+    return Refined(estimate, covariance, now, weights, misfits, reduced.arm_errors, max(freedom, 4.0))
 
 
 def _solved(views: Views, estimate: Estimate, noise: Noise, weights: Array, size: int) -> Estimate:
@@ -200,6 +203,9 @@ class _Reduced:
         projection: Residuals and derivatives.
         count: Corners of each view, (N,).
         size: Number of parameters.
+
+    Attributes:
+        arm_errors: As in `Refined`.
     """
 
     def __init__(self, projection: Projection, count: Array, size: int) -> None:
@@ -209,6 +215,7 @@ class _Reduced:
         to_pose = self._A @ np.swapaxes(G, 1, 2)
         self._z = np.einsum("nij,nj->ni", to_pose, r)
         self._H = to_pose @ projection.by_parameters[..., :size]
+        self.arm_errors = np.stack([np.linalg.norm(self._z[:, part], axis=1) for part in (slice(3), slice(3, 6))], axis=1)
         # What no pose of the flange explains is noise of the image; a median over the views bears bad ones.
         rest = r - np.einsum("nij,nj->ni", G, self._z)
         self._pixel = float(np.sqrt(np.median(np.sum(rest**2, axis=1) / np.maximum(2 * count - 6, 1))))
