@@ -8,6 +8,7 @@ import numpy as np
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
+from toolee_robot.sim_backend.visuals.board import PlacedBoard
 from toolee_robot.tools import Tool
 
 
@@ -53,6 +54,7 @@ class SimOptions:
         friction: Coefficient of friction between hand and handle.
         q_start: Joint positions of the arm at the start, (6,) [rad]; the station's home if None.
         hands_over: Whether the person hands a tool over at all.
+        boards: Calibration boards in the world; nothing touches them.
     """
 
     gui: bool = False
@@ -61,6 +63,7 @@ class SimOptions:
     friction: float = 0.9
     q_start: Array | None = None
     hands_over: bool = True
+    boards: tuple[PlacedBoard, ...] = ()
 
     def __post_init__(self) -> None:
         if not 0.0 < self.friction <= 2.0:

@@ -10,17 +10,16 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 
 MARKER_SHARE = 0.75
 """Edge of a marker, as a share of the square's."""
-DICTIONARIES = ("DICT_4X4_50", "DICT_4X4_100", "DICT_5X5_100", "DICT_6X6_250")
-"""OpenCV's dictionaries of markers that a board may have: the fewer bits, the larger each is in the image."""
-BAR = 0.2
-"""Nominal length of the two scale bars on the sheet [m]."""
+DICTIONARIES = ("DICT_4X4_50", "DICT_4X4_100", "DICT_4X4_250")
+"""OpenCV's dictionaries of markers that a board may have: of the fewest bits, each of which is the larger."""
+MODULES = 8
+"""Modules along a square: a marker's six, and one of margin on either side."""
 LARGEST_SCALING = 0.1
 """Largest deviation of a print's scale from the nominal one that is believed."""
 LARGEST_SHEAR = 0.003
@@ -87,42 +86,58 @@ class Board:
         """Apply the true scale of a print.
 
         Args:
-            along: Measured length of the scale bar along x, nominally `BAR` [m].
-            across: Measured length of the scale bar along y [m].
+            along: Measured length of the scale bar along x, which is as long as all columns [m].
+            across: Measured length of the scale bar along y, which is as long as all rows [m].
 
         Returns:
             The board as printed.
 
         Raises:
-            UserError: A length is implausible, or the two differ: the print is distorted.
+            UserError: A length is implausible (`user.board_bar`), or the two have different scales: the print is
+                distorted (`user.board_distorted`).
         """
-        scales = along / BAR, across / BAR
-        for scale in scales:
+        scales = along / self.size[0], across / self.size[1]
+        for length, nominal, scale in zip((along, across), self.size, scales, strict=True):
             if not (math.isfinite(scale) and abs(scale - 1.0) <= LARGEST_SCALING):
                 raise UserError(
-                    f"a scale bar of {scale * BAR * 1e3:.1f} mm is not a print of one of {BAR * 1e3:.0f} mm: measure "
-                    "it again, from end line to end line",
+                    f"a scale bar of {length * 1e3:.1f} mm is no print of one of {nominal * 1e3:.0f} mm: measure from "
+                    "end line to end line, and give it in millimetres",
                     code="user.board_bar",
                 )
         if abs(scales[0] - scales[1]) > LARGEST_SHEAR:
             raise UserError(
-                f"the bars measure {along * 1e3:.1f} and {across * 1e3:.1f} mm: the print is distorted by more than "
-                f"{LARGEST_SHEAR * 100:.1f} %; print it again without scaling, or have it printed on a plate",
+                f"the bars measure {along * 1e3:.1f} and {across * 1e3:.1f} mm instead of {self.size[0] * 1e3:.0f} and "
+                f"{self.size[1] * 1e3:.0f}: the print is distorted by more than {LARGEST_SHEAR * 100:.1f} %; print it "
+                "again without scaling",
                 code="user.board_distorted",
             )
         return replace(self, square=self.square * (scales[0] + scales[1]) / 2)
 
-    def image(self, pixels_per_square: int) -> NDArray[np.uint8]:
-        """Draw the squares without a margin.
+    @property
+    def rectangles(self) -> Array:
+        """What is black: rectangles that touch without overlap, (R, 4): x, y, length along x, length along y [m]."""
+        size = (self.columns * MODULES, self.rows * MODULES)
+        black = np.asarray(self.charuco.generateImage(size, marginSize=0)) < 128
+        found: list[tuple[int, int, int, int]] = []
+        for y, line in enumerate(black):
+            edges = np.flatnonzero(np.diff(np.concatenate([[0], line, [0]])))
+            found.extend((int(a), y, int(b - a), 1) for a, b in zip(edges[::2], edges[1::2], strict=True))
+        return np.array(_merged(found), np.float64) * self.square / MODULES
 
-        Args:
-            pixels_per_square: Edge of a square [px].
 
-        Returns:
-            The image, (rows * p, columns * p) uint8.
-        """
-        size = (self.columns * pixels_per_square, self.rows * pixels_per_square)
-        return np.asarray(self.charuco.generateImage(size, marginSize=0), np.uint8)
+def _merged(runs: list[tuple[int, int, int, int]]) -> list[tuple[int, int, int, int]]:
+    """Join runs of equal extent in successive rows, so that no seam is printed between them."""
+    merged: dict[tuple[int, int, int], int] = {}  # x, width, the row below -> index
+    found: list[tuple[int, int, int, int]] = []
+    for x, y, width, height in runs:
+        above = merged.pop((x, width, y), None)
+        if above is None:
+            found.append((x, y, width, height))
+            above = len(found) - 1
+        else:
+            found[above] = (x, found[above][1], width, found[above][3] + height)
+        merged[x, width, y + height] = above
+    return found
 
 
 @lru_cache(maxsize=8)

@@ -93,7 +93,7 @@ class CalibrationRecord:
         camera_serial: Serial number of the camera.
         intrinsics: Pinhole model of the camera's images.
         board: The board, its square as measured.
-        bars: Measured lengths of the board's two scale bars [m]; None where the square was given as such.
+        bars: Measured lengths of the board's two scale bars [m]; None where the square itself was measured.
         X_base_camera: Pose of the camera, 4 x 4 [m].
         X_flange_board: Pose of the board, 4 x 4 [m].
         covariance: Covariance of the camera's position [m] and rotation vector [rad], axes of `base`, 6 x 6.
