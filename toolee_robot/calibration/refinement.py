@@ -4,7 +4,7 @@ A pose's corners share the error of the arm's pose, which is what matters: an im
 in any case. So the residuals of a view have the covariance S = sigma_px^2 I + G Sigma_arm G^T, with G the derivative by
 the flange's pose, and a least-squares step is whitened with it. That is the bundle adjustment in which every flange
 pose is a parameter with a prior, with these parameters eliminated. The three standard deviations (pixel, arm's position,
-arm's rotation) are estimated from the residuals by restricted maximum likelihood (Patterson and Thompson, 1971), and
+arm's rotation) are estimated from the residuals by restricted maximum likelihood (Patterson and Thompson, 1971) with a weak prior, and
 views that fit worse than 97.5 % of good ones get less weight.
 """
 
@@ -17,16 +17,22 @@ from scipy.optimize import least_squares, minimize
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
-from toolee_robot.calibration.reprojection import Estimate, Projection, Views
+from toolee_robot.calibration.reprojection import SCALE, Estimate, Projection, Views
 from toolee_robot.frames import Array
 
 FITTING = float(chi2.ppf(0.975, 6))
 """Squared Mahalanobis distance of a view's flange pose up to which it has its full weight; beyond, the weight falls with
 the square of the distance, so that a wrong pose counts as one that lies just there."""
+SQUARE_ERROR = 3e-4
+"""Standard deviation of a board's square, relative: 0.1 mm of a rule on the bars of an A3."""
+_PARAMETERS = 13
 _START = (0.3, 5e-4, np.deg2rad(0.05))
 """First guess of the noise: pixel, position [m], rotation [rad]."""
 _LEAST = (0.02, 2e-5, np.deg2rad(0.002))
 """Noise below which nobody's setup is."""
+_USUAL = (3e-4, 1.5), (np.deg2rad(0.03), 1.0)
+"""What is usual of an arm, position [m] and rotation [rad]: the median, and the standard deviation of the logarithm. Few
+poses alone often tell a noise of zero, and a region that is too small with it."""
 _ROUNDS = 12
 _SETTLED = 1e-3
 """Change of the noise, relative, at which the rounds end."""
@@ -46,6 +52,11 @@ class Noise:
     position: float = _START[1]
     rotation: float = _START[2]
 
+    def near(self, other: Noise) -> bool:
+        """Whether all three are as good as equal."""
+        mine, theirs = (np.array([n.pixel, n.position, n.rotation]) for n in (self, other))
+        return bool(np.max(np.abs(mine / theirs - 1.0)) < _SETTLED)
+
 
 @dataclass(frozen=True, eq=False)
 class Refined:
@@ -53,13 +64,13 @@ class Refined:
 
     Attributes:
         estimate: The calibration.
-        covariance: Covariance of a step of `Estimate.moved`, (12, 12) or, with the scale, (13, 13) [m, rad].
+        covariance: Covariance of a step of `Estimate.moved`, (13, 13) [m, rad].
         noise: Estimated noise.
         weights: Weight of each view, (N,), 1 for one that fits.
         misfits: Squared Mahalanobis distance of each view's flange pose from what the others expect, over its 6 degrees
             of freedom: about 1 where the noise explains it, (N,).
-        arm_errors: By how much the arm's pose of each view would be off if the others and the image were right: position
-            [m] and rotation [rad], (N, 2).
+        arm_errors: By how much the arm's pose of each view would be off if the others and the image were right:
+            position [m] and rotation [rad], (N, 2).
         freedom: Degrees of freedom of the residuals of the poses.
     """
 
@@ -126,64 +137,67 @@ def confidence_factor(freedom: float, share: float = 0.95, dimensions: int = 3) 
     return float(dimensions * freedom / left * f_distribution.ppf(share, dimensions, left))
 
 
-def refine(views: Views, start: Estimate, *, noise: Noise | None = None, with_scale: bool = False) -> Refined:
+def refine(
+    views: Views, start: Estimate, *, noise: Noise | None = None, square_error: float = SQUARE_ERROR
+) -> Refined:
     """Refine a calibration.
 
     Args:
         views: The observations.
         start: Where to begin: the result of a closed form.
         noise: The noise, if it is known, such as from a fit to more views; None: it is estimated.
-        with_scale: Whether the board's scale is estimated too.
+        square_error: Standard deviation of the board's measured square, relative: how far its scale may follow the
+            arm's motions. Infinite: the scale is as free as the poses.
 
     Returns:
         The refined calibration.
     """
-    size = 13 if with_scale else 12
     estimate, weights = start, np.ones(len(views.count))
     now = Noise() if noise is None else noise
-    reduced = _Reduced(views.project(estimate), views.count, size)
     for _ in range(_ROUNDS):
-        estimate = _solved(views, estimate, now, weights, size)
-        projection = views.project(estimate)
-        reduced = _Reduced(projection, views.count, size)
+        estimate = _solved(views, estimate, now, weights, square_error)
+        reduced = _Reduced(views.project(estimate), views.count, square_error)
         before = now
         if noise is None:
             now = reduced.noise(weights, now)
         weights = reduced.weights(now, weights)
-        change = max(
-            abs(now.position / before.position - 1), abs(now.rotation / before.rotation - 1),
-            abs(now.pixel / before.pixel - 1),
-        )  # fmt: skip
-        if change < _SETTLED and noise is None:
-            break
         if noise is not None:
-            estimate = _solved(views, estimate, now, weights, size)
+            estimate = _solved(views, estimate, now, weights, square_error)
             break
+        if now.near(before):
+            break
+    reduced = _Reduced(views.project(estimate), views.count, square_error)
     V = reduced.covariances(now)
     covariance = np.linalg.inv(reduced.information(V, weights))
     misfits = reduced.distances(V, covariance, weights) / 6.0
-    freedom = 6.0 * float(np.sum(np.minimum(weights, 1.0))) - size
+    freedom = 6.0 * float(np.sum(weights)) - 12.0
     return Refined(estimate, covariance, now, weights, misfits, reduced.arm_errors, max(freedom, 4.0))
 
 
-def _solved(views: Views, estimate: Estimate, noise: Noise, weights: Array, size: int) -> Estimate:
+def _solved(views: Views, estimate: Estimate, noise: Noise, weights: Array, square_error: float) -> Estimate:
     """Minimise the whitened reprojection error at a fixed noise and fixed weights."""
-    whitening = _whitening(views.project(estimate), noise, weights)
-
-    def residuals(step: Array) -> Array:
-        return np.einsum("nij,nj->ni", whitening, views.project(estimate.moved(step)).residuals).ravel()
-
-    def jacobian(step: Array) -> Array:
-        # By a step that follows `step`, which the solver takes for the derivative by `step`: exact at 0, where it ends.
-        J = views.project(estimate.moved(step)).by_parameters[..., :size]
-        return np.asarray((whitening @ J).reshape(-1, size))
-
+    prior = np.zeros((1, _PARAMETERS))
+    prior[0, SCALE] = 1.0 / square_error
     for _ in range(3):
-        solution = least_squares(residuals, np.zeros(size), jacobian, method="lm", x_scale=np.full(size, 1e-2))
-        estimate = estimate.moved(solution.x)
+        whitening = _whitening(views.project(estimate), noise, weights)
+        center = estimate
+
+        def residuals(step: Array, center: Estimate = center, whitening: Array = whitening) -> Array:
+            moved = center.moved(step)
+            measured = np.einsum("nij,nj->ni", whitening, views.project(moved).residuals).ravel()
+            return np.append(measured, (moved.scale - 1.0) / square_error)
+
+        def jacobian(step: Array, center: Estimate = center, whitening: Array = whitening) -> Array:
+            # By a step that follows `step`, which the solver takes for the derivative by `step`: exact at 0, where it
+            # ends.
+            J = views.project(center.moved(step)).by_parameters
+            return np.vstack([(whitening @ J).reshape(-1, _PARAMETERS), prior])
+
+        zero, unit = np.zeros(_PARAMETERS), np.full(_PARAMETERS, 1e-2)
+        solution = least_squares(residuals, zero, jacobian, method="lm", x_scale=unit)
+        estimate = center.moved(solution.x)
         if np.abs(solution.x).max() < 1e-6:
             break
-        whitening = _whitening(views.project(estimate), noise, weights)
     return estimate
 
 
@@ -202,20 +216,23 @@ class _Reduced:
     Args:
         projection: Residuals and derivatives.
         count: Corners of each view, (N,).
-        size: Number of parameters.
+        square_error: As for `refine`.
 
     Attributes:
         arm_errors: As in `Refined`.
     """
 
-    def __init__(self, projection: Projection, count: Array, size: int) -> None:
+    def __init__(self, projection: Projection, count: Array, square_error: float) -> None:
         G, r = projection.by_flange, projection.residuals
         normal = np.swapaxes(G, 1, 2) @ G
         self._A = np.linalg.inv(normal)
         to_pose = self._A @ np.swapaxes(G, 1, 2)
         self._z = np.einsum("nij,nj->ni", to_pose, r)
-        self._H = to_pose @ projection.by_parameters[..., :size]
-        self.arm_errors = np.stack([np.linalg.norm(self._z[:, part], axis=1) for part in (slice(3), slice(3, 6))], axis=1)
+        self._H = to_pose @ projection.by_parameters
+        self._prior = np.zeros((_PARAMETERS, _PARAMETERS))
+        self._prior[SCALE, SCALE] = square_error**-2.0
+        parts = (slice(3), slice(3, 6))
+        self.arm_errors = np.stack([np.linalg.norm(self._z[:, part], axis=1) for part in parts], axis=1)
         # What no pose of the flange explains is noise of the image; a median over the views bears bad ones.
         rest = r - np.einsum("nij,nj->ni", G, self._z)
         self._pixel = float(np.sqrt(np.median(np.sum(rest**2, axis=1) / np.maximum(2 * count - 6, 1))))
@@ -226,7 +243,8 @@ class _Reduced:
 
     def information(self, V: Array, weights: Array) -> Array:
         """Information of all views about the parameters, (P, P)."""
-        return np.asarray(np.einsum("n,nip,nij,njq->pq", weights, self._H, np.linalg.inv(V), self._H))
+        weighted = weights[:, None, None] * np.swapaxes(self._H, 1, 2) @ np.linalg.inv(V)
+        return np.asarray(np.einsum("npj,njq->pq", weighted, self._H) + self._prior)
 
     def distances(self, V: Array, covariance: Array, weights: Array) -> Array:
         """Squared Mahalanobis distances of the views' residuals, (N,), under what they have after the fit."""
@@ -251,10 +269,11 @@ class _Reduced:
             V = self.covariances(Noise(pixel, position, rotation)) / weights[:, None, None]
             inverse = np.linalg.inv(V)
             HtV = np.einsum("nip,nij->npj", self._H, inverse)
-            information = np.einsum("npj,njq->pq", HtV, self._H)
+            information = np.einsum("npj,njq->pq", HtV, self._H) + self._prior
             score = np.einsum("npj,nj->p", HtV, self._z)
             square = np.einsum("ni,nij,nj->", self._z, inverse, self._z) - score @ np.linalg.solve(information, score)
-            return float(np.linalg.slogdet(V)[1].sum() + np.linalg.slogdet(information)[1] + square)
+            usual = sum(((log - np.log(middle)) / width) ** 2 for log, (middle, width) in zip(logs, _USUAL, strict=True))
+            return float(np.linalg.slogdet(V)[1].sum() + np.linalg.slogdet(information)[1] + square + usual)
 
         bounds = [(np.log(_LEAST[1]), np.log(0.1)), (np.log(_LEAST[2]), np.log(0.5))]
         first = np.log([start.position, start.rotation])

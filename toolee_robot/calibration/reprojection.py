@@ -26,7 +26,7 @@ class Estimate:
     Attributes:
         X_base_camera: Pose of the camera, (4, 4).
         X_flange_board: Pose of the board, (4, 4).
-        scale: Factor on the board's square; 1 unless it is estimated too.
+        scale: Factor on the board's measured square.
     """
 
     X_base_camera: Array
@@ -38,13 +38,13 @@ class Estimate:
 
         Args:
             step: Translation [m] and rotation vector [rad] of the camera in the axes of `base`, those of the board in
-                the axes of the flange, and, if there is a 13th number, the change of the scale; (12,) or (13,).
+                the axes of the flange, and the change of the scale, (13,).
 
         Returns:
             The estimate after it.
         """
-        scale = self.scale + (float(step[SCALE]) if len(step) > SCALE else 0.0)
-        return Estimate(_moved(self.X_base_camera, step[CAMERA]), _moved(self.X_flange_board, step[BOARD]), scale)
+        camera, board = _moved(self.X_base_camera, step[CAMERA]), _moved(self.X_flange_board, step[BOARD])
+        return Estimate(camera, board, self.scale + float(step[SCALE]))
 
 
 def _moved(X: Array, step: Array) -> Array:

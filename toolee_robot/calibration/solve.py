@@ -13,7 +13,7 @@ from toolee_robot.calibration.diagnosis import check_fit, check_place, check_pos
 from toolee_robot.calibration.motion_spread import MotionSpread, check_motion
 from toolee_robot.calibration.observation import Observation, camera_board
 from toolee_robot.calibration.refinement import Noise, Refined, refine
-from toolee_robot.calibration.reprojection import Estimate, Views
+from toolee_robot.calibration.reprojection import SCALE, Estimate, Views
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse, transform_points
 from toolee_robot.types import CameraIntrinsics
@@ -121,8 +121,8 @@ def calibrate(
     start = best_start(views, forms)
     refined = refine(views, start)
     check_fit(refined, [o.X_base_flange for o in observations], Xs_camera_board, board, intrinsics)
-    scaled = refine(views, refined.estimate, noise=refined.noise, with_scale=True)
-    scale = scaled.estimate.scale, float(np.sqrt(scaled.covariance[12, 12]))
+    scaled = refine(views, refined.estimate, noise=refined.noise, square_error=np.inf)
+    scale = scaled.estimate.scale, float(np.sqrt(scaled.covariance[SCALE, SCALE]))
     check_scale(scale, board)
     if expected is not None:
         check_place(refined.estimate.X_base_camera, expected)

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.board import Board
 from toolee_robot.calibration.observation import MIN_CORNERS, BoardView, Observation
+from toolee_robot.calibration.refinement import SQUARE_ERROR
 from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.types import CameraIntrinsics
 
@@ -28,7 +29,8 @@ class Protocol:
         position: Noise of the arm's position [m].
         rotation: Noise of the arm's rotation [rad].
         pixel: Noise of a corner [px].
-        scale: True scale of the board, relative to what is believed.
+        square_error: Noise of the board's measured square, relative.
+        scale: True scale of the board, relative to what is believed, before that noise.
         outliers: Poses of which the arm's pose is wrong by 20 mm and 3 deg.
     """
 
@@ -37,6 +39,7 @@ class Protocol:
     position: float = 3e-4
     rotation: float = float(np.deg2rad(0.03))
     pixel: float = 0.2
+    square_error: float = SQUARE_ERROR
     scale: float = 1.0
     outliers: int = 0
 
@@ -76,7 +79,7 @@ def draw(
         [-board.size[0] / 2 + rng.uniform(-0.05, 0.05), board.size[1] / 2 + rng.uniform(-0.05, 0.05), 0.12],
     )
     observations: list[Observation] = []
-    corners = protocol.scale * board.corners
+    corners = protocol.scale * (1.0 + rng.normal(0.0, protocol.square_error)) * board.corners
     while len(observations) < protocol.poses:
         X_camera_board = _board_before_camera(protocol, board, intrinsics, rng)
         p = transform_points(X_camera_board, corners)

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from toolee_robot.cli.arm.command import Arm
+from toolee_robot.cli.bench.calibration import BenchCalibration
 from toolee_robot.cli.bench.command import Bench
 from toolee_robot.cli.bench.servo import BenchServo
 from toolee_robot.cli.bench.swing import BenchSwing
@@ -39,6 +40,7 @@ Command = (
     | Annotated[Estimate, tyro.conf.subcommand("estimate")]
     | Annotated[Arm, tyro.conf.subcommand("arm")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
+    | Annotated[BenchCalibration, tyro.conf.subcommand("bench-calibration")]
     | Annotated[BenchServo, tyro.conf.subcommand("bench-servo")]
     | Annotated[BenchSwing, tyro.conf.subcommand("bench-swing")]
     | Annotated[Dataset, tyro.conf.subcommand("dataset")]
