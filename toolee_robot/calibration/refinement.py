@@ -5,7 +5,7 @@ in any case. So the residuals of a view have the covariance S = sigma_px^2 I + G
 the flange's pose, and a least-squares step is whitened with it. That is the bundle adjustment in which every flange
 pose is a parameter with a prior, with these parameters eliminated. The three standard deviations (pixel, arm's position,
 arm's rotation) are estimated from the residuals by restricted maximum likelihood (Patterson and Thompson, 1971) with a weak prior, and
-views that fit worse than 97.5 % of good ones get less weight.
+views that fit worse than 99.9 % of good ones get less weight.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy.stats import f as f_distribution
 from toolee_robot.calibration.reprojection import SCALE, Estimate, Projection, Views
 from toolee_robot.frames import Array
 
-FITTING = float(chi2.ppf(0.975, 6))
+FITTING = float(chi2.ppf(0.999, 6))
 """Squared Mahalanobis distance of a view's flange pose up to which it has its full weight; beyond, the weight falls with
 the square of the distance, so that a wrong pose counts as one that lies just there."""
 SQUARE_ERROR = 3e-4
