@@ -22,6 +22,7 @@ from toolee_robot.cli.bench.calibration import BenchCalibration
 from toolee_robot.cli.bench.command import Bench
 from toolee_robot.cli.bench.servo import BenchServo
 from toolee_robot.cli.bench.swing import BenchSwing
+from toolee_robot.cli.calibrate.command import Calibrate
 from toolee_robot.cli.dataset import Dataset
 from toolee_robot.cli.doctor import Doctor
 from toolee_robot.cli.estimate import Estimate
@@ -43,6 +44,7 @@ Command = (
     | Annotated[BenchCalibration, tyro.conf.subcommand("bench-calibration")]
     | Annotated[BenchServo, tyro.conf.subcommand("bench-servo")]
     | Annotated[BenchSwing, tyro.conf.subcommand("bench-swing")]
+    | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
     | Annotated[Dataset, tyro.conf.subcommand("dataset")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
@@ -57,8 +59,10 @@ AnyCommand = (
     | Estimate
     | Arm
     | Bench
+    | BenchCalibration
     | BenchServo
     | BenchSwing
+    | Calibrate
     | Dataset
     | Doctor
     | Evaluate

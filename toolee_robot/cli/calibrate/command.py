@@ -1,0 +1,32 @@
+"""`toolee calibrate`: its sub-commands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from toolee_robot.cli.calibrate.board import PrintBoard
+from toolee_robot.cli.calibrate.camera import Camera
+
+_Action = (
+    Annotated[PrintBoard, tyro.conf.subcommand("board")]
+    | Annotated[Camera, tyro.conf.subcommand("camera")]
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Calibrate:
+    """Calibrate a station: where the camera stands, seen from the robot.
+
+    Example: toolee calibrate board --sheet a3 --out board.pdf
+
+    Example: toolee calibrate camera
+    """
+
+    action: Annotated[_Action, tyro.conf.arg(name="")]
+    """What to do."""
+
+    def run(self) -> int:
+        return self.action.run()
