@@ -65,7 +65,10 @@ def find_board(image: NDArray[np.uint8], board: Board) -> BoardView | None:
     """
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
     large = cv2.resize(grey, None, fx=ENLARGED, fy=ENLARGED, interpolation=cv2.INTER_CUBIC)
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(board.charuco).detectBoard(large)
+    # The board's known layout finds the markers that are too small to be read alone: twice as many at 1 m.
+    layout = cv2.aruco.CharucoParameters()
+    layout.minMarkers, layout.tryRefineMarkers = 1, True
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(board.charuco, layout).detectBoard(large)
     if ids is None or len(ids) < MIN_CORNERS:
         return None
     # cv2.resize aligns the images' outer edges: pixel centres x map to factor * (x + 0.5) - 0.5.
@@ -75,7 +78,17 @@ def find_board(image: NDArray[np.uint8], board: Board) -> BoardView | None:
         grey, pixels.astype(np.float32).reshape(-1, 1, 2), (window, window), (-1, -1),
         (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3),
     )  # fmt: skip
-    return BoardView(np.asarray(ids, np.int64).reshape(-1), np.asarray(fine, np.float64).reshape(-1, 2))
+    return _plausible(np.asarray(ids, np.int64).reshape(-1), np.asarray(fine, np.float64).reshape(-1, 2), board)
+
+
+def _plausible(ids: NDArray[np.int64], pixels: Array, board: Board) -> BoardView | None:
+    """The view without corners that are no part of a flat board with the others."""
+    tolerance = max(2.0, 0.5 * _refinement_window(pixels))
+    _, inliers = cv2.findHomography(board.corners[ids, :2], pixels, cv2.RANSAC, tolerance)
+    if inliers is None:
+        return None
+    keep = inliers.ravel().astype(bool)
+    return BoardView(ids[keep], pixels[keep]) if np.count_nonzero(keep) >= MIN_CORNERS else None
 
 
 def _refinement_window(pixels: Array) -> int:

@@ -39,7 +39,8 @@ class RecordedPose:
         ids: Numbers of the board's corners in the image.
         pixels: Places of the corners, M x 2 [px].
         reprojection: Root mean square reprojection error [px].
-        held_out: Root mean square distance of the corners from where the other poses expect them [m].
+        held_out: Root mean square distance of the corners from where the other poses expect them, across the line of
+            sight [m].
         weight: Weight in the fit, 1 for a pose that fits.
     """
 
@@ -100,7 +101,7 @@ class CalibrationRecord:
         freedom: Degrees of freedom of the covariance.
         pixel_noise: Standard deviation of a corner's place about one axis [px].
         arm_noise: Standard deviations of the arm's position [m] and rotation [rad] about one axis.
-        residual: Root mean square error of the board's corners on held-out poses [m].
+        residual: Root mean square error of the board's corners on held-out poses, across the line of sight [m].
         largest_shift: Largest displacement of the target when one pose is left out [m].
         target: The point at which errors are told, camera frame, (3,) [m].
         target_radius: Largest half axis of the region that has the target's true place with a probability of 95 % [m].

@@ -12,7 +12,7 @@ from toolee_robot.calibration.closed_form import ClosedForm, closed_forms
 from toolee_robot.calibration.diagnosis import check_fit, check_place, check_poses, check_scale
 from toolee_robot.calibration.motion_spread import MotionSpread, check_motion
 from toolee_robot.calibration.observation import Observation, camera_board
-from toolee_robot.calibration.refinement import Noise, Refined, refine
+from toolee_robot.calibration.refinement import Refined, refine
 from toolee_robot.calibration.reprojection import SCALE, Estimate, Views
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse, transform_points
@@ -29,8 +29,8 @@ class LeaveOneOut:
     """What changes when one pose at a time is left out.
 
     Attributes:
-        held_out: Root mean square distance of each left-out view's corners from where the others expect them, (N,) [m]:
-            between the board's pose in the image and that by the arm.
+        held_out: Root mean square distance of each left-out view's corners from where the others expect them, across
+            the line of sight, (N,) [m]. Along it a single view says little.
         shifts: Displacement of the target in each of these calibrations, (N,) [m].
     """
 
@@ -136,7 +136,7 @@ def calibrate(
         methods={
             f.method: float(np.linalg.norm((f.X_base_camera @ [*target, 1.0])[:3] - at)) for f in forms
         },
-        leave_one_out=_leave_one_out(observations, board, intrinsics, refined, Xs_camera_board, at, target),
+        leave_one_out=_leave_one_out(observations, board, intrinsics, refined, target),
         scale=scale,
         reprojection=np.sqrt(np.sum(residuals**2, axis=1) / views.count),
     )  # fmt: skip
@@ -170,23 +170,17 @@ def best_start(views: Views, forms: Sequence[ClosedForm]) -> Estimate:
 
 
 def _leave_one_out(
-    observations: Sequence[Observation],
-    board: Board,
-    intrinsics: CameraIntrinsics,
-    refined: Refined,
-    Xs_camera_board: Sequence[Array],
-    at: Array,
-    target: Array,
+    observations: Sequence[Observation], board: Board, intrinsics: CameraIntrinsics, refined: Refined, target: Array
 ) -> LeaveOneOut:
-    held_out, shifts = [], []
-    noise: Noise = refined.noise
-    for i, (left_out, X_camera_board) in enumerate(zip(observations, Xs_camera_board, strict=True)):
+    at, held_out, shifts = _point(refined.estimate, target), [], []
+    for i, left_out in enumerate(observations):
         others = Views([*observations[:i], *observations[i + 1 :]], board, intrinsics)
-        estimate = refine(others, refined.estimate, noise=noise).estimate
-        expected = inverse(estimate.X_base_camera) @ left_out.X_base_flange @ estimate.X_flange_board
-        points = board.corners[left_out.view.ids]
-        apart = transform_points(expected, points) - transform_points(X_camera_board, points)
-        held_out.append(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
+        estimate = refine(others, refined.estimate, noise=refined.noise).estimate
+        X_camera_board = inverse(estimate.X_base_camera) @ left_out.X_base_flange @ estimate.X_flange_board
+        x, y, z = transform_points(X_camera_board, estimate.scale * board.corners[left_out.view.ids]).T
+        u, v = left_out.view.pixels.T
+        across = np.stack([x - z * (u - intrinsics.cx) / intrinsics.fx, y - z * (v - intrinsics.cy) / intrinsics.fy])
+        held_out.append(np.sqrt(np.mean(np.sum(across**2, axis=0))))
         shifts.append(np.linalg.norm(_point(estimate, target) - at))
     return LeaveOneOut(np.array(held_out), np.array(shifts))
 

@@ -25,7 +25,7 @@ class CalibrationConfig:
     camera_serial: str
     """Serial number of the calibrated camera; must be that of the station's camera."""
     residual: NotNegative
-    """Root mean square error of the calibration board's points on held-out poses [m]."""
+    """Root mean square error of the calibration board's points on held-out poses, across the line of sight [m]."""
     max_residual: Positive = 0.004
     """Largest residual with which the calibration may be used [m]."""
     valid_days: Positive | None = 30.0
