@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from toolee_robot.calibration.board import Board
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.sim_backend.visuals.board import PlacedBoard
 from toolee_robot.tools import Tool
 
 
@@ -41,6 +41,21 @@ class InHandOffset:
         along, spin = rng.uniform(-0.030, 0.030), rng.uniform(-1, 1) * np.deg2rad(25)
         tilt_x, tilt_y = rng.uniform(-1, 1, 2) * np.deg2rad(12)
         return cls(float(along), float(spin), float(tilt_x), float(tilt_y))
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedBoard:
+    """A calibration board in the simulated world.
+
+    Attributes:
+        board: The board in its true size.
+        X_frame_board: Its pose in the flange, or in `base`, (4, 4) [m].
+        on_flange: Whether it is fixed to the flange; else it lies in `base`.
+    """
+
+    board: Board
+    X_frame_board: Array
+    on_flange: bool = True
 
 
 @dataclass(frozen=True, eq=False)

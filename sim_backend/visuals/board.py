@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
-from toolee_robot.calibration.board import Board
 from toolee_robot.frames import Array, transform
 from toolee_robot.render.mesh import Mesh, box
+from toolee_robot.sim_backend.options import PlacedBoard
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody
 
 MARGIN = 0.015
@@ -20,21 +19,6 @@ _INK = 5e-5
 """Distance of the black faces before the sheet [m]."""
 BOARD_ID = 7
 """Id of the board in ground-truth renderings."""
-
-
-@dataclass(frozen=True, eq=False)
-class PlacedBoard:
-    """A board in the simulated world.
-
-    Attributes:
-        board: The board in its true size.
-        X_frame_board: Its pose in the flange, or in `base`, (4, 4) [m].
-        on_flange: Whether it is fixed to the flange; else it lies in `base`.
-    """
-
-    board: Board
-    X_frame_board: Array
-    on_flange: bool = True
 
 
 class BoardVisuals:
@@ -48,7 +32,7 @@ class BoardVisuals:
         self.placed = placed
         width, height = placed.board.size
         self._sheet = box((width + 2 * MARGIN, height + 2 * MARGIN, _THICKNESS))
-        self._X_board_sheet = transform(p=placed.board.center + [0.0, 0.0, _THICKNESS / 2])
+        self._X_board_sheet = transform(p=placed.board.center + np.array([0.0, 0.0, _THICKNESS / 2]))
         self._ink = _faces(placed.board.rectangles)
 
     def bodies(self, X_base_flange: Array) -> Iterator[VisualBody]:
@@ -75,5 +59,5 @@ def _faces(rectangles: Array) -> Mesh:
     corners = np.stack([[x, y, z], [x + w, y, z], [x + w, y + h, z], [x, y + h, z]])  # (4, 3, R)
     vertices = corners.transpose(2, 0, 1).reshape(-1, 3)
     first = 4 * np.arange(len(x))[:, None]
-    faces = np.concatenate([first + [0, 2, 1], first + [0, 3, 2]])
+    faces = np.concatenate([first + np.array(corner) for corner in ((0, 2, 1), (0, 3, 2))])
     return Mesh.build(vertices, faces)

@@ -15,8 +15,9 @@ from toolee_robot.render.mesh import Mesh, box, cylinder, sphere
 from toolee_robot.render.palette import skin_tone
 from toolee_robot.robots import arm_meshes, hand_model
 from toolee_robot.robots.tree import FLANGE_FRAME
+from toolee_robot.sim_backend.options import PlacedBoard
 from toolee_robot.sim_backend.physics.wood import NailSpec
-from toolee_robot.sim_backend.visuals.board import BoardVisuals, PlacedBoard
+from toolee_robot.sim_backend.visuals.board import BoardVisuals
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.tools import Tool
@@ -97,7 +98,11 @@ class SceneVisuals:
     """
 
     def __init__(
-        self, config: StationConfig, tool: Tool, seed: int, state: Callable[[], SceneState],
+        self,
+        config: StationConfig,
+        tool: Tool,
+        seed: int,
+        state: Callable[[], SceneState],
         boards: Sequence[PlacedBoard] = (),
     ) -> None:
         self._state = state

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,12 +19,12 @@ from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.types import CameraIntrinsics
 
-COARSE = {"position": 1e-3, "rotation": float(np.deg2rad(0.1))}
-"""Noise of a coarse robot."""
+COARSE = Protocol(position=1e-3, rotation=float(np.deg2rad(0.1)))
+"""The protocol with a coarse robot."""
 PROTOCOLS: Mapping[str, Protocol] = {
     "15 poses": Protocol(),
-    "40 poses, coarse robot": Protocol(40, **COARSE),
-    "15 poses, coarse robot, 0.5 px": Protocol(15, pixel=0.5, **COARSE),
+    "40 poses, coarse robot": replace(COARSE, poses=40),
+    "15 poses, coarse robot, 0.5 px": replace(COARSE, pixel=0.5),
     "20 poses, 2 of them wrong": Protocol(20, outliers=2),
     "15 poses, tilts under 10°": Protocol(tilt=float(np.deg2rad(10.0))),
 }

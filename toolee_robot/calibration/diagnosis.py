@@ -38,7 +38,7 @@ def check_poses(Xs_base_flange: Sequence[Array], names: Sequence[str]) -> None:
         names: Their names.
 
     Raises:
-        UserError: A pose is not rigid (`user.calibration_pose`), or its position is no metres (`user.calibration_unit`).
+        UserError: A pose is not rigid (`user.calibration_pose`), or not in metres (`user.calibration_unit`).
     """
     for X, name in zip(Xs_base_flange, names, strict=True):
         if X.shape != (4, 4) or not is_rigid(X, 1e-4):
@@ -89,8 +89,8 @@ def check_fit(
     position, rotation = np.median(refined.arm_errors, axis=0)
     cause = _other_reading(Xs_base_flange, Xs_camera_board)
     raise UserError(
-        f"images and arm do not fit: the arm would be {position * 1e3:.0f} mm and {np.rad2deg(rotation):.1f}° off in half "
-        f"of the poses. {cause}",
+        f"images and arm do not fit: the arm would be {position * 1e3:.0f} mm and {np.rad2deg(rotation):.1f}° off in "
+        f"half of the poses. {cause}",
         code="user.calibration_misfit",
     )
 
@@ -133,9 +133,9 @@ def check_place(X_base_camera: Array, expected: Array) -> None:
     turned = float(np.linalg.norm((HALF_TURN @ X_base_camera)[:3, 3] - expected))
     if turned <= ELSEWHERE:
         raise UserError(
-            f"the camera comes out at {_text(place)} m, and the station file has it at {_text(expected)} m: half a turn "
-            "about the base's z. The arm's poses are in the pendant's Base: say so with `frame: pendant_base`. If they "
-            "are not, the station file's camera is",
+            f"the camera comes out at {_text(place)} m, and the station file has it at {_text(expected)} m: half a "
+            "turn about the base's z. The arm's poses are in the pendant's Base: say so with `frame: pendant_base`. If "
+            "they are not, the station file's camera is",
             code="user.calibration_half_turn",
         )
     raise UserError(

@@ -45,13 +45,11 @@ def board_pdf(sheet: Sheet) -> bytes:
     for y in (y0, y0 + height):
         axes.plot([left - tick, left + tick], [y, y], color="black", linewidth=0.4)
     note = (
-        f"{board.dictionary}, {board.columns} x {board.rows} squares, nominally {board.square * 1e3:g} mm. Print at 100 %, "
-        "glue on a flat plate, measure both bars."
+        f"{board.dictionary}, {board.columns} x {board.rows} squares, nominally {board.square * 1e3:g} mm. "
+        "Print at 100 %, glue on a flat plate, measure both bars."
     )
     axes.text(x0, low - 0.003, f"bar x: nominally {width * 1e3:.0f} mm", fontsize=6, va="top")
-    axes.text(
-        left - 0.003, y0, f"bar y: nominally {height * 1e3:.0f} mm", fontsize=6, rotation=90, ha="right"
-    )
+    axes.text(left - 0.003, y0, f"bar y: nominally {height * 1e3:.0f} mm", fontsize=6, rotation=90, ha="right")
     axes.text(x0 + width, low - 0.003, note, fontsize=5, va="top", ha="right")
     file = BytesIO()
     figure.savefig(file, format="pdf", metadata={"CreationDate": None, "Title": "ChArUco board"})

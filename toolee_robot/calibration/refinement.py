@@ -3,9 +3,9 @@
 A pose's corners share the error of the arm's pose, which is what matters: an image's noise is averaged over its corners
 in any case. So the residuals of a view have the covariance S = sigma_px^2 I + G Sigma_arm G^T, with G the derivative by
 the flange's pose, and a least-squares step is whitened with it. That is the bundle adjustment in which every flange
-pose is a parameter with a prior, with these parameters eliminated. The three standard deviations (pixel, arm's position,
-arm's rotation) are estimated from the residuals by restricted maximum likelihood (Patterson and Thompson, 1971) with a weak prior, and
-views that fit worse than 99.9 % of good ones get less weight.
+pose is a parameter with a prior, with these parameters eliminated. The three standard deviations (pixel, arm's
+position, arm's rotation) are estimated from the residuals by restricted maximum likelihood (Patterson and Thompson,
+1971) with a weak prior, and views that fit worse than 99.9 % of good ones get less weight.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from toolee_robot.calibration.reprojection import SCALE, Estimate, Projection, V
 from toolee_robot.frames import Array
 
 FITTING = float(chi2.ppf(0.999, 6))
-"""Squared Mahalanobis distance of a view's flange pose up to which it has its full weight; beyond, the weight falls with
-the square of the distance, so that a wrong pose counts as one that lies just there."""
+"""Squared Mahalanobis distance of a view's flange pose up to which it has its full weight; beyond, the weight falls
+faster than the distance grows, so that a wrong pose hardly counts."""
 SQUARE_ERROR = 3e-4
 """Standard deviation of a board's square, relative: 0.1 mm of a rule on the bars of an A3."""
 _PARAMETERS = 13
@@ -31,8 +31,8 @@ _START = (0.3, 5e-4, np.deg2rad(0.05))
 _LEAST = (0.02, 2e-5, np.deg2rad(0.002))
 """Noise below which nobody's setup is."""
 _USUAL = (3e-4, 1.5), (np.deg2rad(0.03), 1.0)
-"""What is usual of an arm, position [m] and rotation [rad]: the median, and the standard deviation of the logarithm. Few
-poses alone often tell a noise of zero, and a region that is too small with it."""
+"""What is usual of an arm, position [m] and rotation [rad]: the median, and the standard deviation of the logarithm.
+Few poses alone often tell a noise of zero, and a region that is too small with it."""
 _ROUNDS = 12
 _SETTLED = 1e-3
 """Change of the noise, relative, at which the rounds end."""
@@ -137,9 +137,7 @@ def confidence_factor(freedom: float, share: float = 0.95, dimensions: int = 3) 
     return float(dimensions * freedom / left * f_distribution.ppf(share, dimensions, left))
 
 
-def refine(
-    views: Views, start: Estimate, *, noise: Noise | None = None, square_error: float = SQUARE_ERROR
-) -> Refined:
+def refine(views: Views, start: Estimate, *, noise: Noise | None = None, square_error: float = SQUARE_ERROR) -> Refined:
     """Refine a calibration.
 
     Args:
@@ -168,7 +166,7 @@ def refine(
             break
     reduced = _Reduced(views.project(estimate), views.count, square_error)
     V = reduced.covariances(now)
-    covariance = np.linalg.inv(reduced.information(V, weights))
+    covariance = np.asarray(np.linalg.inv(reduced.information(V, weights)), np.float64)
     misfits = reduced.distances(V, covariance, weights) / 6.0
     freedom = 6.0 * float(np.sum(weights)) - 12.0
     return Refined(estimate, covariance, now, weights, misfits, reduced.arm_errors, max(freedom, 4.0))
@@ -239,7 +237,9 @@ class _Reduced:
 
     def covariances(self, noise: Noise) -> Array:
         """Covariances of the views' poses, (N, 6, 6)."""
-        return noise.pixel**2 * self._A + np.diag(np.repeat([noise.position, noise.rotation], 3) ** 2)
+        return np.asarray(
+            noise.pixel**2 * self._A + np.diag(np.repeat([noise.position, noise.rotation], 3) ** 2), np.float64
+        )
 
     def information(self, V: Array, weights: Array) -> Array:
         """Information of all views about the parameters, (P, P)."""
@@ -256,7 +256,7 @@ class _Reduced:
     def weights(self, noise: Noise, weights: Array) -> Array:
         """Weights of the views, at most 1."""
         V = self.covariances(noise)
-        covariance = np.linalg.inv(self.information(V, weights))
+        covariance = np.asarray(np.linalg.inv(self.information(V, weights)), np.float64)
         distances = self.distances(V, covariance, weights)
         return np.minimum(1.0, (FITTING / np.maximum(distances, FITTING)) ** 2)
 
@@ -272,7 +272,9 @@ class _Reduced:
             information = np.einsum("npj,njq->pq", HtV, self._H) + self._prior
             score = np.einsum("npj,nj->p", HtV, self._z)
             square = np.einsum("ni,nij,nj->", self._z, inverse, self._z) - score @ np.linalg.solve(information, score)
-            usual = sum(((log - np.log(middle)) / width) ** 2 for log, (middle, width) in zip(logs, _USUAL, strict=True))
+            usual = sum(
+                ((log - np.log(middle)) / width) ** 2 for log, (middle, width) in zip(logs, _USUAL, strict=True)
+            )
             return float(np.linalg.slogdet(V)[1].sum() + np.linalg.slogdet(information)[1] + square + usual)
 
         bounds = [(np.log(_LEAST[1]), np.log(0.1)), (np.log(_LEAST[2]), np.log(0.5))]

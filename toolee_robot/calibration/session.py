@@ -1,7 +1,6 @@
 """A folder of images and of the arm's poses at them: what a calibration is computed from, and can be again.
 
-`poses.json` (or YAML in it) is a `Session`; the images lie where it says, relative to it. An image is 8 bit, a depth image
-16 bit PNG.
+`poses.json` is a `Session`; the images lie where it says, relative to it. An image is 8 bit, a depth image 16 bit PNG.
 """
 
 from __future__ import annotations
@@ -150,7 +149,7 @@ def observe(folder: Path, session: Session, board: Board, fk: Callable[[Array], 
     joints: list[Row | None] = []
     unseen: list[str] = []
     for pose in session.poses:
-        view = find_board(_image(folder / pose.image, session.intrinsics), board)
+        view = find_board(read_image(folder / pose.image, session.intrinsics), board)
         X = _flange(pose, session, fk)
         if view is None:
             unseen.append(pose.image)
@@ -169,7 +168,7 @@ def observe(folder: Path, session: Session, board: Board, fk: Callable[[Array], 
 def _flange(pose: SessionPose, session: Session, fk: Callable[[Array], Array]) -> Array:
     by_joints = None if pose.q is None else fk(np.array(pose.q))
     if pose.X_base_flange is None or session.frame is None:
-        assert by_joints is not None  # noqa: S101  (SessionPose has one of them)
+        assert by_joints is not None
         return by_joints
     given = np.array(pose.X_base_flange, dtype=np.float64)
     check_poses([given], [pose.image])
@@ -180,8 +179,8 @@ def _flange(pose: SessionPose, session: Session, fk: Callable[[Array], Array]) -
         other = next(f for f in BaseFrame if f is not session.frame)
         if _agree(other.X_base_this @ given, by_joints):
             raise UserError(
-                f"{pose.image}: by the joint positions X_base_flange is in {other}, not in {session.frame}: half a turn "
-                f"about the base's z; write `frame: {other}`",
+                f"{pose.image}: by the joint positions X_base_flange is in {other}, not in {session.frame}: half a "
+                f"turn about the base's z; write `frame: {other}`",
                 code="user.calibration_half_turn",
             )
         raise UserError(
@@ -197,7 +196,19 @@ def _agree(X: Array, Y: Array) -> bool:
     return bool(apart < DISAGREEING[0]) and rotation_angle(X[:3, :3].T @ Y[:3, :3]) < DISAGREEING[1]
 
 
-def _image(path: Path, intrinsics: CameraIntrinsics) -> NDArray[np.uint8]:
+def read_image(path: Path, intrinsics: CameraIntrinsics) -> NDArray[np.uint8]:
+    """Read an image as grey values.
+
+    Args:
+        path: The file.
+        intrinsics: Pinhole model of the image.
+
+    Returns:
+        The image, (H, W) uint8.
+
+    Raises:
+        UserError: It cannot be read (`user.image`), or has another size than the intrinsics say (`user.image_size`).
+    """
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     return np.asarray(_checked(image, path, intrinsics), np.uint8)
 

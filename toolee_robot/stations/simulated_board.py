@@ -11,12 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from toolee_robot.calibration.board import Board, Sheet
+from toolee_robot.calibration.board import Sheet
 from toolee_robot.config import CameraConfig, StationConfig
 from toolee_robot.frames import transform
-from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.sim_backend.options import PlacedBoard, SimOptions
 from toolee_robot.sim_backend.station import SimStation
-from toolee_robot.sim_backend.visuals.board import PlacedBoard
 from toolee_robot.tasks.calibration.plate import Plate
 
 PRINT_SCALE = (0.985, 1.01)
@@ -62,9 +61,7 @@ class SimulatedBoard:
         return SimStation.build(self.true, seed, SimOptions(hands_over=False, boards=(self.placed,)))
 
 
-def simulated_board(
-    config: StationConfig, sheet: Sheet, distance: float, mass: float, seed: int
-) -> SimulatedBoard:
+def simulated_board(config: StationConfig, sheet: Sheet, distance: float, mass: float, seed: int) -> SimulatedBoard:
     """Print a board, screw it on the flange, and measure it.
 
     Args:

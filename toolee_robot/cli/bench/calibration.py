@@ -43,8 +43,8 @@ class BenchCalibration:
 
         camera, board = CameraConfig(), SHEETS[self.sheet].board
         console.print(
-            f"{self.sheet.upper()} board, squares of {board.square * 1e3:g} mm; camera {camera.width} x {camera.height}, "
-            f"focal length {camera.fx:g} px; error of a point 0.95 m before it",
+            f"{self.sheet.upper()} board, squares of {board.square * 1e3:g} mm; camera {camera.width} x "
+            f"{camera.height}, focal length {camera.fx:g} px; error of a point 0.95 m before it",
             soft_wrap=True,
         )
         figures = []
@@ -60,7 +60,7 @@ class BenchCalibration:
         for column in ("protocol", "median", "p90", "asked", "covered", "refused", "best closed form"):
             table.add_column(column, justify="left" if column == "protocol" else "right")
         for f in figures:
-            method = min(f.closed_forms, key=lambda m: f.closed_forms[m])  # noqa: B023
+            method = min(f.closed_forms, key=lambda m: f.closed_forms[m])
             asked = "" if f.largest_error is None else f"{f.largest_error * 1e3:.1f}"
             covered = f.covered if f.covered_accepted is None else f.covered_accepted
             table.add_row(

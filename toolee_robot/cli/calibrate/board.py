@@ -16,13 +16,12 @@ class PrintBoard:
 
     Example: toolee calibrate board --sheet a3 --out board.pdf
 
-    Glue the print on a flat, stiff plate. Printers scale: measure both bars with a steel rule to a tenth of a millimetre,
-    and tell the lengths to `toolee calibrate camera --bars-mm`.
+    Glue the print on a flat, stiff plate. Printers scale: measure both bars with a steel rule to a tenth of a
+    millimetre, and tell the lengths to `toolee calibrate camera --bars-mm`.
     """
 
     sheet: Literal["a4", "a3"] = "a3"
-    """Size of the paper. A camera of 512 pixels in width sees the markers of an A4 up to 0.6 m away, of an A3 up to
-    0.9 m."""
+    """Size of the paper. A camera of 512 pixels in width finds an A4 up to 0.9 m away, an A3 up to 1.2 m."""
     out: Annotated[Path, tyro.conf.arg(metavar="PDF")] = Path("board.pdf")
     """The file."""
 

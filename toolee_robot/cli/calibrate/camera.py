@@ -22,10 +22,10 @@ class Camera:
 
     Example: toolee calibrate camera --images session --config lab.yaml --bars-mm 361.3 258.1
 
-    Without --images a simulated lab is calibrated: it prints a board, screws it on the flange, measures it, and drives it
-    through poses under the supervisor. With --images the poses and images of a folder are taken.
+    Without --images a simulated lab is calibrated: it prints a board, screws it on the flange, measures it, and drives
+    it through poses under the supervisor. With --images the poses and images of a folder are taken.
 
-    Exit code 0: the record is written; 1: a device failed; 2: the poses or the images are refused, for the reason given.
+    Exit code 0: the record is written; 1: a device failed; 2: poses or images are refused, for the reason given.
     """
 
     images: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
@@ -70,7 +70,7 @@ class Camera:
             if self.images is None:
                 job.simulate(folder.path, self.poses, self.plate_distance, self.plate_mass, self.seed)
             else:
-                assert self.bars_mm is not None  # noqa: S101  (checked above)
+                assert self.bars_mm is not None
                 bars = (self.bars_mm[0] / 1e3, self.bars_mm[1] / 1e3)
                 job.from_images(folder.path, self.images, bars, measured_camera=self.config is not None)
             place = folder.keep()

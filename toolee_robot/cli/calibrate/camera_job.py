@@ -91,9 +91,7 @@ class CameraJob:
         off = (calibration.X_base_camera - truth) @ [*calibration.target, 1.0]
         self.figures["true_error_mm"] = round(float(np.linalg.norm(off)) * 1e3, 3)
 
-    def from_images(
-        self, folder: Path, images: Path, bars: tuple[float, float], *, measured_camera: bool
-    ) -> None:
+    def from_images(self, folder: Path, images: Path, bars: tuple[float, float], *, measured_camera: bool) -> None:
         """Calibrate from a folder of images and poses.
 
         Args:
@@ -205,4 +203,3 @@ def _figures(
         "X_base_camera": [list(row) for row in record.X_base_camera],
         "signature": signature,
     }
-

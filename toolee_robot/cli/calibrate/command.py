@@ -9,11 +9,13 @@ import tyro
 
 from toolee_robot.cli.calibrate.board import PrintBoard
 from toolee_robot.cli.calibrate.camera import Camera
+from toolee_robot.cli.calibrate.check import Check
 
 _Action = (
     Annotated[PrintBoard, tyro.conf.subcommand("board")]
     | Annotated[Camera, tyro.conf.subcommand("camera")]
-)  # fmt: skip
+    | Annotated[Check, tyro.conf.subcommand("check")]
+)
 
 
 @dataclass(frozen=True)

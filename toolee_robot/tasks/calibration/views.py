@@ -97,8 +97,8 @@ def missing(Xs_camera_board: Sequence[Array], board: Board, camera: CameraConfig
 def plan_views(robot: RobotModel, config: StationConfig, plate: Plate, count: int, seed: int = 0) -> list[Array]:
     """Choose poses of the arm that show the board in different ways, in the order of a short tour.
 
-    The views are planned with the camera where the station file has it. That need not be exact: where the board does not
-    come into the image as planned, a view is lost.
+    The views are planned with the camera where the station file has it. That need not be exact: where the board
+    does not come into the image as planned, a view is lost.
 
     Args:
         robot: Kinematic model of the arm with the plate.
