@@ -59,6 +59,7 @@ def check_fit(
     refined: Refined,
     Xs_base_flange: Sequence[Array],
     Xs_camera_board: Sequence[Array],
+    own: Array,
     board: Board,
     intrinsics: CameraIntrinsics,
 ) -> None:
@@ -68,6 +69,7 @@ def check_fit(
         refined: The calibration.
         Xs_base_flange: Poses of the flange, (4, 4) each.
         Xs_camera_board: Poses of the board as the images show it, (4, 4) each.
+        own: Root mean square reprojection error of each image under its own pose of the board, (N,) [px].
         board: The board.
         intrinsics: Pinhole model of the images.
 
@@ -76,9 +78,9 @@ def check_fit(
             (`user.calibration_misfit`).
     """
     noise = refined.noise
-    if noise.pixel > PIXEL:
+    if (pixel := float(np.median(own))) > PIXEL:
         raise UserError(
-            f"within a single image the corners are {noise.pixel:.1f} px off a board of {board.columns} x {board.rows} "
+            f"within a single image the corners are {pixel:.1f} px off a board of {board.columns} x {board.rows} "
             f"squares under a focal length of {intrinsics.fx:.0f} px: other intrinsics, a lens distortion that is not "
             "corrected, a bent board, or images in which it moves",
             code="user.calibration_image",

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.frames import Array, transform
+from toolee_robot.frames import Array, transform, transform_points
 from toolee_robot.types import CameraIntrinsics
 
 MIN_CORNERS = 8
 """Fewest corners with which a view of the board counts."""
+FLAT = 1.0
+"""Distance of a corner from a flat board's up to which it is one of it [px]."""
 ENLARGED = 2.0
 """Factor by which an image is enlarged before the markers are looked for: theirs are few pixels in a depth camera."""
 
@@ -34,6 +36,18 @@ class BoardView:
         """The view without some corners."""
         keep = np.array([int(i) not in ids for i in self.ids], dtype=bool)
         return BoardView(self.ids[keep], self.pixels[keep])
+
+    def reprojection(self, X_camera_board: Array, board: Board, intrinsics: CameraIntrinsics) -> float:
+        """Root mean square distance of the corners from where a pose of the board has them [px].
+
+        Args:
+            X_camera_board: The pose, (4, 4).
+            board: The board.
+            intrinsics: Pinhole model of the image.
+        """
+        x, y, z = transform_points(X_camera_board, board.corners[self.ids]).T
+        u, v = intrinsics.fx * x / z + intrinsics.cx, intrinsics.fy * y / z + intrinsics.cy
+        return float(np.sqrt(np.mean((u - self.pixels[:, 0]) ** 2 + (v - self.pixels[:, 1]) ** 2)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,13 +92,12 @@ def find_board(image: NDArray[np.uint8], board: Board) -> BoardView | None:
         grey, pixels.astype(np.float32).reshape(-1, 1, 2), (window, window), (-1, -1),
         (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3),
     )  # fmt: skip
-    return _plausible(np.asarray(ids, np.int64).reshape(-1), np.asarray(fine, np.float64).reshape(-1, 2), board)
+    return _flat_part(np.asarray(ids, np.int64).reshape(-1), np.asarray(fine, np.float64).reshape(-1, 2), board)
 
 
-def _plausible(ids: NDArray[np.int64], pixels: Array, board: Board) -> BoardView | None:
+def _flat_part(ids: NDArray[np.int64], pixels: Array, board: Board) -> BoardView | None:
     """The view without corners that are no part of a flat board with the others."""
-    tolerance = max(2.0, 0.5 * _refinement_window(pixels))
-    _, inliers = cv2.findHomography(board.corners[ids, :2], pixels, cv2.RANSAC, tolerance)
+    _, inliers = cv2.findHomography(board.corners[ids, :2], pixels, cv2.RANSAC, FLAT)
     if inliers is None:
         return None
     keep = inliers.ravel().astype(bool)
@@ -92,10 +105,10 @@ def _plausible(ids: NDArray[np.int64], pixels: Array, board: Board) -> BoardView
 
 
 def _refinement_window(pixels: Array) -> int:
-    """Half window of the corner refinement [px]: a quarter of a square, so that no marker is in it."""
+    """Half window of the corner refinement [px]: an eighth of a square, so that no marker is in it."""
     distances = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
     np.fill_diagonal(distances, np.inf)
-    return int(np.clip(np.median(distances.min(axis=1)) * 0.2, 2, 11))
+    return int(np.clip(np.median(distances.min(axis=1)) * 0.12, 2, 11))
 
 
 def camera_board(view: BoardView, board: Board, intrinsics: CameraIntrinsics) -> tuple[Array, float]:

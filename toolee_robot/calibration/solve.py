@@ -120,7 +120,9 @@ def calibrate(
     forms = closed_forms([o.X_base_flange for o in observations], Xs_camera_board)
     start = best_start(views, forms)
     refined = refine(views, start)
-    check_fit(refined, [o.X_base_flange for o in observations], Xs_camera_board, board, intrinsics)
+    own = [o.view.reprojection(X, board, intrinsics) for o, X in zip(observations, Xs_camera_board, strict=True)]
+    flange = [o.X_base_flange for o in observations]
+    check_fit(refined, flange, Xs_camera_board, np.array(own), board, intrinsics)
     scaled = refine(views, refined.estimate, noise=refined.noise, square_error=np.inf)
     scale = scaled.estimate.scale, float(np.sqrt(scaled.covariance[SCALE, SCALE]))
     check_scale(scale, board)

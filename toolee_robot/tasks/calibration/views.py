@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.board import Board
@@ -160,7 +161,7 @@ def _inside(X_camera_board: Array, board: Board, camera: CameraConfig) -> bool:
 
 
 def _choose(
-    Xs_camera_board: Array, sample: Array, q: Array, world: CollisionWorld, home: Array, board: Board,
+    Xs_camera_board: Array, sample: NDArray[np.intp], q: Array, world: CollisionWorld, home: Array, board: Board,
     camera: CameraConfig, count: int,
 ) -> list[int]:  # fmt: skip
     """Greedy: the kinds that are missing first, then the orientations that are farthest from those chosen."""
