@@ -67,12 +67,13 @@ class Observation:
     depths: Array | None = None
 
 
-def find_board(image: NDArray[np.uint8], board: Board) -> BoardView | None:
+def find_board(image: NDArray[np.uint8], board: Board, flat: float = FLAT) -> BoardView | None:
     """Find the corners of a board in an image.
 
     Args:
         image: Colour, (H, W, 3) uint8 RGB, or grey, (H, W).
         board: The board.
+        flat: Distance of a corner from a flat board's up to which it is one of it [px]; larger where the lens distorts.
 
     Returns:
         The view; None where fewer than `MIN_CORNERS` corners are found.
@@ -92,12 +93,12 @@ def find_board(image: NDArray[np.uint8], board: Board) -> BoardView | None:
         grey, pixels.astype(np.float32).reshape(-1, 1, 2), (window, window), (-1, -1),
         (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3),
     )  # fmt: skip
-    return _flat_part(np.asarray(ids, np.int64).reshape(-1), np.asarray(fine, np.float64).reshape(-1, 2), board)
+    return _flat_part(np.asarray(ids, np.int64).reshape(-1), np.asarray(fine, np.float64).reshape(-1, 2), board, flat)
 
 
-def _flat_part(ids: NDArray[np.int64], pixels: Array, board: Board) -> BoardView | None:
+def _flat_part(ids: NDArray[np.int64], pixels: Array, board: Board, flat: float) -> BoardView | None:
     """The view without corners that are no part of a flat board with the others."""
-    _, inliers = cv2.findHomography(board.corners[ids, :2], pixels, cv2.RANSAC, FLAT)
+    _, inliers = cv2.findHomography(board.corners[ids, :2], pixels, cv2.RANSAC, flat)
     if inliers is None:
         return None
     keep = inliers.ravel().astype(bool)

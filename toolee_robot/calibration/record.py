@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.errors import ConfigError
+from toolee_robot.calibration.signed import read_signed, write_signed
 from toolee_robot.frames import Array, is_rigid
-from toolee_robot.runtime.files import write_atomic
 from toolee_robot.types import CameraIntrinsics, DhCalibration
 
 FORMAT = "toolee camera calibration 1"
 """Name and version of the format."""
-SIGNATURE = "sha256"
-"""The file's key that holds the signature."""
 Row = tuple[float, ...]
 Rows = tuple[Row, ...]
 """A matrix, row by row."""
@@ -167,9 +160,7 @@ def rows(matrix: Array) -> Rows:
 
 
 def write_record(path: Path, record: CalibrationRecord) -> str:
-    """Sign and write a record.
-
-    The signature is a hash: it shows alteration by mistake or by an editor, not by somebody who signs again.
+    """Sign and write a record; see `signed`.
 
     Args:
         path: The file; its folder exists.
@@ -181,15 +172,11 @@ def write_record(path: Path, record: CalibrationRecord) -> str:
     Raises:
         UserError: The file cannot be written.
     """
-    data = asdict(record)
-    signature = _signature(data)
-    text = json.dumps({**data, SIGNATURE: signature}, indent=1, allow_nan=False)
-    write_atomic(path, (text + "\n").encode())
-    return signature
+    return write_signed(path, asdict(record))
 
 
 def read_record(path: Path) -> CalibrationRecord:
-    """Read a record and check its signature.
+    """Read a record and check its signature; see `signed`.
 
     Args:
         path: The file.
@@ -198,31 +185,6 @@ def read_record(path: Path) -> CalibrationRecord:
         The record.
 
     Raises:
-        ConfigError: It cannot be read (`config.unreadable`), was altered (`config.calibration_altered`), or is no valid
-            record (`config.invalid`).
+        ConfigError: As `read_signed`.
     """
-    try:
-        data = json.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ConfigError(f"cannot read the calibration {path}: {error}", code="config.unreadable") from error
-    if not isinstance(data, dict) or SIGNATURE not in data:
-        raise ConfigError(
-            f"{path} is no record of a calibration: name what `toolee calibrate camera` wrote", code="config.invalid"
-        )
-    signature = data.pop(SIGNATURE)
-    if signature != _signature(data):
-        raise ConfigError(
-            f"{path} was altered since it was written: nothing in it can be relied on; take the original, or calibrate "
-            "again",
-            code="config.calibration_altered",
-        )
-    try:
-        return TypeAdapter(CalibrationRecord).validate_python(data)
-    except ValidationError as error:
-        lines = [f"  {'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()]
-        raise ConfigError(f"{path} is not a valid calibration:\n" + "\n".join(lines), code="config.invalid") from error
-
-
-def _signature(data: dict[str, Any]) -> str:
-    text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return read_signed(path, CalibrationRecord, "camera calibration")

@@ -10,11 +10,13 @@ import tyro
 from toolee_robot.cli.calibrate.board import PrintBoard
 from toolee_robot.cli.calibrate.camera import Camera
 from toolee_robot.cli.calibrate.check import Check
+from toolee_robot.cli.calibrate.intrinsics import Intrinsics
 
 _Action = (
     Annotated[PrintBoard, tyro.conf.subcommand("board")]
     | Annotated[Camera, tyro.conf.subcommand("camera")]
     | Annotated[Check, tyro.conf.subcommand("check")]
+    | Annotated[Intrinsics, tyro.conf.subcommand("intrinsics")]
 )
 
 
