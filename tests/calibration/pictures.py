@@ -32,7 +32,7 @@ def picture(board: Board, X_camera_board: Array, camera: CameraConfig = CAMERA) 
     scale = board.square / _PIXELS
     to_board = np.array([[scale, 0, (0.5 - half) * scale], [0, scale, (0.5 - half) * scale], [0, 0, 1.0]])
     H = camera.intrinsics.matrix @ X_camera_board[:3, [0, 1, 3]] @ to_board
-    factor = 8  # drawn larger and averaged: no aliasing
+    factor = 6  # drawn larger and averaged: no aliasing
     S = np.array([[factor, 0, (factor - 1) / 2], [0, factor, (factor - 1) / 2], [0, 0, 1.0]])
     large = cv2.warpPerspective(sheet, S @ H, (factor * camera.width, factor * camera.height), borderValue=120)
     small = cv2.resize(large, (camera.width, camera.height), interpolation=cv2.INTER_AREA)

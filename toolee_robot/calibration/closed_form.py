@@ -49,6 +49,15 @@ def closed_forms(Xs_base_flange: Sequence[Array], Xs_camera_board: Sequence[Arra
     Returns:
         The results; methods that fail on these poses are left out.
     """
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # a method that fails is left out, no more
+    try:
+        return _closed_forms(Xs_base_flange, Xs_camera_board)
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+
+
+def _closed_forms(Xs_base_flange: Sequence[Array], Xs_camera_board: Sequence[Array]) -> list[ClosedForm]:
     found = []
     flange, board = np.asarray(Xs_base_flange), np.asarray(Xs_camera_board)
     back = inverse(flange)

@@ -121,19 +121,19 @@ def calibrate_intrinsics(
             code="user.intrinsics_coverage",
         )
     error, K, distortion, sigma = _fit(views, board, size)
-    relative = float(max(sigma[0] / K[0, 0], sigma[1] / K[1, 1]))
-    if relative > FOCAL_ERROR:
-        raise UserError(
-            f"the focal length is uncertain by {100 * relative:.1f} %: tilt the board by 30 to 45° in most views; a "
-            "board that faces the camera tells nothing about it",
-            code="user.intrinsics_undetermined",
-        )
     held_out = _held_out(views, board, size)
     if held_out > LARGEST_HELD_OUT:
         raise UserError(
             f"views that took no part are {held_out:.2f} px off: a bent board, motion while the image was taken, or a "
             "lens that four numbers do not describe",
             code="user.intrinsics_misfit",
+        )
+    relative = float(max(sigma[0] / K[0, 0], sigma[1] / K[1, 1]))
+    if relative > FOCAL_ERROR:
+        raise UserError(
+            f"the focal length is uncertain by {100 * relative:.1f} %: tilt the board by 30 to 45° in most views; a "
+            "board that faces the camera tells nothing about it",
+            code="user.intrinsics_undetermined",
         )
     width, height = size
     return IntrinsicsRecord(

@@ -38,12 +38,15 @@ class BoardView:
         return BoardView(self.ids[keep], self.pixels[keep])
 
     def reprojection(self, X_camera_board: Array, board: Board, intrinsics: CameraIntrinsics) -> float:
-        """Root mean square distance of the corners from where a pose of the board has them [px].
+        """Compare the corners with a pose of the board.
 
         Args:
             X_camera_board: The pose, (4, 4).
             board: The board.
             intrinsics: Pinhole model of the image.
+
+        Returns:
+            Root mean square distance of the corners from where the pose has them [px].
         """
         x, y, z = transform_points(X_camera_board, board.corners[self.ids]).T
         u, v = intrinsics.fx * x / z + intrinsics.cx, intrinsics.fy * y / z + intrinsics.cy

@@ -34,6 +34,8 @@ _USUAL = (3e-4, 1.5), (np.deg2rad(0.03), 1.0)
 """What is usual of an arm, position [m] and rotation [rad]: the median, and the standard deviation of the logarithm.
 Few poses alone often tell a noise of zero, and a region that is too small with it."""
 _ROUNDS = 12
+_EVALUATIONS = 30
+"""Evaluations of a solver that converges from a good start in ten; from a hopeless one it need not go on."""
 _SETTLED = 1e-3
 """Change of the noise, relative, at which the rounds end."""
 
@@ -192,7 +194,7 @@ def _solved(views: Views, estimate: Estimate, noise: Noise, weights: Array, squa
             return np.vstack([(whitening @ J).reshape(-1, _PARAMETERS), prior])
 
         zero, unit = np.zeros(_PARAMETERS), np.full(_PARAMETERS, 1e-2)
-        solution = least_squares(residuals, zero, jacobian, method="lm", x_scale=unit)
+        solution = least_squares(residuals, zero, jacobian, method="lm", x_scale=unit, max_nfev=_EVALUATIONS)
         estimate = center.moved(solution.x)
         if np.abs(solution.x).max() < 1e-6:
             break
