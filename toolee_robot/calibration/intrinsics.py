@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.calibration.observation import BoardView
+from toolee_robot.calibration.observation import BoardView, find_board
 from toolee_robot.calibration.signed import read_signed, write_signed
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
@@ -32,6 +32,8 @@ LARGEST_HELD_OUT = 1.0
 """Reprojection error on held-out views above which the model does not fit [px]."""
 DISTORTED_FLAT = 4.0
 """Tolerance of `find_board` for images of a distorting lens [px]."""
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+"""Endings of files that are images."""
 _FOLDS = 5
 
 
@@ -80,6 +82,44 @@ class IntrinsicsRecord:
     def distorts(self) -> bool:
         """Whether images must be undistorted before anything is measured in them."""
         return self.largest_distortion > DISTORTED
+
+
+def read_views(folder: Path, board: Board) -> tuple[list[BoardView], list[str], tuple[int, int]]:
+    """Find the board in all images of a folder; 16 bit ones, which are depth images, are left out.
+
+    Args:
+        folder: The folder.
+        board: The board.
+
+    Returns:
+        The views; names of the images without the board; width and height of the images [px].
+
+    Raises:
+        UserError: There is no such folder or no image in it (`user.image`), or the images have several sizes
+            (`user.image_size`).
+    """
+    views: list[BoardView] = []
+    unseen: list[str] = []
+    size: tuple[int, int] | None = None
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.suffix.lower() in PICTURES else None
+        if image is None or image.dtype != np.uint8:
+            continue
+        grey = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY), np.uint8)
+        mine = (grey.shape[1], grey.shape[0])
+        if size not in (None, mine):
+            raise UserError(
+                f"{path} is {mine}, others are {size} pixels: give images of one size", code="user.image_size"
+            )
+        size = mine
+        view = find_board(grey, board, DISTORTED_FLAT)
+        if view is None:
+            unseen.append(path.name)
+        else:
+            views.append(view)
+    if size is None:
+        raise UserError(f"{folder} has no images: name a folder of PNG or JPEG files", code="user.image")
+    return views, unseen, size
 
 
 def calibrate_intrinsics(

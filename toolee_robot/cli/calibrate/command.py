@@ -11,18 +11,22 @@ from toolee_robot.cli.calibrate.board import PrintBoard
 from toolee_robot.cli.calibrate.camera import Camera
 from toolee_robot.cli.calibrate.check import Check
 from toolee_robot.cli.calibrate.intrinsics import Intrinsics
+from toolee_robot.cli.calibrate.mount import Mount
+from toolee_robot.cli.calibrate.nail import Nail
 
 _Action = (
     Annotated[PrintBoard, tyro.conf.subcommand("board")]
     | Annotated[Camera, tyro.conf.subcommand("camera")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Intrinsics, tyro.conf.subcommand("intrinsics")]
+    | Annotated[Mount, tyro.conf.subcommand("mount")]
+    | Annotated[Nail, tyro.conf.subcommand("nail")]
 )
 
 
 @dataclass(frozen=True)
 class Calibrate:
-    """Calibrate a station: where the camera stands, seen from the robot.
+    """Calibrate a station: where the camera stands, and where tip and nail are, seen from the robot.
 
     Example: toolee calibrate board --sheet a3 --out board.pdf
 

@@ -11,10 +11,6 @@ from rich.console import Console
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.errors import UserError
-
-PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-"""Endings of files that are images."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,39 +42,17 @@ class Intrinsics:
         console = Console(stderr=self.json, highlight=False)
         from datetime import UTC, datetime
 
-        import cv2
-        import numpy as np
-
         import toolee_robot
         from toolee_robot.calibration.board import SHEETS
-        from toolee_robot.calibration.intrinsics import DISTORTED_FLAT, calibrate_intrinsics, write_intrinsics
-        from toolee_robot.calibration.observation import find_board
+        from toolee_robot.calibration.intrinsics import calibrate_intrinsics, read_views, write_intrinsics
 
         along, across = self.bars_mm
         board = SHEETS[self.sheet].board.measured(along / 1e3, across / 1e3)
-        if not self.images.is_dir():
-            raise UserError(f"{self.images} is no folder", code="user.image")
-        views, unseen, size = [], [], None
-        for path in sorted(p for p in self.images.iterdir() if p.suffix.lower() in PICTURES):
-            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-            if image is None or image.dtype != np.uint8:
-                continue  # a depth image
-            grey = image if image.ndim == 2 else cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY)
-            if size not in (None, grey.shape):
-                raise UserError(
-                    f"{path} is {grey.shape}, others are {size}: give images of one size", code="user.image_size"
-                )
-            size = grey.shape
-            view = find_board(np.asarray(grey, np.uint8), board, DISTORTED_FLAT)
-            if view is None:
-                unseen.append(path.name)
-            else:
-                views.append(view)
+        views, unseen, size = read_views(self.images, board)
         if unseen:
             console.print(f"[yellow]the board is not seen in {', '.join(unseen)}[/yellow]", soft_wrap=True)
-        height, width = (0, 0) if size is None else size
         record = calibrate_intrinsics(
-            views, board, (width, height), camera_serial=self.camera_serial, software=toolee_robot.__version__,
+            views, board, size, camera_serial=self.camera_serial, software=toolee_robot.__version__,
             measured_at=datetime.now(UTC).isoformat(timespec="seconds"),
         )  # fmt: skip
         write_intrinsics(self.out, record)
