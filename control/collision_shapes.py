@@ -153,7 +153,7 @@ def station_bodies(config: StationConfig) -> list[Body]:
         box_body("table", (0.4, 0.0, -0.05), (*scene.table_size, 0.1)),
         box_body("stand", (x, y, work.stand_height / 2), (*work.stand_size, work.stand_height)),
         box_body("block", (x, y, top - block[2] / 2), block),
-        box_body("camera", config.camera.position, scene.camera_size),
+        box_body("camera", config.camera.center, scene.camera_size),
         box_body("person", scene.person_center, scene.person_size),
     ]
 

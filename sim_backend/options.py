@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from toolee_robot.calibration.board import Board
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.tools import Tool
@@ -43,6 +44,21 @@ class InHandOffset:
 
 
 @dataclass(frozen=True, eq=False)
+class PlacedBoard:
+    """A calibration board in the simulated world.
+
+    Attributes:
+        board: The board in its true size.
+        X_frame_board: Its pose in the flange, or in `base`, (4, 4) [m].
+        on_flange: Whether it is fixed to the flange; else it lies in `base`.
+    """
+
+    board: Board
+    X_frame_board: Array
+    on_flange: bool = True
+
+
+@dataclass(frozen=True, eq=False)
 class SimOptions:
     """Options of a simulated run.
 
@@ -53,6 +69,7 @@ class SimOptions:
         friction: Coefficient of friction between hand and handle.
         q_start: Joint positions of the arm at the start, (6,) [rad]; the station's home if None.
         hands_over: Whether the person hands a tool over at all.
+        boards: Calibration boards in the world; nothing touches them.
     """
 
     gui: bool = False
@@ -61,6 +78,7 @@ class SimOptions:
     friction: float = 0.9
     q_start: Array | None = None
     hands_over: bool = True
+    boards: tuple[PlacedBoard, ...] = ()
 
     def __post_init__(self) -> None:
         if not 0.0 < self.friction <= 2.0:

@@ -151,8 +151,8 @@ class SimStation:
         try:
             person = SimPerson(world, offset, options.hands_over)
             clock = SimClock(world)
-            visuals = SceneVisuals(config, tool, seed, lambda: scene_state(world, person))
-            camera = SimCamera(visuals, clock, config.camera, seed)
+            visuals = SceneVisuals(config, tool, seed, lambda: scene_state(world, person), options.boards)
+            camera = SimCamera(visuals, clock, config.camera.uncalibrated, seed)
             hand = simulated_hand(world, options)
             station = Station(SimArm(world), hand, camera, person, clock, SIMULATED, SIMULATED)
             judge = Judge(world)

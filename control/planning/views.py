@@ -295,6 +295,6 @@ def _tour(q: Array, chosen: list[int], start: Array) -> list[int]:
 
 def _nominal(camera: CameraConfig, X_base_ee: Array) -> tuple[float, float]:
     """Compute the distance of the EE from the camera [m] and the angle of its normal to the line of sight [rad]."""
-    sight = np.asarray(camera.position) - X_base_ee[:3, 3]
+    sight = np.asarray(camera.center) - X_base_ee[:3, 3]
     distance = float(np.linalg.norm(sight))
     return distance, float(np.arccos(np.clip(sight @ X_base_ee[:3, 2] / distance, -1, 1)))

@@ -166,5 +166,5 @@ def remote_station(world: Caller, config: StationConfig, seed: int, tool: Tool, 
         return now
 
     hand = RemoteHand(world, load_robot(config.arm.model, config.arm.calibration, config.hand).hand_joints)
-    camera = SimCamera(SceneVisuals(config, tool, seed, state), clock, config.camera, seed)
+    camera = SimCamera(SceneVisuals(config, tool, seed, state), clock, config.camera.uncalibrated, seed)
     return Station(arm, hand, camera, RemotePerson(world), clock, SIMULATED, SIMULATED)

@@ -14,7 +14,10 @@ from toolee_robot.frames import Array, frame_from_axes, transform
 from toolee_robot.render.mesh import Mesh, box, cylinder, sphere
 from toolee_robot.render.palette import skin_tone
 from toolee_robot.robots import arm_meshes, hand_model
+from toolee_robot.robots.tree import FLANGE_FRAME
+from toolee_robot.sim_backend.options import PlacedBoard
 from toolee_robot.sim_backend.physics.wood import NailSpec
+from toolee_robot.sim_backend.visuals.board import BoardVisuals
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody
 from toolee_robot.sim_backend.world import SimWorld
 from toolee_robot.tools import Tool
@@ -91,10 +94,19 @@ class SceneVisuals:
         tool: The tool.
         seed: Seed of the person's skin and shirt colors.
         state: Returns the current poses.
+        boards: Calibration boards in the world.
     """
 
-    def __init__(self, config: StationConfig, tool: Tool, seed: int, state: Callable[[], SceneState]) -> None:
+    def __init__(
+        self,
+        config: StationConfig,
+        tool: Tool,
+        seed: int,
+        state: Callable[[], SceneState],
+        boards: Sequence[PlacedBoard] = (),
+    ) -> None:
         self._state = state
+        self._boards = [BoardVisuals(board) for board in boards]
         self._person_height = config.scene.person_size[2]
         rng = np.random.default_rng([seed, 12])
         self._skin = skin_tone(rng)
@@ -139,6 +151,8 @@ class SceneVisuals:
                 VisualBody(name, mesh, state.X_base_tool, material.name, material.color, material.roughness,
                            material.metallic, body_id=BodyId.TOOL)
             )  # fmt: skip
+        for board in self._boards:
+            bodies.extend(board.bodies(state.links[FLANGE_FRAME]))
         return [*bodies, *self._nail(state.X_base_nail), *self._visible_person(state)]
 
     def _nail(self, X: Array) -> list[VisualBody]:

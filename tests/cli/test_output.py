@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
-from toolee_robot.cli.hammering.run_folder import run_folder
 from toolee_robot.cli.output import json_line
+from toolee_robot.cli.run_folder import run_folder
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
 from toolee_robot.recording.pose_text import pose_text, sigma_text

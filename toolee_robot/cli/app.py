@@ -18,9 +18,11 @@ from rich.console import Console
 from rich.markup import escape
 
 from toolee_robot.cli.arm.command import Arm
+from toolee_robot.cli.bench.calibration import BenchCalibration
 from toolee_robot.cli.bench.command import Bench
 from toolee_robot.cli.bench.servo import BenchServo
 from toolee_robot.cli.bench.swing import BenchSwing
+from toolee_robot.cli.calibrate.command import Calibrate
 from toolee_robot.cli.camera.command import Camera
 from toolee_robot.cli.dataset import Dataset
 from toolee_robot.cli.devices import Devices
@@ -41,9 +43,11 @@ Command = (
     | Annotated[Estimate, tyro.conf.subcommand("estimate")]
     | Annotated[Arm, tyro.conf.subcommand("arm")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
+    | Annotated[BenchCalibration, tyro.conf.subcommand("bench-calibration")]
     | Annotated[BenchServo, tyro.conf.subcommand("bench-servo")]
     | Annotated[BenchSwing, tyro.conf.subcommand("bench-swing")]
     | Annotated[Camera, tyro.conf.subcommand("camera")]
+    | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
     | Annotated[Dataset, tyro.conf.subcommand("dataset")]
     | Annotated[Devices, tyro.conf.subcommand("devices")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
@@ -59,9 +63,11 @@ AnyCommand = (
     | Estimate
     | Arm
     | Bench
+    | BenchCalibration
     | BenchServo
     | BenchSwing
     | Camera
+    | Calibrate
     | Dataset
     | Devices
     | Doctor

@@ -10,9 +10,11 @@ from toolee_robot.config.values import STRICT, NotNegative, Positive
 
 @dataclass(frozen=True)
 class CalibrationConfig:
-    """Record of the hand-eye calibration that determined `StationConfig.camera`.
+    """The hand-eye calibration that determined `StationConfig.camera`.
 
-    It holds for one robot, one camera and a limited time.
+    It holds for one robot, one camera and a limited time. A station file names the `record` that `toolee calibrate
+    camera` wrote, which gives date, serial numbers and residual; of a calibration by another program it gives these
+    four itself.
     """
 
     __pydantic_config__ = STRICT
@@ -23,11 +25,13 @@ class CalibrationConfig:
     camera_serial: str
     """Serial number of the calibrated camera; must be that of the station's camera."""
     residual: NotNegative
-    """Root mean square error of the calibration board's points on held-out poses [m]."""
+    """Root mean square error of the calibration board's points on held-out poses, across the line of sight [m]."""
     max_residual: Positive = 0.004
     """Largest residual with which the calibration may be used [m]."""
     valid_days: Positive | None = 30.0
     """Days after which the calibration must be repeated; None if nothing can have moved, as in the simulation."""
+    record: str | None = None
+    """The calibration's record, a file; its place is relative to the station file's."""
 
     def __post_init__(self) -> None:
         try:

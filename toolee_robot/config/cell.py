@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
+from toolee_robot.calibration.record import Rows
 from toolee_robot.config.camera_device import CameraDevice
 from toolee_robot.config.values import STRICT, Count, NotNegative, Positive
 from toolee_robot.frames import Array, frame_from_axes, transform
@@ -18,8 +19,9 @@ from toolee_robot.types import CameraIntrinsics
 class CameraConfig:
     """Pose and intrinsics of the fixed camera (eye-to-hand).
 
-    The default intrinsics are those of a Kinect v2's depth camera with the colour image registered to it. The image's
-    vertical axis is aligned with the z axis of `base`.
+    The default intrinsics are those of a Kinect v2's depth camera with the colour image registered to it. Without a
+    calibration's record the image's vertical axis is aligned with the z axis of `base`. A simulated camera stands
+    exactly where `position` and `target` say, whatever the record says.
     """
 
     __pydantic_config__ = STRICT
@@ -41,6 +43,9 @@ class CameraConfig:
     """Height of the image [px]."""
     device: CameraDevice | None = None
     """The camera itself, for its driver; null for the simulated one."""
+    pose: Rows | None = None
+    """X_base_camera of the calibration's record, 4 x 4, which then holds instead of `position` and `target`; null
+    without a record. A station file names the record in `calibration` and never gives this."""
 
     @property
     def intrinsics(self) -> CameraIntrinsics:
@@ -50,9 +55,22 @@ class CameraConfig:
     @property
     def X_base_camera(self) -> Array:
         """Pose of the camera in `base`, (4, 4), OpenCV axes."""
+        if self.pose is not None:
+            return np.array(self.pose)
         z = np.subtract(self.target, self.position)
         x = np.cross(z, [0.0, 0.0, 1.0])
         return frame_from_axes(z=z, x=x, p=self.position)
+
+    @property
+    def center(self) -> tuple[float, float, float]:
+        """Optical centre in `base` [m], by the record if there is one."""
+        x, y, z = self.X_base_camera[:3, 3].tolist()
+        return x, y, z
+
+    @property
+    def uncalibrated(self) -> CameraConfig:
+        """The camera without its calibration: where a person has measured it, and where a simulated one stands."""
+        return replace(self, pose=None)
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from toolee_robot.config.calibration import SIMULATED_CALIBRATION, CalibrationConfig
+from toolee_robot.config.calibration_record import check_record, take_record
 from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope, WorkConfig
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.config.person import PersonConfig
@@ -104,7 +105,12 @@ def to_station(data: Any, path: Path) -> StationConfig:
     what = "station"
     if not isinstance(data, dict):
         return to_record(data, path, StationConfig, what)
-    data = dict(data)
+    data, record = take_record(dict(data), path)
     frame = take_frame(data)
     config = to_record(data, path, StationConfig, what)
-    return config if (converted := to_base(data, frame)) is data else to_record(converted, path, StationConfig, what)
+    if (converted := to_base(data, frame)) is not data:
+        config = to_record(converted, path, StationConfig, what)
+    if record is None:
+        return config
+    check_record(record, config.camera.intrinsics, config.arm.calibration, path)
+    return replace(config, camera=replace(config.camera, pose=record.X_base_camera))

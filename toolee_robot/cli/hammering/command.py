@@ -97,7 +97,7 @@ class Hammer:
         self._check_hand(config)
         console = Console(stderr=self.json, highlight=False)
 
-        from toolee_robot.cli.hammering.run_folder import run_folder
+        from toolee_robot.cli.run_folder import run_folder
 
         with run_folder(self.out, f"seed{self.seed}") as folder:
             console.print("[dim]loading the networks and building the station[/dim]")

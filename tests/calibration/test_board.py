@@ -1,0 +1,69 @@
+"""The board: its drawing is OpenCV's, its scale is asked, its corners are found where they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from tests.calibration.pictures import BOARD, CAMERA, picture
+from toolee_robot.calibration.board import SHEETS
+from toolee_robot.calibration.observation import camera_board, find_board
+from toolee_robot.calibration.print import board_pdf
+from toolee_robot.errors import UserError
+from toolee_robot.frames import rotation_angle, transform, transform_points
+
+
+@pytest.mark.parametrize("name", SHEETS)
+def test_what_is_printed_is_what_opencv_draws_and_fits_its_sheet(name: str) -> None:
+    sheet = SHEETS[name]
+    board, p = sheet.board, 40
+    mine = np.full((board.rows * p, board.columns * p), 255, np.uint8)
+    for x, y, w, h in np.round(board.rectangles / board.square * p).astype(int):
+        assert np.all(mine[y : y + h, x : x + w] == 255), "rectangles overlap"
+        mine[y : y + h, x : x + w] = 0
+    np.testing.assert_array_equal(mine, board.charuco.generateImage(mine.shape[::-1], marginSize=0))
+    assert board.size[0] < sheet.width - 0.02
+    assert board.size[1] < sheet.height - 0.02
+    pdf = board_pdf(sheet)
+    assert pdf.startswith(b"%PDF")
+    points = [round(length / 0.0254 * 72) for length in (sheet.width, sheet.height)]
+    box = pdf.partition(b"/MediaBox [")[2].partition(b"]")[0].split()
+    assert [round(float(value)) for value in box[2:]] == points, "the sheet has its true size"
+    assert board_pdf(sheet) == pdf
+
+
+def test_the_true_scale_of_a_print_is_that_of_its_bars() -> None:
+    x, y = BOARD.size
+    printed = BOARD.measured(0.99 * x, 0.991 * y)
+    assert printed.square == pytest.approx(0.9905 * BOARD.square)
+    assert printed.fingerprint != BOARD.fingerprint
+    for bars, code in (((x * 1e3, y * 1e3), "user.board_bar"), ((x, 0.99 * y), "user.board_distorted")):
+        with pytest.raises(UserError) as error:
+            BOARD.measured(*bars)
+        assert error.value.code == code
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.floats(0.5, 1.0), st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(-3.0, 3.0),
+    st.floats(-0.1, 0.1), st.floats(-0.08, 0.08),
+)  # fmt: skip
+def test_corners_are_found_to_a_fraction_of_a_pixel(
+    depth: float, tilt_x: float, tilt_y: float, turn: float, x: float, y: float
+) -> None:
+    R = (Rotation.from_rotvec([tilt_x, tilt_y, 0.0]) * Rotation.from_rotvec([0.0, 0.0, turn])).as_matrix()
+    X = transform(R, np.array([depth * x, depth * y, depth]) - R @ BOARD.center)
+    view = find_board(picture(BOARD, X), BOARD)
+    assert view is not None
+    p = transform_points(X, BOARD.corners[view.ids])
+    expected = np.column_stack([CAMERA.fx * p[:, 0] / p[:, 2] + CAMERA.cx, CAMERA.fy * p[:, 1] / p[:, 2] + CAMERA.cy])
+    off = np.linalg.norm(view.pixels - expected, axis=1)
+    assert np.median(off) < 0.15
+    assert off.max() < 1.0
+    assert np.abs(np.mean(view.pixels - expected, axis=0)).max() < 0.1, "no systematic shift, such as half a pixel"
+    found, ratio = camera_board(view, BOARD, CAMERA.intrinsics)
+    if ratio > 2.0:
+        assert rotation_angle(found[:3, :3].T @ R) < np.deg2rad(3.0)

@@ -1,0 +1,101 @@
+"""Intrinsics from images: the true ones within their uncertainty, and what does not determine them is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from tests.calibration.pictures import BOARD, CAMERA, picture
+from tests.errors import raises
+from toolee_robot.calibration.intrinsics import (
+    DISTORTED_FLAT,
+    IntrinsicsRecord,
+    calibrate_intrinsics,
+    read_intrinsics,
+    write_intrinsics,
+)
+from toolee_robot.calibration.observation import BoardView, find_board
+from toolee_robot.errors import ConfigError, UserError
+from toolee_robot.frames import transform
+
+SIZE = (CAMERA.width, CAMERA.height)
+K = CAMERA.intrinsics
+
+
+def _views(tilt: float, count: int = 24, lens: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] = lambda i: i,
+           spread: float = 0.32) -> list[BoardView]:  # fmt: skip
+    rng = np.random.default_rng(5)
+    views: list[BoardView] = []
+    while len(views) < count:
+        R = Rotation.from_rotvec([*rng.uniform(-tilt, tilt, 2), 0.0]) * Rotation.from_rotvec([0, 0, rng.uniform(-1, 1)])
+        depth = rng.uniform(0.36, 0.6)
+        center = depth * np.array([rng.uniform(-spread, spread), rng.uniform(-spread, spread) * 0.8, 1.0])
+        view = find_board(
+            lens(picture(BOARD, transform(R, center - R.as_matrix() @ BOARD.center))), BOARD, DISTORTED_FLAT
+        )
+        if view is not None:
+            views.append(view)
+    return views  # fmt: skip
+
+
+def _calibrate(views: list[BoardView]) -> IntrinsicsRecord:
+    return calibrate_intrinsics(
+        views, BOARD, SIZE, camera_serial="cam-7", software="0", measured_at="2026-11-25T00:00:00+00:00"
+    )
+
+
+@pytest.fixture(scope="module")
+def tilted() -> list[BoardView]:
+    return _views(0.7)
+
+
+def test_the_true_intrinsics_are_found_within_their_uncertainty(tilted: list[BoardView]) -> None:
+    record = _calibrate(tilted)
+    found = record.intrinsics
+    for mine, true, sigma in zip(
+        (found.fx, found.fy, found.cx, found.cy), (K.fx, K.fy, K.cx, K.cy), record.sigma, strict=True
+    ):
+        assert abs(mine - true) < max(4 * sigma, 0.3)
+    assert not record.distorts
+    assert record.held_out < 0.3
+
+
+def test_a_distorting_lens_is_noticed() -> None:
+    u, v = np.meshgrid(np.arange(SIZE[0], dtype=np.float32), np.arange(SIZE[1], dtype=np.float32))
+    true = np.array([0.06, 0.0, 0.0, 0.0])
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
+    ideal = cv2.undistortPoints(pixels, K.matrix, true, P=K.matrix).reshape(SIZE[1], SIZE[0], 2).astype(np.float32)
+    x, y = ideal[..., 0].copy(), ideal[..., 1].copy()
+    record = _calibrate(_views(0.7, lens=lambda i: np.asarray(cv2.remap(i, x, y, cv2.INTER_CUBIC), np.uint8)))
+    assert record.distorts
+    assert record.distortion[0] == pytest.approx(0.06, abs=max(4 * record.sigma_distortion[0], 0.01))
+    assert record.intrinsics.fx == pytest.approx(K.fx, abs=max(4 * record.sigma[0], 1.0))
+
+
+def test_what_does_not_determine_them_is_refused(tilted: list[BoardView]) -> None:
+    with raises(UserError, "user.intrinsics_few_views"):
+        _calibrate(tilted[:9])
+    with raises(UserError, "user.intrinsics_coverage"):
+        _calibrate(_views(0.7, 12, spread=0.02))
+    with raises(UserError, "user.intrinsics_undetermined"):
+        _calibrate(_views(0.03))
+    rng = np.random.default_rng(0)
+    shaken = [replace(view, pixels=view.pixels + rng.normal(0.0, 2.5, view.pixels.shape)) for view in tilted * 8]
+    with raises(UserError, "user.intrinsics_misfit"):
+        _calibrate(shaken)
+
+
+def test_a_record_of_intrinsics_is_signed(tilted: list[BoardView], tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = tmp_path_factory.mktemp("intrinsics") / "intrinsics.json"
+    record = _calibrate(tilted)
+    write_intrinsics(path, record)
+    assert read_intrinsics(path) == record
+    path.write_text(path.read_text().replace('"cam-7"', '"cam-8"'))
+    with raises(ConfigError, "config.calibration_altered"):
+        read_intrinsics(path)

@@ -1,0 +1,156 @@
+"""From a folder of images to a signed record, the station file that names it, and the touch test."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.calibration.pictures import BOARD, CAMERA, draw_session, picture
+from toolee_robot.calibration.observation import find_board
+from toolee_robot.calibration.record import read_record, write_record
+from toolee_robot.calibration.touch_check import see_corner
+from toolee_robot.cli.app import run
+from toolee_robot.config import load_station
+from toolee_robot.errors import ConfigError, UserError
+from toolee_robot.frames import HALF_TURN, BaseFrame, transform, transform_points
+
+BARS = [f"{length * 1e3:.4f}" for length in BOARD.size]
+STATION = "frame: base_link\ncamera: {position: [0.93, -0.60, 0.86], target: [0.61, -0.17, 0.7]}\n"
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a calibration from images, poses in the pendant's Base."""
+    folder = tmp_path_factory.mktemp("calibration")
+    draw_session(folder, 12, BaseFrame.PENDANT_BASE, lambda X: HALF_TURN @ X)
+    (folder / "lab.yaml").write_text(STATION)
+    code = run(["calibrate", "camera", "--images", str(folder), "--config", str(folder / "lab.yaml"), "--bars-mm",
+                *BARS, "--out", str(folder / "out")])  # fmt: skip
+    assert code == 0
+    (out,) = (folder / "out").iterdir()
+    return out
+
+
+def test_a_folder_of_images_gives_the_cameras_pose(calibrated: Path) -> None:
+    record = read_record(calibrated / "camera.json")
+    off = (record.pose - CAMERA.X_base_camera) @ [0.0, 0.0, 0.95, 1.0]
+    assert np.linalg.norm(off) < 1e-3
+    assert np.linalg.norm(off) < record.target_radius < 3e-3
+    assert (record.robot_serial, record.camera_serial) == ("20185500001", "cam-7")
+    assert record.board.square == pytest.approx(BOARD.square, rel=1e-5)
+    assert len(record.poses) == 12
+    page = (calibrated / "report.html").read_text()
+    assert 'src="data:image/png;base64' in page
+    assert "http" not in page.replace("http-equiv", ""), "nothing is fetched"
+
+
+def test_a_record_that_was_altered_is_refused(calibrated: Path, tmp_path: Path) -> None:
+    data = json.loads((calibrated / "camera.json").read_text())
+    data["X_base_camera"][0][3] += 0.001
+    (tmp_path / "camera.json").write_text(json.dumps(data))
+    with pytest.raises(ConfigError) as error:
+        read_record(tmp_path / "camera.json")
+    assert error.value.code == "config.calibration_altered"
+
+
+def _station(folder: Path, calibrated: Path, more: str = "") -> Path:
+    path = folder / "station.yaml"
+    path.write_text(f"{STATION}{more}calibration: {{record: {calibrated / 'camera.json'}}}\n")
+    return path
+
+
+def test_a_station_file_takes_the_cameras_pose_from_the_record(calibrated: Path, tmp_path: Path) -> None:
+    config = load_station(_station(tmp_path, calibrated))
+    record = read_record(calibrated / "camera.json")
+    np.testing.assert_array_equal(config.camera.X_base_camera, record.pose)
+    assert config.camera.center == tuple(record.pose[:3, 3])
+    assert config.camera.uncalibrated.center == (0.93, -0.60, 0.86), "where a simulated camera stands"
+    assert config.calibration is not None
+    assert config.calibration.residual == record.residual
+    assert config.calibration.robot_serial == "20185500001"
+
+
+def test_a_record_does_not_hold_for_other_intrinsics(calibrated: Path, tmp_path: Path) -> None:
+    path = _station(tmp_path, calibrated)
+    path.write_text(path.read_text().replace("target:", "fx: 370.0, target:"))
+    with pytest.raises(ConfigError) as error:
+        load_station(path)
+    assert error.value.code == "config.calibration_intrinsics"
+
+
+@pytest.mark.parametrize(
+    ("line", "code"),
+    [
+        ("calibration: {record: camera.json, residual: 0.001}", "config.calibration_twice"),
+        ("calibration: {record: nowhere.json}", "config.unreadable"),
+    ],
+)
+def test_a_wrong_station_file_is_refused(calibrated: Path, tmp_path: Path, line: str, code: str) -> None:
+    (tmp_path / "camera.json").write_bytes((calibrated / "camera.json").read_bytes())
+    (tmp_path / "station.yaml").write_text(line)
+    with pytest.raises(ConfigError) as error:
+        load_station(tmp_path / "station.yaml")
+    assert error.value.code == code
+
+
+def test_poses_in_the_other_frame_of_the_base_are_noticed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    draw_session(tmp_path, 10, BaseFrame.BASE_LINK, lambda X: HALF_TURN @ X)
+    (tmp_path / "lab.yaml").write_text(STATION)
+    code = run(["calibrate", "camera", "--images", str(tmp_path), "--config", str(tmp_path / "lab.yaml"), "--bars-mm",
+                *BARS, "--out", str(tmp_path / "out")])  # fmt: skip
+    assert code == 2
+    assert "half a turn" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists(), "nothing is left of a refused calibration"
+
+
+def test_without_the_measured_bars_nothing_is_calibrated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["calibrate", "camera", "--images", str(tmp_path)]) == 2
+    assert "--bars-mm" in capsys.readouterr().err
+
+
+def test_the_touch_of_a_corner_agrees_or_tells_why_not(calibrated: Path, tmp_path: Path) -> None:
+    record = read_record(calibrated / "camera.json")
+    write_record(tmp_path / "camera.json", record)
+    R = Rotation.from_rotvec([0.6, 0.2, 0.1]).as_matrix()
+    X_camera_board = transform(R, [0.02, 0.05, 0.7] - R @ BOARD.center)
+    X_base_board = CAMERA.X_base_camera @ X_camera_board
+    image = picture(BOARD, X_camera_board)
+    cv2.imwrite(str(tmp_path / "table.png"), image)
+    corner = 9
+    truth = transform_points(X_base_board, BOARD.corners[corner][None])[0]
+    rng = np.random.default_rng(0)
+
+    def check(touched: np.ndarray, frame: str) -> int:
+        return run(["calibrate", "check", "--record", str(tmp_path / "camera.json"), "--image",
+                    str(tmp_path / "table.png"), "--bars-mm", *BARS, "--sheet", "a3", "--corner", str(corner),
+                    "--touched-mm", *(f"{1e3 * v:.2f}" for v in touched), "--frame", frame, "--touch-error-mm",
+                    "0.3"])  # fmt: skip
+
+    assert check(truth + rng.normal(0.0, 3e-4, 3), "base_link") == 0
+    assert check(truth * [-1, -1, 1], "pendant_base") == 0
+    assert check(truth + np.array([0.01, 0.0, 0.0]), "base_link") == 1
+    assert check(truth, "pendant_base") == 1
+    checks = read_record(tmp_path / "camera.json").checks
+    assert [c.error <= c.allowed for c in checks] == [True, True, False, False]
+    assert checks[2].error == pytest.approx(0.01, abs=3e-3)
+    view = find_board(image, BOARD)
+    assert view is not None
+    with pytest.raises(UserError):
+        see_corner(record, BOARD, view, 99)
+
+
+def test_a_session_with_joint_positions_and_poses_that_disagree_is_refused(tmp_path: Path) -> None:
+    drawn = draw_session(tmp_path, 8)
+    first = replace(drawn.session.poses[0], q=(0.0, -1.9, 1.9, -1.57, -1.57, 0.0))
+    data = json.loads((tmp_path / "poses.json").read_text())
+    data["poses"][0]["q"] = list(first.q or ())
+    (tmp_path / "poses.json").write_text(json.dumps(data))
+    assert (
+        run(["calibrate", "camera", "--images", str(tmp_path), "--bars-mm", *BARS, "--out", str(tmp_path / "o")]) == 2
+    )

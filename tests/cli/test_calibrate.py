@@ -1,0 +1,66 @@
+"""`toolee calibrate` on a simulated lab, and a station that works with the record and not with the truth."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from toolee_robot.calibration.record import read_record, rows, write_record
+from toolee_robot.cli.app import run
+from toolee_robot.config import StationConfig, load_station
+from toolee_robot.frames import inverse
+from toolee_robot.sim_backend import SimStation
+from toolee_robot.sim_backend.options import SimOptions
+
+pytestmark = pytest.mark.sim(seconds=30)
+TRUTH = StationConfig().camera.X_base_camera
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("lab")
+    assert run(["calibrate", "camera", "--seed", "4", "--poses", "12", "--out", str(out)]) == 0
+    (folder,) = out.iterdir()
+    return folder
+
+
+def test_a_simulated_lab_is_calibrated_without_knowing_the_truth(calibrated: Path) -> None:
+    record = read_record(calibrated / "camera.json")
+    off = (record.pose - TRUTH) @ [0.0, 0.0, 0.95, 1.0]
+    assert 0.0 < np.linalg.norm(off) < 1e-3
+    assert np.linalg.norm(off) < record.target_radius < 3e-3
+    assert record.bars is not None
+    assert all(pose.q is not None for pose in record.poses)
+    assert len(record.poses) >= 10
+    session = json.loads((calibrated / "poses.json").read_text())
+    assert len(session["poses"]) == 12
+    assert (calibrated / "report.html").stat().st_size > 100_000
+
+
+def test_the_recorded_images_give_the_same_calibration_again(calibrated: Path, tmp_path: Path) -> None:
+    record = read_record(calibrated / "camera.json")
+    assert record.bars is not None
+    bars = [f"{1e3 * length:.6f}" for length in record.bars]
+    assert run(["calibrate", "camera", "--images", str(calibrated), "--bars-mm", *bars, "--out", str(tmp_path)]) == 0
+    (again,) = tmp_path.iterdir()
+    np.testing.assert_allclose(read_record(again / "camera.json").pose, record.pose, atol=1e-6)
+
+
+def test_the_task_believes_the_record_and_the_simulated_camera_stays(calibrated: Path, tmp_path: Path) -> None:
+    record = read_record(calibrated / "camera.json")
+    wrong = record.pose.copy()
+    wrong[0, 3] += 0.1  # a record that nobody checked
+    write_record(tmp_path / "camera.json", replace(record, X_base_camera=rows(wrong)))
+    (tmp_path / "station.yaml").write_text("calibration: {record: camera.json}\n")
+    config = load_station(tmp_path / "station.yaml")
+    np.testing.assert_array_equal(config.camera.X_base_camera, wrong)
+    images = []
+    for station in (config, StationConfig()):
+        with SimStation.build(station, 0, SimOptions(hands_over=False)) as simulation:
+            images.append(simulation.station.camera.read().rgb)
+    np.testing.assert_array_equal(images[0], images[1])
+    assert np.linalg.norm((inverse(TRUTH) @ wrong)[:3, 3]) > 0.09

@@ -1,0 +1,128 @@
+"""Accuracy and coverage of the calibration on synthetic poses, by protocol: repeated, with the truth known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from toolee_robot.calibration.board import Board
+from toolee_robot.calibration.closed_form import closed_forms
+from toolee_robot.calibration.motion_spread import check_motion
+from toolee_robot.calibration.observation import camera_board
+from toolee_robot.calibration.refinement import refine
+from toolee_robot.calibration.reprojection import Views
+from toolee_robot.calibration.solve import TARGET_DISTANCE, best_start
+from toolee_robot.calibration.synthetic import Protocol, draw
+from toolee_robot.errors import UserError
+from toolee_robot.frames import Array
+from toolee_robot.types import CameraIntrinsics
+
+COARSE = Protocol(position=1e-3, rotation=float(np.deg2rad(0.1)))
+"""The protocol with a coarse robot."""
+PROTOCOLS: Mapping[str, Protocol] = {
+    "15 poses": Protocol(),
+    "40 poses, coarse robot": replace(COARSE, poses=40),
+    "15 poses, coarse robot, 0.5 px": replace(COARSE, pixel=0.5),
+    "20 poses, 2 of them wrong": Protocol(20, outliers=2),
+    "15 poses, tilts under 10°": Protocol(tilt=float(np.deg2rad(10.0))),
+}
+"""The protocols by name."""
+LARGEST_ERROR = {"15 poses": 0.7e-3, "40 poses, coarse robot": 1.2e-3}
+"""Median errors of the target that are asked for [m]."""
+COVERAGE = (0.90, 0.99)
+"""Share of the runs in which the region of 95 % has to have the truth."""
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Result of one protocol.
+
+    Attributes:
+        protocol: Its name.
+        runs: Number of runs.
+        refused: Number of runs in which the poses were refused.
+        error: Median error of the target at `TARGET_DISTANCE` [m]; of all runs, refused or not.
+        error_90: The 90th percentile of it [m].
+        closed_forms: Median error of each closed form [m].
+        covered: Share of the runs in which the 95 % region has the truth.
+        covered_accepted: The same share of the runs that were not refused; None where all were.
+        largest_error: Median error that is asked for [m]; None where none is.
+    """
+
+    protocol: str
+    runs: int
+    refused: int
+    error: float
+    error_90: float
+    closed_forms: Mapping[str, float]
+    covered: float
+    covered_accepted: float | None
+    largest_error: float | None
+
+    @property
+    def met(self) -> bool:
+        """Whether the error is small enough, and the accepted runs are covered as often as asked."""
+        small = self.largest_error is None or self.error <= self.largest_error
+        return small and (self.covered_accepted is None or COVERAGE[0] <= self.covered_accepted <= COVERAGE[1])
+
+
+def measure(
+    name: str,
+    board: Board,
+    intrinsics: CameraIntrinsics,
+    X_base_camera: Array,
+    runs: int,
+    seed: int = 0,
+    report: Callable[[int], None] = lambda _: None,
+) -> Figures:
+    """Run a protocol.
+
+    Args:
+        name: Its name in `PROTOCOLS`.
+        board: The board.
+        intrinsics: Pinhole model of the camera.
+        X_base_camera: True pose of the camera, (4, 4).
+        runs: Number of runs.
+        seed: Seed of the draws.
+        report: Is told the number of runs done.
+
+    Returns:
+        The figures.
+    """
+    target = np.array([0.0, 0.0, TARGET_DISTANCE])
+    errors, covered, refused = np.zeros(runs), np.zeros(runs, bool), np.zeros(runs, bool)
+    forms: dict[str, list[float]] = {}
+    for k in range(runs):
+        drawn = draw(PROTOCOLS[name], board, intrinsics, X_base_camera, np.random.default_rng([seed, k]))
+        flange = [o.X_base_flange for o in drawn.observations]
+        try:
+            check_motion(flange)
+        except UserError:
+            refused[k] = True
+        found = closed_forms(flange, [camera_board(o.view, board, intrinsics)[0] for o in drawn.observations])
+        for form in found:
+            forms.setdefault(form.method, []).append(_error(form.X_base_camera, X_base_camera, target))
+        views = Views(drawn.observations, board, intrinsics)
+        refined = refine(views, best_start(views, found))
+        off = ((refined.estimate.X_base_camera - X_base_camera) @ [*target, 1.0])[:3]
+        errors[k] = np.linalg.norm(off)
+        distance = off @ np.linalg.solve(refined.point_covariance(target), off)
+        covered[k] = distance <= refined.confidence_factor()
+        report(k + 1)
+    return Figures(
+        protocol=name,
+        runs=runs,
+        refused=int(refused.sum()),
+        error=float(np.median(errors)),
+        error_90=float(np.quantile(errors, 0.9)),
+        closed_forms={method: float(np.median(values)) for method, values in forms.items()},
+        covered=float(covered.mean()),
+        covered_accepted=None if refused.all() else float(covered[~refused].mean()),
+        largest_error=LARGEST_ERROR.get(name),
+    )
+
+
+def _error(X: Array, truth: Array, target: Array) -> float:
+    return float(np.linalg.norm(((X - truth) @ [*target, 1.0])[:3]))

@@ -1,0 +1,190 @@
+"""The record of a camera calibration: one JSON file, signed against alteration, that a station file names."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from toolee_robot.calibration.board import Board
+from toolee_robot.calibration.signed import read_signed, write_signed
+from toolee_robot.frames import Array, is_rigid
+from toolee_robot.types import CameraIntrinsics, DhCalibration
+
+FORMAT = "toolee camera calibration 1"
+"""Name and version of the format."""
+Row = tuple[float, ...]
+Rows = tuple[Row, ...]
+"""A matrix, row by row."""
+_STRICT = {"extra": "forbid", "allow_inf_nan": False}
+
+
+@dataclass(frozen=True)
+class RecordedPose:
+    """One pose of the arm, what was seen there, and how it fits.
+
+    Attributes:
+        name: Its name.
+        q: Joint positions of the arm, (6,) [rad]; None where the flange's pose was given as such.
+        X_base_flange: Pose of the flange in `base`, 4 x 4 [m].
+        ids: Numbers of the board's corners in the image.
+        pixels: Places of the corners, M x 2 [px].
+        reprojection: Root mean square reprojection error [px].
+        held_out: Root mean square distance of the corners from where the other poses expect them, across the line of
+            sight [m].
+        weight: Weight in the fit, 1 for a pose that fits.
+    """
+
+    __pydantic_config__ = _STRICT
+    name: str
+    q: Row | None
+    X_base_flange: Rows
+    ids: tuple[int, ...]
+    pixels: Rows
+    reprojection: float
+    held_out: float
+    weight: float
+
+
+@dataclass(frozen=True)
+class TouchCheck:
+    """A point that the camera measured and the robot touched.
+
+    Attributes:
+        measured_at: Date and time, ISO 8601.
+        what: Which point, such as a corner of a board.
+        seen: Its place in `base` by the camera, (3,) [m].
+        touched: Its place in `base` by the arm, (3,) [m].
+        error: Distance of the two [m].
+        allowed: Distance that the calibration and the measurement explain with a probability of 95 % [m].
+    """
+
+    __pydantic_config__ = _STRICT
+    measured_at: str
+    what: str
+    seen: tuple[float, float, float]
+    touched: tuple[float, float, float]
+    error: float
+    allowed: float
+
+
+@dataclass(frozen=True)
+class CalibrationRecord:
+    """A camera calibration, all that it was computed from, and how far it can be relied on.
+
+    All poses are in `base`, ROS's base_link.
+
+    Attributes:
+        format: `FORMAT`.
+        measured_at: Date and time of the solution, ISO 8601.
+        software: Version of this software.
+        robot_model: Model of the arm.
+        robot_serial: Serial number of the arm.
+        kinematics: Factory calibration of the arm that the flange's poses were computed with; None for nominal ones,
+            or where the poses were given.
+        camera_serial: Serial number of the camera.
+        intrinsics: Pinhole model of the camera's images.
+        board: The board, its square as measured.
+        bars: Measured lengths of the board's two scale bars [m]; None where the square itself was measured.
+        X_base_camera: Pose of the camera, 4 x 4 [m].
+        X_flange_board: Pose of the board, 4 x 4 [m].
+        covariance: Covariance of the camera's position [m] and rotation vector [rad], axes of `base`, 6 x 6.
+        freedom: Degrees of freedom of the covariance.
+        pixel_noise: Standard deviation of a corner's place about one axis [px].
+        arm_noise: Standard deviations of the arm's position [m] and rotation [rad] about one axis.
+        residual: Root mean square error of the board's corners on held-out poses, across the line of sight [m].
+        largest_shift: Largest displacement of the target when one pose is left out [m].
+        target: The point at which errors are told, camera frame, (3,) [m].
+        target_radius: Largest half axis of the region that has the target's true place with a probability of 95 % [m].
+        methods: Displacement of the target by each closed form [m].
+        rotations: Largest rotation between two poses, and that about an axis across its own [rad].
+        board_scale: Factor on the square that the poses themselves tell, and its standard deviation.
+        poses: The poses.
+        checks: Touch tests.
+    """
+
+    __pydantic_config__ = _STRICT
+    format: str
+    measured_at: str
+    software: str
+    robot_model: str
+    robot_serial: str
+    kinematics: DhCalibration | None
+    camera_serial: str
+    intrinsics: CameraIntrinsics
+    board: Board
+    bars: tuple[float, float] | None
+    X_base_camera: Rows
+    X_flange_board: Rows
+    covariance: Rows
+    freedom: float
+    pixel_noise: float
+    arm_noise: tuple[float, float]
+    residual: float
+    largest_shift: float
+    target: tuple[float, float, float]
+    target_radius: float
+    methods: dict[str, float]
+    rotations: tuple[float, float]
+    board_scale: tuple[float, float]
+    poses: tuple[RecordedPose, ...]
+    checks: tuple[TouchCheck, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.format != FORMAT:
+            raise ValueError(f"format {self.format!r}: this software reads {FORMAT!r}")
+        datetime.fromisoformat(self.measured_at)
+        for name in ("X_base_camera", "X_flange_board"):
+            X = np.array(getattr(self, name))
+            if X.shape != (4, 4) or not is_rigid(X):
+                raise ValueError(f"{name} is no rigid transform")
+        covariance = np.array(self.covariance)
+        if covariance.shape != (6, 6) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
+            raise ValueError("covariance is no covariance of six numbers")
+
+    @property
+    def pose(self) -> Array:
+        """X_base_camera, (4, 4)."""
+        return np.array(self.X_base_camera)
+
+    def checked(self, check: TouchCheck) -> CalibrationRecord:
+        """The record with a touch test more."""
+        return replace(self, checks=(*self.checks, check))
+
+
+def rows(matrix: Array) -> Rows:
+    """A matrix as a record holds it."""
+    return tuple(tuple(float(v) for v in row) for row in matrix)
+
+
+def write_record(path: Path, record: CalibrationRecord) -> str:
+    """Sign and write a record; see `signed`.
+
+    Args:
+        path: The file; its folder exists.
+        record: The record.
+
+    Returns:
+        The signature, hexadecimal.
+
+    Raises:
+        UserError: The file cannot be written.
+    """
+    return write_signed(path, asdict(record))
+
+
+def read_record(path: Path) -> CalibrationRecord:
+    """Read a record and check its signature; see `signed`.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The record.
+
+    Raises:
+        ConfigError: As `read_signed`.
+    """
+    return read_signed(path, CalibrationRecord, "camera calibration")

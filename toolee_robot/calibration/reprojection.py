@@ -1,0 +1,146 @@
+"""The measurement model: corners of the board on the flange, projected into the fixed camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.calibration.board import Board
+from toolee_robot.calibration.observation import Observation
+from toolee_robot.frames import Array, transform
+from toolee_robot.types import CameraIntrinsics
+
+CAMERA, BOARD, SCALE = slice(0, 6), slice(6, 12), 12
+"""Places of the camera's pose, the board's pose and the board's scale in a step."""
+_NEAREST = 0.05
+"""Depth at which a corner behind the camera is taken to be, so that a bad start has a finite residual [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What a calibration determines.
+
+    Attributes:
+        X_base_camera: Pose of the camera, (4, 4).
+        X_flange_board: Pose of the board, (4, 4).
+        scale: Factor on the board's measured square.
+    """
+
+    X_base_camera: Array
+    X_flange_board: Array
+    scale: float = 1.0
+
+    def moved(self, step: Array) -> Estimate:
+        """Apply a step.
+
+        Args:
+            step: Translation [m] and rotation vector [rad] of the camera in the axes of `base`, those of the board in
+                the axes of the flange, and the change of the scale, (13,).
+
+        Returns:
+            The estimate after it.
+        """
+        camera, board = _moved(self.X_base_camera, step[CAMERA]), _moved(self.X_flange_board, step[BOARD])
+        return Estimate(camera, board, self.scale + float(step[SCALE]))
+
+
+def _moved(X: Array, step: Array) -> Array:
+    return transform(Rotation.from_rotvec(step[3:6]).as_matrix() @ X[:3, :3], X[:3, 3] + step[:3])
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """Residuals of all views at an estimate, and their derivatives; views of fewer corners are padded with zeros.
+
+    Attributes:
+        residuals: Projected minus measured corners, (N, 2 M) [px].
+        by_parameters: Derivatives by a step of the estimate, (N, 2 M, 13).
+        by_flange: Derivatives by an error of the flange's position [m] and rotation vector [rad], axes of `base`,
+            (N, 2 M, 6).
+    """
+
+    residuals: Array
+    by_parameters: Array
+    by_flange: Array
+
+
+class Views:
+    """The observations as padded arrays.
+
+    Args:
+        observations: The observations.
+        board: The board.
+        intrinsics: Pinhole model of the images.
+
+    Attributes:
+        count: Corners of each view, (N,).
+        Xs_base_flange: Poses of the flange, (N, 4, 4).
+    """
+
+    def __init__(self, observations: Sequence[Observation], board: Board, intrinsics: CameraIntrinsics) -> None:
+        self.count = np.array([len(o.view.ids) for o in observations])
+        self.Xs_base_flange = np.array([o.X_base_flange for o in observations])
+        self._K = intrinsics
+        most = int(self.count.max())
+        self._valid = np.arange(most) < self.count[:, None]
+        self._points = np.zeros((len(observations), most, 3))
+        self._pixels = np.zeros((len(observations), most, 2))
+        corners = board.corners
+        for i, o in enumerate(observations):
+            self._points[i, : self.count[i]] = corners[o.view.ids]
+            self._pixels[i, : self.count[i]] = o.view.pixels
+
+    def project(self, estimate: Estimate) -> Projection:
+        """Project the corners.
+
+        Args:
+            estimate: The estimate.
+
+        Returns:
+            Residuals and derivatives.
+        """
+        n, m = self._valid.shape
+        Rc, pc = estimate.X_base_camera[:3, :3], estimate.X_base_camera[:3, 3]
+        Rb, pb = estimate.X_flange_board[:3, :3], estimate.X_flange_board[:3, 3]
+        Rf, pf = self.Xs_base_flange[:, :3, :3], self.Xs_base_flange[:, :3, 3]
+        turned = self._points @ Rb.T  # in the axes of the flange, unscaled
+        about_flange = (estimate.scale * turned + pb) @ np.swapaxes(Rf, 1, 2)  # base axes, from the flange's origin
+        about_camera = about_flange + (pf - pc)[:, None]
+        x, y, z = np.moveaxis(about_camera @ Rc, 2, 0)
+        z = np.where(self._valid, np.maximum(z, _NEAREST), 1.0)
+        K = self._K
+        u, v = K.fx * x / z + K.cx, K.fy * y / z + K.cy
+        residuals = np.stack([u, v], axis=2) - self._pixels
+        D = np.zeros((n, m, 2, 3))  # of the pixel by the point, camera axes
+        D[..., 0, 0], D[..., 0, 2] = K.fx / z, -K.fx * x / z**2
+        D[..., 1, 1], D[..., 1, 2] = K.fy / z, -K.fy * y / z**2
+        D = D @ Rc.T  # by the point in base axes
+        D_flange = D @ Rf[:, None]
+        by_parameters = np.concatenate(
+            [
+                -D,
+                D @ _skew(about_camera),
+                D_flange,
+                -D_flange @ _skew(estimate.scale * turned),
+                D_flange @ turned[..., None],
+            ],
+            axis=3,
+        )
+        by_flange = np.concatenate([D, -D @ _skew(about_flange)], axis=3)
+        keep = self._valid[..., None]
+        return Projection(
+            (residuals * keep).reshape(n, 2 * m),
+            (by_parameters * keep[..., None]).reshape(n, 2 * m, 13),
+            (by_flange * keep[..., None]).reshape(n, 2 * m, 6),
+        )
+
+
+def _skew(v: Array) -> Array:
+    """Cross-product matrices of vectors, (..., 3) -> (..., 3, 3)."""
+    S = np.zeros((*v.shape, 3))
+    S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    S[..., 1, 0], S[..., 2, 0], S[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return S

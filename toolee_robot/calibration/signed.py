@@ -1,0 +1,79 @@
+"""JSON files with a hash over their content, which shows alteration."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+
+from toolee_robot.errors import ConfigError
+from toolee_robot.runtime.files import write_atomic
+
+SIGNATURE = "sha256"
+"""The file's key that holds the hash."""
+T = TypeVar("T")
+
+
+def write_signed(path: Path, data: dict[str, Any]) -> str:
+    """Sign and write.
+
+    The signature is a hash: it shows alteration by mistake or by an editor, not by somebody who signs again.
+
+    Args:
+        path: The file; its folder exists.
+        data: What JSON can hold, finite numbers only.
+
+    Returns:
+        The signature, hexadecimal.
+
+    Raises:
+        UserError: The file cannot be written.
+    """
+    signature = _signature(data)
+    text = json.dumps({**data, SIGNATURE: signature}, indent=1, allow_nan=False)
+    write_atomic(path, (text + "\n").encode())
+    return signature
+
+
+def read_signed(path: Path, kind: type[T], what: str) -> T:
+    """Read a record and check its signature.
+
+    Args:
+        path: The file.
+        kind: The record, a dataclass.
+        what: What the file is, for the errors.
+
+    Returns:
+        The record, validated.
+
+    Raises:
+        ConfigError: It cannot be read (`config.unreadable`), was altered (`config.calibration_altered`), or is no valid
+            record (`config.invalid`).
+    """
+    try:
+        data = json.loads(path.read_text())
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ConfigError(f"cannot read the {what} {path}: {error}", code="config.unreadable") from error
+    if not isinstance(data, dict) or SIGNATURE not in data:
+        raise ConfigError(f"{path} is no {what}: name a file that `toolee calibrate` wrote", code="config.invalid")
+    signature = data.pop(SIGNATURE)
+    if signature != _signature(data):
+        raise ConfigError(
+            f"{path} was altered since it was written: nothing in it can be relied on; take the original, or calibrate "
+            "again",
+            code="config.calibration_altered",
+        )
+    try:
+        return TypeAdapter(kind).validate_python(data)
+    except ValidationError as error:
+        lines = [f"  {'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()]
+        raise ConfigError(f"{path} is not a valid {what}:\n" + "\n".join(lines), code="config.invalid") from error
+
+
+def _signature(data: dict[str, Any]) -> str:
+    # As the file will be read: tuples are lists there.
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,191 @@
+"""The calibration of a fixed camera to the robot: from observations to a checked result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from toolee_robot.calibration.board import Board
+from toolee_robot.calibration.closed_form import ClosedForm, closed_forms
+from toolee_robot.calibration.diagnosis import check_fit, check_place, check_poses, check_scale
+from toolee_robot.calibration.motion_spread import MotionSpread, check_motion
+from toolee_robot.calibration.observation import Observation, camera_board
+from toolee_robot.calibration.refinement import Refined, refine
+from toolee_robot.calibration.reprojection import SCALE, Estimate, Views
+from toolee_robot.errors import UserError
+from toolee_robot.frames import Array, inverse, transform_points
+from toolee_robot.types import CameraIntrinsics
+
+TARGET_DISTANCE = 0.95
+"""Distance of the point on the optical axis at which errors are told where no other is given [m]."""
+WRONG = 30.0
+"""Misfit of a view, see `Refined.misfits`, above which it is reported as wrong."""
+
+
+@dataclass(frozen=True, eq=False)
+class LeaveOneOut:
+    """What changes when one pose at a time is left out.
+
+    Attributes:
+        held_out: Root mean square distance of each left-out view's corners from where the others expect them, across
+            the line of sight, (N,) [m]. Along it a single view says little.
+        shifts: Displacement of the target in each of these calibrations, (N,) [m].
+    """
+
+    held_out: Array
+    shifts: Array
+
+    @property
+    def residual(self) -> float:
+        """Root mean square over all views of `held_out` [m]."""
+        return float(np.sqrt(np.mean(self.held_out**2)))
+
+
+@dataclass(frozen=True, eq=False)
+class CameraCalibration:
+    """A calibration of the camera, and how far it can be relied on.
+
+    Attributes:
+        names: Names of the poses, N.
+        refined: The refined calibration.
+        target: A point in the camera's frame at which errors are told, (3,) [m].
+        spread: Rotations between the poses.
+        methods: Displacement of the target by each closed form from the refined calibration [m], by method.
+        leave_one_out: What changes without one pose.
+        scale: Factor on the board's square that the poses themselves tell, and its standard deviation.
+        reprojection: Root mean square reprojection error of each view, with the flange where the arm says, (N,) [px].
+    """
+
+    names: tuple[str, ...]
+    refined: Refined
+    target: Array
+    spread: MotionSpread
+    methods: Mapping[str, float]
+    leave_one_out: LeaveOneOut
+    scale: tuple[float, float]
+    reprojection: Array
+
+    @property
+    def X_base_camera(self) -> Array:
+        """Pose of the camera, (4, 4)."""
+        return self.refined.estimate.X_base_camera
+
+    @property
+    def target_radius(self) -> float:
+        """Largest half axis of the region in which the target's true place is with a probability of 95 % [m]."""
+        covariance = self.refined.point_covariance(self.target)
+        return float(np.sqrt(self.refined.confidence_factor() * np.linalg.eigvalsh(covariance)[-1]))
+
+    @property
+    def wrong(self) -> list[str]:
+        """Names of the poses that do not fit the others and hardly count."""
+        return [name for name, misfit in zip(self.names, self.refined.misfits, strict=True) if misfit > WRONG]
+
+
+def calibrate(
+    observations: Sequence[Observation],
+    board: Board,
+    intrinsics: CameraIntrinsics,
+    *,
+    target: Array | None = None,
+    expected: Array | None = None,
+) -> CameraCalibration:
+    """Calibrate a fixed camera to the robot from views of a board on the flange.
+
+    Closed forms give the start, `refine` the result. What is implausible is refused with its probable cause.
+
+    Args:
+        observations: Poses of the flange, and the corners seen there.
+        board: The board with its measured square.
+        intrinsics: Pinhole model of the images.
+        target: Point in the camera's frame at which errors are told, (3,) [m]; `TARGET_DISTANCE` on the optical axis if
+            None.
+        expected: Place of the camera in `base` as measured by hand, (3,) [m]; None if unknown, and a half turn of the
+            base is then not noticed.
+
+    Returns:
+        The calibration.
+
+    Raises:
+        UserError: The poses are too few or do not determine it (`user.calibration_few_poses`,
+            `user.calibration_degenerate`), or the result is implausible: see `diagnosis`.
+    """
+    check_poses([o.X_base_flange for o in observations], [o.name for o in observations])
+    spread = check_motion([o.X_base_flange for o in observations])
+    target = np.array([0.0, 0.0, TARGET_DISTANCE]) if target is None else target
+    views = Views(observations, board, intrinsics)
+    Xs_camera_board = [camera_board(o.view, board, intrinsics)[0] for o in observations]
+    forms = closed_forms([o.X_base_flange for o in observations], Xs_camera_board)
+    start = best_start(views, forms)
+    refined = refine(views, start)
+    own = [o.view.reprojection(X, board, intrinsics) for o, X in zip(observations, Xs_camera_board, strict=True)]
+    flange = [o.X_base_flange for o in observations]
+    check_fit(refined, flange, Xs_camera_board, np.array(own), board, intrinsics)
+    scaled = refine(views, refined.estimate, noise=refined.noise, square_error=np.inf)
+    scale = scaled.estimate.scale, float(np.sqrt(scaled.covariance[SCALE, SCALE]))
+    check_scale(scale, board)
+    if expected is not None:
+        check_place(refined.estimate.X_base_camera, expected)
+    at = _point(refined.estimate, target)
+    residuals = views.project(refined.estimate).residuals
+    return CameraCalibration(
+        names=tuple(o.name for o in observations),
+        refined=refined,
+        target=target,
+        spread=spread,
+        methods={
+            f.method: float(np.linalg.norm((f.X_base_camera @ [*target, 1.0])[:3] - at)) for f in forms
+        },
+        leave_one_out=_leave_one_out(observations, board, intrinsics, refined, target),
+        scale=scale,
+        reprojection=np.sqrt(np.sum(residuals**2, axis=1) / views.count),
+    )  # fmt: skip
+
+
+def best_start(views: Views, forms: Sequence[ClosedForm]) -> Estimate:
+    """Choose the closed form with the least median reprojection error.
+
+    Args:
+        views: The observations.
+        forms: Results of the closed forms.
+
+    Returns:
+        It.
+
+    Raises:
+        UserError: There is none.
+    """
+    if not forms:
+        raise UserError(
+            "no method of OpenCV finds any calibration for these poses: are they of this robot and this board?",
+            code="user.calibration_no_solution",
+        )
+    estimates = [Estimate(form.X_base_camera, form.X_flange_board) for form in forms]
+
+    def misfit(estimate: Estimate) -> float:
+        residuals = views.project(estimate).residuals
+        return float(np.median(np.sum(residuals**2, axis=1) / views.count))
+
+    return min(estimates, key=misfit)
+
+
+def _leave_one_out(
+    observations: Sequence[Observation], board: Board, intrinsics: CameraIntrinsics, refined: Refined, target: Array
+) -> LeaveOneOut:
+    at, held_out, shifts = _point(refined.estimate, target), [], []
+    for i, left_out in enumerate(observations):
+        others = Views([*observations[:i], *observations[i + 1 :]], board, intrinsics)
+        estimate = refine(others, refined.estimate, noise=refined.noise).estimate
+        X_camera_board = inverse(estimate.X_base_camera) @ left_out.X_base_flange @ estimate.X_flange_board
+        x, y, z = transform_points(X_camera_board, estimate.scale * board.corners[left_out.view.ids]).T
+        u, v = left_out.view.pixels.T
+        across = np.stack([x - z * (u - intrinsics.cx) / intrinsics.fx, y - z * (v - intrinsics.cy) / intrinsics.fy])
+        held_out.append(np.sqrt(np.mean(np.sum(across**2, axis=0))))
+        shifts.append(np.linalg.norm(_point(estimate, target) - at))
+    return LeaveOneOut(np.array(held_out), np.array(shifts))
+
+
+def _point(estimate: Estimate, p_camera: Array) -> Array:
+    return np.asarray((estimate.X_base_camera @ [*p_camera, 1.0])[:3])

@@ -1,0 +1,1 @@
+"""`toolee calibrate`."""

@@ -1,0 +1,205 @@
+"""One calibration of a camera: images, solution, record and report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.panel import Panel
+
+import toolee_robot
+from toolee_robot.calibration.board import SHEETS, Board
+from toolee_robot.calibration.build_record import build_record
+from toolee_robot.calibration.observation import camera_board
+from toolee_robot.calibration.record import CalibrationRecord, write_record
+from toolee_robot.calibration.session import Seen, Session, observe, read_session, write_session
+from toolee_robot.calibration.solve import CameraCalibration, calibrate
+from toolee_robot.cli.output import json_line
+from toolee_robot.config import StationConfig
+from toolee_robot.control import RobotModel
+from toolee_robot.frames import Array
+from toolee_robot.recording.calibration_report import calibration_report
+from toolee_robot.runtime.files import write_atomic
+from toolee_robot.stations.simulated_board import simulated_board
+from toolee_robot.tasks.calibration.collect import Collector, save, session_of
+from toolee_robot.tasks.calibration.views import missing, plan_views
+
+RECORD, REPORT = "camera.json", "report.html"
+"""Files of a calibration's folder."""
+
+
+@dataclass
+class CameraJob:
+    """A calibration.
+
+    Attributes:
+        config: The station.
+        sheet: Name of the board's sheet.
+        console: The console.
+        figures: What --json prints, by name; filled by the calibration.
+    """
+
+    config: StationConfig
+    sheet: str
+    console: Console
+    figures: dict[str, Any] = field(default_factory=dict)
+
+    def simulate(self, folder: Path, poses: int, distance: float, mass: float, seed: int) -> None:
+        """Calibrate a simulated lab.
+
+        Args:
+            folder: Where everything is written.
+            poses: Number of poses.
+            distance: Distance of the print from the flange [m].
+            mass: Mass of plate and holder [kg].
+            seed: Seed of what is drawn.
+
+        Raises:
+            TooleeError: The calibration failed, or was refused.
+        """
+        console = self.console
+        lab = simulated_board(self.config, SHEETS[self.sheet], distance, mass, seed)
+        x, y = lab.bars
+        console.print(
+            f"[bold]Simulated lab[/bold]  [dim]seed {seed}[/dim]\n  the print's bars measure {x * 1e3:.1f} and "
+            f"{y * 1e3:.1f} mm: squares of {lab.plate.board.square * 1e3:.2f} mm"
+        )
+        robot = RobotModel.of_station(lab.measured)
+        with console.status("planning views of the board"):
+            views = plan_views(robot, lab.measured, lab.plate, poses, seed)
+        console.print(f"[bold]Views[/bold]  [dim]{len(views)} planned[/dim]")
+        taken = []
+        with lab.build(seed) as simulation:
+            collector = Collector(simulation.station, lab.measured, robot, lab.plate.board, self._note)
+            for view in collector.take_all(views):
+                taken.append(save(folder, view))
+                seen = "[yellow]the board is not seen[/yellow]"
+                if view.X_camera_board is not None:
+                    seen = f"{view.corners} corners at {view.X_camera_board[2, 3]:.2f} m"
+                console.print(f"  {view.number:>3}  {seen}")
+            session = session_of(simulation.station, taken)
+        write_session(folder, session)
+        calibration = self._solve(
+            folder, session, lab.plate.board, lab.bars, robot, lab.measured.camera.X_base_camera[:3, 3]
+        )
+        truth = self.config.camera.uncalibrated.X_base_camera
+        off = (calibration.X_base_camera - truth) @ [*calibration.target, 1.0]
+        self.figures["true_error_mm"] = round(float(np.linalg.norm(off)) * 1e3, 3)
+
+    def from_images(self, folder: Path, images: Path, bars: tuple[float, float], *, measured_camera: bool) -> None:
+        """Calibrate from a folder of images and poses.
+
+        Args:
+            folder: Where record and report are written.
+            images: The folder.
+            bars: Measured lengths of the print's scale bars [m].
+            measured_camera: Whether the station tells where the camera was measured by hand.
+
+        Raises:
+            TooleeError: The calibration was refused.
+        """
+        board = SHEETS[self.sheet].board.measured(*bars)
+        session = read_session(images)
+        expected = self.config.camera.uncalibrated.X_base_camera[:3, 3] if measured_camera else None
+        if expected is None:
+            self._note("without --config nobody tells where the camera is: a half turn of the base is not noticed")
+        self._solve(folder, session, board, bars, RobotModel.of_station(self.config), expected, images)
+
+    def conclude(self, folder: Path, as_json: bool) -> None:
+        """Tell the result.
+
+        Args:
+            folder: The calibration's folder.
+            as_json: Whether to print the figures as a line of JSON, too.
+        """
+        f = self.figures
+        rows = [
+            (f"95 % region at {f['target_m']:g} m", f"± {f['target_radius_mm']:.2f} mm"),
+            ("held-out poses", f"{f['residual_mm']:.2f} mm"),
+            ("one pose left out", f"{f['largest_shift_mm']:.2f} mm at most"),
+            ("noise", f"corners {f['pixel_noise']:.2f} px, arm {f['arm_noise_mm']:.2f} mm {f['arm_noise_deg']:.3f}°"),
+            ("poses", f"{f['poses']}" + (f", not fitting: {', '.join(f['wrong'])}" if f["wrong"] else "")),
+        ]
+        if "true_error_mm" in f:
+            rows.append(("true error *", f"{f['true_error_mm']:.2f} mm"))
+        rows += [("record", escape(str(folder / RECORD))), ("report", escape(str(folder / REPORT)))]
+        lines = [f"{name:<24}{value}" for name, value in rows]
+        lines += ["", "Enter it in the station file:", "", "calibration:", f"  record: {escape(str(folder / RECORD))}"]
+        if "true_error_mm" in f:
+            lines += ["", "[dim]* measured by the simulation; the calibration cannot see it[/dim]"]
+        title = "[bold]the camera is calibrated[/bold]"
+        self.console.print(Panel("\n".join(lines), title=title, border_style="green", expand=False, padding=(1, 2)))
+        if as_json:
+            print(json_line({**f, "record": str(folder / RECORD)}), flush=True)
+
+    def _solve(
+        self,
+        folder: Path,
+        session: Session,
+        board: Board,
+        bars: tuple[float, float],
+        robot: RobotModel,
+        expected: Array | None,
+        images: Path | None = None,
+    ) -> CameraCalibration:
+        images = folder if images is None else images
+        with self.console.status("looking for the board and solving"):
+            seen = observe(images, session, board, robot.arm.fk)
+            calibration = calibrate(seen.observations, board, session.intrinsics, expected=expected)
+        Xs = [camera_board(o.view, board, session.intrinsics)[0] for o in seen.observations]
+        lacking = missing(Xs, board, self.config.camera)
+        if seen.unseen:
+            self._note(f"the board is not seen in {', '.join(seen.unseen)}")
+        if lacking:
+            self._note(f"fewer than two views: {', '.join(lacking)}")
+        for name in calibration.wrong:
+            self._note(f"{name} does not fit the others and hardly counts: look at it, or take it again")
+        record = self._record(calibration, session, seen, board, bars)
+        signature = write_record(folder / RECORD, record)
+        page = calibration_report(record, images, signature, lacking)
+        write_atomic(folder / REPORT, page.encode())
+        self.figures |= _figures(record, calibration, lacking, signature)
+        return calibration
+
+    def _record(
+        self, calibration: CameraCalibration, session: Session, seen: Seen, board: Board, bars: tuple[float, float]
+    ) -> CalibrationRecord:
+        arm = self.config.arm
+        return build_record(
+            calibration,
+            session,
+            seen,
+            board,
+            bars=bars,
+            robot_model=str(arm.model),
+            kinematics=arm.calibration,
+            software=toolee_robot.__version__,
+            now=datetime.now(UTC),
+        )
+
+    def _note(self, text: str) -> None:
+        self.console.print(f"  [yellow]{escape(text)}[/yellow]", soft_wrap=True)
+
+
+def _figures(
+    record: CalibrationRecord, calibration: CameraCalibration, lacking: list[str], signature: str
+) -> dict[str, Any]:
+    return {
+        "target_m": record.target[2],
+        "target_radius_mm": round(record.target_radius * 1e3, 3),
+        "residual_mm": round(record.residual * 1e3, 3),
+        "largest_shift_mm": round(record.largest_shift * 1e3, 3),
+        "pixel_noise": round(record.pixel_noise, 3),
+        "arm_noise_mm": round(record.arm_noise[0] * 1e3, 3),
+        "arm_noise_deg": round(float(np.rad2deg(record.arm_noise[1])), 4),
+        "poses": len(record.poses),
+        "wrong": calibration.wrong,
+        "missing_views": lacking,
+        "X_base_camera": [list(row) for row in record.X_base_camera],
+        "signature": signature,
+    }

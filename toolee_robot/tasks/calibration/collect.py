@@ -1,0 +1,171 @@
+"""Drive the board through poses before the camera, under the supervisor, and take an image at each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from toolee_robot.calibration.board import Board
+from toolee_robot.calibration.observation import camera_board, find_board
+from toolee_robot.calibration.session import Session, SessionPose
+from toolee_robot.config import StationConfig
+from toolee_robot.control import CollisionWorld, Mode, RobotModel, Supervisor, slowed_to
+from toolee_robot.control.planning.transfer import plan_transfer
+from toolee_robot.errors import DeviceError, PersonNearError, PlanningError, StaleDataError
+from toolee_robot.frames import Array
+from toolee_robot.hal import MotionOutcome, Station
+from toolee_robot.types import RgbdFrame
+
+DEPTH_UNIT = 1e-4
+"""Length of one step of a recorded depth image [m]."""
+SETTLING = 0.4
+"""Time for which the arm stands still before an image is taken [s]."""
+STILL = 1e-3
+"""Turn of a joint between before and after the image up to which the arm stood still [rad]."""
+HOLD_SWITCH = "Release the enabling switch, then hold it: the arm moves slowly to the next view of the board."
+"""Prompt before every motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """One image of the board.
+
+    Attributes:
+        number: Number of the pose, from 1.
+        q: Joint positions that the arm reported, (6,) [rad].
+        frame: The image.
+        corners: Corners of the board that were found; 0 where the board is not seen.
+        X_camera_board: Pose of the board in the image, (4, 4); None where it is not seen.
+    """
+
+    number: int
+    q: Array
+    frame: RgbdFrame
+    corners: int
+    X_camera_board: Array | None
+
+
+class Collector:
+    """Takes the images of a calibration.
+
+    Args:
+        station: The devices.
+        config: The station with the plate, from `Plate.station`.
+        robot: Kinematic model of the arm with the plate.
+        board: The board.
+        skipped: Receives why a pose is left out, where no way leads there.
+    """
+
+    def __init__(
+        self,
+        station: Station,
+        config: StationConfig,
+        robot: RobotModel,
+        board: Board,
+        skipped: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._station, self._config, self._robot, self._board = station, config, robot, board
+        self._skipped = skipped
+        world = CollisionWorld(robot, config, robot.description.hand_open)
+        self._world = world
+        self.arm = Supervisor(station.arm, station.person, robot, config, lambda: world)
+
+    def take_all(self, poses: Sequence[Array]) -> Iterator[Taken]:
+        """Visit poses, one after the other, and return home.
+
+        Args:
+            poses: Joint positions, (6,) [rad] each.
+
+        Yields:
+            The images, as they are taken.
+
+        Raises:
+            PersonNearError: The enabling switch was not taken, or was released.
+            DeviceError: The arm was stopped, or a device does not answer.
+        """
+        self.arm.set_payload(self._robot.description.hand_payload(self._robot.description.hand_open))
+        for number, q in enumerate(poses, 1):
+            if self._move(q, f"pose {number}"):
+                yield self._take(number)
+        self._move(np.array(self._config.scene.home), "home")
+
+    def _move(self, goal: Array, name: str) -> bool:
+        here = self.arm.state().q_commanded
+        try:
+            way = plan_transfer(self._robot, self._config, self._world, here, goal)
+        except PlanningError as error:
+            self._skipped(f"{name} is left out: {error}")
+            return False
+        way = slowed_to(way, self._world, Mode.HANDOVER.speed(self._config.supervisor))
+        if not self._station.person.hold_switch(HOLD_SWITCH, self._config.task.handover_timeout):
+            raise PersonNearError(
+                "the enabling switch was not taken: no motion; release it, then hold it",
+                code="person_near.switch_not_taken",
+            )
+        report = self.arm.execute(way)
+        if report.outcome is not MotionOutcome.COMPLETED:
+            raise DeviceError(f"the arm was stopped on the way to {name}", code="device.stopped")
+        return True
+
+    def _take(self, number: int) -> Taken:
+        self._station.clock.sleep(SETTLING)
+        before = self._station.arm.state().joints.q
+        asked = self._station.clock.now()
+        frame = self._station.camera.read()
+        after = self._station.arm.state().joints.q
+        if frame.stamp < asked:
+            raise StaleDataError(
+                f"the camera gave a frame {asked - frame.stamp:.2f} s older than it was asked: restart it",
+                code="stale_data.camera_repeats",
+            )
+        if np.abs(after - before).max() > STILL:
+            raise DeviceError(
+                "the arm moved while the image was taken: it must stand still at every view", code="device.not_still"
+            )
+        view = find_board(frame.rgb, self._board)
+        if view is None:
+            return Taken(number, (before + after) / 2, frame, 0, None)
+        X = camera_board(view, self._board, frame.intrinsics)[0]
+        return Taken(number, (before + after) / 2, frame, len(view.ids), X)
+
+
+def save(folder: Path, taken: Taken) -> SessionPose:
+    """Write the images of a pose to a session's folder.
+
+    Args:
+        folder: The folder.
+        taken: The images.
+
+    Returns:
+        The pose, for the session.
+
+    Raises:
+        DeviceError: An image cannot be written.
+    """
+    name = f"{taken.number:03d}"
+    image, depth = f"{name}.png", f"{name}_depth.png"
+    metres = np.nan_to_num(taken.frame.depth, nan=0.0)
+    steps = np.clip(np.round(metres / DEPTH_UNIT), 0, 65535).astype(np.uint16)
+    for file, pixels in ((image, cv2.cvtColor(taken.frame.rgb, cv2.COLOR_RGB2BGR)), (depth, steps)):
+        if not cv2.imwrite(str(folder / file), pixels):
+            raise DeviceError(f"cannot write {folder / file}", code="device.disk")
+    return SessionPose(image, q=tuple(float(v) for v in taken.q), depth=depth)
+
+
+def session_of(station: Station, poses: Sequence[SessionPose]) -> Session:
+    """The session of images that were taken on a station.
+
+    Args:
+        station: The devices.
+        poses: The poses.
+
+    Returns:
+        The session.
+    """
+    return Session(
+        station.robot_serial, station.camera_serial, station.camera.intrinsics, tuple(poses), depth_unit=DEPTH_UNIT
+    )
