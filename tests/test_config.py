@@ -166,9 +166,7 @@ def test_the_documents_station_file_gives_what_a_lab_must_measure(tmp_path: Path
     path = tmp_path / "lab.yaml"
     path.write_text(yaml.safe_dump(_documented_station()))
     assert unmeasured(path) == []
-    config = load_lab_station(path)
-    assert config.calibration is not None
-    assert config.calibration.robot_serial == "20185500001"
+    assert load_lab_station(path).calibration is None
 
 
 @pytest.mark.parametrize(("section", "name"), [(s, n) for s, names in MEASURED.items() for n in names])
@@ -184,12 +182,14 @@ def test_a_robots_station_file_without_a_measured_field_is_refused_by_its_name(
     assert f"give {section}.{name}" in str(caught.value)
 
 
-def test_a_robots_station_file_without_a_calibration_is_uncalibrated(tmp_path: Path) -> None:
+def test_a_calibration_by_another_program_is_written_into_the_file(tmp_path: Path) -> None:
     data = _documented_station()
-    del data["calibration"]
+    told = {"measured_on": "2026-11-20", "robot_serial": "20185500001", "camera_serial": "17", "residual": 0.0012}
     path = tmp_path / "lab.yaml"
-    path.write_text(yaml.safe_dump(data))
-    assert load_lab_station(path).calibration is None
+    path.write_text(yaml.safe_dump(data | {"calibration": told}))
+    calibration = load_lab_station(path).calibration
+    assert calibration is not None
+    assert calibration.robot_serial == "20185500001"
 
 
 def test_every_measured_field_is_one_of_the_station_file() -> None:
