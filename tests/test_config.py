@@ -164,7 +164,9 @@ def _documented_station() -> dict[str, Any]:
 
 def test_the_documents_station_file_gives_what_a_lab_must_measure(tmp_path: Path) -> None:
     path = tmp_path / "lab.yaml"
-    path.write_text(yaml.safe_dump(_documented_station()))
+    serials = {"robot_serial": "20185500001", "camera_serial": "F1370001"}
+    calibration = {"measured_on": "2026-11-20", "residual": 0.0012, **serials}
+    path.write_text(yaml.safe_dump({**_documented_station(), "calibration": calibration}))
     assert unmeasured(path) == []
     config = load_lab_station(path)
     assert config.calibration is not None
@@ -185,10 +187,8 @@ def test_a_robots_station_file_without_a_measured_field_is_refused_by_its_name(
 
 
 def test_a_robots_station_file_without_a_calibration_is_uncalibrated(tmp_path: Path) -> None:
-    data = _documented_station()
-    del data["calibration"]
     path = tmp_path / "lab.yaml"
-    path.write_text(yaml.safe_dump(data))
+    path.write_text(yaml.safe_dump(_documented_station()))
     assert load_lab_station(path).calibration is None
 
 
