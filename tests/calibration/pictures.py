@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.calibration.board import SHEETS, Board
+from toolee_robot.calibration.hand_eye.synthetic import Protocol, draw
 from toolee_robot.calibration.record import rows
 from toolee_robot.calibration.session import Session, SessionPose, write_session
-from toolee_robot.calibration.synthetic import Protocol, draw
 from toolee_robot.config import CameraConfig
 from toolee_robot.frames import Array, BaseFrame, inverse
 

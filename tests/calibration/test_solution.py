@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.calibration.pictures import BOARD, CAMERA
-from toolee_robot.calibration.benchmark import LARGEST_ERROR, measure
-from toolee_robot.calibration.diagnosis import check_depths
+from toolee_robot.calibration.hand_eye.benchmark import LARGEST_ERROR, measure
+from toolee_robot.calibration.hand_eye.diagnosis import check_depths
+from toolee_robot.calibration.hand_eye.reprojection import Estimate, Views
+from toolee_robot.calibration.hand_eye.solve import calibrate
+from toolee_robot.calibration.hand_eye.synthetic import Protocol, SyntheticSet, draw
 from toolee_robot.calibration.observation import Observation
-from toolee_robot.calibration.reprojection import Estimate, Views
-from toolee_robot.calibration.solve import calibrate
-from toolee_robot.calibration.synthetic import Protocol, SyntheticSet, draw
 from toolee_robot.errors import UserError
 from toolee_robot.frames import HALF_TURN, Array, inverse, transform
 

@@ -7,9 +7,9 @@ from datetime import datetime
 import numpy as np
 
 from toolee_robot.calibration.board import Board
+from toolee_robot.calibration.hand_eye.solve import CameraCalibration
 from toolee_robot.calibration.record import FORMAT, CalibrationRecord, RecordedPose, rows
 from toolee_robot.calibration.session import Seen, Session
-from toolee_robot.calibration.solve import CameraCalibration
 from toolee_robot.types import DhCalibration
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.calibration.diagnosis import check_depths, check_poses
+from toolee_robot.calibration.hand_eye.diagnosis import check_depths, check_poses
 from toolee_robot.calibration.observation import Observation, camera_board, find_board
 from toolee_robot.calibration.record import Row, Rows
 from toolee_robot.errors import UserError

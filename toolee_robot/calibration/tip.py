@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from toolee_robot.calibration.motion_spread import MIN_ROTATION, motion_spread
+from toolee_robot.calibration.hand_eye.motion_spread import MIN_ROTATION, motion_spread
 from toolee_robot.calibration.record import Row
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array

@@ -8,10 +8,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from toolee_robot.calibration.board import Board
+from toolee_robot.calibration.hand_eye.refinement import confidence_factor, point_covariance
+from toolee_robot.calibration.hand_eye.reprojection import Estimate, Views
 from toolee_robot.calibration.observation import BoardView, Observation, camera_board
 from toolee_robot.calibration.record import CalibrationRecord, TouchCheck
-from toolee_robot.calibration.refinement import confidence_factor, point_covariance
-from toolee_robot.calibration.reprojection import Estimate, Views
 from toolee_robot.errors import UserError
 from toolee_robot.frames import HALF_TURN, Array, transform_points
 

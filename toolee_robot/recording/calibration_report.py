@@ -12,8 +12,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from toolee_robot.calibration.hand_eye.refinement import confidence_factor, point_covariance
 from toolee_robot.calibration.record import CalibrationRecord
-from toolee_robot.calibration.refinement import confidence_factor, point_covariance
 from toolee_robot.frames import HALF_TURN
 from toolee_robot.perception.evaluation.html import Page
 from toolee_robot.recording.pose_text import pose_text

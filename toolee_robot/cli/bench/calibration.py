@@ -37,8 +37,8 @@ class BenchCalibration:
         if self.runs < 10 or self.seed < 0:
             raise UserError("give --runs 10 or more, and --seed 0 or more", code="user.option")
         console = Console(stderr=self.json, highlight=False)
-        from toolee_robot.calibration.benchmark import PROTOCOLS, measure
         from toolee_robot.calibration.board import SHEETS
+        from toolee_robot.calibration.hand_eye.benchmark import PROTOCOLS, measure
         from toolee_robot.config import CameraConfig
 
         camera, board = CameraConfig(), SHEETS[self.sheet].board

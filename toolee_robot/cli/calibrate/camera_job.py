@@ -15,10 +15,10 @@ from rich.panel import Panel
 import toolee_robot
 from toolee_robot.calibration.board import SHEETS, Board
 from toolee_robot.calibration.build_record import build_record
+from toolee_robot.calibration.hand_eye.solve import CameraCalibration, calibrate
 from toolee_robot.calibration.observation import camera_board
 from toolee_robot.calibration.record import CalibrationRecord, write_record
 from toolee_robot.calibration.session import Seen, Session, observe, read_session, write_session
-from toolee_robot.calibration.solve import CameraCalibration, calibrate
 from toolee_robot.cli.output import json_line
 from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel

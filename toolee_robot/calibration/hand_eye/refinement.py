@@ -17,7 +17,7 @@ from scipy.optimize import least_squares, minimize
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
-from toolee_robot.calibration.reprojection import SCALE, Estimate, Projection, Views
+from toolee_robot.calibration.hand_eye.reprojection import SCALE, Estimate, Projection, Views
 from toolee_robot.frames import Array
 
 FITTING = float(chi2.ppf(0.999, 6))

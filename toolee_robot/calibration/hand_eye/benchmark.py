@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.calibration.closed_form import closed_forms
-from toolee_robot.calibration.motion_spread import check_motion
+from toolee_robot.calibration.hand_eye.closed_form import closed_forms
+from toolee_robot.calibration.hand_eye.motion_spread import check_motion
+from toolee_robot.calibration.hand_eye.refinement import refine
+from toolee_robot.calibration.hand_eye.reprojection import Views
+from toolee_robot.calibration.hand_eye.solve import TARGET_DISTANCE, best_start
+from toolee_robot.calibration.hand_eye.synthetic import Protocol, draw
 from toolee_robot.calibration.observation import camera_board
-from toolee_robot.calibration.refinement import refine
-from toolee_robot.calibration.reprojection import Views
-from toolee_robot.calibration.solve import TARGET_DISTANCE, best_start
-from toolee_robot.calibration.synthetic import Protocol, draw
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.types import CameraIntrinsics

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.board import Board
+from toolee_robot.calibration.hand_eye.refinement import SQUARE_ERROR
 from toolee_robot.calibration.observation import MIN_CORNERS, BoardView, Observation
-from toolee_robot.calibration.refinement import SQUARE_ERROR
 from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.types import CameraIntrinsics
 

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.calibration.closed_form import closed_forms
-from toolee_robot.calibration.refinement import Refined
+from toolee_robot.calibration.hand_eye.closed_form import closed_forms
+from toolee_robot.calibration.hand_eye.refinement import Refined
 from toolee_robot.errors import UserError
 from toolee_robot.frames import HALF_TURN, Array, inverse, is_rigid, transform
 from toolee_robot.types import CameraIntrinsics
