@@ -91,11 +91,8 @@ def plan_strike(
         top = share * fastest
         try:
             plan = _plan(robot, config, world, dynamics, q_start, short, X_base_nail, X_flange_ee, top, wanted, began)
-        except CollisionError as error:
-            failure = failure or error
-            continue
-        except LimitError as error:
-            if error.code != "limit.torque":
+        except (CollisionError, LimitError) as error:
+            if isinstance(error, LimitError) and error.code != "limit.torque":
                 raise
             failure = failure or error
             continue

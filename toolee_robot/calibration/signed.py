@@ -7,10 +7,9 @@ import json
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import TypeAdapter, ValidationError
-
 from toolee_robot.errors import ConfigError
 from toolee_robot.runtime.files import write_atomic
+from toolee_robot.runtime.yaml_files import to_record
 
 SIGNATURE = "sha256"
 """The file's key that holds the hash."""
@@ -66,11 +65,7 @@ def read_signed(path: Path, kind: type[T], what: str) -> T:
             "again",
             code="config.calibration_altered",
         )
-    try:
-        return TypeAdapter(kind).validate_python(data)
-    except ValidationError as error:
-        lines = [f"  {'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()]
-        raise ConfigError(f"{path} is not a valid {what}:\n" + "\n".join(lines), code="config.invalid") from error
+    return to_record(data, path, kind, what)
 
 
 def _signature(data: dict[str, Any]) -> str:

@@ -63,7 +63,7 @@ def read_record(path: Path, kind: type[T], what: str) -> T:
 
 
 def to_record(data: Any, path: Path, kind: type[T], what: str) -> T:
-    """Convert a YAML file's data to a record.
+    """Convert the data of a YAML or JSON file to a record.
 
     Args:
         data: What the file holds.
