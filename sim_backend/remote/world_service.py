@@ -18,6 +18,7 @@ from typing import Any
 from toolee_robot.config import StationConfig
 from toolee_robot.errors import DeviceError, TooleeError
 from toolee_robot.hal import Clock, HandState
+from toolee_robot.sim_backend.devices.coupled_fingers import CoupledFingers
 from toolee_robot.sim_backend.devices.operator import SimPerson
 from toolee_robot.sim_backend.ground_truth.judge import Judge
 from toolee_robot.sim_backend.options import SimOptions
@@ -53,6 +54,7 @@ class WorldService:
         self._connection, self._clock = connection, clock
         self._commands = Commands(world)
         self._hand = hand = simulated_hand(world, options)
+        fingers = CoupledFingers(world, options.friction)
         person = SimPerson(world, offset, options.hands_over)
         judge = Judge(HostTimedTruth(world, clock))
         world.after_step.append(judge.after_step)
@@ -60,6 +62,7 @@ class WorldService:
         self._lasting: dict[str, tuple[str, Handler]] = {
             "hand.open": ("hand", hand.open),
             "hand.close": ("hand", hand.close),
+            "fingers.grip": ("hand", fingers.grip),
             "person.request_handover": ("person", person.request_handover),
             "person.release": ("person", person.release),
             "person.take_tool": ("person", person.take_tool),
@@ -70,6 +73,8 @@ class WorldService:
         self._immediate: dict[str, Handler] = {
             "hand.state": self._hand_state,
             "hand.stop": self._stop_hand,
+            "fingers.follow": fingers.follow,
+            "fingers.let_go": fingers.let_go,
             "person.zone_occupied": person.zone_occupied,
             "person.enabling_switch_held": person.enabling_switch_held,
             "scene": lambda: scene_state(world, person),

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
-from tests.hardware.cameras.software_realsense import COLOR, SERIAL, SoftwareRealSense
 from toolee_robot.config import CameraConfig, StationConfig, load_station
 from toolee_robot.errors import DeviceError, StaleDataError
 from toolee_robot.hal import Clock, RgbdCamera
@@ -22,6 +21,7 @@ from toolee_robot.hardware.cameras.recording import RecordingWriter
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.camera import SimCamera
+from toolee_robot.sim_backend.devices.software_realsense import COLOR, SERIAL, SoftwareRealSense
 from toolee_robot.stations.camera import open_camera
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 

@@ -18,6 +18,7 @@ from toolee_robot.config.person import PersonConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
 from toolee_robot.config.servo import ServoConfig, servo_lag
 from toolee_robot.config.station import StationConfig, load_station
+from toolee_robot.config.tool import ToolData
 
 __all__ = [
     "MEASURED",
@@ -35,6 +36,7 @@ __all__ = [
     "StrikeConfig",
     "SupervisorConfig",
     "TaskConfig",
+    "ToolData",
     "ToolEnvelope",
     "WorkConfig",
     "load_lab_station",

@@ -24,6 +24,8 @@ class ArmLimits:
     __pydantic_config__ = STRICT
     model: ArmModel = ArmModel.UR10
     """Model of the arm."""
+    host: str | None = None
+    """Address of the arm's controller; null for the simulated arm. `toolee hammer --station` connects to it."""
     calibration: DhCalibration | None = None
     """Factory calibration of this arm, from its controller's calibration.conf; None for the model's nominal kinematics,
     which are a millimetre or two off."""

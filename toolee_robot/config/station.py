@@ -14,6 +14,7 @@ from toolee_robot.config.person import PersonConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
 from toolee_robot.config.servo import ServoConfig
 from toolee_robot.config.station_frame import take_frame, to_base
+from toolee_robot.config.tool import ToolData
 from toolee_robot.config.values import STRICT
 from toolee_robot.runtime.yaml_files import read_yaml, to_record
 
@@ -37,6 +38,8 @@ class StationConfig:
     """Parameters of the arm's servo, its measured lag, and the driver's timeouts."""
     hand: HandConfig = field(default_factory=HandConfig)
     """The hand on the flange."""
+    tool: ToolData | None = None
+    """The hammer that a person hands over; null for the simulated station, which hands over one of its own."""
     tool_envelope: ToolEnvelope = field(default_factory=ToolEnvelope)
     """What encloses the tool in collision checks."""
     strike: StrikeConfig = field(default_factory=StrikeConfig)

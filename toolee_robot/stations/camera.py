@@ -22,7 +22,9 @@ CameraDriver = Callable[[CameraConfig, CameraDevice, Clock], CameraStream]
 """What makes a driver's stream: from the station file's `camera`, its `camera.device`, and the station's clock."""
 
 
-def open_camera(config: CameraConfig, clock: Clock, *, check_intrinsics: bool = True) -> StreamedCamera:
+def open_camera(
+    config: CameraConfig, clock: Clock, *, check_intrinsics: bool = True, stream: CameraStream | None = None
+) -> StreamedCamera:
     """Build the driver of a station's camera.
 
     Args:
@@ -30,6 +32,7 @@ def open_camera(config: CameraConfig, clock: Clock, *, check_intrinsics: bool = 
         clock: The station's clock, the host's.
         check_intrinsics: Whether a camera is refused whose intrinsics are not the station file's; not so where they are
             only now asked for.
+        stream: The camera's stream instead of its driver's, for an emulated camera.
 
     Returns:
         The camera, not yet entered. Entering it raises what `StreamedCamera` raises, and a NotReadyError where the
@@ -45,7 +48,8 @@ def open_camera(config: CameraConfig, clock: Clock, *, check_intrinsics: bool = 
             "the cameras of this computer",
             code="config.camera_device",
         )
-    stream = _driver(device.driver)(config, device, clock)
+    if stream is None:
+        stream = _driver(device.driver)(config, device, clock)
     expected = config.intrinsics if check_intrinsics else None
     return StreamedCamera(_OfSerial(stream, device.serial), clock, expected)
 

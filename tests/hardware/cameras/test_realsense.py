@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from tests.errors import raises
-from tests.hardware.cameras.software_realsense import BASELINE, COLOR, DEPTH, SERIAL, SoftwareRealSense
 from toolee_robot.errors import NoAnswerError, NotReadyError
 from toolee_robot.hardware.cameras import CameraProfile, Lens, LensModel, StreamedCamera
 from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStream
 from toolee_robot.hardware.cameras.registration import DepthRegistration
 from toolee_robot.runtime.clock import HostClock
+from toolee_robot.sim_backend.devices.software_realsense import BASELINE, COLOR, DEPTH, SERIAL, SoftwareRealSense
 
 rs: Any = pytest.importorskip("pyrealsense2", exc_type=ImportError)
 MODE = RealSenseMode(COLOR.width, COLOR.height, 30, exposure=0.008)

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.hardware.cameras.software_realsense import BASELINE, SERIAL, SoftwareRealSense
 from toolee_robot import Category, HammeringTask, StationConfig, ToolPerception, nominal_grasp
 from toolee_robot.depth_noise import DepthNoise
 from toolee_robot.frames import Array
@@ -19,6 +18,7 @@ from toolee_robot.robots import hand_model
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimStation
 from toolee_robot.sim_backend.devices.camera import SimCamera
+from toolee_robot.sim_backend.devices.software_realsense import BASELINE, SERIAL, SoftwareRealSense
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.visuals.scene import SceneVisuals, scene_state
 from toolee_robot.tasks.common.observer import TaskObserver

@@ -1,4 +1,4 @@
-"""`toolee hammer`: the whole job on a simulated station."""
+"""`toolee hammer`: the whole job, on a simulated station, a lab's own, or a rehearsal of that."""
 
 from __future__ import annotations
 
@@ -6,18 +6,21 @@ import os
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.console import Console
 
 from toolee_robot.cli.options import Flag
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import StationConfig, load_station
+from toolee_robot.config import StationConfig, load_lab_station, load_station
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import check_real_time_factor, is_loopback
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.types import ArmModel
+
+if TYPE_CHECKING:
+    from toolee_robot.cli.hammering.sources import Source
 
 WORLD_REAL_TIME_FACTOR = {ArmModel.UR10: 0.25, ArmModel.UR10E: 0.1}
 """Default real-time factors. A cycle then takes 32 and 20 ms, at least twice what the world needs for it in a strike,
@@ -29,11 +32,16 @@ HANDS = {"inspire": "inspire_rh56"}
 
 @dataclass(frozen=True)
 class Hammer:
-    """Take a hammer from a person, look at it, and drive the nail (simulated station).
+    """Take a hammer from a person, look at it, and drive the nail.
 
     Example: toolee hammer --seed 100 --json
 
-    Example: toolee hammer --arm ur-rtde --robot-host 127.0.0.2 --world pybullet
+    Example: toolee hammer --station lab.yaml --rehearse
+
+    Example: toolee hammer --station lab.yaml
+
+    Without --station the station is simulated. With it, every device of the station file is opened by its driver, and a
+    real arm moves; with --rehearse the same drivers meet emulated devices in front of a simulated cell.
 
     After a stop with the hammer in the hand a person at the terminal may resume the job, or have the hand opened.
 
@@ -47,6 +55,10 @@ class Hammer:
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
     no_correction: Flag = False
     """Strike with the nominal pose of the tool in the hand: the baseline."""
+    station: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """Your own station, with all that a lab must measure: docs/how-to/run_a_job.md."""
+    rehearse: Flag = False
+    """With --station: emulate every device. The hammer and the errors of what the file says are the seed's."""
     arm: Literal["sim", "ur-rtde"] = "sim"
     """The simulated arm itself, or a UR arm through the driver of real ones."""
     robot_host: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="")] = None
@@ -56,12 +68,19 @@ class Hammer:
     real_time_factor: Annotated[
         float | None, tyro.conf.arg(metavar="0.05..1", help_behavior_hint="(default: UR10 0.25, UR10e 0.1)")
     ] = None
-    """With --world: rate of the station's time relative to wall-clock time. 1 is real time, which a busy machine does
-    not sustain."""
+    """With --world or --rehearse: rate of the station's time relative to wall-clock time. 1 is real time, which a busy
+    machine does not sustain."""
     controller_profile: Annotated[
-        ProfileName, tyro.conf.arg(name="controller-profile", aliases=["--profile"], metavar="ideal|harsh")
-    ] = "ideal"
-    """With --world: how the controller follows, measures and stops: exactly, or as one of the arm's generation."""
+        ProfileName | None,
+        tyro.conf.arg(
+            name="controller-profile",
+            aliases=["--profile"],
+            metavar="ideal|harsh",
+            help_behavior_hint="(default: ideal with --world, harsh with --rehearse)",
+        ),
+    ] = None
+    """With --world or --rehearse: how the controller follows, measures and stops: exactly, or as one of the arm's
+    generation."""
     robot: Annotated[Literal["UR10", "UR10e"] | None, tyro.conf.arg(metavar="UR10|UR10e", help_behavior_hint="")] = None
     """Model of the arm, instead of the configured one."""
     hand: Annotated[Literal["inspire"] | None, tyro.conf.arg(metavar="inspire", help_behavior_hint="")] = None
@@ -70,7 +89,7 @@ class Hammer:
     hand_port: Annotated[str | None, tyro.conf.arg(metavar="PORT", help_behavior_hint="")] = None
     """With --hand: the port of a hand that `toolee hand-emulator` emulates, which feels its own --handle instead."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
-    """A station: any subset of the fields in docs/reference/station_file.md."""
+    """Changes of the simulated station: any subset of the fields in docs/reference/station_file.md."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs")
     """Parent of the run's folder, which holds summary.json, recording.mcap and picture.png."""
     gui: Flag = False
@@ -90,37 +109,85 @@ class Hammer:
             raise UserError(
                 "--perfect-perception with --no-correction changes nothing: leave one out", code="user.option"
             )
-        config = StationConfig() if self.config is None else load_station(self.config)
-        if self.robot is not None:
-            config = replace(config, arm=replace(config.arm, model=ArmModel(self.robot)))
-        address = self._address(config.arm.model)
-        self._check_hand(config)
         console = Console(stderr=self.json, highlight=False)
+        # Only somebody at a terminal can have looked at the robot.
+        interactive = not self.json and console.is_terminal and sys.stdin.isatty()
+        source = self._simulated() if self.station is None else self._own(self.station)
 
+        from toolee_robot.cli.hammering.job import HammerJob  # takes seconds to import: after the checks of the options
         from toolee_robot.cli.run_folder import run_folder
 
-        with run_folder(self.out, f"seed{self.seed}") as folder:
+        name = "job" if self.station is not None and not self.rehearse else f"seed{self.seed}"
+        with run_folder(self.out, name) as folder:
             console.print("[dim]loading the networks and building the station[/dim]")
-            from toolee_robot.cli.hammering.job import (
-                HammerJob,  # takes seconds to import: after the checks of the options
-            )
-            from toolee_robot.stations.simulated import HandDriver, StandIn
-
-            stand_in = None if address is None else StandIn(*address, self.controller_profile)
-            correction, perfect = not self.no_correction, self.perfect_perception
-            # Only somebody at a terminal can have looked at the robot.
-            interactive = not self.json and console.is_terminal and sys.stdin.isatty()
             ask = (lambda question: console.input(question, markup=False)) if interactive else None
             job = HammerJob(
-                config, self.seed, correction=correction, perfect_perception=perfect, gui=self.gui, stand_in=stand_in,
-                hand_driver=None if self.hand is None else HandDriver(self.hand_port), ask=ask,
-            )  # fmt: skip
+                source, correction=not self.no_correction, perfect_perception=self.perfect_perception, ask=ask
+            )
             report = job.run(folder.path, console)
             folder.keep()
         console.print(report.panel(folder.path))
         if self.json:
             print(json_line({**report.figures, "run_folder": str(folder.path)}), flush=True)
         return report.exit_code
+
+    def _simulated(self) -> Source:
+        """The simulated station; refuses options that are for a lab's own one."""
+        if self.rehearse:
+            raise UserError(
+                "--rehearse without --station: give the station file that is rehearsed", code="user.no_station"
+            )
+        config = StationConfig() if self.config is None else load_station(self.config)
+        if self.robot is not None:
+            config = replace(config, arm=replace(config.arm, model=ArmModel(self.robot)))
+        address = self._address(config.arm.model)
+        self._check_hand(config)
+
+        from toolee_robot.cli.hammering.sources import SimulatedSource
+        from toolee_robot.stations.simulated import HandDriver, StandIn
+
+        stand_in = None if address is None else StandIn(*address, self.controller_profile or "ideal")
+        hand_driver = None if self.hand is None else HandDriver(self.hand_port)
+        return SimulatedSource(config, self.seed, self.gui, stand_in, hand_driver)
+
+    def _own(self, path: Path) -> Source:
+        """A lab's own station, or its rehearsal; refuses options that are for the simulated one."""
+        given = {
+            "--arm": self.arm != "sim",
+            "--robot-host": self.robot_host is not None,
+            "--world": self.world is not None,
+            "--robot": self.robot is not None,
+            "--hand": self.hand is not None,
+            "--hand-port": self.hand_port is not None,
+            "--config": self.config is not None,
+            "--gui": self.gui,
+        }
+        if not self.rehearse:
+            given |= {
+                "--seed": self.seed != 0,
+                "--real-time-factor": self.real_time_factor is not None,
+                "--controller-profile": self.controller_profile is not None,
+                "--perfect-perception": self.perfect_perception,
+            }
+        if wrong := [name for name, is_given in given.items() if is_given]:
+            raise UserError(
+                f"{', '.join(wrong)} with --station: the station file says which devices there are; leave it out"
+                + ("" if self.rehearse else ", or add --rehearse"),
+                code="user.option",
+            )
+        config = load_lab_station(path)
+
+        from toolee_robot.cli.hammering.sources import LabSource, RehearsalSource
+
+        if not self.rehearse:
+            return LabSource(config, path)
+        factor = self._factor(config.arm.model, "127.0.0.1")
+        return RehearsalSource(config, path, self.seed, factor, self.controller_profile or "harsh")
+
+    def _factor(self, model: ArmModel, host: str) -> float:
+        factor = WORLD_REAL_TIME_FACTOR[model] if self.real_time_factor is None else self.real_time_factor
+        check_real_time_factor(factor, host)
+        return factor
 
     def _check_hand(self, config: StationConfig) -> None:
         if self.hand is None:
@@ -151,7 +218,7 @@ class Hammer:
                 raise UserError(
                     "--robot-host without --arm ur-rtde: the simulated arm has no address", code="user.option"
                 )
-            if self.controller_profile != "ideal":
+            if self.controller_profile is not None:
                 raise UserError(
                     "--controller-profile without --arm ur-rtde: the simulated arm itself has no controller",
                     code="user.option",
@@ -159,9 +226,8 @@ class Hammer:
             return None
         if self.world is None:
             raise UserError(
-                "--arm ur-rtde on a real robot: this command opens no real station yet, so "
-                "no job can be done there. Add --world pybullet for the simulated station behind the real driver; "
-                "`toolee doctor --arm ur-rtde --robot-host ...` checks a real arm",
+                "--arm ur-rtde without --world: add --world pybullet for the simulated station behind the real driver; "
+                "a real robot's job is `toolee hammer --station lab.yaml`",
                 code="user.no_world",
             )
         if self.robot_host is None:
@@ -173,6 +239,4 @@ class Hammer:
                 f"{self.robot_host!r} is not a loopback address: a stand-in serves this machine only",
                 code="user.not_loopback",
             )
-        real_time_factor = WORLD_REAL_TIME_FACTOR[model] if self.real_time_factor is None else self.real_time_factor
-        check_real_time_factor(real_time_factor, self.robot_host)
-        return self.robot_host, real_time_factor
+        return self.robot_host, self._factor(model, self.robot_host)

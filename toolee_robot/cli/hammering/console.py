@@ -78,6 +78,14 @@ class ConsoleObserver(TaskObserver):
             self._task = self._progress.add_task("starting", total=self._start - self._flush, protrusion="")
             yield
 
+    def prompt(self, text: str) -> None:
+        """Show what the person at the station is asked to do.
+
+        Args:
+            text: The prompt.
+        """
+        self._console.print(f"  [bold yellow]> {escape(text)}[/bold yellow]")
+
     def stage_started(self, stage: Stage) -> None:
         if _PHASES[stage] != self._phase:
             self._close_phase()

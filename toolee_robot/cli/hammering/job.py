@@ -15,9 +15,9 @@ from rich.panel import Panel
 
 import toolee_robot
 from toolee_robot.cli.hammering.console import ConsoleObserver
+from toolee_robot.cli.hammering.sources import Opened, Source
 from toolee_robot.cli.hammering.stops import after_stop
 from toolee_robot.cli.output import json_line
-from toolee_robot.config import StationConfig
 from toolee_robot.perception import ToolPerception
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
 from toolee_robot.recording.recorder import RunRecorder
@@ -26,15 +26,14 @@ from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.ground_truth.verdict import StrikeTruth, Verdict
-from toolee_robot.sim_backend.options import SimOptions
-from toolee_robot.stations.simulated import HandDriver, StandIn, open_station
+from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.common.observer import Observers
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome
-from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
-from toolee_robot.tools import Tool
 
 EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
+TRUE_FIGURES = ("pose_error_mm", "pose_error_deg", "strike_offset_mm", "strike_tilt_deg", "contact_speed")
+"""Figures that only a simulation knows."""
 
 
 @dataclass(frozen=True)
@@ -61,18 +60,27 @@ class HammerReport:
         rows = [
             ("strikes", str(f["strikes"])),
             ("nail over the wood", _figure(f["protrusion_mm"], " mm")),
-            ("pose error *", f"{_figure(f['pose_error_mm'], ' mm')}, {_figure(f['pose_error_deg'], '°')}"),
-            ("strike offset, tilt *", f"{_figure(f['strike_offset_mm'], ' mm')}, {_figure(f['strike_tilt_deg'], '°')}"),
+            *self._true_rows(),
             ("robot's time", f"{f['robot_seconds']:.0f} s, {f['nail_seconds']:.0f} s of it for the nail"),
             ("time", f"{f['seconds']:.1f} s  [dim]({seconds})[/dim]"),
             ("files", escape(str(folder))),
         ]
         lines = [f"[bold]{escape(f['reason'])}[/bold]", ""]
         lines += [f"{name:<22}{value}" for name, value in rows]
-        lines += ["", "[dim]* measured by the simulation; the task cannot see it[/dim]"]
+        if f["nail"] is not None:
+            lines += ["", "[dim]* measured by the simulation; the task cannot see it[/dim]"]
         title = "the nail is flush" if f["success"] else str(f["outcome"]).replace("_", " ")
         colour = "green" if f["success"] else "red"
         return Panel("\n".join(lines), title=f"[bold]{title}[/bold]", border_style=colour, expand=False, padding=(1, 2))
+
+    def _true_rows(self) -> list[tuple[str, str]]:
+        f = self.figures
+        if f["nail"] is None:
+            return []
+        return [
+            ("pose error *", f"{_figure(f['pose_error_mm'], ' mm')}, {_figure(f['pose_error_deg'], '°')}"),
+            ("strike offset, tilt *", f"{_figure(f['strike_offset_mm'], ' mm')}, {_figure(f['strike_tilt_deg'], '°')}"),
+        ]
 
 
 @dataclass(frozen=True)
@@ -80,23 +88,15 @@ class HammerJob:
     """A job to run.
 
     Attributes:
-        config: Configuration of the station.
-        seed: Seed of tool, grasp and noise.
+        source: Opens the devices.
         correction: Whether the estimated in-hand pose is used.
         perfect_perception: Whether poses come from the ground truth, for tests and ablations only.
-        gui: Whether pybullet's window is shown.
-        stand_in: Controller stand-in through which the real driver drives the arm; None for the simulated arm itself.
-        hand_driver: The hand's own driver, on an emulated hand; None for the simulated hand itself.
         ask: Asks the person at the terminal what to do after a stop; None: the job then ends.
     """
 
-    config: StationConfig
-    seed: int
+    source: Source
     correction: bool = True
     perfect_perception: bool = False
-    gui: bool = False
-    stand_in: StandIn | None = None
-    hand_driver: HandDriver | None = None
     ask: Callable[[str], str] | None = None
 
     def run(self, folder: Path, console: Console) -> HammerReport:
@@ -116,29 +116,30 @@ class HammerJob:
         """
         began = time.perf_counter()
         perception = None if self.perfect_perception else ToolPerception.load()
-        work, flush = self.config.work, self.config.task.flush_protrusion
+        work, flush = self.source.config.work, self.source.config.task.flush_protrusion
         screen, collector = (
             ConsoleObserver(console, work.nail_protrusion, flush),
             PictureCollector(work.nail_protrusion, flush),
         )
-        metadata = {"seed": str(self.seed), "correction": str(self.correction)}
+        metadata = {name: str(value) for name, value in self.source.facts.items()}
+        metadata["correction"] = str(self.correction)
         with (
-            nullcontext() if self.stand_in is None else LatencyMonitor() as machine,
-            open_station(self.config, self.seed, SimOptions(gui=self.gui), self.stand_in, self.hand_driver) as sim,
+            nullcontext() if self.source.real_time_factor is None else LatencyMonitor() as machine,
+            self.source.open(screen.prompt) as opened,
             RunRecorder(folder / "recording.mcap", metadata) as recorder,
         ):
-            console.print(f"[bold]{_words(sim.tool)}[/bold]  [dim]seed {self.seed}{self._mode()}[/dim]")
-            station = sim.station
-            X_base_camera = self.config.camera.X_base_camera
-            keeper = RecordingObserver(recorder, station.clock, station.hand.joint_names, X_base_camera)
+            console.print(f"[bold]{escape(opened.words)}[/bold]  [dim]{escape(self._mode())}[/dim]")
+            station, config = opened.station, opened.config
+            keeper = RecordingObserver(recorder, station.clock, station.hand.joint_names, config.camera.X_base_camera)
+            if perception is None:
+                assert opened.truth is not None, "the command refuses it"
+                perceiver: Perceiver = PerfectPerception(opened.truth)
+            else:
+                perceiver = perception
             task = HammeringTask(
-                station,
-                perception or PerfectPerception(sim.judge),
-                self.config,
-                nominal_grasp(sim.tool, self.config),
-                correction=self.correction,
-                observer=Observers(screen, keeper, collector),
-            )
+                station, perceiver, config, opened.grasp,
+                correction=self.correction, observer=Observers(screen, keeper, collector),
+            )  # fmt: skip
             if machine is not None:
                 machine.begin()
             try:
@@ -150,35 +151,37 @@ class HammerJob:
                 reason = "interrupted by a person; the arm was stopped"
                 result = task.result(Outcome.INTERRUPTED, reason)
             longest_stall = None if machine is None else machine.longest
-            verdict, truths = sim.judge.verdict(result.estimates), sim.judge.strikes
-        figures = self._figures(result, verdict, sim.tool, time.perf_counter() - began, longest_stall)
-        self._write(folder, figures, result, truths, collector, sim.tool)
+            verdict = None if opened.truth is None else opened.truth.verdict(result.estimates)
+            truths = () if opened.truth is None else opened.truth.strikes
+        figures = self._figures(result, verdict, opened, time.perf_counter() - began, longest_stall)
+        self._write(folder, figures, result, truths, collector, opened)
         return HammerReport(figures)
 
     def _mode(self) -> str:
-        words = ""
-        if self.stand_in is not None:
-            words = (
-                f", {self.config.arm.model} over ur_rtde at {self.stand_in.host}, "
-                f"{self.stand_in.profile} controller, real-time factor {self.stand_in.real_time_factor:g}"
-            )
-        if self.hand_driver is not None:
-            words += f", {self.config.hand.model} by its driver"
+        words = [self.source.mode]
         if self.perfect_perception:
-            return f"{words}, poses from the simulation's ground truth"
-        return words if self.correction else f"{words}, no correction: the nominal in-hand pose is believed"
+            words.append("poses from the simulation's ground truth")
+        elif not self.correction:
+            words.append("no correction: the nominal in-hand pose is believed")
+        return ", ".join(word for word in words if word)
 
     def _machine_stalled(self, result: HammerResult, longest_stall: float | None) -> bool:
         """Whether the machine itself stalled for longer than the driver's bounds allow at this real-time factor."""
-        if self.stand_in is None or longest_stall is None or result.outcome is not Outcome.DEVICE_FAULT:
+        factor = self.source.real_time_factor
+        if factor is None or longest_stall is None or result.outcome is not Outcome.DEVICE_FAULT:
             return False
-        return longest_stall * self.stand_in.real_time_factor > STALL_LIMIT
+        return longest_stall * factor > STALL_LIMIT
 
     def _figures(
-        self, result: HammerResult, verdict: Verdict, tool: Tool, seconds: float, longest_stall: float | None
+        self,
+        result: HammerResult,
+        verdict: Verdict | None,
+        opened: Opened,
+        seconds: float,
+        longest_stall: float | None,
     ) -> dict[str, Any]:
         success, outcome, reason = result.success, str(result.outcome), result.reason
-        if success and verdict.nail_outcome != "flush":
+        if success and verdict is not None and verdict.nail_outcome != "flush":
             # The robot measures the nail by touch; the simulation knows its true state.
             success = False
             reason = (
@@ -192,34 +195,29 @@ class HammerJob:
                 "of a virtual machine takes its cores away. Try again, or with a smaller --real-time-factor, which "
                 "tolerates more"
             )
+        measured = None if result.protrusion is None else _rounded(result.protrusion * 1e3)
+        hand = opened.config.hand
         return {
             "success": success,
             "outcome": outcome,
             "reason": reason,
             "strikes": len(result.strikes),
-            "protrusion_mm": _rounded(verdict.protrusion_mm),
-            "measured_protrusion_mm": None if result.protrusion is None else _rounded(result.protrusion * 1e3),
-            "nail": verdict.nail_outcome,
-            "pose_error_mm": _rounded(verdict.pose_error_mm),
-            "pose_error_deg": _rounded(verdict.pose_error_deg),
-            "strike_offset_mm": _rounded(verdict.strike_offset_mm),
-            "strike_tilt_deg": _rounded(verdict.strike_tilt_deg),
-            "contact_speed": _rounded(verdict.contact_speed),
+            "protrusion_mm": measured if verdict is None else _rounded(verdict.protrusion_mm),
+            "measured_protrusion_mm": measured,
+            "nail": None if verdict is None else verdict.nail_outcome,
+            **{name: None if verdict is None else _rounded(getattr(verdict, name)) for name in TRUE_FIGURES},
             "stage_seconds": {str(k): round(v, 3) for k, v in result.stage_seconds.items()},
             "robot_seconds": round(result.robot_seconds, 3),
             "nail_seconds": round(result.nail_seconds, 3),
             "seconds": round(seconds, 3),
-            "seed": self.seed,
-            "tool": tool.name,
-            "arm": "sim" if self.stand_in is None else "ur-rtde",
-            "real_time_factor": None if self.stand_in is None else self.stand_in.real_time_factor,
-            "controller_profile": None if self.stand_in is None else self.stand_in.profile,
+            **self.source.facts,
+            "tool": opened.tool,
+            "real_time_factor": self.source.real_time_factor,
             "machine_stall_ms": None if longest_stall is None else _rounded(longest_stall * 1e3),
             "machine_stalled": machine_stalled,
-            "robot": str(self.config.arm.model),
-            "hand": self.config.hand.model,
-            "hand_driver": self.hand_driver is not None,
-            "yield_torque": hand_model(self.config.hand).yield_torque,
+            "robot": str(opened.config.arm.model),
+            "hand": hand.model,
+            "yield_torque": hand_model(hand).yield_torque,
             "correction": self.correction,
             "perfect_perception": self.perfect_perception,
         }
@@ -231,7 +229,7 @@ class HammerJob:
         result: HammerResult,
         truths: tuple[StrikeTruth, ...],
         collector: PictureCollector,
-        tool: Tool,
+        opened: Opened,
     ) -> None:
         summary = {
             **figures,
@@ -249,13 +247,13 @@ class HammerJob:
                 }
                 for stamp, estimate in result.estimates
             ],
-            "station": asdict(self.config),
+            "station": asdict(opened.config),
         }
         write_atomic(folder / "summary.json", (json_line(summary) + "\n").encode())
         strikes = f"{figures['strikes']} strike{'' if figures['strikes'] == 1 else 's'}"
         outcome = "Flush" if figures["success"] else str(figures["outcome"]).replace("_", " ").capitalize()
         title = f"{outcome} after {strikes}"
-        picture = collector.picture(title, f"{_words(tool)}, seed {self.seed}{self._mode()}")
+        picture = collector.picture(title, f"{opened.words}, {self._mode()}")
         if picture is not None:
             write_atomic(folder / "picture.png", picture)
 
@@ -263,10 +261,6 @@ class HammerJob:
 def _resume(task: HammeringTask, screen: ConsoleObserver) -> HammerResult:
     with screen.live():
         return task.resume(confirmed=True)
-
-
-def _words(tool: Tool) -> str:
-    return f"{tool.kind.replace('_', ' ').capitalize()}, {tool.mass:.2f} kg, held out from training"
 
 
 def _rounded(value: float | None) -> float | None:

@@ -63,6 +63,11 @@ class UnsupervisedUrArm:
         self._identity: Identity | None = None
         self._busy = threading.Lock()
 
+    @property
+    def serial(self) -> str | None:
+        """Serial number that the robot reported when the context was entered; None if it reports none."""
+        return None if self._identity is None else self._identity.serial
+
     def __enter__(self) -> Self:
         """Check the robot and connect; nothing moves.
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from toolee_robot.config import StationConfig
+import numpy as np
+
+from toolee_robot.config import StationConfig, ToolData
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, inverse
 from toolee_robot.robots import hand_model
@@ -37,6 +39,20 @@ class Grasp:
     def swung(self) -> Payload:
         """Mass of the tool [kg] and its centre of mass in the end effector's frame [m]."""
         return Payload(self.mass, self.p_tool_com).seen_from(inverse(self.X_tool_ee))
+
+
+def measured_grasp(tool: ToolData, config: StationConfig) -> Grasp:
+    """Compute the nominal grasp of a lab's hammer, as the station file tells it.
+
+    Args:
+        tool: The hammer: `config.tool`.
+        config: The station; only its hand is used.
+
+    Returns:
+        Pose of the tool in the hand, pose of its striking face, and mass properties.
+    """
+    X_hand_tool = hand_model(config.hand).grasp.X_hand_tool(tool.grip_radius)
+    return Grasp(X_hand_tool, tool.X_tool_face, tool.mass, np.asarray(tool.center_of_mass))
 
 
 def nominal_grasp(tool: Tool, config: StationConfig) -> Grasp:

@@ -1,16 +1,21 @@
-"""A software device of librealsense, fed with a scene: what the RealSense driver is run against."""
+"""A software device of librealsense, fed with pictures: what the RealSense driver is run against."""
 
 from __future__ import annotations
 
 import threading
-import time
+from collections.abc import Callable
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from toolee_robot.frames import Array
+from toolee_robot.hal import Clock
+from toolee_robot.runtime.clock import HostClock
 from toolee_robot.types import CameraIntrinsics
+
+Pictures = tuple[NDArray[np.uint8], NDArray[np.uint16]]
+"""Colour, (H, W, 3), and depth, (h, w) [mm]."""
 
 SERIAL = "832112070123"
 COLOR = CameraIntrinsics(390.0, 391.0, 213.2, 119.1, 424, 240)
@@ -25,7 +30,19 @@ class SoftwareRealSense:
 
     From the SDK: profiles, lenses, extrinsics, options, queues, recorder and playback are librealsense's own.
     Published: units of depth and exposure. Assumed: a clock that is 40 ppm fast, colour 2 ms after depth, no delay but
-    `delay`, noise of 2 mm and 3 grey levels, and that an unplugged camera is silent and no longer found.
+    `delay`, noise of 2 mm and 3 grey levels where no `pictures` are given, and that an unplugged camera is silent and
+    no longer found.
+
+    Args:
+        rs: The SDK.
+        color_model: Distortion of the colour lens, one of the SDK's; None for a D435's.
+        color: Pinhole model of the colour camera.
+        depth: That of the depth camera, which looks the same way BASELINE to the right.
+        serial: Serial number.
+        fps: Frames per second, on `clock`.
+        clock: Clock of the host.
+        pictures: What the two cameras see now, with their noise, or None for no frame this time; None for `rgb` and
+            `depth`.
 
     Attributes:
         clock_offset: Added to the stamps [s].
@@ -40,10 +57,21 @@ class SoftwareRealSense:
     """
 
     def __init__(
-        self, rs: Any, color_model: Any = None, color: CameraIntrinsics = COLOR, depth: CameraIntrinsics = DEPTH
+        self,
+        rs: Any,
+        color_model: Any = None,
+        color: CameraIntrinsics = COLOR,
+        depth: CameraIntrinsics = DEPTH,
+        *,
+        serial: str = SERIAL,
+        fps: int = FPS,
+        clock: Clock | None = None,
+        pictures: Callable[[], Pictures | None] | None = None,
     ) -> None:
         self.rs = rs
-        self._color, self._depth = color, depth
+        self._color, self._depth, self._serial, self._fps = color, depth, serial, fps
+        self._clock: Clock = HostClock() if clock is None else clock
+        self._see = pictures
         self.clock_offset, self.clock_rate, self.delay = 5000.0, 1.0 + 40e-6, 0.0
         self.frozen = self.repeats = self.silent = False
         self.plugged = True
@@ -56,7 +84,7 @@ class SoftwareRealSense:
     def _device(self, color_model: Any) -> Any:
         rs = self.rs
         device = rs.software_device()
-        device.register_info(rs.camera_info.serial_number, SERIAL)
+        device.register_info(rs.camera_info.serial_number, self._serial)
         device.register_info(rs.camera_info.name, "Intel RealSense D435 (software device)")
         device.register_info(rs.camera_info.firmware_version, "5.16.0.1")
         self._stereo, self._rgb = device.add_sensor("Stereo Module"), device.add_sensor("RGB Camera")
@@ -93,7 +121,7 @@ class SoftwareRealSense:
         intrinsics.fx, intrinsics.fy, intrinsics.ppx, intrinsics.ppy = k.fx, k.fy, k.cx, k.cy
         intrinsics.model, intrinsics.coeffs = model, list(c)
         stream.type, stream.index, stream.uid, stream.fmt = kind, 0, uid, layout
-        stream.width, stream.height, stream.fps, stream.bpp = k.width, k.height, FPS, bpp
+        stream.width, stream.height, stream.fps, stream.bpp = k.width, k.height, self._fps, bpp
         stream.intrinsics = intrinsics
         return stream
 
@@ -103,6 +131,7 @@ class SoftwareRealSense:
 
     @property
     def X_color_depth(self) -> Array:
+        """Pose of the depth camera in the colour camera, (4, 4) [m]."""
         X = np.eye(4)
         X[0, 3] = BASELINE
         return X
@@ -117,21 +146,24 @@ class SoftwareRealSense:
         self._thread.join()
 
     def _feed(self) -> None:
-        rng = np.random.default_rng(0)
-        due = time.monotonic()
-        stamp, pictures = 0.0, self._picture(rng)
+        rng, clock = np.random.default_rng(0), self._clock
+        due = clock.now()
+        stamp, pictures = 0.0, self._noisy(rng)
         while not self._stop.is_set():
-            due = max(due + 1 / FPS, time.monotonic())
-            time.sleep(max(0.0, due - time.monotonic()))
-            exposed = time.monotonic()
+            due = max(due + 1 / self._fps, clock.now())
+            clock.sleep(due - clock.now())
+            exposed = clock.now()
             if self.delay:
-                time.sleep(self.delay)
+                clock.sleep(self.delay)
             if self.silent or not self.plugged:
                 continue
+            if not self.frozen:
+                seen = self._noisy(rng) if self._see is None else self._see()
+                if seen is None:
+                    continue
+                pictures = seen
             if not self.repeats:
                 stamp = (exposed * self.clock_rate + self.clock_offset) * 1e3
-            if not self.frozen:
-                pictures = self._picture(rng)
             self._number += 1
             rs = self.rs
             for sensor, profile, pixels, bpp, late in (
@@ -145,7 +177,7 @@ class SoftwareRealSense:
                 frame.depth_units = 0.001
                 sensor.on_video_frame(frame)
 
-    def _picture(self, rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+    def _noisy(self, rng: np.random.Generator) -> Pictures:
         rgb = np.clip(self.rgb + rng.integers(-3, 4, self.rgb.shape), 0, 255).astype(np.uint8)
         noisy = self.depth + rng.integers(-2, 3, self.depth.shape)
         return rgb, np.where(self.depth > 0, noisy, 0).astype(np.uint16)

@@ -1,0 +1,221 @@
+"""Where the devices of a job come from: a simulation, a lab's own station, or a rehearsal of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from toolee_robot.config import StationConfig
+from toolee_robot.hal import Station
+from toolee_robot.sim_backend.ground_truth.verdict import Truth
+from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName
+from toolee_robot.stations.lab import LabStation
+from toolee_robot.stations.rehearsal import Rehearsal
+from toolee_robot.stations.simulated import HandDriver, StandIn, open_station
+from toolee_robot.tasks.hammering.grasp import Grasp, measured_grasp, nominal_grasp
+from toolee_robot.tools import Tool
+
+Tell = Callable[[str], object]
+"""Shows a prompt to the person at the station."""
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """The devices of a job, and what it is told.
+
+    Attributes:
+        station: The devices.
+        config: What the station file says.
+        grasp: Nominal grasp of the tool that is handed over.
+        tool: Name of the tool.
+        words: The tool in words.
+        truth: Ground truth for the evaluation after the job; None for a real station.
+    """
+
+    station: Station
+    config: StationConfig
+    grasp: Grasp
+    tool: str
+    words: str
+    truth: Truth | None
+
+
+class Source(Protocol):
+    """Opens the devices of a job."""
+
+    @property
+    def config(self) -> StationConfig:
+        """What the station file says."""
+
+    @property
+    def real_time_factor(self) -> float | None:
+        """Rate of the station's time relative to wall-clock time; None where it waits for the job."""
+
+    @property
+    def mode(self) -> str:
+        """What is real and what is not, in words; empty where nothing needs to be said."""
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """What identifies the run, for its records."""
+
+    def open(self, tell: Tell) -> AbstractContextManager[Opened]:
+        """Open the devices.
+
+        Args:
+            tell: Shows a prompt to the person at the station.
+
+        Returns:
+            The context in which they are open.
+        """
+
+
+@dataclass(frozen=True)
+class SimulatedSource:
+    """A simulated station, its arm or hand driven by the real one's driver where asked for.
+
+    Attributes:
+        config: What the station file says.
+        seed: Seed of tool, grasp and noise.
+        gui: Whether pybullet's window is shown.
+        stand_in: Controller stand-in through which the real driver drives the arm; None for the simulated arm itself.
+        hand_driver: The hand's own driver, on an emulated hand; None for the simulated hand itself.
+    """
+
+    config: StationConfig
+    seed: int
+    gui: bool = False
+    stand_in: StandIn | None = None
+    hand_driver: HandDriver | None = None
+
+    @property
+    def real_time_factor(self) -> float | None:
+        """See `Source`."""
+        return None if self.stand_in is None else self.stand_in.real_time_factor
+
+    @property
+    def mode(self) -> str:
+        """See `Source`."""
+        words = [f"seed {self.seed}"]
+        if self.stand_in is not None:
+            words.append(f"{self.config.arm.model} over ur_rtde at {self.stand_in.host}")
+            words.append(f"{self.stand_in.profile} controller")
+            words.append(f"real-time factor {self.stand_in.real_time_factor:g}")
+        if self.hand_driver is not None:
+            words.append(f"{self.config.hand.model} by its driver")
+        return ", ".join(words)
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """See `Source`."""
+        profile = None if self.stand_in is None else self.stand_in.profile
+        return {
+            "source": "simulation",
+            "seed": self.seed,
+            "arm": "sim" if self.stand_in is None else "ur-rtde",
+            "controller_profile": profile,
+            "hand_driver": self.hand_driver is not None,
+        }
+
+    @contextmanager
+    def open(self, tell: Tell) -> Iterator[Opened]:  # noqa: ARG002  (the simulated person needs no prompts)
+        """See `Source`."""
+        with open_station(self.config, self.seed, SimOptions(gui=self.gui), self.stand_in, self.hand_driver) as sim:
+            grasp = nominal_grasp(sim.tool, self.config)
+            yield Opened(sim.station, self.config, grasp, sim.tool.name, _words(sim.tool), sim.judge)
+
+
+@dataclass(frozen=True)
+class RehearsalSource:
+    """A lab's station with every device emulated.
+
+    Attributes:
+        config: What the station file says.
+        station_file: The file.
+        seed: Seed of hammer, grasp, and of the errors of what the station file says.
+        factor: Rate of the station's time relative to wall-clock time.
+        profile: How the arm's controller follows, measures and stops.
+    """
+
+    config: StationConfig
+    station_file: Path
+    seed: int
+    factor: float
+    profile: ProfileName
+
+    @property
+    def real_time_factor(self) -> float | None:
+        """See `Source`."""
+        return self.factor
+
+    @property
+    def mode(self) -> str:
+        """See `Source`."""
+        return (
+            f"rehearsal of {self.station_file.name}, seed {self.seed}: every device emulated, {self.profile} "
+            f"controller, real-time factor {self.factor:g}"
+        )
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """See `Source`."""
+        return {
+            "source": "rehearsal",
+            "seed": self.seed,
+            "arm": "ur-rtde",
+            "controller_profile": self.profile,
+            "hand_driver": True,
+        }
+
+    @contextmanager
+    def open(self, tell: Tell) -> Iterator[Opened]:
+        """See `Source`."""
+        with Rehearsal(self.config, self.station_file, tell, self.seed, self.factor, self.profile) as rehearsal:
+            config, tool = rehearsal.config, rehearsal.tool
+            assert config.tool is not None
+            grasp = measured_grasp(config.tool, config)
+            yield Opened(rehearsal.station, config, grasp, tool.name, _words(tool), rehearsal.judge)
+
+
+@dataclass(frozen=True)
+class LabSource:
+    """A lab's own station.
+
+    Attributes:
+        config: What the station file says.
+        station_file: The file.
+    """
+
+    config: StationConfig
+    station_file: Path
+
+    @property
+    def real_time_factor(self) -> float | None:
+        """See `Source`."""
+        return 1.0
+
+    @property
+    def mode(self) -> str:
+        """See `Source`."""
+        return f"station of {self.station_file.name}"
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """See `Source`."""
+        return {"source": "lab", "seed": None, "arm": "ur-rtde", "controller_profile": None, "hand_driver": True}
+
+    @contextmanager
+    def open(self, tell: Tell) -> Iterator[Opened]:
+        """See `Source`."""
+        with LabStation(self.config, tell) as lab:
+            tool = lab.tool
+            words = f"{tool.name.capitalize()}, {tool.mass:.2f} kg"
+            yield Opened(lab.station, self.config, measured_grasp(tool, self.config), tool.name, words, None)
+
+
+def _words(tool: Tool) -> str:
+    return f"{tool.kind.replace('_', ' ').capitalize()}, {tool.mass:.2f} kg, held out from training"

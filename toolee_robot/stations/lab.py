@@ -1,0 +1,104 @@
+"""A lab's station: every device by its own driver, as the station file says.
+
+with LabStation(load_lab_station(Path("lab.yaml")), print) as lab:
+    HammeringTask(lab.station, perception, lab.config, measured_grasp(lab.tool, lab.config)).run()
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any, Self
+
+from toolee_robot.config import StationConfig, ToolData
+from toolee_robot.errors import ConfigError
+from toolee_robot.hal import Station
+from toolee_robot.hardware.cameras import CameraStream
+from toolee_robot.hardware.operator.digital_inputs import open_person
+from toolee_robot.robots import MOUNT
+from toolee_robot.runtime.clock import HostClock
+from toolee_robot.stations.camera import open_camera
+from toolee_robot.stations.hand import open_hand
+from toolee_robot.stations.ur import ur_driver
+
+
+class LabStation:
+    """The devices of a lab; use it in its `with` block. Entering it connects to all of them and moves nothing.
+
+    Args:
+        config: What the station file says, from `load_lab_station`.
+        tell: Shows a prompt to the person at the station.
+        real_time_factor: Rate of the station's time relative to wall-clock time: 1, but for emulated devices.
+        stream: Stream of the camera instead of the one that the station file names, for an emulated camera.
+
+    Attributes:
+        station: The devices; set inside the block.
+
+    Raises:
+        ConfigError: The station file lacks what a job needs (`config.job_unmeasured`); the message names every line.
+    """
+
+    station: Station
+
+    def __init__(
+        self,
+        config: StationConfig,
+        tell: Callable[[str], object],
+        *,
+        real_time_factor: float = 1.0,
+        stream: CameraStream | None = None,
+    ) -> None:
+        if missing := missing_for_a_job(config):
+            raise ConfigError(
+                f"the station file lacks what a job needs: give {', '.join(missing)}", code="config.job_unmeasured"
+            )
+        self.config, self._tell, self._factor, self._stream = config, tell, real_time_factor, stream
+        self._stack = ExitStack()
+
+    @property
+    def tool(self) -> ToolData:
+        """The hammer that a person hands over."""
+        assert self.config.tool is not None, "checked at the construction"
+        return self.config.tool
+
+    def __enter__(self) -> Self:
+        """Connect to camera, hand, arm and the person's inputs, in this order: what fails most often fails first.
+
+        Raises:
+            ConfigError: A device has no driver here, or the station file lacks what its driver needs.
+            NotReadyError: A device is there and not ready; the message says what a person must do.
+            DeviceError: A device does not answer.
+        """
+        config, clock = self.config, HostClock(self._factor)
+        assert config.arm.host is not None, "checked at the construction"
+        with ExitStack() as stack:
+            camera = stack.enter_context(open_camera(config.camera, clock, stream=self._stream))
+            hand = stack.enter_context(open_hand(config.hand, clock))
+            arm = stack.enter_context(ur_driver(config, config.arm.host, real_time_factor=self._factor))
+            person = stack.enter_context(open_person(config, arm, clock, self._tell))
+            self.station = Station(arm, hand, camera, person, clock, arm.serial or "", camera.profile.serial)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._stack.__exit__(*error)
+
+
+def missing_for_a_job(config: StationConfig) -> list[str]:
+    """List what a hammering job needs of a station file beyond what every motion needs.
+
+    Args:
+        config: What the station file says.
+
+    Returns:
+        Names of the fields that are missing, such as `arm.host`.
+    """
+    wanted = {
+        "arm.host": config.arm.host,
+        "camera.device": config.camera.device,
+        "calibration.record": config.calibration,
+        "person": config.person,
+        "tool": config.tool,
+        "hand.port": config.hand.port if config.hand.model != MOUNT else MOUNT,
+    }
+    return [name for name, value in wanted.items() if value is None]
