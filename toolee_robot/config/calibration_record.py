@@ -66,7 +66,7 @@ def check_record(
         ConfigError: They differ: the pose of the camera does not hold with other intrinsics
             (`config.calibration_intrinsics`) or kinematics (`config.calibration_kinematics`).
     """
-    if record.intrinsics != intrinsics:
+    if not record.intrinsics.agrees(intrinsics):
         raise ConfigError(
             f"{path}: the calibration is of {record.intrinsics}, the file's camera is {intrinsics}: the camera's pose "
             "holds with its own intrinsics only; enter those, or calibrate again",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from enum import StrEnum
 from typing import Any, Self
 
 from toolee_robot.config import StationConfig, ToolData
@@ -22,12 +23,20 @@ from toolee_robot.stations.hand import open_hand
 from toolee_robot.stations.ur import ur_driver
 
 
+class Purpose(StrEnum):
+    """What a lab's devices are opened for."""
+
+    JOB = "a job"
+    CALIBRATION = "a calibration of the camera"
+
+
 class LabStation:
     """The devices of a lab; use it in its `with` block. Entering it connects to all of them and moves nothing.
 
     Args:
         config: What the station file says, from `load_lab_station`.
         tell: Shows a prompt to the person at the station.
+        purpose: What the devices are for.
         real_time_factor: Rate of the station's time relative to wall-clock time: 1, but for emulated devices.
         stream: Stream of the camera instead of the one that the station file names, for an emulated camera.
 
@@ -35,7 +44,7 @@ class LabStation:
         station: The devices; set inside the block.
 
     Raises:
-        ConfigError: The station file lacks what a job needs (`config.job_unmeasured`); the message names every line.
+        ConfigError: As `check_purpose`.
     """
 
     station: Station
@@ -45,13 +54,11 @@ class LabStation:
         config: StationConfig,
         tell: Callable[[str], object],
         *,
+        purpose: Purpose = Purpose.JOB,
         real_time_factor: float = 1.0,
         stream: CameraStream | None = None,
     ) -> None:
-        if missing := missing_for_a_job(config):
-            raise ConfigError(
-                f"the station file lacks what a job needs: give {', '.join(missing)}", code="config.job_unmeasured"
-            )
+        check_purpose(config, purpose)
         self.config, self._tell, self._factor, self._stream = config, tell, real_time_factor, stream
         self._stack = ExitStack()
 
@@ -84,21 +91,29 @@ class LabStation:
         self._stack.__exit__(*error)
 
 
-def missing_for_a_job(config: StationConfig) -> list[str]:
-    """List what a hammering job needs of a station file beyond what every motion needs.
+def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None:
+    """Refuse a station file that lacks what a purpose needs beyond what every motion needs.
 
     Args:
         config: What the station file says.
+        purpose: What the devices are for.
 
-    Returns:
-        Names of the fields that are missing, such as `arm.host`.
+    Raises:
+        ConfigError: A field is missing (`config.station_lacks`); the message names every one, such as `arm.host`.
     """
-    wanted = {
+    wanted: dict[str, object] = {
         "arm.host": config.arm.host,
         "camera.device": config.camera.device,
-        "calibration.record": config.calibration,
         "person": config.person,
-        "tool": config.tool,
-        "hand.port": config.hand.port if config.hand.model != MOUNT else MOUNT,
     }
-    return [name for name, value in wanted.items() if value is None]
+    if purpose is Purpose.JOB:
+        wanted |= {
+            "calibration": config.calibration,
+            "tool": config.tool,
+            "hand.port": config.hand.port if config.hand.model != MOUNT else MOUNT,
+        }
+    if missing := [name for name, value in wanted.items() if value is None]:
+        raise ConfigError(
+            f"the station file lacks what {purpose} needs: give {', '.join(missing)}; docs/how-to/run_a_job.md",
+            code="config.station_lacks",
+        )

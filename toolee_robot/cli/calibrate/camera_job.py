@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -23,10 +23,16 @@ from toolee_robot.cli.output import json_line
 from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import Array
+from toolee_robot.hal import Station
 from toolee_robot.recording.calibration_report import calibration_report
 from toolee_robot.runtime.files import write_atomic
-from toolee_robot.stations.simulated_board import simulated_board
+from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.sim_backend.station import draw_handover
+from toolee_robot.stations.lab import LabStation, Purpose
+from toolee_robot.stations.rehearsal import Cell, EmulatedLab
+from toolee_robot.stations.simulated_board import SimulatedBoard, simulated_board
 from toolee_robot.tasks.calibration.collect import Collector, save, session_of
+from toolee_robot.tasks.calibration.plate import Plate
 from toolee_robot.tasks.calibration.views import missing, plan_views
 
 RECORD, REPORT = "camera.json", "report.html"
@@ -62,34 +68,94 @@ class CameraJob:
         Raises:
             TooleeError: The calibration failed, or was refused.
         """
-        console = self.console
+        lab = self._printed(distance, mass, seed, "Simulated lab")
+        with lab.build(seed) as simulation:
+            calibration = self._collect(folder, simulation.station, lab.measured, lab.plate, lab.bars, poses, seed)
+        self._true_error(calibration)
+
+    def rehearse(self, folder: Path, poses: int, distance: float, mass: float, seed: int, factor: float) -> None:
+        """Calibrate a lab whose devices are emulated, with its own drivers.
+
+        Args:
+            folder: Where everything is written.
+            poses: Number of poses.
+            distance: Distance of the print from the flange [m].
+            mass: Mass of plate and holder [kg].
+            seed: Seed of what is drawn.
+            factor: Rate of the station's time relative to wall-clock time.
+
+        Raises:
+            TooleeError: The calibration failed, or was refused.
+        """
+        board = self._printed(distance, mass, seed, "Rehearsal, every device emulated")
+        options = SimOptions(hands_over=False, boards=(board.placed,))
+        cell = Cell(board.true, board.measured, draw_handover(seed, options)[0], options, seed)
+        with EmulatedLab(cell, self._prompt, factor, "harsh", Purpose.CALIBRATION) as lab:
+            calibration = self._collect(folder, lab.station, board.measured, board.plate, board.bars, poses, seed)
+        self._true_error(calibration)
+
+    def live(
+        self, folder: Path, poses: int, distance: float, mass: float, seed: int, bars: tuple[float, float]
+    ) -> None:
+        """Calibrate a lab's camera with its own arm.
+
+        Args:
+            folder: Where everything is written.
+            poses: Number of poses.
+            distance: Distance of the print from the flange [m].
+            mass: Mass of plate and holder [kg].
+            seed: Seed of the planned views.
+            bars: Measured lengths of the print's scale bars [m].
+
+        Raises:
+            TooleeError: A device is not there or not ready, or the calibration was refused.
+        """
+        plate = Plate(SHEETS[self.sheet].board.measured(*bars), distance, mass)
+        config = plate.station(replace(self.config, camera=self.config.camera.uncalibrated))
+        with LabStation(config, self._prompt, purpose=Purpose.CALIBRATION) as lab:
+            self._collect(folder, lab.station, config, plate, bars, poses, seed)
+
+    def _printed(self, distance: float, mass: float, seed: int, what: str) -> SimulatedBoard:
         lab = simulated_board(self.config, SHEETS[self.sheet], distance, mass, seed)
         x, y = lab.bars
-        console.print(
-            f"[bold]Simulated lab[/bold]  [dim]seed {seed}[/dim]\n  the print's bars measure {x * 1e3:.1f} and "
+        self.console.print(
+            f"[bold]{what}[/bold]  [dim]seed {seed}[/dim]\n  the print's bars measure {x * 1e3:.1f} and "
             f"{y * 1e3:.1f} mm: squares of {lab.plate.board.square * 1e3:.2f} mm"
         )
-        robot = RobotModel.of_station(lab.measured)
-        with console.status("planning views of the board"):
-            views = plan_views(robot, lab.measured, lab.plate, poses, seed)
-        console.print(f"[bold]Views[/bold]  [dim]{len(views)} planned[/dim]")
+        return lab
+
+    def _collect(
+        self,
+        folder: Path,
+        station: Station,
+        config: StationConfig,
+        plate: Plate,
+        bars: tuple[float, float],
+        poses: int,
+        seed: int,
+    ) -> CameraCalibration:
+        robot = RobotModel.of_station(config)
+        with self.console.status("planning views of the board"):
+            views = plan_views(robot, config, plate, poses, seed)
+        self.console.print(f"[bold]Views[/bold]  [dim]{len(views)} planned[/dim]")
         taken = []
-        with lab.build(seed) as simulation:
-            collector = Collector(simulation.station, lab.measured, robot, lab.plate.board, self._note)
-            for view in collector.take_all(views):
-                taken.append(save(folder, view))
-                seen = "[yellow]the board is not seen[/yellow]"
-                if view.X_camera_board is not None:
-                    seen = f"{view.corners} corners at {view.X_camera_board[2, 3]:.2f} m"
-                console.print(f"  {view.number:>3}  {seen}")
-            session = session_of(simulation.station, taken)
+        for view in Collector(station, config, robot, plate.board, self._note).take_all(views):
+            taken.append(save(folder, view))
+            seen = "[yellow]the board is not seen[/yellow]"
+            if view.X_camera_board is not None:
+                seen = f"{view.corners} corners at {view.X_camera_board[2, 3]:.2f} m"
+            self.console.print(f"  {view.number:>3}  {seen}")
+        session = session_of(station, taken)
         write_session(folder, session)
-        calibration = self._solve(
-            folder, session, lab.plate.board, lab.bars, robot, lab.measured.camera.X_base_camera[:3, 3]
-        )
+        return self._solve(folder, session, plate.board, bars, robot, config.camera.X_base_camera[:3, 3])
+
+    def _true_error(self, calibration: CameraCalibration) -> None:
         truth = self.config.camera.uncalibrated.X_base_camera
         off = (calibration.X_base_camera - truth) @ [*calibration.target, 1.0]
         self.figures["true_error_mm"] = round(float(np.linalg.norm(off)) * 1e3, 3)
+
+    def _prompt(self, text: str) -> None:
+        self.console.print(f"  [bold yellow]> {escape(text)}[/bold yellow]", soft_wrap=True)
 
     def from_images(self, folder: Path, images: Path, bars: tuple[float, float], *, measured_camera: bool) -> None:
         """Calibrate from a folder of images and poses.

@@ -14,7 +14,7 @@ from toolee_robot.sim_backend.ground_truth.verdict import Truth
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.stations.lab import LabStation
-from toolee_robot.stations.rehearsal import Rehearsal
+from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
 from toolee_robot.stations.simulated import HandDriver, StandIn, open_station
 from toolee_robot.tasks.hammering.grasp import Grasp, measured_grasp, nominal_grasp
 from toolee_robot.tools import Tool
@@ -174,11 +174,12 @@ class RehearsalSource:
     @contextmanager
     def open(self, tell: Tell) -> Iterator[Opened]:
         """See `Source`."""
-        with Rehearsal(self.config, self.station_file, tell, self.seed, self.factor, self.profile) as rehearsal:
-            config, tool = rehearsal.config, rehearsal.tool
-            assert config.tool is not None
+        cell = job_cell(self.config, self.station_file, self.seed)
+        config, tool = cell.measured, cell.tool
+        assert config.tool is not None
+        with EmulatedLab(cell, tell, self.factor, self.profile) as lab:
             grasp = measured_grasp(config.tool, config)
-            yield Opened(rehearsal.station, config, grasp, tool.name, _words(tool), rehearsal.judge)
+            yield Opened(lab.station, config, grasp, tool.name, _words(tool), lab.judge)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ pictures come in at the place of the driver's stream, and pass everything that e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -24,6 +24,7 @@ from toolee_robot.render.sensors.color_camera import Photo, photograph
 from toolee_robot.render.sensors.depth_camera import measure_depth
 from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.software_realsense import BASELINE, Pictures, SoftwareRealSense
+from toolee_robot.sim_backend.options import PlacedBoard
 from toolee_robot.sim_backend.visuals.scene import SceneState, SceneVisuals
 from toolee_robot.tools import Tool
 
@@ -44,6 +45,7 @@ class SeenScene:
         state: Returns the poses of everything visible now.
         clock: The station's clock.
         X_color_depth: Pose of the depth camera in the colour camera, (4, 4) [m].
+        boards: Calibration boards in the cell.
     """
 
     def __init__(
@@ -54,9 +56,10 @@ class SeenScene:
         state: Callable[[], SceneState],
         clock: Clock,
         X_color_depth: Array,
+        boards: Sequence[PlacedBoard] = (),
     ) -> None:
         self._state, self._intrinsics = state, config.camera.intrinsics
-        visuals = SceneVisuals(config, tool, seed, lambda: self._seen)
+        visuals = SceneVisuals(config, tool, seed, lambda: self._seen, boards)
         aside = replace(config.camera, pose=rows(config.camera.X_base_camera @ X_color_depth))
         views = [config.camera] if np.array_equal(X_color_depth, np.eye(4)) else [config.camera, aside]
         self._cameras = [SimCamera(visuals, clock, view, seed) for view in views]
@@ -138,7 +141,13 @@ class SceneStream:
 
 @contextmanager
 def emulated_stream(
-    measured: StationConfig, true: StationConfig, tool: Tool, seed: int, state: Callable[[], SceneState], clock: Clock
+    measured: StationConfig,
+    true: StationConfig,
+    tool: Tool,
+    seed: int,
+    state: Callable[[], SceneState],
+    clock: Clock,
+    boards: Sequence[PlacedBoard] = (),
 ) -> Iterator[CameraStream]:
     """Emulate the camera that a station file names.
 
@@ -149,6 +158,7 @@ def emulated_stream(
         seed: Seed of room and noise.
         state: Returns the poses of everything visible now.
         clock: The station's clock.
+        boards: Calibration boards in the cell.
 
     Yields:
         The stream for the station's camera: the RealSense driver's own, or one on the scene.
@@ -159,10 +169,10 @@ def emulated_stream(
     device, k = measured.camera.device, measured.camera.intrinsics
     assert device is not None, "a job needs one"
     if device.driver != REALSENSE:
-        yield SceneStream(SeenScene(true, tool, seed, state, clock, np.eye(4)), measured.camera, device, clock)
+        yield SceneStream(SeenScene(true, tool, seed, state, clock, np.eye(4), boards), measured.camera, device, clock)
         return
     rs = sdk()
-    scene = SeenScene(true, tool, seed, state, clock, transform(p=[BASELINE, 0.0, 0.0]))
+    scene = SeenScene(true, tool, seed, state, clock, transform(p=[BASELINE, 0.0, 0.0]), boards)
     with SoftwareRealSense(
         rs, rs.distortion.none, k, k, serial=device.serial, fps=device.fps, clock=clock, pictures=scene.pictures
     ) as emulated:

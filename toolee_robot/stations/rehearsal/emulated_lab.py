@@ -1,0 +1,178 @@
+"""A lab's station whose devices are all emulated, in front of a simulated cell."""
+
+from __future__ import annotations
+
+import socket
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+from toolee_robot.config import HandConfig, StationConfig
+from toolee_robot.control import RobotModel
+from toolee_robot.errors import ConfigError, UserError
+from toolee_robot.hal import Station
+from toolee_robot.robots import MOUNT
+from toolee_robot.robots.hands.inspire import INSPIRE
+from toolee_robot.runtime.clock import HostClock
+from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
+from toolee_robot.sim_backend.inspire_hand import HandEmulator
+from toolee_robot.sim_backend.options import SimOptions
+from toolee_robot.sim_backend.remote.station import RemoteJudge
+from toolee_robot.sim_backend.remote.world import RemoteWorld
+from toolee_robot.sim_backend.ur_controller.profile import ProfileName
+from toolee_robot.stations.driven_hand import SWITCH_INTERVAL
+from toolee_robot.stations.lab import LabStation, Purpose
+from toolee_robot.stations.rehearsal.camera import emulated_stream
+from toolee_robot.stations.rehearsal.hand import FingerCoupling
+from toolee_robot.stations.rehearsal.person import RehearsedPerson
+from toolee_robot.tools import Tool
+
+EMULATED_HANDS = (INSPIRE,)
+"""Hands that have an emulator."""
+_PORTS = (29999, 30004)
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """A simulated cell, and what a person measured there.
+
+    Attributes:
+        true: The cell as it is.
+        measured: The cell as the station file says.
+        tool: The tool in the cell.
+        options: Options of the simulation.
+        seed: Seed of room and noise.
+    """
+
+    true: StationConfig
+    measured: StationConfig
+    tool: Tool
+    options: SimOptions
+    seed: int
+
+
+class EmulatedLab:
+    """The devices of a `LabStation`, each at the other end of its wire emulated; use it in its `with` block.
+
+    Args:
+        cell: The cell.
+        tell: Shows a prompt to the person at the station.
+        real_time_factor: Rate of the station's time relative to wall-clock time.
+        profile: How the arm's controller follows, measures and stops.
+        purpose: What the devices are for.
+
+    Attributes:
+        station: The devices; set inside the block.
+        judge: Ground truth, for the evaluation afterwards.
+
+    Raises:
+        ConfigError: The station file lacks what the purpose needs, or names a hand that cannot be emulated.
+    """
+
+    station: Station
+
+    def __init__(
+        self,
+        cell: Cell,
+        tell: Callable[[str], object],
+        real_time_factor: float,
+        profile: ProfileName,
+        purpose: Purpose = Purpose.JOB,
+    ) -> None:
+        LabStation(cell.measured, tell, purpose=purpose)  # refuses what is missing
+        hand = cell.measured.hand.model
+        if hand not in (*EMULATED_HANDS, MOUNT):
+            raise ConfigError(
+                f"the hand {hand!r} has no emulator, so that it cannot be rehearsed: those with one are "
+                f"{', '.join(EMULATED_HANDS)}, and a {MOUNT} needs none",
+                code="config.no_emulator",
+            )
+        self._cell, self._tell, self._purpose = cell, tell, purpose
+        self._clock, self._host = HostClock(real_time_factor), _free_address()
+        self._world = RemoteWorld(cell.true, cell.seed, cell.options, self._host, self._clock, profile)
+        self.judge = RemoteJudge(self._world)
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        """Start the emulators, and connect the drivers.
+
+        Raises:
+            UserError: An emulator cannot start.
+            DeviceError: A driver cannot connect.
+        """
+        cell, clock, world = self._cell, self._clock, self._world
+        config = cell.measured
+        with ExitStack() as stack:
+            stack.callback(sys.setswitchinterval, sys.getswitchinterval())
+            sys.setswitchinterval(SWITCH_INTERVAL)
+            stack.enter_context(CpuKeepalive())
+            stack.enter_context(world)
+            self._set_up_robot()
+            hand = self._emulated_hand(stack)
+            stream = stack.enter_context(
+                emulated_stream(
+                    config,
+                    cell.true,
+                    cell.tool,
+                    cell.seed,
+                    lambda: world.call("scene"),
+                    clock,
+                    cell.options.boards,
+                )
+            )
+            lab = stack.enter_context(
+                LabStation(
+                    replace(config, arm=replace(config.arm, host=self._host), hand=hand),
+                    self._tell,
+                    purpose=self._purpose,
+                    real_time_factor=clock.real_time_factor,
+                    stream=stream,
+                )
+            )
+            assert config.person is not None
+            person = RehearsedPerson(
+                lab.station.person, config.person, self._set_input, world, clock, clamps=hand.model == MOUNT
+            )
+            self.station = replace(lab.station, person=person)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._stack.__exit__(*error)
+
+    def _set_up_robot(self) -> None:
+        """Set the robot up as at the pendant: the payload that was weighed, and the serial number that is known."""
+        config, controller = self._cell.measured, self._world.controller
+        model = RobotModel.of_station(config).description
+        payload = model.hand_payload(model.hand_open)
+        controller.fault("payload", mass=payload.mass, cog=payload.center_of_mass.tolist())
+        if config.calibration is not None:
+            controller.fault("serial", number=config.calibration.robot_serial)
+
+    def _emulated_hand(self, stack: ExitStack) -> HandConfig:
+        hand = self._cell.measured.hand
+        if hand.model == MOUNT:
+            return hand
+        emulator = HandEmulator(hand.hand_id, seed=self._cell.seed, pace=self._clock.real_time_factor)
+        stack.enter_context(emulator)
+        stack.enter_context(FingerCoupling(self._world, emulator))
+        return replace(hand, port=emulator.port)
+
+    def _set_input(self, index: int, high: bool) -> None:
+        self._world.controller.fault("digital_input", index=index, high=high)
+
+
+def _free_address() -> str:
+    """A loopback address on which no controller listens."""
+    for last in range(2, 255):
+        host = f"127.0.0.{last}"
+        if all(_silent(host, port) for port in _PORTS):
+            return host
+    raise UserError("every loopback address has a controller: end those stand-ins", code="user.no_address")
+
+
+def _silent(host: str, port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex((host, port)) != 0
