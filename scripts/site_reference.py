@@ -13,7 +13,6 @@ import io
 import os
 import re
 import sys
-import textwrap
 from collections.abc import Callable, Iterator
 from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import Enum
@@ -22,6 +21,7 @@ from typing import Any, get_args, get_type_hints
 
 from toolee_robot import errors
 from toolee_robot.config import StationConfig
+from toolee_robot.config.field_docs import field_docs
 
 MARKER = re.compile(r"^<!-- generated: ([a-z-]+) -->$", re.MULTILINE)
 COMMAND_WIDTH = 80
@@ -99,19 +99,6 @@ def _default(field: Field[Any]) -> str:
     if isinstance(value, tuple):
         return f"`[{', '.join(f'{number:g}' for number in value)}]`"
     return f"`{value:.4g}`" if isinstance(value, float) else "`null`" if value is None else f"`{str(value).lower()}`"
-
-
-def field_docs(record: type[Any]) -> dict[str, str]:
-    """Description of each field of a dataclass that has one: the docstring after it."""
-    body = ast.parse(textwrap.dedent(inspect.getsource(record))).body[0]
-    assert isinstance(body, ast.ClassDef)
-    docs = {}
-    for statement, following in zip(body.body, [*body.body[1:], None], strict=True):
-        if not (isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name)):
-            continue
-        if isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant):
-            docs[statement.target.id] = " ".join(str(following.value.value).split())
-    return docs
 
 
 def _summary(record: type[Any]) -> str:

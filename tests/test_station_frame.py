@@ -12,10 +12,10 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scripts.site_reference import field_docs
 from tests.errors import raises
 from tests.examples import examples
 from toolee_robot.config import CameraConfig, SceneConfig, StationConfig, WorkConfig, load_station
+from toolee_robot.config.field_docs import field_docs
 from toolee_robot.config.station_frame import BOX, POINTS
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import HALF_TURN

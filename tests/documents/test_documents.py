@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 import tyro
 
-from scripts.site_reference import PAGES, field_docs, records
+from scripts.site_reference import PAGES, records
 from tests.documents.blocks import DOCUMENTS, ROOT, blocks, commands
 from toolee_robot.cli import app
 from toolee_robot.config import StationConfig
+from toolee_robot.config.field_docs import field_docs
 
 
 def exit_code(words: list[str]) -> int | str | None:

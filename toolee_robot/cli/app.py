@@ -32,6 +32,7 @@ from toolee_robot.cli.evaluate import Evaluate
 from toolee_robot.cli.faults import Faults
 from toolee_robot.cli.hammering.command import Hammer
 from toolee_robot.cli.hand_emulator import HandEmulator
+from toolee_robot.cli.station.command import Station
 from toolee_robot.cli.train.command import Train
 from toolee_robot.cli.ur_controller import UrController
 from toolee_robot.errors import TooleeError, UserError
@@ -54,6 +55,7 @@ Command = (
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Faults, tyro.conf.subcommand("faults")]
     | Annotated[HandEmulator, tyro.conf.subcommand("hand-emulator")]
+    | Annotated[Station, tyro.conf.subcommand("station")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[UrController, tyro.conf.subcommand("ur-controller")]
 )
@@ -74,6 +76,7 @@ AnyCommand = (
     | Evaluate
     | Faults
     | HandEmulator
+    | Station
     | Train
     | UrController
 )

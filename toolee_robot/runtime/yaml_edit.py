@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -13,13 +14,13 @@ from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_files import read_yaml
 
 
-def set_fields(path: Path, section: str, values: Mapping[str, float]) -> None:
+def set_fields(path: Path, section: str, values: Mapping[str, float | str]) -> None:
     """Set fields of a section of a YAML file; the section is added at its end where there is none.
 
     Args:
         path: The file; its top level is a mapping in block style, or empty.
         section: Name of the section, a mapping.
-        values: Numbers of the fields by name; other fields of the section stay.
+        values: Numbers or texts of the fields by name; other fields of the section stay.
 
     Raises:
         ConfigError: The file cannot be read, or has a layout that cannot be edited safely; nothing was written.
@@ -41,7 +42,7 @@ def set_fields(path: Path, section: str, values: Mapping[str, float]) -> None:
     write_atomic(path, edited.encode())
 
 
-def _edited(text: str, section: str, values: Mapping[str, float]) -> str:
+def _edited(text: str, section: str, values: Mapping[str, float | str]) -> str:
     root = yaml.compose(text, yaml.SafeLoader)
     nodes = {} if root is None else {key.value: value for key, value in root.value}
     node = nodes.get(section)
@@ -68,7 +69,9 @@ def _edited(text: str, section: str, values: Mapping[str, float]) -> str:
     return text
 
 
-def _text(value: float) -> str:
-    """A number as YAML 1.1 reads it: an exponent needs a point before it."""
+def _text(value: float | str) -> str:
+    """A number as YAML 1.1 reads it: an exponent needs a point before it. A text in quotes as JSON and YAML write it."""
+    if isinstance(value, str):
+        return json.dumps(value)
     text = str(int(value)) if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))
     return text if "e" not in text or "." in text else text.replace("e", ".0e")

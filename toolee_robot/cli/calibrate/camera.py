@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -59,6 +60,8 @@ class Camera:
     """With --rehearse: rate of the station's time relative to wall-clock time."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("calibrations")
     """Parent of the calibration's folder, which holds camera.json, the record, report.html and the images."""
+    write: Flag = False
+    """Enter the record in the station file of --station; the rest of it stays."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
@@ -69,8 +72,9 @@ class Camera:
         else:
             config = StationConfig() if self.config is None else load_station(self.config)
         console = Console(stderr=self.json, highlight=False)
-        from toolee_robot.cli.calibrate.camera_job import CameraJob
+        from toolee_robot.cli.calibrate.camera_job import RECORD, CameraJob
         from toolee_robot.cli.run_folder import run_folder
+        from toolee_robot.runtime.yaml_edit import set_fields
 
         job = CameraJob(config, self.sheet, console)
         bars = None if self.bars_mm is None else (self.bars_mm[0] / 1e3, self.bars_mm[1] / 1e3)
@@ -87,7 +91,11 @@ class Camera:
                 assert bars is not None
                 job.live(folder.path, self.poses, distance, mass, self.seed, bars)
             place = folder.keep()
-        job.conclude(place, self.json)
+        if self.write:
+            assert self.station is not None
+            record = os.path.relpath(place / RECORD, self.station.parent)
+            set_fields(self.station, "calibration", {"record": record})
+        job.conclude(place, self.station if self.write else None, self.json)
         return 0
 
     def _check(self) -> None:
@@ -118,6 +126,8 @@ class Camera:
                 "weigh plate and holder: the arm moves by them",
                 code="user.plate_unmeasured",
             )
+        if self.write and self.station is None:
+            raise UserError("--write needs --station: the station file to write to", code="user.option")
         if not 8 <= self.poses <= 100 or self.seed < 0:
             raise UserError("give --poses 8 to 100, and --seed 0 or more", code="user.option")
         check_real_time_factor(self.real_time_factor, "127.0.0.1")

@@ -176,11 +176,12 @@ class CameraJob:
             self._note("without --config nobody tells where the camera is: a half turn of the base is not noticed")
         self._solve(folder, session, board, bars, RobotModel.of_station(self.config), expected, images)
 
-    def conclude(self, folder: Path, as_json: bool) -> None:
+    def conclude(self, folder: Path, written_to: Path | None, as_json: bool) -> None:
         """Tell the result.
 
         Args:
             folder: The calibration's folder.
+            written_to: The station file in which the record was entered; None for none.
             as_json: Whether to print the figures as a line of JSON, too.
         """
         f = self.figures
@@ -195,7 +196,12 @@ class CameraJob:
             rows.append(("true error *", f"{f['true_error_mm']:.2f} mm"))
         rows += [("record", escape(str(folder / RECORD))), ("report", escape(str(folder / REPORT)))]
         lines = [f"{name:<24}{value}" for name, value in rows]
-        lines += ["", "Enter it in the station file:", "", "calibration:", f"  record: {escape(str(folder / RECORD))}"]
+        if written_to is None:
+            record = escape(str(folder / RECORD))
+            lines += ["", "Look at the report, then enter it in the station file:", "", "calibration:"]
+            lines.append(f"  record: {record}")
+        else:
+            lines += ["", f"Entered in {escape(str(written_to))}. Look at the report before you rely on it."]
         if "true_error_mm" in f:
             lines += ["", "[dim]* measured by the simulation; the calibration cannot see it[/dim]"]
         title = "[bold]the camera is calibrated[/bold]"

@@ -1,0 +1,1 @@
+"""`toolee station`: the station file of a lab."""

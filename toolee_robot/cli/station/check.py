@@ -1,0 +1,36 @@
+"""`toolee station check`: what a station file lacks, then the doctor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from rich.console import Console
+
+from toolee_robot.cli.doctor import Doctor
+from toolee_robot.cli.options import Flag
+from toolee_robot.config import load_lab_station
+
+
+@dataclass(frozen=True)
+class Check:
+    """Check a lab's station file, then its devices as `toolee doctor` does. Nothing is moved.
+
+    Example: toolee station check lab.yaml
+
+    Exit code 0: ready, or warnings only; 1: a fault must be repaired first; 2: the file lacks something, or is invalid.
+    """
+
+    file: tyro.conf.Positional[Path]
+    """The station file."""
+    json: Flag = False
+    """Print one line of JSON last on standard output; everything for people goes to standard error."""
+
+    def run(self) -> int:
+        config = load_lab_station(self.file)
+        from toolee_robot.stations.lab import check_purpose
+
+        check_purpose(config)
+        Console(stderr=self.json, highlight=False).print("The file gives everything that a job needs.")
+        return Doctor(arm="ur-rtde", robot_host=config.arm.host, config=self.file, json=self.json).run()

@@ -1,0 +1,43 @@
+"""`toolee station show`: a station file in three dimensions, in the browser."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from toolee_robot.config import load_station
+
+
+@dataclass(frozen=True)
+class Show:
+    """Show a station file in three dimensions, on a page of this computer. Ctrl-C ends it.
+
+    Example: toolee station show lab.yaml
+
+    Look whether everything is where it is: a half turn of the base, swapped axes and a camera that looks elsewhere are
+    seen at once.
+    """
+
+    file: tyro.conf.Positional[Path]
+    """The station file."""
+    port: Annotated[int, tyro.conf.arg(metavar="N")] = 8080
+    """Port of the page."""
+
+    def run(self) -> int:
+        config = load_station(self.file)
+        console = Console(highlight=False)
+        with console.status("building the picture"):
+            from toolee_robot.stations.viewer import open_viewer
+
+            server = open_viewer(config, self.port)
+        console.print(f"Open [bold]http://127.0.0.1:{server.get_port()}[/bold] in a browser. Ctrl-C ends it.")
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.pause()
+        server.stop()
+        return 0

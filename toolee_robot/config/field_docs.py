@@ -1,0 +1,28 @@
+"""What a record's source says of its fields: the one text for the documents and the interview of `toolee station`."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from typing import Any
+
+
+def field_docs(record: type[Any]) -> dict[str, str]:
+    """Description of each field of a dataclass that has one: the docstring after it.
+
+    Args:
+        record: The dataclass.
+
+    Returns:
+        The descriptions by the fields' names, each on one line.
+    """
+    body = ast.parse(textwrap.dedent(inspect.getsource(record))).body[0]
+    assert isinstance(body, ast.ClassDef)
+    docs = {}
+    for statement, following in zip(body.body, [*body.body[1:], None], strict=True):
+        if not (isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name)):
+            continue
+        if isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant):
+            docs[statement.target.id] = " ".join(str(following.value.value).split())
+    return docs

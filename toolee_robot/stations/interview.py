@@ -1,0 +1,186 @@
+"""The interview of `toolee station new`: what a lab has to say about its station, one field of the file at a time.
+
+What is asked follows from what was answered. The words are those of the fields' own descriptions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from toolee_robot.config import (
+    MEASURED,
+    ArmLimits,
+    CameraConfig,
+    CameraDevice,
+    HandConfig,
+    PersonConfig,
+    SceneConfig,
+    ToolData,
+    WorkConfig,
+)
+from toolee_robot.config.field_docs import field_docs
+from toolee_robot.errors import UserError
+from toolee_robot.frames import BaseFrame
+from toolee_robot.robots import HANDS, MOUNT
+from toolee_robot.robots.hands.model import UNMOUNTED
+from toolee_robot.stations.camera import camera_drivers
+from toolee_robot.stations.hand import hand_drivers
+from toolee_robot.types import ArmModel, HandMounting, HandWeight, ToolMount
+
+NONE = "none"
+"""The answer of a lab that has no such thing."""
+INTRINSICS = ("fx", "fy", "cx", "cy", "width", "height")
+"""Fields of `camera` that its driver tells, where it is connected."""
+_LARGEST = {"[m]": (10.0, "millimetres"), "[rad]": (2.0 * np.pi, "degrees"), "[kg]": (50.0, "grams")}
+_DEVICE = ("driver", "serial", "least_range")
+
+
+@dataclass(frozen=True)
+class Question:
+    """One field of the station file.
+
+    Attributes:
+        path: Sections and name, such as ("work", "nail_xy").
+        hint: Its type.
+        text: What it is, with its unit.
+        choices: The answers that there are; empty where it is not a choice.
+        optional: Whether a lab may have none.
+    """
+
+    path: tuple[str, ...]
+    hint: Any
+    text: str
+    choices: tuple[str, ...] = ()
+    optional: bool = False
+
+    @property
+    def name(self) -> str:
+        """Its name, such as work.nail_xy."""
+        return ".".join(self.path)
+
+    def parse(self, answer: str) -> Any:
+        """Convert an answer.
+
+        Args:
+            answer: What was typed: a number, several with spaces or commas between, or a text.
+
+        Returns:
+            The value as the file holds it.
+
+        Raises:
+            UserError: It is none for this field (`user.answer`); the message says why.
+        """
+        answer = answer.strip()
+        if self.optional and answer.lower() == NONE:
+            return None
+        if self.choices and answer not in self.choices:
+            raise UserError(f"{answer!r} is none of {', '.join(self.choices)}", code="user.answer")
+        parts = answer.replace(",", " ").split()
+        hint = str(self.hint)
+        value: Any = answer
+        try:
+            if "tuple" in hint:
+                value = tuple(float(part) for part in parts)
+            elif not self.choices and "str" not in hint:
+                value = float(answer)
+                value = int(value) if value.is_integer() else value
+            TypeAdapter(self.hint).validate_python(value)
+        except (ValueError, ValidationError) as error:
+            raise UserError(f"{answer!r} does not fit: {_why(error)}", code="user.answer") from error
+        self._check_unit(value)
+        return list(value) if isinstance(value, tuple) else value
+
+    def _check_unit(self, value: Any) -> None:
+        for unit, (largest, other) in _LARGEST.items():
+            if unit in self.text and not isinstance(value, str) and np.abs(value).max() > largest:
+                message = f"{value} is no size in {unit}: that looks like {other}"
+                raise UserError(message, code="user.answer_unit")
+
+
+def questions(data: dict[str, Any]) -> Iterator[Question]:
+    """What a station file still has to say, in the order in which it is asked.
+
+    Args:
+        data: What it says so far.
+
+    Yields:
+        The questions whose fields are not there.
+    """
+    for question in _all(data):
+        if not _given(data, question.path):
+            yield question
+
+
+def put(data: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
+    """Enter a value.
+
+    Args:
+        data: What the file says so far; changed.
+        path: Sections and name.
+        value: The value.
+    """
+    *sections, name = path
+    for section in sections:
+        data = data.setdefault(section, {})
+    data[name] = value
+
+
+def _given(data: Any, path: tuple[str, ...]) -> bool:
+    for name in path:
+        if not isinstance(data, dict) or name not in data:
+            return False
+        data = data[name]
+    return True
+
+
+def _all(data: dict[str, Any]) -> Iterator[Question]:
+    frames = tuple(str(frame) for frame in BaseFrame)
+    text = "Frame of the positions that follow: pendant_base as the teach pendant shows them (feature Base), base_link "
+    yield Question(("frame",), str, f"{text}as ROS does; half a turn about z apart.", frames)
+    models = tuple(str(model) for model in ArmModel)
+    yield Question(("arm", "model"), str, field_docs(ArmLimits)["model"], models)
+    yield from _of(ArmLimits, ("arm",), ("host",))
+    yield from _of_hand(data.get("hand") or {})
+    device = ("camera", "device")
+    yield Question((*device, "driver"), str, field_docs(CameraDevice)["driver"], tuple(camera_drivers()))
+    yield from _of(CameraDevice, device, _DEVICE[1:])
+    yield from _of(CameraConfig, ("camera",), MEASURED["camera"])
+    yield from _of(SceneConfig, ("scene",), MEASURED["scene"])
+    yield from _of(WorkConfig, ("work",), MEASURED["work"])
+    for question in _of(PersonConfig, ("person",), [field.name for field in fields(PersonConfig)]):
+        optional = type(None) in get_args(question.hint)
+        yield Question(question.path, question.hint, question.text, optional=optional)
+    yield from _of(ToolData, ("tool",), [field.name for field in fields(ToolData)])
+
+
+def _of_hand(hand: dict[str, Any]) -> Iterator[Question]:
+    yield Question(("hand", "model"), str, field_docs(HandConfig)["model"], tuple(hand_drivers()))
+    model = hand.get("model")
+    if model == MOUNT:
+        yield from _of(HandConfig, ("hand",), ("yield_torque",))
+        yield from _of(ToolMount, ("hand", "mount"), [field.name for field in fields(ToolMount)])
+    elif model in HANDS:
+        yield from _of(HandConfig, ("hand",), ("port",))
+        weighed = ("hand", "weighed")
+        yield from _of(HandWeight, weighed, [field.name for field in fields(HandWeight)])
+        if HANDS[model].X_flange_root is UNMOUNTED:
+            yield from _of(HandMounting, ("hand", "mounting"), [field.name for field in fields(HandMounting)])
+        (strap,) = _of(HandConfig, ("hand",), ("strap_force",))
+        yield Question(strap.path, strap.hint, strap.text, optional=True)
+
+
+def _of(record: type[Any], path: tuple[str, ...], names: Any) -> Iterator[Question]:
+    hints, docs = get_type_hints(record, include_extras=True), field_docs(record)
+    for name in names:
+        yield Question((*path, name), hints[name], docs[name])
+
+
+def _why(error: ValueError | ValidationError) -> str:
+    if isinstance(error, ValidationError):
+        return "; ".join(e["msg"].lower() for e in error.errors())
+    return "give numbers, with spaces between them"
