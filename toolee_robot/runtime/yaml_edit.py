@@ -70,7 +70,7 @@ def _edited(text: str, section: str, values: Mapping[str, float | str]) -> str:
 
 
 def _text(value: float | str) -> str:
-    """A number as YAML 1.1 reads it: an exponent needs a point before it. A text in quotes as JSON and YAML write it."""
+    """A number as YAML 1.1 reads it, which wants a point before an exponent; a text in quotes, as in JSON."""
     if isinstance(value, str):
         return json.dumps(value)
     text = str(int(value)) if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))
