@@ -1,7 +1,7 @@
 """Emulator of an Inspire RH56 hand on a pseudo-terminal, for drivers that speak the maker's frames.
 
-    with HandEmulator() as emulator:
-        emulator.hand.hold(400)        # a handle, met by the fingers at 400 of 1000
+    with InspireEmulator() as emulator:
+        emulator.hold(400)             # a handle, met by the fingers at 400 of 1000
         serial.Serial(emulator.port)   # a driver's side
 
 It is written from the maker's frames and from measurements, not from the project's driver, with which it shares no
@@ -19,9 +19,7 @@ code. What it does is
   what cannot be written.
 """
 
-from toolee_robot.sim_backend.inspire_hand.emulator import HandEmulator
-from toolee_robot.sim_backend.inspire_hand.events import happen
+from toolee_robot.sim_backend.inspire_hand.emulator import InspireEmulator
 from toolee_robot.sim_backend.inspire_hand.hand import Hand
-from toolee_robot.sim_backend.inspire_hand.line_faults import LineFault, LineFaults
 
-__all__ = ["Hand", "HandEmulator", "LineFault", "LineFaults", "happen"]
+__all__ = ["Hand", "InspireEmulator"]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 
+from toolee_robot.sim_backend.hand_wire import Frame
 from toolee_robot.sim_backend.inspire_hand.motor import RANGE, Motor
 from toolee_robot.sim_backend.inspire_hand.requests import ReadRequest, WriteRequest, reply
 
@@ -15,16 +15,6 @@ STEP = 0.002
 """Longest step of the motors [s]."""
 _THUMB_ROTATION = 5
 _SAVE_TIME, _CALIBRATION_TIME = 1.0, 6.0  # [s] until the second frame
-
-
-@dataclass(frozen=True)
-class Frame:
-    """A frame that the hand sends."""
-
-    data: bytes
-    """Its bytes."""
-    delay: float = 0.0
-    """Time that passes before it is sent, beyond that of every reply [s]."""
 
 
 class Hand:

@@ -104,3 +104,16 @@ def reply(number: int, command: int, address: int, data: bytes) -> bytes:
     """
     after_header = [number, len(data) + 3, command, address % 256, address // 256, *data]
     return bytes([0x90, 0xEB, *after_header, sum(after_header) % 256])
+
+
+def foreign(frame: bytes) -> bytes:
+    """Make the reply of another hand out of one.
+
+    Args:
+        frame: A reply.
+
+    Returns:
+        The same of the hand with the next number.
+    """
+    other = [frame[2] % 254 + 1, *frame[3:-1]]
+    return bytes([*frame[:2], *other, sum(other) % 256])

@@ -14,7 +14,7 @@ from toolee_robot.cli.app import run
 from toolee_robot.config import StationConfig
 from toolee_robot.doctor.robot import expected_robot
 from toolee_robot.robots.dh import DhParameters
-from toolee_robot.sim_backend.inspire_hand import HandEmulator
+from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 
 _HOST, _SERIAL = "127.0.0.48", "20185500001"
@@ -155,7 +155,7 @@ def test_bad_input_is_exit_2(args: list[str], expected_text: str, capsys: pytest
 @pytest.mark.sim
 def test_the_stations_own_hand_is_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = (Path(__file__).parents[2] / "examples" / "inspire.yaml").read_text()
-    with HandEmulator() as emulator:
+    with InspireEmulator() as emulator:
         (tmp_path / "lab.yaml").write_text(text.replace("/dev/ttyUSB0", emulator.port))
         options = ("--arm", "ur-rtde", "--robot-host", "127.0.0.49", "--config", str(tmp_path / "lab.yaml"))
         found = [f for f in _doctor(capsys, *options)[1]["findings"] if f["name"] == "hand"]

@@ -13,7 +13,8 @@ from tests.errors import raises
 from toolee_robot.cli.app import EXIT_USER, run
 from toolee_robot.errors import UserError
 from toolee_robot.hardware.hands.inspire.line import HandLine
-from toolee_robot.sim_backend.inspire_hand import HandEmulator, LineFault, happen
+from toolee_robot.sim_backend.hand_wire import LineFault, happen
+from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 
 
 def test_a_driver_finds_it_at_the_path_that_it_prints(
@@ -50,7 +51,7 @@ def test_options_that_make_no_sense(options: list[str], monkeypatch: pytest.Monk
 
 
 def test_events() -> None:
-    with HandEmulator() as emulator:
+    with InspireEmulator() as emulator:
         for event in (
             "handle 600",
             "slip 50",

@@ -25,7 +25,7 @@ from toolee_robot.robots import PALM, SHADOW_HAND, HandModel, hand_model
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend import SimOptions, SimStation
 from toolee_robot.sim_backend.devices.hand import SimHand
-from toolee_robot.sim_backend.inspire_hand import HandEmulator
+from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 from toolee_robot.types import HandMounting, ToolMount
 
 MOUNTING = HandMounting(position=(0.0, 0.0, 0.08), fingers=(0.0, 0.0, 1.0), thumb=(1.0, 0.0, 0.0))
@@ -97,7 +97,7 @@ class MountRig(Rig):
 class InspireRig(Rig):
     """The Inspire driver on the emulated hand, whose motors are four times as fast as real ones."""
 
-    def __init__(self, emulator: HandEmulator) -> None:
+    def __init__(self, emulator: InspireEmulator) -> None:
         self._emulator = emulator
         self.model = hand_model(HandConfig("inspire_rh56", mounting=MOUNTING))
         self.clock = HostClock()
@@ -136,7 +136,7 @@ def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
     if request.param == "mount":
         yield MountRig()
     elif request.param == "inspire":
-        with HandEmulator(pace=4.0) as emulator:
+        with InspireEmulator(pace=4.0) as emulator:
             yield InspireRig(emulator)
     else:
         with SimStation.build(StationConfig(), 100, SimOptions(q_start=at_handover())) as simulation:

@@ -40,16 +40,16 @@ class HandEmulator:
     """Seed of the line's noise."""
 
     def run(self) -> int:
-        from toolee_robot.sim_backend.inspire_hand import HandEmulator as Emulator
-        from toolee_robot.sim_backend.inspire_hand import happen
+        from toolee_robot.sim_backend.hand_wire import happen
+        from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 
         if not 1 <= self.hand_id <= 254:
             raise UserError(f"--hand-id {self.hand_id}: a hand's number is 1 to 254", code="user.option")
         if self.handle is not None and not 0 <= self.handle <= 1000:
             raise UserError(f"--handle {self.handle}: give 0 to 1000", code="user.option")
         console = Console(stderr=True, highlight=False)
-        with Emulator(self.hand_id, self.seed) as emulator, self._linked(emulator.port):
-            emulator.tell(lambda hand: hand.hold(self.handle))
+        with InspireEmulator(self.hand_id, self.seed) as emulator, self._linked(emulator.port):
+            emulator.hold(self.handle)
             print(emulator.port, flush=True)
             console.print(f"[bold]Inspire RH56[/bold] with number {self.hand_id}. [dim]Ctrl-C ends it.[/dim]")
             with contextlib.suppress(KeyboardInterrupt):

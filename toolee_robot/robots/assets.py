@@ -11,6 +11,7 @@ MODELS = Path(__file__).parent / "models"
 UR10_URDF = MODELS / "ur10" / "ur10_robot.urdf"
 SHADOW_HAND_URDF = MODELS / "shadow_hand" / "shadow_hand.urdf"
 INSPIRE_RH56_URDF = MODELS / "inspire_rh56" / "inspire_rh56.urdf"
+ABILITY_HAND_URDF = MODELS / "ability_hand" / "ability_hand.urdf"
 
 
 def cache_folder() -> Path:

@@ -6,23 +6,21 @@ import sys
 import time
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import Self
+from typing import Any, Self
 
 from toolee_robot.config import StationConfig
 from toolee_robot.hal import Station
 from toolee_robot.sim_backend.devices.driven_hand import DrivenHand
 from toolee_robot.sim_backend.ground_truth.judge import Judge
-from toolee_robot.sim_backend.inspire_hand import Hand, HandEmulator
-from toolee_robot.sim_backend.inspire_hand.hand import NAMES
+from toolee_robot.sim_backend.hand_wire import HandEmulator
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.station import SimStation
-from toolee_robot.stations.hand import open_hand
+from toolee_robot.stations.hand import emulated_hand, open_hand
 from toolee_robot.tools import Tool
 
 SWITCH_INTERVAL = 0.0005
 """Time after which a thread of this process must let another one run [s]: the simulation lets the driver's, and the
 emulated hand's, keep to the wire's times."""
-_MOTORS = {"thumb": "thumb_bend"}
 
 
 class _RealTime:
@@ -43,24 +41,14 @@ class _RealTime:
 class _EmulatedTouch:
     """What the simulated fingers touch, felt by an emulated hand in this process."""
 
-    def __init__(self, emulator: HandEmulator) -> None:
+    def __init__(self, emulator: HandEmulator[Any]) -> None:
         self._emulator = emulator
 
     def met(self, finger: str) -> None:
-        name = _MOTORS.get(finger, finger)
-        if name not in NAMES:
-            return  # the palm, which has no motor
-
-        def feel(hand: Hand) -> None:
-            hand.run()
-            motor = hand.motors[NAMES.index(name)]
-            if motor.met_at is None:
-                motor.met_at = motor.position
-
-        self._emulator.tell(feel)
+        self._emulator.met(finger)
 
     def lost(self) -> None:
-        self._emulator.tell(lambda hand: hand.hold(None))
+        self._emulator.hold(None)
 
 
 class DrivenHandStation:
@@ -94,7 +82,7 @@ class DrivenHandStation:
             sys.setswitchinterval(SWITCH_INTERVAL)
             port, touch = self._port, None
             if port is None:
-                emulator = stack.enter_context(HandEmulator(self._config.hand.hand_id))
+                emulator = stack.enter_context(emulated_hand(self._config.hand))
                 port, touch = emulator.port, _EmulatedTouch(emulator)
             self.simulation = stack.enter_context(SimStation.build(self._config, self._seed, self._options))
             world, station = self.simulation.world, self.simulation.station

@@ -7,6 +7,8 @@ with open_hand(load_lab_station(Path("lab.yaml")).hand, HostClock()) as hand:
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 from toolee_robot.config import HandConfig
 from toolee_robot.errors import ConfigError
@@ -15,10 +17,33 @@ from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.hardware.hands.mount import MountedTool
 from toolee_robot.robots import MOUNT, HandModel, hand_model
 from toolee_robot.robots.hands.inspire import INSPIRE
+from toolee_robot.sim_backend.hand_wire import HandEmulator
+from toolee_robot.sim_backend.inspire_hand import InspireEmulator
+from toolee_robot.stations.devices import installed, load
+
+
+@dataclass(frozen=True)
+class SerialHandKind:
+    """A kind of hand on a serial line: its driver, and what stands in for the hand at the other end.
+
+    Attributes:
+        driver: Builds the driver from model, port, clock, and number of the hand.
+        emulator: Builds the emulated hand with that number.
+    """
+
+    driver: Callable[[HandModel, str, Clock, int], Hand]
+    emulator: Callable[[int], HandEmulator[Any]]
+
+
+SERIAL_HANDS: dict[str, SerialHandKind] = {INSPIRE: SerialHandKind(InspireHand, InspireEmulator)}
+"""Name in the station file -> hand on a serial line."""
 
 
 def open_hand(config: HandConfig, clock: Clock) -> Hand:
     """Build the driver of a station's hand.
+
+    A package of a lab may bring one: an entry point `hand.NAME` of the group `toolee_robot.devices` that takes model,
+    station file's `hand` and clock, for the hand that a station file calls NAME.
 
     Args:
         config: What the station file says of the hand.
@@ -33,19 +58,39 @@ def open_hand(config: HandConfig, clock: Clock) -> Hand:
     model = hand_model(config)
     if config.model == MOUNT:
         return MountedTool(model, clock)
-    if config.model not in _DRIVERS:
-        known = ", ".join((*_DRIVERS, MOUNT))
+    if config.model not in SERIAL_HANDS:
+        plugins = installed("hand")
+        if config.model in plugins:
+            hand: Hand = load(plugins[config.model])(model, config, clock)
+            return hand
+        known = ", ".join((*SERIAL_HANDS, *plugins, MOUNT))
         message = f"the {model.label} has no driver here: those with one are {known}; docs/how-to/add_a_hand.md"
         raise ConfigError(message, code="config.hand_driver")
     if config.port is None:
         message = f"hand.port is missing: the serial port of the {model.label}, such as /dev/ttyUSB0"
         raise ConfigError(message, code="config.hand_port")
-    return _DRIVERS[config.model](model, config.port, clock, config.hand_id)
+    return SERIAL_HANDS[config.model].driver(model, config.port, clock, config.hand_id)
+
+
+def emulated_hand(config: HandConfig) -> HandEmulator[Any]:
+    """Build the emulated hand that stands in for a station's.
+
+    Args:
+        config: What the station file says of the hand.
+
+    Returns:
+        The emulated hand, not yet entered.
+
+    Raises:
+        ConfigError: The hand has no emulator.
+    """
+    if config.model not in SERIAL_HANDS:
+        known = ", ".join(SERIAL_HANDS)
+        raise ConfigError(f"no emulator of {config.model!r}: there is one of {known}", code="config.hand_driver")
+    return SERIAL_HANDS[config.model].emulator(config.hand_id)
 
 
 def hand_drivers() -> dict[str, str]:
-    """The hands that a station file may name and that have a driver, and where each is from: this project."""
-    return dict.fromkeys((*_DRIVERS, MOUNT), "toolee_robot")
-
-
-_DRIVERS: dict[str, Callable[[HandModel, str, Clock, int], Hand]] = {INSPIRE: InspireHand}
+    """The hands that a station file may name and that have a driver, and where each is from."""
+    others = {name: entry.value for name, entry in installed("hand").items()}
+    return others | dict.fromkeys((*SERIAL_HANDS, MOUNT), "toolee_robot")

@@ -14,7 +14,7 @@ from toolee_robot.control import CollisionWorld, RobotModel, plan_handover
 from toolee_robot.errors import UserError
 from toolee_robot.hal import Hand
 from toolee_robot.sim_backend import SimOptions, SimStation
-from toolee_robot.sim_backend.inspire_hand import HandEmulator
+from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 from toolee_robot.stations.driven_hand import DrivenHandStation
 from toolee_robot.stations.simulated import HandDriver, StandIn, open_station
 
@@ -62,7 +62,7 @@ def test_it_holds_by_contact_what_the_person_lays_into_it_and_tells_a_loss(
 @pytest.mark.nightly
 @pytest.mark.realtime
 def test_a_hand_emulated_elsewhere_moves_them_too(config: StationConfig, options: SimOptions) -> None:
-    with HandEmulator() as emulator, DrivenHandStation(config, 100, options, emulator.port) as driven:
+    with InspireEmulator() as emulator, DrivenHandStation(config, 100, options, emulator.port) as driven:
         emulator.tell(lambda hand: hand.hold(400.0))
         assert driven.station.person.request_handover("", 10.0)
         driven.station.hand.close()

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from toolee_robot.sim_backend.inspire_hand import Hand, LineFault, LineFaults
-from toolee_robot.sim_backend.inspire_hand.requests import ReadRequest, RequestParser, WriteRequest
+from toolee_robot.sim_backend.hand_wire import LineFault, LineFaults
+from toolee_robot.sim_backend.inspire_hand import Hand
+from toolee_robot.sim_backend.inspire_hand.requests import ReadRequest, RequestParser, WriteRequest, foreign
 
 CLOSE_ALL = "EB 90 01 0F 12 CE 05 00 00 00 00 00 00 00 00 00 00 E8 03 E0"
 """All but the thumb's rotation to 0."""
@@ -160,7 +161,7 @@ def test_saving_and_calibrating_send_a_second_frame_and_calibrating_moves_the_ha
 
 def test_the_faults_of_the_line() -> None:
     frame = bytes.fromhex("90 EB 01 04 12 CE 05 01 EB")
-    faults = LineFaults(seed=1)
+    faults = LineFaults(foreign, seed=1)
     assert [piece.data for piece in faults.on_the_way(frame)] == [frame]
     came = {}
     for fault in LineFault:

@@ -12,13 +12,14 @@ import numpy as np
 
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import inverse
+from toolee_robot.robots.hands.ability import ABILITY_HAND
 from toolee_robot.robots.hands.inspire import INSPIRE_RH56
 from toolee_robot.robots.hands.model import PALM, UNMOUNTED, Finger, HandModel, NominalGrasp, Phalanx, WristJoint
 from toolee_robot.robots.hands.mount import mount_model
 from toolee_robot.robots.hands.shadow import SHADOW_HAND
 from toolee_robot.types import MOUNT, HandMounting, HandWeight, ToolMount
 
-HANDS: dict[str, HandModel] = {hand.name: hand for hand in (SHADOW_HAND, INSPIRE_RH56)}
+HANDS: dict[str, HandModel] = {hand.name: hand for hand in (SHADOW_HAND, INSPIRE_RH56, ABILITY_HAND)}
 """Name in the station file -> hand."""
 
 
@@ -108,6 +109,7 @@ def _with(hand: HandModel, torque: float | None, weighed: HandWeight | None) -> 
 
 
 __all__ = [
+    "ABILITY_HAND",
     "HANDS",
     "INSPIRE_RH56",
     "MOUNT",

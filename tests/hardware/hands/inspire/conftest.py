@@ -10,7 +10,7 @@ from toolee_robot.config import HandConfig
 from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.robots import HandModel, hand_model
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.sim_backend.inspire_hand import HandEmulator
+from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 from toolee_robot.types import HandMounting
 
 PACE = 4.0
@@ -23,12 +23,12 @@ def model() -> HandModel:
 
 
 @pytest.fixture
-def emulator() -> Iterator[HandEmulator]:
-    with HandEmulator(pace=PACE) as emulator:
+def emulator() -> Iterator[InspireEmulator]:
+    with InspireEmulator(pace=PACE) as emulator:
         yield emulator
 
 
 @pytest.fixture
-def hand(emulator: HandEmulator, model: HandModel) -> Iterator[InspireHand]:
+def hand(emulator: InspireEmulator, model: HandModel) -> Iterator[InspireHand]:
     with InspireHand(model, emulator.port, HostClock()) as hand:
         yield hand

@@ -16,7 +16,7 @@ from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.hardware.hands.inspire.hand import GRIP_FORCE
 from toolee_robot.robots import HandModel
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.sim_backend.inspire_hand import Hand, HandEmulator
+from toolee_robot.sim_backend.inspire_hand import Hand, InspireEmulator
 
 pytestmark = pytest.mark.realtime
 
@@ -41,7 +41,7 @@ def forces(hand: InspireHand) -> tuple[int, ...]:
     return hand.reading(max_age=1.0).condition.forces[:5]
 
 
-def test_it_closes_on_a_handle_with_the_grip_force_and_not_much_more(emulator: HandEmulator, hand: InspireHand) -> None:
+def test_it_closes_with_the_grip_force_and_not_much_more(emulator: InspireEmulator, hand: InspireHand) -> None:
     emulator.tell(lambda hand: hand.hold(HANDLE))
     hand.close()
     state = told(hand)
@@ -53,7 +53,7 @@ def test_it_closes_on_a_handle_with_the_grip_force_and_not_much_more(emulator: H
     assert not told(hand).holding
 
 
-def test_the_grip_is_kept_up_and_what_slips_is_told(emulator: HandEmulator, hand: InspireHand) -> None:
+def test_the_grip_is_kept_up_and_what_slips_is_told(emulator: InspireEmulator, hand: InspireHand) -> None:
     emulator.tell(lambda hand: hand.hold(HANDLE))
     hand.close()
     emulator.tell(lambda hand: hand.slip(20))
@@ -71,7 +71,7 @@ def test_the_grip_is_kept_up_and_what_slips_is_told(emulator: HandEmulator, hand
     assert told(hand).fault == ""
 
 
-def test_a_stop_freezes_the_fingers_and_ends_the_motion(emulator: HandEmulator, hand: InspireHand) -> None:
+def test_a_stop_freezes_the_fingers_and_ends_the_motion(emulator: InspireEmulator, hand: InspireHand) -> None:
     with ThreadPoolExecutor() as pool:
         closing = pool.submit(hand.close)
         eventually(lambda: emulator.angles[0] < 700)
@@ -86,7 +86,7 @@ def test_a_stop_freezes_the_fingers_and_ends_the_motion(emulator: HandEmulator, 
     hand.open()
 
 
-def test_a_stop_of_a_hand_that_holds_keeps_the_grip(emulator: HandEmulator, hand: InspireHand) -> None:
+def test_a_stop_of_a_hand_that_holds_keeps_the_grip(emulator: InspireEmulator, hand: InspireHand) -> None:
     emulator.tell(lambda hand: hand.hold(HANDLE))
     hand.close()
     hand.stop()
@@ -99,7 +99,7 @@ def test_a_stop_of_a_hand_that_holds_keeps_the_grip(emulator: HandEmulator, hand
 
 
 def test_a_time_out_keeps_position_and_grip(model: HandModel) -> None:
-    with HandEmulator() as emulator, InspireHand(model, emulator.port, HostClock()) as hand:
+    with InspireEmulator() as emulator, InspireHand(model, emulator.port, HostClock()) as hand:
         emulator.tell(lambda hand: setattr(hand.motors[5], "position", 0.0))
         with raises(DeviceError, "device.timeout"):
             hand.close(timeout=1.2)
@@ -124,7 +124,7 @@ def free(hand: Hand) -> None:
     hand.motors[3].jammed = hand.motors[3].says_arrived = False
 
 
-def test_a_stall_is_an_error_that_a_person_clears(emulator: HandEmulator, hand: InspireHand) -> None:
+def test_a_stall_is_an_error_that_a_person_clears(emulator: InspireEmulator, hand: InspireHand) -> None:
     emulator.tell(jam)
     with raises(DeviceError, "device.hand_stall"):
         hand.close()
@@ -137,7 +137,7 @@ def test_a_stall_is_an_error_that_a_person_clears(emulator: HandEmulator, hand: 
     hand.close()
 
 
-def test_a_finger_that_is_stuck_does_not_pass_for_open(emulator: HandEmulator, hand: InspireHand) -> None:
+def test_a_finger_that_is_stuck_does_not_pass_for_open(emulator: InspireEmulator, hand: InspireHand) -> None:
     emulator.tell(lambda hand: setattr(hand.motors[3], "position", 300.0))
     emulator.tell(jam)
     emulator.tell(lambda hand: setattr(hand.motors[3], "says_arrived", True))
@@ -145,7 +145,7 @@ def test_a_finger_that_is_stuck_does_not_pass_for_open(emulator: HandEmulator, h
         hand.open()
 
 
-def test_a_hot_hand_is_not_closed_but_says_how_hot_it_is(emulator: HandEmulator, hand: InspireHand) -> None:
+def test_a_hot_hand_is_not_closed_but_says_how_hot_it_is(emulator: InspireEmulator, hand: InspireHand) -> None:
     emulator.tell(lambda hand: setattr(hand.motors[1], "temperature", 72.0))
     eventually(lambda: "ring: too hot" in told(hand).fault)
     assert told(hand).temperature == 72.0
@@ -153,7 +153,7 @@ def test_a_hot_hand_is_not_closed_but_says_how_hot_it_is(emulator: HandEmulator,
         hand.close()
 
 
-def test_its_state_can_be_asked_at_100_hz_while_it_closes(emulator: HandEmulator, hand: InspireHand) -> None:
+def test_its_state_can_be_asked_at_100_hz_while_it_closes(emulator: InspireEmulator, hand: InspireHand) -> None:
     emulator.tell(lambda hand: hand.hold(HANDLE))
     with ThreadPoolExecutor() as pool:
         closing = pool.submit(hand.close)
@@ -169,7 +169,7 @@ def test_its_state_can_be_asked_at_100_hz_while_it_closes(emulator: HandEmulator
     assert q[-1][0] - q[0][0] > 0.5
 
 
-def test_one_motion_at_a_time_and_none_outside_of_its_block(emulator: HandEmulator, model: HandModel) -> None:
+def test_one_motion_at_a_time_and_none_outside_of_its_block(emulator: InspireEmulator, model: HandModel) -> None:
     hand = InspireHand(model, emulator.port, HostClock())
     for use in (hand.state, hand.open, hand.close, hand.clear_faults):
         with raises(DeviceError, "device.closed"):
@@ -188,7 +188,7 @@ def test_one_motion_at_a_time_and_none_outside_of_its_block(emulator: HandEmulat
         assert hand.state().joints.stamp > 0
 
 
-def test_an_unplugged_cable_is_told_within_50_ms(emulator: HandEmulator, hand: InspireHand) -> None:
+def test_an_unplugged_cable_is_told_within_50_ms(emulator: InspireEmulator, hand: InspireHand) -> None:
     hand.state()
     emulator.unplug()
     began = time.monotonic()
@@ -200,7 +200,7 @@ def test_an_unplugged_cable_is_told_within_50_ms(emulator: HandEmulator, hand: I
         hand.close()
 
 
-def test_an_unplugged_cable_ends_a_motion(emulator: HandEmulator, hand: InspireHand) -> None:
+def test_an_unplugged_cable_ends_a_motion(emulator: InspireEmulator, hand: InspireHand) -> None:
     with ThreadPoolExecutor() as pool:
         closing = pool.submit(hand.close)
         eventually(lambda: emulator.angles[0] < 800)
@@ -209,7 +209,7 @@ def test_an_unplugged_cable_ends_a_motion(emulator: HandEmulator, hand: InspireH
             closing.result(0.5)
 
 
-def test_a_silent_hand_has_no_state_until_it_answers_again(emulator: HandEmulator, hand: InspireHand) -> None:
+def test_a_silent_hand_has_no_state_until_it_answers_again(emulator: InspireEmulator, hand: InspireHand) -> None:
     emulator.faults.muted = True
     time.sleep(0.5)
     with raises(StaleDataError, "stale_data.hand"):
@@ -224,7 +224,7 @@ def test_a_silent_hand_has_no_state_until_it_answers_again(emulator: HandEmulato
     assert hand.state() is not None
 
 
-def test_ports_that_cannot_be_opened_and_hands_that_are_not_there(emulator: HandEmulator, model: HandModel) -> None:
+def test_ports_that_cannot_be_opened_and_hands_that_are_not_there(emulator: InspireEmulator, model: HandModel) -> None:
     with raises(NoAnswerError, "no_answer.hand_port"), InspireHand(model, "/dev/no_such_port", HostClock()):
         pass
     with raises(NoAnswerError, "no_answer.hand_silent"), InspireHand(model, emulator.port, HostClock(), hand_id=2):

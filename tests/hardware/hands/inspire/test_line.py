@@ -13,7 +13,8 @@ from toolee_robot.errors import NoAnswerError
 from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.hardware.hands.inspire.line import ATTEMPTS, HandLine
 from toolee_robot.hardware.hands.inspire.registers import ANGLE_ACT, ANGLE_SET, FORCE_SET, pack
-from toolee_robot.sim_backend.inspire_hand import HandEmulator, LineFault
+from toolee_robot.sim_backend.hand_wire import LineFault
+from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 
 pytestmark = pytest.mark.realtime
 
@@ -23,7 +24,7 @@ def angles(line: HandLine) -> tuple[int, ...]:
 
 
 @pytest.mark.parametrize("fault", LineFault)
-def test_a_reading_survives_it(emulator: HandEmulator, fault: LineFault) -> None:
+def test_a_reading_survives_it(emulator: InspireEmulator, fault: LineFault) -> None:
     with HandLine(emulator.port, 1) as line:
         for _ in range(3):
             emulator.faults.upcoming(fault)
@@ -33,7 +34,7 @@ def test_a_reading_survives_it(emulator: HandEmulator, fault: LineFault) -> None
 
 
 @pytest.mark.parametrize("fault", LineFault)
-def test_a_write_is_carried_out_and_known_to_be(emulator: HandEmulator, fault: LineFault) -> None:
+def test_a_write_is_carried_out_and_known_to_be(emulator: InspireEmulator, fault: LineFault) -> None:
     with HandLine(emulator.port, 1) as line:
         for force in (300, 400, 500):
             emulator.faults.upcoming(fault)
@@ -41,7 +42,7 @@ def test_a_write_is_carried_out_and_known_to_be(emulator: HandEmulator, fault: L
             assert struct.unpack("<6h", line.read(FORCE_SET, 12)) == (force,) * 6
 
 
-def test_a_late_reply_is_never_taken_for_a_newer_one(emulator: HandEmulator) -> None:
+def test_a_late_reply_is_never_taken_for_a_newer_one(emulator: InspireEmulator) -> None:
     emulator.faults.late_by = 0.08
     with HandLine(emulator.port, 1) as line:
         emulator.faults.upcoming(LineFault.LATE)
@@ -52,7 +53,7 @@ def test_a_late_reply_is_never_taken_for_a_newer_one(emulator: HandEmulator) -> 
             assert angles(line) == (0,) * 6, "1000 would be the reply of before the motion"
 
 
-def test_an_adapter_that_echoes_is_no_hindrance(emulator: HandEmulator) -> None:
+def test_an_adapter_that_echoes_is_no_hindrance(emulator: InspireEmulator) -> None:
     emulator.faults.echo = True
     with HandLine(emulator.port, 1) as line:
         line.write(FORCE_SET, pack((700,) * 6))
@@ -60,7 +61,7 @@ def test_an_adapter_that_echoes_is_no_hindrance(emulator: HandEmulator) -> None:
         assert line.counts.unanswered == 0
 
 
-def test_a_hand_that_does_not_answer_is_asked_a_bounded_number_of_times(emulator: HandEmulator) -> None:
+def test_a_hand_that_does_not_answer_is_asked_a_bounded_number_of_times(emulator: InspireEmulator) -> None:
     emulator.faults.muted = True
     with HandLine(emulator.port, 1) as line:
         began = time.monotonic()
@@ -81,7 +82,7 @@ RATES = {LineFault.GARBAGE: 0.05, LineFault.CORRUPT: 0.03, LineFault.DOUBLED: 0.
     ids=["clean", "noisy", "ten minutes"],
 )
 def test_polling_loses_no_reply_and_no_memory(
-    emulator: HandEmulator, hand: InspireHand, duration: float, rates: dict[LineFault, float]
+    emulator: InspireEmulator, hand: InspireHand, duration: float, rates: dict[LineFault, float]
 ) -> None:
     emulator.faults.rates = rates
     time.sleep(0.5)

@@ -18,7 +18,7 @@ from toolee_robot.hardware.hands.mount import MountedTool
 from toolee_robot.robots import hand_model, load_robot, wrap_fingers
 from toolee_robot.robots.hands.inspire import CLOSED, INSPIRE, OPEN, joints_of_counts
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.sim_backend.inspire_hand import HandEmulator
+from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 from toolee_robot.stations.hand import open_hand
 from toolee_robot.types import HandMounting
 
@@ -90,7 +90,7 @@ def test_the_station_file_names_the_driver(config: StationConfig) -> None:
 
 @pytest.mark.realtime
 def test_the_doctor_looks_at_it_and_moves_nothing(config: StationConfig) -> None:
-    with HandEmulator(number=7) as emulator:
+    with InspireEmulator(number=7) as emulator:
         at = replace(config, hand=replace(config.hand, port=emulator.port, hand_id=7))
         with open_hand(at.hand, HostClock()) as hand:
             finding = check_hand(hand, at)

@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-import threading
-from contextlib import suppress
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 
 from toolee_robot.errors import DeviceError
+from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, HandState
 from toolee_robot.hardware.hands.inspire.forces import newtons
-from toolee_robot.hardware.hands.inspire.grip import Grip
-from toolee_robot.hardware.hands.inspire.line import HandLine, LineCounts
-from toolee_robot.hardware.hands.inspire.motion import Motion, fault_error
-from toolee_robot.hardware.hands.inspire.poller import Poller, Reading
+from toolee_robot.hardware.hands.inspire.line import HandLine
 from toolee_robot.hardware.hands.inspire.registers import (
+    ANGLE_ACT,
     ANGLE_SET,
+    ANGLES_LENGTH,
     CLEAR_ERROR,
+    CONDITION_LENGTH,
+    FORCE_ACT,
     FORCE_SET,
     FULL,
     SPEED_SET,
+    Condition,
     pack,
+    unpack_angles,
+    unpack_condition,
 )
+from toolee_robot.hardware.hands.serial.driver import MOTION_TIME, SerialHand
+from toolee_robot.hardware.hands.serial.grip import GripRule
 from toolee_robot.robots.hands import HandModel
 from toolee_robot.robots.hands.inspire import CLOSED, MOTORS, OPEN, joints_of_counts
 from toolee_robot.types import JointState
@@ -34,8 +39,6 @@ APPROACH_SPEED, FINISH_SPEED = 300, 25
 finger overshoots its force threshold: of one of 500 by 115 % at 250 and by 5 % at 25 (measured)."""
 TOUCH_FORCE, GRIP_FORCE = 100, 800
 """Force thresholds of the two [counts, about 0.01 N each]."""
-MOTION_TIME = 8.0
-"""Time for a motion where nobody says another [s]: closing on nothing takes 4 s."""
 OPENED = 50
 """Largest distance from the open hand's angle that counts as open [counts]."""
 REACTION = 0.07
@@ -45,10 +48,46 @@ PRESSES = 50
 RECENT = 0.1
 """Time over which speeds are taken [s]."""
 _BEND, _ROTATION = MOTORS.index("thumb bend"), MOTORS.index("thumb rotation")
+STILL = 2
+"""Way of a motor that counts as none [counts]; at the slowest speed in use it is 3 within STANDS_FOR."""
+RULE = GripRule(fingers=(0, 1, 2, 3), thumb=_BEND, touches=100.0, shut=FULL - 30.0, slipped=40.0, unit="of 1000")
+"""A grip: forces above 100 counts, some 1 N; a finger within 30 counts of its end is shut; 40 counts are some 3 deg."""
 _FINGER_OF_MOTOR = {"little": 0, "ring": 1, "middle": 2, "index": 3, "thumb": _BEND}
 
 
-class InspireHand:
+@dataclass(frozen=True)
+class Reading:
+    """What the hand said.
+
+    Attributes:
+        stamp: Time at which it was asked [s].
+        number: Number of the reading, from 1.
+        angles: Angles of the six motors [counts].
+        condition: Forces, currents, faults, states, temperatures.
+    """
+
+    stamp: float
+    number: int
+    angles: tuple[int, ...]
+    condition: Condition
+
+    @property
+    def closures(self) -> Array:
+        """How far each motor is closed, (6,) [counts]."""
+        return FULL - np.array(self.angles, float)
+
+    @property
+    def forces(self) -> Array:
+        """Forces, (6,) [counts]."""
+        return np.array(self.condition.forces, float)
+
+    @property
+    def fault(self) -> DeviceError | None:
+        """The gravest fault; None without one."""
+        return self.condition.error
+
+
+class InspireHand(SerialHand[HandLine, Reading]):
     """An Inspire RH56 on a serial port; use it in its `with` block. Entering it moves nothing.
 
     Its two speeds: the fingers close until they touch, then press slowly up to the grip force. A grip is kept up: a
@@ -66,50 +105,10 @@ class InspireHand:
     """
 
     def __init__(self, model: HandModel, port: str, clock: Clock, hand_id: int = 1) -> None:
-        self._model, self._port, self._clock, self._hand_id = model, port, clock, hand_id
-        self._line: HandLine | None = None
-        self._poller: Poller | None = None
-        self._grip = Grip()
+        super().__init__(model, clock, RULE, STILL)
+        self._port, self._hand_id = port, hand_id
         self._target: Counts | None = None
         self._recent: tuple[Reading, ...] = ()
-        self._moving = threading.Lock()
-        self._stopped = threading.Event()
-
-    def __enter__(self) -> Self:
-        """Open the port and read the hand once.
-
-        Raises:
-            NoAnswerError: The port cannot be opened, or no hand answers.
-            ProtocolError: What answers is no RH56.
-        """
-        self._line = HandLine(self._port, self._hand_id)
-        self._poller = Poller(self._line, self._clock, self._watch)
-        try:
-            self._poller.start()
-        except BaseException:
-            self._line.close()
-            raise
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Stop the fingers, which keep what they hold, and release the port."""
-        if self._poller is None or self._line is None:
-            return
-        with suppress(DeviceError):  # a hand that is out of reach cannot be stopped, and keeps its grip
-            self.stop()
-        self._poller.close()
-        self._poller = None
-        self._line.close()
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Names of the model's twelve joints; six motors move them."""
-        return self._model.joints
-
-    @property
-    def line_counts(self) -> LineCounts:
-        """What happened on the line so far."""
-        return LineCounts() if self._line is None else self._line.counts
 
     def state(self, max_age: float = 0.1) -> HandState:
         """Return the newest state; it may be asked from any thread at any time.
@@ -141,19 +140,6 @@ class InspireHand:
             fault=", ".join(filter(None, (condition.described, self._grip.slipped))),
         )
 
-    def reading(self, max_age: float = 0.1) -> Reading:
-        """Return the newest reading as the hand gave it: counts, currents, faults and state of each motor.
-
-        Args:
-            max_age: Its largest age [s].
-
-        Raises:
-            StaleDataError: The hand has been silent for longer than `max_age`.
-            NoAnswerError: Its port is gone.
-            DeviceError: It is closed.
-        """
-        return self._opened().newest(max_age)
-
     def open(self, timeout: float = MOTION_TIME) -> None:
         """Open the thumb, then the fingers; the thumb stays before the palm.
 
@@ -175,8 +161,8 @@ class InspireHand:
             at_goal = zip(MOTORS, motion.reading.angles, OPEN, strict=True)
             short = [name for name, at, goal in at_goal if abs(at - goal) > OPENED]
             if short:
-                if motion.reading.condition.worst is not None:
-                    raise fault_error(motion.reading.condition)
+                if motion.reading.fault is not None:
+                    raise motion.reading.fault
                 message = f"something blocks the hand: {', '.join(short)} did not open; look at it"
                 raise DeviceError(message, code="device.hand_blocked")
 
@@ -206,16 +192,6 @@ class InspireHand:
             motion.until_still()
             self._grip.begin(motion.reading)
 
-    def stop(self) -> None:
-        """Stop the fingers where they are; one that presses goes on pressing. `open` and `close` end with an error.
-
-        Setting a speed of zero is no stop, the hand was seen to move on. A motor that moves gets the angle as target
-        that it will have reached when it hears of it, so that none turns back.
-        """
-        self._stopped.set()
-        if self._poller is not None and self._target is not None:
-            self._poller.run(self._freeze)
-
     def clear_faults(self) -> None:
         """Clear what is wrong, after a person has looked; heat has to go by itself.
 
@@ -223,11 +199,6 @@ class InspireHand:
             DeviceError: The hand does not take it.
         """
         self._opened().run(lambda line: line.write(CLEAR_ERROR, b"\x01"))
-
-    def _opened(self) -> Poller:
-        if self._poller is None:
-            raise DeviceError("the hand is closed: use it inside its `with` block", code="device.closed")
-        return self._poller
 
     def _command(self, register: int, values: tuple[int, ...]) -> None:
         data = pack(values)
@@ -244,10 +215,20 @@ class InspireHand:
 
         self._opened().run(write)
 
-    def _motion(self, timeout: float) -> Motion:
-        return Motion(self._opened(), self._clock, self._moving, self._stopped, self._freeze, timeout)
+    def _connect(self) -> HandLine:
+        return HandLine(self._port, self._hand_id)
+
+    def _read(self, line: HandLine, number: int) -> Reading:
+        stamp = self._clock.now()
+        angles = unpack_angles(line.read(ANGLE_ACT, ANGLES_LENGTH))
+        return Reading(stamp, number, angles, unpack_condition(line.read(FORCE_ACT, CONDITION_LENGTH)))
 
     def _freeze(self, line: HandLine) -> None:
+        """Set new targets: a speed of zero is no stop, the hand was seen to move on.
+
+        A motor that moves gets the angle as target that it will have reached when it hears of it, so that none turns
+        back.
+        """
         if not self._recent or self._target is None:
             return
         first, now = self._recent[0], self._recent[-1]

@@ -2,36 +2,20 @@
 
 from __future__ import annotations
 
-import termios
 import time
-from dataclasses import dataclass
 from itertools import cycle
 from typing import Self
-
-import serial
 
 from toolee_robot.errors import DeviceError, NoAnswerError
 from toolee_robot.hardware.hands.inspire.frames import WRITTEN, ReplySearch, Request, read_request, write_request
 from toolee_robot.hardware.hands.inspire.registers import ANGLE_ACT
+from toolee_robot.hardware.hands.serial.port import LineCounts, SerialPort
 
 BAUD_RATE = 115200
 ANSWER_TIME = 0.04
 """Time for a reply [s]: 6.6 ms were measured for a read of 12 bytes, and a USB adapter may keep it back for 16 ms."""
 ATTEMPTS = 3
-_READ_TIME = 0.01
 _BARRIERS = range(1, 12)
-
-
-@dataclass
-class LineCounts:
-    """What happened on the line."""
-
-    requests: int = 0
-    """Requests sent, repeated ones included."""
-    unanswered: int = 0
-    """Requests that nothing usable came back for."""
-    corrupt: int = 0
-    """Replies that were found damaged."""
 
 
 class HandLine:
@@ -54,15 +38,9 @@ class HandLine:
 
     def __init__(self, port: str, hand_id: int) -> None:
         self.counts = LineCounts()
-        self._hand_id, self._port = hand_id, port
+        self._hand_id = hand_id
         self._barrier_lengths = cycle(_BARRIERS)
-        try:
-            self._serial = serial.Serial(port, BAUD_RATE, timeout=_READ_TIME, write_timeout=ANSWER_TIME, exclusive=True)
-        except (OSError, ValueError, termios.error) as error:  # pyserial's errors are OSErrors
-            message = (
-                f"cannot open the hand's port {port}: {error}; check hand.port, the cable, your rights to the port"
-            )
-            raise NoAnswerError(f"{message}, and that no other program uses it", code="no_answer.hand_port") from error
+        self._port = SerialPort(port, BAUD_RATE, ANSWER_TIME)
 
     def __enter__(self) -> Self:
         return self
@@ -72,7 +50,7 @@ class HandLine:
 
     def close(self) -> None:
         """Release the port; nothing is said to the hand."""
-        self._serial.close()
+        self._port.close()
 
     def read(self, register: int, count: int) -> bytes:
         """Read bytes, with some attempts.
@@ -125,27 +103,27 @@ class HandLine:
 
     def _ask(self, request: Request) -> bytes | None:
         """One attempt; None without a usable reply in time."""
-        search = ReplySearch(request)
         self.counts.requests += 1
+        payload = self._exchange(request)
+        self.counts.unanswered += payload is None
+        return payload
+
+    def _exchange(self, request: Request) -> bytes | None:
+        search = ReplySearch(request)
         try:
-            self._serial.reset_input_buffer()
-            self._serial.write(request.encoded)
+            self._port.drop_received()
+            if not self._port.send(request.encoded):
+                return None
             end = time.monotonic() + ANSWER_TIME
             while time.monotonic() < end:
-                payload = search.feed(self._serial.read(max(1, self._serial.in_waiting)))
+                payload = search.feed(self._port.receive())
                 if payload is not None:
                     return payload
                 if search.corrupt:  # there will be no other
                     break
-        except serial.SerialTimeoutException:  # what was sent lies in the host's buffer
-            pass
-        except (OSError, termios.error, TypeError) as error:  # TypeError: pyserial, of a port that was closed meanwhile
-            message = f"the hand's port {self._port} is gone ({error}): plug the cable in, then start again"
-            raise NoAnswerError(message, code="no_answer.hand_unplugged") from error
+            return None
         finally:
             self.counts.corrupt += search.corrupt
-        self.counts.unanswered += 1
-        return None
 
     def _drop_older(self) -> bool:
         """Wait until every reply to an older request has come, or must have; whether the hand answered."""
@@ -153,7 +131,7 @@ class HandLine:
 
     def _silent(self, request: Request) -> NoAnswerError:
         message = (
-            f"no hand {self._hand_id} answers on {self._port} (register {request.register}, {ATTEMPTS} attempts): "
+            f"no hand {self._hand_id} answers on {self._port.path} (register {request.register}, {ATTEMPTS} attempts): "
             "check its power, the two wires of RS-485, and its number"
         )
         return NoAnswerError(message, code="no_answer.hand_silent")

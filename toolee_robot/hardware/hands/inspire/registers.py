@@ -11,7 +11,7 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
-from toolee_robot.errors import ProtocolError
+from toolee_robot.errors import DeviceError, ProtocolError
 from toolee_robot.robots.hands.inspire import COUNTS, MOTORS
 
 CLEAR_ERROR, ANGLE_SET, FORCE_SET, SPEED_SET = 1004, 1486, 1498, 1522
@@ -93,6 +93,16 @@ class Condition:
             union |= faults
         order = (Fault.MOTOR, Fault.COMMUNICATION, Fault.OVER_TEMPERATURE, Fault.OVER_CURRENT, Fault.STALL)
         return next((fault for fault in order if fault in union), None)
+
+    @property
+    def error(self) -> DeviceError | None:
+        """The error for the gravest fault, with its code; None without a fault."""
+        if self.worst is None:
+            return None
+        code, _, remedy = FAULT_CODES[self.worst]
+        then = "" if self.worst is Fault.OVER_TEMPERATURE else ", then clear its faults"
+        message = f"the hand reports a fault ({self.described}): {remedy}{then}; it keeps its grip"
+        return DeviceError(message, code=code)
 
 
 def pack(values: tuple[int, ...]) -> bytes:

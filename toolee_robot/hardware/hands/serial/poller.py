@@ -7,62 +7,71 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
 
 from toolee_robot.errors import DeviceError, NoAnswerError, StaleDataError
+from toolee_robot.frames import Array
 from toolee_robot.hal import Clock
-from toolee_robot.hardware.hands.inspire.line import HandLine
-from toolee_robot.hardware.hands.inspire.registers import (
-    ANGLE_ACT,
-    ANGLES_LENGTH,
-    CONDITION_LENGTH,
-    FORCE_ACT,
-    Condition,
-    unpack_angles,
-    unpack_condition,
-)
 
 PERIOD = 0.01
-"""Shortest time between two readings [s]; the line itself allows some 60 a second."""
+"""Shortest time between two readings [s]."""
 COMMAND_TIME = 1.5
 """Longest time for a command, attempts included [s]."""
 
 
-@dataclass(frozen=True)
-class Reading:
-    """What the hand said.
+class Reading(Protocol):
+    """What a hand said at one time, of its m motors in its own order."""
 
-    Attributes:
-        stamp: Time at which it was asked [s].
-        number: Number of the reading, from 1.
-        angles: Angles of the six motors [counts].
-        condition: Forces, currents, faults, states, temperatures.
-    """
+    @property
+    def stamp(self) -> float:
+        """Time at which it was asked [s]."""
 
-    stamp: float
-    number: int
-    angles: tuple[int, ...]
-    condition: Condition
+    @property
+    def number(self) -> int:
+        """Number of the reading, from 1."""
+
+    @property
+    def closures(self) -> Array:
+        """How far each motor is closed, (m,), in a unit of the hand's own; more is further closed."""
+
+    @property
+    def forces(self) -> Array:
+        """Force of each motor's finger on what it touches, (m,), in a unit of the hand's own."""
+
+    @property
+    def fault(self) -> DeviceError | None:
+        """The gravest fault that the hand reports."""
 
 
-class Poller:
+LineT = TypeVar("LineT")
+ReadingT = TypeVar("ReadingT", bound=Reading)
+
+
+class Poller(Generic[LineT, ReadingT]):
     """Reads the hand in a thread of its own from `start` to `close`.
 
     Args:
         line: The line, which from then on belongs to the thread.
         clock: The station's clock.
+        read: Reads the hand; gets the line and the number of the reading.
         watch: Called with every reading in the thread; it may use the line.
     """
 
-    def __init__(self, line: HandLine, clock: Clock, watch: Callable[[Reading, HandLine], None]) -> None:
-        self._line, self._clock, self._watch = line, clock, watch
+    def __init__(
+        self,
+        line: LineT,
+        clock: Clock,
+        read: Callable[[LineT, int], ReadingT],
+        watch: Callable[[ReadingT, LineT], None],
+    ) -> None:
+        self._line, self._clock, self._read_line, self._watch = line, clock, read, watch
         self._news = threading.Condition()
-        self._commands: deque[tuple[Callable[[HandLine], None], Future[None]]] = deque()
-        self._reading: Reading | None = None
+        self._commands: deque[tuple[Callable[[LineT], None], Future[None]]] = deque()
+        self._reading: ReadingT | None = None
         self._failure: DeviceError | None = None
         self._silence: DeviceError | None = None
         self._over = False
-        self._thread = threading.Thread(target=self._run, name="inspire hand", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="hand", daemon=True)
 
     def start(self) -> None:
         """Read once, then go on in the thread.
@@ -70,7 +79,7 @@ class Poller:
         Raises:
             DeviceError: The hand does not answer, or is another one.
         """
-        self._reading = self._read(1)
+        self._reading = self._read_line(self._line, 1)
         self._thread.start()
 
     def close(self) -> None:
@@ -81,7 +90,7 @@ class Poller:
         if self._thread.ident is not None:
             self._thread.join(2.0 * COMMAND_TIME)
 
-    def run(self, command: Callable[[HandLine], None]) -> None:
+    def run(self, command: Callable[[LineT], None]) -> None:
         """Let the thread carry out a command, and wait for it.
 
         Args:
@@ -102,7 +111,7 @@ class Poller:
             message = "the hand did not take a command in time: look at its cable"
             raise NoAnswerError(message, code="no_answer.hand_silent") from None
 
-    def newest(self, max_age: float) -> Reading:
+    def newest(self, max_age: float) -> ReadingT:
         """Return the newest reading.
 
         Args:
@@ -122,7 +131,7 @@ class Poller:
             raise StaleDataError(message, code="stale_data.hand") from why
         return reading
 
-    def wait(self, after: int, timeout: float) -> Reading:
+    def wait(self, after: int, timeout: float) -> ReadingT:
         """Wait for a reading later than the one with this number.
 
         Args:
@@ -159,11 +168,6 @@ class Poller:
         if self._over:
             raise DeviceError("the hand is closed: use it inside its `with` block", code="device.closed")
 
-    def _read(self, number: int) -> Reading:
-        stamp = self._clock.now()
-        angles = unpack_angles(self._line.read(ANGLE_ACT, ANGLES_LENGTH))
-        return Reading(stamp, number, angles, unpack_condition(self._line.read(FORCE_ACT, CONDITION_LENGTH)))
-
     def _run(self) -> None:
         try:
             while True:
@@ -183,7 +187,7 @@ class Poller:
     def _poll(self) -> None:
         assert self._reading is not None
         try:
-            reading = self._read(self._reading.number + 1)
+            reading = self._read_line(self._line, self._reading.number + 1)
             with self._news:
                 self._reading, self._silence = reading, None
                 self._news.notify_all()

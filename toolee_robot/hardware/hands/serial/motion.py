@@ -4,43 +4,23 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Self
+from typing import Generic, Self
 
 import numpy as np
 
 from toolee_robot.errors import DeviceError
 from toolee_robot.hal import Clock
-from toolee_robot.hardware.hands.inspire.line import HandLine
-from toolee_robot.hardware.hands.inspire.poller import Poller, Reading
-from toolee_robot.hardware.hands.inspire.registers import FAULT_CODES, Condition, Fault
+from toolee_robot.hardware.hands.serial.poller import LineT, Poller, ReadingT
 
 STANDS_FOR = 0.1
 """Time without motion after which a motor stands [s]."""
 COMMAND_DELAY = 0.1
-"""Time after a command within which its motion has begun [s]; 0.066 was measured, 0.070 at most."""
-STILL = 2
-"""Way of a motor within STANDS_FOR that counts as none [counts]; at the slowest speed in use it is 3."""
+"""Time after a command within which its motion has begun [s]."""
 SILENCE = 0.3
 """Longest time without a reading in a motion [s]."""
 
 
-def fault_error(condition: Condition) -> DeviceError:
-    """Build the error for the gravest fault.
-
-    Args:
-        condition: What the hand reports; it has a fault.
-
-    Returns:
-        The error, with the code of the fault.
-    """
-    assert condition.worst is not None
-    code, _, remedy = FAULT_CODES[condition.worst]
-    then = "" if condition.worst is Fault.OVER_TEMPERATURE else ", then clear its faults"
-    message = f"the hand reports a fault ({condition.described}): {remedy}{then}; it keeps its grip"
-    return DeviceError(message, code=code)
-
-
-class Motion:
+class Motion(Generic[LineT, ReadingT]):
     """Context of one motion; there is one at a time.
 
     Args:
@@ -50,6 +30,7 @@ class Motion:
         stopped: Set when the hand is to stop; cleared as the motion begins.
         freeze: Stops the motors where they are; run by the poller.
         timeout: Time for the whole motion [s].
+        still: Way of a motor within STANDS_FOR that counts as none, in the unit of `Reading.closures`.
 
     Attributes:
         reading: The newest reading.
@@ -57,17 +38,18 @@ class Motion:
 
     def __init__(
         self,
-        poller: Poller,
+        poller: Poller[LineT, ReadingT],
         clock: Clock,
         moving: threading.Lock,
         stopped: threading.Event,
-        freeze: Callable[[HandLine], None],
+        freeze: Callable[[LineT], None],
         timeout: float,
+        still: float,
     ) -> None:
         self._poller, self._clock, self._moving, self._stopped = poller, clock, moving, stopped
-        self._freeze, self._timeout = freeze, timeout
+        self._freeze, self._timeout, self._still = freeze, timeout, still
         self._end = clock.now() + timeout
-        self.reading: Reading = poller.newest(SILENCE)
+        self.reading: ReadingT = poller.newest(SILENCE)
 
     def __enter__(self) -> Self:
         """Begin.
@@ -89,8 +71,8 @@ class Motion:
         Raises:
             DeviceError: A motor has a fault.
         """
-        if self.reading.condition.worst is not None:
-            raise fault_error(self.reading.condition)
+        if self.reading.fault is not None:
+            raise self.reading.fault
 
     def until_still(self, motor: int | None = None) -> None:
         """Wait until the motors stand, whatever state they report: one that was stuck said that it had arrived.
@@ -103,17 +85,17 @@ class Motion:
             StaleDataError: The hand has fallen silent.
         """
         index = slice(None) if motor is None else motor
-        had = self.reading.condition.faults
-        since, reference = self._clock.now() + COMMAND_DELAY, np.array(self.reading.angles)
+        had = str(self.reading.fault)
+        since, reference = self._clock.now() + COMMAND_DELAY, self.reading.closures
         while True:
             self.reading = self._poller.wait(self.reading.number, SILENCE)
-            if self.reading.condition.faults != had:
+            if str(self.reading.fault) != had:
                 self.refuse_faults()
             if self._stopped.is_set():
                 raise DeviceError("the hand was stopped; it keeps its grip", code="device.stopped")
-            angles = np.array(self.reading.angles)
-            if np.max(np.abs(angles - reference)[index]) > STILL:
-                reference, since = angles, max(since, self.reading.stamp)
+            closures = self.reading.closures
+            if np.max(np.abs(closures - reference)[index]) > self._still:
+                reference, since = closures, max(since, self.reading.stamp)
             elif self.reading.stamp - since >= STANDS_FOR:
                 return
             if self._clock.now() > self._end:

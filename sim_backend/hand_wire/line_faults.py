@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -42,6 +42,7 @@ class LineFaults:
     """Injects faults into the replies; from any thread.
 
     Args:
+        foreign: Makes a reply of another hand on the line out of one of this hand.
         seed: Seed of the noise, and of faults at random.
 
     Attributes:
@@ -51,7 +52,8 @@ class LineFaults:
         late_by: By how much late replies are late [s].
     """
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self, foreign: Callable[[bytes], bytes], seed: int = 0) -> None:
+        self._foreign = foreign
         self.muted = self.echo = False
         self.rates: Mapping[LineFault, float] = {}
         self.late_by = 0.12
@@ -97,8 +99,7 @@ class LineFaults:
         if fault is LineFault.DOUBLED:
             return [Piece(frame, 0.0), Piece(frame, 0.0)]
         if fault is LineFault.FOREIGN:
-            other = [frame[2] % 254 + 1, *frame[3:-1]]
-            return [Piece(bytes([*frame[:2], *other, sum(other) % 256]), 0.0), Piece(frame, 0.0)]
+            return [Piece(self._foreign(frame), 0.0), Piece(frame, 0.0)]
         return [] if fault is LineFault.LOST else [Piece(frame, 0.0)]
 
     def _drawn(self) -> LineFault | None:

@@ -1,0 +1,83 @@
+"""The emulated Ability Hand on a pseudo-terminal."""
+
+from __future__ import annotations
+
+import time
+
+from toolee_robot.sim_backend.ability_hand.hand import NAMES, Hand
+from toolee_robot.sim_backend.ability_hand.messages import MessageParser, foreign
+from toolee_robot.sim_backend.hand_wire import Frame, HandEmulator, LineFaults
+
+TURNAROUND = 0.001
+"""Time that the hand takes for a reply [s]: assumed; the maker's client asks 500 times a second."""
+BYTE_TIME = 10.0 / 460800.0
+"""Time of a byte on the line [s]."""
+
+
+class AbilityEmulator(HandEmulator[Hand]):
+    """A PSYONIC Ability Hand that a driver finds at `port`.
+
+    Args:
+        address: The hand's address on the line.
+        seed: Seed of noise and chance.
+        pace: Rate of the motors' time relative to the host's; line and API mode keep to the host's.
+    """
+
+    label = "PSYONIC Ability Hand"
+    motors = NAMES
+    events = "heat MOTOR DEGREES, heat DEGREES, jam MOTOR, free MOTOR, pads off, pads on"
+
+    def __init__(self, address: int = 0x50, seed: int = 0, pace: float = 1.0) -> None:
+        hand = Hand(lambda: pace * time.monotonic(), seed, pace)
+        super().__init__(hand, LineFaults(foreign, seed), TURNAROUND, BYTE_TIME, pace)
+        self._parser = MessageParser(address)
+
+    def hold(self, at: float | None) -> None:
+        """Put something into the hand, met by fingers and thumb at this angle [deg]; None: take it out."""
+        self.tell(lambda hand: hand.hold(at))
+
+    def slip(self, way: float) -> None:
+        """Let what the hand holds give way by this much [deg]."""
+        self.tell(lambda hand: hand.slip(way))
+
+    def met(self, finger: str) -> None:
+        """Let a finger meet something where it is now."""
+        name = "thumb_flexor" if finger == "thumb" else finger
+        if name not in NAMES:
+            return  # the palm, which has no motor
+
+        def feel(hand: Hand) -> None:
+            hand.run()
+            motor = hand.motors[NAMES.index(name)]
+            if motor.met_at is None:
+                motor.met_at = motor.position
+
+        self.tell(feel)
+
+    def happen(self, event: str, motor: int | None, *words: str) -> None:
+        """Let a motor or the palm get hot, let one jam or come free, or take the pads away."""
+        if event == "heat" and len(words) == 1:
+            degrees = float(words[0])
+            self.tell(lambda hand: hand.heat(degrees) if motor is None else _heat(hand, motor, degrees))
+        elif event in ("jam", "free") and motor is not None and not words:
+            self.tell(lambda hand: _jam(hand, motor, event == "jam"))
+        elif event == "pads" and motor is None and words in (("on",), ("off",)):
+            self.tell(lambda hand: setattr(hand, "has_pads", words == ("on",)))
+        else:
+            raise ValueError(event)
+
+    def _angles(self, hand: Hand) -> tuple[float, ...]:
+        return hand.angles
+
+    def _answer(self, data: bytes) -> list[Frame]:
+        return [frame for message in self._parser.take(data) for frame in self._hand.answer(message)]
+
+
+def _heat(hand: Hand, motor: int, degrees: float) -> None:
+    hand.run()
+    hand.motors[motor].temperature = degrees
+
+
+def _jam(hand: Hand, motor: int, jammed: bool) -> None:
+    hand.run()
+    hand.motors[motor].jammed = jammed

@@ -1,0 +1,174 @@
+"""An emulated hand on a pseudo-terminal."""
+
+from __future__ import annotations
+
+import heapq
+import os
+import select
+import threading
+import time
+import tty
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Self, TypeVar
+
+from toolee_robot.sim_backend.hand_wire.line_faults import LineFaults
+
+HandT = TypeVar("HandT")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame that the hand sends."""
+
+    data: bytes
+    """Its bytes."""
+    delay: float = 0.0
+    """Time that passes before it is sent, beyond that of every reply [s]."""
+
+
+class HandEmulator(ABC, Generic[HandT]):
+    """A hand that a driver finds at `port`; its line is as slow as a real one.
+
+    Args:
+        hand: The hand.
+        faults: Faults of its line.
+        turnaround: Time that the hand takes for a reply [s].
+        byte_time: Time of a byte on the line [s].
+        pace: Rate of the hand's time relative to the host's; the line keeps to the host's.
+
+    Attributes:
+        port: Path of the pseudo-terminal.
+        faults: Faults of the line.
+    """
+
+    label: str
+    """The hand, for people."""
+    motors: tuple[str, ...]
+    """Names of its motors."""
+    events: str
+    """What can happen to it and to nothing else, for people."""
+
+    def __init__(self, hand: HandT, faults: LineFaults, turnaround: float, byte_time: float, pace: float = 1.0) -> None:
+        self._ours, self._theirs = os.openpty()
+        tty.setraw(self._theirs)
+        self.port = os.ttyname(self._theirs)
+        self.faults = faults
+        self._hand, self._pace = hand, pace
+        self._turnaround, self._byte_time = turnaround, byte_time
+        self._lock = threading.Lock()
+        self._wake, self._woken = os.pipe()[::-1]
+        self._over = False
+        self._thread = threading.Thread(target=self._run, name="hand emulator", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.unplug()
+        os.close(self._wake)
+        os.close(self._woken)
+
+    @property
+    def plugged(self) -> bool:
+        """Whether the cable is plugged in."""
+        return not self._over
+
+    @property
+    def angles(self) -> tuple[float, ...]:
+        """Where the motors are now, in the order of `motors` and the hand's own unit."""
+        with self._lock:
+            return self._angles(self._hand)
+
+    def tell(self, what: Callable[[HandT], object]) -> None:
+        """Do something to the hand while it works.
+
+        Args:
+            what: Gets the hand.
+        """
+        with self._lock:
+            what(self._hand)
+
+    def unplug(self) -> None:
+        """Pull the cable out for good: whoever has the port open gets an error."""
+        if not self._over:
+            self._over = True
+            os.write(self._wake, b"x")
+            self._thread.join()
+
+    @abstractmethod
+    def hold(self, at: float | None) -> None:
+        """Put something into the hand that the fingers meet at this angle, in the hand's own unit; None: take it out.
+
+        Args:
+            at: The angle.
+        """
+
+    @abstractmethod
+    def slip(self, way: float) -> None:
+        """Let what the hand holds give way.
+
+        Args:
+            way: By how much further the fingers have to close to meet it, in the hand's own unit.
+        """
+
+    @abstractmethod
+    def met(self, finger: str) -> None:
+        """Let a finger meet something where it is now; one that the hand does not have is ignored.
+
+        Args:
+            finger: Its name in the hand's `HandModel`.
+        """
+
+    @abstractmethod
+    def happen(self, event: str, motor: int | None, *words: str) -> None:
+        """Let one of `events` happen.
+
+        Args:
+            event: Its first word.
+            motor: The motor that it names; None without one.
+            words: What follows.
+
+        Raises:
+            ValueError: There is no such event, or a word is wrong.
+            TypeError: There are too many words, or too few.
+        """
+
+    @abstractmethod
+    def _angles(self, hand: HandT) -> tuple[float, ...]:
+        """Where the motors are."""
+
+    @abstractmethod
+    def _answer(self, data: bytes) -> list[Frame]:
+        """The frames that answer bytes from the line."""
+
+    def _run(self) -> None:
+        try:
+            self._serve()
+        finally:
+            os.close(self._ours)
+            os.close(self._theirs)
+
+    def _serve(self) -> None:
+        due: list[tuple[float, int, bytes]] = []
+        count = 0
+        while not self._over:
+            wait = max(0.0, due[0][0] - time.monotonic()) if due else None
+            ready, _, _ = select.select([self._ours, self._woken], [], [], wait)
+            while due and due[0][0] <= time.monotonic():
+                os.write(self._ours, heapq.heappop(due)[2])
+            if self._ours not in ready:
+                continue
+            data = os.read(self._ours, 4096)
+            begin = time.monotonic() + self._turnaround + self._byte_time * len(data)
+            if self.faults.echo:
+                os.write(self._ours, data)
+            with self._lock:
+                frames = self._answer(data)
+            for frame in frames:
+                for piece in self.faults.on_the_way(frame.data):
+                    count += 1
+                    at = begin + frame.delay / self._pace + piece.delay + self._byte_time * len(piece.data)
+                    heapq.heappush(due, (at, count, piece.data))

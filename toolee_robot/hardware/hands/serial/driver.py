@@ -1,0 +1,142 @@
+"""What every driver of a hand on a serial line is: its block, its thread, its motions, its stop."""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from contextlib import suppress
+from typing import Generic, Protocol, Self, TypeVar
+
+from toolee_robot.errors import DeviceError
+from toolee_robot.hal import Clock, HandState
+from toolee_robot.hardware.hands.serial.grip import Grip, GripRule
+from toolee_robot.hardware.hands.serial.motion import Motion
+from toolee_robot.hardware.hands.serial.poller import Poller, ReadingT
+from toolee_robot.hardware.hands.serial.port import LineCounts
+from toolee_robot.robots.hands import HandModel
+
+MOTION_TIME = 8.0
+"""Time for a motion where nobody says another [s]."""
+
+
+class HandLine(Protocol):
+    """The line to a hand."""
+
+    counts: LineCounts
+
+    def close(self) -> None:
+        """Release the port."""
+
+
+LineT = TypeVar("LineT", bound=HandLine)
+
+
+class SerialHand(ABC, Generic[LineT, ReadingT]):
+    """A `hal.Hand` on a serial line; use it in its `with` block. Entering it moves nothing.
+
+    Args:
+        model: The hand: `hand_model(config.hand)`.
+        clock: Clock of the station, the host's.
+        rule: What is a grip.
+        still: Way of a motor that counts as none, in the unit of `Reading.closures`.
+    """
+
+    def __init__(self, model: HandModel, clock: Clock, rule: GripRule, still: float) -> None:
+        self._model, self._clock, self._still = model, clock, still
+        self._line: LineT | None = None
+        self._poller: Poller[LineT, ReadingT] | None = None
+        self._grip = Grip(rule)
+        self._moving = threading.Lock()
+        self._stopped = threading.Event()
+
+    def __enter__(self) -> Self:
+        """Open the port and read the hand once.
+
+        Raises:
+            NoAnswerError: The port cannot be opened, or no hand answers.
+            ProtocolError: What answers is no such hand.
+        """
+        self._line = self._connect()
+        self._poller = Poller(self._line, self._clock, self._read, self._watch)
+        try:
+            self._poller.start()
+        except BaseException:
+            self._poller = None
+            self._line.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Stop the fingers, which keep what they hold, and release the port."""
+        if self._poller is None or self._line is None:
+            return
+        with suppress(DeviceError):  # a hand that is out of reach cannot be stopped, and keeps its grip
+            self.stop()
+        self._poller.close()
+        self._poller = None
+        self._line.close()
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the model's joints; a motor moves one or several of them."""
+        return self._model.joints
+
+    @property
+    def line_counts(self) -> LineCounts:
+        """What happened on the line so far."""
+        return LineCounts() if self._line is None else self._line.counts
+
+    def reading(self, max_age: float = 0.1) -> ReadingT:
+        """Return the newest reading as the hand gave it.
+
+        Args:
+            max_age: Its largest age [s].
+
+        Raises:
+            StaleDataError: The hand has been silent for longer than `max_age`.
+            NoAnswerError: Its port is gone.
+            DeviceError: It is closed.
+        """
+        return self._opened().newest(max_age)
+
+    def stop(self) -> None:
+        """Stop the fingers where they are; one that presses goes on pressing. `open` and `close` end with an error."""
+        self._stopped.set()
+        if self._poller is not None:
+            self._poller.run(self._freeze)
+
+    @abstractmethod
+    def state(self, max_age: float = 0.1) -> HandState:
+        """Return the newest state; it may be asked from any thread at any time."""
+
+    @abstractmethod
+    def open(self, timeout: float = MOTION_TIME) -> None:
+        """Spread the fingers."""
+
+    @abstractmethod
+    def close(self, timeout: float = MOTION_TIME) -> None:
+        """Close the fingers until they hold something or are shut."""
+
+    @abstractmethod
+    def _connect(self) -> LineT:
+        """Open the line."""
+
+    @abstractmethod
+    def _read(self, line: LineT, number: int) -> ReadingT:
+        """Read the hand; in the thread."""
+
+    @abstractmethod
+    def _watch(self, reading: ReadingT, line: LineT) -> None:
+        """Judge the grip with every reading, and keep it up; in the thread."""
+
+    @abstractmethod
+    def _freeze(self, line: LineT) -> None:
+        """Stop the motors; in the thread."""
+
+    def _opened(self) -> Poller[LineT, ReadingT]:
+        if self._poller is None:
+            raise DeviceError("the hand is closed: use it inside its `with` block", code="device.closed")
+        return self._poller
+
+    def _motion(self, timeout: float) -> Motion[LineT, ReadingT]:
+        return Motion(self._opened(), self._clock, self._moving, self._stopped, self._freeze, timeout, self._still)
