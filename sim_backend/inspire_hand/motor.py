@@ -57,11 +57,6 @@ class Motor:
     _stands: bool = True
 
     @property
-    def stands(self) -> bool:
-        """Whether it stands."""
-        return self._stands
-
-    @property
     def force(self) -> float:
         """Force of the finger on what it holds [counts]."""
         return 0.0 if self.met_at is None else max(0.0, STIFFNESS * (self.met_at - self.position))

@@ -15,7 +15,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control import Meeting
 from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, at_rest, grip_kept
 from toolee_robot.frames import Array
-from toolee_robot.tasks.common.outcome import HammerResult, Outcome
+from toolee_robot.tasks.common.outcome import HammerResult, Outcome, Stage
 
 pytestmark = pytest.mark.sim(seconds=30)
 
@@ -50,6 +50,23 @@ def test_somebody_is_still_inside_after_they_said_they_stepped_back(bench: Bench
     log = Log()
     stands(bench, bench.blind_task(log).run(), Outcome.PERSON_NEAR, "within the arm's reach")
     assert log.motions == ["to the handover"]
+
+
+def test_inputs_that_are_uncertain_for_a_moment_are_waited_for(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As after a late packet: the assumed reading is the safe one, and nobody is there."""
+    people, world = bench.people, bench.sim.world
+    occupied, doubtful_until = people.zone_occupied, -1.0
+
+    def doubt() -> None:
+        nonlocal doubtful_until
+        doubtful_until = world.time + 0.4
+
+    monkeypatch.setattr(people, "readings_certain", lambda: world.time >= doubtful_until)
+    monkeypatch.setattr(people, "zone_occupied", lambda: world.time < doubtful_until or occupied())
+    result = bench.blind_task(Log(at={Stage.PLAN: doubt})).run()
+    assert doubtful_until > 0.0
+    assert result.outcome is not Outcome.PERSON_NEAR, result.reason
+    assert result.strikes
 
 
 # -- work ----------------------------------------------------------------------------------------------------------

@@ -12,11 +12,12 @@ from typing import Any
 
 from toolee_robot.config import HandConfig
 from toolee_robot.errors import ConfigError
+from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, Hand
 from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.hardware.hands.mount import MountedTool
 from toolee_robot.robots import MOUNT, HandModel, hand_model
-from toolee_robot.robots.hands.inspire import INSPIRE
+from toolee_robot.robots.hands.inspire import INSPIRE, joints_of_counts
 from toolee_robot.sim_backend.hand_wire import HandEmulator
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 from toolee_robot.stations.devices import installed, load
@@ -28,14 +29,18 @@ class SerialHandKind:
 
     Attributes:
         driver: Builds the driver from model, port, clock, and number of the hand.
-        emulator: Builds the emulated hand with that number.
+        emulator: Builds the emulated hand with that number, whose motors' time runs at a rate relative to the host's.
+        joints: Converts the emulated motors' angles to the positions of the model's joints [rad].
     """
 
     driver: Callable[[HandModel, str, Clock, int], Hand]
-    emulator: Callable[[int], HandEmulator[Any]]
+    emulator: Callable[[int, float], HandEmulator[Any]]
+    joints: Callable[[Array], Array]
 
 
-SERIAL_HANDS: dict[str, SerialHandKind] = {INSPIRE: SerialHandKind(InspireHand, InspireEmulator)}
+SERIAL_HANDS: dict[str, SerialHandKind] = {
+    INSPIRE: SerialHandKind(InspireHand, lambda number, pace: InspireEmulator(number, pace=pace), joints_of_counts)
+}
 """Name in the station file -> hand on a serial line."""
 
 
@@ -72,11 +77,12 @@ def open_hand(config: HandConfig, clock: Clock) -> Hand:
     return SERIAL_HANDS[config.model].driver(model, config.port, clock, config.hand_id)
 
 
-def emulated_hand(config: HandConfig) -> HandEmulator[Any]:
+def emulated_hand(config: HandConfig, pace: float = 1.0) -> HandEmulator[Any]:
     """Build the emulated hand that stands in for a station's.
 
     Args:
         config: What the station file says of the hand.
+        pace: Rate of its motors' time relative to the host's.
 
     Returns:
         The emulated hand, not yet entered.
@@ -87,7 +93,7 @@ def emulated_hand(config: HandConfig) -> HandEmulator[Any]:
     if config.model not in SERIAL_HANDS:
         known = ", ".join(SERIAL_HANDS)
         raise ConfigError(f"no emulator of {config.model!r}: there is one of {known}", code="config.hand_driver")
-    return SERIAL_HANDS[config.model].emulator(config.hand_id)
+    return SERIAL_HANDS[config.model].emulator(config.hand_id, pace)
 
 
 def hand_drivers() -> dict[str, str]:

@@ -97,7 +97,7 @@ class Question:
 
     def _check_unit(self, value: Any) -> None:
         for unit, (largest, other) in _LARGEST.items():
-            if unit in self.text and not isinstance(value, str) and np.abs(value).max() > largest:
+            if unit in self.text and not isinstance(value, str) and max(map(abs, np.atleast_1d(value))) > largest:
                 message = f"{value} is no size in {unit}: that looks like {other}"
                 raise UserError(message, code="user.answer_unit")
 

@@ -14,23 +14,20 @@ from toolee_robot.control import RobotModel
 from toolee_robot.errors import ConfigError, UserError
 from toolee_robot.hal import Station
 from toolee_robot.robots import MOUNT
-from toolee_robot.robots.hands.inspire import INSPIRE
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.runtime.cpu_keepalive import CpuKeepalive
-from toolee_robot.sim_backend.inspire_hand import HandEmulator
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.remote.station import RemoteJudge
 from toolee_robot.sim_backend.remote.world import RemoteWorld
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.stations.driven_hand import SWITCH_INTERVAL
+from toolee_robot.stations.hand import SERIAL_HANDS, emulated_hand
 from toolee_robot.stations.lab import LabStation, Purpose
 from toolee_robot.stations.rehearsal.camera import emulated_stream
 from toolee_robot.stations.rehearsal.hand import FingerCoupling
 from toolee_robot.stations.rehearsal.person import RehearsedPerson
 from toolee_robot.tools import Tool
 
-EMULATED_HANDS = (INSPIRE,)
-"""Hands that have an emulator."""
 _PORTS = (29999, 30004)
 
 
@@ -83,10 +80,10 @@ class EmulatedLab:
     ) -> None:
         LabStation(cell.measured, tell, purpose=purpose)  # refuses what is missing
         hand = cell.measured.hand.model
-        if hand not in (*EMULATED_HANDS, MOUNT):
+        if hand not in (*SERIAL_HANDS, MOUNT):
             raise ConfigError(
                 f"the hand {hand!r} has no emulator, so that it cannot be rehearsed: those with one are "
-                f"{', '.join(EMULATED_HANDS)}, and a {MOUNT} needs none",
+                f"{', '.join(SERIAL_HANDS)}, and a {MOUNT} needs none",
                 code="config.no_emulator",
             )
         self._cell, self._tell, self._purpose = cell, tell, purpose
@@ -155,9 +152,10 @@ class EmulatedLab:
         hand = self._cell.measured.hand
         if hand.model == MOUNT:
             return hand
-        emulator = HandEmulator(hand.hand_id, seed=self._cell.seed, pace=self._clock.real_time_factor)
-        stack.enter_context(emulator)
-        stack.enter_context(FingerCoupling(self._world, emulator))
+        model = RobotModel.of_station(self._cell.measured).description
+        emulator = stack.enter_context(emulated_hand(hand, self._clock.real_time_factor))
+        joints = SERIAL_HANDS[hand.model].joints
+        stack.enter_context(FingerCoupling(self._world, emulator, joints, model.hand_open))
         return replace(hand, port=emulator.port)
 
     def _set_input(self, index: int, high: bool) -> None:

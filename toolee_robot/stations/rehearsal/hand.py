@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import threading
-from typing import Self
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Self
 
 import numpy as np
 
-from toolee_robot.robots.hands.inspire import joints_of_counts
+from toolee_robot.frames import Array
 from toolee_robot.sim_backend.devices.coupled_fingers import Touched
-from toolee_robot.sim_backend.inspire_hand import Hand, HandEmulator
-from toolee_robot.sim_backend.inspire_hand.hand import NAMES
+from toolee_robot.sim_backend.hand_wire import HandEmulator
 from toolee_robot.sim_backend.remote.station import Caller
 
 PERIOD = 0.02
 """Time between two steps of the fingers on the wall clock [s]."""
-OPENS = 60.0
-"""Mean way of the motors from where they gripped, after which the hand has let go [counts]."""
+STANDS = 0.005
+"""Way of every joint in STANDS_FOR steps up to which the hand stands [rad]."""
+STANDS_FOR = 8
+OPENS = 0.08
+"""Mean way of the joints towards the open hand, from where they gripped, after which the hand has let go [rad]."""
 GRIP_TIME = 1.0
 """Time for the assisted grip to begin [s]."""
-_MOTORS = {"thumb": "thumb_bend"}
 
 
 class FingerCoupling:
@@ -30,12 +33,18 @@ class FingerCoupling:
     Args:
         world: Sends requests to the world.
         emulator: The emulated hand.
+        joints: Converts its motors' angles to the positions of the model's joints [rad].
+        q_open: Positions of the joints of the open hand [rad].
     """
 
-    def __init__(self, world: Caller, emulator: HandEmulator) -> None:
-        self._world, self._emulator = world, emulator
+    def __init__(
+        self, world: Caller, emulator: HandEmulator[Any], joints: Callable[[Array], Array], q_open: Array
+    ) -> None:
+        self._world, self._emulator, self._joints, self._q_open = world, emulator, joints, q_open
         self._over = threading.Event()
-        self._gripped_at: np.ndarray | None = None
+        self._recent: deque[Array] = deque(maxlen=STANDS_FOR)
+        self._met: set[str] = set()
+        self._gripped_at: float | None = None
         self._refused = False
         self._thread = threading.Thread(target=self._run, name="emulated fingers", daemon=True)
 
@@ -49,39 +58,38 @@ class FingerCoupling:
 
     def _run(self) -> None:
         while not self._over.wait(PERIOD):
-            angles = np.array(self._emulator.angles)
-            touched: Touched = self._world.call("fingers.follow", joints_of_counts(angles))
+            q = self._joints(np.array(self._emulator.angles))
+            self._recent.append(q)
+            touched: Touched = self._world.call("fingers.follow", q)
             if self._gripped_at is None:
-                self._feel(touched, angles)
+                self._feel(touched, q)
             elif not touched.gripped:  # dropped, or torn out of the hand
                 self._lose()
-            elif np.mean(angles - self._gripped_at) > OPENS:
+            elif self._closed(q) < self._gripped_at - OPENS:
                 self._world.call("fingers.let_go")
                 self._lose()
 
-    def _feel(self, touched: Touched, angles: np.ndarray) -> None:
-        met = [name for finger in touched.fingers if (name := _MOTORS.get(finger, finger)) in NAMES]
-        stands = False
-
-        def feel(hand: Hand) -> None:
-            nonlocal stands
-            hand.run()
-            for name in met:
-                motor = hand.motors[NAMES.index(name)]
-                if motor.met_at is None:
-                    motor.met_at = motor.position
-            stands = all(motor.stands for motor in hand.motors)
-
-        self._emulator.tell(feel)
-        if not stands:
+    def _feel(self, touched: Touched, q: Array) -> None:
+        for finger in touched.fingers:
+            self._emulator.met(finger)
+            self._met.add(finger)
+        if not self._stands:
             self._refused = False
-        elif not self._refused and "thumb_bend" in met and len(met) > 1:
+        elif not self._refused and len(self._met) > 1:
             if self._world.call("fingers.grip", lasting=GRIP_TIME):
-                self._gripped_at = angles
+                self._gripped_at = self._closed(q)
             else:
                 self._refused = True
                 self._lose()
 
+    @property
+    def _stands(self) -> bool:
+        return len(self._recent) == STANDS_FOR and bool(np.ptp(self._recent, axis=0).max() < STANDS)
+
+    def _closed(self, q: Array) -> float:
+        return float(np.mean(np.abs(q - self._q_open)))
+
     def _lose(self) -> None:
         self._gripped_at = None
-        self._emulator.tell(lambda hand: hand.hold(None))
+        self._met.clear()
+        self._emulator.hold(None)

@@ -33,6 +33,9 @@ STRAIGHT_SPEED = 0.25
 STILL_STEP, STILL_PATIENCE = 0.02, 1.0
 """Polling period and longest wait for an arm that oscillates after a contact [s]; the supervisor refuses one that still
 moves."""
+READINGS_PATIENCE = 1.0
+"""Longest wait for the person's inputs before a motion, where they are not certain [s]: a late reading or a bounce is no
+person, and would end a job."""
 RETREAT, RETREAT_SPEED = 0.20, 0.15
 """Length [m] and speed [m/s] of the retreat after the tool has dropped."""
 HOLD_SWITCH = "Release the enabling switch, then hold it: the arm moves slowly."
@@ -296,6 +299,7 @@ class Motions:
                 "look for a stuck switch",
                 code="person_near.switch_not_taken",
             )
+        self._wait_for_readings()
         try:
             with watch or nullcontext():
                 yield watch
@@ -316,6 +320,12 @@ class Motions:
                 if np.abs(self.arm.state().joints.qd).max() < AT_REST:
                     return
                 self._station.clock.sleep(STILL_STEP)
+
+    def _wait_for_readings(self) -> None:
+        clock = self._station.clock
+        end = clock.now() + READINGS_PATIENCE
+        while not self.person.readings_certain() and clock.now() < end:
+            clock.sleep(STILL_STEP)
 
     def _done(self, name: str, report: MotionReport, hand: HandWatch | None) -> None:
         # The arm holds the commanded position, where the next motion must start; the servo's lag is zero at rest.

@@ -1,0 +1,144 @@
+"""A lab's station by its own drivers, every device emulated: the wires hold what the station file says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.errors import raises
+from toolee_robot.config import StationConfig, load_lab_station, load_station
+from toolee_robot.end_effectors import Category
+from toolee_robot.errors import ConfigError, DeviceError, NotReadyError
+from toolee_robot.frames import angle_between, rotation_angle
+from toolee_robot.hardware.hands.inspire import InspireHand
+from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
+from toolee_robot.stations.lab import LabStation, Purpose, check_purpose
+from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
+from toolee_robot.stations.rehearsal.job import NAIL_BESIDE, RULER
+from toolee_robot.types import HandWeight
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+LAB = EXAMPLES / "lab.yaml"
+FACTOR = 0.5
+"""Real-time factor."""
+
+
+@pytest.fixture
+def config() -> StationConfig:
+    return load_lab_station(LAB)
+
+
+@pytest.mark.parametrize("field", ["arm.host", "camera.device", "person", "calibration", "tool", "hand.port"])
+def test_what_is_missing_is_named(config: StationConfig, field: str) -> None:
+    section, _, name = field.partition(".")
+    if field == "hand.port":
+        lacking = _with_inspire(config, port=None)
+    elif name:
+        lacking = replace(config, **{section: replace(getattr(config, section), **{name: None})})
+    else:
+        lacking = replace(config, **{section: None})
+    with raises(ConfigError, "config.station_lacks") as caught:
+        LabStation(lacking, print)
+    assert f"give {field};" in str(caught.value)
+    if field in ("calibration", "tool", "hand.port"):
+        check_purpose(lacking, Purpose.CALIBRATION)
+
+
+def test_a_hand_that_cannot_be_emulated_is_not_rehearsed(config: StationConfig) -> None:
+    cell = job_cell(replace(config, hand=replace(StationConfig().hand, port="/dev/ttyUSB0")), LAB, 1)
+    with raises(ConfigError, "config.no_emulator"):
+        EmulatedLab(cell, print, FACTOR, "ideal")
+
+
+def test_the_rehearsed_cell_is_off_by_what_a_person_measures(config: StationConfig) -> None:
+    cells = [job_cell(config, LAB, seed) for seed in range(7401, 7421)]
+    again = job_cell(config, LAB, 7401)
+    assert (again.true, again.measured) == (cells[0].true, cells[0].measured)
+    X = config.camera.X_base_camera
+    moved = [np.linalg.norm(cell.true.camera.X_base_camera[:3, 3] - X[:3, 3]) for cell in cells]
+    assert config.calibration is not None
+    assert 0.5 < np.sqrt(np.mean(np.square(moved)) / 3.0) / config.calibration.residual < 1.6
+    assert 0.0 < max(rotation_angle(cell.true.camera.X_base_camera[:3, :3].T @ X[:3, :3]) for cell in cells) < 0.005
+    beside = np.array([cell.true.work.nail_xy for cell in cells]) - config.work.nail_xy
+    assert 0.5 < np.sqrt(np.mean(beside**2)) / NAIL_BESIDE < 1.6
+    for cell in cells:
+        assert cell.measured.camera == config.camera, "the job knows what the file says"
+        assert cell.measured.work == config.work
+        told, tool = cell.measured.tool, cell.tool
+        assert told is not None
+        X_face = tool.ee(Category.HAMMER_HEAD).X_tool_ee
+        assert 0.0 < np.linalg.norm(told.X_tool_face[:3, 3] - X_face[:3, 3]) < 6.0 * RULER
+        assert angle_between(told.X_tool_face[:3, 2], X_face[:3, 2]) < np.deg2rad(6.0)
+        assert abs(told.mass / tool.mass - 1.0) < 0.06
+
+
+@pytest.mark.realtime
+@pytest.mark.sim(seconds=20)
+def test_every_device_is_its_driver_and_answers_over_its_wire(config: StationConfig) -> None:
+    cell = job_cell(config, LAB, 7401)
+    prompts: list[str] = []
+    with EmulatedLab(cell, prompts.append, FACTOR, "ideal") as lab:
+        station = lab.station
+        assert isinstance(station.arm, UnsupervisedUrArm)
+        assert config.calibration is not None
+        assert station.robot_serial == config.calibration.robot_serial
+        assert station.camera_serial == config.calibration.camera_serial
+        frame = station.camera.read()
+        assert frame.intrinsics.agrees(config.camera.intrinsics)
+        assert np.mean(frame.depth > 0.0) > 0.8
+        assert station.clock.now() - frame.stamp < 0.5
+        assert station.person.zone_occupied(), "the door is open"
+        assert not station.person.enabling_switch_held()
+        assert station.person.hold_switch("hold it", 10.0)
+        assert station.person.enabling_switch_held()
+        assert station.person.confirm_swing("is everybody out?", 10.0)
+        assert not station.person.enabling_switch_held(), "both hands were needed"
+        assert station.person.release("step back", 10.0)
+        assert not station.person.zone_occupied(), "the door is closed"
+        np.testing.assert_allclose(station.arm.state().joints.q, config.scene.home, atol=0.01)
+    assert len(prompts) == 3
+
+
+@pytest.mark.realtime
+@pytest.mark.sim(seconds=20)
+def test_the_emulated_fingers_hold_what_the_person_puts_between_them(config: StationConfig) -> None:
+    config = _with_inspire(config, port="/dev/ttyUSB0")
+    cell = job_cell(config, LAB, 7401)
+    with EmulatedLab(cell, print, FACTOR, "ideal") as lab:
+        hand, person = lab.station.hand, lab.station.person
+        assert isinstance(hand, InspireHand)
+        hand.open()
+        hand.close()
+        assert not hand.state().holding, "there is nothing in it"
+        hand.open()
+        assert person.request_handover("lay it in", 20.0)
+        hand.close()
+        assert hand.state().holding
+        assert person.release("step back", 20.0)
+        lab.station.clock.sleep(1.0)
+        state = hand.state()
+        assert state.holding
+        assert not state.fault
+        lifted = lab.judge.X_hand_ee(lab.station.clock.now())
+        assert np.linalg.norm(lifted[:3, 3]) < 0.5, "it is still in the hand"
+
+
+def test_a_camera_that_is_not_there_is_named(config: StationConfig) -> None:
+    with raises(ConfigError, "config.camera_driver"), LabStation(_driver(config, "no_such"), print):
+        pass
+    with pytest.raises((DeviceError, NotReadyError)) as caught, LabStation(config, print):
+        pass
+    assert "832112070123" in str(caught.value), "no such camera is connected here"
+
+
+def _driver(config: StationConfig, name: str) -> StationConfig:
+    assert config.camera.device is not None
+    return replace(config, camera=replace(config.camera, device=replace(config.camera.device, driver=name)))
+
+
+def _with_inspire(config: StationConfig, port: str | None) -> StationConfig:
+    hand = load_station(EXAMPLES / "inspire.yaml").hand
+    return replace(config, hand=replace(hand, port=port, weighed=HandWeight(0.9, (0.0, 0.0, 0.06))))
