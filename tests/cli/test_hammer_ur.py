@@ -117,8 +117,8 @@ def test_an_interrupt_stops_the_arm_and_ends_client_and_server_in_order(tmp_path
 @pytest.mark.parametrize(
     ("args", "expected_text"),
     [
-        (["--arm", "ur-rtde"], "no driver for a real camera"),
-        (["--arm", "ur-rtde", "--robot-host", "192.168.1.10"], "toolee doctor"),
+        (["--arm", "ur-rtde"], "toolee hammer --station lab.yaml"),
+        (["--arm", "ur-rtde", "--robot-host", "192.168.1.10"], "toolee hammer --station lab.yaml"),
         (["--arm", "ur-rtde", "--world", "pybullet"], "needs --robot-host"),
         (["--robot-host", "127.0.0.36"], "without --arm ur-rtde"),
         (["--real-time-factor", "0.5"], "--real-time-factor without --arm ur-rtde"),

@@ -14,7 +14,7 @@ from toolee_robot.control import RobotModel
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, frame_from_axes, transform
 from toolee_robot.sim_backend.station import SimStation
-from toolee_robot.sim_backend.visuals.scene import SceneVisuals, scene_state
+from toolee_robot.sim_backend.visuals.scene import BodyId, SceneVisuals, scene_state
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody
 
 WORKSPACE, CAMERA_BOX, TABLE = (60, 120, 200), (220, 120, 40), (200, 200, 195)
@@ -90,6 +90,7 @@ def open_viewer(config: StationConfig, port: int) -> Any:
             body.mesh.vertices,
             body.mesh.faces,
             color=_rgb(body.color),
+            opacity=0.3 if body.body_id == BodyId.PERSON else None,
             flat_shading=True,
             position=position,
             wxyz=wxyz,
@@ -103,7 +104,7 @@ def open_viewer(config: StationConfig, port: int) -> Any:
         "/camera's view",
         fov=float(2.0 * np.arctan2(k.height / 2.0, k.fy)),
         aspect=k.width / k.height,
-        scale=0.25,
+        scale=0.12,
         color=CAMERA_BOX,
         position=position,
         wxyz=wxyz,
@@ -119,9 +120,9 @@ def open_viewer(config: StationConfig, port: int) -> Any:
     for name, X in named_frames(config).items():
         position, wxyz = _pose(X)
         scene.add_frame(f"/frames/{name}", position=position, wxyz=wxyz, axes_length=AXES, axes_radius=AXES / 30.0)
-        scene.add_label(f"/frames/{name}/name", name)
-    server.initial_camera.position = (2.2, -1.8, 1.6)
-    server.initial_camera.look_at = (0.4, -0.1, 0.5)
+        scene.add_label(f"/frames/{name}/name", name, position=(AXES, 0.0, 0.0))  # of base_link and pendant_base apart
+    server.initial_camera.position = (2.1, 1.3, 1.5)
+    server.initial_camera.look_at = (0.4, -0.2, 0.4)
     return server
 
 

@@ -34,8 +34,8 @@ STILL_STEP, STILL_PATIENCE = 0.02, 1.0
 """Polling period and longest wait for an arm that oscillates after a contact [s]; the supervisor refuses one that still
 moves."""
 READINGS_PATIENCE = 1.0
-"""Longest wait for the person's inputs before a motion, where they are not certain [s]: a late reading or a bounce is no
-person, and would end a job."""
+"""Longest wait for the person's inputs before a motion, where they are not certain [s]: a late reading or a bounce is
+no person, and would end a job."""
 RETREAT, RETREAT_SPEED = 0.20, 0.15
 """Length [m] and speed [m/s] of the retreat after the tool has dropped."""
 HOLD_SWITCH = "Release the enabling switch, then hold it: the arm moves slowly."

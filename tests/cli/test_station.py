@@ -1,0 +1,132 @@
+"""`toolee station` from outside: an interview to a whole file, what is missing, and the picture on its page."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from toolee_robot.cli.app import run
+from toolee_robot.config import load_lab_station
+from toolee_robot.stations.interview import put, questions
+from toolee_robot.stations.viewer import named_frames
+
+LAB = Path(__file__).parents[2] / "examples" / "lab.yaml"
+TOOLEE = [sys.executable, "-c", "from toolee_robot.cli import main; main()"]
+
+
+def _answers(said: dict[str, Any]) -> list[str]:
+    data: dict[str, Any] = {}
+    lines = []
+    while (question := next(iter(questions(data)), None)) is not None:
+        value: Any = said
+        for name in question.path:
+            value = value[name]
+        lines.append(" ".join(map(str, value)) if isinstance(value, list) else str(value))
+        put(data, question.path, value)
+    return lines
+
+
+def _new(path: Path, lines: list[str]) -> subprocess.CompletedProcess[str]:
+    text = "".join(f"{line}\n" for line in lines)
+    return subprocess.run(
+        [*TOOLEE, "station", "new", str(path)], input=text, capture_output=True, text=True, check=False
+    )
+
+
+def test_an_interview_that_breaks_off_loses_nothing_and_goes_on_later(tmp_path: Path) -> None:
+    path, lines = tmp_path / "lab.yaml", _answers(yaml.safe_load(LAB.read_text()))
+    millimetres = lines.index("0.95 -0.62 0.85")
+    first = _new(path, [*lines[:millimetres], "950 -620 850"])
+    assert first.returncode == 1
+    assert "that looks like millimetres" in first.stdout
+    assert "Still open: camera.position, camera.target" in " ".join(first.stdout.split())
+    assert yaml.safe_load(path.read_text())["arm"] == {"model": "UR10", "host": "192.168.1.10"}
+    second = _new(path, lines[millimetres:])
+    assert second.returncode == 0, second.stdout
+    assert "no RealSense with serial number 832112070123 is connected" in " ".join(second.stdout.split())
+    assert load_lab_station(path).tool == load_lab_station(LAB).tool
+
+
+def test_what_a_job_needs_is_named_before_any_device_is_asked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = yaml.safe_load(LAB.read_text())
+    del said["tool"], said["calibration"]
+    path = tmp_path / "lab.yaml"
+    path.write_text(yaml.safe_dump(said))
+    for command in (["station", "check", str(path)], ["hammer", "--station", str(path)]):
+        assert run([*command]) == 2
+        assert "give calibration, tool;" in " ".join(capsys.readouterr().err.split())
+    del said["work"]["nail_xy"]
+    path.write_text(yaml.safe_dump(said))
+    assert run(["hammer", "--station", str(path), "--rehearse"]) == 2
+    assert "measure and give work.nail_xy" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (["hammer", "--station", str(LAB), "--seed", "3"], "--seed with --station"),
+        (["hammer", "--station", str(LAB), "--perfect-perception"], "or add --rehearse"),
+        (["hammer", "--station", str(LAB), "--rehearse", "--arm", "ur-rtde"], "--arm with --station"),
+        (["hammer", "--rehearse"], "give the station file"),
+        (["calibrate", "camera", "--rehearse"], "give the station file"),
+        (["calibrate", "camera", "--station", str(LAB)], "measure the two scale bars"),
+        (["calibrate", "camera", "--station", str(LAB), "--bars-mm", "360", "257"], "--plate-distance"),
+        (["calibrate", "camera", "--write"], "--write needs --station"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(
+    command: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(command) == 2
+    assert words in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.sim(seconds=10)
+def test_the_picture_is_served_until_it_is_interrupted(tmp_path: Path) -> None:
+    show = subprocess.Popen(
+        [*TOOLEE, "station", "show", str(LAB), "--port", "8231"],
+        stdout=subprocess.PIPE, text=True, cwd=tmp_path, env={**os.environ, "COLUMNS": "200"},
+    )  # fmt: skip
+    assert show.stdout is not None
+    try:
+        address = show.stdout.readline().split()[1]
+        assert address.startswith("http://127.0.0.1:"), "for this computer alone"
+        with urllib.request.urlopen(address) as page:
+            assert b"<html" in page.read(2000)
+    finally:
+        show.send_signal(signal.SIGINT)
+    assert show.wait(timeout=20) == 0
+
+
+def test_the_pictures_frames_are_the_files() -> None:
+    frames = named_frames(load_lab_station(LAB))
+    np.testing.assert_allclose(frames["pendant_base"], np.diag([-1.0, -1.0, 1.0, 1.0]))
+    np.testing.assert_allclose(frames["camera"][:3, 3], [0.95, -0.62, 0.85])
+    np.testing.assert_allclose(frames["nail"][:3, 3], [0.75, 0.10, 0.28])
+    towards = np.array([0.60, -0.15, 0.72]) - frames["camera"][:3, 3]
+    np.testing.assert_allclose(frames["camera"][:3, 2], towards / np.linalg.norm(towards))
+
+
+@pytest.mark.realtime
+@pytest.mark.nightly
+def test_from_an_empty_folder_to_a_nail(tmp_path: Path) -> None:
+    """The acceptance: interview, rehearsed calibration whose record is entered, rehearsed job with the networks."""
+    path, said = tmp_path / "lab.yaml", yaml.safe_load(LAB.read_text())
+    assert _new(path, _answers(said)).returncode == 0
+    path.write_text(path.read_text() + "servo: {gain: 1200, lookahead: 0.03, lag: 0.07}\n")
+    for command in ("calibrate camera --rehearse --write", "hammer --rehearse --real-time-factor 0.5"):
+        words = [*command.split(), "--station", "lab.yaml", "--json"]
+        done = subprocess.run([*TOOLEE, *words], capture_output=True, text=True, check=False, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    assert yaml.safe_load(path.read_text())["calibration"]["record"].endswith("camera.json")
