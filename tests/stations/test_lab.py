@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,10 +37,10 @@ def test_what_is_missing_is_named(config: StationConfig, field: str) -> None:
     section, _, name = field.partition(".")
     if field == "hand.port":
         lacking = _with_inspire(config, port=None)
-    elif name:
-        lacking = replace(config, **{section: replace(getattr(config, section), **{name: None})})
     else:
-        lacking = replace(config, **{section: None})
+        changed: Any = replace(getattr(config, section), **{name: None}) if name else None
+        without: dict[str, Any] = {section: changed}
+        lacking = replace(config, **without)
     with raises(ConfigError, "config.station_lacks") as caught:
         LabStation(lacking, print)
     assert f"give {field};" in str(caught.value)
