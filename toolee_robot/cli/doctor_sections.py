@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from toolee_robot.config import StationConfig
+from toolee_robot.doctor.camera import check_range
 from toolee_robot.doctor.configuration import check_calibration, check_limits, check_measured
 from toolee_robot.doctor.devices import check_arm, check_camera, check_hand, check_person
 from toolee_robot.doctor.machine import check_disk, check_processor, check_real_time
@@ -70,6 +71,8 @@ class DoctorReport:
                 *check_limits(config),
                 *check_reach(config),
             ]
+            if config.camera.device is not None:
+                findings.append(check_range(config))
             if self.host is not None and not self.with_world:
                 findings.insert(0, check_measured(self.path, is_loopback(self.host)))
         yield "Station file", findings

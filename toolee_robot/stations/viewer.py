@@ -59,71 +59,108 @@ def bodies(config: StationConfig) -> list[VisualBody]:
         return list(visuals.visual_bodies())
 
 
-def open_viewer(config: StationConfig, port: int) -> Any:
-    """Serve the picture on a loopback address; it is shown until the server is stopped.
+class StationPicture:
+    """The picture on a page of a loopback address, until it is closed.
 
     Args:
         config: What the station file says.
         port: Port of the page; the next free one is taken where it is in use.
 
-    Returns:
-        The `viser.ViserServer`.
+    Attributes:
+        server: The `viser.ViserServer`.
 
     Raises:
         UserError: viser is not installed.
     """
-    try:
-        import viser
-    except ImportError as error:
-        raise UserError(
-            f"the picture needs viser ({error}): run `python -m pip install -e '.[viewer]'`",
-            code="user.missing_package",
-        ) from error
-    with contextlib.redirect_stdout(io.StringIO()):  # a banner of its own
-        server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
-    scene, cell = server.scene, config.scene
-    scene.set_up_direction("+z")
-    for body in bodies(config):
-        position, wxyz = _pose(body.X_base_body)
-        scene.add_mesh_simple(
-            f"/bodies/{body.name}",
-            body.mesh.vertices,
-            body.mesh.faces,
-            color=_rgb(body.color),
-            opacity=0.3 if body.body_id == BodyId.PERSON else None,
-            flat_shading=True,
+
+    def __init__(self, config: StationConfig, port: int) -> None:
+        try:
+            import viser
+        except ImportError as error:
+            raise UserError(
+                f"the picture needs viser ({error}): run `python -m pip install -e '.[viewer]'`",
+                code="user.missing_package",
+            ) from error
+        with contextlib.redirect_stdout(io.StringIO()):  # a banner of its own
+            self.server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
+        self._robot = RobotModel.of_station(config)
+        self._meshes: dict[str, Any] = {}
+        self.server.scene.set_up_direction("+z")
+        self._draw_bodies(config)
+        self._draw_camera(config)
+        self._draw_workspace(config)
+        for name, X in named_frames(config).items():
+            self.frame(name, X)
+        self.server.initial_camera.position = (2.1, 1.3, 1.5)
+        self.server.initial_camera.look_at = (0.4, -0.2, 0.4)
+
+    @property
+    def address(self) -> str:
+        """Address of the page."""
+        return f"http://127.0.0.1:{self.server.get_port()}"
+
+    def close(self) -> None:
+        """Stop serving."""
+        self.server.stop()
+
+    def frame(self, name: str, X: Array) -> None:
+        """Draw a frame, or move it.
+
+        Args:
+            name: Its name.
+            X: Its pose in `base`, (4, 4).
+        """
+        position, wxyz = _pose(X)
+        scene, path = self.server.scene, f"/frames/{name}"
+        scene.add_frame(path, position=position, wxyz=wxyz, axes_length=AXES, axes_radius=AXES / 30.0)
+        scene.add_label(f"{path}/name", name, position=(AXES, 0.0, 0.0))  # base_link's and pendant_base's apart
+
+    def move_robot(self, q_arm: Array, q_hand: Array) -> None:
+        """Draw arm and hand in a posture.
+
+        Args:
+            q_arm: Joint positions of the arm, (6,) [rad].
+            q_hand: Joint positions of the hand, wrist first, (n,) [rad].
+        """
+        for name, X in self._robot.description.link_poses(q_arm, q_hand).items():
+            if name in self._meshes:
+                self._meshes[name].position, self._meshes[name].wxyz = _pose(X)
+
+    def _draw_bodies(self, config: StationConfig) -> None:
+        for body in bodies(config):
+            position, wxyz = _pose(body.X_base_body)
+            self._meshes[body.name] = self.server.scene.add_mesh_simple(
+                f"/bodies/{body.name}",
+                body.mesh.vertices,
+                body.mesh.faces,
+                color=_rgb(body.color),
+                opacity=0.3 if body.body_id == BodyId.PERSON else None,
+                flat_shading=True,
+                position=position,
+                wxyz=wxyz,
+            )
+        x, y = config.scene.table_size
+        dimensions = (x, y, 0.01)
+        self.server.scene.add_box("/bodies/table", color=TABLE, dimensions=dimensions, position=(0.0, 0.0, -0.006))
+
+    def _draw_camera(self, config: StationConfig) -> None:
+        position, wxyz = _pose(config.camera.X_base_camera)
+        size, k = config.scene.camera_size, config.camera.intrinsics
+        self.server.scene.add_box("/bodies/camera", color=CAMERA_BOX, dimensions=size, position=position)
+        self.server.scene.add_camera_frustum(
+            "/camera's view",
+            fov=float(2.0 * np.arctan2(k.height / 2.0, k.fy)),
+            aspect=k.width / k.height,
+            scale=0.12,
+            color=CAMERA_BOX,
             position=position,
             wxyz=wxyz,
         )
-    x, y = cell.table_size
-    scene.add_box("/bodies/table", color=TABLE, dimensions=(x, y, 0.01), position=(0.0, 0.0, -0.006))
-    position, wxyz = _pose(config.camera.X_base_camera)
-    scene.add_box("/bodies/camera", color=CAMERA_BOX, dimensions=cell.camera_size, position=position)
-    k = config.camera.intrinsics
-    scene.add_camera_frustum(
-        "/camera's view",
-        fov=float(2.0 * np.arctan2(k.height / 2.0, k.fy)),
-        aspect=k.width / k.height,
-        scale=0.12,
-        color=CAMERA_BOX,
-        position=position,
-        wxyz=wxyz,
-    )
-    lower, upper = np.array(cell.workspace_lower), np.array(cell.workspace_upper)
-    scene.add_box(
-        "/workspace",
-        color=WORKSPACE,
-        dimensions=tuple(upper - lower),
-        position=tuple((lower + upper) / 2.0),
-        wireframe=True,
-    )
-    for name, X in named_frames(config).items():
-        position, wxyz = _pose(X)
-        scene.add_frame(f"/frames/{name}", position=position, wxyz=wxyz, axes_length=AXES, axes_radius=AXES / 30.0)
-        scene.add_label(f"/frames/{name}/name", name, position=(AXES, 0.0, 0.0))  # of base_link and pendant_base apart
-    server.initial_camera.position = (2.1, 1.3, 1.5)
-    server.initial_camera.look_at = (0.4, -0.2, 0.4)
-    return server
+
+    def _draw_workspace(self, config: StationConfig) -> None:
+        lower, upper = np.array(config.scene.workspace_lower), np.array(config.scene.workspace_upper)
+        middle, size = tuple((lower + upper) / 2.0), tuple(upper - lower)
+        self.server.scene.add_box("/workspace", color=WORKSPACE, dimensions=size, position=middle, wireframe=True)
 
 
 def _pose(X: Array) -> tuple[Array, Array]:

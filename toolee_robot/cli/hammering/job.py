@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from rich.panel import Panel
 
 import toolee_robot
 from toolee_robot.cli.hammering.console import ConsoleObserver
+from toolee_robot.cli.hammering.page import JobPage
 from toolee_robot.cli.hammering.sources import Opened, Source
 from toolee_robot.cli.hammering.stops import after_stop
 from toolee_robot.cli.output import json_line
@@ -92,12 +93,14 @@ class HammerJob:
         correction: Whether the estimated in-hand pose is used.
         perfect_perception: Whether poses come from the ground truth, for tests and ablations only.
         ask: Asks the person at the terminal what to do after a stop; None: the job then ends.
+        page_port: Port of the page that shows the job in the browser; None for no page.
     """
 
     source: Source
     correction: bool = True
     perfect_perception: bool = False
     ask: Callable[[str], str] | None = None
+    page_port: int | None = None
 
     def run(self, folder: Path, console: Console) -> HammerReport:
         """Do the job and write summary.json, recording.mcap and picture.png, whatever its outcome.
@@ -125,7 +128,8 @@ class HammerJob:
         metadata["correction"] = str(self.correction)
         with (
             nullcontext() if self.source.real_time_factor is None else LatencyMonitor() as machine,
-            self.source.open(screen.prompt) as opened,
+            self._page(console) as page,
+            self.source.open(lambda text: _prompt(text, screen, page)) as opened,
             RunRecorder(folder / "recording.mcap", metadata) as recorder,
         ):
             console.print(f"[bold]{escape(opened.words)}[/bold]  [dim]{escape(self._mode())}[/dim]")
@@ -138,7 +142,8 @@ class HammerJob:
                 perceiver = perception
             task = HammeringTask(
                 station, perceiver, config, opened.grasp,
-                correction=self.correction, observer=Observers(screen, keeper, collector),
+                correction=self.correction,
+                observer=Observers(screen, keeper, collector, *([] if page is None else [page])),
             )  # fmt: skip
             if machine is not None:
                 machine.begin()
@@ -156,6 +161,18 @@ class HammerJob:
         figures = self._figures(result, verdict, opened, time.perf_counter() - began, longest_stall)
         self._write(folder, figures, result, truths, collector, opened)
         return HammerReport(figures)
+
+    @contextmanager
+    def _page(self, console: Console) -> Iterator[JobPage | None]:
+        if self.page_port is None:
+            yield None
+            return
+        page = JobPage(self.source.config, self.page_port)
+        console.print(f"[dim]The job is shown at[/dim] [bold]{page.address}[/bold]")
+        try:
+            yield page
+        finally:
+            page.close()
 
     def _mode(self) -> str:
         words = [self.source.mode]
@@ -256,6 +273,12 @@ class HammerJob:
         picture = collector.picture(title, f"{opened.words}, {self._mode()}")
         if picture is not None:
             write_atomic(folder / "picture.png", picture)
+
+
+def _prompt(text: str, screen: ConsoleObserver, page: JobPage | None) -> None:
+    screen.prompt(text)
+    if page is not None:
+        page.prompt(text)
 
 
 def _resume(task: HammeringTask, screen: ConsoleObserver) -> HammerResult:

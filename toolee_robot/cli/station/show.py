@@ -33,11 +33,11 @@ class Show:
         config = load_station(self.file)
         console = Console(highlight=False)
         with console.status("building the picture"):
-            from toolee_robot.stations.viewer import open_viewer
+            from toolee_robot.stations.viewer import StationPicture
 
-            server = open_viewer(config, self.port)
-        console.print(f"Open [bold]http://127.0.0.1:{server.get_port()}[/bold] in a browser. Ctrl-C ends it.")
+            picture = StationPicture(config, self.port)
+        console.print(f"Open [bold]{picture.address}[/bold] in a browser. Ctrl-C ends it.")
         with contextlib.suppress(KeyboardInterrupt):
             signal.pause()
-        server.stop()
+        picture.close()
         return 0

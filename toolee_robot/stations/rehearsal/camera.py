@@ -38,6 +38,8 @@ REALSENSE = "realsense"
 class SeenScene:
     """What the emulated camera sees; frames come while the scene stands still, which is when a job looks.
 
+    Nothing has a depth that is nearer than the station file's `camera.device.least_range`.
+
     Args:
         config: The cell as it is.
         tool: The tool.
@@ -58,7 +60,9 @@ class SeenScene:
         X_color_depth: Array,
         boards: Sequence[PlacedBoard] = (),
     ) -> None:
+        assert config.camera.device is not None, "a job needs one"
         self._state, self._intrinsics = state, config.camera.intrinsics
+        self._least_range = config.camera.device.least_range
         visuals = SceneVisuals(config, tool, seed, lambda: self._seen, boards)
         aside = replace(config.camera, pose=rows(config.camera.X_base_camera @ X_color_depth))
         views = [config.camera] if np.array_equal(X_color_depth, np.eye(4)) else [config.camera, aside]
@@ -80,6 +84,7 @@ class SeenScene:
         metres = measure_depth(
             depth.depth, depth.cos_incidence, depth.shininess, self._intrinsics, DepthNoise(), self._rng
         )
+        metres[metres < self._least_range] = 0.0
         millimetres = np.rint(np.nan_to_num(metres) / MILLIMETRE).clip(0, 2**16 - 1).astype(np.uint16)
         return photograph(color.rgb, Photo(), self._rng), millimetres
 
