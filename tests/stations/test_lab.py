@@ -48,6 +48,12 @@ def test_what_is_missing_is_named(config: StationConfig, field: str) -> None:
         check_purpose(lacking, Purpose.CALIBRATION)
 
 
+@pytest.mark.parametrize("purpose", list(Purpose))
+def test_a_recording_is_no_camera_of_a_station(config: StationConfig, purpose: Purpose) -> None:
+    with raises(ConfigError, "config.recorded_camera"):
+        LabStation(_driver(config, "recorded"), print, purpose=purpose)
+
+
 def test_a_hand_that_cannot_be_emulated_is_not_rehearsed(config: StationConfig) -> None:
     cell = job_cell(replace(config, hand=replace(StationConfig().hand, port="/dev/ttyUSB0")), LAB, 1)
     with raises(ConfigError, "config.no_emulator"):

@@ -18,6 +18,8 @@ from toolee_robot.hardware.cameras.realsense import RealSenseMode, RealSenseStre
 from toolee_robot.hardware.cameras.recorded import RecordedStream
 from toolee_robot.stations.devices import installed, load
 
+REALSENSE, RECORDED = "realsense", "recorded"
+"""Names of drivers: of a camera whose SDK has software devices, and of recordings, which see nothing new."""
 CameraDriver = Callable[[CameraConfig, CameraDevice, Clock], CameraStream]
 """What makes a driver's stream: from the station file's `camera`, its `camera.device`, and the station's clock."""
 
@@ -110,4 +112,4 @@ def _recorded(_config: CameraConfig, device: CameraDevice, clock: Clock) -> Came
     return RecordedStream(Path(device.folder), clock)
 
 
-_DRIVERS: dict[str, CameraDriver] = {"realsense": _realsense, "orbbec": _orbbec, "recorded": _recorded}
+_DRIVERS: dict[str, CameraDriver] = {REALSENSE: _realsense, "orbbec": _orbbec, RECORDED: _recorded}

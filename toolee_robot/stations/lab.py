@@ -16,10 +16,9 @@ from toolee_robot.errors import ConfigError
 from toolee_robot.hal import Station
 from toolee_robot.hardware.cameras import CameraStream
 from toolee_robot.hardware.operator.digital_inputs import open_person
-from toolee_robot.robots import MOUNT
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.stations.camera import open_camera
-from toolee_robot.stations.hand import open_hand
+from toolee_robot.stations.camera import RECORDED, open_camera
+from toolee_robot.stations.hand import SERIAL_HANDS, open_hand
 from toolee_robot.stations.ur import ur_driver
 
 
@@ -99,7 +98,8 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
         purpose: What the devices are for.
 
     Raises:
-        ConfigError: A field is missing (`config.station_lacks`); the message names every one, such as `arm.host`.
+        ConfigError: A field is missing (`config.station_lacks`), and the message names every one, such as `arm.host`;
+            or the camera is a recording (`config.recorded_camera`).
     """
     wanted: dict[str, object] = {
         "arm.host": config.arm.host,
@@ -110,10 +110,16 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
         wanted |= {
             "calibration": config.calibration,
             "tool": config.tool,
-            "hand.port": config.hand.port if config.hand.model != MOUNT else MOUNT,
         }
+        if config.hand.model in SERIAL_HANDS:
+            wanted["hand.port"] = config.hand.port
     if missing := [name for name, value in wanted.items() if value is None]:
         raise ConfigError(
             f"the station file lacks what {purpose} needs: give {', '.join(missing)}; docs/how-to/run_a_job.md",
             code="config.station_lacks",
+        )
+    if config.camera.device is not None and config.camera.device.driver == RECORDED:
+        raise ConfigError(
+            f"camera.device.driver {RECORDED!r}: a recording does not see {purpose}; name the camera itself",
+            code="config.recorded_camera",
         )

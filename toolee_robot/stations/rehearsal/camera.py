@@ -26,13 +26,12 @@ from toolee_robot.sim_backend.devices.camera import SimCamera
 from toolee_robot.sim_backend.devices.software_realsense import BASELINE, Pictures, SoftwareRealSense
 from toolee_robot.sim_backend.options import PlacedBoard
 from toolee_robot.sim_backend.visuals.scene import SceneState, SceneVisuals
+from toolee_robot.stations.camera import REALSENSE
 from toolee_robot.tools import Tool
 
 STANDS = 3e-4
 """Way of every body between two frames up to which the scene stands still [m]."""
 MILLIMETRE = 1e-3
-REALSENSE = "realsense"
-"""Name of the driver whose SDK has a software device."""
 
 
 class SeenScene:
