@@ -13,10 +13,13 @@ from typing import Any
 from toolee_robot.config import HandConfig
 from toolee_robot.errors import ConfigError
 from toolee_robot.hal import Clock, Hand
+from toolee_robot.hardware.hands.ability import AbilityHand
 from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.hardware.hands.mount import MountedTool
 from toolee_robot.robots import MOUNT, HandModel, hand_model
+from toolee_robot.robots.hands.ability import ABILITY
 from toolee_robot.robots.hands.inspire import INSPIRE
+from toolee_robot.sim_backend.ability_hand import AbilityEmulator
 from toolee_robot.sim_backend.hand_wire import HandEmulator
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 from toolee_robot.stations.devices import installed, load
@@ -35,7 +38,10 @@ class SerialHandKind:
     emulator: Callable[[int], HandEmulator[Any]]
 
 
-SERIAL_HANDS: dict[str, SerialHandKind] = {INSPIRE: SerialHandKind(InspireHand, InspireEmulator)}
+SERIAL_HANDS: dict[str, SerialHandKind] = {
+    INSPIRE: SerialHandKind(InspireHand, InspireEmulator),
+    ABILITY: SerialHandKind(AbilityHand, AbilityEmulator),
+}
 """Name in the station file -> hand on a serial line."""
 
 
