@@ -31,16 +31,18 @@ class SerialHandKind:
 
     Attributes:
         driver: Builds the driver from model, port, clock, and number of the hand.
-        emulator: Builds the emulated hand with that number.
+        emulator: Builds the emulated hand with that number, and a seed of its noise.
+        hand_id: Number with which its maker delivers it.
     """
 
     driver: Callable[[HandModel, str, Clock, int], Hand]
-    emulator: Callable[[int], HandEmulator[Any]]
+    emulator: Callable[[int, int], HandEmulator[Any]]
+    hand_id: int
 
 
 SERIAL_HANDS: dict[str, SerialHandKind] = {
-    INSPIRE: SerialHandKind(InspireHand, InspireEmulator),
-    ABILITY: SerialHandKind(AbilityHand, AbilityEmulator),
+    INSPIRE: SerialHandKind(InspireHand, InspireEmulator, 1),
+    ABILITY: SerialHandKind(AbilityHand, AbilityEmulator, 0x50),
 }
 """Name in the station file -> hand on a serial line."""
 
@@ -75,14 +77,16 @@ def open_hand(config: HandConfig, clock: Clock) -> Hand:
     if config.port is None:
         message = f"hand.port is missing: the serial port of the {model.label}, such as /dev/ttyUSB0"
         raise ConfigError(message, code="config.hand_port")
-    return SERIAL_HANDS[config.model].driver(model, config.port, clock, config.hand_id)
+    kind = SERIAL_HANDS[config.model]
+    return kind.driver(model, config.port, clock, config.hand_id or kind.hand_id)
 
 
-def emulated_hand(config: HandConfig) -> HandEmulator[Any]:
+def emulated_hand(config: HandConfig, seed: int = 0) -> HandEmulator[Any]:
     """Build the emulated hand that stands in for a station's.
 
     Args:
         config: What the station file says of the hand.
+        seed: Seed of its noise.
 
     Returns:
         The emulated hand, not yet entered.
@@ -93,7 +97,8 @@ def emulated_hand(config: HandConfig) -> HandEmulator[Any]:
     if config.model not in SERIAL_HANDS:
         known = ", ".join(SERIAL_HANDS)
         raise ConfigError(f"no emulator of {config.model!r}: there is one of {known}", code="config.hand_driver")
-    return SERIAL_HANDS[config.model].emulator(config.hand_id)
+    kind = SERIAL_HANDS[config.model]
+    return kind.emulator(config.hand_id or kind.hand_id, seed)
 
 
 def hand_drivers() -> dict[str, str]:

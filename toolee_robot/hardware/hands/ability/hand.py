@@ -162,8 +162,9 @@ class AbilityHand(SerialHand[HandLine, Reading]):
             motion.refuse_faults()
             self._grip.end()
             self._lapsed = False
-            self._go([_ROTATOR], np.array(CLOSED), OPENING_SPEED)
-            motion.until_still(_ROTATOR)
+            if abs(motion.reading.closures[_ROTATOR] - CLOSED[_ROTATOR]) > OPENED:  # the thumb turns before it bends
+                self._go([_ROTATOR], np.array(CLOSED), OPENING_SPEED)
+                motion.until_still(_ROTATOR)
             for motors in (_FINGERS, [_THUMB]):
                 self._go(motors, np.array(CLOSED), APPROACH_SPEED)
                 motion.until_still()
@@ -219,7 +220,7 @@ class AbilityHand(SerialHand[HandLine, Reading]):
         command = None
         if self._setpoints is not None and self._closures is not None:
             command = tuple(_SIGNS * self._setpoints.advance(now, self._closures))
-        answer = line.exchange(command)
+        answer = line.exchange(command) if number > 1 else line.find()
         reply = answer.reply
         if number == 1 and not any(reply.touch):
             raise DeviceError(NO_PADS, code="device.hand_no_pads")

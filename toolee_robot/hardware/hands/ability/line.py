@@ -22,6 +22,8 @@ BAUD_RATE = 460800
 """As delivered (ICD 3.1.2.1)."""
 ANSWER_TIME = 0.03
 """Time for a reply [s]: 2 ms on the wire, and a USB adapter may keep it back for 16 ms."""
+ATTEMPTS = 5
+"""Attempts to find the hand."""
 EXPIRES = 0.25
 """Time after which a reply does not come any more [s]."""
 
@@ -60,7 +62,7 @@ class HandLine:
         self._address, self._clock = address, clock
         self._reader = FrameReader()
         self._unanswered: deque[tuple[Header, float]] = deque()
-        self._turn = False
+        self._turn, self._known = False, False
         self._port = SerialPort(port, BAUD_RATE, ANSWER_TIME)
 
     def __enter__(self) -> Self:
@@ -72,6 +74,24 @@ class HandLine:
     def close(self) -> None:
         """Release the port; nothing is said to the hand, which leaves the API mode 0.3 s later."""
         self._port.close()
+
+    def find(self) -> Answer:
+        """Ask whether the hand is there, with some attempts.
+
+        Returns:
+            Its reply.
+
+        Raises:
+            NoAnswerError: None came in time, or the port is gone.
+            ProtocolError: It says what no Ability Hand says.
+        """
+        for _ in range(ATTEMPTS - 1):
+            try:
+                return self.exchange(None)
+            except NoAnswerError as error:
+                if error.code != "no_answer.hand_silent":
+                    raise
+        return self.exchange(None)
 
     def exchange(self, degrees: tuple[float, ...] | None) -> Answer:
         """Send a command, and wait for its reply; another one's may do.
@@ -119,11 +139,12 @@ class HandLine:
             try:
                 reply = decode(frame)
             except ProtocolError:
-                if self.counts.requests == 1:  # the first reply ever: no such hand
+                if not self._known:
                     raise
                 self._reader.corrupt += 1
                 continue
             if reply is not None:
+                self._known = True
                 answer = self._attribute(reply) or answer
         self.counts.corrupt = self._reader.corrupt
         return answer
