@@ -208,25 +208,14 @@ def test_a_driver_that_was_held_up_does_not_close_again_what_the_hand_may_have_o
     assert told(hand).fault == ""
 
 
-def test_an_unplugged_hand_is_told_within_50_ms(emulator: AbilityEmulator, hand: AbilityHand) -> None:
+def test_an_unplugged_cable_is_told_within_50_ms(emulator: AbilityEmulator, hand: AbilityHand) -> None:
     held(emulator, hand)
-    times = []
-
-    def ask() -> float:
+    emulator.unplug()
+    began = time.monotonic()
+    with raises(NoAnswerError, "no_answer.hand_unplugged"):
         while True:
-            try:
-                hand.state(max_age=10.0)
-            except NoAnswerError:
-                return time.monotonic()
-
-    with ThreadPoolExecutor() as pool:
-        seen = pool.submit(ask)
-        time.sleep(0.1)
-        began = time.monotonic()
-        emulator.unplug()
-        times.append(seen.result(2.0) - began)
-    print(f"unplugged: told after {times[0] * 1e3:.0f} ms")
-    assert times[0] < 0.05 + 0.1, "50 ms, and what a busy machine adds"
+            hand.state(max_age=10.0)
+    assert time.monotonic() - began < 0.05
     with raises(NoAnswerError, "no_answer.hand_unplugged"):
         hand.open()
 
