@@ -18,7 +18,7 @@ from toolee_robot.errors import DeviceError, LatchedError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow
 from toolee_robot.faults.rigs.driver_rig import OFF_PATH
-from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, Log, at_rest, grip_kept
+from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, ClosedHand, Log, at_rest, grip_kept
 from toolee_robot.faults.rigs.joint_watch import JointWatch
 from toolee_robot.faults.rigs.joints_path import Stop
 from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception
@@ -46,17 +46,19 @@ def job_rows(bench: Bench) -> Iterator[Measurement]:
         yield Measurement(fault.number, fault.fault, fault.phase, ON, fault.expected, run)
 
 
-def job_row(fault: JobFault, bench: Bench) -> FaultRow:
+def job_row(fault: JobFault, bench: Bench, hand: ClosedHand | None = None) -> FaultRow:
     """Measure one fault in one job.
 
     Args:
         fault: The fault.
         bench: The simulated station.
+        hand: The job's hand; None for the simulated one.
 
     Returns:
         The row of the fault table.
     """
     bench.reset()
+    bench.hand = hand or bench.hand
     scene = Scene(bench, Log(), ScriptedPerception(bench.sim.judge))
     try:
         return _Row(fault, scene).measure()

@@ -14,7 +14,7 @@ from toolee_robot.errors import NoAnswerError
 from toolee_robot.hardware.hands.ability import AbilityHand
 from toolee_robot.hardware.hands.ability.line import ATTEMPTS, Answer, HandLine
 from toolee_robot.runtime.clock import HostClock
-from toolee_robot.sim_backend.ability_hand import AbilityEmulator
+from toolee_robot.sim_backend.ability_hand import AbilityEmulator, Hand
 from toolee_robot.sim_backend.hand_wire import LineFault
 
 pytestmark = pytest.mark.realtime
@@ -24,9 +24,12 @@ HERE = (10.0, 20.0, 30.0, 40.0, 50.0, -60.0)
 
 def put(emulator: AbilityEmulator, scale: float = 1.0) -> None:
     """Set the motors down at HERE."""
-    emulator.tell(
-        lambda hand: [setattr(m, "position", scale * abs(at)) for m, at in zip(hand.motors, HERE, strict=True)]
-    )
+
+    def place(hand: Hand) -> None:
+        for motor, at in zip(hand.motors, HERE, strict=True):
+            motor.position = scale * abs(at)
+
+    emulator.tell(place)
 
 
 def ask(line: HandLine) -> Answer:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from toolee_robot.errors import DeviceError
 from toolee_robot.hardware.hands.ability.replies import Limited
 
-HEAT_TIME = 0.3
+HEAT_TIME = 0.05
 """Time for which the hand must be limited by heat until it counts as hot [s]."""
 HEAT = "too hot"
 """The fault, for people."""

@@ -43,8 +43,8 @@ class HandLine:
 
     Every command is answered, and the answer is its acknowledgement: a damaged command gets none. A reply does not say
     which command it answers, but its kind, and there are two kinds of commands. So a late reply is never taken for
-    newer than it is: while that to a command of one kind may still come, the other kind is used, and if both may, a reply
-    counts as the one to the oldest.
+    newer than it is: while that to a command of one kind may still come, the other kind is used, and if both may, a
+    reply counts as the one to the oldest.
 
     Args:
         port: The serial port.
