@@ -6,6 +6,9 @@ the driver says, which speaks to an emulated hand over a pseudo-terminal.
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -13,9 +16,10 @@ from typing import Any, Self
 from toolee_robot.config import HandConfig
 from toolee_robot.faults.rigs.job_rig import ClosedHand
 from toolee_robot.hal import HandState
-from toolee_robot.runtime.clock import HostClock
-from toolee_robot.sim_backend.devices.hand import SimHand
+from toolee_robot.sim_backend import SimStation
+from toolee_robot.sim_backend.devices.hand import TICK, SimHand
 from toolee_robot.sim_backend.hand_wire import HandEmulator
+from toolee_robot.stations.driven_hand import SWITCH_INTERVAL, HandPace
 from toolee_robot.stations.hand import emulated_hand, open_hand
 from toolee_robot.types import HandMounting
 
@@ -53,26 +57,33 @@ class DriverHand(ClosedHand):
     """The simulated hand, closed around the hammer, with a driver's judgement; use it in its `with` block.
 
     Args:
-        simulated: The simulated hand.
+        simulation: The simulated station.
+        simulated: Its hand.
         kind: Which hand.
 
     Attributes:
+        kind: Which hand.
         emulator: The emulated hand.
-        opened: Number of calls of `open`.
-        closed: Whether the driver has closed its hand.
     """
 
-    def __init__(self, simulated: SimHand, kind: HandKind) -> None:
+    def __init__(self, simulation: SimStation, simulated: SimHand, kind: HandKind) -> None:
         super().__init__(simulated)
-        self.kind = kind
+        self.kind, self._simulation = kind, simulation
         config = HandConfig(kind.model, mounting=MOUNTING)
         self.emulator: HandEmulator[Any] = emulated_hand(config)
-        self._driver = open_hand(replace(config, port=self.emulator.port), HostClock())
+        clock = simulation.station.clock
+        self._driver = open_hand(replace(config, port=self.emulator.port), clock)
+        self._pace = HandPace(clock)
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
+        self._stack.callback(sys.setswitchinterval, sys.getswitchinterval())
+        sys.setswitchinterval(SWITCH_INTERVAL)
         self._stack.enter_context(self.emulator)
-        self._stack.enter_context(self._driver)
+        self._pace.hand = self._stack.enter_context(self._driver)
+        before_step = self._simulation.world.before_step
+        before_step.append(self._pace)
+        self._stack.callback(before_step.remove, self._pace)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -87,14 +98,22 @@ class DriverHand(ClosedHand):
 
     def open(self, timeout: float = 8.0) -> None:
         self.opened += 1
-        self._driver.open(timeout)
+        self._meanwhile(lambda: self._driver.open(timeout))
         self.emulator.hold(None)
         self.closed = False
 
     def close(self, timeout: float = 8.0) -> None:
         self.emulator.hold(self.kind.handle)
-        self._driver.close(timeout)
+        self._meanwhile(lambda: self._driver.close(timeout))
         self.closed = True
 
     def stop(self) -> None:
         self._driver.stop()
+
+    def _meanwhile(self, motion: Callable[[], None]) -> None:
+        """Let the station's time pass while the driver moves its hand."""
+        with ThreadPoolExecutor(1) as pool:
+            moving = pool.submit(motion)
+            while not moving.done():
+                self._simulation.world.advance(TICK)
+            moving.result()

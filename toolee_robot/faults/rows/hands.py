@@ -138,7 +138,7 @@ def hand_row(fault: HandFault, kind: HandKind, bench: Bench) -> FaultRow:
         The row of the fault table.
     """
     bench.reset()
-    with DriverHand(bench.sim_hand, kind) as hand:
+    with DriverHand(bench.sim, bench.sim_hand, kind) as hand:
         row = job_row(_job_fault(fault, hand), bench, hand)
         wrong = [row.why] if row.why else []
         if hand.opened > 1:  # once for the handover

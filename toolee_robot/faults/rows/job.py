@@ -24,7 +24,6 @@ from toolee_robot.faults.rigs.joints_path import Stop
 from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception
 from toolee_robot.faults.rows.job_fault import IN_STRIKE, JobFault, Scene
 from toolee_robot.faults.rows.job_faults import JOB_FAULTS
-from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome
 from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.sim_backend.devices.arm import RATE
@@ -52,13 +51,15 @@ def job_row(fault: JobFault, bench: Bench, hand: ClosedHand | None = None) -> Fa
     Args:
         fault: The fault.
         bench: The simulated station.
-        hand: The job's hand; None for the simulated one.
+        hand: The job's hand, in front of a bench that was reset; None for the simulated one.
 
     Returns:
         The row of the fault table.
     """
-    bench.reset()
-    bench.hand = hand or bench.hand
+    if hand is None:
+        bench.reset()
+    else:
+        bench.hand = hand
     scene = Scene(bench, Log(), ScriptedPerception(bench.sim.judge))
     try:
         return _Row(fault, scene).measure()
@@ -77,12 +78,12 @@ class _Row:
     """
 
     _strike: Trajectory
-    _hand: Array
 
     def __init__(self, fault: JobFault, scene: Scene) -> None:
         self._fault, self._scene = fault, scene
         self._bench, self._log = scene.bench, scene.log
         self._world = scene.bench.sim.world
+        self._hand = self._world.X_base_hand()[:3, 3]
         self._watch = JointWatch(self._world, scene.bench.arm)
         self._real_time = ExitStack()
         self.wrong: list[str] = []
