@@ -25,7 +25,7 @@ SWITCH_INTERVAL = 0.0005
 emulated hand's, keep to the wire's times."""
 LOOK_PERIOD, AHEAD = 0.01, 0.04
 """How often the simulation looks for the hand's newest reading, and by how far it may be ahead of it [s, its own]."""
-WAIT = 0.4
+WAIT = 2.0
 """How long it waits for the next one [s of the host's time]."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -212,14 +213,14 @@ class AbilityHand(SerialHand[HandLine, Reading]):
 
     def _read(self, line: HandLine, number: int) -> Reading:
         """Send the next command, and take the reply to it: in the poller's thread, silent or not."""
-        now = self._clock.now()
-        if self._setpoints is not None and now - self._asked > SILENT_MOST:
+        host = time.monotonic()
+        if self._setpoints is not None and host - self._asked > SILENT_MOST:
             # The hand may have left its API mode and moved: it stays where it is now.
             self._lapsed, self._setpoints = True, None
-        self._asked = now
+        self._asked = host
         command = None
         if self._setpoints is not None and self._closures is not None:
-            command = tuple(_SIGNS * self._setpoints.advance(now, self._closures))
+            command = tuple(_SIGNS * self._setpoints.advance(self._clock.now(), self._closures))
         answer = line.exchange(command) if number > 1 else line.find()
         reply = answer.reply
         if number == 1 and not any(reply.touch):

@@ -25,7 +25,7 @@ ANSWER_TIME = 0.03
 ATTEMPTS = 5
 """Attempts to find the hand."""
 EXPIRES = 0.25
-"""Time after which a reply does not come any more [s]."""
+"""Time after which a reply does not come any more [s of the host's time]."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class HandLine:
         self.counts = LineCounts()
         self._address, self._clock = address, clock
         self._reader = FrameReader()
-        self._doubted: dict[Header, deque[float]] = {header: deque() for header in Header}
+        self._doubted: dict[Header, deque[tuple[float, float]]] = {header: deque() for header in Header}
         self._turn, self._known = False, False
         self._port = SerialPort(port, BAUD_RATE, ANSWER_TIME)
 
@@ -107,10 +107,10 @@ class HandLine:
             NoAnswerError: None came in time, or the port is gone.
             ProtocolError: It says what no Ability Hand says.
         """
-        now = self._clock.now()
-        header = self._kind(degrees is None, now)
+        sent, now = time.monotonic(), self._clock.now()
+        header = self._kind(degrees is None, sent)
         doubted = self._doubted[header]
-        stamp = doubted[0] if doubted else now
+        stamp = doubted[0][1] if doubted else now
         command = (
             read_command(self._address, header) if degrees is None else position_command(self._address, header, degrees)
         )
@@ -122,7 +122,7 @@ class HandLine:
                 reply = self._take(self._port.receive(), header)
                 if reply is not None:
                     return Answer(stamp, reply)
-        doubted.append(now)
+        doubted.append((sent, now))
         self.counts.unanswered += 1
         message = (
             f"no hand {self._address} answers on {self._port.path}: check its power, its two wires, that its UART "
@@ -130,10 +130,10 @@ class HandLine:
         )
         raise NoAnswerError(message, code="no_answer.hand_silent")
 
-    def _kind(self, reads: bool, now: float) -> Header:
+    def _kind(self, reads: bool, sent: float) -> Header:
         """The kind of the next command: the two in turn, but for one to which a reply may still come."""
         for doubted in self._doubted.values():
-            while doubted and now - doubted[0] > EXPIRES:
+            while doubted and sent - doubted[0][0] > EXPIRES:
                 doubted.popleft()
         kinds = (
             (Header.READ_CURRENT, Header.READ_VELOCITY)
