@@ -170,14 +170,15 @@ class Poller(Generic[LineT, ReadingT]):
 
     def _run(self) -> None:
         try:
+            due = self._clock.now()
             while True:
-                begin = self._clock.now()
                 self._carry_out()
                 if self._over:
                     return
                 self._poll()
+                due = max(due + PERIOD, self._clock.now() - PERIOD)  # what is missed is not made up for
                 with self._news:
-                    self._news.wait_for(lambda: self._over or self._commands, begin + PERIOD - self._clock.now())
+                    self._news.wait_for(lambda: self._over or self._commands, due - self._clock.now())
         except DeviceError as error:
             self._fail(error)
         except BaseException as error:
