@@ -12,7 +12,9 @@ import pytest
 from tests.errors import raises
 from toolee_robot.cli.app import EXIT_USER, run
 from toolee_robot.errors import UserError
+from toolee_robot.hardware.hands.ability.line import HandLine as AbilityLine
 from toolee_robot.hardware.hands.inspire.line import HandLine
+from toolee_robot.runtime.clock import HostClock
 from toolee_robot.sim_backend.hand_wire import LineFault, happen
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 
@@ -42,6 +44,32 @@ def test_a_driver_finds_it_at_the_path_that_it_prints(
     assert "index 1000" in said.err
     assert angles == [(1000).to_bytes(2, "little")]
     assert not link.is_symlink()
+
+
+def test_the_ability_hand_answers_at_its_address_as_delivered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ours, theirs = os.pipe()
+    monkeypatch.setattr("sys.stdin", os.fdopen(ours))
+    link, positions = tmp_path / "hand", []
+
+    def drive() -> None:
+        while not link.exists():
+            pass
+        with AbilityLine(str(link), 0x50, HostClock()) as line:
+            positions.append(line.find().reply.positions)
+        os.write(theirs, b"heat index 75\npads off\nheat\nunplug\n")
+        os.close(theirs)
+
+    driver = threading.Thread(target=drive)
+    driver.start()
+    assert run(["hand-emulator", "ability", "--handle", "55", "--link", str(link)]) == 0
+    driver.join()
+    said = capsys.readouterr()
+    assert "Ability Hand" in said.err
+    assert "'heat' cannot happen" in said.err
+    assert "heat DEGREES" in said.err
+    assert positions == [(0.0,) * 6]
 
 
 @pytest.mark.parametrize("options", [["--hand-id", "0"], ["--handle", "1200"], ["--link", "/no/such/folder/hand"]])
@@ -83,3 +111,9 @@ def test_events() -> None:
             with raises(UserError, "user.hand_event"):
                 happen(emulator, nonsense)
         assert happen(emulator, "unplug") == "unplugged"
+
+
+@pytest.mark.parametrize("handle", ["-1", "101"])
+def test_a_handle_where_no_finger_gets(handle: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("unplug\n"))
+    assert run(["hand-emulator", "ability", "--handle", handle]) == EXIT_USER

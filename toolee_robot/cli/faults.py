@@ -33,9 +33,9 @@ class Faults:
     """Under which arm's controller stand-in."""
     profile: Literal["both", "ideal", "harsh"] = "both"
     """How that controller follows, measures and stops: exactly, or as one of its generation."""
-    only: Literal["all", "arm", "job"] = "all"
-    """One part of the matrix: arm, which is driver and supervisor on the stand-in, or job, which is the task on the
-    simulated station."""
+    only: Literal["all", "arm", "job", "hand"] = "all"
+    """One part of the matrix: arm, which is driver and supervisor on the stand-in; job, which is the task on the
+    simulated station; or hand, which is the task with the drivers of hands on emulated ones."""
     host: str = "127.0.0.70"
     """A loopback address for the stand-in."""
     json: Flag = False
@@ -45,7 +45,7 @@ class Faults:
         console = Console(stderr=self.json, highlight=False)
         if not console.is_terminal:  # a file takes whole rows
             console.width = max(console.width, _ROW)
-        from toolee_robot.faults.matrix import ELSEWHERE, MatrixOptions, Part, run_matrix
+        from toolee_robot.faults.matrix import MatrixOptions, Part, run_matrix
         from toolee_robot.runtime.latency_monitor import STALL_LIMIT
 
         models = tuple(ArmModel) if self.robot == "both" else (ArmModel(self.robot),)
@@ -63,8 +63,7 @@ class Faults:
         handled = sum(row.handled for row in rows)
         numbers = sorted({row.number for row in rows if row.number})
         console.print(
-            f"\n[bold]{handled} of {len(rows)} rows handled[/bold], faults {', '.join(map(str, numbers))} of 27. "
-            f"Of the hand's own driver, which does not exist yet: {', '.join(map(str, ELSEWHERE))}."
+            f"\n[bold]{handled} of {len(rows)} rows handled[/bold], faults {', '.join(map(str, numbers))} of 27."
         )
         console.print(
             "[dim]reaction, standstill: after the fault, as the joints of the simulated robot show it. Software guards "
@@ -77,7 +76,7 @@ class Faults:
                 f"{STALL_LIMIT * 1e3:.0f} ms, as a latency monitor saw, or the moment for the fault was missed."
             )
         if self.json:
-            record = {"handled": handled, "rows": [asdict(row) for row in rows], "not_covered": ELSEWHERE}
+            record = {"handled": handled, "rows": [asdict(row) for row in rows]}
             print(json_line(record), flush=True)
         return int(handled < len(rows))
 
@@ -87,7 +86,7 @@ _ROW = 180  # [characters]
 
 def _table(rows: list[FaultRow]) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("", "#", "fault", "when", "arm", "got", "reaction", "standstill", "allowed", "off path"):
+    for name in ("", "#", "fault", "when", "on", "got", "reaction", "standstill", "allowed", "off path"):
         table.add_column(name, justify="right" if name in ("#", "reaction", "standstill", "allowed") else "left")
     for row in rows:
         table.add_row(

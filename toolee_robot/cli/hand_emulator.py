@@ -15,6 +15,9 @@ from rich.console import Console
 
 from toolee_robot.errors import UserError
 
+_HANDS = {"inspire": ("inspire_rh56", 1000.0), "ability": ("ability_hand", 100.0)}
+"""What is emulated -> what a station file calls it, largest angle."""
+
 
 @dataclass(frozen=True)
 class HandEmulator:
@@ -23,35 +26,41 @@ class HandEmulator:
     Example: toolee hand-emulator inspire --handle 400 --link hand.port
 
     The first line of standard output is the path of the pseudo-terminal. Each line of standard input is an event:
-    handle COUNTS, drop, slip COUNTS, heat MOTOR DEGREES, jam MOTOR, free MOTOR, mute, unmute, echo, unplug, show, or a
-    fault of the next replies and their number: garbage, corrupt, short, late, doubled, foreign, lost.
-    docs/how-to/inspire_hand.md says what is emulated.
+    handle ANGLE, drop, slip ANGLE, heat MOTOR DEGREES, jam MOTOR, free MOTOR, mute, unmute, echo, unplug, show, or a
+    fault of the next replies and their number: garbage, corrupt, short, late, doubled, foreign, lost. Another line is
+    answered by those that there are. docs/how-to/inspire_hand.md and ability_hand.md say what is emulated.
     """
 
-    hand: Annotated[Literal["inspire"], tyro.conf.Positional]
-    """The hand: an Inspire RH56 on RS-485."""
-    hand_id: Annotated[int, tyro.conf.arg(metavar="1..254")] = 1
+    hand: Annotated[Literal["inspire", "ability"], tyro.conf.Positional]
+    """The hand: an Inspire RH56 on RS-485, or a PSYONIC Ability Hand on a UART with byte stuffing."""
+    hand_id: Annotated[
+        int | None, tyro.conf.arg(metavar="1..254", help_behavior_hint="(default: as delivered, 1 and 80)")
+    ] = None
     """Its number on the line."""
-    handle: Annotated[float | None, tyro.conf.arg(metavar="COUNTS", help_behavior_hint="")] = None
-    """Something lies in the hand, met by fingers and thumb at this angle, 0 to 1000."""
+    handle: Annotated[float | None, tyro.conf.arg(metavar="ANGLE", help_behavior_hint="")] = None
+    """Something lies in the hand, met by fingers and thumb at this angle: 0 to 1000 as the Inspire counts, where 1000
+    is open; 0 to 100 deg of the Ability Hand, where 0 is open."""
     link: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """A symbolic link to the pseudo-terminal, made for the time being."""
     seed: int = 0
     """Seed of the line's noise."""
 
     def run(self) -> int:
+        from toolee_robot.config import HandConfig
         from toolee_robot.sim_backend.hand_wire import happen
-        from toolee_robot.sim_backend.inspire_hand import InspireEmulator
+        from toolee_robot.stations.hand import emulated_hand
 
-        if not 1 <= self.hand_id <= 254:
+        if self.hand_id is not None and not 1 <= self.hand_id <= 254:
             raise UserError(f"--hand-id {self.hand_id}: a hand's number is 1 to 254", code="user.option")
-        if self.handle is not None and not 0 <= self.handle <= 1000:
-            raise UserError(f"--handle {self.handle}: give 0 to 1000", code="user.option")
+        model, most = _HANDS[self.hand]
+        if self.handle is not None and not 0 <= self.handle <= most:
+            raise UserError(f"--handle {self.handle}: give 0 to {most:.0f}", code="user.option")
         console = Console(stderr=True, highlight=False)
-        with InspireEmulator(self.hand_id, self.seed) as emulator, self._linked(emulator.port):
+        config = HandConfig(model, hand_id=self.hand_id)
+        with emulated_hand(config, self.seed) as emulator, self._linked(emulator.port):
             emulator.hold(self.handle)
             print(emulator.port, flush=True)
-            console.print(f"[bold]Inspire RH56[/bold] with number {self.hand_id}. [dim]Ctrl-C ends it.[/dim]")
+            console.print(f"[bold]{emulator.label}[/bold]. [dim]Ctrl-C ends it.[/dim]")
             with contextlib.suppress(KeyboardInterrupt):
                 for line in sys.stdin:
                     if not line.split():

@@ -68,8 +68,9 @@ class HandConfig:
     strap_force: Positive | None = None
     """Force with which a strap presses the handle into the hand [N], for a hand whose fingers do not hold a hammer that
     strikes; null without a strap. The simulated grip counts it with the fingers' forces."""
-    hand_id: Annotated[int, Field(ge=1, le=254)] = 1
-    """Number of the hand on its RS-485 line; 1 as delivered."""
+    hand_id: Annotated[int, Field(ge=1, le=254)] | None = None
+    """Number of the hand on its line; null for the one with which its maker delivers it: 1 for `inspire_rh56`, 80 for
+    `ability_hand`."""
 
     def __post_init__(self) -> None:
         if self.model != MOUNT:

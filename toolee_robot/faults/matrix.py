@@ -16,6 +16,7 @@ from toolee_robot.faults.rows.arm import arm_rows
 from toolee_robot.faults.rows.collisions import collision_rows, restricted_rows
 from toolee_robot.faults.rows.commands import command_rows
 from toolee_robot.faults.rows.following import following_rows
+from toolee_robot.faults.rows.hands import hand_rows
 from toolee_robot.faults.rows.inputs import input_rows
 from toolee_robot.faults.rows.job import job_rows
 from toolee_robot.faults.rows.process import process_rows
@@ -26,24 +27,18 @@ from toolee_robot.runtime.latency_monitor import LatencyMonitor
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.types import ArmModel
 
-ELSEWHERE = {
-    16: "hand: checksum error, short or echoed frame",
-    17: "hand: reply with a wrong id or address",
-    19: "hand: write not acknowledged",
-    20: "hand: USB unplugged",
-}
-"""Faults of the list that belong to the serial hand's driver, which does not exist yet."""
-
 
 class Part(StrEnum):
     """Parts of the matrix.
 
-    ARM: driver and supervisor on the controller stand-in. JOB: the task on the simulated station.
+    ARM: driver and supervisor on the controller stand-in. JOB: the task on the simulated station. HAND: the same with
+    the drivers of hands on emulated ones.
     """
 
     ALL = "all"
     ARM = "arm"
     JOB = "job"
+    HAND = "hand"
 
 
 @dataclass(frozen=True)
@@ -71,12 +66,12 @@ def run_matrix(options: MatrixOptions) -> Iterator[FaultRow]:
 
 
 def _measurements(options: MatrixOptions) -> Iterator[Measurement]:
-    if options.part is not Part.JOB:
+    if options.part in (Part.ALL, Part.ARM):
         for profile in options.profiles:
             for model in options.models:
                 yield from _arm_part(Setting(model, options.host, profile))
     if options.part is not Part.ARM:
-        yield from _job_part()
+        yield from _job_part(options.part)
 
 
 def _arm_part(setting: Setting) -> Iterator[Measurement]:
@@ -92,8 +87,11 @@ def _arm_part(setting: Setting) -> Iterator[Measurement]:
     yield from process_rows(setting)
 
 
-def _job_part() -> Iterator[Measurement]:
+def _job_part(part: Part) -> Iterator[Measurement]:
     bench = Bench()
     with bench.sim:
-        yield from calibration_rows(bench)
-        yield from job_rows(bench)
+        if part is not Part.HAND:
+            yield from calibration_rows(bench)
+            yield from job_rows(bench)
+        if part is not Part.JOB:
+            yield from hand_rows(bench)

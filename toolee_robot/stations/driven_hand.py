@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from typing import Any, Self
 
 from toolee_robot.config import StationConfig
-from toolee_robot.hal import Station
+from toolee_robot.errors import DeviceError
+from toolee_robot.hal import Clock, Hand, Station
 from toolee_robot.sim_backend.devices.driven_hand import DrivenHand
 from toolee_robot.sim_backend.ground_truth.judge import Judge
 from toolee_robot.sim_backend.hand_wire import HandEmulator
@@ -21,21 +23,49 @@ from toolee_robot.tools import Tool
 SWITCH_INTERVAL = 0.0005
 """Time after which a thread of this process must let another one run [s]: the simulation lets the driver's, and the
 emulated hand's, keep to the wire's times."""
+LOOK_PERIOD, AHEAD = 0.01, 0.04
+"""How often the simulation looks for the hand's newest reading, and by how far it may be ahead of it [s, its own]."""
+WAIT = 2.0
+"""How long it waits for the next one [s of the host's time]."""
 
 
-class _RealTime:
-    """Lets the simulation run no faster than the host's time, nor make up for time in which it stood.
+class HandPace:
+    """Lets the simulation run no faster than the host's time, and no further ahead of the hand than it has to.
 
-    The driver's clock is the station's, so that a hand is not late because the simulation stood still.
+    The driver's clock is the station's, so that a hand is not late because the simulation stood still. On a busy
+    machine the simulation could also leave behind the threads of driver and emulated hand, which no real arm does: it
+    waits for their next reading, unless that does not come. Call it before every step of the simulation.
+
+    Args:
+        clock: The station's clock.
+
+    Attributes:
+        hand: The driver, entered; None while there is none.
     """
 
-    def __init__(self) -> None:
-        self._due = time.monotonic()
+    def __init__(self, clock: Clock) -> None:
+        self._clock, self._due = clock, time.monotonic()
+        self._looked, self._given_up = -math.inf, -math.inf
+        self.hand: Hand | None = None
 
     def __call__(self, step: float) -> None:
         now = time.monotonic()
         self._due = max(self._due, now - step) + step
         time.sleep(max(0.0, self._due - now))
+        if self.hand is not None and self._clock.now() - self._looked >= LOOK_PERIOD:
+            self._looked = self._clock.now()
+            self._wait_for(self.hand)
+
+    def _wait_for(self, hand: Hand) -> None:
+        end = time.monotonic() + WAIT
+        with suppress(DeviceError):  # which whoever asks for a state is told
+            while (stamp := hand.state(math.inf).joints.stamp) > self._given_up:
+                if self._clock.now() - stamp <= AHEAD:
+                    return
+                if time.monotonic() > end:
+                    self._given_up = stamp  # it is silent: the time goes on, until it has said something again
+                    return
+                time.sleep(0.002)
 
 
 class _EmulatedTouch:
@@ -86,8 +116,11 @@ class DrivenHandStation:
                 port, touch = emulator.port, _EmulatedTouch(emulator)
             self.simulation = stack.enter_context(SimStation.build(self._config, self._seed, self._options))
             world, station = self.simulation.world, self.simulation.station
-            world.before_step.append(_RealTime())
+            real_time = HandPace(station.clock)
+            world.before_step.append(real_time)
             driver = stack.enter_context(open_hand(replace(self._config.hand, port=port), station.clock))
+            real_time.hand = driver
+            stack.callback(setattr, real_time, "hand", None)
             self._station = replace(station, hand=DrivenHand(world, self._options.friction, driver, touch))
             self._stack = stack.pop_all()
         return self

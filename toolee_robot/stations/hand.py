@@ -14,10 +14,13 @@ from toolee_robot.config import HandConfig
 from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, Hand
+from toolee_robot.hardware.hands.ability import AbilityHand
 from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.hardware.hands.mount import MountedTool
 from toolee_robot.robots import MOUNT, HandModel, hand_model
+from toolee_robot.robots.hands.ability import ABILITY, joints_of_closures
 from toolee_robot.robots.hands.inspire import INSPIRE, joints_of_counts
+from toolee_robot.sim_backend.ability_hand import AbilityEmulator
 from toolee_robot.sim_backend.hand_wire import HandEmulator
 from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 from toolee_robot.stations.devices import installed, load
@@ -29,17 +32,21 @@ class SerialHandKind:
 
     Attributes:
         driver: Builds the driver from model, port, clock, and number of the hand.
-        emulator: Builds the emulated hand with that number, whose motors' time runs at a rate relative to the host's.
+        emulator: Builds the emulated hand with that number, a seed of its noise, and the rate of its motors' time relative
+            to the host's.
         joints: Converts the emulated motors' angles to the positions of the model's joints [rad].
+        hand_id: Number with which its maker delivers it.
     """
 
     driver: Callable[[HandModel, str, Clock, int], Hand]
-    emulator: Callable[[int, float], HandEmulator[Any]]
+    emulator: Callable[[int, int, float], HandEmulator[Any]]
     joints: Callable[[Array], Array]
+    hand_id: int
 
 
 SERIAL_HANDS: dict[str, SerialHandKind] = {
-    INSPIRE: SerialHandKind(InspireHand, lambda number, pace: InspireEmulator(number, pace=pace), joints_of_counts)
+    INSPIRE: SerialHandKind(InspireHand, InspireEmulator, joints_of_counts, 1),
+    ABILITY: SerialHandKind(AbilityHand, AbilityEmulator, joints_of_closures, 0x50),
 }
 """Name in the station file -> hand on a serial line."""
 
@@ -74,14 +81,16 @@ def open_hand(config: HandConfig, clock: Clock) -> Hand:
     if config.port is None:
         message = f"hand.port is missing: the serial port of the {model.label}, such as /dev/ttyUSB0"
         raise ConfigError(message, code="config.hand_port")
-    return SERIAL_HANDS[config.model].driver(model, config.port, clock, config.hand_id)
+    kind = SERIAL_HANDS[config.model]
+    return kind.driver(model, config.port, clock, config.hand_id or kind.hand_id)
 
 
-def emulated_hand(config: HandConfig, pace: float = 1.0) -> HandEmulator[Any]:
+def emulated_hand(config: HandConfig, seed: int = 0, pace: float = 1.0) -> HandEmulator[Any]:
     """Build the emulated hand that stands in for a station's.
 
     Args:
         config: What the station file says of the hand.
+        seed: Seed of its noise.
         pace: Rate of its motors' time relative to the host's.
 
     Returns:
@@ -93,7 +102,8 @@ def emulated_hand(config: HandConfig, pace: float = 1.0) -> HandEmulator[Any]:
     if config.model not in SERIAL_HANDS:
         known = ", ".join(SERIAL_HANDS)
         raise ConfigError(f"no emulator of {config.model!r}: there is one of {known}", code="config.hand_driver")
-    return SERIAL_HANDS[config.model].emulator(config.hand_id, pace)
+    kind = SERIAL_HANDS[config.model]
+    return kind.emulator(config.hand_id or kind.hand_id, seed, pace)
 
 
 def hand_drivers() -> dict[str, str]:

@@ -18,7 +18,8 @@ from toolee_robot.sim_backend.inspire_hand import InspireEmulator
 from toolee_robot.stations.driven_hand import DrivenHandStation
 from toolee_robot.stations.simulated import HandDriver, StandIn, open_station
 
-EXAMPLE = Path(__file__).parents[3] / "examples" / "inspire.yaml"
+EXAMPLES = Path(__file__).parents[3] / "examples"
+EXAMPLE = EXAMPLES / "inspire.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +58,26 @@ def test_it_holds_by_contact_what_the_person_lays_into_it_and_tells_a_loss(
         station.hand.state(max_age=1.0)
         station.clock.sleep(0.5)
         assert not station.hand.state(max_age=1.0).holding
+
+
+@pytest.mark.realtime
+def test_the_ability_hand_holds_by_contact_too() -> None:
+    config = load_station(EXAMPLES / "ability.yaml")
+    robot = RobotModel.of_station(config)
+    q_open = robot.description.hand_open
+    way = plan_handover(robot, config, CollisionWorld(robot, config, q_open), np.array(config.scene.home), q_open)
+    with DrivenHandStation(config, 100, SimOptions(q_start=way.q[-1]), None) as driven:
+        hand = driven.station.hand
+        hand.open()
+        assert driven.station.person.request_handover("", 10.0)
+        hand.close()
+        state = hand.state(max_age=1.0)
+        assert state.holding
+        assert state.assisted
+        truth = driven.simulation.world.robot.hand_state()[0]
+        assert np.median(np.abs(truth - state.joints.q)[:8:2]) < 0.15, (
+            "the simulated knuckles are where the driver's are"
+        )
 
 
 @pytest.mark.nightly

@@ -26,7 +26,7 @@ WORLD_REAL_TIME_FACTOR = {ArmModel.UR10: 0.25, ArmModel.UR10E: 0.1}
 """Default real-time factors. A cycle then takes 32 and 20 ms, at least twice what the world needs for it in a strike,
 so that two busy cores keep the servo's schedule within a real robot's bounds."""
 
-HANDS = {"inspire": "inspire_rh56"}
+HANDS = {"inspire": "inspire_rh56", "ability": "ability_hand"}
 """What --hand names -> what a station file calls it."""
 
 
@@ -85,7 +85,9 @@ class Hammer:
     generation."""
     robot: Annotated[Literal["UR10", "UR10e"] | None, tyro.conf.arg(metavar="UR10|UR10e", help_behavior_hint="")] = None
     """Model of the arm, instead of the configured one."""
-    hand: Annotated[Literal["inspire"] | None, tyro.conf.arg(metavar="inspire", help_behavior_hint="")] = None
+    hand: Annotated[
+        Literal["inspire", "ability"] | None, tyro.conf.arg(metavar="inspire|ability", help_behavior_hint="")
+    ] = None
     """The hand of the station file by its own driver, over a pseudo-terminal; an emulated hand, which feels what the
     simulated one touches, is at its other end. Needs a --config with that hand."""
     hand_port: Annotated[str | None, tyro.conf.arg(metavar="PORT", help_behavior_hint="")] = None
@@ -204,7 +206,7 @@ class Hammer:
         if config.hand.model != HANDS[self.hand]:
             raise UserError(
                 f"--hand {self.hand} needs a station with that hand (hand.model: {HANDS[self.hand]}), such as --config "
-                "examples/inspire.yaml: nobody but the lab knows how it sits on the flange",
+                f"examples/{self.hand}.yaml: nobody but the lab knows how it sits on the flange",
                 code="user.hand",
             )
 

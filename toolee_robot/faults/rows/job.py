@@ -18,13 +18,12 @@ from toolee_robot.errors import DeviceError, LatchedError
 from toolee_robot.faults.measuring import Measurement
 from toolee_robot.faults.record import FaultRow
 from toolee_robot.faults.rigs.driver_rig import OFF_PATH
-from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, Log, at_rest, grip_kept
+from toolee_robot.faults.rigs.job_rig import CONFIG, Bench, ClosedHand, Log, at_rest, grip_kept
 from toolee_robot.faults.rigs.joint_watch import JointWatch
 from toolee_robot.faults.rigs.joints_path import Stop
 from toolee_robot.faults.rigs.scripted_perception import ScriptedPerception
 from toolee_robot.faults.rows.job_fault import IN_STRIKE, JobFault, Scene
 from toolee_robot.faults.rows.job_faults import JOB_FAULTS
-from toolee_robot.frames import Array
 from toolee_robot.hal import MotionOutcome
 from toolee_robot.motion.path_stop import stop_on_path
 from toolee_robot.sim_backend.devices.arm import RATE
@@ -46,17 +45,21 @@ def job_rows(bench: Bench) -> Iterator[Measurement]:
         yield Measurement(fault.number, fault.fault, fault.phase, ON, fault.expected, run)
 
 
-def job_row(fault: JobFault, bench: Bench) -> FaultRow:
+def job_row(fault: JobFault, bench: Bench, hand: ClosedHand | None = None) -> FaultRow:
     """Measure one fault in one job.
 
     Args:
         fault: The fault.
         bench: The simulated station.
+        hand: The job's hand, in front of a bench that was reset; None for the simulated one.
 
     Returns:
         The row of the fault table.
     """
-    bench.reset()
+    if hand is None:
+        bench.reset()
+    else:
+        bench.hand = hand
     scene = Scene(bench, Log(), ScriptedPerception(bench.sim.judge))
     try:
         return _Row(fault, scene).measure()
@@ -75,12 +78,12 @@ class _Row:
     """
 
     _strike: Trajectory
-    _hand: Array
 
     def __init__(self, fault: JobFault, scene: Scene) -> None:
         self._fault, self._scene = fault, scene
         self._bench, self._log = scene.bench, scene.log
         self._world = scene.bench.sim.world
+        self._hand = self._world.X_base_hand()[:3, 3]
         self._watch = JointWatch(self._world, scene.bench.arm)
         self._real_time = ExitStack()
         self.wrong: list[str] = []

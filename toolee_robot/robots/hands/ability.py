@@ -18,7 +18,7 @@ ABILITY = "ability_hand"
 MOTORS = ("index", "middle", "ring", "little", "thumb flexor", "thumb rotator")
 """The motors in the maker's order."""
 THUMB_ROTATION = 52.0
-"""Where the thumb's rotator stands in every posture [deg]: the thumb then bends over a handle beside the index."""
+"""Where the thumb's rotator stands in every posture [deg]: it bends over a handle beside the index finger there."""
 OPEN = (0.0, 0.0, 0.0, 0.0, 0.0, THUMB_ROTATION)
 """Closures of the open hand [deg]: the thumb stands before the palm."""
 CLOSED = (95.0, 95.0, 95.0, 95.0, 95.0, THUMB_ROTATION)

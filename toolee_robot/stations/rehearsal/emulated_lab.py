@@ -153,7 +153,7 @@ class EmulatedLab:
         if hand.model == MOUNT:
             return hand
         model = RobotModel.of_station(self._cell.measured).description
-        emulator = stack.enter_context(emulated_hand(hand, self._clock.real_time_factor))
+        emulator = stack.enter_context(emulated_hand(hand, self._cell.seed, self._clock.real_time_factor))
         joints = SERIAL_HANDS[hand.model].joints
         stack.enter_context(FingerCoupling(self._world, emulator, joints, model.hand_open))
         return replace(hand, port=emulator.port)

@@ -22,8 +22,10 @@ BAUD_RATE = 460800
 """As delivered (ICD 3.1.2.1)."""
 ANSWER_TIME = 0.03
 """Time for a reply [s]: 2 ms on the wire, and a USB adapter may keep it back for 16 ms."""
+ATTEMPTS = 5
+"""Attempts to find the hand."""
 EXPIRES = 0.25
-"""Time after which a reply does not come any more [s]."""
+"""Time after which a reply does not come any more [s of the host's time]."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +41,10 @@ class Answer:
 class HandLine:
     """The hand on a serial port; one thread may use it.
 
-    Every command is answered, and the answer is its acknowledgement: a damaged command gets none. Replies come in the
-    order of the commands, but do not say which they answer. So two kinds of commands take turns, and a reply counts for
-    the oldest command of its kind that is still without: a late one is never taken for newer than it is.
+    Every command is answered, and the answer is its acknowledgement: a damaged command gets none. A reply does not say
+    which command it answers, but its kind, and there are two kinds of commands. So a late reply is never taken for
+    newer than it is: while that to a command of one kind may still come, the other kind is used, and if both may, a
+    reply counts as the one to the oldest.
 
     Args:
         port: The serial port.
@@ -59,8 +62,8 @@ class HandLine:
         self.counts = LineCounts()
         self._address, self._clock = address, clock
         self._reader = FrameReader()
-        self._unanswered: deque[tuple[Header, float]] = deque()
-        self._turn = False
+        self._doubted: dict[Header, deque[tuple[float, float]]] = {header: deque() for header in Header}
+        self._turn, self._known = False, False
         self._port = SerialPort(port, BAUD_RATE, ANSWER_TIME)
 
     def __enter__(self) -> Self:
@@ -72,6 +75,24 @@ class HandLine:
     def close(self) -> None:
         """Release the port; nothing is said to the hand, which leaves the API mode 0.3 s later."""
         self._port.close()
+
+    def find(self) -> Answer:
+        """Ask whether the hand is there, with some attempts.
+
+        Returns:
+            Its reply.
+
+        Raises:
+            NoAnswerError: None came in time, or the port is gone.
+            ProtocolError: It says what no Ability Hand says.
+        """
+        for _ in range(ATTEMPTS - 1):
+            try:
+                return self.exchange(None)
+            except NoAnswerError as error:
+                if error.code != "no_answer.hand_silent":
+                    raise
+        return self.exchange(None)
 
     def exchange(self, degrees: tuple[float, ...] | None) -> Answer:
         """Send a command, and wait for its reply; another one's may do.
@@ -86,53 +107,55 @@ class HandLine:
             NoAnswerError: None came in time, or the port is gone.
             ProtocolError: It says what no Ability Hand says.
         """
-        self._turn = not self._turn
-        if degrees is None:
-            header = Header.READ_CURRENT if self._turn else Header.READ_VELOCITY
-            command = read_command(self._address, header)
-        else:
-            header = Header.POSITION_CURRENT if self._turn else Header.POSITION_VELOCITY
-            command = position_command(self._address, header, degrees)
+        sent, now = time.monotonic(), self._clock.now()
+        header = self._kind(degrees is None, sent)
+        doubted = self._doubted[header]
+        stamp = doubted[0][1] if doubted else now
+        command = (
+            read_command(self._address, header) if degrees is None else position_command(self._address, header, degrees)
+        )
         self.counts.requests += 1
-        now = self._clock.now()
-        while self._unanswered and now - self._unanswered[0][1] > EXPIRES:
-            self._unanswered.popleft()
-        self._unanswered.append((header, now))
-        answer = None
+        self._port.drop_received()
         if self._port.send(command):
             end = time.monotonic() + ANSWER_TIME
-            while answer is None and time.monotonic() < end:
-                answer = self._take(self._port.receive())
-        if answer is None:
-            self.counts.unanswered += 1
-            message = (
-                f"no hand {self._address} answers on {self._port.path}: check its power, its two wires, that its UART "
-                "and both stuffings are on (We16, We46, We47), and its address"
-            )
-            raise NoAnswerError(message, code="no_answer.hand_silent")
-        return answer
+            while time.monotonic() < end:
+                reply = self._take(self._port.receive(), header)
+                if reply is not None:
+                    return Answer(stamp, reply)
+        doubted.append((sent, now))
+        self.counts.unanswered += 1
+        message = (
+            f"no hand {self._address} answers on {self._port.path}: check its power, its two wires, that its UART "
+            "and both stuffings are on (We16, We46, We47), and its address"
+        )
+        raise NoAnswerError(message, code="no_answer.hand_silent")
 
-    def _take(self, data: bytes) -> Answer | None:
-        """The newest answer in what has come."""
-        answer = None
+    def _kind(self, reads: bool, sent: float) -> Header:
+        """The kind of the next command: the two in turn, but for one to which a reply may still come."""
+        for doubted in self._doubted.values():
+            while doubted and sent - doubted[0][0] > EXPIRES:
+                doubted.popleft()
+        kinds = (
+            (Header.READ_CURRENT, Header.READ_VELOCITY)
+            if reads
+            else (Header.POSITION_CURRENT, Header.POSITION_VELOCITY)
+        )
+        self._turn = not self._turn
+        first, second = kinds if self._turn else kinds[::-1]
+        return second if self._doubted[first] and not self._doubted[second] else first
+
+    def _take(self, data: bytes, header: Header) -> Reply | None:
+        """The first reply of a kind in what has come."""
+        found = None
         for frame in self._reader.feed(data):
             try:
                 reply = decode(frame)
             except ProtocolError:
-                if self.counts.requests == 1:  # the first reply ever: no such hand
+                if not self._known:
                     raise
                 self._reader.corrupt += 1
                 continue
-            if reply is not None:
-                answer = self._attribute(reply) or answer
+            if reply is not None and reply.header is header and found is None:
+                self._known, found = True, reply
         self.counts.corrupt = self._reader.corrupt
-        return answer
-
-    def _attribute(self, reply: Reply) -> Answer | None:
-        """Find the command; None for a reply that nobody waits for, such as one that comes twice."""
-        headers = [header for header, _ in self._unanswered]
-        if reply.header not in headers:
-            return None
-        for _ in range(headers.index(reply.header) + 1):
-            _, stamp = self._unanswered.popleft()
-        return Answer(stamp, reply)
+        return found

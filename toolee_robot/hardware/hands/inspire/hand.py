@@ -30,7 +30,6 @@ from toolee_robot.hardware.hands.serial.driver import MOTION_TIME, SerialHand
 from toolee_robot.hardware.hands.serial.grip import GripRule
 from toolee_robot.robots.hands import HandModel
 from toolee_robot.robots.hands.inspire import CLOSED, MOTORS, OPEN, joints_of_counts
-from toolee_robot.types import JointState
 
 Counts = tuple[int, int, int, int, int, int]
 
@@ -45,8 +44,6 @@ REACTION = 0.07
 """Time from a command until a motor follows it [s]."""
 PRESSES = 50
 """Force above which a motor that closes is left to press when the hand is stopped [counts]."""
-RECENT = 0.1
-"""Time over which speeds are taken [s]."""
 _BEND, _ROTATION = MOTORS.index("thumb bend"), MOTORS.index("thumb rotation")
 STILL = 2
 """Way of a motor that counts as none [counts]; at the slowest speed in use it is 3 within STANDS_FOR."""
@@ -108,7 +105,6 @@ class InspireHand(SerialHand[HandLine, Reading]):
         super().__init__(model, clock, RULE, STILL)
         self._port, self._hand_id = port, hand_id
         self._target: Counts | None = None
-        self._recent: tuple[Reading, ...] = ()
 
     def state(self, max_age: float = 0.1) -> HandState:
         """Return the newest state; it may be asked from any thread at any time.
@@ -126,14 +122,10 @@ class InspireHand(SerialHand[HandLine, Reading]):
             DeviceError: It is closed.
         """
         reading = self._opened().newest(max_age)
-        q = joints_of_counts(np.array(reading.angles))
-        first = next(iter(self._recent), reading)
-        duration = max(reading.stamp - first.stamp, RECENT)
-        qd = (q - joints_of_counts(np.array(first.angles))) / duration
         condition = reading.condition
         forces = {finger: newtons(finger, condition.forces[motor]) for finger, motor in _FINGER_OF_MOTOR.items()}
         return HandState(
-            JointState(q, qd, reading.stamp),
+            self._joints(reading, lambda closures: joints_of_counts(FULL - closures)),
             forces,
             self._grip.holding,
             temperature=float(max(condition.temperatures)),
@@ -231,10 +223,9 @@ class InspireHand(SerialHand[HandLine, Reading]):
         """
         if not self._recent or self._target is None:
             return
-        first, now = self._recent[0], self._recent[-1]
+        now = self._recent[-1]
         target, angles = np.array(self._target), np.array(now.angles)
-        speed = (angles - first.angles) / max(now.stamp - first.stamp, RECENT)
-        reached = np.clip(angles + speed * REACTION, *np.sort([angles, target], axis=0))
+        reached = np.clip(angles - self._speeds() * REACTION, *np.sort([angles, target], axis=0))
         presses = (target < angles) & (np.array(now.condition.forces) > PRESSES)
         a, b, c, d, e, f = (int(count) for count in np.clip(np.where(presses, target, np.rint(reached)), 0, FULL))
         line.write(ANGLE_SET, pack((a, b, c, d, e, f)))
@@ -242,6 +233,6 @@ class InspireHand(SerialHand[HandLine, Reading]):
 
     def _watch(self, reading: Reading, line: HandLine) -> None:
         """With every reading, in the poller's thread: judge the grip, and keep it up."""
-        self._recent = (*(old for old in self._recent if reading.stamp - old.stamp <= RECENT), reading)
+        self._note(reading)
         if self._grip.follow(reading) and self._target is not None:
             line.write(ANGLE_SET, pack(self._target))

@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Generic, Protocol, Self, TypeVar
 
+import numpy as np
+
 from toolee_robot.errors import DeviceError
+from toolee_robot.frames import Array
 from toolee_robot.hal import Clock, HandState
 from toolee_robot.hardware.hands.serial.grip import Grip, GripRule
 from toolee_robot.hardware.hands.serial.motion import Motion
 from toolee_robot.hardware.hands.serial.poller import Poller, ReadingT
 from toolee_robot.hardware.hands.serial.port import LineCounts
 from toolee_robot.robots.hands import HandModel
+from toolee_robot.types import JointState
 
 MOTION_TIME = 8.0
 """Time for a motion where nobody says another [s]."""
+RECENT = 0.1
+"""Time over which speeds are taken [s]."""
 
 
 class HandLine(Protocol):
@@ -46,6 +53,7 @@ class SerialHand(ABC, Generic[LineT, ReadingT]):
         self._line: LineT | None = None
         self._poller: Poller[LineT, ReadingT] | None = None
         self._grip = Grip(rule)
+        self._recent: tuple[ReadingT, ...] = ()
         self._moving = threading.Lock()
         self._stopped = threading.Event()
 
@@ -132,6 +140,22 @@ class SerialHand(ABC, Generic[LineT, ReadingT]):
     @abstractmethod
     def _freeze(self, line: LineT) -> None:
         """Stop the motors; in the thread."""
+
+    def _note(self, reading: ReadingT) -> None:
+        """Keep the readings of the last RECENT seconds."""
+        self._recent = (*(old for old in self._recent if reading.stamp - old.stamp <= RECENT), reading)
+
+    def _joints(self, reading: ReadingT, convert: Callable[[Array], Array]) -> JointState:
+        """Joint state of a reading; `convert` makes joint positions out of closures."""
+        q = convert(reading.closures)
+        first = next(iter(self._recent), reading)
+        duration = max(reading.stamp - first.stamp, RECENT)
+        return JointState(q, (q - convert(first.closures)) / duration, reading.stamp)
+
+    def _speeds(self) -> Array:
+        """Speeds of the motors' closures over the last RECENT seconds, (m,), per second."""
+        first, now = self._recent[0], self._recent[-1]
+        return np.asarray((now.closures - first.closures) / max(now.stamp - first.stamp, RECENT))
 
     def _opened(self) -> Poller[LineT, ReadingT]:
         if self._poller is None:

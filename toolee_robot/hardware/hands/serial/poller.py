@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -170,14 +171,15 @@ class Poller(Generic[LineT, ReadingT]):
 
     def _run(self) -> None:
         try:
+            due = time.monotonic()  # a simulated clock may stand still, a hand must be asked on
             while True:
-                begin = self._clock.now()
                 self._carry_out()
                 if self._over:
                     return
                 self._poll()
+                due = max(due + PERIOD, time.monotonic() - PERIOD)  # what is missed is not made up for
                 with self._news:
-                    self._news.wait_for(lambda: self._over or self._commands, begin + PERIOD - self._clock.now())
+                    self._news.wait_for(lambda: self._over or self._commands, due - time.monotonic())
         except DeviceError as error:
             self._fail(error)
         except BaseException as error:

@@ -1,0 +1,94 @@
+"""Faults of the hands through their own drivers are handled, and a row whose guard is taken away is not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from toolee_robot.faults.record import FaultRow, Phase
+from toolee_robot.faults.rigs.hand_rig import HANDS, DriverHand, HandKind
+from toolee_robot.faults.rigs.job_rig import Bench
+from toolee_robot.faults.rows.hands import FAULTS, HandFault, hand_row
+from toolee_robot.tasks.common import hand_watch
+from toolee_robot.tasks.common.motions import Motions
+
+pytestmark = pytest.mark.realtime
+
+_QUICK = {
+    ("hand unplugged", Phase.REST, "Ability Hand"),
+    ("finger stalled", Phase.REST, "Inspire RH56"),
+    ("hand silent", Phase.SWING, "Ability Hand"),
+    ("tool slips in the hand", Phase.SWING, "Inspire RH56"),
+}
+"""What is measured in every run: nightly all of them."""
+
+
+@pytest.fixture(scope="module")
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    with bench.sim:
+        yield bench
+
+
+def _fault(name: str, phase: Phase) -> HandFault:
+    return next(f for f in FAULTS if (f.fault, f.phase) == (name, phase))
+
+
+def test_every_fault_of_the_hand_is_there() -> None:
+    names = [(f.number, f.fault, f.when) for f in FAULTS]
+    assert len(set(names)) == len(names)
+    assert {f.number for f in FAULTS} == {15, 16, 17, 18, 19, 20, 21}
+    for number in (15, 16, 18, 20, 21):
+        assert {f.phase for f in FAULTS if f.number == number} == {Phase.REST, Phase.SWING}
+
+
+@pytest.mark.parametrize(
+    ("kind", "fault"),
+    [
+        pytest.param(
+            kind,
+            fault,
+            id=f"{kind.model}-{fault.fault}-{fault.when}",
+            marks=() if (fault.fault, fault.phase, kind.label) in _QUICK else pytest.mark.nightly,
+        )
+        for kind in HANDS
+        for fault in FAULTS
+    ],
+)
+def test_a_fault_is_handled(bench: Bench, kind: HandKind, fault: HandFault) -> None:
+    row = hand_row(fault, kind, bench)
+    assert row.handled, row.why
+    assert (row.number, row.fault, row.phase, row.on) == (fault.number, fault.fault, fault.phase, kind.label)
+
+
+def _not_handled(row: FaultRow, why: str) -> None:
+    assert not row.handled
+    assert why in row.why
+
+
+@pytest.mark.nightly
+def test_without_the_watch_of_the_hand(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Motions, "check_hand", lambda _: None)
+    monkeypatch.setattr(hand_watch, "_check_fault", lambda _: None)
+    _not_handled(hand_row(_fault("hand too hot", Phase.REST), HANDS[1], bench), "1 strikes were swung, 0 may be")
+
+
+@pytest.mark.nightly
+def test_a_hand_that_lets_go(bench: Bench) -> None:
+    def let_go(emulator: object, _kind: HandKind) -> None:
+        emulator.hold(None)  # type: ignore[attr-defined]
+        emulator.tell(lambda hand: [setattr(m, "position", 0.0) for m in hand.motors])  # type: ignore[attr-defined]
+
+    fault = replace(_fault("hand too hot", Phase.REST), event=let_go)
+    _not_handled(hand_row(fault, HANDS[1], bench), "the emulated hand let go")
+
+
+def test_a_driver_in_the_bench_is_the_hand_that_the_job_sees(bench: Bench) -> None:
+    bench.reset()
+    with DriverHand(bench.sim, bench.sim_hand, HANDS[1]) as hand:
+        assert not hand.state(1.0).holding
+        hand.close()
+        assert hand.state(1.0).holding
+        assert set(hand.state(1.0).contact_forces) == {"thumb", "index", "middle", "ring", "little"}

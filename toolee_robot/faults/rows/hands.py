@@ -1,0 +1,177 @@
+"""Faults of each hand on a serial line, through its own driver and its emulator, under the job.
+
+The fault happens to the emulated hand or to its line; the job must answer it with the arm at rest and the grip kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+from toolee_robot.faults.measuring import Measurement
+from toolee_robot.faults.record import FaultRow, Phase
+from toolee_robot.faults.rigs.hand_rig import HANDS, DriverHand, HandKind
+from toolee_robot.faults.rigs.job_rig import Bench
+from toolee_robot.faults.rows.job import job_row
+from toolee_robot.faults.rows.job_fault import IN_STRIKE, Braking, JobFault
+from toolee_robot.sim_backend.hand_wire import HandEmulator, LineFault, happen
+from toolee_robot.tasks.common.outcome import Outcome, Stage
+
+REST, SWING = Phase.REST, Phase.SWING
+RUN_UP = "to the run-up"
+FAULT, LOST, WENT_ON = Outcome.DEVICE_FAULT, Outcome.TOOL_LOST, Outcome.OUT_OF_STRIKES
+NO_START = "no start, arm stands"
+NO_STRIKE = "no strike, arm stands, grip kept"
+BRAKES = "brakes on the path, arm stands, grip kept"
+RETREATS = "brakes on the path, aborts, asks the person, then retreats"
+GOES_ON = "asks again, the job goes on"
+BEFORE = 0.3
+"""Time before the contact at which a fault of the strike happens [s]."""
+
+Event = Callable[[HandEmulator[Any], HandKind], object]
+
+
+@dataclass(frozen=True)
+class HandFault:
+    """A fault of a hand or of its line, and the required reaction.
+
+    Attributes:
+        number: See `FaultRow`.
+        fault: See `FaultRow`.
+        event: Lets it happen.
+        when: As of a `JobFault`.
+        outcome: Required outcome of the job.
+        message: Text that its reason must contain.
+        expected: See `FaultRow`.
+        keeps: Whether the emulated hand must still hold what it held.
+    """
+
+    number: int
+    fault: str
+    event: Event
+    when: Stage | str | None
+    outcome: Outcome
+    message: str
+    expected: str
+    keeps: bool = True
+
+    @property
+    def phase(self) -> Phase:
+        """When it happens."""
+        return SWING if self.when == IN_STRIKE else REST
+
+
+def _mute(e: HandEmulator[Any], _: HandKind) -> None:
+    e.faults.muted = True
+
+
+def _rates(**rates: float) -> Event:
+    """Let this share of all replies be damaged."""
+
+    def noise(e: HandEmulator[Any], _: HandKind) -> None:
+        e.faults.rates = {LineFault(name): rate for name, rate in rates.items()}
+
+    return noise
+
+
+def _tell(line: str) -> Event:
+    return lambda e, _: happen(e, line)
+
+
+def _jam(e: HandEmulator[Any], _: HandKind) -> None:
+    happen(e, "jam middle")
+
+
+def _heat(e: HandEmulator[Any], kind: HandKind) -> None:
+    happen(e, "heat 75" if kind.model == "ability_hand" else "heat index 75")
+
+
+def _slip(e: HandEmulator[Any], kind: HandKind) -> None:
+    e.slip(kind.slip)
+
+
+NOISE = _rates(corrupt=0.04, short=0.04, garbage=0.08, doubled=0.08)
+
+FAULTS = (
+    HandFault(15, "hand silent", _mute, None, FAULT, "hand", NO_START),
+    HandFault(15, "hand silent", _mute, RUN_UP, FAULT, "newest state", NO_STRIKE),
+    HandFault(15, "hand silent", _mute, IN_STRIKE, FAULT, "newest state", BRAKES),
+    HandFault(16, "noise, damaged, short and doubled replies", NOISE, None, WENT_ON, "after 1 strikes", GOES_ON),
+    HandFault(16, "damaged replies only", _rates(corrupt=1.0), RUN_UP, FAULT, "newest state", NO_STRIKE),
+    HandFault(16, "damaged replies only", _rates(corrupt=1.0), IN_STRIKE, FAULT, "newest state", BRAKES),
+    HandFault(17, "another's reply before every one", _rates(foreign=1.0), None, WENT_ON, "after 1 strikes", GOES_ON),
+    HandFault(18, "finger stalled", _jam, Stage.GRIP, FAULT, "middle", "no grip, arm stands"),
+    HandFault(18, "hand too hot", _heat, RUN_UP, FAULT, "too hot", NO_STRIKE),
+    HandFault(18, "hand too hot", _heat, IN_STRIKE, FAULT, "too hot", BRAKES),
+    HandFault(19, "writes not acknowledged", _mute, Stage.GRIP, FAULT, "hand", "no grip, arm stands"),
+    HandFault(20, "hand unplugged", _tell("unplug"), None, FAULT, "is gone", NO_START, keeps=False),
+    HandFault(20, "hand unplugged", _tell("unplug"), RUN_UP, FAULT, "is gone", NO_STRIKE),
+    HandFault(20, "hand unplugged", _tell("unplug"), IN_STRIKE, FAULT, "is gone", BRAKES),
+    HandFault(21, "tool slips in the hand", _slip, RUN_UP, FAULT, "slipped", NO_STRIKE),
+    HandFault(21, "tool slips in the hand", _slip, IN_STRIKE, FAULT, "slipped", BRAKES),
+    HandFault(21, "tool lost", _tell("drop"), RUN_UP, LOST, "lost the tool", "aborts, asks the person, then retreats",
+              keeps=False),
+    HandFault(21, "tool lost", _tell("drop"), IN_STRIKE, LOST, "lost the tool", RETREATS, keeps=False),
+)  # fmt: skip
+"""The faults."""
+
+
+def hand_rows(bench: Bench) -> Iterator[Measurement]:
+    """Yield each fault of each hand, in a job of its own."""
+    for kind in HANDS:
+        for fault in FAULTS:
+            run = partial(hand_row, fault, kind, bench)
+            yield Measurement(fault.number, fault.fault, fault.phase, kind.label, fault.expected, run)
+
+
+def hand_row(fault: HandFault, kind: HandKind, bench: Bench) -> FaultRow:
+    """Measure one fault of one hand.
+
+    Args:
+        fault: The fault.
+        kind: The hand.
+        bench: The simulated station.
+
+    Returns:
+        The row of the fault table.
+    """
+    bench.reset()
+    with DriverHand(bench.sim, bench.sim_hand, kind) as hand:
+        row = job_row(_job_fault(fault, hand), bench, hand)
+        wrong = [row.why] if row.why else []
+        if hand.opened > 1:  # once for the handover
+            wrong.append("the hand was told to open")
+        if fault.keeps and hand.closed and not _holds(hand):
+            wrong.append("the emulated hand let go")
+    return replace(row, on=kind.label, handled=not wrong, why="; ".join(wrong))
+
+
+def _holds(hand: DriverHand) -> bool:
+    """Whether the emulated fingers are still where the handle stopped them; unplugged, they are out of reach."""
+    if not hand.emulator.plugged:
+        return True
+    return abs(hand.emulator.angles[0] - hand.kind.handle) < hand.kind.margin
+
+
+def _job_fault(fault: HandFault, hand: DriverHand) -> JobFault:
+    def inject(_scene: object) -> None:
+        fault.event(hand.emulator, hand.kind)
+
+    last: str | None = _LAST[fault.when]
+    if fault.outcome is WENT_ON:
+        last = "home"
+    elif fault.outcome is LOST:
+        last = "retreat"
+    in_strike = fault.when == IN_STRIKE
+    return JobFault(
+        fault.number, fault.fault, fault.phase, fault.expected, inject, fault.when, fault.outcome, fault.message,
+        int(in_strike or fault.outcome is WENT_ON), last, braking=Braking(None) if in_strike else None, before=BEFORE,
+    )  # fmt: skip
+
+
+_LAST: dict[Stage | str | None, str | None] = {
+    None: None, Stage.GRIP: "to the handover", RUN_UP: RUN_UP, IN_STRIKE: "strike",
+}  # fmt: skip
+"""When a fault happens -> the last motion."""

@@ -1,0 +1,100 @@
+"""Where the motors are told to be from one command to the next: ramps, and the way back that frees a finger."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from toolee_robot.frames import Array
+
+LEAD = 12.0
+"""Largest way by which a setpoint is ahead of a motor [deg]."""
+BACK, BACK_TIME = 1.0, 0.06
+"""Way and time for which a finger that has collided is told to open before it can close further [deg], [s]."""
+
+
+class Setpoints:
+    """Setpoints of the six motors, which move towards targets at speeds of their own.
+
+    The hand has no speeds: it goes to a position as fast as it can. A slow finger is one whose setpoint moves slowly.
+
+    Args:
+        closures: Where the motors are, (6,) [deg].
+    """
+
+    def __init__(self, closures: Array) -> None:
+        self._setpoint, self._target = closures.copy(), closures.copy()
+        self._speed = np.zeros(len(closures))
+        self._back_until = np.full(len(closures), -np.inf)
+        self._back_to = np.zeros(len(closures))
+        self._stamp: float | None = None
+
+    @property
+    def moving(self) -> NDArray[np.bool_]:
+        """Whether each motor is told to move, (6,)."""
+        return np.asarray(np.abs(self._setpoint - self._target) > 1e-9)
+
+    @property
+    def way(self) -> Array:
+        """Way to each motor's target, positive closing, (6,) [deg]."""
+        return self._target - self._setpoint
+
+    def go(self, motors: list[int], targets: Array, speed: float) -> None:
+        """Send motors to targets.
+
+        Args:
+            motors: The motors.
+            targets: Closures of all six, (6,) [deg].
+            speed: Their speed [deg/s].
+        """
+        self._target[motors], self._speed[motors] = targets[motors], speed
+
+    def slow(self, motors: NDArray[np.bool_], speed: float) -> None:
+        """Let motors that are on their way go on at a speed.
+
+        Args:
+            motors: Which of the six, (6,).
+            speed: Their speed [deg/s].
+        """
+        self._speed[motors] = np.minimum(self._speed[motors], speed)
+
+    def hold(self, motors: NDArray[np.bool_], at: Array) -> None:
+        """Keep motors at places.
+
+        Args:
+            motors: Which of the six, (6,).
+            at: The places, (6,) [deg].
+        """
+        self._setpoint[motors] = self._target[motors] = at[motors]
+
+    def free(self, motors: list[int], closures: Array, towards: float) -> None:
+        """Tell fingers to go the other way for a moment: after a collision they may then go on.
+
+        Args:
+            motors: The fingers.
+            closures: Where all six motors are, (6,) [deg].
+            towards: 1 for fingers that shall close further, -1 for those that shall open.
+        """
+        now = self._stamp or 0.0
+        self._back_until[motors] = now + BACK_TIME
+        self._back_to[motors] = closures[motors] - towards * BACK
+        self._setpoint[motors] = closures[motors]
+
+    def advance(self, now: float, closures: Array) -> tuple[float, ...]:
+        """Move the setpoints.
+
+        Args:
+            now: Time [s].
+            closures: Where the motors are, (6,) [deg].
+
+        Returns:
+            What to command [deg].
+        """
+        step = 0.0 if self._stamp is None else min(max(now - self._stamp, 0.0), 0.1)
+        self._stamp = now
+        back = now < self._back_until
+        way = np.clip(self._target - self._setpoint, -self._speed * step, self._speed * step)
+        moved = np.clip(self._setpoint + way, closures - LEAD, closures + LEAD)
+        self._setpoint = np.where(self.moving & ~back, moved, self._setpoint)
+        command = np.where(back, self._back_to, self._setpoint)
+        return tuple(float(angle) for angle in command)
