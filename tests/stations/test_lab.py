@@ -14,6 +14,7 @@ from toolee_robot.config import StationConfig, load_lab_station, load_station
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import ConfigError, DeviceError, NotReadyError
 from toolee_robot.frames import angle_between, rotation_angle
+from toolee_robot.hardware.hands.ability import AbilityHand
 from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
 from toolee_robot.stations.lab import LabStation, Purpose, check_purpose
@@ -36,7 +37,7 @@ def config() -> StationConfig:
 def test_what_is_missing_is_named(config: StationConfig, field: str) -> None:
     section, _, name = field.partition(".")
     if field == "hand.port":
-        lacking = _with_inspire(config, port=None)
+        lacking = _with_hand(config, "inspire", port=None)
     else:
         changed: Any = replace(getattr(config, section), **{name: None}) if name else None
         without: dict[str, Any] = {section: changed}
@@ -111,12 +112,15 @@ def test_every_device_is_its_driver_and_answers_over_its_wire(config: StationCon
 
 @pytest.mark.realtime
 @pytest.mark.sim(seconds=20)
-def test_the_emulated_fingers_hold_what_the_person_puts_between_them(config: StationConfig) -> None:
-    config = _with_inspire(config, port="/dev/ttyUSB0")
+@pytest.mark.parametrize(("name", "driver"), [("inspire", InspireHand), ("ability", AbilityHand)])
+def test_the_emulated_fingers_hold_what_the_person_puts_between_them(
+    config: StationConfig, name: str, driver: type[Any]
+) -> None:
+    config = _with_hand(config, name, port="/dev/ttyUSB0")
     cell = job_cell(config, LAB, 7401)
     with EmulatedLab(cell, print, FACTOR, "ideal") as lab:
         hand, person = lab.station.hand, lab.station.person
-        assert isinstance(hand, InspireHand)
+        assert isinstance(hand, driver)
         hand.open()
         hand.close()
         assert not hand.state().holding, "there is nothing in it"
@@ -146,6 +150,6 @@ def _driver(config: StationConfig, name: str) -> StationConfig:
     return replace(config, camera=replace(config.camera, device=replace(config.camera.device, driver=name)))
 
 
-def _with_inspire(config: StationConfig, port: str | None) -> StationConfig:
-    hand = load_station(EXAMPLES / "inspire.yaml").hand
+def _with_hand(config: StationConfig, name: str, port: str | None) -> StationConfig:
+    hand = load_station(EXAMPLES / f"{name}.yaml").hand
     return replace(config, hand=replace(hand, port=port, weighed=HandWeight(0.9, (0.0, 0.0, 0.06))))
