@@ -68,6 +68,7 @@ def build_report(memory: ServoMemory, cause: Cause) -> MotionReport:
         overruns=int(memory.words[Word.OVERRUNS]),
         position_deviation_ratios=deviations,
         collision_ratios=collisions,
+        commands=min(int(memory.words[Word.COMMANDS]), len(rows)),
     )
 
 

@@ -37,6 +37,7 @@ class Word(IntEnum):
         CAUSE: `Cause` of the last end of a motion, or of a fault at rest.
         STATE_SEQUENCE: Sequence counter of the state; odd while it is being written.
         CONTACT_ROW: Row of the log at the contact, or -1.
+        COMMANDS: Rows of the log up to the last command that was sent.
         CONNECTING: When the servo process began to connect [ns of `time.monotonic_ns()`]; 0 until then.
     """
 
@@ -48,7 +49,8 @@ class Word(IntEnum):
     CAUSE = 5
     STATE_SEQUENCE = 6
     CONTACT_ROW = 7
-    CONNECTING = 8
+    COMMANDS = 8
+    CONNECTING = 9
 
 
 class Column:
