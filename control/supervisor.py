@@ -46,8 +46,8 @@ class Supervisor:
     data; that no person is where they must not be; and that nothing collides along the trajectory. During the motion
     the arm's own `MotionWatch` and the person detection are active. The errors are, in this order, LatchedError,
     LimitError, StaleDataError, NotReadyError, PersonNearError and CollisionError before anything moves, and
-    MotionFaultError or PersonNearError after the arm has stopped. A stop brakes no harder than the joints' torques permit
-    with the payload that was set, see `dynamics.torque_room`.
+    MotionFaultError or PersonNearError after the arm has stopped. A stop brakes no harder than the joints' torques
+    permit with the payload that was set, see `dynamics.torque_room`.
 
     A fault latches, and so does a command with NaN or infinite values: nothing moves until a person confirms
     `reset(confirmed=True)`, which never clears a protective stop.
