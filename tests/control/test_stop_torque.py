@@ -130,7 +130,7 @@ def test_the_supervisor_bounds_every_motion_by_the_payload_that_was_set(
 ) -> None:
     desk = Desk(robot, config, CollisionWorld(robot, config, q_hand, X_hand_ee), home)
     hand = robot.description.hand_payload(q_hand)
-    bounds = []
+    bounds: list[Array | None] = []
     for payload in (None, hand, Payload(hand.mass + 4.0, hand.center_of_mass + np.array([0.0, 0.0, 0.2]))):
         if payload is not None:
             desk.supervisor.set_payload(payload)
