@@ -156,7 +156,7 @@ def test_a_stop_at_rest_names_its_code_and_the_next_one_its_own(
     listening(arm._errors)
     controller.fault("payload", mass=50.0, cog=[0.0, 0.0, 0.1])  # no arm holds that
     time.sleep(REST)
-    with pytest.raises(LatchedError, match=r"C173A\d, the motion takes more torque than the .* check the payload"):
+    with pytest.raises(LatchedError, match=r"C173A\d: the motion takes more torque than .* check the payload"):
         arm.execute(swing(held(arm)), None, PATIENT)
     controller.fault("payload", mass=0.0, cog=[0.0, 0.0, 0.0])
     time.sleep(0.1)  # the torques jump

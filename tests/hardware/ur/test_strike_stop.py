@@ -103,7 +103,7 @@ def test_without_a_bound_the_controller_stops_the_arm_and_no_later_command_is_re
     """The last command is repeated in the report, which is not to be taken for a command to stand still."""
     with raises(ProtectiveStopError, code="protective_stop.torque") as caught:
         stopped_at_the_contact(arm, plan.strike, plan)
-    assert "C173A2, the motion takes more torque than the elbow has" in str(caught.value)
+    assert "C173A2: the motion takes more torque than the elbow has" in str(caught.value)
     report = caught.value.report
     assert report is not None
     assert report.commands is not None

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 from toolee_robot.hardware.ur.protocols.primary import ControllerError
 
-JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
+JOINTS = ("the base", "the shoulder", "the elbow", "wrist 1", "wrist 2", "wrist 3")
 
 _HIT = "it was hit, or the motion was too fast for the payload that is set"
-_NO_PAYLOAD = "the payload that is set is 0 kg: set it"
+_NO_PAYLOAD = "no payload is set: set it"
 _LIMIT = "slow the motion down, or see the robot's safety configuration"
 
 
@@ -23,7 +23,7 @@ class _Meaning:
 
     Attributes:
         kind: Last part of the code of the driver's error.
-        text: What has happened; `{joint}` is where the joint of the argument stands.
+        text: What has happened; `{joint}` stands for the argument's joint.
         remedy: What to look at, or to change.
     """
 
@@ -33,18 +33,18 @@ class _Meaning:
 
 
 _CODES = {
-    153: _Meaning("position_deviation", "the {joint} was off its path", _HIT),
-    159: _Meaning("position_deviation", "the {joint} was off its path", _NO_PAYLOAD),
-    157: _Meaning("collision", "the {joint} detected a collision", _HIT),
-    158: _Meaning("collision", "the {joint} detected a collision", _NO_PAYLOAD),
+    153: _Meaning("position_deviation", "{joint} was off its path", _HIT),
+    159: _Meaning("position_deviation", "{joint} was off its path", _NO_PAYLOAD),
+    157: _Meaning("collision", "{joint} detected a collision", _HIT),
+    158: _Meaning("collision", "{joint} detected a collision", _NO_PAYLOAD),
     173: _Meaning(
         "torque",
-        "the motion takes more torque than the {joint} has",
+        "the motion takes more torque than {joint} has",
         "slow it down, move the work nearer to the arm, or check the payload that is set",
     ),
     174: _Meaning(
         "torque_jump",
-        "the motion changes the torque of the {joint} too suddenly",
+        "the motion changes the torque of {joint} too suddenly",
         "lower acceleration and jerk, or check the payload that is set",
     ),
 }
@@ -73,5 +73,5 @@ def explain(error: ControllerError) -> tuple[str, str]:
     if meaning is None:
         said = f', "{error.text}"' if error.text else ""
         return f"{error.name}{said} (see the robot's log, and Universal Robots' directory of error codes)", ""
-    joint = JOINTS[error.argument] if 0 <= error.argument < len(JOINTS) else "arm"
-    return f"{error.name}, {meaning.text.format(joint=joint)}: {meaning.remedy}", meaning.kind
+    joint = JOINTS[error.argument] if 0 <= error.argument < len(JOINTS) else "the arm"
+    return f"{error.name}: {meaning.text.format(joint=joint)}; {meaning.remedy}", meaning.kind
