@@ -25,7 +25,7 @@ from toolee_robot.sim_backend.ur_controller.process import ControllerProcess
 from toolee_robot.sim_backend.ur_controller.robot.safety import error_codes as codes
 from toolee_robot.types import ArmModel
 
-HOST = "127.0.0.74"
+HOST = "127.0.0.94"
 TWIST = [0.0, 0.0, 0.0, 0.0, 80.0, 0.0]
 REST = 0.5  # [s] until a stop at rest is known
 

@@ -28,7 +28,7 @@ from toolee_robot.types import ArmModel, Payload, Trajectory
 
 pytestmark = pytest.mark.realtime
 
-HOST = "127.0.0.75"
+HOST = "127.0.0.95"
 FACTOR = 0.5
 CONFIG = StationConfig()
 HAMMER = Payload(1.5, np.array([0.06, 0.0, -0.05]))
