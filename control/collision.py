@@ -69,6 +69,7 @@ class CollisionWorld:
 
     Attributes:
         robot: Kinematic model of arm and hand.
+        q_hand: Joint positions at which the hand is locked, (n,) [rad].
         workspace: Lower and upper corner of the workspace in `base`, (3,) each [m].
         carried: Bodies of hand and tool.
         bodies: All bodies.
@@ -82,7 +83,7 @@ class CollisionWorld:
         X_hand_ee: Array | None = None,
         extra: tuple[Body, ...] = (),
     ) -> None:
-        self.robot = robot
+        self.robot, self.q_hand = robot, q_hand
         self.workspace = np.array(config.scene.workspace_lower), np.array(config.scene.workspace_upper)
         arm = list(arm_bodies(robot))
         carried = hand_bodies(robot, q_hand)

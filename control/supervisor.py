@@ -18,6 +18,7 @@ from typing import Any, Self
 from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import BRAKE_EXEMPT, RUN_UP_EXEMPT, CollisionWorld
 from toolee_robot.control.contact import ContactVerdict, ExpectedContact, judge_contact
+from toolee_robot.control.dynamics.torque_room import bound_stop
 from toolee_robot.control.modes import Mode
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.supervisor_checks import (
@@ -45,7 +46,8 @@ class Supervisor:
     data; that no person is where they must not be; and that nothing collides along the trajectory. During the motion
     the arm's own `MotionWatch` and the person detection are active. The errors are, in this order, LatchedError,
     LimitError, StaleDataError, NotReadyError, PersonNearError and CollisionError before anything moves, and
-    MotionFaultError or PersonNearError after the arm has stopped.
+    MotionFaultError or PersonNearError after the arm has stopped. A stop brakes no harder than the joints' torques
+    permit with the payload that was set, see `dynamics.torque_room`.
 
     A fault latches, and so does a command with NaN or infinite values: nothing moves until a person confirms
     `reset(confirmed=True)`, which never clears a protective stop.
@@ -71,6 +73,7 @@ class Supervisor:
         self._world = world
         self._mode = Mode.HANDOVER
         self._swings_permitted = False
+        self._payload: Payload | None = None
         self._latched = ""
 
     def __enter__(self) -> Self:
@@ -151,7 +154,7 @@ class Supervisor:
         """
         world = self._check(trajectory)
         check_clear(trajectory.q, world, BRAKE_EXEMPT if at_work else frozenset())
-        return self._move(trajectory, guard, watch)
+        return self._move(trajectory, world, guard, watch)
 
     def swing(
         self, trajectory: Trajectory, guard: ContactGuard, expected: ExpectedContact
@@ -182,12 +185,13 @@ class Supervisor:
         before = trajectory.times <= expected.time
         check_clear(trajectory.q[before], world, RUN_UP_EXEMPT)
         check_clear(trajectory.q[~before], world, BRAKE_EXEMPT)
-        report = self._move(trajectory, guard, None)
+        report = self._move(trajectory, world, guard, None)
         return report, judge_contact(report, expected, self._robot.arm, config)
 
     def set_payload(self, payload: Payload) -> None:
         """Tell the arm what its flange carries; see `hal.Arm`."""
         self._arm.set_payload(payload)
+        self._payload = payload
 
     def zero_wrench(self) -> None:
         """Zero the force reading at standstill; see `hal.Arm`.
@@ -278,9 +282,12 @@ class Supervisor:
             "" if self._person.enabling_switch_held() else "the person at the station does not hold the enabling switch"
         )
 
-    def _move(self, trajectory: Trajectory, guard: ContactGuard | None, watch: MotionWatch | None) -> MotionReport:
+    def _move(
+        self, trajectory: Trajectory, world: CollisionWorld, guard: ContactGuard | None, watch: MotionWatch | None
+    ) -> MotionReport:
         config = self._config.supervisor
         watch = watch or MotionWatch(config.tracking_error, config.data_cycles, config.overruns)
+        trajectory = bound_stop(trajectory, self._robot, self._config.arm.model, world.q_hand, self._payload)
         try:
             with Watcher(self._reason_to_stop, self._arm.stop, UNKNOWN_OCCUPANCY) as person:
                 report = self._arm.execute(trajectory, guard, watch)

@@ -5,11 +5,13 @@ Friction of the gearboxes and inertia of the motors' rotors are not modelled: UR
 
 from __future__ import annotations
 
+from typing import Self
+
 import numpy as np
 import pinocchio as pin
 
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, inverse
 from toolee_robot.types import Payload
 
 
@@ -30,6 +32,24 @@ class ArmDynamics:
         at = pin.SE3(np.eye(3), X[:3, :3] @ tool.center_of_mass + X[:3, 3])
         self.model.appendBodyToJoint(6, pin.Inertia(tool.mass, np.zeros(3), np.zeros((3, 3))), at)
         self._data = self.model.createData()
+
+    @classmethod
+    def with_payload(cls, robot: RobotModel, q_hand: Array, payload: Payload) -> Self:
+        """Dynamics of the arm with its hand and, as a point mass, what the payload has besides.
+
+        Args:
+            robot: Kinematic model of arm and hand.
+            q_hand: Joint positions at which the hand is locked, (n,) [rad].
+            payload: What the flange carries, hand and tool together, in the flange's frame.
+
+        Returns:
+            The dynamics.
+        """
+        hand = robot.description.hand_payload(q_hand)
+        mass = max(payload.mass - hand.mass, 0.0)
+        moment = payload.mass * payload.center_of_mass - hand.mass * hand.center_of_mass
+        tool = Payload(mass, moment / mass if mass > 1e-6 else np.zeros(3))
+        return cls(robot, q_hand, inverse(robot.X_flange_hand(q_hand)), tool)
 
     def torques(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Compute the joint torques of a motion by inverse dynamics.

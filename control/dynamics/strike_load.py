@@ -11,7 +11,7 @@ from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.config import StrikeConfig
 from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.frames import Array, inverse
+from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
 from toolee_robot.types import ArmModel, Payload
 
@@ -91,7 +91,7 @@ def strike_load(
         period = float(t[-1] - t[0]) / (len(t) - 1)
         rows = min(2 * round(SMOOTHING / period / 2) + 1, len(t) - 1 + len(t) % 2)
         qd, qdd = (savgol_filter(q, rows, 2, deriv=n, delta=period, axis=0) for n in (1, 2))
-        torques = _dynamics(robot, q_hand, payload).torques(q, qd, qdd)
+        torques = ArmDynamics.with_payload(robot, q_hand, payload).torques(q, qd, qdd)
         torques -= np.einsum("nij,ni->nj", robot.arm.fk_jacobian(q)[1], report.wrenches)
         share = float(np.max(np.abs(torques) / ARM_DATA[model].torque))
     impulse = 0.0
@@ -99,15 +99,6 @@ def strike_load(
         near = (t >= report.contact.stamp - BEFORE) & (t <= report.contact.stamp + AFTER)
         impulse = float(np.linalg.norm(np.trapezoid(report.wrenches[near, :3], t[near], axis=0)))
     return StrikeLoad(impulse, share, _largest(report.position_deviation_ratios), _largest(report.collision_ratios))
-
-
-def _dynamics(robot: RobotModel, q_hand: Array, payload: Payload) -> ArmDynamics:
-    """Dynamics of the arm with its hand and, as a point mass, what the payload has besides."""
-    hand = robot.description.hand_payload(q_hand)
-    mass = max(payload.mass - hand.mass, 0.0)
-    moment = payload.mass * payload.center_of_mass - hand.mass * hand.center_of_mass
-    tool = Payload(mass, moment / mass if mass > 1e-6 else np.zeros(3))
-    return ArmDynamics(robot, q_hand, inverse(robot.X_flange_hand(q_hand)), tool)
 
 
 def _largest(ratios: Array | None) -> float | None:

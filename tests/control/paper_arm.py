@@ -29,6 +29,7 @@ class PaperArm:
         self.q = np.array(q)
         self.driven: list[Array] = []
         self.watches: list[MotionWatch | None] = []
+        self.moves: list[Trajectory] = []
         self.tick: Callable[[], None] = lambda: None
         self.fault: type[MotionFaultError] | None = None
         self.pause, self.lag = 0.0, 0.0
@@ -57,6 +58,7 @@ class PaperArm:
         self, trajectory: Trajectory, guard: ContactGuard | None = None, watch: MotionWatch | None = None
     ) -> MotionReport:
         self.watches.append(watch)
+        self.moves.append(trajectory)
         self._stop = False
         begun = len(self.driven)
         contact, outcome = None, MotionOutcome.COMPLETED

@@ -108,6 +108,23 @@ def test_a_motion_is_thinned_but_keeps_the_peak_of_the_strike(tmp_path: Path) ->
     assert found["/events"][0][2]["data"] == {"name": "strike", "outcome": "contact"}
 
 
+def test_what_was_not_commanded_is_not_recorded_as_a_command(tmp_path: Path) -> None:
+    """A robot that stops by itself is sent nothing: the last command must not seem to stand still."""
+    n, sent, rate = 200, 120, 125
+    q = (0.5 * np.arange(n) / rate)[:, None] * np.ones(6)
+    commanded = np.minimum(q, q[sent - 1])
+    report = MotionReport(
+        MotionOutcome.STOPPED, 3.0 + np.arange(n) / rate, commanded, q, np.zeros((n, 6)), commands=sent
+    )
+    with RunRecorder(tmp_path / "run.mcap") as recorder:
+        recorder.record_motion("strike", report, tuple("abcdef"))
+    found = messages(tmp_path / "run.mcap")
+    recorded = [m["position"]["a"] for _, _, m in found["/arm/commanded"]]
+    assert recorded[-1] == pytest.approx(q[sent - 1, 0], abs=0.5 / rate)
+    assert np.all(np.diff(recorded) > 0.0)
+    assert found["/arm/measured"][-1][2]["position"]["a"] == q[-1, 0]
+
+
 def test_an_exception_leaves_a_complete_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
 

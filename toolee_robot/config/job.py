@@ -86,9 +86,11 @@ class SupervisorConfig:
     tracking_error: Positive = 0.05
     """Largest deviation of a measured joint from its command [rad]; see `MotionWatch`."""
     data_cycles: Positive = 3.0
-    """Largest age of the newest reading during a motion [control cycles]; see `MotionWatch`."""
+    """Largest age of the newest reading during a motion [control cycles]: 24 ms on a CB3, 6 ms on an e-Series, where a
+    computer without a real-time kernel may need 10; see `MotionWatch`."""
     overruns: Count = 3
-    """Largest number of successive late command cycles; see `MotionWatch`."""
+    """Largest number of successive late command cycles; see `MotionWatch`. A strike with a sharp `servo` bears no more
+    on either generation; at `servoj`'s default gain and lookahead an e-Series bears 10."""
     max_data_age: Positive = 0.1
     """Largest age of the arm's newest reading before a motion starts [s]."""
     early_contact: Positive = 0.024

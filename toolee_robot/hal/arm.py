@@ -113,7 +113,8 @@ class MotionReport:
     Attributes:
         outcome: How the motion ended.
         stamps: Times of the samples, (N,) [s].
-        q_commanded: Commanded joint positions, (N, 6) [rad].
+        q_commanded: Commanded joint positions, (N, 6) [rad]. From `commands` on nothing was commanded, and the last
+            command is repeated.
         q_measured: Measured joint positions, (N, 6) [rad].
         wrenches: Wrench on the flange, (N, 6) [N, Nm], `base` axes; of several readings between two stamps the one with
             the greatest force.
@@ -122,6 +123,8 @@ class MotionReport:
         position_deviation_ratios: See `ArmState`, (N,), each sample's largest; None where the controller does not
             report it.
         collision_ratios: See `ArmState`, (N,), likewise.
+        commands: Number of commands that were sent, at most N: a robot that has stopped by itself is sent none. None
+            where every sample has one.
     """
 
     outcome: MotionOutcome
@@ -133,6 +136,7 @@ class MotionReport:
     overruns: int = 0
     position_deviation_ratios: Array | None = None
     collision_ratios: Array | None = None
+    commands: int | None = None
 
 
 @runtime_checkable

@@ -6,7 +6,9 @@ P the part of the trajectory's acceleration across the tangent:
     q'' = P r^2 + e v',    q''' = (P r^2)' + e' v' + e v''
 
 so that the joints' limits bound the deceleration along the path and its rate of change at every time (time scaling;
-Bobrow, Dubowsky and Gibson 1985). Ruckig brings the speed to zero within these bounds, which are updated every
+Bobrow, Dubowsky and Gibson 1985). What the joints' torques permit bounds it as well, where the trajectory says so
+(`Trajectory.braking`): a stop that asks for more torque than a joint has is ended by the robot's controller, with a
+stop of its own that leaves the path. Ruckig brings the speed to zero within these bounds, which are updated every
 millisecond. Joints that stop independently would leave the straight line that a tool in contact needs.
 
 On strike trajectories the stop takes at most 4 ms longer than the fastest one found by numerical optimisation.
@@ -14,6 +16,7 @@ On strike trajectories the stop takes at most 4 ms longer than the fastest one f
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -61,10 +64,12 @@ def stop_on_path(
 ) -> PathStop:
     """Stop on the path of a trajectory.
 
-    The stop is never slower than the trajectory itself, and ends at the trajectory's end at the latest.
+    The stop is never slower than the trajectory itself, and ends at the trajectory's end at the latest. Where the
+    torques permit less braking than `acceleration`, it takes longer and goes farther, but brakes with at least
+    MIN_SHARE of `acceleration`.
 
     Args:
-        trajectory: The running trajectory of n joints.
+        trajectory: The running trajectory of n joints, with the braking that the torques permit.
         start: Time on the trajectory at which the stop begins [s].
         period: Time between two samples of the stop [s].
         acceleration: Acceleration limit of every joint [rad/s^2]; exceeded only where the trajectory exceeds it.
@@ -88,6 +93,7 @@ class _Path:
         jerk: Jerk along the tangent [rad/s^3].
         P: Acceleration across the tangent, (n,) [rad/s^2].
         P_s: Derivative of P over s, (n,) [rad/s^3].
+        braking: Largest deceleration along the tangent that the torques permit [rad/s^2]; infinite without a bound.
     """
 
     speed: float
@@ -96,6 +102,7 @@ class _Path:
     jerk: float
     P: Array
     P_s: Array
+    braking: float
 
 
 class PathStop(Iterator[tuple[Array, Array]]):
@@ -131,6 +138,9 @@ class PathStop(Iterator[tuple[Array, Array]]):
         self._times: list[float] = trajectory.times.tolist()
         lengths = np.diff(trajectory.times)[:, None]
         self._q_sss, self._P_s = np.diff(trajectory.qdd, axis=0) / lengths, np.diff(self._P, axis=0) / lengths
+        self._braking: list[float] | None = None
+        if trajectory.braking is not None:
+            self._braking = (USED_ACCELERATION * trajectory.braking).tolist()
         self._here = self._path(start if state is None else state.position)
         self.state = PathState(start, self._here.speed, self._here.acceleration) if state is None else state
         self._steps = max(1, round(period / STEP))
@@ -186,6 +196,7 @@ class PathStop(Iterator[tuple[Array, Array]]):
         r = v / max(here.speed, STILL)
         ahead = max(v + change * self._step, 0.0) / max(here.speed, STILL)
         lowest = float(np.max((-sign * here.P * ahead**2 - self._acceleration) / size))
+        lowest = max(lowest, -here.braking)
         r_t = (change - r**2 * here.acceleration) / max(here.speed, STILL)
         own = sign * (here.P_s * r**3 + here.P * (2 * r * r_t + r * change / max(here.speed, STILL)))
         hardest = float(np.min((self._jerk + own) / size))
@@ -229,7 +240,11 @@ class PathStop(Iterator[tuple[Array, Array]]):
         speed = float(np.sqrt(q_s @ q_s))
         e = q_s / speed if speed > STILL else self._outward(q_ss, q_sss)
         P_s = self._P_s[i]
-        return _Path(speed, e, float(e @ q_ss), float(e @ q_sss), self._P[i] + past * P_s, P_s)
+        braking = math.inf
+        if self._braking is not None:
+            before, after = self._braking[i : i + 2]
+            braking = before + past / (times[i + 1] - times[i]) * (after - before)
+        return _Path(speed, e, float(e @ q_ss), float(e @ q_sss), self._P[i] + past * P_s, P_s, braking)
 
     @staticmethod
     def _outward(q_ss: Array, q_sss: Array) -> Array:

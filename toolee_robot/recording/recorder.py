@@ -167,17 +167,20 @@ class RunRecorder:
     def record_motion(self, name: str, report: MotionReport, joint_names: Sequence[str]) -> None:
         """Record an arm's motion on `/arm/measured`, `/arm/commanded` and `/arm/wrench`, and its outcome as an event.
 
-        One sample is kept per MOTION_PERIOD, that of the greatest force, so that the peak of a strike is recorded.
+        One sample is kept per MOTION_PERIOD, that of the greatest force, so that the peak of a strike is recorded. A
+        command that was not sent is not recorded.
 
         Args:
             name: Name of the motion.
             report: What was commanded and measured.
             joint_names: Names of the arm's joints.
         """
+        sent = len(report.stamps) if report.commands is None else report.commands
         for i in _thin(report.stamps, np.linalg.norm(report.wrenches[:, :3], axis=1)):
             stamp = float(report.stamps[i])
             self.record_joints(stamp, joint_names, report.q_measured[i], "/arm/measured")
-            self.record_joints(stamp, joint_names, report.q_commanded[i], "/arm/commanded")
+            if i < sent:
+                self.record_joints(stamp, joint_names, report.q_commanded[i], "/arm/commanded")
             wrench = {"force": _xyz(report.wrenches[i, :3]), "torque": _xyz(report.wrenches[i, 3:])}
             self._write("/arm/wrench", "toolee.Wrench", stamp, {"timestamp": _time(stamp)} | wrench)
         if len(report.stamps):

@@ -75,7 +75,7 @@ class Rig:
 
     @property
     def strike(self) -> Trajectory:
-        return self.swing.plan.strike
+        return self.swing.strike
 
     @property
     def q_commanded(self) -> Array:

@@ -16,6 +16,7 @@ import numpy as np
 
 from toolee_robot.config import ArmLimits, StationConfig, TaskConfig
 from toolee_robot.control import CollisionWorld, RobotModel, StrikePlan, plan_handover
+from toolee_robot.control.dynamics.torque_room import bound_stop
 from toolee_robot.faults.rigs.people import People
 from toolee_robot.frames import Array, inverse
 from toolee_robot.hal import Hand, HandState, MotionReport, Person, Station
@@ -31,6 +32,7 @@ from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, Stage
 from toolee_robot.tasks.hammering.grasp import Grasp, nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
+from toolee_robot.types import Trajectory
 
 # Transfers are not examined and may be fast.
 CONFIG = StationConfig(
@@ -133,7 +135,7 @@ class Bench:
     """The station with the hammer in the hand at the handover position; `reset` restores it."""
 
     def __init__(self) -> None:
-        robot = RobotModel.of_station(CONFIG)
+        self._robot = robot = RobotModel.of_station(CONFIG)
         q_open = robot.description.hand_open
         way = plan_handover(robot, CONFIG, CollisionWorld(robot, CONFIG, q_open), HOME, q_open)
         self.sim = SimStation.build(CONFIG, SEED, SimOptions(q_start=way.q[-1]))
@@ -156,6 +158,12 @@ class Bench:
         self._q = world.robot.q_arm_target.copy()
         self._grip = copy.deepcopy(world.grip)
         self._state = pb.saveState(physicsClientId=world.client)
+
+    def bounded(self, strike: Trajectory) -> Trajectory:
+        """The strike as the supervisor sends it: with stops that keep the joints' torques with the held hammer."""
+        grasp, q_hand = self.true_grasp, self.sim.station.hand.state().joints.q
+        payload = self._robot.payload(q_hand, grasp.X_hand_tool, grasp.mass, grasp.p_tool_com)
+        return bound_stop(strike, self._robot, CONFIG.arm.model, q_hand, payload)
 
     def reset(self) -> None:
         """Restore the saved state, with new devices and people."""

@@ -9,13 +9,14 @@ import numpy as np
 
 from toolee_robot.config import ArmLimits, StationConfig
 from toolee_robot.control.collision import CollisionWorld
+from toolee_robot.control.dynamics.torque_room import bound_stop
 from toolee_robot.control.planning.strike import plan_strike
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, inverse
 from toolee_robot.sim_backend.station import draw_hammer
-from toolee_robot.types import ArmModel, Payload
+from toolee_robot.types import ArmModel, Payload, Trajectory
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class Swing:
         X_hand_ee: Pose of the end effector in the hand, (4, 4).
         tool: Mass of the tool [kg] and its centre of mass in the end effector's frame [m].
         plan: Plan of the strike.
+        strike: The strike with stops that keep the joints' torques, as a supervisor that was told no payload sends it.
     """
 
     config: StationConfig
@@ -39,6 +41,7 @@ class Swing:
     X_hand_ee: Array
     tool: Payload
     plan: StrikePlan
+    strike: Trajectory
 
 
 @lru_cache(maxsize=2)
@@ -55,4 +58,5 @@ def plan_swing(model: ArmModel) -> Swing:
     world = CollisionWorld(robot, config, q_hand, X_hand_ee)
     home = np.asarray(config.scene.home)
     plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, config.work.X_base_nail(), tool=swung)
-    return Swing(config, robot, world, q_hand, X_hand_ee, swung, plan)
+    strike = bound_stop(plan.strike, robot, model, q_hand, None)
+    return Swing(config, robot, world, q_hand, X_hand_ee, swung, plan, strike)

@@ -145,7 +145,7 @@ class _Row:
             # Hand and people are watched by threads, which run in real time.
             self._real_time.enter_context(self._bench.in_real_time())
             self._watch.at(self._world.time + max(plan.contact_time - self._fault.before, 0.05), self._inject)
-        self._strike = plan.strike
+        self._strike = self._bench.bounded(plan.strike)
         self._watch.begin()
 
     def _after_strike(self) -> None:

@@ -29,6 +29,7 @@ from toolee_robot.errors import (
 )
 from toolee_robot.hal import ArmState, ArmStatus, ContactGuard, MotionReport, MotionWatch
 from toolee_robot.hardware.ur.config import UrArmConfig
+from toolee_robot.hardware.ur.error_log import ErrorLog
 from toolee_robot.hardware.ur.probe import nominal_rate
 from toolee_robot.hardware.ur.readiness import Identity, require_ready
 from toolee_robot.hardware.ur.servo.client import ServoClient
@@ -58,6 +59,7 @@ class UnsupervisedUrArm:
         self._velocity = np.minimum(limits.velocity, ARM_DATA[limits.model].velocity)
         self._rate, self._lag = 0.0, 0.0
         self._servo: ServoClient | None = None
+        self._errors: ErrorLog | None = None
         self._fault: MotionFaultError | None = None
         self._payload: Payload | None = None
         self._identity: Identity | None = None
@@ -81,6 +83,7 @@ class UnsupervisedUrArm:
         self._lag = servo_lag(self._config.servo, self._rate)
         self._fault = None
         self._servo = ServoClient(self._config, self._rate)
+        self._errors = ErrorLog(self._config.host, self._clock)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -88,6 +91,9 @@ class UnsupervisedUrArm:
         if servo is not None:
             servo.ask_to_stop()
             servo.close()
+        errors, self._errors = self._errors, None
+        if errors is not None:
+            errors.close()
 
     @property
     def rate(self) -> float:
@@ -171,6 +177,7 @@ class UnsupervisedUrArm:
                 int(servo.memory.words[Word.STOP]),
             )
             servo.memory.words[Word.ROWS] = 0
+            self._forget_errors()
             try:
                 with gc_paused():
                     cause = servo.execute(request)
@@ -178,7 +185,7 @@ class UnsupervisedUrArm:
                 raise self._latch(ServoCrashError(str(error), build_report(servo.memory, Cause.LINK))) from error
         report = build_report(servo.memory, cause)
         if cause >= Cause.DATA:
-            raise self._latch(fault(cause, self._state_now(servo), report))
+            raise self._latch(fault(cause, self._state_now(servo), report, self._errors))
         return report
 
     def set_payload(self, payload: Payload) -> None:
@@ -249,6 +256,7 @@ class UnsupervisedUrArm:
             if self._payload is not None:
                 servo.ask(_payload_request(self._payload))
             self._fault = None
+            self._forget_errors()
 
     def _open(self) -> ServoClient:
         if self._servo is None:
@@ -278,7 +286,7 @@ class UnsupervisedUrArm:
             return
         cause = Cause(int(servo.memory.words[Word.CAUSE]))
         if cause >= Cause.DATA:
-            self._latch(fault(cause, self._state_now(servo), None))
+            self._latch(fault(cause, self._state_now(servo), None, self._errors))
         elif not servo.alive:
             self._latch(servo.crash())
         elif not servo.cycles_within(self._config.servo.hang_timeout):
@@ -288,6 +296,11 @@ class UnsupervisedUrArm:
         if self._fault is None:
             self._fault = error
         return error
+
+    def _forget_errors(self) -> None:
+        """What the controller has said so far does not explain a stop to come."""
+        if self._errors is not None:
+            self._errors.forget()
 
     def _ask(self, request: SetPayload | ZeroWrench | Freedrive) -> None:
         try:

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -53,6 +53,10 @@ def test_the_path_arrives_as_it_was(trajectory: Trajectory) -> None:
     got = memory.path(knots)
     for name in ("times", "q", "qd", "qdd"):
         np.testing.assert_array_equal(getattr(got, name), getattr(trajectory, name))
+    assert got.braking is None
+    braking = np.linspace(3.0, 40.0, len(trajectory.times))
+    memory.write_path(replace(trajectory, braking=braking), 125.0)
+    np.testing.assert_array_equal(memory.path(knots).braking, braking)
     memory.close()
 
 

@@ -1,9 +1,10 @@
-"""Read-only client of the primary interface: the arm's kinematics as calibrated by the factory.
+"""Read-only client of the primary interface: the arm's kinematics as calibrated by the factory, and its errors.
 
     kinematics = read_kinematics("192.168.1.10", deadline=time.monotonic() + 1.0)
 
 Nothing is sent, so no program is disturbed. The controller sends robot state messages (type 16) of sub-packages at
-10 Hz; "kinematics info" (type 5) is contained in the first ones, but not in every one.
+10 Hz; "kinematics info" (type 5) is contained in the first ones, but not in every one. An error is a robot message
+(type 20) of its own, sent when it occurs.
 
 Source: Universal Robots, "Primary and Secondary Interfaces": every message is an int32 size (its own four bytes
 included), a u8 type, and the content, big-endian; sub-packages likewise.
@@ -25,7 +26,10 @@ from toolee_robot.robots.dh import DhParameters
 PRIMARY_PORT = 30001
 
 _ROBOT_STATE, _KINEMATICS_INFO = 16, 5
+_ROBOT_MESSAGE, _ERROR_CODE = 20, 6
 _HEADER = struct.Struct(">iB")
+_ERROR = struct.Struct(">QbBiiiII")  # time stamp, source, kind; code, argument, report level, type and value of data
+_WARNING, _FOR_DEVELOPERS = 2, 128  # report levels: debug 0, info 1, warning 2, violation 3, fault 4, critical fault 5
 _CONTENT = struct.Struct(">6I24dI")
 _IMPLAUSIBLE = 1e4  # [m, rad]; joints 2 to 4 are parallel, so a calibration may shift them by metres
 _MAX_MESSAGE = 1 << 20  # [bytes]; a robot state message has about 1,500
@@ -42,6 +46,33 @@ class UrKinematics:
 
     checksum: tuple[int, ...]
     dh: DhParameters
+
+
+@dataclass(frozen=True)
+class ControllerError:
+    """An error of the controller, as its log shows it.
+
+    Attributes:
+        code: Number of the error.
+        argument: What it applies to, such as the joint; its meaning depends on the code.
+        level: Report level: 2 a warning, 3 a violation, 4 a fault, 5 a critical fault.
+        text: Text of the message; may be empty.
+    """
+
+    code: int
+    argument: int
+    level: int
+    text: str
+
+    @property
+    def name(self) -> str:
+        """The code as the pendant's log shows it, such as C173A2."""
+        return f"C{self.code}A{self.argument}"
+
+    @property
+    def serious(self) -> bool:
+        """Whether it may explain a stop: no information, and nothing for the controller's developers."""
+        return _WARNING <= self.level < _FOR_DEVELOPERS
 
 
 def read_kinematics(host: str, deadline: float) -> UrKinematics:
@@ -81,6 +112,29 @@ def kinematics_from(sock: socket.socket, deadline: float) -> UrKinematics:
             info = next((part for sub, part in _messages(bytearray(content)) if sub == _KINEMATICS_INFO), None)
             if info is not None:
                 return _parse(info)
+
+
+def errors_in(buffer: bytearray) -> list[ControllerError]:
+    """Take the errors out of what was received.
+
+    Args:
+        buffer: Received bytes, from the beginning of a message on; the complete messages are removed.
+
+    Returns:
+        The errors, in their order.
+
+    Raises:
+        ProtocolError: The bytes are no messages of a primary interface.
+    """
+    errors = []
+    for kind, content in _messages(buffer):
+        if kind != _ROBOT_MESSAGE or len(content) < _ERROR.size:
+            continue
+        _, _, what, code, argument, level, _, _ = _ERROR.unpack_from(content)
+        if what == _ERROR_CODE:
+            text = content[_ERROR.size :].decode("ascii", "replace").strip("\0 ")
+            errors.append(ControllerError(code, argument, level, text))
+    return errors
 
 
 def _messages(buffer: bytearray) -> Iterator[tuple[int, bytes]]:

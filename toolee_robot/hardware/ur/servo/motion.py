@@ -70,7 +70,7 @@ class Motion:
     def run(self) -> Cause:
         """Execute the motion and return why it ended."""
         words, link = self._memory.words, self._link
-        words[Word.ROWS] = words[Word.OVERRUNS] = 0
+        words[Word.ROWS] = words[Word.COMMANDS] = words[Word.OVERRUNS] = 0
         words[Word.CAUSE], words[Word.CONTACT_ROW] = Cause.NONE, -1
         q = link.reading[StateColumn.COMMANDED].copy()
         settled = 0
@@ -87,6 +87,7 @@ class Motion:
                 q = following
             if not self._silent:
                 link.servo(q)
+                words[Word.COMMANDS] = self._row + 1
             self._log(q, lateness)
             if following is None:
                 settled += 1

@@ -14,6 +14,8 @@ from toolee_robot.errors import (
 )
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmState, ArmStatus, MotionOutcome, MotionReport
+from toolee_robot.hardware.ur.error_codes import explain
+from toolee_robot.hardware.ur.error_log import ErrorLog
 from toolee_robot.hardware.ur.servo.messages import Cause
 from toolee_robot.hardware.ur.servo.shared_memory import Column, ServoMemory, StateColumn, Word
 from toolee_robot.hardware.ur.status import advice, arm_status
@@ -66,16 +68,20 @@ def build_report(memory: ServoMemory, cause: Cause) -> MotionReport:
         overruns=int(memory.words[Word.OVERRUNS]),
         position_deviation_ratios=deviations,
         collision_ratios=collisions,
+        commands=min(int(memory.words[Word.COMMANDS]), len(rows)),
     )
 
 
-def fault(cause: Cause, state: ArmState, report: MotionReport | None) -> MotionFaultError:
+def fault(
+    cause: Cause, state: ArmState, report: MotionReport | None, errors: ErrorLog | None = None
+) -> MotionFaultError:
     """The error for a motion that ended with a fault.
 
     Args:
         cause: Why the motion ended; `Cause.DATA` or more severe.
         state: Latest state of the robot.
         report: What was done until then; None for a fault at rest.
+        errors: What the controller has said since the motion began; None where nobody has listened.
 
     Returns:
         The error to raise.
@@ -83,12 +89,15 @@ def fault(cause: Cause, state: ArmState, report: MotionReport | None) -> MotionF
     if cause is Cause.STOPPED_BY_ROBOT:
         status = state.status
         if status is ArmStatus.PROTECTIVE_STOP:
-            return _protective_stop(state, report)
+            return _protective_stop(state, report, errors)
         if status in (ArmStatus.EMERGENCY_STOP, ArmStatus.SAFEGUARD_STOP):
             return EmergencyStopError(advice(status), report)
         # The robot may be ready again by now.
         status = status if status is not ArmStatus.READY else ArmStatus.NOT_READY
-        return MotionFaultError(advice(status), report, code="motion_fault.robot_status")
+        message = advice(status)
+        if status is ArmStatus.FAULT and errors is not None and (told := errors.reason()) is not None:
+            message += f". Its code is {explain(told)[0]}"
+        return MotionFaultError(message, report, code="motion_fault.robot_status")
     if cause is Cause.DATA:
         return LinkLostError(
             "the robot's data were late or implausible, and the arm was stopped: check the network, then reset",
@@ -124,23 +133,29 @@ def fault(cause: Cause, state: ArmState, report: MotionReport | None) -> MotionF
     )
 
 
-def _protective_stop(state: ArmState, report: MotionReport | None) -> ProtectiveStopError:
-    """The error for a protective stop, which names the reason where a ratio tells it."""
+def _protective_stop(state: ArmState, report: MotionReport | None, errors: ErrorLog | None) -> ProtectiveStopError:
+    """The error for a protective stop, which names the reason where the controller's code or a ratio tells it."""
     message = advice(ArmStatus.PROTECTIVE_STOP)
+    told = None if errors is None else errors.reason()
+    kind = ""
+    if told is not None:
+        clause, kind = explain(told)
+        message += f". Its code is {clause}"
+    elif errors is not None:
+        message += f". The controller's code is not known: {errors.why_empty}"
     deviation = _largest(state.position_deviation_ratio, None if report is None else report.position_deviation_ratios)
     collision = _largest(state.collision_ratio, None if report is None else report.collision_ratios)
-    if max(deviation, collision) < RATIO_LIMIT:
-        return ProtectiveStopError(message, report)
-    if deviation >= collision:
-        message += (
-            f". Its joints were off their path (position deviation ratio {deviation:.2f}, a stop at 1): it was hit, or "
-            "the motion was too fast for the payload that is set"
-        )
-        code = "protective_stop.position_deviation"
-    else:
-        message += f". It detected a collision (collision detection ratio {collision:.2f}, a stop at 1)"
-        code = "protective_stop.collision"
-    return ProtectiveStopError(message, report, code=code)
+    if told is None and max(deviation, collision) >= RATIO_LIMIT:
+        if deviation >= collision:
+            message += (
+                f". Its joints were off their path (position deviation ratio {deviation:.2f}, a stop at 1): it was "
+                "hit, or the motion was too fast for the payload that is set"
+            )
+            kind = "position_deviation"
+        else:
+            message += f". It detected a collision (collision detection ratio {collision:.2f}, a stop at 1)"
+            kind = "collision"
+    return ProtectiveStopError(message, report, code=f"protective_stop.{kind}" if kind else None)
 
 
 def _largest(now: float | None, before: Array | None) -> float:

@@ -37,6 +37,7 @@ class Word(IntEnum):
         CAUSE: `Cause` of the last end of a motion, or of a fault at rest.
         STATE_SEQUENCE: Sequence counter of the state; odd while it is being written.
         CONTACT_ROW: Row of the log at the contact, or -1.
+        COMMANDS: Rows of the log up to the last command that was sent.
         CONNECTING: When the servo process began to connect [ns of `time.monotonic_ns()`]; 0 until then.
     """
 
@@ -48,7 +49,8 @@ class Word(IntEnum):
     CAUSE = 5
     STATE_SEQUENCE = 6
     CONTACT_ROW = 7
-    CONNECTING = 8
+    COMMANDS = 8
+    CONNECTING = 9
 
 
 class Column:
@@ -133,7 +135,7 @@ class ServoMemory:
         owner: Watch over the task's process.
         words: Integers, indexed by `Word`.
         reference: Command path, (samples, 6) [rad], at the controller's rate.
-        knots: Trajectory, (knots, 19): time, q, qd, qdd.
+        knots: Trajectory, (knots, 20): time, q, qd, qdd, permitted braking, infinite where it has none.
         rows: Log of the motion, (rows, Column.COUNT).
     """
 
@@ -143,7 +145,7 @@ class ServoMemory:
         shapes = {
             "state": (StateColumn.COUNT,),
             "reference": (samples, 6),
-            "knots": (knots, 19),
+            "knots": (knots, 20),
             "rows": (samples + int(SETTLE_ALLOWANCE * MAX_RATE), Column.COUNT),
         }
         words = OWNER_WATCH_SIZE + 8 * len(Word)
@@ -218,12 +220,14 @@ class ServoMemory:
         self.reference[: len(grid)] = grid
         self.knots[:n, 0] = trajectory.times
         self.knots[:n, 1:7], self.knots[:n, 7:13], self.knots[:n, 13:19] = trajectory.q, trajectory.qd, trajectory.qdd
+        self.knots[:n, 19] = np.inf if trajectory.braking is None else trajectory.braking
         return len(grid), n
 
     def path(self, knots: int) -> Trajectory:
         """The trajectory of `knots` samples that `write_path` stored."""
         table = self.knots[:knots].copy()
-        return Trajectory(table[:, 0], table[:, 1:7], table[:, 7:13], table[:, 13:19])
+        braking = table[:, 19] if np.all(np.isfinite(table[:, 19])) else None
+        return Trajectory(table[:, 0], table[:, 1:7], table[:, 7:13], table[:, 13:19], braking)
 
 
 def presample(trajectory: Trajectory, rate: float) -> Array:
