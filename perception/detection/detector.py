@@ -182,15 +182,16 @@ class Detector(nn.Module):
         return masks, quality
 
     @torch.inference_mode()
-    def detect(self, batch: RgbdBatch, score_threshold: float | None = None) -> list[RawDetections]:
+    def detect(
+        self, batch: RgbdBatch, score_threshold: float | None = None, *, mirrored: bool = True
+    ) -> list[RawDetections]:
         """Detect instances in each image.
-
-        Test-time augmentation: the detections are classified and segmented again in the mirrored image; probabilities
-        and logits are the means of both.
 
         Args:
             batch: The images.
             score_threshold: Least class probability in the upright image; None: the configured one.
+            mirrored: Test-time augmentation: the detections are classified and segmented again in the mirrored image;
+                probabilities and logits are the means of both.
 
         Returns:
             The detections of each image.
@@ -201,9 +202,9 @@ class Detector(nn.Module):
         boxes, valid = self.proposals(*self.rpn(pyramid), height, width, self.config.pre_nms, self.config.post_nms)
         rois, scores, labels = self._classified(pyramid, boxes, valid, size, threshold)
         masks, quality = self.mask_outputs(pyramid, batch, rois, labels)
-        if len(rois):
-            mirrored = self._mirrored_outputs(batch, rois, labels)
-            scores, masks, quality = ((a + b) / 2 for a, b in zip((scores, masks, quality), mirrored, strict=True))
+        if mirrored and len(rois):
+            again = self._mirrored_outputs(batch, rois, labels)
+            scores, masks, quality = ((a + b) / 2 for a, b in zip((scores, masks, quality), again, strict=True))
         scores, masks, covered = scores * quality.sigmoid(), masks.sigmoid(), mask_boxes(rois[:, 1:])
         results = []
         for i in range(len(boxes)):

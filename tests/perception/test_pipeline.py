@@ -18,6 +18,7 @@ from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.pose.confidence import FEATURES, ConfidenceModel
 from toolee_robot.perception.pose.network import NetworkConfig, PoseNet
 from toolee_robot.perception.pose.weights import Calibration
+from toolee_robot.perception.detection.zoom_pass import Crop
 from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame, ToolEstimate
 
 CAMERA = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)
@@ -29,7 +30,7 @@ class ColourDetector:
     def __init__(self, score: float = 0.9) -> None:
         self._score = score
 
-    def detect(self, frame: RgbdFrame) -> list[Detection]:
+    def detect(self, frame: RgbdFrame, crop: Crop | None = None) -> list[Detection]:  # noqa: ARG002
         rgb, found = frame.rgb, []
         for k, category in enumerate(Category):
             mask = rgb[:, :, 0] == 50 * (k + 1)

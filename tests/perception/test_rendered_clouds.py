@@ -36,6 +36,7 @@ from toolee_robot.perception.rendered_clouds import clouds_of_part, tool_clouds_
 from toolee_robot.perception.research.tooleenet import PaperEstimator
 from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.perception.training.distributed import Distributed
+from toolee_robot.perception.detection.zoom_pass import Crop
 from toolee_robot.types import Detection, RgbdFrame
 
 pytestmark = pytest.mark.sim(seconds=20)
@@ -76,7 +77,7 @@ class ScriptedDetector:
     def __init__(self, detections: list[Detection]) -> None:
         self.detections = detections
 
-    def detect(self, frame: RgbdFrame) -> list[Detection]:  # noqa: ARG002
+    def detect(self, frame: RgbdFrame, crop: Crop | None = None) -> list[Detection]:  # noqa: ARG002
         return self.detections
 
 

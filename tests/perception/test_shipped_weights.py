@@ -28,6 +28,7 @@ from toolee_robot.perception.evaluation.estimates import Ranked
 from toolee_robot.perception.evaluation.examples import collect
 from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.perception.weight_files import WEIGHTS_DIR
+from toolee_robot.perception.detection.zoom_pass import Crop
 from toolee_robot.types import Detection, RgbdFrame, ToolEstimate
 
 pytestmark = pytest.mark.sim(seconds=100)
@@ -75,7 +76,7 @@ class _Recorded:
         self._perception = perception
         self.estimates: list[ToolEstimate] = []
 
-    def detect(self, frame: RgbdFrame) -> list[Detection]:
+    def detect(self, frame: RgbdFrame, crop: Crop | None = None) -> list[Detection]:  # noqa: ARG002
         found = self._perception.estimate(frame)
         self.estimates += found
         return [e.detection for e in found]
