@@ -13,6 +13,7 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import DeviceError, PerceptionError, StaleDataError, UserError
 from toolee_robot.frames import Array, angle_between, inverse
 from toolee_robot.hal import Station
+from toolee_robot.tasks.common.held_region import held_region
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.types import HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
@@ -90,6 +91,7 @@ class Look:
         self._perceiver = perceiver
         self._observer = observer
         self._nominal = X_hand_ee_nominal
+        self._region = held_region(config, X_hand_ee_nominal, MAX_DISPLACEMENT)
         self._seen: list[list[ToolEstimate]] = []
         self._hands: list[Array] = []
 
@@ -111,8 +113,9 @@ class Look:
         q_arm = self._station.arm.state().joints.q
         q_hand = self._station.hand.state().joints.q
         X_camera_hand = self._X_camera_base @ self._robot.fk(q_arm, q_hand)[1]
+        hand = HoldingHand(X_camera_hand, self._R_hand_tool, self._region)
         try:
-            estimates = self._perceiver.estimate(frame, HoldingHand(X_camera_hand, self._R_hand_tool))
+            estimates = self._perceiver.estimate(frame, hand)
         except UserError as error:  # the frame is the camera's, not the user's
             raise DeviceError(f"the camera's frame is unusable: {error}", code="device.camera_frame") from error
         self._observer.frame(frame, estimates, X_camera_hand)
