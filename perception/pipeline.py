@@ -30,8 +30,10 @@ from toolee_robot.types import Detection, HoldingHand, InHandEstimate, RgbdFrame
 class EeDetector(Protocol):
     """A detector of end effectors in RGB-D images; `Segmenter` is one."""
 
-    def detect(self, frame: RgbdFrame, crop: Crop | None = None) -> list[Detection]:
-        """The end effectors in a frame or a crop of it, with their scores and their masks in the frame."""
+    def detect(
+        self, frame: RgbdFrame, categories: Sequence[Category] = CATEGORIES, crop: Crop | None = None
+    ) -> list[Detection]:
+        """The end effectors of some categories in a frame or a crop of it, with scores and masks in the frame."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +146,7 @@ class ToolPerception:
     ) -> tuple[list[ToolEstimate], StageTimes]:
         """Estimates from a crop of a frame, or from all of it, and the time that each stage took."""
         start = time.perf_counter()
-        detections = [d for d in self.detector.detect(frame, crop) if d.category in categories]
+        detections = self.detector.detect(frame, categories, crop)
         segmentation = time.perf_counter() - start
         cloud_time = pose_time = 0.0
         estimates = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,11 +11,9 @@ import cv2
 import numpy as np
 import torch
 
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.perception.detection.config import DetectorConfig, working_size
-from toolee_robot.perception.detection.detector import (
-    Detector,
-    RawDetections,
-)
+from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector, RawDetections
 from toolee_robot.perception.detection.detector_weights import trained_detector
 from toolee_robot.perception.detection.inputs import RgbdBatch, encode_rgbd
 from toolee_robot.perception.detection.instances import Instances, associate, without_duplicates
@@ -95,18 +94,22 @@ class Segmenter:
         bfloat16 = prefers_bfloat16(device) if bfloat16 is None else bfloat16
         return cls(trained_detector(weights_dir), device, bfloat16, MaskRefinement.load(weights_dir, device, bfloat16))
 
-    def detect(self, frame: RgbdFrame, crop: Crop | None = None) -> list[Detection]:
+    def detect(
+        self, frame: RgbdFrame, categories: Sequence[Category] = CATEGORIES, crop: Crop | None = None
+    ) -> list[Detection]:
         """Detect the end effectors in a frame.
 
         Args:
             frame: Colour image with registered depth [m], any size.
+            categories: The categories wanted.
             crop: The part of the frame to look at; None: all of it.
 
         Returns:
             Detections, best score first, each with the mask of its tool where that is seen; in the whole frame's
             pixels.
         """
-        return associate(*(self.instances(frame) if crop is None else self.instances_in(frame, crop)))
+        instances = self.instances(frame) if crop is None else self.instances_in(frame, crop, categories)
+        return [d for d in associate(*instances) if d.category in categories]
 
     def instances(
         self, frame: RgbdFrame, score_threshold: float | None = None, stages: Stages = WHOLE_IMAGE
@@ -132,31 +135,44 @@ class Segmenter:
             found = without_duplicates(*merge(found, second, zoomed, image))
         return self._refinement(frame, found) if stages.refined and self._refinement is not None else found
 
-    def instances_in(self, frame: RgbdFrame, crop: Crop, stages: Stages = IN_CROP) -> Instances:
-        """Detect and segment every instance in a crop, whole tools included.
+    def instances_in(
+        self, frame: RgbdFrame, crop: Crop, categories: Sequence[Category] = CATEGORIES, stages: Stages = IN_CROP
+    ) -> Instances:
+        """Detect and segment tools and the end effectors of some categories in a crop.
 
         Args:
             frame: Colour image with registered depth [m], any size.
             crop: The part of it to look at.
+            categories: The categories wanted.
             stages: Stages after the first pass; a crop is not zoomed into.
 
         Returns:
             Masks, labels, scores and boxes in the frame's own size.
         """
         height, width = frame.depth.shape
-        seen = self._detect_in(frame, crop, MIN_PROBABILITY, stages.mirrored)
+        wanted = [TOOL, *(CLASSES.index(c.value) for c in categories)]
+        seen = self._detect_in(frame, crop, MIN_PROBABILITY, stages.mirrored, wanted)
         found = placed(seen, crop, (height, width), tools_cut_off=True)
         return self._refinement(frame, found) if stages.refined and self._refinement is not None else found
 
-    def _detect_in(self, frame: RgbdFrame, crop: Crop, threshold: float, mirrored: bool) -> Instances:
+    def _detect_in(
+        self, frame: RgbdFrame, crop: Crop, threshold: float, mirrored: bool, labels: Sequence[int] | None = None
+    ) -> Instances:
         """The network's detections in a crop, in the crop's pixels."""
-        return self._detect_at(cut(frame, crop), crop.size, threshold, mirrored)
+        return self._detect_at(cut(frame, crop), crop.size, threshold, mirrored, labels)
 
-    def _detect_at(self, frame: RgbdFrame, size: tuple[int, int], threshold: float, mirrored: bool) -> Instances:
+    def _detect_at(
+        self,
+        frame: RgbdFrame,
+        size: tuple[int, int],
+        threshold: float,
+        mirrored: bool,
+        labels: Sequence[int] | None = None,
+    ) -> Instances:
         """The network's detections in a frame that it sees at `size` (height, width)."""
         batch, scale = self._prepare(frame, size)
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self._bfloat16):
-            raw = self._detector.detect(batch, threshold, mirrored=mirrored)[0]
+            raw = self._detector.detect(batch, threshold, mirrored=mirrored, labels=labels)[0]
         return without_duplicates(*paste(raw, scale, *frame.depth.shape))
 
     def _prepare(self, frame: RgbdFrame, size: tuple[int, int]) -> tuple[RgbdBatch, tuple[float, float]]:

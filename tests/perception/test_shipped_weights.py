@@ -13,22 +13,23 @@ New weights need new figures, bounds and hashes.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from toolee_robot.end_effectors import Category
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.perception import ToolPerception
 from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.spec import DatasetSpec
+from toolee_robot.perception.detection.zoom_pass import Crop
 from toolee_robot.perception.evaluation import metrics, pose
 from toolee_robot.perception.evaluation.estimates import Ranked
 from toolee_robot.perception.evaluation.examples import collect
 from toolee_robot.perception.synthesis.example import examples_of
 from toolee_robot.perception.weight_files import WEIGHTS_DIR
-from toolee_robot.perception.detection.zoom_pass import Crop
 from toolee_robot.types import Detection, RgbdFrame, ToolEstimate
 
 pytestmark = pytest.mark.sim(seconds=100)
@@ -76,8 +77,13 @@ class _Recorded:
         self._perception = perception
         self.estimates: list[ToolEstimate] = []
 
-    def detect(self, frame: RgbdFrame, crop: Crop | None = None) -> list[Detection]:  # noqa: ARG002
-        found = self._perception.estimate(frame)
+    def detect(
+        self,
+        frame: RgbdFrame,
+        categories: Sequence[Category] = CATEGORIES,
+        crop: Crop | None = None,  # noqa: ARG002
+    ) -> list[Detection]:
+        found = self._perception.estimate(frame, categories=categories)
         self.estimates += found
         return [e.detection for e in found]
 

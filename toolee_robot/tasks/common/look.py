@@ -9,7 +9,7 @@ import numpy as np
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.end_effectors import Category
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import DeviceError, PerceptionError, StaleDataError, UserError
 from toolee_robot.frames import Array, angle_between, inverse
 from toolee_robot.hal import Station
@@ -28,12 +28,15 @@ MIN_DEPTH = 0.3
 class Perceiver(Protocol):
     """Perception as a task uses it; implemented by `toolee_robot.perception.ToolPerception`."""
 
-    def estimate(self, frame: RgbdFrame, hand: HoldingHand | None = None) -> list[ToolEstimate]:
+    def estimate(
+        self, frame: RgbdFrame, hand: HoldingHand | None = None, categories: Sequence[Category] = CATEGORIES
+    ) -> list[ToolEstimate]:
         """Detect the end effectors in a frame and estimate their poses.
 
         Args:
             frame: The frame.
             hand: The hand that holds the tool; None if unknown.
+            categories: The categories wanted.
 
         Returns:
             One estimate per detection, in the camera frame.
@@ -115,7 +118,7 @@ class Look:
         X_camera_hand = self._X_camera_base @ self._robot.fk(q_arm, q_hand)[1]
         hand = HoldingHand(X_camera_hand, self._R_hand_tool, self._region)
         try:
-            estimates = self._perceiver.estimate(frame, hand)
+            estimates = self._perceiver.estimate(frame, hand, [Category.HAMMER_HEAD])
         except UserError as error:  # the frame is the camera's, not the user's
             raise DeviceError(f"the camera's frame is unusable: {error}", code="device.camera_frame") from error
         self._observer.frame(frame, estimates, X_camera_hand)
