@@ -148,6 +148,22 @@ class ToolPerception:
         start = time.perf_counter()
         detections = self.detector.detect(frame, categories, crop)
         segmentation = time.perf_counter() - start
+        estimates, cloud, pose = self.poses(frame, detections, hand)
+        return estimates, StageTimes(1000 * segmentation, 1000 * cloud, 1000 * pose, crop is None)
+
+    def poses(
+        self, frame: RgbdFrame, detections: Sequence[Detection], hand: HoldingHand | None = None
+    ) -> tuple[list[ToolEstimate], float, float]:
+        """Estimate the poses of detections.
+
+        Args:
+            frame: The frame.
+            detections: What was detected in it.
+            hand: See `estimate`.
+
+        Returns:
+            The estimates as `estimate` gives them, and the time that clouds and poses took [s].
+        """
         cloud_time = pose_time = 0.0
         estimates = []
         for detection in detections:
@@ -181,7 +197,7 @@ class ToolPerception:
                 )
             )
         estimates.sort(key=_rank, reverse=True)
-        return estimates, StageTimes(1000 * segmentation, 1000 * cloud_time, 1000 * pose_time, crop is None)
+        return estimates, cloud_time, pose_time
 
     def fuse(
         self,

@@ -41,8 +41,8 @@ class Stages:
 
 WHOLE_IMAGE = Stages(zoomed=True, mirrored=True, refined=True)
 """Stages for an image of which nothing is known."""
-IN_CROP = Stages(zoomed=False, mirrored=False, refined=True)
-"""Stages for a crop about the hand that holds the tool."""
+IN_CROP = Stages(zoomed=False, mirrored=False, refined=False)
+"""Stages for a crop about the hand that holds the tool: none gains there (`toolee evaluate held --ablate`)."""
 
 
 class Segmenter:

@@ -7,12 +7,13 @@ import sys
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 from rich.markup import escape
 
+from toolee_robot.cli.evaluate_held import EvaluateHeld
 from toolee_robot.cli.evaluate_tables import (
     photograph_tables,
     pose_tables,
@@ -60,6 +61,8 @@ class EvaluatePose:
     """Folder with the detector's weights (the shipped ones if left out)."""
     true_masks_only: Flag = False
     """No detector: leave out predicted masks, fused views and frames without a tool."""
+    tools: Literal["all", "validation", "test"] = "all"
+    """Which of the held-out tools: half are for validation, by which choices are made, half for tests."""
     limit: _Limit = None
     """Only so many images of each split."""
     samplers: _Count = 0
@@ -85,6 +88,7 @@ class EvaluatePose:
             _labelled(self.weights),
             self.detector,
             self.true_masks_only,
+            None if self.tools == "all" else self.tools,
             self.limit,
             self.hammers,
             self.no_tool,
@@ -238,6 +242,7 @@ class Evaluate:
         Annotated[EvaluatePose, tyro.conf.subcommand("pose")]
         | Annotated[EvaluateSegmentation, tyro.conf.subcommand("segmentation")]
         | Annotated[EvaluateSamplers, tyro.conf.subcommand("samplers")]
+        | Annotated[EvaluateHeld, tyro.conf.subcommand("held")]
         | Annotated[EvaluatePhotographs, tyro.conf.subcommand("photographs")]
     ]
     """What to evaluate."""
