@@ -51,11 +51,13 @@ class EvaluateHeld:
 
     def run(self) -> int:
         from toolee_robot.perception.evaluation.held import WHOLE, compare, held_tools, perceive, ways
+        from toolee_robot.perception.evaluation.ledger import Ledger
         from toolee_robot.perception.pipeline import ToolPerception
 
         if self.limit is not None and self.limit < 1:
             raise UserError(f"--limit {self.limit}: give 1 or more", code="user.count")
         console = Console(stderr=self.json, highlight=False)
+        ledger = Ledger.of(self.data)
         compared = ways(ToolPerception.load(self.weights), self.ablate)
         rows: dict[str, list[Seen]] = {name: [] for name in compared}
         role = None if self.tools == "all" else self.tools
@@ -69,6 +71,8 @@ class EvaluateHeld:
                 f"{self.data} shows no tool of these in a right hand: generate more images", code="user.no_held_tool"
             )
         table = compare(rows, WHOLE)
+        if ledger is not None:
+            ledger.enter("held", {"ours": self.weights}, table, self.limit)
         for printed in _tables(table):
             console.print(printed)
         if self.json:
