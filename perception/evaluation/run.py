@@ -14,6 +14,7 @@ import torch
 
 from toolee_robot.perception import Segmenter
 from toolee_robot.perception.evaluation import pose, views
+from toolee_robot.perception.evaluation.breakdown import held_out_breakdown
 from toolee_robot.perception.evaluation.estimates import (
     Answer,
     Estimates,
@@ -155,6 +156,7 @@ def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
             for masks, rows in estimates[label].items():
                 record[masks] = {
                     "groups": pose.tables(rows),
+                    "breakdown": held_out_breakdown(examples.instances, rows, estimator.of_tool),
                     "ranked_ap": ranked[label, masks],
                     "usable": pose.usable_poses(examples.instances, rankings[label, masks], examples.images),
                     "latency": {
