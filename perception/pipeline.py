@@ -33,7 +33,16 @@ class EeDetector(Protocol):
     def detect(
         self, frame: RgbdFrame, categories: Sequence[Category] = CATEGORIES, crop: Crop | None = None
     ) -> list[Detection]:
-        """The end effectors of some categories in a frame or a crop of it, with scores and masks in the frame."""
+        """Detect end effectors.
+
+        Args:
+            frame: The frame.
+            categories: The categories wanted.
+            crop: The part of the frame to look at; None: all of it.
+
+        Returns:
+            The end effectors, with scores, and with masks in the whole frame's pixels.
+        """
 
 
 @dataclass(frozen=True)

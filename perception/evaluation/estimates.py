@@ -252,7 +252,12 @@ def summary(examples: Examples, of_tool: bool, answers: Iterable[Answer]) -> tup
 
 
 def asked_for(instance: Instance, of_tool: bool) -> bool:
-    """Whether an estimator, of ends or of whole tools, is asked for the pose of an instance."""
+    """Whether an estimator is asked for the pose of an instance.
+
+    Args:
+        instance: The instance.
+        of_tool: Whether the estimator is one of whole tools, which is asked for the first of alike ends only.
+    """
     return instance.target and (instance.first_end or not of_tool)
 
 

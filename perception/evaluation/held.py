@@ -168,7 +168,15 @@ def judge(held: HeldTool, estimates: list[ToolEstimate], times: StageTimes, ms: 
 
 
 def perceive(held: HeldTool, way: Way) -> Seen:
-    """Perceive a frame in one way, and judge the result."""
+    """Perceive a frame in one way, and judge the result.
+
+    Args:
+        held: The frame.
+        way: The way.
+
+    Returns:
+        What was found, and the time it took.
+    """
     start, cpu = time.perf_counter(), time.process_time()
     estimates, times = way(held.frame, held.hand)
     cpu = time.process_time() - cpu
