@@ -19,7 +19,9 @@ from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.perception.cloud import check_depth_unit, ee_cloud
+from toolee_robot.perception.detection.hand_crop import hand_crop
 from toolee_robot.perception.detection.segmenter import Segmenter
+from toolee_robot.perception.detection.zoom_pass import Crop
 from toolee_robot.perception.pose import CloudEstimator, PoseEstimator, fuse_in_hand
 from toolee_robot.perception.trust import Trust
 from toolee_robot.types import Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
@@ -28,8 +30,19 @@ from toolee_robot.types import Detection, HoldingHand, InHandEstimate, RgbdFrame
 class EeDetector(Protocol):
     """A detector of end effectors in RGB-D images; `Segmenter` is one."""
 
-    def detect(self, frame: RgbdFrame) -> list[Detection]:
-        """The end effectors in a frame, with their masks and scores."""
+    def detect(
+        self, frame: RgbdFrame, categories: Sequence[Category] = CATEGORIES, crop: Crop | None = None
+    ) -> list[Detection]:
+        """Detect end effectors.
+
+        Args:
+            frame: The frame.
+            categories: The categories wanted.
+            crop: The part of the frame to look at; None: all of it.
+
+        Returns:
+            The end effectors, with scores, and with masks in the whole frame's pixels.
+        """
 
 
 @dataclass(frozen=True)
@@ -40,11 +53,14 @@ class StageTimes:
         segmentation_ms: Detection and instance segmentation [ms].
         cloud_ms: Making the clouds of all detections [ms].
         pose_ms: Estimating the poses of all detections [ms].
+        whole_image: Whether the detector looked at the whole image: because it was not told where the held tool can
+            be, or found nothing usable there.
     """
 
     segmentation_ms: float
     cloud_ms: float
     pose_ms: float
+    whole_image: bool
 
 
 class ToolPerception:
@@ -86,6 +102,9 @@ class ToolPerception:
     ) -> list[ToolEstimate]:
         """Estimate the pose of every detected end effector of the given categories.
 
+        With a `HoldingHand.region` only the part of the image that shows it is looked at, and the whole image where
+        nothing usable is found there.
+
         Args:
             frame: Colour image with registered depth [m].
             hand: The hand that holds the tool; fixes the spin of symmetric end effectors.
@@ -117,9 +136,43 @@ class ToolPerception:
             UserError: The depth is not in metres.
         """
         check_depth_unit(frame.depth)
+        crop = None
+        if hand is not None and hand.region is not None:
+            crop = hand_crop(hand.X_camera_hand, hand.region, frame.intrinsics)
+        estimates, times = self._look(frame, hand, categories, crop)
+        if crop is None or any(e.usable for e in estimates):
+            return estimates, times
+        estimates, more = self._look(frame, hand, categories, None)
+        return estimates, StageTimes(
+            times.segmentation_ms + more.segmentation_ms,
+            times.cloud_ms + more.cloud_ms,
+            times.pose_ms + more.pose_ms,
+            whole_image=True,
+        )
+
+    def _look(
+        self, frame: RgbdFrame, hand: HoldingHand | None, categories: Sequence[Category], crop: Crop | None
+    ) -> tuple[list[ToolEstimate], StageTimes]:
+        """Estimates from a crop of a frame, or from all of it, and the time that each stage took."""
         start = time.perf_counter()
-        detections = [d for d in self.detector.detect(frame) if d.category in categories]
+        detections = self.detector.detect(frame, categories, crop)
         segmentation = time.perf_counter() - start
+        estimates, cloud, pose = self.poses(frame, detections, hand)
+        return estimates, StageTimes(1000 * segmentation, 1000 * cloud, 1000 * pose, crop is None)
+
+    def poses(
+        self, frame: RgbdFrame, detections: Sequence[Detection], hand: HoldingHand | None = None
+    ) -> tuple[list[ToolEstimate], float, float]:
+        """Estimate the poses of detections.
+
+        Args:
+            frame: The frame.
+            detections: What was detected in it.
+            hand: See `estimate`.
+
+        Returns:
+            The estimates as `estimate` gives them, and the time that clouds and poses took [s].
+        """
         cloud_time = pose_time = 0.0
         estimates = []
         for detection in detections:
@@ -153,7 +206,7 @@ class ToolPerception:
                 )
             )
         estimates.sort(key=_rank, reverse=True)
-        return estimates, StageTimes(1000 * segmentation, 1000 * cloud_time, 1000 * pose_time)
+        return estimates, cloud_time, pose_time
 
     def fuse(
         self,

@@ -18,6 +18,7 @@ from toolee_robot.perception.dataset.instances import read_ply, tool_path
 from toolee_robot.perception.dataset.records import INSTANCES
 from toolee_robot.render import Mesh
 from toolee_robot.tools import TOOL_SPECS, Family, Tool, ToolKind, ToolShape, kinds_of, make_tool, tool_name
+from toolee_robot.tools.catalog import role as role_of
 from toolee_robot.tools.catalog import split as split_of
 
 _KINDS = tuple(TOOL_SPECS)
@@ -58,6 +59,10 @@ class Catalogue(ABC):
     @abstractmethod
     def split(self, number: int) -> str:
         """Split of a tool, "train" or "test"."""
+
+    @abstractmethod
+    def role(self, number: int) -> str:
+        """Use of a tool: "train", "validation" or "test" (`tools.catalog.role`)."""
 
     @abstractmethod
     def categories(self, number: int) -> tuple[Category, ...]:
@@ -120,6 +125,9 @@ class GeneratedTools(Catalogue):
     def split(self, number: int) -> str:
         return split_of(self._which(number)[1])
 
+    def role(self, number: int) -> str:
+        return role_of(self._which(number)[1])
+
     def categories(self, number: int) -> tuple[Category, ...]:
         return TOOL_SPECS[self._which(number)[0]].end_effectors
 
@@ -179,6 +187,9 @@ class CustomTools(Catalogue):
     def split(self, number: int) -> str:
         self._record(number)
         return "test"
+
+    def role(self, number: int) -> str:
+        return self.split(number)
 
     def categories(self, number: int) -> tuple[Category, ...]:
         return self._record(number).categories

@@ -19,6 +19,8 @@ SPLITS = ("train", "test")
 DEVICES = ("cpu", "cuda")
 """Rendering devices."""
 LICENCE = "MIT"
+TEST_SEEDS = frozenset({7001, 7002, 7004, 7010, 7601})
+"""Seeds of the test sets from before data sets could say so themselves."""
 FORMAT = 1
 """Version of the format, a field of `DESCRIPTION`."""
 DESCRIPTION = "dataset.json"
@@ -58,6 +60,7 @@ class DatasetSpec:
         scene_size: Examples in a BOP scene; they share a pool of about a dozen tools.
         tools: Custom tools, which replace the generated ones; all of them are held out.
         device: Rendering device, "cpu" or "cuda"; the two differ by rounding.
+        test_set: Whether it is a test set, whose every scoring is entered in the ledger (`evaluation.ledger`).
 
     Raises:
         UserError: A value is out of range, or custom tools are combined with a training split.
@@ -70,6 +73,7 @@ class DatasetSpec:
     scene_size: int = 32
     tools: tuple[CustomToolRecord, ...] = ()
     device: str = "cpu"
+    test_set: bool = False
 
     def __post_init__(self) -> None:
         if self.config not in CONFIGS:
@@ -86,6 +90,11 @@ class DatasetSpec:
             raise UserError(f"--test-share {self.test_share}: one's own tools are all held out, leave it out or give 1")
         if self.tools and self.config == "paper-claws":
             raise UserError(f"--config {self.config} is to train on, one's own tools are all held out: choose paper")
+
+    @property
+    def is_test_set(self) -> bool:
+        """Whether it was made as a test set, or has the seed of one."""
+        return self.test_set or self.seed in TEST_SEEDS
 
     @property
     def counts(self) -> dict[str, int]:
@@ -108,6 +117,8 @@ class DatasetSpec:
         """Content of `DESCRIPTION`."""
         asked = {k: getattr(self, k) for k in ("config", "size", "seed", "test_share", "scene_size", "device")}
         data = {"format": FORMAT, **asked, "generator": f"toolee_robot {__version__}", "licence": LICENCE}
+        if self.test_set:
+            data["test_set"] = True
         return {**data, "tools": [tool.to_json() for tool in self.tools]} if self.tools else data
 
     def catalogue(self, root: Path) -> Catalogue:
@@ -135,6 +146,7 @@ class DatasetSpec:
                 data["scene_size"],
                 tuple(CustomToolRecord.from_json(tool) for tool in data.get("tools", ())),
                 data["device"],
+                bool(data.get("test_set", False)),
             )
         except FileNotFoundError as error:
             raise UserError(

@@ -8,6 +8,7 @@ Boxes are x0, y0, x1, y1 [px] of the network's input; pixel edges are at integer
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -182,15 +183,22 @@ class Detector(nn.Module):
         return masks, quality
 
     @torch.inference_mode()
-    def detect(self, batch: RgbdBatch, score_threshold: float | None = None) -> list[RawDetections]:
+    def detect(
+        self,
+        batch: RgbdBatch,
+        score_threshold: float | None = None,
+        *,
+        mirrored: bool = True,
+        labels: Sequence[int] | None = None,
+    ) -> list[RawDetections]:
         """Detect instances in each image.
-
-        Test-time augmentation: the detections are classified and segmented again in the mirrored image; probabilities
-        and logits are the means of both.
 
         Args:
             batch: The images.
             score_threshold: Least class probability in the upright image; None: the configured one.
+            mirrored: Test-time augmentation: the detections are classified and segmented again in the mirrored image;
+                probabilities and logits are the means of both.
+            labels: The classes wanted, whose masks alone are computed; None: all.
 
         Returns:
             The detections of each image.
@@ -199,16 +207,19 @@ class Detector(nn.Module):
         height, width = size = (batch.pixels.shape[2], batch.pixels.shape[3])
         pyramid = self.backbone(batch.pixels)
         boxes, valid = self.proposals(*self.rpn(pyramid), height, width, self.config.pre_nms, self.config.post_nms)
-        rois, scores, labels = self._classified(pyramid, boxes, valid, size, threshold)
-        masks, quality = self.mask_outputs(pyramid, batch, rois, labels)
-        if len(rois):
-            mirrored = self._mirrored_outputs(batch, rois, labels)
-            scores, masks, quality = ((a + b) / 2 for a, b in zip((scores, masks, quality), mirrored, strict=True))
+        rois, scores, found = self._classified(pyramid, boxes, valid, size, threshold)
+        if labels is not None:
+            wanted = torch.isin(found, torch.tensor(labels, device=found.device))
+            rois, scores, found = rois[wanted], scores[wanted], found[wanted]
+        masks, quality = self.mask_outputs(pyramid, batch, rois, found)
+        if mirrored and len(rois):
+            again = self._mirrored_outputs(batch, rois, found)
+            scores, masks, quality = ((a + b) / 2 for a, b in zip((scores, masks, quality), again, strict=True))
         scores, masks, covered = scores * quality.sigmoid(), masks.sigmoid(), mask_boxes(rois[:, 1:])
         results = []
         for i in range(len(boxes)):
             here = rois[:, 0] == i
-            results.append(RawDetections(rois[here, 1:], scores[here], labels[here], masks[here], covered[here]))
+            results.append(RawDetections(rois[here, 1:], scores[here], found[here], masks[here], covered[here]))
         return results
 
     def _classified(

@@ -3,29 +3,46 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
 
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.perception.detection.config import DetectorConfig, working_size
-from toolee_robot.perception.detection.detector import (
-    Detector,
-    RawDetections,
-)
+from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector, RawDetections
 from toolee_robot.perception.detection.detector_weights import trained_detector
 from toolee_robot.perception.detection.inputs import RgbdBatch, encode_rgbd
 from toolee_robot.perception.detection.instances import Instances, associate, without_duplicates
 from toolee_robot.perception.detection.mask_head import paste_one
 from toolee_robot.perception.detection.refiner.mask_refinement import MaskRefinement
-from toolee_robot.perception.detection.zoom_pass import MIN_PROBABILITY, crops, cut, merge, placed
+from toolee_robot.perception.detection.zoom_pass import MIN_PROBABILITY, Crop, crops, cut, merge, placed
 from toolee_robot.perception.precision import in_bfloat16, prefers_bfloat16
 from toolee_robot.types import Detection, RgbdFrame
 
 EVERYTHING = 0.02
 """Score threshold for evaluation: average precision also ranks the weak detections."""
+
+
+@dataclass(frozen=True)
+class Stages:
+    """Stages after the network's first pass, each of which costs time."""
+
+    zoomed: bool
+    """Tools whose end effector is missing or doubtful are detected again, enlarged (`zoom_pass`)."""
+    mirrored: bool
+    """Detections are classified and segmented again in the mirrored image."""
+    refined: bool
+    """The end effectors' masks are refined (`refiner`)."""
+
+
+WHOLE_IMAGE = Stages(zoomed=True, mirrored=True, refined=True)
+"""Stages for an image of which nothing is known."""
+IN_CROP = Stages(zoomed=False, mirrored=False, refined=False)
+"""Stages for a crop about the hand that holds the tool: none gains there (`toolee evaluate held --ablate`)."""
 
 
 class Segmenter:
@@ -77,53 +94,85 @@ class Segmenter:
         bfloat16 = prefers_bfloat16(device) if bfloat16 is None else bfloat16
         return cls(trained_detector(weights_dir), device, bfloat16, MaskRefinement.load(weights_dir, device, bfloat16))
 
-    def detect(self, frame: RgbdFrame) -> list[Detection]:
+    def detect(
+        self, frame: RgbdFrame, categories: Sequence[Category] = CATEGORIES, crop: Crop | None = None
+    ) -> list[Detection]:
         """Detect the end effectors in a frame.
 
         Args:
             frame: Colour image with registered depth [m], any size.
+            categories: The categories wanted.
+            crop: The part of the frame to look at; None: all of it.
 
         Returns:
-            Detections, best score first, each with the mask of its tool where that is seen.
+            Detections, best score first, each with the mask of its tool where that is seen; in the whole frame's
+            pixels.
         """
-        return associate(*self.instances(frame))
+        instances = self.instances(frame) if crop is None else self.instances_in(frame, crop, categories)
+        return [d for d in associate(*instances) if d.category in categories]
 
-    def instances(self, frame: RgbdFrame, score_threshold: float | None = None) -> Instances:
+    def instances(
+        self, frame: RgbdFrame, score_threshold: float | None = None, stages: Stages = WHOLE_IMAGE
+    ) -> Instances:
         """Detect and segment every instance, whole tools included.
-
-        Tools without a confidently detected EE are seen again, enlarged (`zoom_pass`); the EEs' masks are then refined
-        (`refiner`).
 
         Args:
             frame: Colour image with registered depth [m], any size.
             score_threshold: Least class probability; None: the configured one.
+            stages: Stages after the first pass.
 
         Returns:
             Masks, labels, scores and boxes in the frame's own size.
         """
-        instances = self._both_passes(frame, score_threshold)
-        return instances if self._refinement is None else self._refinement(frame, instances)
-
-    def _both_passes(self, frame: RgbdFrame, score_threshold: float | None) -> Instances:
-        """Instances of the first pass, merged with those of the zoom pass."""
-        height, width = frame.depth.shape
+        height, width = image = frame.depth.shape
         threshold = self.config.score_threshold if score_threshold is None else score_threshold
         size = working_size(height, width, self.config.working_pixels)
-        first = self._detect_at(frame, size, threshold)
-        zoomed = crops(first, (height, width), size, self.config.working_pixels)
-        if not zoomed:
-            return first
-        second = []
-        for crop in zoomed:
-            seen = self._detect_at(cut(frame, crop), crop.size, max(threshold, MIN_PROBABILITY))
-            second.append(placed(seen, crop, (height, width)))
-        return without_duplicates(*merge(first, second, zoomed, (height, width)))
+        found = self._detect_at(frame, size, threshold, stages.mirrored)
+        zoomed = crops(found, image, size, self.config.working_pixels) if stages.zoomed else []
+        if zoomed:
+            least = max(threshold, MIN_PROBABILITY)
+            second = [placed(self._detect_in(frame, c, least, stages.mirrored), c, image) for c in zoomed]
+            found = without_duplicates(*merge(found, second, zoomed, image))
+        return self._refinement(frame, found) if stages.refined and self._refinement is not None else found
 
-    def _detect_at(self, frame: RgbdFrame, size: tuple[int, int], threshold: float) -> Instances:
+    def instances_in(
+        self, frame: RgbdFrame, crop: Crop, categories: Sequence[Category] = CATEGORIES, stages: Stages = IN_CROP
+    ) -> Instances:
+        """Detect and segment tools and the end effectors of some categories in a crop.
+
+        Args:
+            frame: Colour image with registered depth [m], any size.
+            crop: The part of it to look at.
+            categories: The categories wanted.
+            stages: Stages after the first pass; a crop is not zoomed into.
+
+        Returns:
+            Masks, labels, scores and boxes in the frame's own size.
+        """
+        height, width = frame.depth.shape
+        wanted = [TOOL, *(CLASSES.index(c.value) for c in categories)]
+        seen = self._detect_in(frame, crop, MIN_PROBABILITY, stages.mirrored, wanted)
+        found = placed(seen, crop, (height, width), tools_cut_off=True)
+        return self._refinement(frame, found) if stages.refined and self._refinement is not None else found
+
+    def _detect_in(
+        self, frame: RgbdFrame, crop: Crop, threshold: float, mirrored: bool, labels: Sequence[int] | None = None
+    ) -> Instances:
+        """The network's detections in a crop, in the crop's pixels."""
+        return self._detect_at(cut(frame, crop), crop.size, threshold, mirrored, labels)
+
+    def _detect_at(
+        self,
+        frame: RgbdFrame,
+        size: tuple[int, int],
+        threshold: float,
+        mirrored: bool,
+        labels: Sequence[int] | None = None,
+    ) -> Instances:
         """The network's detections in a frame that it sees at `size` (height, width)."""
         batch, scale = self._prepare(frame, size)
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self._bfloat16):
-            raw = self._detector.detect(batch, threshold)[0]
+            raw = self._detector.detect(batch, threshold, mirrored=mirrored, labels=labels)[0]
         return without_duplicates(*paste(raw, scale, *frame.depth.shape))
 
     def _prepare(self, frame: RgbdFrame, size: tuple[int, int]) -> tuple[RgbdBatch, tuple[float, float]]:

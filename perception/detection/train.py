@@ -109,7 +109,7 @@ class _Run(ImageTrainingRun):
         stream: SceneStream | None,
     ) -> None:
         self.config, self.stream = config, stream
-        self.data = DeviceImages(first[0], distributed.device)
+        self.data = DeviceImages(first[0], distributed.device, 0 if stream is None else stream.expected)
         self._extend(first[1:])
         detector = Detector(config.model)
         if config.init is not None:

@@ -40,13 +40,14 @@ class DeviceImages:
     Args:
         images: The first images.
         device: torch device that holds them.
+        expected: See `DeviceStore`.
 
     Attributes:
         tools: Largest id of a tool.
     """
 
-    def __init__(self, images: SegmentationImages, device: torch.device) -> None:
-        self._store = DeviceStore(device, tools=True)
+    def __init__(self, images: SegmentationImages, device: torch.device, expected: int = 0) -> None:
+        self._store = DeviceStore(device, tools=True, expected=expected)
         self._categories = torch.empty((0, 0), dtype=torch.uint8, device=device)
         self.tools = 1
         self._order = torch.empty(0, dtype=torch.long, device=device)

@@ -124,18 +124,27 @@ def crop_about(box: Box, image: tuple[int, int], working: tuple[int, int], pixel
         `MIN_MAGNIFICATION`.
     """
     margin = max(_MIN_MARGIN, _MARGIN * max(box[2] - box[0], box[3] - box[1]))
-    y0, y1, height = _span(box[1] - margin, box[3] + margin, image[0], MAGNIFICATION * working[0] / image[0])
-    x0, x1, width = _span(box[0] - margin, box[2] + margin, image[1], MAGNIFICATION * working[1] / image[1])
+    y0, y1, height = span(box[1] - margin, box[3] + margin, image[0], MAGNIFICATION * working[0] / image[0])
+    x0, x1, width = span(box[0] - margin, box[2] + margin, image[1], MAGNIFICATION * working[1] / image[1])
     shrink = min(1.0, math.sqrt(pixels / (height * width)))
     if MAGNIFICATION * shrink < MIN_MAGNIFICATION:
         return None
     return Crop(x0, y0, x1, y1, (math.floor(height * shrink), math.floor(width * shrink)))
 
 
-def _span(low: float, high: float, limit: int, scale: float) -> tuple[int, int, int]:
-    """Start and end of the part of an axis of `limit` pixels that holds low to high, and its size for the network.
+def span(low: float, high: float, limit: int, scale: float) -> tuple[int, int, int]:
+    """The part of an axis that a crop takes.
 
     The network pads to a multiple of STRIDE, so that the part is widened to one where the image allows.
+
+    Args:
+        low: Least place [px] that it must hold.
+        high: Largest place [px] that it must hold.
+        limit: Size of the image along the axis [px].
+        scale: Pixels of the network's input a pixel of the image.
+
+    Returns:
+        First pixel, pixel after the last, and size [px] at which the network sees the part.
     """
     first, last = max(math.floor(low), 0), min(math.ceil(high), limit)
     size = math.ceil((last - first) * scale / STRIDE) * STRIDE
@@ -161,13 +170,14 @@ def cut(frame: RgbdFrame, crop: Crop) -> RgbdFrame:
     return RgbdFrame(np.ascontiguousarray(frame.rgb[part]), np.ascontiguousarray(frame.depth[part]), K, frame.stamp)
 
 
-def placed(seen: Instances, crop: Crop, image: tuple[int, int]) -> Instances:
+def placed(seen: Instances, crop: Crop, image: tuple[int, int], *, tools_cut_off: bool = False) -> Instances:
     """Instances of a crop in the coordinates of the image.
 
     Args:
         seen: Instances in the crop.
         crop: The crop.
         image: Size (height, width) [px] of the image.
+        tools_cut_off: Whether to keep tools that the crop cuts off.
 
     Returns:
         The instances in the image, without those that the crop cuts off.
@@ -175,7 +185,7 @@ def placed(seen: Instances, crop: Crop, image: tuple[int, int]) -> Instances:
     kept: list[_Instance] = []
     for mask, label, score, (x0, y0, x1, y1) in zip(*seen, strict=True):
         box = (x0 + crop.x0, y0 + crop.y0, x1 + crop.x0, y1 + crop.y0)
-        if crop.holds(box, image):
+        if crop.holds(box, image) or (tools_cut_off and label == TOOL):
             whole = np.zeros(image, dtype=np.bool_)
             whole[crop.y0 : crop.y1, crop.x0 : crop.x1] = mask
             kept.append((whole, label, score, box))

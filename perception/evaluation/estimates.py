@@ -219,7 +219,7 @@ def answer(estimator: CloudEstimator, trust: Trust, question: Question) -> Answe
         probability, usable, _ = trust.judge(case.score, case.tool_score, result)
         if instance is None or instance.target:
             ranked = Ranked(case.image, case.category, probability, result.X_camera_ee, usable)
-    if question.best and instance is not None and _asked_for(instance, estimator.of_tool):
+    if question.best and instance is not None and asked_for(instance, estimator.of_tool):
         row = _row(instance, case, result, usable, ms)
     return Answer(ranked, case.instance, row)
 
@@ -246,12 +246,18 @@ def summary(examples: Examples, of_tool: bool, answers: Iterable[Answer]) -> tup
     rows = [
         by_instance.get(number) or _row(instance, None, None, False, 0.0)
         for number, instance in enumerate(examples.instances)
-        if _asked_for(instance, of_tool)
+        if asked_for(instance, of_tool)
     ]
     return Estimates(*(np.array([row[k] for row in rows], kind) for k, kind in enumerate(_TYPES))), ranked
 
 
-def _asked_for(instance: Instance, of_tool: bool) -> bool:
+def asked_for(instance: Instance, of_tool: bool) -> bool:
+    """Whether an estimator is asked for the pose of an instance.
+
+    Args:
+        instance: The instance.
+        of_tool: Whether the estimator is one of whole tools, which is asked for the first of alike ends only.
+    """
     return instance.target and (instance.first_end or not of_tool)
 
 

@@ -89,10 +89,26 @@ def read_part(part: Part, detector: EeDetector | None) -> Examples:
     data = load_scenes([part.scene], limit=part.count, threads=2)
     for i in range(len(data)):
         frame = RgbdFrame(data.rgb[i], data.depth_mm[i].astype(np.float32) * np.float32(1e-3), data.camera(i))
-        _add(found, i, frame, data.ee[i], data.tool[i], data.row(i), part.catalogue, detector)
+        _add(found, i, frame, data.ee[i], data.tool[i], data.row(i), part.catalogue, SCENES[data.scene[i]], detector)
         if SCENES[data.scene[i]] == "empty":
             found.empty.append(frame)
     return found
+
+
+def of_role(examples: Examples, role: str) -> Examples:
+    """Ask for the held-out tools of one role only; the others are neither found nor missed.
+
+    Args:
+        examples: The examples.
+        role: "validation" or "test".
+
+    Returns:
+        The examples with fewer targets.
+    """
+    kept = [
+        i if i.role in ("train", role) else replace(i, target=False, too_few_points=False) for i in examples.instances
+    ]
+    return replace(examples, instances=kept)
 
 
 def joined(examples: Iterable[Examples]) -> Examples:
@@ -134,7 +150,7 @@ def collect(folder: Path, detector: EeDetector | None = None, limit: int | None 
 
 
 def instances_of(
-    image: int, table: EeTable, intrinsics: CameraIntrinsics, catalogue: Catalogue
+    image: int, table: EeTable, intrinsics: CameraIntrinsics, catalogue: Catalogue, scene: str
 ) -> Iterator[tuple[int, Instance]]:
     """The EEs of one image.
 
@@ -143,6 +159,7 @@ def instances_of(
         table: Its record.
         intrinsics: Its camera.
         catalogue: Tools of the data set.
+        scene: Kind of scene.
 
     Yields:
         The id in the id maps, and the instance.
@@ -167,6 +184,7 @@ def instances_of(
                 occlusion=float(table.occlusion[row]),
                 target=bool(table.targets[row]),
                 first_end=bool(row == same_tool[table.category[same_tool] == table.category[row]][0]),
+                scene=scene,
             ),
         )
 
@@ -179,10 +197,11 @@ def _add(
     tool: NDArray[np.uint8],
     table: EeTable,
     catalogue: Catalogue,
+    scene: str,
     detector: EeDetector | None,
 ) -> None:
     here: dict[int, NDArray[np.bool_]] = {}
-    for ee_id, instance in instances_of(image, table, frame.intrinsics, catalogue):
+    for ee_id, instance in instances_of(image, table, frame.intrinsics, catalogue, scene):
         number = len(found.instances)
         mask = ee == ee_id
         if np.count_nonzero(frame.depth[mask] > 0) < MIN_POINTS:

@@ -30,6 +30,7 @@ class Instance:
         occlusion: In [0, 1].
         target: Whether its pose is asked for; one with under 50 points is neither found nor missed.
         first_end: Whether no earlier end of its tool has its category.
+        scene: Kind of scene, one of `dataset.records.SCENES`.
         too_few_points: Whether it would be a target but for these 50 points.
     """
 
@@ -45,12 +46,18 @@ class Instance:
     occlusion: float
     target: bool
     first_end: bool
+    scene: str
     too_few_points: bool = False
 
     @property
     def held_out(self) -> bool:
         """Whether the tool is one that training never shows."""
         return self.catalogue.split(self.tool) == "test"
+
+    @property
+    def role(self) -> str:
+        """Use of the tool: "train", "validation" or "test"."""
+        return self.catalogue.role(self.tool)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from toolee_robot.perception.evaluation.report_tables import (
     MASKS,
     NAMES,
     accuracy_table,
+    breakdown_table,
     confidence_tables,
     error_table,
     format_number,
@@ -100,6 +101,8 @@ def page(evaluation: Evaluation, images: dict[str, bytes], subtitle: str) -> str
                 accuracy_table(out, found)
                 _picture(out, images, f"accuracy_{group}_{masks}.png", "Share of instances under a threshold.")
                 error_table(out, found)
+                if group == "held-out":
+                    breakdown_table(out, {k: r[masks]["breakdown"] for k, r in report["estimators"].items()})
                 confidence_tables(out, found)
                 _picture(
                     out, images, f"risk_{group}_{masks}.png", "Failures left when the least confident are refused."

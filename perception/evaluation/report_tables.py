@@ -145,6 +145,26 @@ def ranking_tables(out: Page, report: dict[str, Any]) -> None:
     out.table(head, rows, left=2)
 
 
+def breakdown_table(out: Page, found: dict[str, dict[str, Any]]) -> None:
+    """Add the accuracy by what the pictures show.
+
+    Args:
+        out: The page.
+        found: Label of an estimator to its `breakdown` under one kind of masks.
+    """
+    out.heading("By what the picture shows")
+    head = ["by", "", "estimator", "instances", "left out for want of depth", "estimated"]
+    rows: list[list[Any]] = []
+    starts = set()
+    for axis in next(iter(found.values())):
+        starts.add(len(rows))
+        for label, tables in found.items():
+            for group, row in tables[axis].items():
+                counts = [row["instances"], row["left_out"], format_share(row["estimated"])]
+                rows.append([axis, group, label, *counts, *(format_share(row[k]) for k in THRESHOLDS)])
+    out.table([*head, *(NAMES[k] for k in THRESHOLDS)], rows, starts, left=3)
+
+
 def format_share(value: float | None) -> str:
     """Three decimals; a dash for None or NaN."""
     return "–" if value is None or value != value else f"{value:.3f}"

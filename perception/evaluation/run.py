@@ -14,6 +14,7 @@ import torch
 
 from toolee_robot.perception import Segmenter
 from toolee_robot.perception.evaluation import pose, views
+from toolee_robot.perception.evaluation.breakdown import held_out_breakdown
 from toolee_robot.perception.evaluation.estimates import (
     Answer,
     Estimates,
@@ -24,7 +25,7 @@ from toolee_robot.perception.evaluation.estimates import (
     questions,
     summary,
 )
-from toolee_robot.perception.evaluation.examples import Part, joined, parts, read_part
+from toolee_robot.perception.evaluation.examples import Part, joined, of_role, parts, read_part
 from toolee_robot.perception.evaluation.records import Examples, Instance
 from toolee_robot.perception.evaluation.samplers import sampler_table
 from toolee_robot.perception.pipeline import EeDetector, ToolPerception
@@ -48,6 +49,7 @@ class Plan:
         weights: Label to folder of a training; None: the shipped weights. The first label is also used for fused views,
             frames without a tool and samplers.
         detector: Folder of the detector's weights; None: the shipped ones.
+        role: Use of the held-out tools that are asked for, "validation" or "test"; None: all of them.
         true_masks_only: No detector: without predicted masks, fused views and frames without a tool.
         limit: Largest number of images per split.
         hammers: Number of held hammers that are seen from five views.
@@ -62,6 +64,7 @@ class Plan:
     weights: dict[str, Path | None]
     detector: Path | None = None
     true_masks_only: bool = False
+    role: str | None = None
     limit: int | None = None
     hammers: int = 0
     empty_frames: int = 0
@@ -131,6 +134,8 @@ def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
     with ProcessMap(load, plan.workers) as processes:
         todo = parts(plan.folder, plan.limit)
         examples = joined(_counted(processes.map(_read, todo), partial(progress, "reading"), len(todo)))
+        if plan.role is not None:
+            examples = of_role(examples, plan.role)
         report: dict[str, Any] = {"data": _data(plan.folder, examples), "estimators": {}}
         estimates: dict[str, dict[str, Estimates]] = {}
         rankings: dict[tuple[str, str], list[Ranked]] = {}
@@ -151,6 +156,7 @@ def evaluate_pose(plan: Plan, progress: Progress) -> Evaluation:
             for masks, rows in estimates[label].items():
                 record[masks] = {
                     "groups": pose.tables(rows),
+                    "breakdown": held_out_breakdown(examples.instances, rows, estimator.of_tool),
                     "ranked_ap": ranked[label, masks],
                     "usable": pose.usable_poses(examples.instances, rankings[label, masks], examples.images),
                     "latency": {

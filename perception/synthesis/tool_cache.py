@@ -49,6 +49,9 @@ class ToolCache(Catalogue):
     def split(self, number: int) -> str:
         return self._source.split(number)
 
+    def role(self, number: int) -> str:
+        return self._source.role(number)
+
     def categories(self, number: int) -> tuple[Category, ...]:
         return self._source.categories(number)
 

@@ -52,6 +52,8 @@ class DeviceStore:
     Args:
         device: torch device.
         tools: Whether to store the ids of tools, too.
+        expected: Number of images that will come, for which memory is taken with the first ones. Without it, and beyond
+            it, the rows are copied into larger ones, and for that time need 2.5 times their memory.
 
     Attributes:
         rgb: (M, H, W, 3) uint8.
@@ -59,8 +61,9 @@ class DeviceStore:
         focal: Focal length, (M,) [px].
     """
 
-    def __init__(self, device: torch.device, tools: bool) -> None:
+    def __init__(self, device: torch.device, tools: bool, expected: int = 0) -> None:
         self.device = device
+        self._expected = expected
         self._count = 0
         self.rgb = torch.empty((0, 0, 0, 3), dtype=torch.uint8, device=device)
         self._millimetres = torch.empty((0, 0, 0), dtype=torch.int16, device=device)
@@ -79,7 +82,7 @@ class DeviceStore:
         first, end = self._count, self._count + len(more.rgb)
         if end > len(self.rgb):
             # Grow geometrically, so that not every scene copies all stored images.
-            capacity = max(end, 3 * first // 2)
+            capacity = max(end, self._expected, 3 * first // 2)
             size = more.rgb.shape[1:3]
             self.rgb = grown(self.rgb, (capacity, *size, 3))
             self._millimetres = grown(self._millimetres, (capacity, *size))

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from toolee_robot.errors import TooleeError
 from toolee_robot.perception.dataset.scene_reader import load_scenes, scene_folders
+from toolee_robot.perception.dataset.spec import DESCRIPTION, DatasetSpec
 from toolee_robot.perception.training.labelled_images import SegmentationImages
 from toolee_robot.runtime.process_pool import WorkerPool
 
@@ -27,10 +28,14 @@ class SceneStream:
     Args:
         folder: Folder of the split.
         part: (i, n): take every n-th scene, from the i-th on.
+
+    Attributes:
+        expected: Number of images that the data set's specification promises for that part; 0 without one.
     """
 
     def __init__(self, folder: Path, part: tuple[int, int] = (0, 1)) -> None:
         self._folder, self._part = folder, part
+        self.expected = _expected(folder, part)
         self._decoded: queue.SimpleQueue[SegmentationImages | TooleeError] = queue.SimpleQueue()
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
@@ -82,6 +87,14 @@ class SceneStream:
                     self._closed.wait(0.5)
                 elif wait([running[0]], 0.5).done:
                     self._decoded.put(_outcome(running.popleft()))
+
+
+def _expected(folder: Path, part: tuple[int, int]) -> int:
+    root = folder.resolve().parent
+    if not (root / DESCRIPTION).is_file():
+        return 0
+    jobs = [job for job in DatasetSpec.read(root).jobs() if job.split == folder.resolve().name]
+    return sum(job.last - job.first for job in jobs if job.scene % part[1] == part[0])
 
 
 def _outcome(decoded: Future[SegmentationImages]) -> SegmentationImages | TooleeError:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from toolee_robot.end_effectors import Category
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import PerceptionError
 from toolee_robot.frames import Array, inverse
 from toolee_robot.sim_backend.ground_truth.verdict import Truth
@@ -26,12 +26,18 @@ class PerfectPerception:
     def __init__(self, judge: Truth) -> None:
         self._judge = judge
 
-    def estimate(self, frame: RgbdFrame, hand: HoldingHand | None = None) -> list[ToolEstimate]:
+    def estimate(
+        self,
+        frame: RgbdFrame,
+        hand: HoldingHand | None = None,
+        categories: Sequence[Category] = CATEGORIES,  # noqa: ARG002
+    ) -> list[ToolEstimate]:
         """The true pose of the hammer's face, whether it is visible or not.
 
         Args:
             frame: Frame of whose time the pose is returned.
             hand: The hand that holds the tool; required, since the true pose is known in the hand.
+            categories: As of `ToolPerception`; the hammer's face is given in any case.
 
         Returns:
             One estimate.

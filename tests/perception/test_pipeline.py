@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,30 +11,43 @@ import pytest
 import torch
 
 from tests.errors import raises
-from toolee_robot.end_effectors import Category
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import AssetError, PerceptionError, UserError
 from toolee_robot.frames import transform
 from toolee_robot.perception import ToolPerception
+from toolee_robot.perception.detection.zoom_pass import Crop
 from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.pose.confidence import FEATURES, ConfidenceModel
 from toolee_robot.perception.pose.network import NetworkConfig, PoseNet
 from toolee_robot.perception.pose.weights import Calibration
-from toolee_robot.types import CameraIntrinsics, Detection, RgbdFrame, ToolEstimate
+from toolee_robot.types import CameraIntrinsics, Detection, HeldRegion, HoldingHand, RgbdFrame, ToolEstimate
 
 CAMERA = CameraIntrinsics(365.5, 365.5, 254.9, 205.4, 512, 424)
 
 
 class ColourDetector:
-    """Finds what is painted in one colour a category: a real, if simple, detector."""
+    """Finds what is painted in one colour a category: a real, if simple, detector.
+
+    Attributes:
+        crops: Where it looked, None for the whole image.
+    """
 
     def __init__(self, score: float = 0.9) -> None:
         self._score = score
+        self.crops: list[Crop | None] = []
 
-    def detect(self, frame: RgbdFrame) -> list[Detection]:
-        rgb, found = frame.rgb, []
+    def detect(
+        self,
+        frame: RgbdFrame,
+        categories: Sequence[Category] = CATEGORIES,
+        crop: Crop | None = None,
+    ) -> list[Detection]:
+        self.crops.append(crop)
+        shown, found = np.zeros(frame.depth.shape, bool), []
+        shown[np.s_[:] if crop is None else np.s_[crop.y0 : crop.y1, crop.x0 : crop.x1]] = True
         for k, category in enumerate(Category):
-            mask = rgb[:, :, 0] == 50 * (k + 1)
-            if mask.any():
+            mask = (frame.rgb[:, :, 0] == 50 * (k + 1)) & shown
+            if mask.any() and category in categories:
                 found.append(Detection(category, self._score, mask, (0.0, 0.0, 1.0, 1.0), None))
         return found
 
@@ -85,6 +99,50 @@ def test_the_same_frame_gives_the_same_estimates(perception: ToolPerception) -> 
 def test_only_the_wanted_categories_are_estimated(perception: ToolPerception) -> None:
     estimates = perception.estimate(frame((0, 150, 14), (2, 350, 14)), categories=[Category.HAMMER_HEAD])
     assert [e.category for e in estimates] == [Category.HAMMER_HEAD]
+
+
+def held_at(column: float) -> HoldingHand:
+    """A hand at 0.8 m whose tool projects to `column` and row 200."""
+    p = [(column - CAMERA.cx) / CAMERA.fx * 0.8, (200 - CAMERA.cy) / CAMERA.fy * 0.8, 0.8]
+    return HoldingHand(transform(p=p), np.eye(3), HeldRegion(np.zeros((1, 3)), 0.1))
+
+
+def sure_perception(detector: ColourDetector, logit: float = 2.0) -> ToolPerception:
+    """Every pose that it estimates is usable, or with a negative logit none."""
+    torch.manual_seed(0)
+    n = len(FEATURES)
+    sure = Calibration(confidence=ConfidenceModel((0.0,) * n, (1.0,) * n, (0.0,) * n, logit))
+    return ToolPerception(detector, PoseEstimator(PoseNet(NetworkConfig()), sure))
+
+
+def test_a_held_tool_is_looked_for_about_the_hand_only() -> None:
+    """A second hammer in view costs no time and cannot be mistaken for the held one."""
+    detector = ColourDetector()
+    estimates, times = sure_perception(detector).estimate_timed(frame((0, 150, 14), (0, 400, 14)), held_at(150))
+    assert [c is None for c in detector.crops] == [False]
+    assert not times.whole_image
+    (estimate,) = estimates
+    assert estimate.usable
+    assert estimate.detection.mask.shape == (CAMERA.height, CAMERA.width)
+    columns = np.nonzero(estimate.detection.mask.any(0))[0]
+    assert 130 < columns.min() < columns.max() < 170
+
+
+@pytest.mark.parametrize("logit", [2.0, -2.0])
+def test_where_nothing_usable_is_about_the_hand_the_whole_image_is_looked_at(logit: float) -> None:
+    """The hand's pose may be wrong, or what is seen there not to be relied on."""
+    detector = ColourDetector()
+    seen = frame((0, 400, 14)) if logit > 0 else frame((0, 150, 14), (0, 400, 14))
+    estimates, times = sure_perception(detector, logit).estimate_timed(seen, held_at(150))
+    assert [c is None for c in detector.crops] == [False, True]
+    assert times.whole_image
+    assert [e.usable for e in estimates] == [logit > 0]
+
+
+def test_a_hand_out_of_view_is_no_place_to_look() -> None:
+    detector = ColourDetector()
+    assert sure_perception(detector).estimate(frame((0, 150, 14)), held_at(1000))
+    assert detector.crops == [None]
 
 
 def test_a_mask_without_depth_is_listed_with_its_reason(perception: ToolPerception) -> None:

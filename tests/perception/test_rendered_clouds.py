@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,13 @@ from scipy.spatial import cKDTree
 
 from tests.errors import raises
 from toolee_robot.cli.app import run
-from toolee_robot.end_effectors import Category
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import AssetError, UserError
 from toolee_robot.frames import Array, transform_points
 from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.spec import DatasetSpec
 from toolee_robot.perception.detection.segmenter import Segmenter
+from toolee_robot.perception.detection.zoom_pass import Crop
 from toolee_robot.perception.evaluation.examples import parts, read_part
 from toolee_robot.perception.pose import PoseEstimator
 from toolee_robot.perception.pose.canonical import REST_MIN, CanonicalCloud
@@ -76,7 +78,12 @@ class ScriptedDetector:
     def __init__(self, detections: list[Detection]) -> None:
         self.detections = detections
 
-    def detect(self, frame: RgbdFrame) -> list[Detection]:  # noqa: ARG002
+    def detect(
+        self,
+        frame: RgbdFrame,  # noqa: ARG002
+        categories: Sequence[Category] = CATEGORIES,  # noqa: ARG002
+        crop: Crop | None = None,  # noqa: ARG002
+    ) -> list[Detection]:
         return self.detections
 
 

@@ -13,16 +13,18 @@ New weights need new figures, bounds and hashes.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from toolee_robot.end_effectors import Category
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.perception import ToolPerception
 from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.spec import DatasetSpec
+from toolee_robot.perception.detection.zoom_pass import Crop
 from toolee_robot.perception.evaluation import metrics, pose
 from toolee_robot.perception.evaluation.estimates import Ranked
 from toolee_robot.perception.evaluation.examples import collect
@@ -75,8 +77,13 @@ class _Recorded:
         self._perception = perception
         self.estimates: list[ToolEstimate] = []
 
-    def detect(self, frame: RgbdFrame) -> list[Detection]:
-        found = self._perception.estimate(frame)
+    def detect(
+        self,
+        frame: RgbdFrame,
+        categories: Sequence[Category] = CATEGORIES,
+        crop: Crop | None = None,  # noqa: ARG002
+    ) -> list[Detection]:
+        found = self._perception.estimate(frame, categories=categories)
         self.estimates += found
         return [e.detection for e in found]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pybullet as pb
@@ -24,7 +25,7 @@ from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 from toolee_robot.tasks.hammering.grasp import nominal_grasp
 from toolee_robot.tasks.hammering.task import HammeringTask
-from toolee_robot.types import HoldingHand, RgbdFrame, ToolEstimate
+from toolee_robot.types import RgbdFrame, ToolEstimate
 
 pytestmark = pytest.mark.sim(seconds=80)
 
@@ -203,7 +204,7 @@ def test_a_detection_that_no_held_hammer_can_be_is_left_out(bench: Bench) -> Non
 
 def test_a_camera_whose_frames_perception_refuses_is_a_device_fault(bench: Bench) -> None:
     class Refuses(PerfectPerception):
-        def estimate(self, frame: RgbdFrame, hand: HoldingHand | None = None) -> list[ToolEstimate]:  # noqa: ARG002
+        def estimate(self, frame: RgbdFrame, *_args: Any, **_kwargs: Any) -> list[ToolEstimate]:
             raise UserError(f"depth up to {1000 * frame.depth.max():.0f} m: it is in millimetres")
 
     result = bench.seeing_task(Log(), perceiver=Refuses(bench.sim.judge)).run()

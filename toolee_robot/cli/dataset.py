@@ -58,6 +58,8 @@ class Generate:
     device: Literal["cpu", "cuda"] = "cpu"
     """Device that renders. cuda: the GPUs of this machine (not of a Ray cluster), which the processes share. Pixels may
     differ by a rounding."""
+    test_set: Flag = False
+    """Mark it as a test set: every scoring of it is entered in the ledger (docs/results/protocol.md)."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
@@ -72,7 +74,9 @@ class Generate:
             custom_tools = read_custom_tools(self.tools)
         share = self.test_share if self.test_share is not None else 1.0 if custom_tools else DatasetSpec.test_share
         tools = tuple(tool.record for tool in custom_tools)
-        spec = DatasetSpec(self.config, self.size, self.seed, share, tools=tools, device=self.device)
+        spec = DatasetSpec(
+            self.config, self.size, self.seed, share, tools=tools, device=self.device, test_set=self.test_set
+        )
         workers = _cores() if self.workers is None else self.workers
         console = Console(stderr=self.json, highlight=False)
         began = time.monotonic()

@@ -7,12 +7,13 @@ import sys
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 from rich.markup import escape
 
+from toolee_robot.cli.evaluate_held import EvaluateHeld
 from toolee_robot.cli.evaluate_tables import (
     photograph_tables,
     pose_tables,
@@ -60,6 +61,8 @@ class EvaluatePose:
     """Folder with the detector's weights (the shipped ones if left out)."""
     true_masks_only: Flag = False
     """No detector: leave out predicted masks, fused views and frames without a tool."""
+    tools: Literal["all", "validation", "test"] = "all"
+    """Which of the held-out tools: half are for validation, by which choices are made, half for tests."""
     limit: _Limit = None
     """Only so many images of each split."""
     samplers: _Count = 0
@@ -77,6 +80,7 @@ class EvaluatePose:
     """Print the whole report as one line of JSON; everything for people goes to standard error."""
 
     def run(self) -> int:
+        from toolee_robot.perception.evaluation.ledger import Ledger, pose_figures
         from toolee_robot.perception.evaluation.run import Plan
 
         console = Console(stderr=self.json, highlight=False)
@@ -85,6 +89,7 @@ class EvaluatePose:
             _labelled(self.weights),
             self.detector,
             self.true_masks_only,
+            None if self.tools == "all" else self.tools,
             self.limit,
             self.hammers,
             self.no_tool,
@@ -92,7 +97,11 @@ class EvaluatePose:
             device=self.device,
             workers=self.workers,
         )
+        ledger = Ledger.of(self.data)
         evaluation = _evaluated(console, plan)
+        if ledger is not None:
+            weights = plan.weights if self.true_masks_only else {**plan.weights, "detector": self.detector}
+            ledger.enter("pose", weights, pose_figures(evaluation.report), self.limit)
         if self.out is not None:
             from toolee_robot.perception.evaluation.report import page, pictures
 
@@ -128,15 +137,19 @@ class EvaluateSamplers:
     def run(self) -> int:
         from toolee_robot.perception.evaluation.estimates import load_estimator
         from toolee_robot.perception.evaluation.examples import collect
+        from toolee_robot.perception.evaluation.ledger import Ledger
         from toolee_robot.perception.evaluation.samplers import sampler_table
 
         if self.clouds < 1:
             raise UserError(f"--clouds {self.clouds}: give 1 or more", code="user.count")
         console = Console(stderr=self.json, highlight=False)
+        ledger = Ledger.of(self.data)
         estimator = load_estimator(self.weights, self.device)
         with progress_bars(console) as report:
             examples = collect(self.data, limit=self.clouds)
             rows = sampler_table(estimator, examples, self.clouds, lambda k, n: report("samplers", k, n))
+        if ledger is not None:
+            ledger.enter("samplers", {"ours": self.weights}, {r["sampler"]: r["average"] for r in rows}, self.clouds)
         record = {"machine": asdict(describe_machine()), "samplers": rows}
         if self.out is not None:
             from toolee_robot.perception.evaluation.figures import sampler_figure
@@ -171,11 +184,15 @@ class EvaluateSegmentation:
     """Print one line of JSON; everything for people goes to standard error."""
 
     def run(self) -> int:
+        from toolee_robot.perception.evaluation.ledger import Ledger
         from toolee_robot.perception.evaluation.segmentation import STATISTICS, evaluate
 
         console = Console(stderr=self.json, highlight=False)
+        ledger = Ledger.of(self.data)
         with console.status("the detector looks at every image"):
             found = evaluate(self.data, self.weights, self.limit, self.device)
+        if ledger is not None:
+            ledger.enter("segmentation", {"detector": self.weights}, {"average": found["average"]}, self.limit)
         rows = segmentation_rows(found)
         record = {"machine": asdict(describe_machine()), "data": self.data.name, **found}
         if self.out is not None:
@@ -211,14 +228,18 @@ class EvaluatePhotographs:
     """Print one line of JSON; everything for people goes to standard error."""
 
     def run(self) -> int:
+        from toolee_robot.perception.evaluation.ledger import Ledger
         from toolee_robot.perception.evaluation.photographs import evaluate, read_photographs
         from toolee_robot.perception.pipeline import ToolPerception
 
         console = Console(stderr=self.json, highlight=False)
         photographs = read_photographs(self.data, self.limit)
+        ledger = Ledger.of(self.data)
         perception = ToolPerception.load(self.weights, self.device)
         with progress_bars(console) as report:
             found = evaluate(perception, photographs, lambda k, n: report("photographs", k, n))
+        if ledger is not None:
+            ledger.enter("photographs", {"ours": self.weights}, {"table": found["table"]}, self.limit)
         record = {"machine": asdict(describe_machine()), "data": self.data.name, **found}
         if self.out is not None:
             _make_folder(self.out)
@@ -238,6 +259,7 @@ class Evaluate:
         Annotated[EvaluatePose, tyro.conf.subcommand("pose")]
         | Annotated[EvaluateSegmentation, tyro.conf.subcommand("segmentation")]
         | Annotated[EvaluateSamplers, tyro.conf.subcommand("samplers")]
+        | Annotated[EvaluateHeld, tyro.conf.subcommand("held")]
         | Annotated[EvaluatePhotographs, tyro.conf.subcommand("photographs")]
     ]
     """What to evaluate."""

@@ -10,6 +10,7 @@ from rich.table import Table
 from toolee_robot.end_effectors import label_of
 
 _SHOWN = ("5deg2cm", "10deg5cm", "5deg1cm", "5deg5mm")
+_BREAKDOWN = ("5deg2cm", "5deg1cm", "5deg5mm")
 """Thresholds shown on the terminal; the report has all."""
 
 
@@ -45,6 +46,15 @@ def pose_tables(report: dict[str, Any]) -> Iterator[Table]:
             if rows:
                 title = f"{group} instances, {'true' if masks == 'truth' else masks} masks"
                 yield text_table(title, ("category", "estimator", "n", *_SHOWN), rows, left=2)
+    label, record = next(iter(report["estimators"].items()))
+    masks = "predicted" if "predicted" in record else "truth"
+    rows = []
+    for axis, groups in record[masks]["breakdown"].items():
+        for k, (group, row) in enumerate(groups.items()):
+            shares = ["–" if row[key] is None else f"{row[key]:.3f}" for key in _BREAKDOWN]
+            rows.append(["" if k else axis, group, str(row["instances"]), str(row["left_out"]), *shares])
+    title = f"{label}, {'true' if masks == 'truth' else masks} masks, by what the picture shows"
+    yield text_table(title, ("by", "", "n", "no depth", *_BREAKDOWN), rows, left=2)
     if "samplers" in report:
         yield printed_samplers(report["samplers"])
     if "fused" in report:

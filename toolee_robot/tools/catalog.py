@@ -165,6 +165,17 @@ def split(seed: int) -> Literal["train", "test"]:
     return "test" if seed % 5 == 4 else "train"
 
 
+def role(seed: int) -> Literal["train", "validation", "test"]:
+    """The use of a seed, for every kind: of the held-out seeds every second one is for validation.
+
+    Confidence, covariance and every choice are made on validation tools (4, 14, 24, ...), a release is scored on test
+    tools (9, 19, 29, ...).
+    """
+    if split(seed) == "train":
+        return "train"
+    return "validation" if seed % 2 == 0 else "test"
+
+
 def train_seeds(n: int) -> tuple[int, ...]:
     """The first n training seeds, ascending."""
     return tuple(islice((s for s in count() if split(s) == "train"), n))

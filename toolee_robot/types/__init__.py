@@ -6,6 +6,7 @@ from toolee_robot.types.mounting import HandMounting
 from toolee_robot.types.perception import (
     CameraIntrinsics,
     Detection,
+    HeldRegion,
     HoldingHand,
     InHandEstimate,
     PoseHypotheses,
@@ -21,6 +22,7 @@ __all__ = [
     "DhCalibration",
     "HandMounting",
     "HandWeight",
+    "HeldRegion",
     "HoldingHand",
     "InHandEstimate",
     "JointState",

@@ -95,6 +95,16 @@ class RgbdFrame:
 
 
 @dataclass(frozen=True, eq=False)
+class HeldRegion:
+    """The part of space, fixed to the hand, in which the held tool is looked for."""
+
+    points: Array
+    """Points in the hand's frame, (N, 3) [m]: the tool is near their convex hull."""
+    radius: float
+    """Largest distance of the tool from that hull [m], all uncertainty included."""
+
+
+@dataclass(frozen=True, eq=False)
 class HoldingHand:
     """The hand that holds a tool in front of the camera: prior knowledge of the tool's pose."""
 
@@ -102,6 +112,8 @@ class HoldingHand:
     """Pose of the hand in the camera's frame, (4, 4)."""
     R_hand_tool: Array
     """Axes of the tool in the hand in a nominal grasp, (3, 3): `HandModel.grasp.R_hand_tool`."""
+    region: HeldRegion | None = None
+    """Where the tool is looked for first; None: in the whole image."""
 
 
 @dataclass(frozen=True)

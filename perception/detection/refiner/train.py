@@ -129,7 +129,7 @@ class _Run(ImageTrainingRun):
 
     def __init__(self, config: RefinementTraining, distributed: Distributed, stream: SceneStream) -> None:
         self.config, self.stream = config, stream
-        self.data = RefinementData(trained_detector(config.detector), distributed.device)
+        self.data = RefinementData(trained_detector(config.detector), distributed.device, stream.expected)
         waited = time.monotonic()
         while not self.data.ready and time.monotonic() - waited < config.patience:
             self._extend(1.0)

@@ -111,11 +111,12 @@ class RefinementData:
     Args:
         detector: A detector that was not trained on these images.
         device: torch device that holds the images.
+        expected: See `DeviceStore`.
     """
 
-    def __init__(self, detector: Detector, device: torch.device) -> None:
+    def __init__(self, detector: Detector, device: torch.device, expected: int = 0) -> None:
         self._detector = detector.fuse().to(device).to(memory_format=torch.channels_last)
-        self._store = DeviceStore(device, tools=False)
+        self._store = DeviceStore(device, tools=False, expected=expected)
         self.detections: Detections | None = None
         self.validation = self._learnt = self._judged = torch.empty(0, dtype=torch.long, device=device)
 

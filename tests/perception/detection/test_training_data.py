@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -16,11 +17,13 @@ from toolee_robot.errors import AssetError
 from toolee_robot.perception.dataset.records import HEIGHT, WIDTH, EeTable, Example
 from toolee_robot.perception.dataset.scene_reader import load
 from toolee_robot.perception.dataset.scene_writer import write_scene
+from toolee_robot.perception.dataset.spec import DESCRIPTION, DatasetSpec
 from toolee_robot.perception.detection.detector import TOOL
 from toolee_robot.perception.detection.inputs import STRIDE
 from toolee_robot.perception.detection.losses import instances_from_maps
 from toolee_robot.perception.detection.training_data import DeviceImages, augment
 from toolee_robot.perception.evaluation.segmentation import true_instances
+from toolee_robot.perception.training.labelled_images import DeviceStore
 from toolee_robot.perception.training.scene_stream import SceneStream
 from toolee_robot.types import CameraIntrinsics
 
@@ -83,6 +86,26 @@ def test_ranks_share_a_data_set_without_overlap_while_it_grows(folder: Path) -> 
     finally:
         for stream in streams:
             stream.close()
+
+
+def test_memory_is_taken_once_for_all_images_that_the_data_set_promises(tmp_path: Path) -> None:
+    """A growing copy beside the old one would need 2.5 times the memory, which a GPU has not."""
+    spec = DatasetSpec("hard", size=10, test_share=0.0, scene_size=4)
+    (tmp_path / DESCRIPTION).write_text(json.dumps(spec.to_json()))
+    for rank, count in ((0, 4 + 2), (1, 4)):
+        stream = SceneStream(tmp_path / "train", (rank, 2))
+        stream.close()
+        assert stream.expected == count
+    scenes = toy_scenes(2)
+    for expected, rows in ((7, (7, 7, 7, 12)), (0, (2, 4, 6, 12))):
+        store = DeviceStore(torch.device("cpu"), tools=True, expected=expected)
+        for k, more in enumerate((scenes, scenes, scenes, toy_scenes(6))):
+            place = store.rgb.data_ptr()
+            store.extend(more)
+            assert len(store.rgb) == rows[k], "also more than was promised"
+            assert not 0 < k < 3 or (store.rgb.data_ptr() == place) is (expected > 0)
+        assert len(store) == 12
+        torch.testing.assert_close(store.rgb[4:6], torch.from_numpy(scenes.rgb))
 
 
 def test_a_folder_without_data_is_named(tmp_path: Path) -> None:

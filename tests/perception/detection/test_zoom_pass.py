@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -206,7 +208,7 @@ class ShortSighted(Detector):
         self.looks: list[tuple[int, int]] = []
         self.metres: list[float] = []
 
-    def detect(self, batch: RgbdBatch, score_threshold: float | None = None) -> list[RawDetections]:  # noqa: ARG002
+    def detect(self, batch: RgbdBatch, *_args: Any, **_kwargs: Any) -> list[RawDetections]:
         self.looks.append((batch.pixels.shape[2], batch.pixels.shape[3]))
         rgb = (batch.pixels[0, :3] * 60 + 110) * (batch.depth[0] > 0)
         red, any_tool = (rgb[0] > 150) & (rgb[1] < 60), rgb[0] > 150

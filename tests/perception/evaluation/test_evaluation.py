@@ -27,8 +27,9 @@ from toolee_robot.perception.dataset.scene_writer import write_scene
 from toolee_robot.perception.dataset.spec import DatasetSpec
 from toolee_robot.perception.detection.segmenter import Segmenter
 from toolee_robot.perception.evaluation import metrics, pose, views
+from toolee_robot.perception.evaluation.breakdown import held_out_breakdown
 from toolee_robot.perception.evaluation.estimates import Ranked, answer, load_estimator, questions, summary
-from toolee_robot.perception.evaluation.examples import collect
+from toolee_robot.perception.evaluation.examples import collect, of_role
 from toolee_robot.perception.evaluation.html import Page
 from toolee_robot.perception.evaluation.records import Examples
 from toolee_robot.perception.evaluation.report import page, pictures
@@ -170,6 +171,7 @@ def test_tables_and_the_report(examples: Examples) -> None:
         latency = {**pose.latency(rows), "device": "cpu", "torch_threads": 1}
         record[masks] = {
             "groups": groups,
+            "breakdown": held_out_breakdown(examples.instances, rows, of_tool=False),
             "ranked_ap": pose.ranked_ap(examples.instances, ranked),
             "usable": pose.usable_poses(examples.instances, ranked, examples.images),
             "latency": latency,
@@ -260,6 +262,27 @@ def test_the_figures_are_the_same_for_any_number_of_workers(folder: Path, capsys
     assert reports[0] == reports[1]
 
 
+def test_the_breakdown_puts_every_instance_into_one_group_of_each_axis(examples: Examples) -> None:
+    estimator = PoseEstimator.load()
+    asked = questions(examples, "truth", estimator.of_tool)
+    found, _ = summary(examples, estimator.of_tool, (answer(estimator, Trust(), q) for q in asked))
+    tables = held_out_breakdown(examples.instances, found, estimator.of_tool)
+    right = metrics.within(found.angle, found.position, *metrics.THRESHOLDS["5deg2cm"]).sum()
+    for groups in tables.values():
+        assert sum(g["instances"] for g in groups.values()) == len(found)
+        assert sum(g["instances"] * g["5deg2cm"] for g in groups.values() if g["instances"]) == pytest.approx(right)
+    assert set(tables["tool"]) <= {"validation", "test"}
+    near = [i for i in examples.instances if i.target and i.X_camera_ee[2, 3] < 0.55]
+    assert tables["distance"].get("0.40 to 0.55 m", {"instances": 0})["instances"] == len(near)
+
+
+def test_only_the_tools_of_the_role_asked_for_are_targets(examples: Examples) -> None:
+    parts = [of_role(examples, role) for role in ("validation", "test")]
+    targets = [{k for k, i in enumerate(part.instances) if i.target} for part in parts]
+    assert not targets[0] & targets[1]
+    assert targets[0] | targets[1] == {k for k, i in enumerate(examples.instances) if i.target}
+
+
 def test_targets_without_depth_are_left_out_and_counted(
     folder: Path, examples: Examples, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -272,6 +295,11 @@ def test_targets_without_depth_are_left_out_and_counted(
     assert run(["evaluate", "pose", str(tmp_path / "data"), "--true-masks-only", "--json", "--out", str(tmp_path)]) == 0
     data = json.loads(capsys.readouterr().out.splitlines()[-1])["data"]
     assert data["left_out_under_50_points"] == before + gone
+    for groups in json.loads((tmp_path / "report.json").read_text())["estimators"]["ours"]["truth"][
+        "breakdown"
+    ].values():
+        assert sum(g["left_out"] for g in groups.values()) == before + gone
+        assert sum(g["instances"] for g in groups.values()) == data["targets"]
     assert data["targets"] == sum(i.target for i in examples.instances) - gone
     assert f"{before + gone} more are left out" in (tmp_path / "report.html").read_text()
 

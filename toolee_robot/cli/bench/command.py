@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import cycle
 from typing import TYPE_CHECKING, Annotated
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from toolee_robot.cli.bench.scene import BenchScene
 
 _CANDIDATES = (1, 5, 10, 20, 32, 50)
-_POSE_TARGET_MS, _PERCEPTION_TARGET_MS, _PLAN_TARGET_MS = 20.0, 350.0, 100.0
+_POSE_TARGET_MS, _PERCEPTION_TARGET_MS, _HELD_TARGET_MS, _PLAN_TARGET_MS = 20.0, 350.0, 150.0, 100.0
 _SEED = 100
 
 
@@ -126,10 +126,19 @@ def _perception(scene: BenchScene, repeats: int) -> Iterator[Latency]:
         target = _POSE_TARGET_MS if k == perception.pose.candidates else None
         yield measure(f"pose, K = {k}", pose, repeats=repeats, target_ms=target)
     yield measure(
-        f"perception in all (end effectors: {len(detections)})",
+        f"perception, whole image (end effectors: {len(detections)})",
         lambda: perception.estimate(frame, hand),
         repeats=repeats,
         target_ms=_PERCEPTION_TARGET_MS,
+    )
+    near = replace(hand, region=scene.region)
+    found, times = perception.estimate_timed(frame, near)
+    where = "whole image after all" if times.whole_image else f"end effectors: {len(found)}"
+    yield measure(
+        f"perception about the hand, as in a job ({where})",
+        lambda: perception.estimate(frame, near),
+        repeats=repeats,
+        target_ms=_HELD_TARGET_MS,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from toolee_robot.end_effectors import Category
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, transform
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.ground_truth.verdict import Truth
@@ -33,9 +33,11 @@ class ScriptedPerception(PerfectPerception):
         self.hands: list[Array] = []
         self.sees = True
 
-    def estimate(self, frame: RgbdFrame, hand: HoldingHand | None = None) -> list[ToolEstimate]:
+    def estimate(
+        self, frame: RgbdFrame, hand: HoldingHand | None = None, categories: Sequence[Category] = CATEGORIES
+    ) -> list[ToolEstimate]:
         """See `PerfectPerception`."""
-        return super().estimate(frame, hand) if self.sees else []
+        return super().estimate(frame, hand, categories) if self.sees else []
 
     def fuse(
         self,

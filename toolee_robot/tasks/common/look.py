@@ -9,10 +9,11 @@ import numpy as np
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control.robot_model import RobotModel
-from toolee_robot.end_effectors import Category
+from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.errors import DeviceError, PerceptionError, StaleDataError, UserError
 from toolee_robot.frames import Array, angle_between, inverse
 from toolee_robot.hal import Station
+from toolee_robot.tasks.common.held_region import held_region
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.types import HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
@@ -27,12 +28,15 @@ MIN_DEPTH = 0.3
 class Perceiver(Protocol):
     """Perception as a task uses it; implemented by `toolee_robot.perception.ToolPerception`."""
 
-    def estimate(self, frame: RgbdFrame, hand: HoldingHand | None = None) -> list[ToolEstimate]:
+    def estimate(
+        self, frame: RgbdFrame, hand: HoldingHand | None = None, categories: Sequence[Category] = CATEGORIES
+    ) -> list[ToolEstimate]:
         """Detect the end effectors in a frame and estimate their poses.
 
         Args:
             frame: The frame.
             hand: The hand that holds the tool; None if unknown.
+            categories: The categories wanted.
 
         Returns:
             One estimate per detection, in the camera frame.
@@ -90,6 +94,7 @@ class Look:
         self._perceiver = perceiver
         self._observer = observer
         self._nominal = X_hand_ee_nominal
+        self._region = held_region(config, X_hand_ee_nominal, MAX_DISPLACEMENT)
         self._seen: list[list[ToolEstimate]] = []
         self._hands: list[Array] = []
 
@@ -111,8 +116,9 @@ class Look:
         q_arm = self._station.arm.state().joints.q
         q_hand = self._station.hand.state().joints.q
         X_camera_hand = self._X_camera_base @ self._robot.fk(q_arm, q_hand)[1]
+        hand = HoldingHand(X_camera_hand, self._R_hand_tool, self._region)
         try:
-            estimates = self._perceiver.estimate(frame, HoldingHand(X_camera_hand, self._R_hand_tool))
+            estimates = self._perceiver.estimate(frame, hand, [Category.HAMMER_HEAD])
         except UserError as error:  # the frame is the camera's, not the user's
             raise DeviceError(f"the camera's frame is unusable: {error}", code="device.camera_frame") from error
         self._observer.frame(frame, estimates, X_camera_hand)

@@ -1,0 +1,91 @@
+"""A job looks for the hammer about the hand that holds it, as wide as handover and calibration leave it uncertain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from toolee_robot.config import StationConfig
+from toolee_robot.config.calibration import SIMULATED_CALIBRATION
+from toolee_robot.end_effectors import CATEGORIES, Category
+from toolee_robot.frames import Array, inverse, transform
+from toolee_robot.perception import Segmenter, ToolPerception
+from toolee_robot.perception.detection.zoom_pass import Crop
+from toolee_robot.sim_backend.station import SimStation
+from toolee_robot.tasks.common.held_region import POSE_ERRORS, held_region
+from toolee_robot.tasks.common.look import MAX_DISPLACEMENT
+from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.hammering.grasp import nominal_grasp
+from toolee_robot.tasks.hammering.task import HammeringTask
+from toolee_robot.types import Detection, RgbdFrame, ToolEstimate
+
+pytestmark = pytest.mark.sim(seconds=40)
+
+
+class Watched:
+    """The shipped detector, and what it was asked.
+
+    Attributes:
+        asked: Categories and crop of each call.
+    """
+
+    def __init__(self) -> None:
+        self._segmenter = Segmenter.load()
+        self.asked: list[tuple[list[Category], Crop | None]] = []
+
+    def detect(
+        self, frame: RgbdFrame, categories: Sequence[Category] = CATEGORIES, crop: Crop | None = None
+    ) -> list[Detection]:
+        self.asked.append((list(categories), crop))
+        return self._segmenter.detect(frame, categories, crop)
+
+
+class Enough(Exception):
+    """Ends the job."""
+
+
+class FirstFrame(TaskObserver):
+    def __init__(self) -> None:
+        self.seen: list[tuple[RgbdFrame, list[ToolEstimate], Array]] = []
+
+    def frame(self, frame: RgbdFrame, estimates: list[ToolEstimate], X_camera_hand: Array) -> None:
+        self.seen.append((frame, estimates, X_camera_hand))
+        raise Enough
+
+
+def test_a_job_finds_the_face_in_a_crop_about_the_hand_alone() -> None:
+    config, observer, detector = StationConfig(), FirstFrame(), Watched()
+    shipped = ToolPerception.load()
+    with SimStation.build(config, 100) as sim:
+        perception = ToolPerception(detector, shipped.pose, shipped.trust)
+        grasp = nominal_grasp(sim.tool, config)
+        with suppress(Enough):
+            HammeringTask(sim.station, perception, config, grasp, observer=observer).run()
+        ((frame, estimates, X_camera_hand),) = observer.seen
+        X_hand_face = sim.judge.X_hand_ee(frame.stamp)
+    ((categories, crop),) = detector.asked
+    assert categories == [Category.HAMMER_HEAD]
+    assert crop is not None
+    assert (crop.x1 - crop.x0) * (crop.y1 - crop.y0) < 0.6 * frame.depth.size
+    best = estimates[0]
+    assert best.usable
+    error = inverse(X_hand_face) @ inverse(X_camera_hand) @ best.X_camera_ee
+    assert np.linalg.norm(error[:3, 3]) < 5e-3
+    assert error[2, 2] > np.cos(np.deg2rad(5.0)), "the face's normal"
+
+
+def test_the_region_is_as_wide_as_the_calibration_is_uncertain() -> None:
+    X_hand_ee = transform(p=[0.08, 0.0, 0.2])
+    station = StationConfig()
+    exact = held_region(station, X_hand_ee, MAX_DISPLACEMENT)
+    measured = replace(SIMULATED_CALIBRATION, residual=0.0025)
+    lab = held_region(replace(station, calibration=measured), X_hand_ee, MAX_DISPLACEMENT)
+    assert lab.radius - exact.radius == pytest.approx(POSE_ERRORS * 0.0025)
+    np.testing.assert_array_equal(lab.points, exact.points)
+    assert exact.radius > MAX_DISPLACEMENT + station.tool_envelope.head_radius - 1e-9
+    for point in (X_hand_ee[:3, 3], np.zeros(3)):
+        assert np.linalg.norm(exact.points - point, axis=1).min() < 1e-9, "face and hand"
