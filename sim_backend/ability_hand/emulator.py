@@ -55,7 +55,16 @@ class AbilityEmulator(HandEmulator[Hand]):
         self.tell(feel)
 
     def happen(self, event: str, motor: int | None, *words: str) -> None:
-        """Let a motor or the palm get hot, let one jam or come free, or take the pads away."""
+        """Let a motor or the palm get hot, let one jam or come free, or take the pads away.
+
+        Args:
+            event: Its first word, one of `events`.
+            motor: The motor that it names; None without one.
+            words: What follows.
+
+        Raises:
+            ValueError: There is no such event, or a word is wrong.
+        """
         if event == "heat" and len(words) == 1:
             degrees = float(words[0])
             self.tell(lambda hand: hand.heat(degrees) if motor is None else _heat(hand, motor, degrees))

@@ -40,6 +40,7 @@ class Motor:
         barred: Direction in which it may not go on, 1 closing, -1 opening; 0 for none.
         ratchets: Probability that opening after a grasp is taken for a collision.
         chance: Draws that.
+        velocity: How fast it moves, positive closing [deg/s].
     """
 
     fastest: float

@@ -55,7 +55,16 @@ class InspireEmulator(HandEmulator[Hand]):
         self.tell(feel)
 
     def happen(self, event: str, motor: int | None, *words: str) -> None:
-        """Let a motor get hot, jam, or come free."""
+        """Let a motor get hot, jam, or come free.
+
+        Args:
+            event: Its first word, one of `events`.
+            motor: The motor that it names; None without one.
+            words: What follows.
+
+        Raises:
+            ValueError: There is no such event, or a word is wrong.
+        """
         if motor is None or event not in ("heat", "jam", "free") or len(words) != (event == "heat"):
             raise ValueError(event)
 

@@ -15,7 +15,7 @@ from toolee_robot.faults.record import FaultRow, Phase
 from toolee_robot.faults.rigs.hand_rig import HANDS, DriverHand, HandKind
 from toolee_robot.faults.rigs.job_rig import Bench
 from toolee_robot.faults.rows.job import job_row
-from toolee_robot.faults.rows.job_fault import IN_STRIKE, Braking, JobFault
+from toolee_robot.faults.rows.job_fault import IN_STRIKE, Braking, JobFault, Scene
 from toolee_robot.sim_backend.hand_wire import HandEmulator, LineFault, happen
 from toolee_robot.tasks.common.outcome import Outcome, Stage
 
@@ -29,6 +29,8 @@ RETREATS = "brakes on the path, aborts, asks the person, then retreats"
 GOES_ON = "asks again, the job goes on"
 BEFORE = 0.3
 """Time before the contact at which a fault of the strike happens [s]."""
+SEEN_TIME = 0.5
+"""Time from a fault at rest until the job goes on [s]."""
 
 Event = Callable[[HandEmulator[Any], HandKind], object]
 
@@ -156,8 +158,10 @@ def _holds(hand: DriverHand) -> bool:
 
 
 def _job_fault(fault: HandFault, hand: DriverHand) -> JobFault:
-    def inject(_scene: object) -> None:
+    def inject(scene: Scene) -> None:
         fault.event(hand.emulator, hand.kind)
+        if fault.when == RUN_UP:
+            scene.bench.sim.world.advance(SEEN_TIME)
 
     last: str | None = _LAST[fault.when]
     if fault.outcome is WENT_ON:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -44,7 +45,7 @@ class HandLine:
     Every command is answered, and the answer is its acknowledgement: a damaged command gets none. A reply does not say
     which command it answers, but its kind, and there are two kinds of commands. So a late reply is never taken for
     newer than it is: while that to a command of one kind may still come, the other kind is used, and if both may, a
-    reply counts as the one to the oldest.
+    reply counts as the one to the oldest, and for nothing if a newer one was there already.
 
     Args:
         port: The serial port.
@@ -64,6 +65,7 @@ class HandLine:
         self._reader = FrameReader()
         self._doubted: dict[Header, deque[tuple[float, float]]] = {header: deque() for header in Header}
         self._turn, self._known = False, False
+        self._newest = -math.inf
         self._port = SerialPort(port, BAUD_RATE, ANSWER_TIME)
 
     def __enter__(self) -> Self:
@@ -120,7 +122,8 @@ class HandLine:
             end = time.monotonic() + ANSWER_TIME
             while time.monotonic() < end:
                 reply = self._take(self._port.receive(), header)
-                if reply is not None:
+                if reply is not None and stamp >= self._newest:
+                    self._newest = stamp
                     return Answer(stamp, reply)
         doubted.append((sent, now))
         self.counts.unanswered += 1
@@ -142,7 +145,8 @@ class HandLine:
         )
         self._turn = not self._turn
         first, second = kinds if self._turn else kinds[::-1]
-        return second if self._doubted[first] and not self._doubted[second] else first
+        since = [self._doubted[kind][0][0] if self._doubted[kind] else math.inf for kind in (first, second)]
+        return first if since[0] >= since[1] else second
 
     def _take(self, data: bytes, header: Header) -> Reply | None:
         """The first reply of a kind in what has come."""
