@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -77,9 +78,13 @@ def test_without_the_watch_of_the_hand(bench: Bench, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.nightly
 def test_a_hand_that_lets_go(bench: Bench) -> None:
-    def let_go(emulator: object, _kind: HandKind) -> None:
-        emulator.hold(None)  # type: ignore[attr-defined]
-        emulator.tell(lambda hand: [setattr(m, "position", 0.0) for m in hand.motors])  # type: ignore[attr-defined]
+    def let_go(emulator: Any, _kind: HandKind) -> None:
+        def open_at_once(hand: Any) -> None:
+            for motor in hand.motors:
+                motor.position = 0.0
+
+        emulator.hold(None)
+        emulator.tell(open_at_once)
 
     fault = replace(_fault("hand too hot", Phase.REST), event=let_go)
     _not_handled(hand_row(fault, HANDS[1], bench), "the emulated hand let go")

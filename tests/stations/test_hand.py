@@ -28,7 +28,8 @@ def test_a_labs_own_driver_is_found_by_its_entry_point(tmp_path: Path, monkeypat
     with raises(ConfigError, "config.hand_driver"):
         open_hand(HandConfig("shadow_right", port="here"), HostClock())
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
-    assert open_hand(HandConfig("shadow_right", port="here"), HostClock()) == (HANDS["shadow_right"], "here")
+    ours: object = open_hand(HandConfig("shadow_right", port="here"), HostClock())
+    assert ours == (HANDS["shadow_right"], "here")
     drivers = hand_drivers()
     assert drivers["shadow_right"] == "our_lab_hands:open_ours"
     assert drivers["inspire_rh56"] == drivers["ability_hand"] == drivers["mount"] == "toolee_robot", "ours stays ours"

@@ -32,8 +32,7 @@ class SerialHandKind:
 
     Attributes:
         driver: Builds the driver from model, port, clock, and number of the hand.
-        emulator: Builds the emulated hand with that number, a seed of its noise, and the rate of its motors' time against
-            the host's.
+        emulator: Builds the emulated hand with that number, a seed of its noise, and the rate of its motors' time.
         joints: Converts the emulated motors' angles to the positions of the model's joints [rad].
         hand_id: Number with which its maker delivers it.
     """
