@@ -182,6 +182,25 @@ def test_a_robots_station_file_without_a_measured_field_is_refused_by_its_name(
     assert f"give {section}.{name}" in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("section", "name", "value", "unit"),
+    [
+        ("camera", "position", [950.0, -620.0, 850.0], "millimetres"),
+        ("work", "nail_diameter", 2.2, "millimetres"),
+        ("scene", "home", [0.0, -90.0, 90.0, -90.0, -90.0, 0.0], "degrees"),
+    ],
+)
+def test_a_size_in_another_unit_is_noticed(tmp_path: Path, section: str, name: str, value: Any, unit: str) -> None:
+    data = _documented_station()
+    data[section][name] = value
+    path = tmp_path / "lab.yaml"
+    path.write_text(yaml.safe_dump(data))
+    with raises(ConfigError, "config.unit") as caught:
+        load_lab_station(path)
+    assert f"{section}.{name}" in str(caught.value)
+    assert f"looks like {unit}" in str(caught.value)
+
+
 def test_a_calibration_by_another_program_is_written_into_the_file(tmp_path: Path) -> None:
     data = _documented_station()
     told = {"measured_on": "2026-11-20", "robot_serial": "20185500001", "camera_serial": "17", "residual": 0.0012}

@@ -61,12 +61,13 @@ def test_a_hand_is_asked_how_it_is_screwed_on_and_what_it_weighs() -> None:
         ("work.stand_height", "200", "user.answer_unit", "millimetres"),
         ("scene.home", "0 -90 90 -90 -90 0", "user.answer_unit", "degrees"),
         ("tool.mass", "500", "user.answer_unit", "grams"),
-        ("camera.position", "0.95 -0.62", "user.answer", "field required"),
+        ("work.nail_diameter", "2.2", "user.answer_unit", "millimetres"),
+        ("camera.position", "0.95 -0.62", "user.answer", "3 numbers are needed, 2 were given"),
         ("work.nail_diameter", "-0.002", "user.answer", "greater than 0"),
-        ("work.nail_diameter", "two", "user.answer", "numbers"),
+        ("work.nail_diameter", "two", "user.answer", "a number is needed"),
         ("frame", "base", "user.answer", "pendant_base"),
         ("person.door_closed_input", "18", "user.answer", "17"),
-        ("person.door_closed_input", "none", "user.answer", "numbers"),
+        ("person.door_closed_input", "none", "user.answer", "a number is needed"),
     ],
 )
 def test_an_answer_that_cannot_be_is_asked_again(name: str, answer: str, code: str, words: str) -> None:
@@ -74,6 +75,12 @@ def test_an_answer_that_cannot_be_is_asked_again(name: str, answer: str, code: s
     with raises(UserError, code) as caught:
         question.parse(answer)
     assert words in str(caught.value)
+
+
+def test_a_list_may_be_copied_from_a_file() -> None:
+    question = next(q for q in questions({}) if q.name == "scene.home")
+    assert question.form == "6 numbers"
+    assert question.parse("[0.0, -1.9, 1.9, -1.57, -1.57, 0.0]") == [0.0, -1.9, 1.9, -1.57, -1.57, 0.0]
 
 
 def test_a_contact_that_is_not_there_is_none() -> None:

@@ -49,6 +49,23 @@ def test_what_is_missing_is_named(config: StationConfig, field: str) -> None:
         check_purpose(lacking, Purpose.CALIBRATION)
 
 
+def test_an_old_calibration_and_one_of_another_camera_are_refused_before_anything_is_opened(
+    config: StationConfig,
+) -> None:
+    assert config.calibration is not None
+    changes: tuple[tuple[dict[str, Any], str], ...] = (
+        ({"measured_on": "2026-01-02", "valid_days": 30.0}, "days old, 30 are allowed: calibrate again"),
+        ({"camera_serial": "17"}, "832112070123"),
+        ({"residual": 0.02}, "its residual is 20.0 mm"),
+    )
+    for changed, words in changes:
+        other = replace(config, calibration=replace(config.calibration, **changed))
+        with raises(ConfigError, "config.calibration") as caught:
+            LabStation(other, print)
+        assert words in str(caught.value)
+        check_purpose(other, Purpose.CALIBRATION)
+
+
 @pytest.mark.parametrize("purpose", list(Purpose))
 def test_a_recording_is_no_camera_of_a_station(config: StationConfig, purpose: Purpose) -> None:
     with raises(ConfigError, "config.recorded_camera"):

@@ -55,7 +55,8 @@ def read_signed(path: Path, kind: type[T], what: str) -> T:
     try:
         data = json.loads(path.read_text())
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ConfigError(f"cannot read the {what} {path}: {error}", code="config.unreadable") from error
+        message = f"cannot read the {what} {path} that `toolee calibrate` writes: {error}"
+        raise ConfigError(message, code="config.unreadable") from error
     if not isinstance(data, dict) or SIGNATURE not in data:
         raise ConfigError(f"{path} is no {what}: name a file that `toolee calibrate` wrote", code="config.invalid")
     signature = data.pop(SIGNATURE)

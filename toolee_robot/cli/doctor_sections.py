@@ -62,20 +62,17 @@ class DoctorReport:
     _camera_serial: str | None = field(default=None, init=False)
 
     def sections(self) -> Iterator[Section]:
-        """Run the checks and yield the findings, section by section, the robot first."""
-        yield from self._simulated() if self.host is None else self._controller(self.host)
+        """Run the checks and yield the findings, section by section: the file first, which needs no device."""
         config = self.config
         with self.doing("planning"):
-            findings = [
-                check_calibration(config, self._robot_serial, self._camera_serial, date.today()),
-                *check_limits(config),
-                *check_reach(config),
-            ]
+            findings = [*check_limits(config), *check_reach(config)]
             if config.camera.device is not None:
                 findings.append(check_range(config))
             if self.host is not None and not self.with_world:
                 findings.insert(0, check_measured(self.path, is_loopback(self.host)))
         yield "Station file", findings
+        yield from self._simulated() if self.host is None else self._controller(self.host)
+        yield "Calibration", [check_calibration(config, self._robot_serial, self._camera_serial, date.today())]
         with self.doing("loading the networks, trying the clock"):
             findings = [check_weights(), check_disk(self.out), *check_processor()]
             if self._rate is not None:

@@ -7,7 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from toolee_robot.config.field_docs import field_docs
 from toolee_robot.config.station import StationConfig, read_station, to_station
+from toolee_robot.config.units import wrong_unit
 from toolee_robot.errors import ConfigError
 from toolee_robot.types import MOUNT
 
@@ -68,7 +70,8 @@ def load_lab_station(path: Path) -> StationConfig:
         The validated configuration, its positions in `base`; its calibration is None where the file gives none.
 
     Raises:
-        ConfigError: As `load_station`, or the file leaves out what must be measured; the message names it.
+        ConfigError: As `load_station`, or the file leaves out what must be measured (`config.unmeasured`), or gives a
+            size in another unit (`config.unit`); the message names it.
     """
     data = read_station(path)
     config = to_station(data, path)
@@ -78,7 +81,21 @@ def load_lab_station(path: Path) -> StationConfig:
             f"measure and give {', '.join(missing)}",
             code="config.unmeasured",
         )
+    _check_units(config, path)
     return config if data.get("calibration") else replace(config, calibration=None)
+
+
+def _check_units(config: StationConfig, path: Path) -> None:
+    """Refuse sizes that are in another unit, such as a camera at 950 m."""
+    records = [(name, getattr(config, name)) for name in (*MEASURED, "tool") if getattr(config, name) is not None]
+    wrong = [
+        f"{section}.{name}: {text}"
+        for section, record in records
+        for name, description in field_docs(type(record)).items()
+        if (text := wrong_unit(name, description, getattr(record, name)))
+    ]
+    if wrong:
+        raise ConfigError(f"{path}: {'; '.join(wrong)}", code="config.unit")
 
 
 def _missing(data: Any) -> list[str]:

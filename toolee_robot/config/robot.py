@@ -51,7 +51,8 @@ class HandConfig:
 
     __pydantic_config__ = STRICT
     model: str = "shadow_right"
-    """Name of the hand, one of `toolee_robot.robots.HANDS`; `mount` for a tool mount without a hand."""
+    """Name of the hand, one of those that `toolee devices list` prints or `shadow_right`, which is simulated only;
+    `mount` for a tool mount without a hand."""
     yield_torque: Positive | None = None
     """Torque at which the wrist or the mount gives way in a strike [Nm]; null for the hand's own. A mount needs it."""
     weighed: HandWeight | None = None

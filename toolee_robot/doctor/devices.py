@@ -77,6 +77,8 @@ def check_hand(hand: Hand, config: StationConfig) -> Finding:
     if hottest is not None and hottest > config.supervisor.max_hand_temperature:
         most = config.supervisor.max_hand_temperature
         return fail("hand", f"{hottest:.0f} °C, {most:.0f} °C are allowed", "let it cool down")
+    if robot.description.hand.clamps and not state.holding:
+        return ok("hand", "a tool mount, which has no sensors: look that it is empty")
     if state.holding:
         return warn("hand", "it holds something", "take it out: a job begins with an empty hand")
     warmth = "" if hottest is None else f", {hottest:.0f} °C"

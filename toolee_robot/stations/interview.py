@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from typing import Any, get_args, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints
 
-import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from toolee_robot.config import (
@@ -24,6 +23,7 @@ from toolee_robot.config import (
     WorkConfig,
 )
 from toolee_robot.config.field_docs import field_docs
+from toolee_robot.config.units import wrong_unit
 from toolee_robot.errors import UserError
 from toolee_robot.frames import BaseFrame
 from toolee_robot.robots import HANDS, MOUNT
@@ -36,7 +36,6 @@ NONE = "none"
 """The answer of a lab that has no such thing."""
 INTRINSICS = ("fx", "fy", "cx", "cy", "width", "height")
 """Fields of `camera` that its driver tells, where it is connected."""
-_LARGEST = {"[m]": (10.0, "millimetres"), "[rad]": (2.0 * np.pi, "degrees"), "[kg]": (50.0, "grams")}
 _DEVICE = ("driver", "serial", "least_range")
 
 
@@ -67,7 +66,7 @@ class Question:
         """Convert an answer.
 
         Args:
-            answer: What was typed: a number, several with spaces or commas between, or a text.
+            answer: What was typed: a number, several with spaces or commas between, in brackets or not, or a text.
 
         Returns:
             The value as the file holds it.
@@ -75,7 +74,7 @@ class Question:
         Raises:
             UserError: It is none for this field (`user.answer`); the message says why.
         """
-        answer = answer.strip()
+        answer = answer.strip().strip("[]()").strip()
         if self.optional and answer.lower() == NONE:
             return None
         if self.choices and answer not in self.choices:
@@ -84,22 +83,28 @@ class Question:
         hint = str(self.hint)
         value: Any = answer
         try:
-            if "tuple" in hint:
+            if numbers := _count(self.hint):
                 value = tuple(float(part) for part in parts)
+                if len(value) != numbers:
+                    raise UserError(f"{numbers} numbers are needed, {len(value)} were given", code="user.answer")
             elif not self.choices and "str" not in hint:
                 value = float(answer)
                 value = int(value) if value.is_integer() else value
             TypeAdapter(self.hint).validate_python(value)
         except (ValueError, ValidationError) as error:
             raise UserError(f"{answer!r} does not fit: {_why(error)}", code="user.answer") from error
-        self._check_unit(value)
+        if wrong := wrong_unit(self.path[-1], self.text, value):
+            raise UserError(wrong, code="user.answer_unit")
         return list(value) if isinstance(value, tuple) else value
 
-    def _check_unit(self, value: Any) -> None:
-        for unit, (largest, other) in _LARGEST.items():
-            if unit in self.text and not isinstance(value, str) and max(map(abs, np.atleast_1d(value))) > largest:
-                message = f"{value} is no size in {unit}: that looks like {other}"
-                raise UserError(message, code="user.answer_unit")
+    @property
+    def form(self) -> str:
+        """How an answer is written; empty where that needs no words."""
+        if self.choices:
+            return ", ".join(self.choices)
+        if numbers := _count(self.hint):
+            return f"{numbers} numbers"
+        return ""
 
 
 def questions(data: dict[str, Any]) -> Iterator[Question]:
@@ -180,7 +185,12 @@ def _of(record: type[Any], path: tuple[str, ...], names: Any) -> Iterator[Questi
         yield Question((*path, name), hints[name], docs[name])
 
 
+def _count(hint: Any) -> int:
+    """How many numbers a field holds; 0 for a single value."""
+    return len(get_args(hint)) if get_origin(hint) is tuple else 0
+
+
 def _why(error: ValueError | ValidationError) -> str:
     if isinstance(error, ValidationError):
         return "; ".join(e["msg"].lower() for e in error.errors())
-    return "give numbers, with spaces between them"
+    return "a number is needed"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from datetime import date
 from enum import StrEnum
 from typing import Any, Self
 
@@ -16,6 +17,7 @@ from toolee_robot.errors import ConfigError
 from toolee_robot.hal import Station
 from toolee_robot.hardware.cameras import CameraStream
 from toolee_robot.hardware.operator.digital_inputs import open_person
+from toolee_robot.robots import MOUNT
 from toolee_robot.runtime.clock import HostClock
 from toolee_robot.stations.camera import RECORDED, open_camera
 from toolee_robot.stations.hand import SERIAL_HANDS, open_hand
@@ -37,6 +39,7 @@ class LabStation:
         tell: Shows a prompt to the person at the station.
         purpose: What the devices are for.
         real_time_factor: Rate of the station's time relative to wall-clock time: 1, but for emulated devices.
+        doing: Told what is connected to.
         stream: Stream of the camera instead of the one that the station file names, for an emulated camera.
 
     Attributes:
@@ -55,10 +58,12 @@ class LabStation:
         *,
         purpose: Purpose = Purpose.JOB,
         real_time_factor: float = 1.0,
+        doing: Callable[[str], object] = lambda _: None,
         stream: CameraStream | None = None,
     ) -> None:
         check_purpose(config, purpose)
         self.config, self._tell, self._factor, self._stream = config, tell, real_time_factor, stream
+        self._doing = doing
         self._stack = ExitStack()
 
     @property
@@ -77,9 +82,15 @@ class LabStation:
         """
         config, clock = self.config, HostClock(self._factor)
         assert config.arm.host is not None, "checked at the construction"
+        device = config.camera.device
+        assert device is not None, "checked at the construction"
         with ExitStack() as stack:
+            self._doing(f"connecting to the camera {device.serial} ({device.driver})")
             camera = stack.enter_context(open_camera(config.camera, clock, stream=self._stream))
+            if config.hand.model != MOUNT:
+                self._doing(f"connecting to the hand at {config.hand.port}")
             hand = stack.enter_context(open_hand(config.hand, clock))
+            self._doing(f"connecting to the {config.arm.model} at {config.arm.host}")
             arm = stack.enter_context(ur_driver(config, config.arm.host, real_time_factor=self._factor))
             person = stack.enter_context(open_person(config, arm, clock, self._tell))
             self.station = Station(arm, hand, camera, person, clock, arm.serial or "", camera.profile.serial)
@@ -99,7 +110,8 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
 
     Raises:
         ConfigError: A field is missing (`config.station_lacks`), and the message names every one, such as `arm.host`;
-            or the camera is a recording (`config.recorded_camera`).
+            or the camera is a recording (`config.recorded_camera`); or, for a job, the calibration is too old or of
+            another camera than the file's (`config.calibration`).
     """
     wanted: dict[str, object] = {
         "arm.host": config.arm.host,
@@ -118,8 +130,17 @@ def check_purpose(config: StationConfig, purpose: Purpose = Purpose.JOB) -> None
             f"the station file lacks what {purpose} needs: give {', '.join(missing)}; docs/how-to/run_a_job.md",
             code="config.station_lacks",
         )
-    if config.camera.device is not None and config.camera.device.driver == RECORDED:
+    device, calibration = config.camera.device, config.calibration
+    assert device is not None, "checked above"
+    if device.driver == RECORDED:
         raise ConfigError(
             f"camera.device.driver {RECORDED!r}: a recording does not see {purpose}; name the camera itself",
             code="config.recorded_camera",
         )
+    if purpose is Purpose.JOB and calibration is not None:
+        # What the file alone tells; the task asks the devices themselves.
+        problems = calibration.problems(calibration.robot_serial, device.serial, date.today())
+        if problems:
+            raise ConfigError(
+                f"the camera's calibration does not hold: {'; '.join(problems)}", code="config.calibration"
+            )

@@ -75,7 +75,7 @@ def test_the_ability_hand_holds_by_contact_too() -> None:
         assert state.holding
         assert state.assisted
         truth = driven.simulation.world.robot.hand_state()[0]
-        assert np.median(np.abs(truth - state.joints.q)[:8:2]) < 0.15, (
+        assert np.median(np.abs(truth - state.joints.q)[:8:2]) < 0.1, (
             "the simulated knuckles are where the driver's are"
         )
 

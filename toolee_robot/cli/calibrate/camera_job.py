@@ -90,7 +90,10 @@ class CameraJob:
         board = self._printed(distance, mass, seed, "Rehearsal, every device emulated")
         options = SimOptions(hands_over=False, boards=(board.placed,))
         cell = Cell(board.true, board.measured, draw_handover(seed, options)[0], options, seed)
-        with EmulatedLab(cell, self._prompt, factor, "harsh", Purpose.CALIBRATION) as lab:
+        with (
+            EmulatedLab(cell, self._prompt, factor, "harsh", Purpose.CALIBRATION, self._doing) as lab,
+            lab.blaming_the_machine(),
+        ):
             calibration = self._collect(folder, lab.station, board.measured, board.plate, board.bars, poses, seed)
         self._true_error(calibration)
 
@@ -112,15 +115,15 @@ class CameraJob:
         """
         plate = Plate(SHEETS[self.sheet].board.measured(*bars), distance, mass)
         config = plate.station(replace(self.config, camera=self.config.camera.uncalibrated))
-        with LabStation(config, self._prompt, purpose=Purpose.CALIBRATION) as lab:
+        with LabStation(config, self._prompt, purpose=Purpose.CALIBRATION, doing=self._doing) as lab:
             self._collect(folder, lab.station, config, plate, bars, poses, seed)
 
     def _printed(self, distance: float, mass: float, seed: int, what: str) -> SimulatedBoard:
         lab = simulated_board(self.config, SHEETS[self.sheet], distance, mass, seed)
         x, y = lab.bars
         self.console.print(
-            f"[bold]{what}[/bold]  [dim]seed {seed}[/dim]\n  the print's bars measure {x * 1e3:.1f} and "
-            f"{y * 1e3:.1f} mm: squares of {lab.plate.board.square * 1e3:.2f} mm"
+            f"[bold]{what}[/bold]  [dim]seed {seed}[/dim]\n  the bars of the simulated print, whose scale is drawn, "
+            f"measure {x * 1e3:.1f} and {y * 1e3:.1f} mm: squares of {lab.plate.board.square * 1e3:.2f} mm"
         )
         return lab
 
@@ -153,6 +156,9 @@ class CameraJob:
         truth = self.config.camera.uncalibrated.X_base_camera
         off = (calibration.X_base_camera - truth) @ [*calibration.target, 1.0]
         self.figures["true_error_mm"] = round(float(np.linalg.norm(off)) * 1e3, 3)
+
+    def _doing(self, text: str) -> None:
+        self.console.print(f"[dim]{escape(text)}[/dim]", soft_wrap=True)
 
     def _prompt(self, text: str) -> None:
         self.console.print(f"  [bold yellow]> {escape(text)}[/bold yellow]", soft_wrap=True)

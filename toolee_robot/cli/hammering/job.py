@@ -129,7 +129,9 @@ class HammerJob:
         with (
             nullcontext() if self.source.real_time_factor is None else LatencyMonitor() as machine,
             self._page(console) as page,
-            self.source.open(lambda text: _prompt(text, screen, page)) as opened,
+            self.source.open(
+                lambda text: _prompt(text, screen, page), lambda text: console.print(f"[dim]{escape(text)}[/dim]")
+            ) as opened,
             RunRecorder(folder / "recording.mcap", metadata) as recorder,
         ):
             console.print(f"[bold]{escape(opened.words)}[/bold]  [dim]{escape(self._mode())}[/dim]")

@@ -63,11 +63,12 @@ class Source(Protocol):
     def facts(self) -> Mapping[str, Any]:
         """What identifies the run, for its records."""
 
-    def open(self, tell: Tell) -> AbstractContextManager[Opened]:
+    def open(self, tell: Tell, doing: Tell) -> AbstractContextManager[Opened]:
         """Open the devices.
 
         Args:
             tell: Shows a prompt to the person at the station.
+            doing: Told what is connected to.
 
         Returns:
             The context in which they are open.
@@ -122,7 +123,7 @@ class SimulatedSource:
         }
 
     @contextmanager
-    def open(self, tell: Tell) -> Iterator[Opened]:  # noqa: ARG002  (the simulated person needs no prompts)
+    def open(self, tell: Tell, doing: Tell) -> Iterator[Opened]:  # noqa: ARG002  (a simulation needs neither)
         """See `Source`."""
         with open_station(self.config, self.seed, SimOptions(gui=self.gui), self.stand_in, self.hand_driver) as sim:
             grasp = nominal_grasp(sim.tool, self.config)
@@ -172,12 +173,12 @@ class RehearsalSource:
         }
 
     @contextmanager
-    def open(self, tell: Tell) -> Iterator[Opened]:
+    def open(self, tell: Tell, doing: Tell) -> Iterator[Opened]:
         """See `Source`."""
         cell = job_cell(self.config, self.station_file, self.seed)
         config, tool = cell.measured, cell.tool
         assert config.tool is not None
-        with EmulatedLab(cell, tell, self.factor, self.profile) as lab:
+        with EmulatedLab(cell, tell, self.factor, self.profile, doing=doing) as lab:
             grasp = measured_grasp(config.tool, config)
             yield Opened(lab.station, config, grasp, tool.name, _words(tool), lab.judge)
 
@@ -210,9 +211,10 @@ class LabSource:
         return {"source": "lab", "seed": None, "arm": "ur-rtde", "controller_profile": None, "hand_driver": True}
 
     @contextmanager
-    def open(self, tell: Tell) -> Iterator[Opened]:
+    def open(self, tell: Tell, doing: Tell) -> Iterator[Opened]:
         """See `Source`."""
-        with LabStation(self.config, tell) as lab:
+        doing(f"this moves a real {self.config.arm.model}; --rehearse moves none")
+        with LabStation(self.config, tell, doing=doing) as lab:
             tool = lab.tool
             words = f"{tool.name.capitalize()}, {tool.mass:.2f} kg"
             yield Opened(lab.station, self.config, measured_grasp(tool, self.config), tool.name, words, None)

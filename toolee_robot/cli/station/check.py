@@ -32,5 +32,5 @@ class Check:
         from toolee_robot.stations.lab import check_purpose
 
         check_purpose(config)
-        Console(stderr=self.json, highlight=False).print("The file gives everything that a job needs.")
+        Console(stderr=self.json, highlight=False).print("Nothing is missing in the file. Whether it is right:")
         return Doctor(arm="ur-rtde", robot_host=config.arm.host, config=self.file, json=self.json).run()

@@ -54,7 +54,11 @@ class New:
         if left:
             console.print(f"Still open: {', '.join(left)}. `toolee station new {self.file}` asks for them again.")
             return 1
-        console.print(f"Next: `toolee station show {self.file}`, then `toolee calibrate camera --station {self.file}`.")
+        console.print(
+            f"Next: `toolee station show {self.file}`, then rehearse, which moves nothing: "
+            f"`toolee calibrate camera --station {self.file} --rehearse --write`.",
+            soft_wrap=True,
+        )
         return 0
 
 
@@ -82,7 +86,7 @@ def _interview(data: dict[str, Any], console: Console) -> None:
 
 
 def _ask(question: Question, console: Console) -> str:
-    more = f" [dim]({', '.join(question.choices)})[/dim]" if question.choices else ""
+    more = f" [dim]({question.form})[/dim]" if question.form else ""
     none = " [dim](or: none)[/dim]" if question.optional else ""
     console.print(f"  [cyan]{question.name}[/cyan]  {escape(question.text)}{more}{none}", soft_wrap=True)
     if not sys.stdin.isatty():  # no echo: show what was read

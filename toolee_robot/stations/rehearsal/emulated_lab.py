@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import socket
 import sys
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from toolee_robot.config import HandConfig, StationConfig
 from toolee_robot.control import RobotModel
-from toolee_robot.errors import ConfigError, UserError
+from toolee_robot.errors import ConfigError, StaleDataError, UserError
 from toolee_robot.hal import Station
 from toolee_robot.robots import MOUNT
 from toolee_robot.runtime.clock import HostClock
@@ -59,6 +59,7 @@ class EmulatedLab:
         real_time_factor: Rate of the station's time relative to wall-clock time.
         profile: How the arm's controller follows, measures and stops.
         purpose: What the devices are for.
+        doing: Told what is connected to.
 
     Attributes:
         station: The devices; set inside the block.
@@ -77,6 +78,7 @@ class EmulatedLab:
         real_time_factor: float,
         profile: ProfileName,
         purpose: Purpose = Purpose.JOB,
+        doing: Callable[[str], object] = lambda _: None,
     ) -> None:
         LabStation(cell.measured, tell, purpose=purpose)  # refuses what is missing
         hand = cell.measured.hand.model
@@ -86,7 +88,7 @@ class EmulatedLab:
                 f"{', '.join(SERIAL_HANDS)}, and a {MOUNT} needs none",
                 code="config.no_emulator",
             )
-        self._cell, self._tell, self._purpose = cell, tell, purpose
+        self._cell, self._tell, self._purpose, self._doing = cell, tell, purpose, doing
         self._clock, self._host = HostClock(real_time_factor), _free_address()
         self._world = RemoteWorld(cell.true, cell.seed, cell.options, self._host, self._clock, profile)
         self.judge = RemoteJudge(self._world)
@@ -101,10 +103,11 @@ class EmulatedLab:
         """
         cell, clock, world = self._cell, self._clock, self._world
         config = cell.measured
-        with ExitStack() as stack:
+        with self.blaming_the_machine(), ExitStack() as stack:
             stack.callback(sys.setswitchinterval, sys.getswitchinterval())
             sys.setswitchinterval(SWITCH_INTERVAL)
             stack.enter_context(CpuKeepalive())
+            self._doing(f"starting the simulated cell behind a controller at {self._host}")
             stack.enter_context(world)
             self._set_up_robot()
             hand = self._emulated_hand(stack)
@@ -125,6 +128,7 @@ class EmulatedLab:
                     self._tell,
                     purpose=self._purpose,
                     real_time_factor=clock.real_time_factor,
+                    doing=self._doing,
                     stream=stream,
                 )
             )
@@ -138,6 +142,22 @@ class EmulatedLab:
 
     def __exit__(self, *error: Any) -> None:
         self._stack.__exit__(*error)
+
+    @contextmanager
+    def blaming_the_machine(self) -> Iterator[None]:
+        """Context in which a device whose data are too old is said to be an emulated one, which a busy machine delays.
+
+        Raises:
+            StaleDataError: As was raised inside, with that advice.
+        """
+        try:
+            yield
+        except StaleDataError as error:
+            raise StaleDataError(
+                f"{error}. In a rehearsal every device is emulated: this machine was too busy; end other programs, or "
+                f"give a --real-time-factor under {self._clock.real_time_factor:g}",
+                code=error.code,
+            ) from error
 
     def _set_up_robot(self) -> None:
         """Set the robot up as at the pendant: the payload that was weighed, and the serial number that is known."""

@@ -93,6 +93,7 @@ def test_a_hand_that_does_not_answer_is_asked_a_bounded_number_of_times(emulator
 RATES = {LineFault.GARBAGE: 0.05, LineFault.CORRUPT: 0.03, LineFault.DOUBLED: 0.05, LineFault.FOREIGN: 0.05}
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("duration", "rates"),
     [(1.5, {}), (1.5, RATES), pytest.param(600.0, {}, marks=pytest.mark.nightly)],
@@ -123,4 +124,4 @@ def test_polling_loses_no_reply_and_no_memory(
     assert grown < 200_000
     if not rates:
         assert hand.line_counts.corrupt == 0
-        assert lost < 0.2 * readings, "what a busy machine holds up for 30 ms"
+        assert lost <= 0.02 * readings, "what the machine holds up for 30 ms"
