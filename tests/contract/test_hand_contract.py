@@ -43,12 +43,14 @@ class Rig(ABC):
 
     Attributes:
         senses: Whether it can tell what it holds, and when it is silent.
+        rest: Time until its fingers stand after a stop [s].
     """
 
     hand: Hand
     model: HandModel
     clock: Clock
     senses = True
+    rest = 0.1
 
     @abstractmethod
     def give(self) -> None:
@@ -117,6 +119,8 @@ class InspireRig(Rig):
 
 class AbilityRig(Rig):
     """The Ability Hand's driver on the emulated hand."""
+
+    rest = 0.4  # its motors approach their targets with a time constant of 67 ms
 
     def __init__(self, emulator: AbilityEmulator) -> None:
         self._emulator = emulator
@@ -266,7 +270,7 @@ def test_it_is_watched_and_stopped_by_other_threads_while_it_closes(rig: Rig) ->
         hand.stop()
         with raises(DeviceError, "device.stopped"):
             closing.result(2.0)
-        time.sleep(0.1)
+        time.sleep(rig.rest)
         stands = state(rig).joints.q
         time.sleep(0.1)
         np.testing.assert_allclose(state(rig).joints.q, stands, atol=2e-3)
