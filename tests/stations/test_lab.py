@@ -101,7 +101,6 @@ def test_the_rehearsed_cell_is_off_by_what_a_person_measures(config: StationConf
 
 
 @pytest.mark.realtime
-@pytest.mark.sim(seconds=20)
 def test_every_device_is_its_driver_and_answers_over_its_wire(config: StationConfig) -> None:
     cell = job_cell(config, LAB, 7401)
     prompts: list[str] = []
@@ -128,7 +127,6 @@ def test_every_device_is_its_driver_and_answers_over_its_wire(config: StationCon
 
 
 @pytest.mark.realtime
-@pytest.mark.sim(seconds=20)
 @pytest.mark.parametrize(("name", "driver"), [("inspire", InspireHand), ("ability", AbilityHand)])
 def test_the_emulated_fingers_hold_what_the_person_puts_between_them(
     config: StationConfig, name: str, driver: type[Any]

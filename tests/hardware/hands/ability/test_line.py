@@ -93,7 +93,6 @@ def test_a_hand_that_does_not_answer_is_asked_a_bounded_number_of_times(emulator
 RATES = {LineFault.GARBAGE: 0.05, LineFault.CORRUPT: 0.03, LineFault.DOUBLED: 0.05, LineFault.FOREIGN: 0.05}
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("duration", "rates"),
     [(1.5, {}), (1.5, RATES), pytest.param(600.0, {}, marks=pytest.mark.nightly)],
