@@ -34,6 +34,10 @@ USED_ACCELERATION, USED_JERK = 0.98, 0.97
 """Shares of the limits that are used, since the bounds change within a step."""
 MIN_SHARE = 0.1
 """Least share of the limits that is used for braking, so that a stop ends even on a trajectory that violates them."""
+OWN_SHARE = 0.9
+"""Share of the trajectory's own deceleration that a stop may use whatever the torques permit. The planner has judged
+that deceleration; with none of it a stop that began before it took up to a fifth longer than the trajectory (0.4 % of
+random motions), with all of it one in 5,000 took 4 % of a joint's torque more."""
 STILL = 1e-6
 """Speed along the path that counts as standstill [rad/s]."""
 
@@ -196,7 +200,7 @@ class PathStop(Iterator[tuple[Array, Array]]):
         r = v / max(here.speed, STILL)
         ahead = max(v + change * self._step, 0.0) / max(here.speed, STILL)
         lowest = float(np.max((-sign * here.P * ahead**2 - self._acceleration) / size))
-        lowest = max(lowest, -here.braking)
+        lowest = max(lowest, min(-here.braking, OWN_SHARE * here.acceleration))
         r_t = (change - r**2 * here.acceleration) / max(here.speed, STILL)
         own = sign * (here.P_s * r**3 + here.P * (2 * r * r_t + r * change / max(here.speed, STILL)))
         hardest = float(np.min((self._jerk + own) / size))
