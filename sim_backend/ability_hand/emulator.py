@@ -24,35 +24,13 @@ class AbilityEmulator(HandEmulator[Hand]):
     """
 
     label = "PSYONIC Ability Hand"
-    motors = NAMES
+    motors, thumb = NAMES, "thumb_flexor"
     events = "heat MOTOR DEGREES, heat DEGREES, jam MOTOR, free MOTOR, pads off, pads on"
 
     def __init__(self, address: int = 0x50, seed: int = 0, pace: float = 1.0) -> None:
         hand = Hand(lambda: pace * time.monotonic(), seed, pace)
         super().__init__(hand, LineFaults(foreign, seed), TURNAROUND, BYTE_TIME, pace)
         self._parser = MessageParser(address)
-
-    def hold(self, at: float | None) -> None:
-        """Put something into the hand, met by fingers and thumb at this angle [deg]; None: take it out."""
-        self.tell(lambda hand: hand.hold(at))
-
-    def slip(self, way: float) -> None:
-        """Let what the hand holds give way by this much [deg]."""
-        self.tell(lambda hand: hand.slip(way))
-
-    def met(self, finger: str) -> None:
-        """Let a finger meet something where it is now."""
-        name = "thumb_flexor" if finger == "thumb" else finger
-        if name not in NAMES:
-            return  # the palm, which has no motor
-
-        def feel(hand: Hand) -> None:
-            hand.run()
-            motor = hand.motors[NAMES.index(name)]
-            if motor.met_at is None:
-                motor.met_at = motor.position
-
-        self.tell(feel)
 
     def happen(self, event: str, motor: int | None, *words: str) -> None:
         """Let a motor or the palm get hot, let one jam or come free, or take the pads away.
@@ -74,9 +52,6 @@ class AbilityEmulator(HandEmulator[Hand]):
             self.tell(lambda hand: setattr(hand, "has_pads", words == ("on",)))
         else:
             raise ValueError(event)
-
-    def _angles(self, hand: Hand) -> tuple[float, ...]:
-        return hand.angles
 
     def _answer(self, data: bytes) -> list[Frame]:
         return [frame for message in self._parser.take(data) for frame in self._hand.answer(message)]

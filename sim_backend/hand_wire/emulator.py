@@ -9,13 +9,47 @@ import threading
 import time
 import tty
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Generic, Self, TypeVar
+from typing import Generic, Protocol, Self, TypeVar
 
 from toolee_robot.sim_backend.hand_wire.line_faults import LineFaults
 
-HandT = TypeVar("HandT")
+
+class Motor(Protocol):
+    """A motor of an emulated hand.
+
+    Attributes:
+        position: Where it is, in the hand's own unit.
+        met_at: Where its finger meets what is in the hand; None for nothing.
+    """
+
+    position: float
+    met_at: float | None
+
+
+class EmulatedHand(Protocol):
+    """A hand at one end of the line."""
+
+    @property
+    def motors(self) -> Sequence[Motor]:
+        """Its motors."""
+
+    @property
+    def angles(self) -> tuple[float, ...]:
+        """Where the motors are now, in the hand's own unit."""
+
+    def run(self) -> None:
+        """Let the motors move until now."""
+
+    def hold(self, met_at: float | None) -> None:
+        """See `HandEmulator.hold`."""
+
+    def slip(self, way: float) -> None:
+        """See `HandEmulator.slip`."""
+
+
+HandT = TypeVar("HandT", bound=EmulatedHand)
 
 
 @dataclass(frozen=True)
@@ -47,6 +81,8 @@ class HandEmulator(ABC, Generic[HandT]):
     """The hand, for people."""
     motors: tuple[str, ...]
     """Names of its motors."""
+    thumb: str
+    """Name of the motor that bends the thumb."""
     events: str
     """What can happen to it and to nothing else, for people."""
 
@@ -80,7 +116,7 @@ class HandEmulator(ABC, Generic[HandT]):
     def angles(self) -> tuple[float, ...]:
         """Where the motors are now, in the order of `motors` and the hand's own unit."""
         with self._lock:
-            return self._angles(self._hand)
+            return self._hand.angles
 
     def tell(self, what: Callable[[HandT], object]) -> None:
         """Do something to the hand while it works.
@@ -98,29 +134,39 @@ class HandEmulator(ABC, Generic[HandT]):
             os.write(self._wake, b"x")
             self._thread.join()
 
-    @abstractmethod
     def hold(self, at: float | None) -> None:
-        """Put something into the hand that the fingers meet at this angle, in the hand's own unit; None: take it out.
+        """Put something into the hand that fingers and thumb meet at this angle, in the hand's own unit.
 
         Args:
-            at: The angle.
+            at: The angle; None: take it out.
         """
+        self.tell(lambda hand: hand.hold(at))
 
-    @abstractmethod
     def slip(self, way: float) -> None:
         """Let what the hand holds give way.
 
         Args:
             way: By how much further the fingers have to close to meet it, in the hand's own unit.
         """
+        self.tell(lambda hand: hand.slip(way))
 
-    @abstractmethod
     def met(self, finger: str) -> None:
-        """Let a finger meet something where it is now; one that the hand does not have is ignored.
+        """Let a finger meet something where it is now; one that the hand does not have, such as the palm, is ignored.
 
         Args:
             finger: Its name in the hand's `HandModel`.
         """
+        name = self.thumb if finger == "thumb" else finger
+        if name not in self.motors:
+            return
+
+        def feel(hand: HandT) -> None:
+            hand.run()
+            motor = hand.motors[self.motors.index(name)]
+            if motor.met_at is None:
+                motor.met_at = motor.position
+
+        self.tell(feel)
 
     @abstractmethod
     def happen(self, event: str, motor: int | None, *words: str) -> None:
@@ -135,10 +181,6 @@ class HandEmulator(ABC, Generic[HandT]):
             ValueError: There is no such event, or a word is wrong.
             TypeError: There are too many words, or too few.
         """
-
-    @abstractmethod
-    def _angles(self, hand: HandT) -> tuple[float, ...]:
-        """Where the motors are."""
 
     @abstractmethod
     def _answer(self, data: bytes) -> list[Frame]:

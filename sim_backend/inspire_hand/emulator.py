@@ -24,35 +24,13 @@ class InspireEmulator(HandEmulator[Hand]):
     """
 
     label = "Inspire RH56"
-    motors = NAMES
+    motors, thumb = NAMES, "thumb_bend"
     events = "heat MOTOR DEGREES, jam MOTOR, free MOTOR"
 
     def __init__(self, number: int = 1, seed: int = 0, pace: float = 1.0) -> None:
         hand = Hand(lambda: pace * time.monotonic(), number)
         super().__init__(hand, LineFaults(foreign, seed), TURNAROUND, BYTE_TIME, pace)
         self._parser = RequestParser(number)
-
-    def hold(self, at: float | None) -> None:
-        """Put something into the hand, met by fingers and thumb at this angle [counts]; None: take it out."""
-        self.tell(lambda hand: hand.hold(at))
-
-    def slip(self, way: float) -> None:
-        """Let what the hand holds give way by this much [counts]."""
-        self.tell(lambda hand: hand.slip(way))
-
-    def met(self, finger: str) -> None:
-        """Let a finger meet something where it is now."""
-        name = "thumb_bend" if finger == "thumb" else finger
-        if name not in NAMES:
-            return  # the palm, which has no motor
-
-        def feel(hand: Hand) -> None:
-            hand.run()
-            motor = hand.motors[NAMES.index(name)]
-            if motor.met_at is None:
-                motor.met_at = motor.position
-
-        self.tell(feel)
 
     def happen(self, event: str, motor: int | None, *words: str) -> None:
         """Let a motor get hot, jam, or come free.
@@ -76,9 +54,6 @@ class InspireEmulator(HandEmulator[Hand]):
                 hand.motors[motor].jammed = event == "jam"
 
         self.tell(change)
-
-    def _angles(self, hand: Hand) -> tuple[float, ...]:
-        return hand.angles
 
     def _answer(self, data: bytes) -> list[Frame]:
         frames = [frame for request in self._parser.take(data) for frame in self._hand.answer(request)]

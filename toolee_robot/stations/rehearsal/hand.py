@@ -5,10 +5,12 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Self
 
 import numpy as np
 
+from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
 from toolee_robot.sim_backend.devices.coupled_fingers import Touched
 from toolee_robot.sim_backend.hand_wire import HandEmulator
@@ -57,6 +59,10 @@ class FingerCoupling:
         self._thread.join()
 
     def _run(self) -> None:
+        with suppress(DeviceError):  # the world has ended, which every other device says
+            self._couple()
+
+    def _couple(self) -> None:
         while not self._over.wait(PERIOD):
             q = self._joints(np.array(self._emulator.angles))
             self._recent.append(q)
