@@ -82,14 +82,15 @@ class EvaluateHeld:
 
 def _tables(found: dict[str, dict[str, Any]]) -> Iterator[Table]:
     first = next(iter(found.values()))
-    rows, times = [], []
+    keys, heads = ("found", "usable_right", "wrong"), ("", "5deg2cm", "usable, right", "wrong")
+    shares, points, times = [], [], []
     for name, row in found.items():
-        cells = [name]
-        for key in ("found", "usable_right", "wrong"):
-            cells += [f"{row[key]:.3f}", f"{100 * row[f'{key}_difference']:+.1f}±{100 * row[f'{key}_interval']:.1f}"]
-        rows.append(cells)
+        shares.append([name, *(f"{row[key]:.3f}" for key in keys)])
+        differences = ((100 * row[f"{key}_difference"], 100 * row[f"{key}_interval"]) for key in keys)
+        points.append([name, *(f"{difference:+.1f} ± {interval:.1f}" for difference, interval in differences)])
         errors = ["–" if row[f"median_{key}"] is None else f"{row[f'median_{key}']:.1f}" for key in ("mm", "deg")]
         times.append([name, *errors, *(f"{row[key]:.0f}" for key in _TIMES), f"{row['whole_image']:.2f}"])
     title = f"{first['frames']} frames, {first['end_effectors']} end effectors"
-    yield text_table(title, ("", "5deg2cm", "±", "usable, right", "±", "wrong", "±"), rows)
+    yield text_table(title, heads, shares)
+    yield text_table("Points against the first row, 95 %", heads, points)
     yield text_table("Medians; CPU ms over all threads", ("", "mm", "deg", "ms", "p90", "CPU ms", "whole image"), times)
