@@ -27,6 +27,11 @@ from toolee_robot.frames import Array
 
 FAR = 0.05
 """Largest clearance that is measured [m]; a larger one is reported as this value."""
+REESTIMATED = 0.03
+"""How far outside the workspace hand or tool may be at the start of a motion [m]: a look may find the tool elsewhere
+in the hand than it was believed to be, by up to `task.abort_slip` and as much again by its rotation."""
+ROUNDING = 1e-6
+"""Tolerance of a comparison of places [m]."""
 
 # Links in chain order; neighbours touch by construction and are not checked.
 _LINKS = ("base", "shoulder", "upper arm", "forearm", "wrist 1", "wrist 2", "wrist 3")
@@ -231,19 +236,40 @@ class CollisionWorld:
                 x = body.points @ R + p
                 yield body.name, x.min(axis=1), x.max(axis=1)
 
-    def inside(self, q: Array) -> bool:
+    def bounds(self, low: Array, high: Array) -> tuple[Array, Array]:
+        """The workspace for a body in a motion: where it is slightly outside at the start, it may stay as far outside.
+
+        Args:
+            low: Least x, y and z of the body's points at the start, (3,) [m], `base`.
+            high: Greatest ones, (3,) [m].
+
+        Returns:
+            Lower and upper corner, (3,) each [m].
+        """
+        lower, upper = self.workspace
+        return (
+            np.minimum(lower, np.maximum(low - ROUNDING, lower - REESTIMATED)),
+            np.maximum(upper, np.minimum(high + ROUNDING, upper + REESTIMATED)),
+        )
+
+    def inside(self, q: Array, q_start: Array | None = None) -> bool:
         """Whether flange, hand and tool are within the workspace over a batch of configurations.
 
         Args:
             q: Joint positions of the arm, (N, 6) [rad].
+            q_start: Where the motion starts, (6,) [rad]: hand and tool have the `bounds` of there; None for the
+                workspace itself.
         """
         lower, upper = self.workspace
         flange = self.robot.arm.fk(q)[:, :3, 3]
-        return bool(
-            np.all(flange >= lower)
-            and np.all(flange <= upper)
-            and all(np.all(low >= lower) and np.all(high <= upper) for _, low, high in self.extremes(q))
-        )
+        if np.any(flange < lower) or np.any(flange > upper):
+            return False
+        for _, low, high in self.extremes(q if q_start is None else np.vstack([q_start, q])):
+            if q_start is not None:
+                lower, upper = self.bounds(low[0], high[0])
+            if np.any(low < lower) or np.any(high > upper):
+                return False
+        return True
 
     def _bounds(self, R: Array, p: Array) -> Array:
         """Lower bounds of the distances of all pairs, (N, pairs) [m]."""

@@ -43,7 +43,7 @@ def check_trajectory(
 
     Raises:
         LimitError: The trajectory is not finite, does not start and end at rest, or violates a limit; the code names
-            the cause, such as `limit.velocity`.
+            the cause, such as `limit.velocity`. Hand and tool are checked as by `check_carried`.
     """
     t, q, qd, qdd = trajectory.times, trajectory.q, trajectory.qd, trajectory.qdd
     if q.shape[1] != 6:
@@ -71,9 +71,27 @@ def check_trajectory(
         axes=AXES,
     )
     if world is not None:
-        for name, low, high in world.extremes(q):
+        check_carried(q, t, world)
+
+
+def check_carried(q: Array, times: Array, world: CollisionWorld) -> None:
+    """Check hand and tool against the workspace.
+
+    Args:
+        q: Joint positions of a motion's samples, (N, 6) [rad].
+        times: Their times, (N,) [s].
+        world: Bodies of hand and tool, and their workspace.
+
+    Raises:
+        LimitError: A body leaves the workspace; code `limit.carried_position`. One that is slightly outside at the
+            start must not go farther out (`CollisionWorld.bounds`), and be inside at the end.
+    """
+    for name, low, high in world.extremes(q):
+        on_the_way = world.bounds(low[0], high[0])
+        for rows, (lower, upper) in ((slice(None), on_the_way), (slice(-1, None), world.workspace)):
             for x in (low, high):
-                _within(f"position of the {name}", "m", x, *world.workspace, t, AXES, "limit.carried_position")
+                what = f"position of the {name}"
+                _within(what, "m", x[rows], lower, upper, times[rows], AXES, "limit.carried_position")
 
 
 def _no_step(trajectory: Trajectory, velocity: Array, jerk: float) -> None:

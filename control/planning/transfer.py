@@ -9,7 +9,7 @@ import numpy as np
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import CollisionWorld
-from toolee_robot.control.limits import check_trajectory
+from toolee_robot.control.limits import check_carried, check_trajectory
 from toolee_robot.control.planning.timing import concatenate, joint_move
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.errors import CollisionError, UserError
@@ -57,9 +57,8 @@ def plan_transfer(
     need = min(NEED, world.closest(q_start, NEED).distance)
     if need <= 0:
         world.check(q_start, 1e-6, "the start of the transfer")
-    # A way from or to a place outside is refused below, with the body that is outside.
-    bounded = world.inside(np.stack([q_start, q_goal]))
-    way = _Way(world, max(need - 1e-6, 0.0), bounded)
+    check_carried(np.stack([q_start, q_goal]), np.zeros(2), world)
+    way = _Way(world, max(need - 1e-6, 0.0), q_start)
     path = _path(robot, config, way, q_start, q_goal, seed)
     limits = config.arm
     velocity = limits.transfer_velocity_scale * np.asarray(limits.velocity)
@@ -78,16 +77,16 @@ class _Way:
     Attributes:
         world: The collision model.
         need: Clearance [m].
-        bounded: Whether hand and tool must stay within the workspace.
+        q_start: Where it starts, (6,) [rad].
     """
 
     world: CollisionWorld
     need: float
-    bounded: bool
+    q_start: Array
 
     def free(self, line: Array) -> bool:
         """Whether configurations, (N, 6) [rad], keep it."""
-        return self.world.free(line, self.need) and (not self.bounded or self.world.inside(line))
+        return self.world.free(line, self.need) and self.world.inside(line, self.q_start)
 
     def direct(self, a: Array, b: Array) -> bool:
         """Whether the straight way between two configurations, (6,) [rad], keeps it."""

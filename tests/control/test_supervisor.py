@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 
@@ -19,6 +20,7 @@ from toolee_robot.control import (
     RobotModel,
     StrikePlan,
     Supervisor,
+    plan_transfer,
     slowed_to,
 )
 from toolee_robot.control.collision_shapes import box_body
@@ -156,6 +158,24 @@ def test_hand_and_tool_stay_within_the_workspace(
         refused(desk, LimitError, partial(desk.supervisor.execute, move), "limit.carried_position")
     desk = at_home(tool - 0.001, X_hand_ee)
     desk.supervisor.execute(desk.slow(0.05))
+
+
+@pytest.mark.parametrize(("outside", "code"), [(0.01, None), (0.04, "limit.carried_position")])
+def test_a_tool_that_a_look_finds_slightly_outside_the_workspace_may_come_in_and_go_no_farther_out(
+    robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X_hand_ee: Array,
+    outside: float, code: str | None,
+) -> None:  # fmt: skip
+    R, p = robot.arm.joints(home)
+    free = CollisionWorld(robot, config, q_hand, X_hand_ee)
+    lowest = min(float((b.points @ R[5].T + p[5])[:, 2].min()) for b in free.carried)
+    low = replace(config, scene=replace(config.scene, workspace_lower=(-1.0, -1.2, lowest + outside)))
+    world = CollisionWorld(robot, low, q_hand, X_hand_ee)
+    up, down = (home + np.array([0.4, change, 0.0, 0.0, 0.0, 0.0]) for change in (-0.3, 0.02))
+    with nullcontext() if code is None else raises(LimitError, code=code):
+        way = plan_transfer(robot, low, world, home, up)
+        Desk(robot, low, world, home).supervisor.execute(slowed_to(way, world, 0.25))
+    with raises(LimitError, code="limit.carried_position"):
+        plan_transfer(robot, low, world, home, down)
 
 
 def test_handover_is_slow_and_unattended_is_fast_but_not_any_fast(desk: Desk) -> None:
