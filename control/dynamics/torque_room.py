@@ -53,7 +53,8 @@ def permitted_braking(dynamics: ArmDynamics, trajectory: Trajectory, torque: Arr
         tau = g(q) + r^2 (M P + C(q, q')) + M e v'
 
     (Bobrow, Dubowsky and Gibson, "Time-optimal control of robotic manipulators along specified paths", 1985). It is
-    linear in r^2 and v', so that what both r = 0 and r = 1 permit is permitted at every speed between.
+    linear in r^2 and v', so that between r = 0 and r = 1 everything is permitted that lies between what they permit, in
+    proportion to r^2.
 
     Args:
         dynamics: Dynamics of arm, hand and tool.
@@ -61,13 +62,13 @@ def permitted_braking(dynamics: ArmDynamics, trajectory: Trajectory, torque: Arr
         torque: Permitted torques, (6,) [Nm].
 
     Returns:
-        The largest deceleration along the path at each sample, (N,) [rad/s^2], at most MOST_BRAKING; 0 or less where
-        gravity and speed alone exceed a torque.
+        The largest deceleration along the path at each sample, at rest and at the planned speed, (N, 2) [rad/s^2], at
+        most MOST_BRAKING; 0 or less where gravity and speed alone exceed a torque.
     """
     speed = np.linalg.norm(trajectory.qd, axis=1)
     moving = speed > _STILL
     if not np.any(moving):
-        return np.full(len(speed), MOST_BRAKING)
+        return np.full((len(speed), 2), MOST_BRAKING)
     q, qd, qdd = trajectory.q[moving], trajectory.qd[moving], trajectory.qdd[moving]
     e = qd / speed[moving, None]
     across = qdd - np.sum(e * qdd, axis=1)[:, None] * e
@@ -75,10 +76,13 @@ def permitted_braking(dynamics: ArmDynamics, trajectory: Trajectory, torque: Arr
     standing = dynamics.torques(q, rest, rest)
     by_braking = standing - dynamics.torques(q, rest, e)  # per unit of deceleration
     along = np.maximum(np.abs(by_braking), 1e-9)
-    room = np.min([torque - np.sign(by_braking) * tau for tau in (standing, dynamics.torques(q, qd, across))], axis=0)
-    permitted = np.minimum(np.min(room / along, axis=1), MOST_BRAKING)
-    # At rest, where the path has no tangent: as where it begins or ends to move.
-    return np.asarray(np.interp(trajectory.times, trajectory.times[moving], permitted))
+    permitted = []
+    for tau in (standing, dynamics.torques(q, qd, across)):
+        room = torque - np.sign(by_braking) * tau
+        braking = np.minimum(np.min(room / along, axis=1), MOST_BRAKING)
+        # At rest, where the path has no tangent: as where it begins or ends to move.
+        permitted.append(np.interp(trajectory.times, trajectory.times[moving], braking))
+    return np.stack(permitted, axis=1)
 
 
 def bound_stop(

@@ -62,6 +62,7 @@ def check(trajectory: Trajectory, start: float, period: float, acceleration: flo
     brake = stop_on_path(trajectory, start, period, acceleration, jerk)
     q, s = driven(trajectory, start, period, brake)
     assert np.all(np.diff(s) >= 0.0), "never backwards"
+    assert np.all(s <= start + period * np.arange(len(s)) + 1e-9), "never ahead of the trajectory"
     rough = OWN * np.abs(np.diff(trajectory.qdd, axis=0)).max()
     assert np.abs(np.diff(q, 2, axis=0)).max() <= (acceleration + rough) * period**2
     # Each third difference is that of two second ones, a cycle apart.

@@ -92,7 +92,8 @@ def test_any_stop_keeps_the_torques_where_they_permit_one(
     planned = float(np.max(np.abs(loaded.torques(move.q, move.qd, move.qdd)) / RATED))
     start = share * move.duration
     assert torque_share(loaded, move, start, period) <= max(planned, TORQUE_SHARE) + 2 * SLACK
-    assert check(move, start, period, ACCELERATION, JERK) <= move.duration - start + period
+    # It brakes as hard as it may at once, which is not the fastest where less is permitted farther on.
+    assert check(move, start, period, ACCELERATION, JERK) <= 1.1 * (move.duration - start) + period
 
 
 @given(row=st.floats(0.0, 1.0), rate=st.floats(0.0, 1.0), mass=st.floats(0.0, 5.0))
@@ -100,22 +101,24 @@ def test_any_stop_keeps_the_torques_where_they_permit_one(
 def test_the_permitted_braking_takes_the_torque_and_no_more(
     plans: list[StrikePlan], robot: RobotModel, q_hand: Array, row: float, rate: float, mass: float
 ) -> None:
-    """At any share of the planned speed; at none of it or all of it, one joint is at its torque."""
+    """At any share of the planned speed; at none of it and at all of it, one joint is at its torque."""
     strike = plans[0].strike
     loaded = ArmDynamics(robot, q_hand, np.eye(4), Payload(mass, np.array([0.05, 0.0, 0.1])))
     torque = TORQUE_SHARE * RATED
-    braking = permitted_braking(loaded, strike, torque)
+    still, planned = permitted_braking(loaded, strike, torque).T
     i = 1 + round(row * (len(strike.times) - 3))
     q, qd, qdd = strike.q[i], strike.qd[i], strike.qdd[i]
     e = qd / np.linalg.norm(qd)
     P = qdd - (e @ qdd) * e
 
     def share(r: float) -> float:
-        tau = loaded.torques(q[None], r * qd[None], (r**2 * P - e * braking[i])[None])
+        braking = still[i] + r**2 * (planned[i] - still[i])
+        tau = loaded.torques(q[None], r * qd[None], (r**2 * P - e * braking)[None])
         return float(np.max(np.abs(tau) / torque))
 
     assert share(rate) <= 1.0 + 1e-9
-    assert max(share(0.0), share(1.0)) == pytest.approx(1.0, abs=1e-6)
+    assert share(0.0) == pytest.approx(1.0, abs=1e-6)
+    assert share(1.0) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_what_does_not_move_has_no_bound(robot: RobotModel, q_hand: Array) -> None:

@@ -63,8 +63,8 @@ class Trajectory:
         q: Joint positions, (N, n) [rad].
         qd: Joint velocities, (N, n) [rad/s].
         qdd: Joint accelerations, (N, n) [rad/s^2].
-        braking: Largest deceleration along the path in joint space that a stop on it may use, (N,) [rad/s^2]; None
-            where only the joints' own limits bound it. See `control.dynamics.torque_room.permitted_braking`.
+        braking: Largest deceleration along the path in joint space that a stop on it may use, at rest and at the
+            planned speed, (N, 2) [rad/s^2]; None where only the joints' own limits bound it. See `control.dynamics.torque_room.permitted_braking`.
 
     Raises:
         ValueError: The shapes do not agree, or the times do not start at 0 and increase.
@@ -78,8 +78,8 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         n = len(self.times)
-        if self.braking is not None and self.braking.shape != (n,):
-            raise ValueError(f"the permitted braking has the shape {self.braking.shape}, expected {(n,)}")
+        if self.braking is not None and self.braking.shape != (n, 2):
+            raise ValueError(f"the permitted braking has the shape {self.braking.shape}, expected {(n, 2)}")
         if n < 2 or not (self.q.shape == self.qd.shape == self.qdd.shape) or self.q.shape[0] != n:
             shapes = (self.times.shape, self.q.shape, self.qd.shape, self.qdd.shape)
             raise ValueError(f"inconsistent trajectory shapes (times, q, qd, qdd): {shapes}")

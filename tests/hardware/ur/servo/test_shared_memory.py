@@ -54,7 +54,7 @@ def test_the_path_arrives_as_it_was(trajectory: Trajectory) -> None:
     for name in ("times", "q", "qd", "qdd"):
         np.testing.assert_array_equal(getattr(got, name), getattr(trajectory, name))
     assert got.braking is None
-    braking = np.linspace(3.0, 40.0, len(trajectory.times))
+    braking = np.linspace([3.0, 5.0], [40.0, 60.0], len(trajectory.times))
     memory.write_path(replace(trajectory, braking=braking), 125.0)
     np.testing.assert_array_equal(memory.path(knots).braking, braking)
     memory.close()

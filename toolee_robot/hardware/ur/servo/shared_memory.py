@@ -135,7 +135,7 @@ class ServoMemory:
         owner: Watch over the task's process.
         words: Integers, indexed by `Word`.
         reference: Command path, (samples, 6) [rad], at the controller's rate.
-        knots: Trajectory, (knots, 20): time, q, qd, qdd, permitted braking, infinite where it has none.
+        knots: Trajectory, (knots, 21): time, q, qd, qdd, permitted braking, infinite where it has none.
         rows: Log of the motion, (rows, Column.COUNT).
     """
 
@@ -145,7 +145,7 @@ class ServoMemory:
         shapes = {
             "state": (StateColumn.COUNT,),
             "reference": (samples, 6),
-            "knots": (knots, 20),
+            "knots": (knots, 21),
             "rows": (samples + int(SETTLE_ALLOWANCE * MAX_RATE), Column.COUNT),
         }
         words = OWNER_WATCH_SIZE + 8 * len(Word)
@@ -220,13 +220,13 @@ class ServoMemory:
         self.reference[: len(grid)] = grid
         self.knots[:n, 0] = trajectory.times
         self.knots[:n, 1:7], self.knots[:n, 7:13], self.knots[:n, 13:19] = trajectory.q, trajectory.qd, trajectory.qdd
-        self.knots[:n, 19] = np.inf if trajectory.braking is None else trajectory.braking
+        self.knots[:n, 19:] = np.inf if trajectory.braking is None else trajectory.braking
         return len(grid), n
 
     def path(self, knots: int) -> Trajectory:
         """The trajectory of `knots` samples that `write_path` stored."""
         table = self.knots[:knots].copy()
-        braking = table[:, 19] if np.all(np.isfinite(table[:, 19])) else None
+        braking = table[:, 19:] if np.all(np.isfinite(table[:, 19:])) else None
         return Trajectory(table[:, 0], table[:, 1:7], table[:, 7:13], table[:, 13:19], braking)
 
 
