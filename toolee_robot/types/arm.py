@@ -64,7 +64,8 @@ class Trajectory:
         qd: Joint velocities, (N, n) [rad/s].
         qdd: Joint accelerations, (N, n) [rad/s^2].
         braking: Largest deceleration along the path in joint space that a stop on it may use, at rest and at the
-            planned speed, (N, 2) [rad/s^2]; None where only the joints' own limits bound it. See `control.dynamics.torque_room.permitted_braking`.
+            planned speed, (N, 2) [rad/s^2]; None where only the joints' own limits bound it. See
+            `control.dynamics.torque_room.permitted_braking`.
 
     Raises:
         ValueError: The shapes do not agree, or the times do not start at 0 and increase.
