@@ -119,9 +119,9 @@ class CollisionWorld:
             second.append(np.tile(b, len(a)))
         self._first, self._second, self._starts = np.concatenate(first), np.concatenate(second), np.array(starts)
         self._radii = self._spheres[self._first, 3] + self._spheres[self._second, 3]
-        # A box is badly covered by spheres, but a sphere's distance to an axis-aligned box is exact.
+        # A box is badly covered by spheres, but a sphere's distance to a box is exact.
         self._boxes = {
-            k: (b.X_joint_shape[:3, 3], np.asarray(b.geometry.halfSide))
+            k: (b.X_joint_shape, np.asarray(b.geometry.halfSide))
             for k, b in enumerate(self.bodies)
             if isinstance(b.geometry, coal.Box) and b.joint == 0
         }
@@ -277,8 +277,8 @@ class CollisionWorld:
         apart = c[:, self._first] - c[:, self._second]
         gap = np.sqrt(np.einsum("nsi,nsi->ns", apart, apart)) - self._radii
         bound = np.minimum.reduceat(gap, self._starts, axis=1)
-        for box, (centre, half) in self._boxes.items():
-            outside = np.maximum(np.abs(c - centre) - half, 0.0)
+        for box, (X, half) in self._boxes.items():
+            outside = np.maximum(np.abs((c - X[:3, 3]) @ X[:3, :3]) - half, 0.0)
             exact = np.sqrt(np.einsum("nsi,nsi->ns", outside, outside)) - self._spheres[:, 3]
             nearest = np.minimum.reduceat(exact, [part.start for part in self._slices], axis=1)
             rows = np.flatnonzero(self.pairs[:, 1] == box)

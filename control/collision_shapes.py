@@ -145,7 +145,7 @@ def hand_bodies(robot: RobotModel, q_hand: Array) -> list[Body]:
 
 
 def station_bodies(config: StationConfig) -> list[Body]:
-    """Build the boxes of table, stand, block, camera and person in `base`."""
+    """Build the boxes of table, stand, block, camera, person and the station's obstacles in `base`."""
     work, scene = config.work, config.scene
     x, y = work.nail_xy
     block, top = work.block_size, work.wood_height
@@ -155,6 +155,7 @@ def station_bodies(config: StationConfig) -> list[Body]:
         box_body("block", (x, y, top - block[2] / 2), block),
         box_body("camera", config.camera.center, scene.camera_size),
         box_body("person", scene.person_center, scene.person_size),
+        *(rotated_box_body(o.name, o.X_base_box, o.size) for o in scene.obstacles),
     ]
 
 
@@ -169,10 +170,23 @@ def box_body(name: str, center: tuple[float, ...], size: tuple[float, ...]) -> B
     Returns:
         The body, fixed in `base`.
     """
+    return rotated_box_body(name, transform(p=center), size)
+
+
+def rotated_box_body(name: str, X_base_box: Array, size: tuple[float, ...]) -> Body:
+    """Build a box in `base`.
+
+    Args:
+        name: Name and group of the body.
+        X_base_box: Pose of its centre, (4, 4).
+        size: Edge lengths, (3,) [m].
+
+    Returns:
+        The body, fixed in `base`.
+    """
     radius = 0.5 * float(np.linalg.norm(size))
-    return Body(
-        name, name, WORLD_JOINT, coal.Box(*size), transform(p=center), np.array([[*center, radius]], dtype=np.float64)
-    )
+    covering = np.array([[*X_base_box[:3, 3], radius]], dtype=np.float64)
+    return Body(name, name, WORLD_JOINT, coal.Box(*size), X_base_box, covering)
 
 
 def _cylinder(name: str, radius: float, length: float, X: Array) -> Body:

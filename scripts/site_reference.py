@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints
 
 from toolee_robot import errors
 from toolee_robot.config import StationConfig
@@ -51,7 +51,11 @@ def records(config: type[Any]) -> Iterator[type[Any]]:
 
 
 def _section(config: type[Any], name: str) -> Iterator[str]:
-    nested = [(field.name, kind) for field in fields(config) if (kind := _record(config, field)) is not None]
+    nested = [
+        (f"{field.name}[]" if get_origin(get_type_hints(config)[field.name]) is tuple else field.name, kind)
+        for field in fields(config)
+        if (kind := _record(config, field)) is not None
+    ]
     plain = [field for field in fields(config) if _record(config, field) is None]
     if name:
         rows = "\n".join(_row(config, field) for field in plain)
@@ -85,6 +89,8 @@ def _kind(config: type[Any], field: Field[Any], text: str) -> str:
     if text.startswith("tuple["):
         parts = text.removeprefix("tuple[").removesuffix("]").split(", ")
         return f"list of {len(parts)} numbers" + (" > 0" if parts[0] == "Positive" else "")
+    if text.startswith("str, Field("):
+        return "text"
     if match := re.match(r"float, Field\((.*)\)\]", text):
         bounds = match[1].replace("gt=", "> ").replace("lt=", "< ").replace("ge=", ">= ").replace("le=", "<= ")
         return f"number {bounds}"

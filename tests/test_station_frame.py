@@ -11,14 +11,15 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
 from tests.examples import examples
-from toolee_robot.config import CameraConfig, SceneConfig, StationConfig, WorkConfig, load_station
+from toolee_robot.config import CameraConfig, Obstacle, SceneConfig, StationConfig, WorkConfig, load_station
 from toolee_robot.config.field_docs import field_docs
-from toolee_robot.config.station_frame import BOX, POINTS
+from toolee_robot.config.station_frame import BOX, OBSTACLES, POINTS
 from toolee_robot.errors import ConfigError
-from toolee_robot.frames import HALF_TURN
+from toolee_robot.frames import HALF_TURN, transform
 
 SECTIONS = {"camera": CameraConfig, "work": WorkConfig, "scene": SceneConfig}
 _coordinate = st.floats(-1.5, 1.5)
@@ -83,6 +84,42 @@ def test_the_workspace_is_turned_as_a_box(tmp_path: Path) -> None:
         _load(tmp_path, {"frame": "pendant_base", "scene": {"workspace_lower": (-0.3, -0.8, 0.05)}})
 
 
+@examples(25)
+@given(
+    st.tuples(*[_coordinate] * 3),
+    st.tuples(*[st.floats(-1.8, 1.8)] * 3),
+)
+def test_an_obstacle_is_the_same_body_in_either_frame(
+    tmp_path_factory: pytest.TempPathFactory, center: tuple[float, ...], rotation: tuple[float, ...]
+) -> None:
+    """At the pendant both vectors read half a turn about z away."""
+    folder = tmp_path_factory.mktemp("frames")
+    box = {"name": "fence", "size": (0.1, 2.0, 1.5)}
+    here = transform(Rotation.from_rotvec(rotation), center)
+    there = HALF_TURN @ here
+    as_read = {"center": there[:3, 3].tolist(), "rotation": Rotation.from_matrix(there[:3, :3]).as_rotvec().tolist()}
+    ours, pendants = (
+        _load(folder, {"frame": frame, "scene": {"obstacles": [{**box, **place}]}}).scene.obstacles[0]
+        for frame, place in (("base_link", {"center": center, "rotation": rotation}), ("pendant_base", as_read))
+    )
+    np.testing.assert_allclose(ours.X_base_box, here, atol=1e-9)
+    np.testing.assert_allclose(pendants.X_base_box, here, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "what"),
+    [
+        ({"name": "fence", "center": (0, 0, 0), "size": (0.1, 0.1, 0)}, "size"),
+        ({"name": "table", "center": (0, 0, 0), "size": (0.1, 0.1, 0.1)}, "table"),
+        ({"name": "fence", "size": (0.1, 0.1, 0.1)}, "center"),
+    ],
+)
+def test_an_obstacle_that_is_none_is_refused_by_name(tmp_path: Path, obstacle: dict[str, Any], what: str) -> None:
+    with raises(ConfigError, code="config.invalid") as refused:
+        _load(tmp_path, {"frame": "base_link", "scene": {"obstacles": [obstacle]}})
+    assert what in str(refused.value)
+
+
 @pytest.mark.parametrize(("section", "name"), [*POINTS, *((BOX[0], corner) for corner in BOX[1:])])
 def test_a_position_without_a_frame_is_refused(tmp_path: Path, section: str, name: str) -> None:
     value = getattr(getattr(StationConfig(), section), name)
@@ -101,6 +138,8 @@ def test_an_unknown_frame_is_refused_and_none_is_needed_without_positions(tmp_pa
 def test_every_field_in_base_is_converted() -> None:
     """A new field whose description says that it is in `base` belongs into the list."""
     known = {*POINTS, *((BOX[0], corner) for corner in BOX[1:])}
+    assert {name for name, text in field_docs(Obstacle).items() if "`base`" in text} == {"center", "rotation"}
+    assert OBSTACLES == ("scene", "obstacles")
     in_base = {
         (section, field.name)
         for section, kind in SECTIONS.items()

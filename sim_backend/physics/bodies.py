@@ -18,6 +18,8 @@ from toolee_robot.sim_backend.physics.convex_margin import shrink_convex
 from toolee_robot.tools import Tool
 
 TABLE_THICKNESS = 0.04  # [m]
+OBSTACLE_COLOR = (0.85, 0.65, 0.20)
+"""Colour of a station's obstacles, RGB."""
 
 
 def body_pose(client: int, body: int) -> Array:
@@ -50,7 +52,13 @@ def set_body_pose(client: int, body: int, X_world_body: Array) -> None:
     pb.resetBaseVelocity(body, [0, 0, 0], [0, 0, 0], physicsClientId=client)
 
 
-def fixed_box(client: int, size: tuple[float, float, float], center: Array, color: tuple[float, float, float]) -> int:
+def fixed_box(
+    client: int,
+    size: tuple[float, float, float],
+    center: Array,
+    color: tuple[float, float, float],
+    rotation: Rotation | None = None,
+) -> int:
     """Create a static box.
 
     Args:
@@ -58,6 +66,7 @@ def fixed_box(client: int, size: tuple[float, float, float], center: Array, colo
         size: Full extents [m].
         center: Position of its centre, (3,) [m].
         color: RGB in [0, 1].
+        rotation: Rotation of its axes; None for those of the world.
 
     Returns:
         pybullet's id of the body.
@@ -65,7 +74,8 @@ def fixed_box(client: int, size: tuple[float, float, float], center: Array, colo
     half = [s / 2 for s in size]
     shape = pb.createCollisionShape(pb.GEOM_BOX, halfExtents=half, physicsClientId=client)
     visual = pb.createVisualShape(pb.GEOM_BOX, halfExtents=half, rgbaColor=[*color, 1.0], physicsClientId=client)
-    return int(pb.createMultiBody(0.0, shape, visual, np.asarray(center).tolist(), physicsClientId=client))
+    q = (Rotation.identity() if rotation is None else rotation).as_quat().tolist()
+    return int(pb.createMultiBody(0.0, shape, visual, np.asarray(center).tolist(), q, physicsClientId=client))
 
 
 @dataclass(frozen=True)
@@ -102,7 +112,11 @@ class Furniture:
         )
         center = np.array([x, y, work.stand_height + work.block_size[2] / 2])
         block = fixed_box(client, work.block_size, center, (0.76, 0.6, 0.4))
-        for body in (table, stand, block):
+        obstacles = [
+            fixed_box(client, o.size, np.array(o.center), OBSTACLE_COLOR, Rotation.from_rotvec(o.rotation))
+            for o in config.scene.obstacles
+        ]
+        for body in (table, stand, block, *obstacles):
             pb.changeDynamics(body, -1, restitution=0.0, lateralFriction=0.5, physicsClientId=client)
         return cls(table, stand, block)
 

@@ -16,6 +16,7 @@ from toolee_robot.render.palette import skin_tone
 from toolee_robot.robots import arm_meshes, hand_model
 from toolee_robot.robots.tree import FLANGE_FRAME
 from toolee_robot.sim_backend.options import PlacedBoard
+from toolee_robot.sim_backend.physics.bodies import OBSTACLE_COLOR
 from toolee_robot.sim_backend.physics.wood import NailSpec
 from toolee_robot.sim_backend.visuals.board import BoardVisuals
 from toolee_robot.sim_backend.visuals.visual_body import VisualBody
@@ -127,6 +128,10 @@ class SceneVisuals:
         self._static = [
             _static("stand", box((*work.stand_size, height)), (x, y, height / 2), "steel_painted", STAND_COLOR),
             _static("block", box(work.block_size), (x, y, height + work.block_size[2] / 2), "wood_block", PINE_COLOR),
+        ]
+        self._static += [
+            VisualBody(o.name, box(o.size), o.X_base_box, "steel_painted", OBSTACLE_COLOR, 0.6, body_id=BodyId.WORK)
+            for o in config.scene.obstacles
         ]
         self._nail_head = cylinder(nail.head_diameter / 2, nail.head_thickness)
         self._nail_shank = cylinder(nail.diameter / 2, nail.length)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import coal
@@ -9,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from toolee_robot.config import StationConfig, ToolEnvelope
+from toolee_robot.config import Obstacle, StationConfig, ToolEnvelope
 from toolee_robot.control import CollisionWorld, RobotModel
 from toolee_robot.control.collision import FAR
 from toolee_robot.control.collision_shapes import TOOL_JOINT, Body, arm_bodies, box_body, tool_bodies
@@ -38,6 +39,30 @@ def exact(world: CollisionWorld, q: Array) -> dict[tuple[str, str], float]:
             a.geometry, placed(a), b.geometry, placed(b), coal.DistanceRequest(), result
         )
     return found
+
+
+def test_an_obstacle_of_the_station_file_is_avoided_as_it_is_turned(
+    robot: RobotModel, config: StationConfig, q_hand: Array, X_hand_ee: Array, home: Array
+) -> None:
+    """A slanting panel beside the tool; along the axes of `base` it would be where the tool is."""
+    p = robot.X_base_ee(home, q_hand, X_hand_ee)[:3, 3]
+    rng = np.random.default_rng(4)
+    seen: set[str] = set()
+    for turn in (0.0, 0.6, 1.2):
+        panel = Obstacle("panel", (p[0] + 0.35, p[1] + 0.1, p[2]), (0.9, 0.02, 0.8), (0.0, 0.3 * turn, turn))
+        world = CollisionWorld(
+            robot, replace(config, scene=replace(config.scene, obstacles=(panel,))), q_hand, X_hand_ee
+        )
+        for _ in range(12):
+            q = home + rng.normal(0, 0.15, 6)
+            pair, distance = min(exact(world, q).items(), key=lambda item: item[1])
+            closest = world.closest(q)
+            assert (closest.distance <= 0) == (distance <= 0)
+            if 0 < distance < FAR:
+                assert closest.distance == pytest.approx(distance, abs=1e-6)
+                assert closest.pair == pair
+            seen |= {"panel"} & set(closest.pair)
+    assert seen, "the panel was never near: the test shows nothing"
 
 
 def test_closest_pair_is_the_exact_one(world: CollisionWorld, home: Array) -> None:

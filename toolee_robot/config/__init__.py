@@ -14,6 +14,7 @@ from toolee_robot.config.camera_device import CameraDevice
 from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope, WorkConfig
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.config.measured import MEASURED, load_lab_station, unmeasured
+from toolee_robot.config.obstacle import Obstacle
 from toolee_robot.config.person import PersonConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
 from toolee_robot.config.servo import ServoConfig, servo_lag
@@ -29,6 +30,7 @@ __all__ = [
     "CameraConfig",
     "CameraDevice",
     "HandConfig",
+    "Obstacle",
     "PersonConfig",
     "SceneConfig",
     "ServoConfig",

@@ -10,9 +10,13 @@ from pydantic import Field
 
 from toolee_robot.calibration.record import Rows
 from toolee_robot.config.camera_device import CameraDevice
+from toolee_robot.config.obstacle import Obstacle
 from toolee_robot.config.values import STRICT, Count, NotNegative, Positive
 from toolee_robot.frames import Array, frame_from_axes, transform
 from toolee_robot.types import CameraIntrinsics
+
+BODY_NAMES = ("table", "stand", "block", "camera", "person")
+"""Names of the bodies that every station has."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +166,7 @@ class ToolEnvelope:
 class SceneConfig:
     """Obstacles in the station, and the arm's home posture, handover pose and workspace.
 
-    Boxes are axis-aligned in `base`.
+    Boxes are axis-aligned in `base`, but for `obstacles`.
     """
 
     __pydantic_config__ = STRICT
@@ -184,8 +188,13 @@ class SceneConfig:
     """Lower corner of the box that flange, hand and tool may not leave, in `base` [m]."""
     workspace_upper: tuple[float, float, float] = (1.2, 1.2, 1.6)
     """Upper corner of the box that flange, hand and tool may not leave, in `base` [m]."""
+    obstacles: tuple[Obstacle, ...] = ()
+    """Further boxes that arm, hand and tool keep clear of: name, center, size and rotation of each."""
 
     def __post_init__(self) -> None:
+        names = [*BODY_NAMES, *(obstacle.name for obstacle in self.obstacles)]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise ValueError(f"obstacles need names of their own: {', '.join(twice)} is taken")
         if np.linalg.norm(self.handover_facing) < 1e-6:
             raise ValueError("handover_facing is no direction: give a vector from the palm towards the person")
         if np.any(np.asarray(self.workspace_lower) >= np.asarray(self.workspace_upper)):

@@ -88,6 +88,7 @@ def load_lab_station(path: Path) -> StationConfig:
 def _check_units(config: StationConfig, path: Path) -> None:
     """Refuse sizes that are in another unit, such as a camera at 950 m."""
     records = [(name, getattr(config, name)) for name in (*MEASURED, "tool") if getattr(config, name) is not None]
+    records += [(f"scene.obstacles {obstacle.name}", obstacle) for obstacle in config.scene.obstacles]
     wrong = [
         f"{section}.{name}: {text}"
         for section, record in records

@@ -6,8 +6,10 @@ import copy
 from collections.abc import Iterator
 from typing import Any
 
+from scipy.spatial.transform import Rotation
+
 from toolee_robot.errors import ConfigError
-from toolee_robot.frames import BaseFrame
+from toolee_robot.frames import HALF_TURN, BaseFrame
 
 FIELD = "frame"
 """The station file's key that names the frame."""
@@ -22,6 +24,8 @@ POINTS = (
 """Fields that hold a point or a direction in `base`: section and name."""
 BOX = ("scene", "workspace_lower", "workspace_upper")
 """Section and fields of the box that is axis-aligned in `base`."""
+OBSTACLES = ("scene", "obstacles")
+"""Section and field of the list of boxes, each with a centre and a rotation."""
 
 
 def take_frame(data: dict[str, Any]) -> BaseFrame:
@@ -81,6 +85,13 @@ def to_base(data: dict[str, Any], frame: BaseFrame) -> dict[str, Any]:
     if (box := data.get(section) or {}).keys() >= {lower, upper}:
         a, b = _turned(box[lower]), _turned(box[upper])
         box[lower], box[upper] = [b[0], b[1], a[2]], [a[0], a[1], b[2]]
+    section, name = OBSTACLES
+    for obstacle in (data.get(section) or {}).get(name) or ():
+        obstacle["center"] = _turned(obstacle["center"])
+        turned = Rotation.from_matrix(HALF_TURN[:3, :3]) * Rotation.from_rotvec(
+            obstacle.get("rotation", (0.0, 0.0, 0.0))
+        )
+        obstacle["rotation"] = turned.as_rotvec().tolist()
     return data
 
 
@@ -91,6 +102,6 @@ def _turned(point: Any) -> list[float]:
 
 def _positions(data: dict[str, Any]) -> Iterator[str]:
     section, *corners = BOX
-    for part, name in (*POINTS, *((section, corner) for corner in corners)):
+    for part, name in (*POINTS, OBSTACLES, *((section, corner) for corner in corners)):
         if isinstance(fields := data.get(part), dict) and name in fields:
             yield f"{part}.{name}"
