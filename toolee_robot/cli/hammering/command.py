@@ -55,6 +55,8 @@ class Hammer:
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
     no_correction: Flag = False
     """Strike with the nominal pose of the tool in the hand: the baseline."""
+    exact: Flag = False
+    """Tell the job exactly where camera and nail are and what the tool is like, instead of what a person measures."""
     station: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
     """Your own station, with all that a lab must measure: docs/how-to/run_a_job.md."""
     rehearse: Flag = False
@@ -149,11 +151,13 @@ class Hammer:
         self._check_hand(config)
 
         from toolee_robot.cli.hammering.sources import SimulatedSource
+        from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL
         from toolee_robot.stations.simulated import HandDriver, StandIn
 
         stand_in = None if address is None else StandIn(*address, self.controller_profile or "ideal")
         hand_driver = None if self.hand is None else HandDriver(self.hand_port)
-        return SimulatedSource(config, self.seed, self.gui, stand_in, hand_driver)
+        errors = EXACT if self.exact else NOMINAL
+        return SimulatedSource(config, self.seed, self.gui, stand_in, hand_driver, errors)
 
     def _own(self, path: Path) -> Source:
         """A lab's own station, or its rehearsal; refuses options that are for the simulated one."""
@@ -166,6 +170,7 @@ class Hammer:
             "--hand-port": self.hand_port is not None,
             "--config": self.config is not None,
             "--gui": self.gui,
+            "--exact": self.exact,
         }
         if not self.rehearse:
             given |= {

@@ -8,15 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
 from toolee_robot.config import StationConfig
 from toolee_robot.hal import Station
+from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL, CellErrors, DrawnErrors, draw_errors
 from toolee_robot.sim_backend.ground_truth.verdict import Truth
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.stations.lab import LabStation
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
 from toolee_robot.stations.simulated import HandDriver, StandIn, open_station
-from toolee_robot.tasks.hammering.grasp import Grasp, measured_grasp, nominal_grasp
+from toolee_robot.tasks.hammering.grasp import Grasp, measured_grasp
 from toolee_robot.tools import Tool
 
 Tell = Callable[[str], object]
@@ -85,6 +88,8 @@ class SimulatedSource:
         gui: Whether pybullet's window is shown.
         stand_in: Controller stand-in through which the real driver drives the arm; None for the simulated arm itself.
         hand_driver: The hand's own driver, on an emulated hand; None for the simulated hand itself.
+        errors: Sizes of the errors of what the job is told. A calibration's record, if the station file has one, is what
+            it is told of the camera, with its own error.
     """
 
     config: StationConfig
@@ -92,6 +97,12 @@ class SimulatedSource:
     gui: bool = False
     stand_in: StandIn | None = None
     hand_driver: HandDriver | None = None
+    errors: CellErrors = NOMINAL
+
+    @property
+    def _drawn(self) -> DrawnErrors:
+        known = None if self.config.camera.pose is None else np.zeros((6, 6))
+        return draw_errors(self.errors, self.seed, known)
 
     @property
     def real_time_factor(self) -> float | None:
@@ -102,6 +113,8 @@ class SimulatedSource:
     def mode(self) -> str:
         """See `Source`."""
         words = [f"seed {self.seed}"]
+        if self.errors == EXACT:
+            words.append("what the job is told is exact")
         if self.stand_in is not None:
             words.append(f"{self.config.arm.model} over ur_rtde at {self.stand_in.host}")
             words.append(f"{self.stand_in.profile} controller")
@@ -120,14 +133,17 @@ class SimulatedSource:
             "arm": "sim" if self.stand_in is None else "ur-rtde",
             "controller_profile": profile,
             "hand_driver": self.hand_driver is not None,
+            "errors": self._drawn.facts,
         }
 
     @contextmanager
     def open(self, tell: Tell, doing: Tell) -> Iterator[Opened]:  # noqa: ARG002  (a simulation needs neither)
         """See `Source`."""
         with open_station(self.config, self.seed, SimOptions(gui=self.gui), self.stand_in, self.hand_driver) as sim:
-            grasp = nominal_grasp(sim.tool, self.config)
-            yield Opened(sim.station, self.config, grasp, sim.tool.name, _words(sim.tool), sim.judge)
+            drawn = self._drawn
+            config = self.config if self.errors == EXACT else drawn.displaced(self.config)
+            grasp = measured_grasp(drawn.measured(sim.tool, sim.tool.name), config)
+            yield Opened(sim.station, config, grasp, sim.tool.name, _words(sim.tool), sim.judge)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,145 @@
+"""Errors of what a person measures in a cell: how what a job is told differs from what is there.
+
+Every source has a random stream of its own, and its size only scales what is drawn: with another size of one source the
+others err as before, so that trials of the same seed are paired.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.calibration.record import rows
+from toolee_robot.config import StationConfig, ToolData
+from toolee_robot.config.values import STRICT, NotNegative
+from toolee_robot.end_effectors import Category
+from toolee_robot.frames import Array, transform
+from toolee_robot.tools import Tool
+
+
+
+@dataclass(frozen=True)
+class CellErrors:
+    """Sizes of the errors: standard deviations, along each axis where there are several. The defaults are nominal."""
+
+    __pydantic_config__ = STRICT
+    camera_position: NotNegative = 0.002
+    """Of the camera's place [m]: eye-to-hand calibrations are off by 0.7 to 3.2 mm at 1 m
+    (docs/results/calibration.md has this project's)."""
+    camera_rotation: NotNegative = float(np.deg2rad(0.3))
+    """Of the camera's orientation [rad]; assumed."""
+    nail_beside: NotNegative = 0.001
+    """Of the nail's place beside its axis [m]: a punched mark and a ruler; assumed."""
+    nail_height: NotNegative = 0.0003
+    """Of the height of the wood's top [m]: touched with a known tip; assumed."""
+    ruler: NotNegative = 0.001
+    """Of a length that is measured on the tool [m]; of the handle's radius half as much (a calliper). Assumed."""
+    face_angle: NotNegative = float(np.deg2rad(1.0))
+    """Of the direction in which the face looks [rad]; assumed."""
+    scales: NotNegative = 0.01
+    """Of the tool's mass, as a share of it: kitchen scales; assumed."""
+    balance: NotNegative = 0.005
+    """Of the centre of mass along the handle [m], found by balancing it; assumed."""
+
+
+EXACT = CellErrors(*(0.0,) * 8)
+"""No errors: the job is told what is there."""
+NOMINAL = CellErrors()
+"""What a careful person's measurements are off by."""
+PRESETS = {"exact": EXACT, "nominal": NOMINAL}
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnErrors:
+    """The errors of one cell.
+
+    Attributes:
+        camera: Camera's place [m] and orientation as a rotation vector [rad], axes of `base`, (6,).
+        nail: Nail's place, and height of the wood's top, (3,) [m].
+        tool: Standard normal numbers of the tool's data: radius, face (3), normal (3), mass, balance, (9,).
+        sizes: Their sizes.
+    """
+
+    camera: Array
+    nail: Array
+    tool: Array
+    sizes: CellErrors
+
+    def displaced(self, config: StationConfig) -> StationConfig:
+        """Displace camera and nail of a station by the errors.
+
+        Args:
+            config: The station, as it is or as it is believed to be.
+
+        Returns:
+            The other one. The camera's displaced pose is given as a calibration's.
+        """
+        X = config.camera.X_base_camera
+        X = transform(Rotation.from_rotvec(self.camera[3:]) * Rotation.from_matrix(X[:3, :3]), X[:3, 3] + self.camera[:3])
+        x, y = np.asarray(config.work.nail_xy) + self.nail[:2]
+        height = max(1e-3, config.work.stand_height + float(self.nail[2]))
+        work = replace(config.work, nail_xy=(float(x), float(y)), stand_height=height)
+        return replace(config, camera=replace(config.camera, pose=rows(X)), work=work)
+
+    def measured(self, tool: Tool, name: str) -> ToolData:
+        """What a person with ruler, scales and calliper writes down of a hammer.
+
+        Args:
+            tool: The hammer.
+            name: What the person calls it.
+
+        Returns:
+            Its data.
+        """
+        z, size = self.tool, self.sizes
+        X = tool.ee(Category.HAMMER_HEAD).X_tool_ee
+        normal = Rotation.from_rotvec(size.face_angle * z[4:7]).apply(X[:3, 2])
+        return ToolData(
+            name=name,
+            grip_radius=max(5e-3, tool.handle.grip_radius + 0.5 * size.ruler * float(z[0])),
+            face=_three(X[:3, 3] + size.ruler * z[1:4]),
+            face_normal=_three(normal),
+            mass=tool.mass * (1.0 + size.scales * float(z[7])),
+            center_of_mass=_three(tool.center_of_mass + np.array([0.0, 0.0, size.balance * float(z[8])])),
+        )
+
+    @property
+    def facts(self) -> dict[str, float]:
+        """Figures for a run's summary."""
+        return {
+            "camera_mm": round(1e3 * float(np.linalg.norm(self.camera[:3])), 3),
+            "camera_deg": round(float(np.rad2deg(np.linalg.norm(self.camera[3:]))), 3),
+            "nail_beside_mm": round(1e3 * float(np.linalg.norm(self.nail[:2])), 3),
+            "nail_height_mm": round(1e3 * float(self.nail[2]), 3),
+            "face_mm": round(1e3 * self.sizes.ruler * float(np.linalg.norm(self.tool[1:4])), 3),
+            "face_deg": round(float(np.rad2deg(self.sizes.face_angle * np.linalg.norm(self.tool[4:7]))), 3),
+            "mass_percent": round(100.0 * self.sizes.scales * float(self.tool[7]), 3),
+        }
+
+
+def draw_errors(sizes: CellErrors, seed: int, camera_covariance: Array | None = None) -> DrawnErrors:
+    """Draw the errors of a cell.
+
+    Args:
+        sizes: Their sizes.
+        seed: Seed of the job.
+        camera_covariance: Covariance of the camera's pose by its calibration's record, (6, 6) [m, rad], axes of `base`,
+            instead of the sizes; None for these.
+
+    Returns:
+        The errors.
+    """
+    camera, nail, tool = (np.random.default_rng([seed, 31, stream]) for stream in range(3))
+    if camera_covariance is None:
+        off = camera.normal(size=6) * np.repeat([sizes.camera_position, sizes.camera_rotation], 3)
+    else:
+        off = camera.multivariate_normal(np.zeros(6), camera_covariance)
+    beside = nail.normal(size=3) * [sizes.nail_beside, sizes.nail_beside, sizes.nail_height]
+    return DrawnErrors(off, beside, tool.normal(size=9), sizes)
+
+
+def _three(v: Array) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in v)
+    return x, y, z
