@@ -19,7 +19,6 @@ from toolee_robot.frames import Array, transform
 from toolee_robot.tools import Tool
 
 
-
 @dataclass(frozen=True)
 class CellErrors:
     """Sizes of the errors: standard deviations, along each axis where there are several. The defaults are nominal."""
@@ -77,7 +76,9 @@ class DrawnErrors:
             The other one. The camera's displaced pose is given as a calibration's.
         """
         X = config.camera.X_base_camera
-        X = transform(Rotation.from_rotvec(self.camera[3:]) * Rotation.from_matrix(X[:3, :3]), X[:3, 3] + self.camera[:3])
+        X = transform(
+            Rotation.from_rotvec(self.camera[3:]) * Rotation.from_matrix(X[:3, :3]), X[:3, 3] + self.camera[:3]
+        )
         x, y = np.asarray(config.work.nail_xy) + self.nail[:2]
         height = max(1e-3, config.work.stand_height + float(self.nail[2]))
         work = replace(config.work, nail_xy=(float(x), float(y)), stand_height=height)

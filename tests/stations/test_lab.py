@@ -17,9 +17,9 @@ from toolee_robot.frames import angle_between, rotation_angle
 from toolee_robot.hardware.hands.ability import AbilityHand
 from toolee_robot.hardware.hands.inspire import InspireHand
 from toolee_robot.hardware.ur.driver import UnsupervisedUrArm
+from toolee_robot.sim_backend.cell_errors import NOMINAL
 from toolee_robot.stations.lab import LabStation, Purpose, check_purpose
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
-from toolee_robot.stations.rehearsal.job import NAIL_BESIDE, RULER
 from toolee_robot.types import HandWeight
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -88,14 +88,14 @@ def test_the_rehearsed_cell_is_off_by_what_a_person_measures(config: StationConf
     assert 0.5 < np.sqrt(np.mean(np.square(moved)) / 3.0) / config.calibration.residual < 1.6
     assert 0.0 < max(rotation_angle(cell.true.camera.X_base_camera[:3, :3].T @ X[:3, :3]) for cell in cells) < 0.005
     beside = np.array([cell.true.work.nail_xy for cell in cells]) - config.work.nail_xy
-    assert 0.5 < np.sqrt(np.mean(beside**2)) / NAIL_BESIDE < 1.6
+    assert 0.5 < np.sqrt(np.mean(beside**2)) / NOMINAL.nail_beside < 1.6
     for cell in cells:
         assert cell.measured.camera == config.camera, "the job knows what the file says"
         assert cell.measured.work == config.work
         told, tool = cell.measured.tool, cell.tool
         assert told is not None
         X_face = tool.ee(Category.HAMMER_HEAD).X_tool_ee
-        assert 0.0 < np.linalg.norm(told.X_tool_face[:3, 3] - X_face[:3, 3]) < 6.0 * RULER
+        assert 0.0 < np.linalg.norm(told.X_tool_face[:3, 3] - X_face[:3, 3]) < 6.0 * NOMINAL.ruler
         assert angle_between(told.X_tool_face[:3, 2], X_face[:3, 2]) < np.deg2rad(6.0)
         assert abs(told.mass / tool.mass - 1.0) < 0.06
 

@@ -1,0 +1,73 @@
+"""Errors of a cell: as large as they say, independent of each other, and none where none is wanted."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from toolee_robot.config import StationConfig
+from toolee_robot.end_effectors import Category
+from toolee_robot.frames import inverse, rotation_angle
+from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL, CellErrors, draw_errors
+from toolee_robot.tools import NAIL_DRIVERS, make_tool
+
+CONFIG = StationConfig()
+SEEDS = range(400)
+
+
+def test_without_errors_the_job_is_told_what_is_there() -> None:
+    tool = make_tool(NAIL_DRIVERS[0], 5)
+    errors = draw_errors(EXACT, 3)
+    told = errors.displaced(CONFIG)
+    np.testing.assert_allclose(told.camera.X_base_camera, CONFIG.camera.X_base_camera, atol=1e-12)
+    assert told.work == CONFIG.work
+    data = errors.measured(tool, "hammer")
+    np.testing.assert_allclose(data.X_tool_face[:3, 3], tool.ee(Category.HAMMER_HEAD).X_tool_ee[:3, 3])
+    assert (data.mass, data.grip_radius) == (tool.mass, tool.handle.grip_radius)
+    assert set(errors.facts.values()) == {0.0}
+
+
+def test_the_errors_are_as_large_as_they_say() -> None:
+    X = CONFIG.camera.X_base_camera
+    told = [draw_errors(NOMINAL, seed).displaced(CONFIG) for seed in SEEDS]
+    off = [inverse(X) @ other.camera.X_base_camera for other in told]
+    assert np.sqrt(np.mean([np.sum(x[:3, 3] ** 2) for x in off]) / 3) == pytest.approx(NOMINAL.camera_position, rel=0.1)
+    turned = np.sqrt(np.mean([rotation_angle(x[:3, :3]) ** 2 for x in off]) / 3)
+    assert turned == pytest.approx(NOMINAL.camera_rotation, rel=0.1)
+    beside = np.array([other.work.nail_xy for other in told]) - CONFIG.work.nail_xy
+    assert np.std(beside, axis=0) == pytest.approx([NOMINAL.nail_beside] * 2, rel=0.15)
+    heights = [other.work.stand_height for other in told]
+    assert np.std(heights) == pytest.approx(NOMINAL.nail_height, rel=0.15)
+    tool = make_tool(NAIL_DRIVERS[0], 5)
+    masses = [draw_errors(NOMINAL, seed).measured(tool, "hammer").mass for seed in SEEDS]
+    assert np.std(masses) / tool.mass == pytest.approx(NOMINAL.scales, rel=0.15)
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(CellErrors)])
+def test_another_size_of_one_error_leaves_the_others_as_they_were(name: str) -> None:
+    """Trials of one seed are paired: a curve over one error changes nothing else."""
+    usual = draw_errors(NOMINAL, 7)
+    larger = draw_errors(replace(NOMINAL, **{name: 3.0 * getattr(NOMINAL, name)}), 7)
+    changed = {fact: (value, larger.facts[fact]) for fact, value in usual.facts.items() if larger.facts[fact] != value}
+    assert len(changed) <= 1, changed
+    for value, grown in changed.values():
+        assert grown == pytest.approx(3.0 * value, rel=0.01) or name == "nail_beside"
+    tool = make_tool(NAIL_DRIVERS[0], 5)
+    assert changed or larger.measured(tool, "x") != usual.measured(tool, "x")
+
+
+def test_a_calibrations_covariance_takes_the_place_of_the_cameras_sizes() -> None:
+    known = draw_errors(NOMINAL, 7, np.zeros((6, 6)))
+    np.testing.assert_array_equal(known.camera, np.zeros(6))
+    np.testing.assert_array_equal(known.nail, draw_errors(NOMINAL, 7).nail)
+
+
+def test_sizes_are_checked_where_a_file_gives_them() -> None:
+    sizes = TypeAdapter(CellErrors)
+    assert sizes.validate_python({"camera_position": 0.005}) == replace(NOMINAL, camera_position=0.005)
+    for wrong in ({"camera_position": -1.0}, {"camera": 1.0}):
+        with pytest.raises(ValidationError):
+            sizes.validate_python(wrong)
