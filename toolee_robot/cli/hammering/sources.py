@@ -88,8 +88,8 @@ class SimulatedSource:
         gui: Whether pybullet's window is shown.
         stand_in: Controller stand-in through which the real driver drives the arm; None for the simulated arm itself.
         hand_driver: The hand's own driver, on an emulated hand; None for the simulated hand itself.
-        errors: Sizes of the errors of what the job is told. If the station file names a calibration's record, the job is
-            told that of the camera, with its own error.
+        errors: Sizes of the errors of what the job is told. Where the station file names a calibration's record, the
+            job is told that of the camera, with its own error.
     """
 
     config: StationConfig
