@@ -34,6 +34,7 @@ from toolee_robot.cli.hammering.command import Hammer
 from toolee_robot.cli.hand_emulator import HandEmulator
 from toolee_robot.cli.station.command import Station
 from toolee_robot.cli.train.command import Train
+from toolee_robot.cli.trials import Trials
 from toolee_robot.cli.ur_controller import UrController
 from toolee_robot.errors import TooleeError, UserError
 
@@ -57,6 +58,7 @@ Command = (
     | Annotated[HandEmulator, tyro.conf.subcommand("hand-emulator")]
     | Annotated[Station, tyro.conf.subcommand("station")]
     | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Trials, tyro.conf.subcommand("trials")]
     | Annotated[UrController, tyro.conf.subcommand("ur-controller")]
 )
 
@@ -78,6 +80,7 @@ AnyCommand = (
     | HandEmulator
     | Station
     | Train
+    | Trials
     | UrController
 )
 

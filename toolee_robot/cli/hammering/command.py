@@ -16,6 +16,7 @@ from toolee_robot.cli.output import json_line
 from toolee_robot.config import StationConfig, load_lab_station, load_station
 from toolee_robot.errors import UserError
 from toolee_robot.runtime.clock import check_real_time_factor, is_loopback
+from toolee_robot.runtime.yaml_files import read_record
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.types import ArmModel
 
@@ -55,6 +56,8 @@ class Hammer:
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
     no_correction: Flag = False
     """Strike with the nominal pose of the tool in the hand: the baseline."""
+    errors: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """Sizes of the errors of what a simulated job is told, others nominal: docs/concepts/cell_errors.md."""
     exact: Flag = False
     """Tell the job exactly where camera and nail are and what the tool is like, instead of what a person measures."""
     station: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
@@ -102,6 +105,11 @@ class Hammer:
     """Show pybullet's window (needs a screen)."""
     perfect_perception: Flag = False
     """For tests and ablations only: poses from the simulation's ground truth instead of the camera."""
+    ablation: Annotated[
+        Literal["position_only", "normal_only", "one_view"] | None,
+        tyro.conf.arg(metavar="position_only|normal_only|one_view", help_behavior_hint=""),
+    ] = None
+    """For trials only: believe only the estimated position, or orientation, of the face, or look once only."""
 
     def run(self) -> int:
         if not 0 <= self.seed < 2**31:
@@ -110,6 +118,11 @@ class Hammer:
             raise UserError(
                 "--gui needs a screen and DISPLAY is not set: leave it out, headless does the same job",
                 code="user.no_display",
+            )
+        if self.ablation is not None and (self.perfect_perception or self.no_correction):
+            raise UserError(
+                "--ablation with --perfect-perception or --no-correction: there is no perception to leave a part out",
+                code="user.option",
             )
         if self.perfect_perception and self.no_correction:
             raise UserError(
@@ -122,6 +135,7 @@ class Hammer:
 
         from toolee_robot.cli.hammering.job import HammerJob  # takes seconds to import: after the checks of the options
         from toolee_robot.cli.run_folder import run_folder
+        from toolee_robot.tasks.hammering.ablation import Ablation
 
         name = "job" if self.station is not None and not self.rehearse else f"seed{self.seed}"
         with run_folder(self.out, name) as folder:
@@ -129,7 +143,7 @@ class Hammer:
             ask = (lambda question: console.input(question, markup=False)) if interactive else None
             job = HammerJob(
                 source, correction=not self.no_correction, perfect_perception=self.perfect_perception, ask=ask,
-                page_port=self.page,
+                page_port=self.page, ablation=None if self.ablation is None else Ablation(self.ablation),
             )  # fmt: skip
             report = job.run(folder.path, console)
             folder.keep()
@@ -151,12 +165,16 @@ class Hammer:
         self._check_hand(config)
 
         from toolee_robot.cli.hammering.sources import SimulatedSource
-        from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL
+        from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL, CellErrors
         from toolee_robot.stations.simulated import HandDriver, StandIn
 
         stand_in = None if address is None else StandIn(*address, self.controller_profile or "ideal")
         hand_driver = None if self.hand is None else HandDriver(self.hand_port)
+        if self.exact and self.errors is not None:
+            raise UserError("--exact with --errors: leave one out", code="user.option")
         errors = EXACT if self.exact else NOMINAL
+        if self.errors is not None:
+            errors = read_record(self.errors, CellErrors, "list of errors")
         return SimulatedSource(config, self.seed, self.gui, stand_in, hand_driver, errors)
 
     def _own(self, path: Path) -> Source:
@@ -171,6 +189,7 @@ class Hammer:
             "--config": self.config is not None,
             "--gui": self.gui,
             "--exact": self.exact,
+            "--errors": self.errors is not None,
         }
         if not self.rehearse:
             given |= {

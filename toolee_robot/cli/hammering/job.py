@@ -30,6 +30,7 @@ from toolee_robot.sim_backend.ground_truth.verdict import StrikeTruth, Verdict
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.common.observer import Observers
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome
+from toolee_robot.tasks.hammering.ablation import Ablation, ablated
 from toolee_robot.tasks.hammering.task import HammeringTask
 
 EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
@@ -92,6 +93,7 @@ class HammerJob:
         source: Opens the devices.
         correction: Whether the estimated in-hand pose is used.
         perfect_perception: Whether poses come from the ground truth, for tests and ablations only.
+        ablation: What perception leaves out; None for nothing.
         ask: Asks the person at the terminal what to do after a stop; None: the job then ends.
         page_port: Port of the page that shows the job in the browser; None for no page.
     """
@@ -99,6 +101,7 @@ class HammerJob:
     source: Source
     correction: bool = True
     perfect_perception: bool = False
+    ablation: Ablation | None = None
     ask: Callable[[str], str] | None = None
     page_port: int | None = None
 
@@ -142,6 +145,7 @@ class HammerJob:
                 perceiver: Perceiver = PerfectPerception(opened.truth)
             else:
                 perceiver = perception
+            perceiver, config = ablated(self.ablation, perceiver, config, opened.grasp.X_hand_ee)
             task = HammeringTask(
                 station, perceiver, config, opened.grasp,
                 correction=self.correction,
@@ -182,6 +186,8 @@ class HammerJob:
             words.append("poses from the simulation's ground truth")
         elif not self.correction:
             words.append("no correction: the nominal in-hand pose is believed")
+        if self.ablation is not None:
+            words.append(self.ablation.replace("_", " "))
         return ", ".join(word for word in words if word)
 
     def _machine_stalled(self, result: HammerResult, longest_stall: float | None) -> bool:
@@ -239,6 +245,7 @@ class HammerJob:
             "yield_torque": hand_model(hand).yield_torque,
             "correction": self.correction,
             "perfect_perception": self.perfect_perception,
+            "ablation": self.ablation,
         }
 
     def _write(

@@ -1,0 +1,162 @@
+"""A plan's trials: paired, resumable, counted once; a plan does not change once they have begun."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.errors import raises
+from toolee_robot.errors import ConfigError, TooleeError, UserError
+from toolee_robot.trials import Arm, Trial, TrialPlan, load_plan, run_trials, write_report
+from toolee_robot.trials.run import RESULTS, finished
+
+PLAN = TrialPlan("three hammers", 40, 3, (Arm.FULL, Arm.NO_CORRECTION), {"camera_position": 0.004})
+
+
+def job(options: Sequence[str]) -> dict[str, Any]:
+    """A job whose outcome follows from its options alone, as a simulated one's does."""
+    seed = int(options[options.index("--seed") + 1])
+    success = "--no-correction" not in options and seed != 41
+    return {
+        "success": success,
+        "outcome": "flush" if success else "nail_missed",
+        "reason": "for a test",
+        "strikes": seed,
+        "tool": f"hammer-{seed % 2}",
+        "errors": {"camera_mm": float(seed)},
+        "run_folder": None,
+    }
+
+
+def quietly(_: str) -> None:
+    pass
+
+
+class Asked:
+    """Runs jobs, and keeps what was asked."""
+
+    def __init__(self) -> None:
+        self.options: list[list[str]] = []
+
+    def __call__(self, options: Sequence[str]) -> dict[str, Any]:
+        self.options.append(list(options))
+        return job(options)
+
+
+def test_every_arm_has_the_same_seeds_and_its_own_options(tmp_path: Path) -> None:
+    asked = Asked()
+    records = run_trials(PLAN, tmp_path, 1, quietly, asked)
+    assert [record.trial for record in records] == [Trial(arm, s) for s in (40, 41, 42) for arm in PLAN.arms]
+    assert all(("--no-correction" in options) == (i % 2 == 1) for i, options in enumerate(asked.options))
+    assert all(
+        Path(options[options.index("--errors") + 1]).read_text() == "camera_position: 0.004\n"
+        for options in asked.options
+    )
+    assert finished(PLAN, tmp_path) == records
+
+
+@pytest.mark.parametrize("after", [0, 1, 4])
+@pytest.mark.parametrize("torn", ["", '{"trial": {"arm": "fu'])
+def test_a_run_that_was_ended_goes_on_where_it_stopped(tmp_path: Path, after: int, torn: str) -> None:
+    """Whatever was being written when the power went is run again, and nothing that was finished."""
+    whole = run_trials(PLAN, tmp_path / "whole", 1, quietly, job)
+    lines = (tmp_path / "whole" / RESULTS).read_text().splitlines(keepends=True)
+    (tmp_path / "cut").mkdir()
+    (tmp_path / "cut" / RESULTS).write_text("".join(lines[: 1 + after]) + torn)
+    asked = Asked()
+    records = run_trials(PLAN, tmp_path / "cut", 1, quietly, asked)
+    assert len(asked.options) == 6 - after
+    assert [(r.trial, r.figures) for r in records] == [(r.trial, r.figures) for r in whole]
+    assert (tmp_path / "cut" / RESULTS).read_text().count("\n") == 7
+
+
+def test_a_job_that_crashes_loses_no_finished_one(tmp_path: Path) -> None:
+    def crashes(options: Sequence[str]) -> dict[str, Any]:
+        if "42" in options:
+            raise TooleeError("it died", code="trials.crashed")
+        return job(options)
+
+    with raises(TooleeError, code="trials.crashed"):
+        run_trials(PLAN, tmp_path, 1, quietly, crashes)
+    assert [record.trial.seed for record in finished(PLAN, tmp_path)] == [40, 40, 41, 41]
+
+
+def test_the_outcomes_do_not_depend_on_how_many_run_side_by_side(tmp_path: Path) -> None:
+    both = threading.Barrier(2, timeout=20.0)
+
+    def together(options: Sequence[str]) -> dict[str, Any]:
+        both.wait()  # two are under way at any time
+        return job(options)
+
+    one = run_trials(PLAN, tmp_path / "one", 1, quietly, job)
+    two = run_trials(PLAN, tmp_path / "two", 2, quietly, together)
+    assert [(r.trial, r.figures) for r in one] == [(r.trial, r.figures) for r in two]
+
+
+def test_a_job_that_the_machine_stalled_is_repeated_and_counted(tmp_path: Path) -> None:
+    stalls = iter([True, True, False])
+    plan = replace(PLAN, trials=1, arms=(Arm.FULL,))
+    (record,) = run_trials(
+        plan, tmp_path, 1, quietly, lambda options: {**job(options), "machine_stalled": next(stalls)}
+    )
+    assert record.figures["tries"] == 3
+
+
+def test_a_plan_does_not_change_once_its_trials_have_begun(tmp_path: Path) -> None:
+    run_trials(PLAN, tmp_path, 1, quietly, job)
+    with raises(UserError, code="user.other_plan"):
+        run_trials(replace(PLAN, trials=4), tmp_path, 1, quietly, job)
+    assert len(finished(PLAN, tmp_path)) == 6
+
+
+def test_a_plans_hash_is_of_what_it_says(tmp_path: Path) -> None:
+    texts = ["name: a\nfirst_seed: 3\ntrials: 2\n", "{trials: 2, name: a, arms: [full], first_seed: 3}  # the same"]
+    hashes = set()
+    for i, text in enumerate(texts):
+        (tmp_path / f"{i}.yaml").write_text(text)
+        hashes.add(load_plan(tmp_path / f"{i}.yaml").hash)
+    assert len(hashes) == 1
+    assert replace(load_plan(tmp_path / "0.yaml"), trials=3).hash not in hashes
+    assert load_plan(Path(__file__).parents[2] / "examples" / "trials.yaml").trials == 20
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ("arms: [full, full]", "arms"),
+        ("arms: [ful]", "arms"),
+        ("trials: 0", "trials"),
+        ("errors: {camera_position: -1}", "errors"),
+        ("options: [--seed, '3']", "--seed"),
+        ("seeds: 3", "seeds"),
+    ],
+)
+def test_what_is_no_plan_is_refused_by_the_field(tmp_path: Path, change: str, what: str) -> None:
+    lines = {"name": "a", "first_seed": "3", "trials": "2"}
+    key, value = change.split(": ", 1)
+    text = "\n".join(f"{k}: {v}" for k, v in {**lines, key: value}.items())
+    (tmp_path / "plan.yaml").write_text(text)
+    with raises(ConfigError, code="config.invalid") as refused:
+        load_plan(tmp_path / "plan.yaml")
+    assert what in str(refused.value)
+
+
+def test_the_report_tells_shares_pairs_failures_and_distinct_tools(tmp_path: Path) -> None:
+    plan = replace(PLAN, trials=8)
+    page = write_report(plan, run_trials(plan, tmp_path, 1, quietly, job), tmp_path).read_text()
+    made = json.loads((tmp_path / "report.json").read_text())
+    assert (made["finished"], made["of"], made["distinct_tools"]) == (16, 16, 2)
+    full, without = made["arms"]["full"], made["arms"]["no_correction"]
+    assert full["flush"]["hits"] == 7
+    assert without["against_first"] == {"pairs": 8, "better": 0, "worse": 7, "p": pytest.approx(2 / 2**7)}
+    assert without["outcomes"] == {"nail_missed": 8}
+    assert "data:image/png;base64," in page, "success against the size of the errors"
+    assert "7 of 8" in page
+    assert plan.hash in page
+    assert "http" not in page.replace("http://www.w3.org", ""), "one file, nothing is loaded"

@@ -1,0 +1,75 @@
+"""Jobs that believe a part of what perception tells, to see what each part is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from enum import StrEnum
+
+from toolee_robot.config import StationConfig
+from toolee_robot.end_effectors import CATEGORIES, Category
+from toolee_robot.frames import Array, transform
+from toolee_robot.tasks.common.look import Perceiver
+from toolee_robot.types import HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
+
+
+class Ablation(StrEnum):
+    """What a job leaves out."""
+
+    POSITION_ONLY = "position_only"
+    """The estimated orientation: the nominal one is believed."""
+    NORMAL_ONLY = "normal_only"
+    """The estimated position: the nominal one is believed."""
+    ONE_VIEW = "one_view"
+    """All views of a look but the first."""
+
+
+class PartlyNominal:
+    """A perceiver whose fused pose is in part that of the nominal grasp.
+
+    Args:
+        perceiver: The whole perception.
+        X_hand_ee: Pose of the end effector in the hand in the nominal grasp, (4, 4).
+        position: Whether the estimated position is kept; else the estimated orientation.
+    """
+
+    def __init__(self, perceiver: Perceiver, X_hand_ee: Array, *, position: bool) -> None:
+        self._perceiver, self._nominal, self._position = perceiver, X_hand_ee, position
+
+    def estimate(
+        self, frame: RgbdFrame, hand: HoldingHand | None = None, categories: Sequence[Category] = CATEGORIES
+    ) -> list[ToolEstimate]:
+        """See `Perceiver`."""
+        return self._perceiver.estimate(frame, hand, categories)
+
+    def fuse(
+        self,
+        estimates_per_frame: Sequence[Sequence[ToolEstimate]],
+        Xs_camera_hand: Sequence[Array],
+        category: Category | None = None,
+    ) -> InHandEstimate:
+        """See `Perceiver`; a part of the pose is nominal."""
+        fused = self._perceiver.fuse(estimates_per_frame, Xs_camera_hand, category)
+        place, turn = (fused.X_hand_ee, self._nominal) if self._position else (self._nominal, fused.X_hand_ee)
+        return replace(fused, X_hand_ee=transform(turn[:3, :3], place[:3, 3]))
+
+
+def ablated(
+    ablation: Ablation | None, perceiver: Perceiver, config: StationConfig, X_hand_ee: Array
+) -> tuple[Perceiver, StationConfig]:
+    """Leave out a part of perception.
+
+    Args:
+        ablation: What; None for nothing.
+        perceiver: The whole perception.
+        config: Configuration of the station.
+        X_hand_ee: Pose of the end effector in the hand in the nominal grasp, (4, 4).
+
+    Returns:
+        Perception and configuration of the job.
+    """
+    if ablation is None:
+        return perceiver, config
+    if ablation is Ablation.ONE_VIEW:
+        return perceiver, replace(config, task=replace(config.task, views=1, views_again=1))
+    return PartlyNominal(perceiver, X_hand_ee, position=ablation is Ablation.POSITION_ONLY), config

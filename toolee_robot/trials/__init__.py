@@ -1,0 +1,12 @@
+"""Trials: a plan that is fixed before the run, its jobs, and a report that counts them.
+
+plan = load_plan(Path("plan.yaml"))
+records = run_trials(plan, Path("trials"), jobs=2, tell=print)
+write_report(plan, records, Path("trials"))
+"""
+
+from toolee_robot.trials.plan import Arm, Trial, TrialPlan, load_plan
+from toolee_robot.trials.report import write_report
+from toolee_robot.trials.run import Record, run_trials
+
+__all__ = ["Arm", "Record", "Trial", "TrialPlan", "load_plan", "run_trials", "write_report"]

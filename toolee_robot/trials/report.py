@@ -1,0 +1,224 @@
+"""The report of trials: one page with everything on it, and the same figures as JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from toolee_robot.perception.evaluation.html import Page
+from toolee_robot.runtime.files import write_atomic
+from toolee_robot.trials.plan import TrialPlan
+from toolee_robot.trials.run import Record
+from toolee_robot.trials.statistics import by_size, compare, median, of_arm, share
+
+REPORT, FIGURES = "report.html", "report.json"
+"""Names of the page and of its figures, in the trials' folder."""
+MEDIANS = {
+    "strikes": "strikes",
+    "robot_seconds": "robot's time, s",
+    "nail_seconds": "of it for the nail, s",
+    "pose_error_mm": "face, mm",
+    "pose_error_deg": "face, °",
+    "strike_offset_mm": "strike offset, mm",
+    "strike_tilt_deg": "strike tilt, °",
+}
+"""Figures of which the medians are told, and how they are headed."""
+ERRORS = {
+    "camera_mm": "camera's place, mm",
+    "camera_deg": "camera's orientation, °",
+    "nail_beside_mm": "nail beside its place, mm",
+    "nail_height_mm": "wood's height, mm",
+    "face_mm": "face on the tool, mm",
+    "mass_percent": "tool's mass, %",
+}
+"""Errors against which success is shown, and how the axis is called."""
+_BLUE = "#12609e"
+
+
+def write_report(plan: TrialPlan, records: Sequence[Record], folder: Path) -> Path:
+    """Write the report of a plan's trials.
+
+    Args:
+        plan: The plan.
+        records: The results that there are.
+        folder: The trials' folder, which gets the page and its figures.
+
+    Returns:
+        The page.
+    """
+    write_atomic(folder / FIGURES, (json.dumps(figures(plan, records), indent=1) + "\n").encode())
+    write_atomic(folder / REPORT, _page(plan, records, folder).encode())
+    return folder / REPORT
+
+
+def figures(plan: TrialPlan, records: Sequence[Record]) -> dict[str, Any]:
+    """Compute the report's figures.
+
+    Args:
+        plan: The plan.
+        records: The results that there are.
+
+    Returns:
+        By name, for JSON.
+    """
+    arms = {}
+    first = of_arm(records, plan.arms[0])
+    for arm in plan.arms:
+        mine = of_arm(records, arm)
+        if not mine:
+            continue
+        arms[str(arm)] = {
+            "flush": asdict(share([record.success for record in mine])),
+            "against_first": None if arm is plan.arms[0] else asdict(compare(mine, first)),
+            "medians": {name: median(mine, name) for name in MEDIANS},
+            "outcomes": dict(Counter(str(record.figures["outcome"]) for record in mine)),
+        }
+    tools = {str(record.figures.get("tool")) for record in records}
+    return {
+        "plan": asdict(plan),
+        "hash": plan.hash,
+        "finished": len(records),
+        "of": plan.trials * len(plan.arms),
+        "distinct_tools": len(tools),
+        "arms": arms,
+    }
+
+
+def _page(plan: TrialPlan, records: Sequence[Record], folder: Path) -> str:
+    made = figures(plan, records)
+    page = Page(plan.name, f"plan {plan.hash[:12]} · {made['finished']} of {made['of']} trials finished")
+    page.section("Result")
+    cards = [(f"{made['distinct_tools']}", "distinct tools"), (f"{plan.trials}", "seeds, the same in every arm")]
+    for arm, of in made["arms"].items():
+        flush = of["flush"]
+        cards.append((f"{flush['hits']} of {flush['of']}", f"flush, {arm.replace('_', ' ')}"))
+    page.cards(cards)
+    page.table(
+        ["arm", "flush", "95 % (Wilson)", f"against {plan.arms[0].replace('_', ' ')}", "p (McNemar)"], _arms(made)
+    )
+    page.heading("Medians")
+    page.table(
+        ["arm", *MEDIANS.values()],
+        [
+            [arm.replace("_", " "), *(_figure(of["medians"][name]) for name in MEDIANS)]
+            for arm, of in made["arms"].items()
+        ],
+    )
+    page.section("Failures")
+    failed = [record for record in records if not record.success]
+    if failed:
+        page.table(["arm", "outcome", "trials"], _outcomes(made), left=2)
+        page.table(["arm", "seed", "tool", "outcome", "reason"], [_failure(r, folder) for r in failed], left=5)
+    else:
+        page.paragraph("None.")
+    curves = _curves(of_arm(records, plan.arms[0]))
+    page.section("Success against the size of each error")
+    if curves is None:
+        page.paragraph("No error was drawn, or there are too few trials for bins.")
+    else:
+        caption = (
+            f"Arm {plan.arms[0].replace('_', ' ')}: share of nails that are flush in four bins of as many trials each, "
+            "by the size of one error while the others vary, with 95 % intervals."
+        )
+        page.picture(curves, caption)
+    page.section("Every trial")
+    page.table(
+        ["arm", "seed", "tool", "outcome", "strikes", "robot's time, s", "tries"],
+        [_row(record, folder) for record in records],
+        left=4,
+    )
+    page.section("The plan")
+    page.definitions({name: _words(value) for name, value in asdict(plan).items()} | {"hash (SHA-256)": plan.hash})
+    if records:
+        page.paragraph(
+            f"A trial is repeated by its own command, the first one by: toolee hammer {' '.join(records[0].command)}"
+        )
+    return page.text()
+
+
+def _arms(made: dict[str, Any]) -> list[list[str]]:
+    rows = []
+    for arm, of in made["arms"].items():
+        flush, against = of["flush"], of["against_first"]
+        difference = "" if against is None else f"{against['better']} better, {against['worse']} worse"
+        p = "" if against is None else f"{against['p']:.2g}"
+        interval = f"{flush['low']:.3f} to {flush['high']:.3f}"
+        rows.append([arm.replace("_", " "), f"{flush['hits']} of {flush['of']}", interval, difference, p])
+    return rows
+
+
+def _outcomes(made: dict[str, Any]) -> list[list[str]]:
+    return [
+        [arm.replace("_", " "), outcome.replace("_", " "), str(count)]
+        for arm, of in made["arms"].items()
+        for outcome, count in sorted(of["outcomes"].items(), key=lambda item: -item[1])
+        if outcome != "flush"
+    ]
+
+
+def _failure(record: Record, folder: Path) -> list[Any]:
+    f = record.figures
+    outcome = str(f["outcome"]).replace("_", " ")
+    return [str(record.trial.arm).replace("_", " "), _link(record, folder), f["tool"], outcome, f["reason"]]
+
+
+def _row(record: Record, folder: Path) -> list[Any]:
+    f, arm = record.figures, str(record.trial.arm).replace("_", " ")
+    outcome = "flush" if record.success else str(f["outcome"]).replace("_", " ")
+    time = _figure(f.get("robot_seconds"))
+    return [arm, _link(record, folder), f["tool"], outcome, str(f["strikes"]), time, str(f["tries"])]
+
+
+def _link(record: Record, folder: Path) -> Markup | str:
+    """The seed, with a link to the job's picture."""
+    seed, run = str(record.trial.seed), record.figures.get("run_folder")
+    if not run:
+        return seed
+    return Markup('<a href="{0}/picture.png">{1}</a>').format(Path(os.path.relpath(run, folder)).as_posix(), seed)
+
+
+def _figure(value: float | None) -> str:
+    return "" if value is None else f"{value:.1f}"
+
+
+def _words(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {size:g}" for name, size in value.items())
+    return ", ".join(map(str, value)) or "none" if isinstance(value, list | tuple) else str(value)
+
+
+def _curves(records: Sequence[Record]) -> bytes | None:
+    drawn = {name: bins for name in ERRORS if (bins := by_size(records, name))}
+    if not drawn:
+        return None
+    figure = Figure(figsize=(10.5, 2.6 * -(-len(drawn) // 3)), layout="constrained")
+    axes = figure.subplots(-(-len(drawn) // 3), 3, squeeze=False, sharey=True).ravel()
+    for ax, (name, bins) in zip(axes, drawn.items(), strict=False):
+        x = np.array([(b.low + b.high) / 2 for b in bins])
+        y = np.array([b.share.hits / b.share.of for b in bins])
+        off = np.array(
+            [[max(s - b.share.low, 0.0), max(b.share.high - s, 0.0)] for s, b in zip(y, bins, strict=True)]
+        ).T
+        ax.errorbar(x, y, yerr=off, xerr=[(b.high - b.low) / 2 for b in bins], fmt="o", color=_BLUE, capsize=2)
+        ax.set_xlabel(ERRORS[name])
+        ax.set_ylim(-0.03, 1.03)
+        ax.grid(alpha=0.3)
+    for ax in axes[len(drawn) :]:
+        ax.set_visible(False)
+    for ax in axes[::3]:
+        ax.set_ylabel("flush")
+    FigureCanvasAgg(figure)
+    file = BytesIO()
+    figure.savefig(file, format="png", dpi=110)
+    return file.getvalue()

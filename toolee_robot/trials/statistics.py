@@ -1,0 +1,145 @@
+"""Figures of trials: shares with intervals, paired comparisons, and success against the size of an error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import binomtest
+
+from toolee_robot.trials.plan import Arm
+from toolee_robot.trials.run import Record
+
+
+@dataclass(frozen=True)
+class Share:
+    """A share with its 95 % interval.
+
+    Attributes:
+        hits: Number of successes.
+        of: Number of trials.
+        low: Lower bound (Wilson 1927).
+        high: Upper bound.
+    """
+
+    hits: int
+    of: int
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.hits} of {self.of} ({self.low:.2f} to {self.high:.2f})"
+
+
+def share(successes: Sequence[bool]) -> Share:
+    """Compute a share.
+
+    Args:
+        successes: Whether each trial succeeded; at least one.
+
+    Returns:
+        The share.
+    """
+    hits, of = int(sum(successes)), len(successes)
+    interval = binomtest(hits, of).proportion_ci(method="wilson")
+    return Share(hits, of, float(interval.low), float(interval.high))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """An arm compared with another one on the same seeds.
+
+    Attributes:
+        pairs: Number of seeds that both have.
+        better: Number of seeds where only the arm succeeded.
+        worse: Number of seeds where only the other one did.
+        p: Probability of a difference at least as large if there is none (exact test of McNemar 1947).
+    """
+
+    pairs: int
+    better: int
+    worse: int
+    p: float
+
+
+def compare(arm: Sequence[Record], other: Sequence[Record]) -> Comparison:
+    """Compare two arms, pair by pair.
+
+    Args:
+        arm: Results of an arm.
+        other: Results of the arm that it is compared with.
+
+    Returns:
+        The comparison.
+    """
+    reference = {record.trial.seed: record.success for record in other}
+    pairs = [(r.success, reference[r.trial.seed]) for r in arm if r.trial.seed in reference]
+    better = sum(a and not b for a, b in pairs)
+    worse = sum(b and not a for a, b in pairs)
+    p = 1.0 if better + worse == 0 else float(binomtest(better, better + worse, 0.5).pvalue)
+    return Comparison(len(pairs), better, worse, p)
+
+
+@dataclass(frozen=True)
+class Bin:
+    """Trials whose error is of about one size.
+
+    Attributes:
+        low: Least size.
+        high: Largest size.
+        share: Share of successes.
+    """
+
+    low: float
+    high: float
+    share: Share
+
+
+def by_size(records: Sequence[Record], error: str, bins: int = 4) -> list[Bin]:
+    """Sort trials by the size of one drawn error, into bins of about as many trials each.
+
+    Args:
+        records: The results.
+        error: Name of the error, as in `errors` of a summary.
+        bins: Number of bins.
+
+    Returns:
+        The bins, from small to large errors; empty where the error was not drawn or is the same everywhere.
+    """
+    sizes = [abs(r.figures["errors"][error]) for r in records if (r.figures.get("errors") or {}).get(error) is not None]
+    known = [r for r in records if (r.figures.get("errors") or {}).get(error) is not None]
+    if len(known) < bins or np.ptp(sizes) == 0:
+        return []
+    order = np.argsort(sizes)
+    return [
+        Bin(float(sizes[part[0]]), float(sizes[part[-1]]), share([known[i].success for i in part]))
+        for part in np.array_split(order, bins)
+    ]
+
+
+def median(records: Sequence[Record], figure: str) -> float | None:
+    """Median of a figure.
+
+    Args:
+        records: The results.
+        figure: Its name.
+
+    Returns:
+        The median over those that have it; None if none has.
+    """
+    known = [value for record in records if (value := record.figures.get(figure)) is not None]
+    return float(np.median(known)) if known else None
+
+
+def of_arm(records: Sequence[Record], arm: Arm) -> list[Record]:
+    """The results of an arm.
+
+    Args:
+        records: All results.
+        arm: The arm.
+
+    Returns:
+        Its results, in their order.
+    """
+    return [record for record in records if record.trial.arm is arm]
