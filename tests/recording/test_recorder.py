@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
+from toolee_robot.recording.schemas import SCHEMAS
 
 from tests.errors import raises
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
 from toolee_robot.hal import MotionOutcome, MotionReport
 from toolee_robot.recording.recorder import RunRecorder
-from toolee_robot.recording.schemas import SCHEMAS
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
 
 INTRINSICS = CameraIntrinsics(365.5, 365.5, 15.5, 11.5, 32, 24)

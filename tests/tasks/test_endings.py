@@ -187,7 +187,7 @@ def test_the_tool_is_lost_in_a_motion(bench: Bench, where: Stage | str, motion: 
 def test_a_pose_that_no_held_hammer_has_is_not_believed(bench: Bench, X: Array, reason: str) -> None:
     nominal = bench.true_grasp.X_hand_ee
     perceiver = ScriptedPerception(bench.sim.judge, lambda e: replace(e, X_hand_ee=nominal @ X))
-    look = Look(bench.station, CONFIG, RobotModel.load(), perceiver, Log(), nominal)
+    look = Look(CONFIG, RobotModel.load(), perceiver, Log(), nominal)
     look.take()
     with pytest.raises(PerceptionError, match=reason):
         look.fuse()
@@ -196,7 +196,7 @@ def test_a_pose_that_no_held_hammer_has_is_not_believed(bench: Bench, X: Array, 
 def test_a_detection_that_no_held_hammer_can_be_is_left_out(bench: Bench) -> None:
     perceiver = ScriptedPerception(bench.sim.judge, lambda e: e)
     far = bench.true_grasp.X_hand_ee @ transform(p=[0.0, 0.4, 0.0])
-    look = Look(bench.station, CONFIG, RobotModel.load(), perceiver, Log(), far)
+    look = Look(CONFIG, RobotModel.load(), perceiver, Log(), far)
     look.take()
     with pytest.raises(PerceptionError, match="where a held hammer cannot have it"):
         look.fuse()

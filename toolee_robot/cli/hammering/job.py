@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,6 @@ from rich.console import Console
 from rich.markup import escape
 from rich.panel import Panel
 
-import toolee_robot
 from toolee_robot.cli.hammering.console import ConsoleObserver
 from toolee_robot.cli.hammering.page import JobPage
 from toolee_robot.cli.hammering.sources import Opened, Source
@@ -22,7 +22,9 @@ from toolee_robot.cli.output import json_line
 from toolee_robot.perception import ToolPerception
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
 from toolee_robot.recording.recorder import RunRecorder
+from toolee_robot.recording.tool_file import tool_model
 from toolee_robot.robots import hand_model
+from toolee_robot.runtime.code_version import code_version
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
@@ -124,19 +126,19 @@ class HammerJob:
             ConsoleObserver(console, work.nail_protrusion, flush),
             PictureCollector(work.nail_protrusion, flush),
         )
-        metadata = {name: str(value) for name, value in self.source.facts.items()}
-        metadata["correction"] = str(self.correction)
         with (
             nullcontext() if self.source.real_time_factor is None else LatencyMonitor() as machine,
             self._page(console) as page,
             self.source.open(
                 lambda text: _prompt(text, screen, page), lambda text: console.print(f"[dim]{escape(text)}[/dim]")
             ) as opened,
-            RunRecorder(folder / "recording.mcap", metadata) as recorder,
+            RunRecorder(folder / "recording.mcap", self._metadata(opened)) as recorder,
         ):
             console.print(f"[bold]{escape(opened.words)}[/bold]  [dim]{escape(self._mode())}[/dim]")
             station, config = opened.station, opened.config
-            keeper = RecordingObserver(recorder, station.clock, station.hand.joint_names, config.camera.X_base_camera)
+            if opened.shape is not None:
+                recorder.attach("tool.glb", "model/gltf-binary", tool_model(opened.shape))
+            keeper = RecordingObserver(recorder, station, config)
             if perception is None:
                 assert opened.truth is not None, "the command refuses it"
                 perceiver: Perceiver = PerfectPerception(opened.truth)
@@ -175,6 +177,20 @@ class HammerJob:
             yield page
         finally:
             page.close()
+
+    def _metadata(self, opened: Opened) -> dict[str, Any]:
+        """What identifies the run, for its recording."""
+        return {
+            **self.source.facts,
+            "correction": self.correction,
+            "perfect_perception": self.perfect_perception,
+            "code": code_version(),
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+            "tool": opened.tool,
+            "title": f"{opened.words}; {self._mode()}",
+            "X_hand_ee": opened.grasp.X_hand_ee,
+            "X_tool_ee": opened.grasp.X_tool_ee,
+        }
 
     def _mode(self) -> str:
         words = [self.source.mode]
@@ -252,7 +268,7 @@ class HammerJob:
     ) -> None:
         summary = {
             **figures,
-            "version": toolee_robot.__version__,
+            "version": code_version(),
             "strike_log": [asdict(strike) for strike in result.strikes],
             "strike_truth": [asdict(truth) for truth in truths],
             "looks": [

@@ -17,7 +17,7 @@ from toolee_robot.stations.lab import LabStation
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
 from toolee_robot.stations.simulated import HandDriver, StandIn, open_station
 from toolee_robot.tasks.hammering.grasp import Grasp, measured_grasp, nominal_grasp
-from toolee_robot.tools import Tool
+from toolee_robot.tools import Tool, ToolShape
 
 Tell = Callable[[str], object]
 """Shows a prompt to the person at the station."""
@@ -34,6 +34,7 @@ class Opened:
         tool: Name of the tool.
         words: The tool in words.
         truth: Ground truth for the evaluation after the job; None for a real station.
+        shape: Shape of the tool, for pictures; None where nobody knows it.
     """
 
     station: Station
@@ -42,6 +43,7 @@ class Opened:
     tool: str
     words: str
     truth: Truth | None
+    shape: ToolShape | None = None
 
 
 class Source(Protocol):
@@ -127,7 +129,7 @@ class SimulatedSource:
         """See `Source`."""
         with open_station(self.config, self.seed, SimOptions(gui=self.gui), self.stand_in, self.hand_driver) as sim:
             grasp = nominal_grasp(sim.tool, self.config)
-            yield Opened(sim.station, self.config, grasp, sim.tool.name, _words(sim.tool), sim.judge)
+            yield Opened(sim.station, self.config, grasp, sim.tool.name, _words(sim.tool), sim.judge, sim.tool)
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,7 @@ class RehearsalSource:
         assert config.tool is not None
         with EmulatedLab(cell, tell, self.factor, self.profile, doing=doing) as lab:
             grasp = measured_grasp(config.tool, config)
-            yield Opened(lab.station, config, grasp, tool.name, _words(tool), lab.judge)
+            yield Opened(lab.station, config, grasp, tool.name, _words(tool), lab.judge, tool)
 
 
 @dataclass(frozen=True)
