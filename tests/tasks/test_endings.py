@@ -188,18 +188,18 @@ def test_a_pose_that_no_held_hammer_has_is_not_believed(bench: Bench, X: Array, 
     nominal = bench.true_grasp.X_hand_ee
     perceiver = ScriptedPerception(bench.sim.judge, lambda e: replace(e, X_hand_ee=nominal @ X))
     look = Look(CONFIG, RobotModel.load(), perceiver, Log(), nominal)
-    look.take()
+    look.take(bench.station)
     with pytest.raises(PerceptionError, match=reason):
-        look.fuse()
+        look.fuse(0.0)
 
 
 def test_a_detection_that_no_held_hammer_can_be_is_left_out(bench: Bench) -> None:
     perceiver = ScriptedPerception(bench.sim.judge, lambda e: e)
     far = bench.true_grasp.X_hand_ee @ transform(p=[0.0, 0.4, 0.0])
     look = Look(CONFIG, RobotModel.load(), perceiver, Log(), far)
-    look.take()
+    look.take(bench.station)
     with pytest.raises(PerceptionError, match="where a held hammer cannot have it"):
-        look.fuse()
+        look.fuse(0.0)
 
 
 def test_a_camera_whose_frames_perception_refuses_is_a_device_fault(bench: Bench) -> None:

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from toolee_robot.config import StationConfig
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
-from toolee_robot.recording import messages
 from toolee_robot.recording.messages import matrix
 from toolee_robot.runtime.yaml_files import to_record
 from toolee_robot.types import CameraIntrinsics, RgbdFrame
@@ -197,9 +196,7 @@ def _positions(message: Any) -> Array:
 def _tf(history: RunHistory, stamp: float, message: Any) -> None:
     for t in message.transforms:
         if (t.parent_frame_id, t.child_frame_id) == ("camera", "hand"):
-            q, p = t.rotation, t.translation
-            X = matrix(messages.Pose(position=p, orientation=q))
-            history.Xs_camera_hand.add(stamp, X)
+            history.Xs_camera_hand.add(stamp, matrix(t.translation, t.rotation))
 
 
 def _depth(history: RunHistory, stamp: float, message: Any) -> None:
@@ -213,7 +210,7 @@ def _intrinsics(history: RunHistory, _stamp: float, message: Any) -> None:
 
 def _estimate(series: Callable[[RunHistory], Series[SeenEstimate]]) -> Callable[[RunHistory, float, Any], None]:
     def add(history: RunHistory, stamp: float, m: Any) -> None:
-        X = matrix(m.pose) if m.HasField("pose") else None
+        X = matrix(m.pose.position, m.pose.orientation) if m.HasField("pose") else None
         covariance = np.array(m.covariance).reshape(6, 6)
         seen = SeenEstimate(m.category, X, covariance, m.trust, m.usable, m.reason, m.frames_used, m.frames_seen)
         series(history).add(stamp, seen)
@@ -247,7 +244,7 @@ _HANDLERS: dict[str, Callable[[RunHistory, float, Any], None]] = {
     "/camera/calibration": _intrinsics,
     "/tf": _tf,
     "/perception/cloud": _cloud,
-    "/perception/hypotheses": lambda h, t, m: h.hypotheses.add(t, [matrix(p) for p in m.poses]),
+    "/perception/hypotheses": lambda h, t, m: h.hypotheses.add(t, [matrix(p.position, p.orientation) for p in m.poses]),
     "/perception/estimates": _estimate(lambda h: h.estimates),
     "/perception/in_hand": _estimate(lambda h: h.in_hand),
     "/decisions": _decision,

@@ -205,12 +205,11 @@ def log(stamp: float, text: str, level: str) -> Log:
     return Log(timestamp=timestamp(stamp), level=LOG_LEVELS[level], message=text, name="toolee")  # type: ignore[arg-type]
 
 
-def matrix(p: Pose) -> Array:
-    """The pose (4, 4) of a message."""
-    q = p.orientation
+def matrix(position: Any, orientation: Any) -> Array:
+    """The pose (4, 4) of a message's position and orientation."""
     X = np.eye(4)
-    X[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-    X[:3, 3] = p.position.x, p.position.y, p.position.z
+    X[:3, :3] = Rotation.from_quat([orientation.x, orientation.y, orientation.z, orientation.w]).as_matrix()
+    X[:3, 3] = position.x, position.y, position.z
     return X
 
 

@@ -7,7 +7,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
-from toolee_robot.stations.viewer import StationPicture
+from toolee_robot.viewer.station_scene import StationPicture
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, Stage, Strike
 from toolee_robot.types import InHandEstimate
