@@ -32,6 +32,8 @@ from toolee_robot.cli.evaluate import Evaluate
 from toolee_robot.cli.faults import Faults
 from toolee_robot.cli.hammering.command import Hammer
 from toolee_robot.cli.hand_emulator import HandEmulator
+from toolee_robot.cli.replaying.replay import Replay
+from toolee_robot.cli.replaying.runs import Runs
 from toolee_robot.cli.station.command import Station
 from toolee_robot.cli.train.command import Train
 from toolee_robot.cli.ur_controller import UrController
@@ -41,6 +43,8 @@ EXIT_FAILED, EXIT_USER, EXIT_INTERRUPTED = 1, 2, 130
 
 Command = (
     Annotated[Hammer, tyro.conf.subcommand("hammer")]
+    | Annotated[Replay, tyro.conf.subcommand("replay")]
+    | Annotated[Runs, tyro.conf.subcommand("runs")]
     | Annotated[Estimate, tyro.conf.subcommand("estimate")]
     | Annotated[Arm, tyro.conf.subcommand("arm")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
@@ -76,6 +80,8 @@ AnyCommand = (
     | Evaluate
     | Faults
     | HandEmulator
+    | Replay
+    | Runs
     | Station
     | Train
     | UrController

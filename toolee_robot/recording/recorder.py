@@ -22,11 +22,9 @@ from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.hal import ArmStatus, MotionReport
 from toolee_robot.recording import messages
+from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.mcap_file import Item, McapFile
 from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
-
-Listener = Callable[[Item], None]
-"""Receives every recorded message, on the thread that writes."""
 
 
 class RunRecorder:
@@ -38,19 +36,20 @@ class RunRecorder:
 
     Attributes:
         path: The file.
-        listener: Receives every message after it was written, on the thread that writes; None for none.
+        metadata: Metadata of the file, text by name.
+        history: Receives all that is recorded from now on, as the file does; None for none.
     """
 
     def __init__(self, path: Path, metadata: Mapping[str, Any] | None = None) -> None:
         self.path = path
-        self.listener: Listener | None = None
-        self._metadata = {name: messages.as_text(value) for name, value in (metadata or {}).items()}
+        self.history: RunHistory | None = None
+        self.metadata = {name: messages.as_text(value) for name, value in (metadata or {}).items()}
         self._file: McapFile | None = None
 
     def __enter__(self) -> Self:
         """Open the file; raises UserError where it cannot be written."""
         self._file = McapFile(self.path)
-        self._file.metadata("run", self._metadata)
+        self._file.metadata("run", self.metadata)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -67,6 +66,8 @@ class RunRecorder:
             data: Its content.
         """
         self._opened(name).attach(name, media_type, data)
+        if self.history is not None:
+            self.history.attachments[name] = data
 
     def record_frame(self, frame: RgbdFrame) -> None:
         """Record a frame on `/camera/rgb` (PNG), `/camera/depth` (32 bit, metres) and `/camera/calibration`.
@@ -228,8 +229,8 @@ class RunRecorder:
         return self._file
 
     def _told(self, item: Item) -> None:
-        if self.listener is not None:
-            self.listener(item)
+        if self.history is not None:
+            self.history.add(*item)
 
 
 def _motion(report: MotionReport, names: Sequence[str]) -> list[Item]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from toolee_robot.config import StationConfig
 from toolee_robot.recording.history import RunHistory, SeenDecision, thinned
+from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.viewer.run_scene import SIGMAS, RunScene
 from toolee_robot.viewer.run_state import RunState
 
@@ -85,6 +86,16 @@ class RunPage:
         self._thread.join()
         self.scene.picture.close()
 
+    def follow(self, recorder: RunRecorder) -> None:
+        """Show what a recorder records from now on.
+
+        Args:
+            recorder: The open recorder of the job.
+        """
+        self._history.metadata.update(recorder.metadata)
+        self.scene.follow()
+        recorder.history = self._history
+
     def prompt(self, text: str) -> None:
         """Show what the person is to do; it stays until the job goes on.
 
@@ -109,7 +120,7 @@ class RunPage:
 
         gui = self.scene.picture.server.gui
         self._panel = gui.add_markdown("")
-        self._slider = gui.add_slider("Time [s]", 0.0, max(self._history.end, 0.1), 0.01, self._history.start)
+        self._slider = gui.add_slider("Time [s]", 0.0, 0.1, 0.01, 0.0)
         self._button = gui.add_button("Pause" if self._live else "Play")
         self._speed = gui.add_dropdown("Speed", SPEEDS, initial_value="1")
         self._list = gui.add_dropdown("Decision", ("-",))
@@ -197,8 +208,9 @@ class RunPage:
         h = self._history
         if self._prompt and len(h.decisions) > self._prompted:
             self._prompt = ""
-        if abs(self._slider.max - h.end) > 1e-6 and h.end > 0.0:
-            self._slider.max = h.end
+        end = max(np.ceil(10.0 * h.end) / 10.0, 0.1)
+        if self._slider.max != end:
+            self._slider.max = end
         if abs(self._slider.value - self._stamp) > 5e-3:
             self._slider.value = self._stamp
         decisions = self.decisions
@@ -262,11 +274,11 @@ def _labels(decisions: list[SeenDecision]) -> list[str]:
 
 
 def _with_cursor(stamps: Any, values: Any, now: float) -> tuple[Any, Any, Any]:
-    """Curve and cursor: a line from zero to the curve's maximum at the present time."""
-    x = np.concatenate([stamps, [now, now + 1e-3]])
+    """Curve, and a cursor: zero but for the present time. Not NaN, which the curves' scale does not bear."""
+    x = np.concatenate([stamps, [now - 1e-3, now + 1e-3, now]])
     y = np.interp(x, stamps, values)
-    cursor = np.full(len(x), np.nan)
-    cursor[-2:] = 0.0, max(float(np.max(values)), 1e-3)
+    cursor = np.zeros(len(x))
+    cursor[-1] = max(float(np.max(values)), 1e-3)
     order = np.argsort(x, kind="stable")
     return x[order], y[order], cursor[order]
 

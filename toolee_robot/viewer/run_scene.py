@@ -42,9 +42,9 @@ class RunScene:
     """
 
     def __init__(self, history: RunHistory, config: StationConfig, port: int) -> None:
-        self._history = history
+        self._history, self._config = history, config
         self.states = RunStates(history, config)
-        self.picture = StationPicture(config, port, (BodyId.TOOL, BodyId.PERSON))
+        self.picture = StationPicture(config, port, (BodyId.TOOL, BodyId.PERSON), annotated=False)
         self._scene = self.picture.server.scene
         self._nail = {body.name: body.X_base_body for body in bodies(config) if body.body_id is BodyId.NAIL}
         self._tool: Any = None
@@ -52,8 +52,8 @@ class RunScene:
         self._hand = self._scene.add_frame(_HAND, show_axes=False)
         self._camera = self._scene.add_frame(_SEEN, show_axes=False, visible=False)
         self._frame, self._fused, self._sigmas, self._image = -1, None, SIGMAS, -1
-        self.picture.server.initial_camera.position = (1.5, 1.0, 1.0)
-        self.picture.server.initial_camera.look_at = (0.5, -0.1, 0.3)
+        self.picture.server.initial_camera.position = (1.25, 0.75, 0.85)
+        self.picture.server.initial_camera.look_at = (0.45, -0.25, 0.3)
 
     @property
     def sigmas(self) -> float:
@@ -63,6 +63,10 @@ class RunScene:
     @sigmas.setter
     def sigmas(self, value: float) -> None:
         self._sigmas, self._frame, self._fused = value, -1, None
+
+    def follow(self) -> None:
+        """Take what identifies the run anew from its history, which has just learnt it."""
+        self.states = RunStates(self._history, self._config)
 
     def show(self, stamp: float) -> RunState:
         """Draw the run at a time [s]; returns its state."""

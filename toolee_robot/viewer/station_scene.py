@@ -67,6 +67,7 @@ class StationPicture:
         config: What the station file says.
         port: Port of the page; the next free one is taken where it is in use.
         hidden: Bodies that are not drawn.
+        annotated: Whether frames with their names and the workspace are drawn.
 
     Attributes:
         server: The `viser.ViserServer`.
@@ -75,7 +76,9 @@ class StationPicture:
         UserError: viser is not installed.
     """
 
-    def __init__(self, config: StationConfig, port: int, hidden: Collection[BodyId] = ()) -> None:
+    def __init__(
+        self, config: StationConfig, port: int, hidden: Collection[BodyId] = (), *, annotated: bool = True
+    ) -> None:
         try:
             import viser
         except ImportError as error:
@@ -89,9 +92,10 @@ class StationPicture:
         self.server.scene.set_up_direction("+z")
         self._draw_bodies(config, hidden)
         self._draw_camera(config)
-        self._draw_workspace(config)
-        for name, X in named_frames(config).items():
-            self.frame(name, X)
+        if annotated:
+            self._draw_workspace(config)
+            for name, X in named_frames(config).items():
+                self.frame(name, X)
         self.server.initial_camera.position = (2.1, 1.3, 1.5)
         self.server.initial_camera.look_at = (0.4, -0.2, 0.4)
 
@@ -163,6 +167,7 @@ class StationPicture:
             aspect=k.width / k.height,
             scale=0.12,
             color=CAMERA_BOX,
+            thickness=0.004,
             position=position,
             wxyz=wxyz,
         )

@@ -59,8 +59,8 @@ class Hammer:
     """Your own station, with all that a lab must measure: docs/how-to/run_a_job.md."""
     rehearse: Flag = False
     """With --station: emulate every device. The hammer and the errors of what the file says are the seed's."""
-    page: Annotated[int | None, tyro.conf.arg(metavar="PORT", help_behavior_hint="")] = None
-    """Show the job on a page of this computer, too: stage, what to do, robot and nail (extra viewer)."""
+    view: Flag = False
+    """Show the job on a page of this computer, too: the page of `toolee replay`, live (extra viewer)."""
     arm: Literal["sim", "ur-rtde"] = "sim"
     """The simulated arm itself, or a UR arm through the driver of real ones."""
     robot_host: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="")] = None
@@ -127,7 +127,7 @@ class Hammer:
             ask = (lambda question: console.input(question, markup=False)) if interactive else None
             job = HammerJob(
                 source, correction=not self.no_correction, perfect_perception=self.perfect_perception, ask=ask,
-                page_port=self.page,
+                view=self.view,
             )  # fmt: skip
             report = job.run(folder.path, console)
             folder.keep()

@@ -8,19 +8,20 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
 from rich.panel import Panel
 
 from toolee_robot.cli.hammering.console import ConsoleObserver
-from toolee_robot.cli.hammering.page import JobPage
 from toolee_robot.cli.hammering.sources import Opened, Source
 from toolee_robot.cli.hammering.stops import after_stop
 from toolee_robot.cli.output import json_line
 from toolee_robot.perception import ToolPerception
+from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
+from toolee_robot.recording.reading import NAME
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.recording.tool_file import tool_model
 from toolee_robot.robots import hand_model
@@ -34,7 +35,12 @@ from toolee_robot.tasks.common.observer import Observers
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome
 from toolee_robot.tasks.hammering.task import HammeringTask
 
+if TYPE_CHECKING:
+    from toolee_robot.viewer.run_page import RunPage  # needs the extra `viewer`
+
 EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
+PAGE_PORT = 8080
+"""Port of the page of a running job; the next free one where it is in use."""
 TRUE_FIGURES = ("pose_error_mm", "pose_error_deg", "strike_offset_mm", "strike_tilt_deg", "contact_speed")
 """Figures that only a simulation knows."""
 
@@ -95,14 +101,14 @@ class HammerJob:
         correction: Whether the estimated in-hand pose is used.
         perfect_perception: Whether poses come from the ground truth, for tests and ablations only.
         ask: Asks the person at the terminal what to do after a stop; None: the job then ends.
-        page_port: Port of the page that shows the job in the browser; None for no page.
+        view: Whether a page in the browser shows the job, too.
     """
 
     source: Source
     correction: bool = True
     perfect_perception: bool = False
     ask: Callable[[str], str] | None = None
-    page_port: int | None = None
+    view: bool = False
 
     def run(self, folder: Path, console: Console) -> HammerReport:
         """Do the job and write summary.json, recording.mcap and picture.png, whatever its outcome.
@@ -132,10 +138,12 @@ class HammerJob:
             self.source.open(
                 lambda text: _prompt(text, screen, page), lambda text: console.print(f"[dim]{escape(text)}[/dim]")
             ) as opened,
-            RunRecorder(folder / "recording.mcap", self._metadata(opened)) as recorder,
+            RunRecorder(folder / NAME, self._metadata(opened)) as recorder,
         ):
             console.print(f"[bold]{escape(opened.words)}[/bold]  [dim]{escape(self._mode())}[/dim]")
             station, config = opened.station, opened.config
+            if page is not None:
+                page.follow(recorder)
             if opened.shape is not None:
                 recorder.attach("tool.glb", "model/gltf-binary", tool_model(opened.shape))
             keeper = RecordingObserver(recorder, station, config)
@@ -147,7 +155,7 @@ class HammerJob:
             task = HammeringTask(
                 station, perceiver, config, opened.grasp,
                 correction=self.correction,
-                observer=Observers(screen, keeper, collector, *([] if page is None else [page])),
+                observer=Observers(screen, keeper, collector),
             )  # fmt: skip
             if machine is not None:
                 machine.begin()
@@ -167,11 +175,13 @@ class HammerJob:
         return HammerReport(figures)
 
     @contextmanager
-    def _page(self, console: Console) -> Iterator[JobPage | None]:
-        if self.page_port is None:
+    def _page(self, console: Console) -> Iterator[RunPage | None]:
+        if not self.view:
             yield None
             return
-        page = JobPage(self.source.config, self.page_port)
+        from toolee_robot.viewer.run_page import RunPage
+
+        page = RunPage(RunHistory(complete=False), self.source.config, PAGE_PORT, live=True)
         console.print(f"[dim]The job is shown at[/dim] [bold]{page.address}[/bold]")
         try:
             yield page
@@ -293,7 +303,7 @@ class HammerJob:
             write_atomic(folder / "picture.png", picture)
 
 
-def _prompt(text: str, screen: ConsoleObserver, page: JobPage | None) -> None:
+def _prompt(text: str, screen: ConsoleObserver, page: RunPage | None) -> None:
     screen.prompt(text)
     if page is not None:
         page.prompt(text)
