@@ -12,7 +12,6 @@ from typing import Any, Generic, TypeVar
 
 import cv2
 import numpy as np
-from google.protobuf.json_format import MessageToDict
 from numpy.typing import NDArray
 
 from toolee_robot.config import StationConfig
@@ -219,7 +218,7 @@ def _estimate(series: Callable[[RunHistory], Series[SeenEstimate]]) -> Callable[
 
 
 def _decision(history: RunHistory, stamp: float, message: Any) -> None:
-    data = MessageToDict(message.data)
+    data = json.loads(message.data)
     history.decisions.add(stamp, SeenDecision(stamp, message.name, message.reason, data))
     if message.name == "strike" and data.get("protrusion") is not None:
         history.protrusions.add(stamp, float(data["protrusion"]))

@@ -23,8 +23,6 @@ from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-from google.protobuf.json_format import ParseDict
-from google.protobuf.struct_pb2 import Struct
 from google.protobuf.timestamp_pb2 import Timestamp
 from scipy.spatial.transform import Rotation
 
@@ -49,7 +47,7 @@ _OWN = {
     },
     "Decision": {
         "timestamp": "google.protobuf.Timestamp", "name": "string", "reason": "string",
-        "data": "google.protobuf.Struct",
+        "data": "string",
     },
 }  # fmt: skip
 """Messages that no maintained schema covers: their fields in order; `*` marks a list."""
@@ -58,7 +56,7 @@ _OWN = {
 def _own_messages() -> dict[str, type[Any]]:
     """Classes of the messages in _OWN; the file that describes them goes into every recording."""
     file = descriptor_pb2.FileDescriptorProto(name="toolee/recording.proto", package="toolee", syntax="proto3")
-    used = (Timestamp, Struct, Vector3, Pose)
+    used = (Timestamp, Vector3, Pose)
     file.dependency.extend(kind.DESCRIPTOR.file.name for kind in used)
     for name, fields in _OWN.items():
         message = file.message_type.add(name=name)
@@ -196,8 +194,8 @@ def in_hand(stamp: float, e: InHandEstimate) -> Any:
 
 
 def decision(stamp: float, name: str, reason: str, data: Mapping[str, Any]) -> Any:
-    """The message of a decision, its data plain JSON values after `plain`."""
-    return Decision(timestamp=timestamp(stamp), name=name, reason=reason, data=ParseDict(plain(data), Struct()))
+    """The message of a decision, its data as JSON text."""
+    return Decision(timestamp=timestamp(stamp), name=name, reason=reason, data=json.dumps(plain(data)))
 
 
 def log(stamp: float, text: str, level: str) -> Log:

@@ -28,7 +28,7 @@ from toolee_robot.viewer.station_scene import bodies
 Picture = NDArray[np.uint8]
 RATE = 25.0
 """Pictures a second."""
-WIDTH, HEIGHT = 960, 540
+WIDTH, HEIGHT = 960, 544  # multiples of 16, as H.264 has them
 _VIEW = CameraIntrinsics(800.0, 800.0, WIDTH / 2 - 0.5, HEIGHT / 2 - 0.5, WIDTH, HEIGHT)
 _EYE, _TARGET = np.array([1.55, 0.85, 0.95]), np.array([0.40, -0.20, 0.30])
 _INSET, _CURVE = 240, 90
