@@ -89,13 +89,13 @@ class McapFile:
         """
         self._queue.put(None)
         self._thread.join()
-        with self._file:
-            try:
+        try:
+            with self._file:
                 if self._failure is not None:
                     raise self._failure
                 self._writer.finish()  # type: ignore[no-untyped-call]
-            except OSError as error:
-                raise self._not_writable(error) from error
+        except OSError as error:
+            raise self._not_writable(error) from error
 
     def _run(self) -> None:
         pending, flushed = False, time.monotonic()

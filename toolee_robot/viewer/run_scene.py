@@ -51,7 +51,9 @@ class RunScene:
         self._face = self._scene.add_frame(_EE, axes_length=FACE, axes_radius=FACE / 25.0, visible=False)
         self._hand = self._scene.add_frame(_HAND, show_axes=False)
         self._camera = self._scene.add_frame(_SEEN, show_axes=False, visible=False)
-        self._frame, self._fused, self._sigmas, self._image = -1, None, SIGMAS, -1
+        self._frame, self._image, self._sigmas = -1, -1, SIGMAS
+        self._fused: SeenEstimate | None = None
+        self._fused_ellipsoid: Any = None
         self.picture.server.initial_camera.position = (1.25, 0.75, 0.85)
         self.picture.server.initial_camera.look_at = (0.45, -0.25, 0.3)
 
@@ -119,6 +121,8 @@ class RunScene:
         X_hand_camera = None if frame < 0 else self.states.X_hand_camera(frame)
         self._camera.visible = X_hand_camera is not None
         if X_hand_camera is None:
+            self._image = -1
+            self.picture.show_image(None)
             return
         _move(self._camera, X_hand_camera)
         h, stamp = self._history, self._history.images.stamps[frame]
@@ -147,16 +151,19 @@ class RunScene:
 
     def _show_fused(self, fused: SeenEstimate | None) -> None:
         if fused is not None and fused.X is not None:
-            self._ellipsoid(f"{_HAND}/fused covariance", fused.X[:3, 3], fused.covariance, FUSED)
+            name = f"{_HAND}/fused covariance"
+            self._fused_ellipsoid = self._ellipsoid(name, fused.X[:3, 3], fused.covariance, FUSED)
+        elif self._fused_ellipsoid is not None:
+            self._fused_ellipsoid.visible = False
 
-    def _ellipsoid(self, name: str, center: Array, covariance: Array, color: tuple[int, int, int]) -> None:
+    def _ellipsoid(self, name: str, center: Array, covariance: Array, color: tuple[int, int, int]) -> Any:
         if not np.all(np.isfinite(covariance[:3, :3])):
-            return
+            return None
         variances, axes = np.linalg.eigh(covariance[:3, :3])
         sphere = trimesh.creation.icosphere(subdivisions=2)
         radii = self._sigmas * np.sqrt(np.maximum(variances, 0.0))
         vertices = center + (sphere.vertices * radii) @ axes.T
-        self._scene.add_mesh_simple(name, vertices, sphere.faces, color=color, opacity=0.35, side="double")
+        return self._scene.add_mesh_simple(name, vertices, sphere.faces, color=color, opacity=0.35, side="double")
 
 
 def _move(node: Any, X: Array) -> None:

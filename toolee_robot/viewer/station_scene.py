@@ -8,6 +8,7 @@ from collections.abc import Collection
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.config import StationConfig
@@ -134,8 +135,8 @@ class StationPicture:
         """Where a body is drawn, (3,) in `base` [m]."""
         return np.array(self._meshes[name].position)
 
-    def show_image(self, rgb: Array) -> None:
-        """Show an image, (H, W, 3) uint8, in the camera's frustum."""
+    def show_image(self, rgb: NDArray[np.uint8] | None) -> None:
+        """Show an image, (H, W, 3), in the camera's frustum; None: no image."""
         self._frustum.image = rgb
 
     def _draw_bodies(self, config: StationConfig, hidden: Collection[BodyId]) -> None:
