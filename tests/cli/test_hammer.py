@@ -15,6 +15,8 @@ import cv2
 import pytest
 from mcap.reader import make_reader
 
+from toolee_robot.recording.reading import read_history
+
 pytestmark = pytest.mark.sim(seconds=150)
 
 _FIGURES = {
@@ -34,8 +36,7 @@ _FIGURES = {
 
 
 def _start(folder: Path, *args: str) -> subprocess.Popen[str]:
-    code = "from toolee_robot.recording.reading import read_history
-from toolee_robot.cli import main; main()"
+    code = "from toolee_robot.cli import main; main()"
     return subprocess.Popen(
         [sys.executable, "-c", code, "hammer", *args],
         stdout=subprocess.PIPE,

@@ -12,6 +12,9 @@ from toolee_robot.control import RobotModel
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.recording.history import RunHistory, SeenEstimate
 
+GAP = 0.1
+"""Time without a sample after which a motion is over [s]."""
+
 
 @dataclass(frozen=True, eq=False)
 class RunState:
@@ -93,6 +96,8 @@ class RunStates:
         if i + 1 >= len(joints):
             return joints.values[i]
         t0, t1 = joints.stamps[i], joints.stamps[i + 1]
+        if t1 - t0 > GAP:  # between two motions the arm stands still
+            return joints.values[i]
         share = (stamp - t0) / (t1 - t0) if t1 > t0 else 0.0
         return np.asarray((1.0 - share) * joints.values[i] + share * joints.values[i + 1])
 
