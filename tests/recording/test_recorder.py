@@ -67,9 +67,12 @@ def test_a_run_comes_back(tmp_path: Path) -> None:
     assert history.complete
     assert history.metadata["seed"] == "7"
     assert (history.start, history.end) == pytest.approx((0.0, 4.3))
-    np.testing.assert_allclose(history.joints.at(1.6), small_run.REACHED)
+    reached = history.joints.at(1.6)
+    assert reached is not None
+    np.testing.assert_allclose(reached, small_run.REACHED)
     assert max(w[2] for _, w in history.wrenches) == 54.0
     (_, fused), (_, seen) = next(iter(history.in_hand)), next(iter(history.estimates))
+    assert fused.X is not None
     np.testing.assert_allclose(fused.X, small_run.X_HAND_EE, atol=1e-12)
     np.testing.assert_allclose(seen.covariance, np.diag([1e-6] * 6))
     assert (seen.usable, seen.reason, seen.trust) == (True, "ok", 0.9)

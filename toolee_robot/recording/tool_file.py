@@ -24,7 +24,9 @@ def tool_model(shape: ToolShape) -> bytes:
     triangles = shape.mesh.vertices.view(np.ndarray)[shape.mesh.faces.view(np.ndarray)].reshape(-1, 3)
     mesh = trimesh.Trimesh(triangles, np.arange(len(triangles)).reshape(-1, 3), process=False)
     mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=np.repeat(colors[shape.face_parts], 3, axis=0))
-    return bytes(mesh.export(file_type="glb"))
+    data = mesh.export(file_type="glb")
+    assert isinstance(data, bytes)
+    return data
 
 
 def read_tool_model(data: bytes) -> trimesh.Trimesh:
@@ -36,4 +38,4 @@ def read_tool_model(data: bytes) -> trimesh.Trimesh:
     Returns:
         The mesh, coloured by vertex.
     """
-    return trimesh.load(io.BytesIO(data), file_type="glb", force="mesh")
+    return trimesh.load_mesh(io.BytesIO(data), file_type="glb")

@@ -92,10 +92,10 @@ class LookAgain:
         sigma = f"{_cell(f['recorded_sigma_mm'])} / {_cell(f['today_sigma_mm'])}"
         return str(self.frames), recorded, today, _cell(f["moved_mm"]), _cell(f["turned_deg"]), sigma
 
-    def show(self, scene: RunScene, number: int) -> None:
-        """Draw today's estimate beside the recorded ones, fixed to the hand."""
+    def show(self, scene: RunScene) -> None:
+        """Draw today's estimate beside the recorded one, fixed to the hand."""
         if self.today is not None:
-            scene.show_again(f"today {number}", self.today.X_hand_ee, self.today.covariance, AGAIN)
+            scene.show_again(self.stamp, self.today.X_hand_ee, self.today.covariance, AGAIN)
 
 
 def look_again(history: RunHistory, config: StationConfig, perception: ToolPerception | None = None) -> list[LookAgain]:

@@ -80,6 +80,11 @@ class RunPage:
         self._refresh()
         return str(self._panel.content)
 
+    @property
+    def stamp(self) -> float:
+        """Time of the run that is shown [s]."""
+        return self._stamp
+
     def close(self) -> None:
         """Stop serving."""
         self._open = False
@@ -120,22 +125,21 @@ class RunPage:
 
         gui = self.scene.picture.server.gui
         self._panel = gui.add_markdown("")
-        self._slider = gui.add_slider("Time [s]", 0.0, 0.1, 0.01, 0.0)
+        self._slider: Any = gui.add_slider("Time [s]", 0.0, 0.1, 0.01, 0.0)
         self._button = gui.add_button("Pause" if self._live else "Play")
         self._speed = gui.add_dropdown("Speed", SPEEDS, initial_value="1")
-        self._list = gui.add_dropdown("Decision", ("-",))
+        self._list: Any = gui.add_dropdown("Decision", ("-",))
         self._step = gui.add_button_group("Go to", ("previous", "next", "next strike"))
         self._reason = gui.add_markdown("")
         sigmas = gui.add_slider("Ellipsoids [std. dev.]", 1.0, 30.0, 1.0, SIGMAS)
         empty = np.array([0.0, 1.0])
-        series = (uplot.Series(label="s"), uplot.Series(label="force [N]", stroke="#c0392b"))
-        series += (uplot.Series(label="now", stroke="#888888", width=2),)
+        clock, cursor = uplot.Series(label="s"), uplot.Series(label="now", stroke="#888888", width=2)
+        series = (clock, uplot.Series(label="force [N]", stroke="#c0392b"), cursor)
         scales = {"x": uplot.Scale(time=False)}
         self._force = gui.add_uplot(
             (empty, empty, empty), series, title="Force at the flange [N]", aspect=2.4, scales=scales
         )
-        series = (uplot.Series(label="s"), uplot.Series(label="nail [mm]", stroke="#2471a3"))
-        series += (uplot.Series(label="now", stroke="#888888", width=2),)
+        series = (clock, uplot.Series(label="nail [mm]", stroke="#2471a3"), cursor)
         self._depth = gui.add_uplot(
             (empty, empty, empty), series, title="Nail over the wood [mm]", aspect=2.4, scales=scales
         )
@@ -253,7 +257,8 @@ class RunPage:
         depth = [(h.start, self.scene.states.at(h.start).protrusion * 1e3)]
         depth += [(t, 1e3 * p) for t, p in h.protrusions]
         depth.append((max(h.end, depth[-1][0] + 0.1), depth[-1][1]))
-        self._depth.data = _with_cursor(*np.array(depth).T, self._stamp)
+        times, heights = np.array(depth).T
+        self._depth.data = _with_cursor(times, heights, self._stamp)
 
     def _thinned(self) -> tuple[Any, Any]:
         n = len(self._history.wrenches)

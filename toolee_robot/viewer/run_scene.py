@@ -9,7 +9,7 @@ import trimesh
 
 from toolee_robot.config import StationConfig
 from toolee_robot.frames import Array
-from toolee_robot.recording.history import RunHistory, SeenEstimate
+from toolee_robot.recording.history import RunHistory, SeenEstimate, Series
 from toolee_robot.recording.tool_file import read_tool_model
 from toolee_robot.sim_backend.visuals.scene import BodyId
 from toolee_robot.viewer.run_state import RunState, RunStates
@@ -54,6 +54,7 @@ class RunScene:
         self._frame, self._image, self._sigmas = -1, -1, SIGMAS
         self._fused: SeenEstimate | None = None
         self._fused_ellipsoid: Any = None
+        self._again: Series[tuple[Any, ...]] = Series()
         self.picture.server.initial_camera.position = (1.25, 0.75, 0.85)
         self.picture.server.initial_camera.look_at = (0.45, -0.25, 0.3)
 
@@ -83,26 +84,34 @@ class RunScene:
             if state.frame != self._frame:
                 self._frame = state.frame
                 self._show_frame(state.frame)
+            shown = self._again.at(stamp)
+            for _, nodes in self._again:
+                for node in nodes:
+                    if node is not None and node.visible != (nodes is shown):
+                        node.visible = nodes is shown
             if state.in_hand is not self._fused:
                 self._fused = state.in_hand
                 self._show_fused(state.in_hand)
         return state
 
-    def show_again(self, name: str, X_hand_ee: Array, covariance: Array, color: tuple[int, int, int]) -> None:
-        """Draw another estimate in the hand, as of today's networks.
+    def show_again(self, stamp: float, X_hand_ee: Array, covariance: Array, color: tuple[int, int, int]) -> None:
+        """Draw another estimate in the hand, as of today's networks, from its time to that of the next.
 
         Args:
-            name: Its name.
+            stamp: Its time [s].
             X_hand_ee: Its pose in the hand, (4, 4).
             covariance: Its covariance in the hand's axes, (6, 6).
             color: Its colour.
         """
         position, wxyz = position_wxyz(X_hand_ee)
-        self._scene.add_frame(
+        name = f"today {len(self._again) + 1}"
+        frame = self._scene.add_frame(
             f"{_HAND}/{name}", axes_length=0.8 * FACE, axes_radius=FACE / 40.0, position=position, wxyz=wxyz,
             origin_color=color, origin_radius=FACE / 12.0,
         )  # fmt: skip
-        self._ellipsoid(f"{_HAND}/{name} covariance", X_hand_ee[:3, 3], covariance, color)
+        self._again.add(
+            stamp, (frame, self._ellipsoid(f"{_HAND}/{name} covariance", X_hand_ee[:3, 3], covariance, color))
+        )
 
     def _show_tool(self, state: RunState) -> None:
         if self._tool is None and "tool.glb" in self._history.attachments:

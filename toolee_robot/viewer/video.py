@@ -8,6 +8,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from toolee_robot.config import StationConfig
@@ -125,10 +126,12 @@ class _Painter:
         if data is None:
             return []
         mesh = read_tool_model(data)
+        assert isinstance(mesh.visual, trimesh.visual.ColorVisuals)
         colors = np.asarray(mesh.visual.vertex_colors)[np.asarray(mesh.faces)[:, 0], :3]
         parts = []
         for color in np.unique(colors, axis=0):
             part = mesh.submesh([np.flatnonzero(np.all(colors == color, axis=1))], append=True)
+            assert isinstance(part, trimesh.Trimesh)
             r, g, b = (float(c) / 255.0 for c in color)
             parts.append((Mesh.build(part.vertices, part.faces), Material(linear((r, g, b)))))
         return parts
@@ -145,9 +148,9 @@ class _Painter:
         stamps, force = self._curve
         span = max(h.end - h.start, 1e-3)
         if len(stamps) > 1:
-            x = (stamps - h.start) / span * (WIDTH - 1)
-            y = HEIGHT - 4 - force / max(float(force.max()), 1.0) * (_CURVE - 30)
-            line = np.stack([x, y], axis=1).round().astype(np.int32)
+            across = (stamps - h.start) / span * (WIDTH - 1)
+            up = HEIGHT - 4 - force / max(float(force.max()), 1.0) * (_CURVE - 30)
+            line = np.stack([across, up], axis=1).round().astype(np.int32)
             cv2.polylines(picture, [line], False, _RED, 1, cv2.LINE_AA)
             _text(picture, f"force, up to {force.max():.0f} N", (8, top + 16), 0.42, _RED)
         now = round((state.stamp - h.start) / span * (WIDTH - 1))

@@ -98,8 +98,8 @@ class Replay:
         from toolee_robot.viewer.run_page import RunPage
 
         page = RunPage(history, config, self.port)
-        for i, look in enumerate(again, 1):
-            look.show(page.scene, i)
+        for look in again:
+            look.show(page.scene)
         console.print(escape(history.metadata.get("title", "")))
         console.print(f"Open [bold]{page.address}[/bold] in a browser. Ctrl-C ends it.")
         with suppress(KeyboardInterrupt):
