@@ -43,8 +43,6 @@ EXIT_FAILED, EXIT_USER, EXIT_INTERRUPTED = 1, 2, 130
 
 Command = (
     Annotated[Hammer, tyro.conf.subcommand("hammer")]
-    | Annotated[Replay, tyro.conf.subcommand("replay")]
-    | Annotated[Runs, tyro.conf.subcommand("runs")]
     | Annotated[Estimate, tyro.conf.subcommand("estimate")]
     | Annotated[Arm, tyro.conf.subcommand("arm")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
@@ -59,6 +57,8 @@ Command = (
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Faults, tyro.conf.subcommand("faults")]
     | Annotated[HandEmulator, tyro.conf.subcommand("hand-emulator")]
+    | Annotated[Replay, tyro.conf.subcommand("replay")]
+    | Annotated[Runs, tyro.conf.subcommand("runs")]
     | Annotated[Station, tyro.conf.subcommand("station")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[UrController, tyro.conf.subcommand("ur-controller")]

@@ -38,7 +38,12 @@ class Series(Generic[T]):
         return iter(list(zip(self.stamps, self.values, strict=False)))
 
     def add(self, stamp: float, value: T) -> None:
-        """Insert a value; most come in order."""
+        """Insert a value; most come in order.
+
+        Args:
+            stamp: Time [s].
+            value: The value.
+        """
         i = len(self.stamps) if not self.stamps or stamp >= self.stamps[-1] else bisect_right(self.stamps, stamp)
         self.values.insert(i, value)
         self.stamps.insert(i, stamp)

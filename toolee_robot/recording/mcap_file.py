@@ -59,11 +59,22 @@ class McapFile:
         self._thread.start()
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write metadata, text by name."""
+        """Write metadata.
+
+        Args:
+            name: Name of the record.
+            values: Text by name.
+        """
         self._queue.put(lambda: self._writer.add_metadata(name, dict(values)))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Write an attachment."""
+        """Write an attachment.
+
+        Args:
+            name: Its name.
+            media_type: Its media type.
+            data: Its content.
+        """
         self._queue.put(lambda: self._writer.add_attachment(0, 0, name, media_type, data))
 
     def write(self, build: Callable[[], list[Item]], then: Callable[[Item], None]) -> None:

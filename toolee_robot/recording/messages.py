@@ -127,7 +127,15 @@ def transform_message(stamp: float, parent: str, child: str, X: Array) -> FrameT
 
 
 def color_image(frame: RgbdFrame, png: bytes) -> CompressedImage:
-    """The message of a frame's colour image, encoded as PNG."""
+    """The message of a frame's colour image.
+
+    Args:
+        frame: The frame.
+        png: Its colour image as PNG.
+
+    Returns:
+        The message.
+    """
     return CompressedImage(timestamp=timestamp(frame.stamp), frame_id="camera", data=png, format="png")
 
 
@@ -142,7 +150,15 @@ def depth_image(frame: RgbdFrame) -> RawImage:
 
 
 def calibration(stamp: float, c: CameraIntrinsics) -> CameraCalibration:
-    """The message of a camera's intrinsics."""
+    """The message of a camera's intrinsics.
+
+    Args:
+        stamp: Time [s].
+        c: The intrinsics.
+
+    Returns:
+        The message.
+    """
     return CameraCalibration(
         timestamp=timestamp(stamp), frame_id="camera", width=c.width, height=c.height, distortion_model="plumb_bob",
         D=[0.0] * 5, K=c.matrix.ravel().tolist(), R=np.eye(3).ravel().tolist(),
@@ -151,7 +167,16 @@ def calibration(stamp: float, c: CameraIntrinsics) -> CameraCalibration:
 
 
 def point_cloud(stamp: float, frame: str, points: Array) -> PointCloud:
-    """The message of points (N, 3) [m] in a frame."""
+    """The message of points.
+
+    Args:
+        stamp: Time [s].
+        frame: Name of the points' frame.
+        points: The points, (N, 3) [m].
+
+    Returns:
+        The message.
+    """
     fields = [
         PackedElementField(name=name, offset=4 * i, type=PackedElementField.FLOAT32) for i, name in enumerate("xyz")
     ]
@@ -162,21 +187,44 @@ def point_cloud(stamp: float, frame: str, points: Array) -> PointCloud:
 
 
 def poses_in_frame(stamp: float, frame: str, Xs: Array) -> PosesInFrame:
-    """The message of poses (K, 4, 4) in a frame."""
+    """The message of poses.
+
+    Args:
+        stamp: Time [s].
+        frame: Name of the poses' frame.
+        Xs: The poses, (K, 4, 4).
+
+    Returns:
+        The message.
+    """
     return PosesInFrame(timestamp=timestamp(stamp), frame_id=frame, poses=[pose(X) for X in Xs])
 
 
-def joint_states(stamp: float, names: Sequence[str], q: Array, qd: Array | None = None) -> JointStates:
-    """The message of joint positions (n,) [rad] and velocities (n,) [rad/s]."""
+def joint_states(stamp: float, names: Sequence[str], q: Array) -> JointStates:
+    """The message of joint positions.
+
+    Args:
+        stamp: Time [s].
+        names: Names of the n joints.
+        q: Joint positions, (n,) [rad].
+
+    Returns:
+        The message.
+    """
     joints = [JointState(name=name, position=float(p)) for name, p in zip(names, q, strict=True)]
-    if qd is not None:
-        for joint, velocity in zip(joints, qd, strict=True):
-            joint.velocity = float(velocity)
     return JointStates(timestamp=timestamp(stamp), joints=joints)
 
 
 def estimate(stamp: float, e: ToolEstimate) -> Any:
-    """The message of an estimate from one frame, in the camera's frame."""
+    """The message of an estimate from one frame.
+
+    Args:
+        stamp: Time [s].
+        e: The estimate, in the camera's frame.
+
+    Returns:
+        The message.
+    """
     return Estimate(
         timestamp=timestamp(stamp), frame_id="camera", category=str(e.category), pose=_known_pose(e.X_camera_ee),
         covariance=e.covariance.ravel().tolist(), confidence=e.confidence, trust=e.trust, usable=e.usable,
@@ -185,7 +233,15 @@ def estimate(stamp: float, e: ToolEstimate) -> Any:
 
 
 def in_hand(stamp: float, e: InHandEstimate) -> Any:
-    """The message of an estimate fused over frames, in the hand's frame."""
+    """The message of an estimate fused over frames.
+
+    Args:
+        stamp: Time [s].
+        e: The estimate, in the hand's frame.
+
+    Returns:
+        The message.
+    """
     return Estimate(
         timestamp=timestamp(stamp), frame_id="hand", category=str(e.category), pose=_known_pose(e.X_hand_ee),
         covariance=e.covariance.ravel().tolist(), confidence=e.confidence, usable=e.usable, reason=e.reason,
@@ -194,17 +250,44 @@ def in_hand(stamp: float, e: InHandEstimate) -> Any:
 
 
 def decision(stamp: float, name: str, reason: str, data: Mapping[str, Any]) -> Any:
-    """The message of a decision, its data as JSON text."""
+    """The message of a decision.
+
+    Args:
+        stamp: Time [s].
+        name: Its kind.
+        reason: The reason, for a person.
+        data: Its data, which become JSON text.
+
+    Returns:
+        The message.
+    """
     return Decision(timestamp=timestamp(stamp), name=name, reason=reason, data=json.dumps(plain(data)))
 
 
 def log(stamp: float, text: str, level: str) -> Log:
-    """The message of a sentence for a person."""
+    """The message of a sentence for a person.
+
+    Args:
+        stamp: Time [s].
+        text: The sentence.
+        level: debug, info, warning or error.
+
+    Returns:
+        The message.
+    """
     return Log(timestamp=timestamp(stamp), level=LOG_LEVELS[level], message=text, name="toolee")  # type: ignore[arg-type]
 
 
 def matrix(position: Any, orientation: Any) -> Array:
-    """The pose (4, 4) of a message's position and orientation."""
+    """The pose that a message tells.
+
+    Args:
+        position: Its position [m].
+        orientation: Its quaternion.
+
+    Returns:
+        The pose, (4, 4).
+    """
     X = np.eye(4)
     X[:3, :3] = Rotation.from_quat([orientation.x, orientation.y, orientation.z, orientation.w]).as_matrix()
     X[:3, 3] = position.x, position.y, position.z

@@ -16,9 +16,6 @@ from mcap_protobuf.decoder import DecoderFactory
 from toolee_robot.errors import UserError
 from toolee_robot.recording.history import RunHistory
 
-NAME = "recording.mcap"
-"""Name of the recording in a run's folder."""
-
 
 def read_history(path: Path) -> RunHistory:
     """Read a recording.

@@ -107,7 +107,15 @@ class RunStates:
         return None if X is None else inverse(X)
 
     def X_base_nail_part(self, X: Array, sunk: float) -> Array:
-        """Pose of a part of the nail that was at X, (4, 4), after the nail was driven by a length [m]."""
+        """Pose of a part of the nail after the nail was driven.
+
+        Args:
+            X: Its pose before, (4, 4).
+            sunk: How far the nail was driven [m].
+
+        Returns:
+            Its pose, (4, 4).
+        """
         z = self._config.work.X_base_nail()[:3, 2]
         down = z if z[2] < 0.0 else -z
         return transform(p=down * sunk) @ X

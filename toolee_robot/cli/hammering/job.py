@@ -18,10 +18,10 @@ from toolee_robot.cli.hammering.console import ConsoleObserver
 from toolee_robot.cli.hammering.sources import Opened, Source
 from toolee_robot.cli.hammering.stops import after_stop
 from toolee_robot.cli.output import json_line
+from toolee_robot.cli.run_folder import RECORDING
 from toolee_robot.perception import ToolPerception
 from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
-from toolee_robot.recording.reading import NAME
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.recording.tool_file import tool_model
 from toolee_robot.robots import hand_model
@@ -138,7 +138,7 @@ class HammerJob:
             self.source.open(
                 lambda text: _prompt(text, screen, page), lambda text: console.print(f"[dim]{escape(text)}[/dim]")
             ) as opened,
-            RunRecorder(folder / NAME, self._metadata(opened)) as recorder,
+            RunRecorder(folder / RECORDING, self._metadata(opened)) as recorder,
         ):
             console.print(f"[bold]{escape(opened.words)}[/bold]  [dim]{escape(self._mode())}[/dim]")
             station, config = opened.station, opened.config

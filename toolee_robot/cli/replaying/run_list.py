@@ -8,8 +8,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from toolee_robot.cli.run_folder import RECORDING
 from toolee_robot.errors import UserError
-from toolee_robot.recording.reading import NAME
 
 UNFINISHED = "unfinished"
 """Outcome of a run without a summary: it goes on, or was killed."""
@@ -58,7 +58,7 @@ def list_runs(folder: Path) -> list[Run]:
     """
     if not folder.is_dir():
         raise UserError(f"there is no folder {folder}: give the --out of the runs", code="user.no_runs")
-    return [_read(path) for path in sorted(folder.iterdir(), key=_order) if (path / NAME).is_file()]
+    return [_read(path) for path in sorted(folder.iterdir(), key=_order) if (path / RECORDING).is_file()]
 
 
 def recording_of(run: Path) -> Path:
@@ -73,9 +73,9 @@ def recording_of(run: Path) -> Path:
     Raises:
         UserError: There is none; code `user.no_recording`.
     """
-    path = run / NAME if run.is_dir() else run
+    path = run / RECORDING if run.is_dir() else run
     if not path.is_file():
-        raise UserError(f"{run} holds no {NAME}: `toolee runs` lists the runs", code="user.no_recording")
+        raise UserError(f"{run} holds no {RECORDING}: `toolee runs` lists the runs", code="user.no_recording")
     return path
 
 
@@ -91,7 +91,7 @@ def _read(path: Path) -> Run:
     try:
         date = datetime.strptime("-".join(_order(path).split("-")[:2]), "%Y%m%d-%H%M%S")
     except ValueError:
-        date = datetime.fromtimestamp((path / NAME).stat().st_mtime)
+        date = datetime.fromtimestamp((path / RECORDING).stat().st_mtime)
     size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
     get = summary.get
     return Run(
