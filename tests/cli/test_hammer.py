@@ -15,6 +15,8 @@ import cv2
 import pytest
 from mcap.reader import make_reader
 
+from toolee_robot.recording.reading import read_history
+
 pytestmark = pytest.mark.sim(seconds=150)
 
 _FIGURES = {
@@ -124,9 +126,10 @@ def test_the_whole_job_leaves_a_whole_folder(corrected: _Job) -> None:
         topics = {c.topic: counts.statistics.channel_message_counts[i] for i, c in counts.channels.items()}
     assert topics["/camera/rgb"] == topics["/camera/depth"] >= 3
     assert topics["/arm/measured"] > 100
-    with (folder / "recording.mcap").open("rb") as file:
-        events = [json.loads(message.data) for *_, message in make_reader(file).iter_messages(topics=["/events"])]
-    motions = [event["data"] for event in events if event["name"] == "motion"]
+    history = read_history(folder / "recording.mcap")
+    assert history.metadata["seed"] == str(record["seed"])
+    assert history.station().work.nail_protrusion == 0.02
+    motions = [decision.data for _, decision in history.decisions if decision.name == "motion"]
     met = [m["name"] for m in motions if m["outcome"] == "contact" and m["name"].startswith(("touch the", "strike"))]
     assert topics["/contacts"] == len(met) >= record["strikes"] + 6, "nail and wood were touched three times at least"
 

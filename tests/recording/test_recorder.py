@@ -1,39 +1,42 @@
-"""The recording, read back with mcap's own reader."""
+"""The recording, read back with the readers of mcap and of Foxglove's schemas."""
 
 from __future__ import annotations
 
-import base64
-import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
 from tests.errors import raises
+from tests.recording import small_run
 from toolee_robot.errors import UserError
 from toolee_robot.frames import transform
 from toolee_robot.hal import MotionOutcome, MotionReport
+from toolee_robot.recording import mcap_file
+from toolee_robot.recording.reading import finish_copy, read_history
 from toolee_robot.recording.recorder import RunRecorder
-from toolee_robot.recording.schemas import SCHEMAS
-from toolee_robot.types import CameraIntrinsics, RgbdFrame
-
-INTRINSICS = CameraIntrinsics(365.5, 365.5, 15.5, 11.5, 32, 24)
+from toolee_robot.types import RgbdFrame
 
 
-def messages(path: Path) -> dict[str, list[tuple[int, str, dict[str, Any]]]]:
-    """topic -> (log time [ns], schema, content)."""
-    found: dict[str, list[tuple[int, str, dict[str, Any]]]] = {}
+def messages(path: Path) -> dict[str, list[tuple[int, str, Any]]]:
+    """topic -> (log time [ns], schema, decoded message), by mcap's own reader."""
+    found: dict[str, list[tuple[int, str, Any]]] = {}
     with path.open("rb") as file:
-        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, content in reader.iter_decoded_messages():
             assert schema is not None
-            assert channel.message_encoding == "json"
-            assert schema.encoding == "jsonschema"
-            content = json.loads(message.data)
-            assert set(content) == set(json.loads(schema.data)["properties"]), schema.name
+            assert (channel.message_encoding, schema.encoding) == ("protobuf", "protobuf")
             found.setdefault(channel.topic, []).append((message.log_time, schema.name, content))
     return found
 
@@ -42,70 +45,84 @@ def test_images_come_back_as_they_were(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     rgb = rng.integers(0, 256, (24, 32, 3), dtype=np.uint8)
     depth = rng.uniform(0.3, 2.0, (24, 32)).astype(np.float32)
-    depth[0, 0], depth[0, 1], depth[0, 2] = np.nan, 0.0, np.inf
+    depth[0, 0], depth[0, 1] = np.nan, 0.0
     path = tmp_path / "run.mcap"
     with RunRecorder(path) as recorder:
-        recorder.record_frame(RgbdFrame(rgb, depth, INTRINSICS, stamp=1.25))
+        recorder.record_frame(RgbdFrame(rgb, depth, small_run.INTRINSICS, stamp=1.25))
     found = messages(path)
-    time, schema, image = found["/camera/rgb"][0]
-    assert (time, schema) == (1_250_000_000, "foxglove.CompressedImage")
-    assert image["timestamp"] == {"sec": 1, "nsec": 250_000_000}
-    bgr = cv2.imdecode(np.frombuffer(base64.b64decode(image["data"]), np.uint8), cv2.IMREAD_COLOR)
+    time_ns, schema, image = found["/camera/rgb"][0]
+    assert (time_ns, schema) == (1_250_000_000, "foxglove.CompressedImage")
+    assert (image.timestamp.seconds, image.timestamp.nanos) == (1, 250_000_000)
+    bgr = cv2.imdecode(np.frombuffer(image.data, np.uint8), cv2.IMREAD_COLOR)
     assert bgr is not None
     np.testing.assert_array_equal(bgr[..., ::-1], rgb)
     raw = found["/camera/depth"][0][2]
-    assert (raw["encoding"], raw["step"], raw["width"], raw["height"]) == ("16UC1", 64, 32, 24)
-    depth_mm = np.frombuffer(base64.b64decode(raw["data"]), "<u2").reshape(24, 32)
-    np.testing.assert_array_equal(depth_mm[0, :3], 0)
-    np.testing.assert_allclose(depth_mm[1:] * 1e-3, depth[1:], atol=0.51e-3)
-    calibration = found["/camera/calibration"][0][2]
-    np.testing.assert_allclose(np.reshape(calibration["K"], (3, 3)), INTRINSICS.matrix)
+    assert (raw.encoding, raw.step, raw.width, raw.height) == ("32FC1", 128, 32, 24)
+    np.testing.assert_array_equal(np.frombuffer(raw.data, "<f4").reshape(24, 32), depth)
+    np.testing.assert_allclose(np.reshape(found["/camera/calibration"][0][2].K, (3, 3)), small_run.INTRINSICS.matrix)
 
 
-def test_poses_clouds_joints_contacts_and_events_come_back(tmp_path: Path) -> None:
+def test_a_run_comes_back(tmp_path: Path) -> None:
+    history = read_history(small_run.write(tmp_path / "run.mcap"))
+    assert history.complete
+    assert history.metadata["seed"] == "7"
+    assert (history.start, history.end) == pytest.approx((0.0, 4.3))
+    reached = history.joints.at(1.6)
+    assert reached is not None
+    np.testing.assert_allclose(reached, small_run.REACHED)
+    assert max(w[2] for _, w in history.wrenches) == 54.0
+    (_, fused), (_, seen) = next(iter(history.in_hand)), next(iter(history.estimates))
+    assert fused.X is not None
+    np.testing.assert_allclose(fused.X, small_run.X_HAND_EE, atol=1e-12)
+    np.testing.assert_allclose(seen.covariance, np.diag([1e-6] * 6))
+    assert (seen.usable, seen.reason, seen.trust) == (True, "ok", 0.9)
+    assert history.clouds.values[0].shape == (50, 3)
+    assert len(history.hypotheses.values[0]) == 8
+    assert history.protrusions.at(4.2) == 0.0123
+    assert history.status.at(4.2) == "ready"
+    assert [d.reason for _, d in history.decisions if d.name == "strike"] == ["strike 1: expected, 12.3 mm left, 54 N"]
+    assert history.station().work.nail_protrusion == 0.020
+
+
+def test_poses_joints_contacts_and_decisions_come_back(tmp_path: Path) -> None:
     X = transform(Rotation.from_rotvec([0.1, -0.2, 0.3]), [0.4, 0.5, 0.6])
-    points = np.random.default_rng(1).normal(size=(50, 3))
     path = tmp_path / "run.mcap"
-    with RunRecorder(path, {"seed": "7"}) as recorder:
+    with RunRecorder(path) as recorder:
         recorder.record_pose(2.0, "base", "ee", X)
-        recorder.record_cloud(2.0, "camera", points)
-        recorder.record_hypotheses(2.0, "camera", np.stack([X, X]))
         recorder.record_joints(2.0, ("a", "b"), np.array([0.1, 0.2]), "/hand/joints")
         recorder.record_contact(2.1, 88.0, X)
-        recorder.record_event(2.2, "blow", {"number": np.int64(3), "offsets": np.array([1.0, np.nan]), "flush": True})
+        recorder.record_decision(2.2, "strike", "why", {"number": np.int64(3), "offsets": np.array([1.0, np.nan])})
         recorder.record_log(2.3, "flush", "warning")
     found = messages(path)
-    (tf,) = found["/tf"][0][2]["transforms"]
-    assert (tf["parent_frame_id"], tf["child_frame_id"]) == ("base", "ee")
-    R = Rotation.from_quat([tf["rotation"][k] for k in "xyzw"])
-    np.testing.assert_allclose(transform(R, [tf["translation"][k] for k in "xyz"]), X, atol=1e-12)
-    cloud = found["/perception/cloud"][0][2]
-    back = np.frombuffer(base64.b64decode(cloud["data"]), "<f4").reshape(-1, cloud["point_stride"] // 4)
-    np.testing.assert_allclose(back, points, atol=1e-6)
-    assert len(found["/perception/hypotheses"][0][2]["poses"]) == 2
-    assert found["/hand/joints"][0][2]["position"] == {"a": 0.1, "b": 0.2}
-    assert found["/contacts"][0][2]["force"] == 88.0
-    assert found["/events"][0][2]["data"] == {"number": 3, "offsets": [1.0, None], "flush": True}
-    assert found["/log"][0][2]["level"] == 3
-    with path.open("rb") as file:
-        (metadata,) = make_reader(file).iter_metadata()
-    assert metadata.metadata == {"seed": "7"}
+    (tf,) = found["/tf"][0][2].transforms
+    assert (tf.parent_frame_id, tf.child_frame_id) == ("base", "ee")
+    R = Rotation.from_quat([getattr(tf.rotation, k) for k in "xyzw"])
+    np.testing.assert_allclose(transform(R, [getattr(tf.translation, k) for k in "xyz"]), X, atol=1e-12)
+    assert [(j.name, j.position) for j in found["/hand/joints"][0][2].joints] == [("a", 0.1), ("b", 0.2)]
+    assert found["/contacts"][0][2].force == 88.0
+    decision = found["/decisions"][0][2]
+    assert (decision.name, decision.reason, decision.data) == ("strike", "why", '{"number": 3, "offsets": [1.0, null]}')
+    assert found["/log"][0][2].level == 3
 
 
-def test_a_motion_is_thinned_but_keeps_the_peak_of_the_strike(tmp_path: Path) -> None:
+def test_a_motion_is_recorded_at_the_rate_of_the_servo(tmp_path: Path) -> None:
     n = 500
-    wrenches = np.zeros((n, 6))
+    wrenches, q = np.zeros((n, 6)), np.linspace(0, 1, n)[:, None] * np.ones(6)
     wrenches[237, 2] = 420.0
-    q = np.linspace(0, 1, n)[:, None] * np.ones(6)
-    report = MotionReport(MotionOutcome.CONTACT, 3.0 + np.arange(n) / 500, q, q, wrenches)
-    names = tuple("abcdef")
+    ratios = np.linspace(0.0, 0.4, n)
+    report = MotionReport(
+        MotionOutcome.CONTACT, 3.0 + np.arange(n) / 500, q, q, wrenches, position_deviation_ratios=ratios,
+        collision_ratios=0.5 * ratios,
+    )  # fmt: skip
     with RunRecorder(tmp_path / "run.mcap") as recorder:
-        recorder.record_motion("strike", report, names)
+        recorder.record_motion("strike", report, tuple("abcdef"))
     found = messages(tmp_path / "run.mcap")
-    assert 100 <= len(found["/arm/wrench"]) <= 130
-    assert max(m["force"]["z"] for _, _, m in found["/arm/wrench"]) == 420.0
-    assert found["/arm/measured"][-1][2]["position"]["f"] == pytest.approx(1.0)
-    assert found["/events"][0][2]["data"] == {"name": "strike", "outcome": "contact"}
+    assert len(found["/arm/wrench"]) == len(found["/arm/measured"]) == len(found["/arm/commanded"]) == n
+    assert max(m.force.z for _, _, m in found["/arm/wrench"]) == 420.0
+    assert found["/arm/measured"][-1][2].joints[5].position == 1.0
+    ratio = found["/arm/stop_ratios"][-1][2]
+    assert (ratio.position_deviation, ratio.collision) == (0.4, 0.2)
+    assert found["/decisions"][0][2].reason == "strike: contact"
 
 
 def test_what_was_not_commanded_is_not_recorded_as_a_command(tmp_path: Path) -> None:
@@ -119,10 +136,99 @@ def test_what_was_not_commanded_is_not_recorded_as_a_command(tmp_path: Path) -> 
     with RunRecorder(tmp_path / "run.mcap") as recorder:
         recorder.record_motion("strike", report, tuple("abcdef"))
     found = messages(tmp_path / "run.mcap")
-    recorded = [m["position"]["a"] for _, _, m in found["/arm/commanded"]]
-    assert recorded[-1] == pytest.approx(q[sent - 1, 0], abs=0.5 / rate)
+    recorded = [m.joints[0].position for _, _, m in found["/arm/commanded"]]
+    assert len(recorded) == sent
     assert np.all(np.diff(recorded) > 0.0)
-    assert found["/arm/measured"][-1][2]["position"]["a"] == q[-1, 0]
+    assert found["/arm/measured"][-1][2].joints[0].position == q[-1, 0]
+
+
+def test_schemas_are_foxgloves_own(tmp_path: Path) -> None:
+    """What the file says of a `foxglove.` message is what Foxglove's SDK says of it: same fields, numbers, types."""
+    from foxglove import messages as sdk
+
+    path = small_run.write(tmp_path / "run.mcap")
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    compared = 0
+    for schema in summary.schemas.values():
+        package, _, name = schema.name.partition(".")
+        if package == "foxglove":
+            assert _fields(schema.data, name) == _fields(getattr(sdk, name).get_schema().data, name), name
+            compared += 1
+    assert compared == 8
+
+
+def _fields(data: bytes, name: str) -> dict[str, tuple[int, int, str]]:
+    (message,) = [m for file in FileDescriptorSet.FromString(data).file for m in file.message_type if m.name == name]
+    return {field.name: (field.number, field.type, field.type_name) for field in message.field}
+
+
+_WRITES_UNTIL_KILLED = """
+import itertools, sys, time
+from pathlib import Path
+from toolee_robot.recording.recorder import RunRecorder
+from tests.recording import small_run
+recorder = RunRecorder(Path(sys.argv[1]), {"seed": 7}).__enter__()
+small_run.record(recorder)
+for i in itertools.count():
+    recorder.record_decision(5.0 + 0.01 * i, "tick", f"tick {time.time()}")
+    time.sleep(0.01)
+"""
+
+
+def test_after_a_kill_all_but_the_last_second_can_be_read(tmp_path: Path) -> None:
+    path, finished = tmp_path / "run.mcap", tmp_path / "finished.mcap"
+    process = subprocess.Popen([sys.executable, "-c", _WRITES_UNTIL_KILLED, str(path)])
+    try:
+        deadline = time.monotonic() + 60.0
+        while not path.exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        time.sleep(3.5)
+    finally:
+        os.kill(process.pid, signal.SIGKILL)
+        killed = time.time()
+        process.wait()
+    history = read_history(path)
+    assert not history.complete
+    assert history.station().work.nail_protrusion == 0.020
+    ticks = [d.reason for _, d in history.decisions if d.name == "tick"]
+    assert killed - float(ticks[-1].split()[1]) < mcap_file.FLUSH_PERIOD + 0.5
+    assert finish_copy(path, finished) > len(ticks)
+    assert len(messages(finished)["/decisions"]) == len(history.decisions)
+    assert read_history(finished).complete
+
+
+def test_who_records_waits_for_neither_encoding_nor_disk(tmp_path: Path) -> None:
+    """Ten seconds of a 500 Hz servo, and a frame: handed over in less than one cycle of it."""
+    n = 5000
+    q = np.zeros((n, 6))
+    report = MotionReport(MotionOutcome.COMPLETED, np.arange(n) / 500, q, q, np.zeros((n, 6)))
+    frame = RgbdFrame(np.zeros((24, 32, 3), np.uint8), np.ones((24, 32), np.float32), small_run.INTRINSICS, stamp=10.0)
+    shortest = np.inf
+    with RunRecorder(tmp_path / "run.mcap") as recorder:
+        for _ in range(5):
+            began = time.perf_counter()
+            recorder.record_motion("strike", report, tuple("abcdef"))
+            recorder.record_frame(frame)
+            shortest = min(shortest, time.perf_counter() - began)
+    assert shortest < 1 / 500
+
+
+def test_a_minute_at_500_hz_takes_less_than_20_mb(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    n = 3000  # 6 s
+    q = np.cumsum(rng.normal(0.0, 1e-3, (n, 6)), axis=0)
+    wrenches = rng.normal(0.0, 3.0, (n, 6))
+    ratios = rng.uniform(0.0, 0.3, n)
+    report = MotionReport(
+        MotionOutcome.COMPLETED, np.arange(n) / 500, q, q + rng.normal(0.0, 1e-5, (n, 6)), wrenches,
+        position_deviation_ratios=ratios, collision_ratios=ratios,
+    )  # fmt: skip
+    path = tmp_path / "run.mcap"
+    with RunRecorder(path) as recorder:
+        recorder.record_motion("strike", report, [f"shoulder_{i}_joint" for i in range(6)])
+    assert 10 * path.stat().st_size < 20e6, "noise in every sample: a real robot's compresses better"
 
 
 def test_an_exception_leaves_a_complete_file(tmp_path: Path) -> None:
@@ -130,49 +236,31 @@ def test_an_exception_leaves_a_complete_file(tmp_path: Path) -> None:
 
     def job() -> None:
         with RunRecorder(path) as recorder:
-            recorder.record_event(0.0, "started")
-            assert not path.exists()
+            recorder.record_decision(0.0, "started", "")
             raise RuntimeError("robot")
 
     with pytest.raises(RuntimeError, match="robot"):
         job()
-    assert len(messages(path)["/events"]) == 1
-    assert [p.name for p in tmp_path.iterdir()] == ["run.mcap"]
+    assert len(messages(path)["/decisions"]) == 1
 
 
-def test_nothing_is_left_when_the_file_cannot_be_finished(tmp_path: Path) -> None:
-    """The place is taken by a folder: the rename fails, and the unfinished file goes."""
-    path = tmp_path / "run.mcap"
-
-    def job() -> None:
-        with RunRecorder(path) as recorder:
-            recorder.record_event(0.0, "started")
-            path.mkdir()
-
-    with pytest.raises(OSError, match=r"run\.mcap"):
-        job()
-    assert [p.name for p in tmp_path.iterdir()] == ["run.mcap"]
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full is Linux's")
+def test_a_full_disk_is_reported_and_does_not_stop_the_job() -> None:
+    recorder = RunRecorder(Path("/dev/full"))
+    recorder.__enter__()
+    for i in range(200):
+        recorder.record_decision(float(i), "noise", np.random.default_rng(i).bytes(9000).hex())
+    with raises(UserError, code="user.recording_not_writable"):
+        recorder.__exit__(None, None, None)
 
 
-def test_unwritable_place_and_bad_stamp_are_refused(tmp_path: Path) -> None:
+def test_unwritable_place_bad_stamp_and_no_recording_are_refused(tmp_path: Path) -> None:
     with raises(UserError, code="user.recording_not_writable"), RunRecorder(tmp_path / "no" / "such" / "run.mcap"):
         pass
     with RunRecorder(tmp_path / "run.mcap") as recorder, pytest.raises(ValueError, match="clock"):
-        recorder.record_event(float("nan"), "started")
+        recorder.record_decision(float("nan"), "started", "")
     with pytest.raises(RuntimeError, match="with"):
-        recorder.record_event(0.0, "late")
-
-
-def test_schemas_are_named_as_foxglove_knows_them() -> None:
-    assert {name for name in SCHEMAS if name.startswith("foxglove.")} == {
-        f"foxglove.{name}"
-        for name in (
-            "CompressedImage",
-            "RawImage",
-            "CameraCalibration",
-            "FrameTransforms",
-            "PointCloud",
-            "PosesInFrame",
-            "Log",
-        )
-    }
+        recorder.record_decision(0.0, "late", "")
+    (tmp_path / "text.mcap").write_text("this is no recording, whatever its name says")
+    with raises(UserError, code="user.recording_unreadable"):
+        read_history(tmp_path / "text.mcap")

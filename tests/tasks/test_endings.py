@@ -187,19 +187,19 @@ def test_the_tool_is_lost_in_a_motion(bench: Bench, where: Stage | str, motion: 
 def test_a_pose_that_no_held_hammer_has_is_not_believed(bench: Bench, X: Array, reason: str) -> None:
     nominal = bench.true_grasp.X_hand_ee
     perceiver = ScriptedPerception(bench.sim.judge, lambda e: replace(e, X_hand_ee=nominal @ X))
-    look = Look(bench.station, CONFIG, RobotModel.load(), perceiver, Log(), nominal)
-    look.take()
+    look = Look(CONFIG, RobotModel.load(), perceiver, Log(), nominal)
+    look.take(bench.station)
     with pytest.raises(PerceptionError, match=reason):
-        look.fuse()
+        look.fuse(0.0)
 
 
 def test_a_detection_that_no_held_hammer_can_be_is_left_out(bench: Bench) -> None:
     perceiver = ScriptedPerception(bench.sim.judge, lambda e: e)
     far = bench.true_grasp.X_hand_ee @ transform(p=[0.0, 0.4, 0.0])
-    look = Look(bench.station, CONFIG, RobotModel.load(), perceiver, Log(), far)
-    look.take()
+    look = Look(CONFIG, RobotModel.load(), perceiver, Log(), far)
+    look.take(bench.station)
     with pytest.raises(PerceptionError, match="where a held hammer cannot have it"):
-        look.fuse()
+        look.fuse(0.0)
 
 
 def test_a_camera_whose_frames_perception_refuses_is_a_device_fault(bench: Bench) -> None:

@@ -32,6 +32,8 @@ from toolee_robot.cli.evaluate import Evaluate
 from toolee_robot.cli.faults import Faults
 from toolee_robot.cli.hammering.command import Hammer
 from toolee_robot.cli.hand_emulator import HandEmulator
+from toolee_robot.cli.replaying.replay import Replay
+from toolee_robot.cli.replaying.runs import Runs
 from toolee_robot.cli.station.command import Station
 from toolee_robot.cli.train.command import Train
 from toolee_robot.cli.trials import Trials
@@ -56,6 +58,8 @@ Command = (
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Faults, tyro.conf.subcommand("faults")]
     | Annotated[HandEmulator, tyro.conf.subcommand("hand-emulator")]
+    | Annotated[Replay, tyro.conf.subcommand("replay")]
+    | Annotated[Runs, tyro.conf.subcommand("runs")]
     | Annotated[Station, tyro.conf.subcommand("station")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Trials, tyro.conf.subcommand("trials")]
@@ -78,6 +82,8 @@ AnyCommand = (
     | Evaluate
     | Faults
     | HandEmulator
+    | Replay
+    | Runs
     | Station
     | Train
     | Trials

@@ -10,6 +10,9 @@ from pathlib import Path
 
 from toolee_robot.errors import UserError
 
+RECORDING = "recording.mcap"
+"""Name of the recording in a run's folder."""
+
 
 class RunFolder:
     """Folder of a run; without `keep` it is removed at the end of the context.

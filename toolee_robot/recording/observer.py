@@ -3,16 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from contextlib import suppress
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from toolee_robot.config import StationConfig
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.end_effectors import Category
+from toolee_robot.errors import DeviceError
 from toolee_robot.frames import Array
-from toolee_robot.hal import Clock, MotionReport
+from toolee_robot.hal import MotionReport, Station
+from toolee_robot.recording.messages import plain
 from toolee_robot.recording.picture import NailCurve, draw
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.robots import ARM_JOINTS
@@ -26,68 +30,66 @@ class RecordingObserver(TaskObserver):
 
     Args:
         recorder: The open recorder.
-        clock: The station's clock.
-        hand_joints: Names of the hand's joints, wrist first.
-        X_base_camera: Pose of the camera in `base`, (4, 4).
+        station: The devices: clock, names of the hand's joints, the arm's own safety status after each motion.
+        config: What the station file says; it is attached to the recording.
     """
 
-    def __init__(self, recorder: RunRecorder, clock: Clock, hand_joints: Sequence[str], X_base_camera: Array) -> None:
-        self._recorder = recorder
-        self._clock = clock
-        self._hand_joints = hand_joints
-        recorder.record_pose(clock.now(), "base", "camera", X_base_camera)
+    def __init__(self, recorder: RunRecorder, station: Station, config: StationConfig) -> None:
+        self._recorder, self._station, self._clock = recorder, station, station.clock
+        recorder.attach("station.json", "application/json", json.dumps(plain(asdict(config))).encode())
+        recorder.record_pose(self._clock.now(), "base", "camera", config.camera.X_base_camera)
+        recorder.record_pose(self._clock.now(), "base", "nail", config.work.X_base_nail())
 
     def stage_started(self, stage: Stage) -> None:
-        self._recorder.record_event(self._clock.now(), "stage", {"stage": str(stage)})
+        self._recorder.record_decision(self._clock.now(), "stage", f"{stage} begins", {"stage": stage})
 
     def stage_ended(self, stage: Stage, seconds: float) -> None:
-        self._recorder.record_event(self._clock.now(), "stage_ended", {"stage": str(stage), "wall_seconds": seconds})
+        data = {"stage": stage, "wall_seconds": seconds}
+        self._recorder.record_decision(self._clock.now(), "stage_ended", f"{stage} ends", data)
 
     def message(self, text: str) -> None:
         self._recorder.record_log(self._clock.now(), text)
 
     def frame(self, frame: RgbdFrame, estimates: list[ToolEstimate], X_camera_hand: Array) -> None:
-        self._recorder.record_frame(frame)
         self._recorder.record_pose(frame.stamp, "camera", "hand", X_camera_hand)
+        self._recorder.record_frame(frame)
         for e in estimates:
-            data: dict[str, Any] = {
-                "category": str(e.category),
-                "score": e.detection.score,
-                "box": list(e.detection.box),
-            }
-            data |= {
-                "confidence": e.confidence,
-                "trust": e.trust,
-                "usable": e.usable,
-                "reason": e.reason,
-                "covariance": e.covariance,
-            }
-            self._recorder.record_event(frame.stamp, "estimate", data)
+            self._recorder.record_estimate(frame.stamp, e)
             if np.all(np.isfinite(e.X_camera_ee)):
                 self._recorder.record_pose(frame.stamp, "camera", f"seen_{e.category}", e.X_camera_ee)
             if e.hypotheses is not None and e.category is Category.HAMMER_HEAD:
                 self._recorder.record_cloud(frame.stamp, "camera", e.hypotheses.points)
                 self._recorder.record_hypotheses(frame.stamp, "camera", e.hypotheses.Xs_camera_ee)
+        usable = [e for e in estimates if e.usable]
+        best = max(usable or estimates, key=lambda e: e.trust, default=None)
+        reason = "nothing detected" if best is None else f"{best.category}, trust {best.trust:.2f}: {best.reason}"
+        data = {"detections": len(estimates), "usable": len(usable)}
+        self._recorder.record_decision(frame.stamp, "frame", reason, data)
 
     def in_hand(self, stamp: float, estimate: InHandEstimate) -> None:
+        self._recorder.record_in_hand(stamp, estimate)
         if np.all(np.isfinite(estimate.X_hand_ee)):
             self._recorder.record_pose(stamp, "hand", str(estimate.category), estimate.X_hand_ee)
-        data: dict[str, Any] = {
-            "category": str(estimate.category),
-            "covariance": estimate.covariance,
-            "usable": estimate.usable,
-        }
-        data |= {"frames_used": estimate.frames_used, "frames_seen": estimate.frames_seen, "reason": estimate.reason}
-        self._recorder.record_event(stamp, "in_hand", data)
+        verdict = "believed" if estimate.usable else f"not believed, {estimate.reason}"
+        reason = f"{estimate.frames_used} of {estimate.frames_seen} frames agree: {verdict}"
+        self._recorder.record_decision(stamp, "pose_in_hand", reason, {"usable": estimate.usable})
 
     def planned(self, stamp: float, plan: StrikePlan) -> None:
         data: dict[str, Any] = {"speed": plan.speed, "spin": plan.theta, "clearance": plan.clearance.distance}
         data |= {"X_base_ee_contact": plan.X_base_ee_contact, "planning_seconds": plan.planning_time}
-        self._recorder.record_event(stamp, "plan", data)
+        data |= {"wanted_speed": plan.wanted_speed, "attainable_speed": plan.attainable_speed}
+        reason = (
+            f"strike at {plan.speed:.2f} m/s of {plan.wanted_speed:.2f} wanted, "
+            f"clearance {plan.clearance.distance * 1e3:.0f} mm"
+        )
+        self._recorder.record_decision(stamp, "plan", reason, data)
 
     def motion(self, name: str, report: MotionReport, hand_joints: Array) -> None:
+        # First, so that what is known of the hand is older than the motion: it held still meanwhile.
+        stamp = float(report.stamps[0]) if len(report.stamps) else self._clock.now()
+        self._recorder.record_joints(stamp, self._station.hand.joint_names, hand_joints, "/hand/measured")
         self._recorder.record_motion(name, report, ARM_JOINTS)
-        self._recorder.record_joints(self._clock.now(), self._hand_joints, hand_joints, "/hand/measured")
+        self._status()
 
     def contact(self, stamp: float, force: float, X_base_ee: Array) -> None:
         self._recorder.record_contact(stamp, force, X_base_ee)
@@ -96,11 +98,20 @@ class RecordingObserver(TaskObserver):
         data: dict[str, Any] = {"number": strike.number, "protrusion": strike.protrusion}
         data |= {"speed": strike.speed, "peak_force": strike.peak_force, "meeting": str(strike.meeting)}
         data |= asdict(strike.load)
-        self._recorder.record_event(strike.stamp, "blow", data)
+        left = "not measured after it" if strike.protrusion is None else f"{strike.protrusion * 1e3:.1f} mm left"
+        reason = f"strike {strike.number}: {strike.meeting}, {left}, {strike.peak_force:.0f} N"
+        self._recorder.record_decision(self._clock.now(), "strike", reason, data)
 
     def ended(self, result: HammerResult) -> None:
-        data = {"outcome": str(result.outcome), "reason": result.reason, "blows": len(result.strikes)}
-        self._recorder.record_event(self._clock.now(), "ended", data)
+        self._status()
+        data = {"outcome": str(result.outcome), "reason": result.reason, "strikes": len(result.strikes)}
+        reason = f"{str(result.outcome).replace('_', ' ')}: {result.reason}"
+        self._recorder.record_decision(self._clock.now(), "ended", reason, data)
+
+    def _status(self) -> None:
+        with suppress(DeviceError):  # an arm that does not answer has no status; the job's end says so
+            state = self._station.arm.state()
+            self._recorder.record_status(state.joints.stamp, state.status, state.digital_inputs)
 
 
 class PictureCollector(TaskObserver):

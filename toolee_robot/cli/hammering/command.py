@@ -64,8 +64,8 @@ class Hammer:
     """Your own station, with all that a lab must measure: docs/how-to/run_a_job.md."""
     rehearse: Flag = False
     """With --station: emulate every device. The hammer and the errors of what the file says are the seed's."""
-    page: Annotated[int | None, tyro.conf.arg(metavar="PORT", help_behavior_hint="")] = None
-    """Show the job on a page of this computer, too: stage, what to do, robot and nail (extra viewer)."""
+    view: Flag = False
+    """Show the job on a page of this computer, too: the page of `toolee replay`, live (extra viewer)."""
     arm: Literal["sim", "ur-rtde"] = "sim"
     """The simulated arm itself, or a UR arm through the driver of real ones."""
     robot_host: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="")] = None
@@ -143,7 +143,7 @@ class Hammer:
             ask = (lambda question: console.input(question, markup=False)) if interactive else None
             job = HammerJob(
                 source, correction=not self.no_correction, perfect_perception=self.perfect_perception, ask=ask,
-                page_port=self.page, ablation=None if self.ablation is None else Ablation(self.ablation),
+                view=self.view, ablation=None if self.ablation is None else Ablation(self.ablation),
             )  # fmt: skip
             report = job.run(folder.path, console)
             folder.keep()

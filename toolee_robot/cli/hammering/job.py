@@ -6,23 +6,26 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
 from rich.panel import Panel
 
-import toolee_robot
 from toolee_robot.cli.hammering.console import ConsoleObserver
-from toolee_robot.cli.hammering.page import JobPage
 from toolee_robot.cli.hammering.sources import Opened, Source
 from toolee_robot.cli.hammering.stops import after_stop
 from toolee_robot.cli.output import json_line
+from toolee_robot.cli.run_folder import RECORDING
 from toolee_robot.perception import ToolPerception
+from toolee_robot.recording.history import RunHistory
 from toolee_robot.recording.observer import PictureCollector, RecordingObserver
 from toolee_robot.recording.recorder import RunRecorder
+from toolee_robot.recording.tool_file import tool_model
 from toolee_robot.robots import hand_model
+from toolee_robot.runtime.code_version import code_version
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
@@ -33,7 +36,12 @@ from toolee_robot.tasks.common.outcome import HammerResult, Outcome
 from toolee_robot.tasks.hammering.ablation import Ablation, ablated
 from toolee_robot.tasks.hammering.task import HammeringTask
 
+if TYPE_CHECKING:
+    from toolee_robot.viewer.run_page import RunPage  # needs the extra `viewer`
+
 EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
+PAGE_PORT = 8080
+"""Port of the page of a running job; the next free one where it is in use."""
 TRUE_FIGURES = ("pose_error_mm", "pose_error_deg", "strike_offset_mm", "strike_tilt_deg", "contact_speed")
 """Figures that only a simulation knows."""
 
@@ -95,7 +103,7 @@ class HammerJob:
         perfect_perception: Whether poses come from the ground truth, for tests and ablations only.
         ablation: What perception leaves out; None for nothing.
         ask: Asks the person at the terminal what to do after a stop; None: the job then ends.
-        page_port: Port of the page that shows the job in the browser; None for no page.
+        view: Whether a page in the browser shows the job, too.
     """
 
     source: Source
@@ -103,7 +111,7 @@ class HammerJob:
     perfect_perception: bool = False
     ablation: Ablation | None = None
     ask: Callable[[str], str] | None = None
-    page_port: int | None = None
+    view: bool = False
 
     def run(self, folder: Path, console: Console) -> HammerReport:
         """Do the job and write summary.json, recording.mcap and picture.png, whatever its outcome.
@@ -127,19 +135,21 @@ class HammerJob:
             ConsoleObserver(console, work.nail_protrusion, flush),
             PictureCollector(work.nail_protrusion, flush),
         )
-        metadata = {name: str(value) for name, value in self.source.facts.items()}
-        metadata["correction"] = str(self.correction)
         with (
             nullcontext() if self.source.real_time_factor is None else LatencyMonitor() as machine,
             self._page(console) as page,
             self.source.open(
                 lambda text: _prompt(text, screen, page), lambda text: console.print(f"[dim]{escape(text)}[/dim]")
             ) as opened,
-            RunRecorder(folder / "recording.mcap", metadata) as recorder,
+            RunRecorder(folder / RECORDING, self._metadata(opened)) as recorder,
         ):
             console.print(f"[bold]{escape(opened.words)}[/bold]  [dim]{escape(self._mode())}[/dim]")
             station, config = opened.station, opened.config
-            keeper = RecordingObserver(recorder, station.clock, station.hand.joint_names, config.camera.X_base_camera)
+            if page is not None:
+                page.follow(recorder)
+            if opened.shape is not None:
+                recorder.attach("tool.glb", "model/gltf-binary", tool_model(opened.shape))
+            keeper = RecordingObserver(recorder, station, config)
             if perception is None:
                 assert opened.truth is not None, "the command refuses it"
                 perceiver: Perceiver = PerfectPerception(opened.truth)
@@ -149,7 +159,7 @@ class HammerJob:
             task = HammeringTask(
                 station, perceiver, config, opened.grasp,
                 correction=self.correction,
-                observer=Observers(screen, keeper, collector, *([] if page is None else [page])),
+                observer=Observers(screen, keeper, collector),
             )  # fmt: skip
             if machine is not None:
                 machine.begin()
@@ -169,16 +179,32 @@ class HammerJob:
         return HammerReport(figures)
 
     @contextmanager
-    def _page(self, console: Console) -> Iterator[JobPage | None]:
-        if self.page_port is None:
+    def _page(self, console: Console) -> Iterator[RunPage | None]:
+        if not self.view:
             yield None
             return
-        page = JobPage(self.source.config, self.page_port)
+        from toolee_robot.viewer.run_page import RunPage
+
+        page = RunPage(RunHistory(complete=False), self.source.config, PAGE_PORT, live=True)
         console.print(f"[dim]The job is shown at[/dim] [bold]{page.address}[/bold]")
         try:
             yield page
         finally:
             page.close()
+
+    def _metadata(self, opened: Opened) -> dict[str, Any]:
+        """What identifies the run, for its recording."""
+        return {
+            **self.source.facts,
+            "correction": self.correction,
+            "perfect_perception": self.perfect_perception,
+            "code": code_version(),
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+            "tool": opened.tool,
+            "title": f"{opened.words}; {self._mode()}",
+            "X_hand_ee": opened.grasp.X_hand_ee,
+            "X_tool_ee": opened.grasp.X_tool_ee,
+        }
 
     def _mode(self) -> str:
         words = [self.source.mode]
@@ -259,7 +285,7 @@ class HammerJob:
     ) -> None:
         summary = {
             **figures,
-            "version": toolee_robot.__version__,
+            "version": code_version(),
             "strike_log": [asdict(strike) for strike in result.strikes],
             "strike_truth": [asdict(truth) for truth in truths],
             "looks": [
@@ -284,7 +310,7 @@ class HammerJob:
             write_atomic(folder / "picture.png", picture)
 
 
-def _prompt(text: str, screen: ConsoleObserver, page: JobPage | None) -> None:
+def _prompt(text: str, screen: ConsoleObserver, page: RunPage | None) -> None:
     screen.prompt(text)
     if page is not None:
         page.prompt(text)

@@ -20,7 +20,7 @@ from toolee_robot.stations.lab import LabStation
 from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
 from toolee_robot.stations.simulated import HandDriver, StandIn, open_station
 from toolee_robot.tasks.hammering.grasp import Grasp, measured_grasp
-from toolee_robot.tools import Tool
+from toolee_robot.tools import Tool, ToolShape
 
 Tell = Callable[[str], object]
 """Shows a prompt to the person at the station."""
@@ -37,6 +37,7 @@ class Opened:
         tool: Name of the tool.
         words: The tool in words.
         truth: Ground truth for the evaluation after the job; None for a real station.
+        shape: Shape of the tool, for pictures; None where nobody knows it.
     """
 
     station: Station
@@ -45,6 +46,7 @@ class Opened:
     tool: str
     words: str
     truth: Truth | None
+    shape: ToolShape | None = None
 
 
 class Source(Protocol):
@@ -143,7 +145,7 @@ class SimulatedSource:
             drawn = self._drawn
             config = self.config if self.errors == EXACT else drawn.displaced(self.config)
             grasp = measured_grasp(drawn.measured(sim.tool, sim.tool.name), config)
-            yield Opened(sim.station, config, grasp, sim.tool.name, _words(sim.tool), sim.judge)
+            yield Opened(sim.station, config, grasp, sim.tool.name, _words(sim.tool), sim.judge, sim.tool)
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,7 @@ class RehearsalSource:
         assert config.tool is not None
         with EmulatedLab(cell, tell, self.factor, self.profile, doing=doing) as lab:
             grasp = measured_grasp(config.tool, config)
-            yield Opened(lab.station, config, grasp, tool.name, _words(tool), lab.judge)
+            yield Opened(lab.station, config, grasp, tool.name, _words(tool), lab.judge, tool)
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ class Show:
         config = load_station(self.file)
         console = Console(highlight=False)
         with console.status("building the picture"):
-            from toolee_robot.stations.viewer import StationPicture
+            from toolee_robot.viewer.station_scene import StationPicture
 
             picture = StationPicture(config, self.port)
         console.print(f"Open [bold]{picture.address}[/bold] in a browser. Ctrl-C ends it.")

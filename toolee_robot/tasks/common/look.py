@@ -70,7 +70,6 @@ class Look:
     """One look at the held tool: the frames taken, and their fusion.
 
     Args:
-        station: The devices of the station.
         config: Configuration of the station.
         robot: Kinematic model of arm and hand.
         perceiver: Estimates poses from frames.
@@ -80,14 +79,12 @@ class Look:
 
     def __init__(
         self,
-        station: Station,
         config: StationConfig,
         robot: RobotModel,
         perceiver: Perceiver,
         observer: TaskObserver,
         X_hand_ee_nominal: Array,
     ) -> None:
-        self._station = station
         self._X_camera_base = inverse(config.camera.X_base_camera)
         self._robot = robot
         self._R_hand_tool = robot.description.hand.grasp.R_hand_tool
@@ -98,24 +95,38 @@ class Look:
         self._seen: list[list[ToolEstimate]] = []
         self._hands: list[Array] = []
 
-    def take(self) -> None:
+    def take(self, station: Station) -> None:
         """Read a frame at the arm's present configuration and estimate the poses in it.
+
+        Args:
+            station: The devices of the station.
 
         Raises:
             StaleDataError: The camera repeated an old frame.
             DeviceError: The frame is unusable, or a device does not answer.
         """
-        asked = self._station.clock.now()
-        frame = self._station.camera.read()
+        asked = station.clock.now()
+        frame = station.camera.read()
         if frame.stamp < asked:
             raise StaleDataError(
                 f"the camera gave a frame {asked - frame.stamp:.2f} s older than it was asked: it repeats old ones; "
                 "restart it",
                 code="stale_data.camera_repeats",
             )
-        q_arm = self._station.arm.state().joints.q
-        q_hand = self._station.hand.state().joints.q
-        X_camera_hand = self._X_camera_base @ self._robot.fk(q_arm, q_hand)[1]
+        q_arm = station.arm.state().joints.q
+        q_hand = station.hand.state().joints.q
+        self.add(frame, self._X_camera_base @ self._robot.fk(q_arm, q_hand)[1])
+
+    def add(self, frame: RgbdFrame, X_camera_hand: Array) -> None:
+        """Estimate the poses in a frame.
+
+        Args:
+            frame: The frame.
+            X_camera_hand: Pose of the hand in the camera frame at the exposure, (4, 4).
+
+        Raises:
+            DeviceError: The frame is unusable.
+        """
         hand = HoldingHand(X_camera_hand, self._R_hand_tool, self._region)
         try:
             estimates = self._perceiver.estimate(frame, hand, [Category.HAMMER_HEAD])
@@ -129,14 +140,20 @@ class Look:
         self._seen.append([e for e in estimates if self._plausible(e, X_camera_hand)])
         self._hands.append(X_camera_hand)
 
-    def fuse(self) -> InHandEstimate:
+    def fuse(self, stamp: float) -> InHandEstimate:
         """Fuse the frames into the pose of the face in the hand.
+
+        Args:
+            stamp: Present time on the station's clock [s].
+
+        Returns:
+            The pose of the face in the hand.
 
         Raises:
             PerceptionError: The face was not seen, its pose is too uncertain, or it is implausible for a held hammer.
         """
         estimate = self._perceiver.fuse(self._seen, self._hands, Category.HAMMER_HEAD)
-        self._observer.in_hand(self._station.clock.now(), estimate)
+        self._observer.in_hand(stamp, estimate)
         if not estimate.usable:
             raise PerceptionError(
                 f"the hammer head's pose is not to be relied on: {estimate.reason}", code="perception.not_usable"

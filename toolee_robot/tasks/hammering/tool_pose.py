@@ -76,7 +76,7 @@ class ToolPose:
             JobEnded: The tool has slipped too far since the last look.
             TooleeError: A motion or a device failed.
         """
-        look = Look(self._station, self._config, self._robot, self._perceiver, self._observer, self._X_hand_ee)
+        look = Look(self._config, self._robot, self._perceiver, self._observer, self._X_hand_ee)
         for attempt in (1, 2):
             with self._stages(Stage.VIEW):
                 q_hand = self._motions.q_hand
@@ -96,10 +96,10 @@ class ToolPose:
                     self._motions.transfer("to a view", view.transfer)
                     self._station.clock.sleep(SETTLE)
                 with self._stages(Stage.PERCEIVE):
-                    look.take()
+                    look.take(self._station)
             try:
                 with self._stages(Stage.PERCEIVE):
-                    estimate = look.fuse()
+                    estimate = look.fuse(self._station.clock.now())
                     if self._related:
                         estimate = self._after_slip(self.estimates[-1][1], estimate)
                 break

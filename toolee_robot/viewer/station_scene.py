@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import io
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from toolee_robot.config import StationConfig
@@ -65,6 +67,8 @@ class StationPicture:
     Args:
         config: What the station file says.
         port: Port of the page; the next free one is taken where it is in use.
+        hidden: Bodies that are not drawn.
+        annotated: Whether frames with their names and the workspace are drawn.
 
     Attributes:
         server: The `viser.ViserServer`.
@@ -73,7 +77,9 @@ class StationPicture:
         UserError: viser is not installed.
     """
 
-    def __init__(self, config: StationConfig, port: int) -> None:
+    def __init__(
+        self, config: StationConfig, port: int, hidden: Collection[BodyId] = (), *, annotated: bool = True
+    ) -> None:
         try:
             import viser
         except ImportError as error:
@@ -83,14 +89,14 @@ class StationPicture:
             ) from error
         with contextlib.redirect_stdout(io.StringIO()):  # a banner of its own
             self.server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
-        self._robot = RobotModel.of_station(config)
         self._meshes: dict[str, Any] = {}
         self.server.scene.set_up_direction("+z")
-        self._draw_bodies(config)
+        self._draw_bodies(config, hidden)
         self._draw_camera(config)
-        self._draw_workspace(config)
-        for name, X in named_frames(config).items():
-            self.frame(name, X)
+        if annotated:
+            self._draw_workspace(config)
+            for name, X in named_frames(config).items():
+                self.frame(name, X)
         self.server.initial_camera.position = (2.1, 1.3, 1.5)
         self.server.initial_camera.look_at = (0.4, -0.2, 0.4)
 
@@ -110,25 +116,34 @@ class StationPicture:
             name: Its name.
             X: Its pose in `base`, (4, 4).
         """
-        position, wxyz = _pose(X)
+        position, wxyz = position_wxyz(X)
         scene, path = self.server.scene, f"/frames/{name}"
         scene.add_frame(path, position=position, wxyz=wxyz, axes_length=AXES, axes_radius=AXES / 30.0)
         scene.add_label(f"{path}/name", name, position=(AXES, 0.0, 0.0))  # base_link's and pendant_base's apart
 
-    def move_robot(self, q_arm: Array, q_hand: Array) -> None:
-        """Draw arm and hand in a posture.
+    def move(self, name: str, X: Array) -> None:
+        """Move a body; one that is not drawn is left out.
 
         Args:
-            q_arm: Joint positions of the arm, (6,) [rad].
-            q_hand: Joint positions of the hand, wrist first, (n,) [rad].
+            name: Its name, such as that of a link.
+            X: Its pose in `base`, (4, 4).
         """
-        for name, X in self._robot.description.link_poses(q_arm, q_hand).items():
-            if name in self._meshes:
-                self._meshes[name].position, self._meshes[name].wxyz = _pose(X)
+        if name in self._meshes:
+            self._meshes[name].position, self._meshes[name].wxyz = position_wxyz(X)
 
-    def _draw_bodies(self, config: StationConfig) -> None:
+    def place(self, name: str) -> Array:
+        """Where a body is drawn, (3,) in `base` [m]."""
+        return np.array(self._meshes[name].position)
+
+    def show_image(self, rgb: NDArray[np.uint8] | None) -> None:
+        """Show an image, (H, W, 3), in the camera's frustum; None: no image."""
+        self._frustum.image = rgb
+
+    def _draw_bodies(self, config: StationConfig, hidden: Collection[BodyId]) -> None:
         for body in bodies(config):
-            position, wxyz = _pose(body.X_base_body)
+            if body.body_id in hidden:
+                continue
+            position, wxyz = position_wxyz(body.X_base_body)
             self._meshes[body.name] = self.server.scene.add_mesh_simple(
                 f"/bodies/{body.name}",
                 body.mesh.vertices,
@@ -144,15 +159,16 @@ class StationPicture:
         self.server.scene.add_box("/bodies/table", color=TABLE, dimensions=dimensions, position=(0.0, 0.0, -0.006))
 
     def _draw_camera(self, config: StationConfig) -> None:
-        position, wxyz = _pose(config.camera.X_base_camera)
+        position, wxyz = position_wxyz(config.camera.X_base_camera)
         size, k = config.scene.camera_size, config.camera.intrinsics
         self.server.scene.add_box("/bodies/camera", color=CAMERA_BOX, dimensions=size, position=position)
-        self.server.scene.add_camera_frustum(
+        self._frustum = self.server.scene.add_camera_frustum(
             "/camera's view",
             fov=float(2.0 * np.arctan2(k.height / 2.0, k.fy)),
             aspect=k.width / k.height,
             scale=0.12,
             color=CAMERA_BOX,
+            thickness=0.004,
             position=position,
             wxyz=wxyz,
         )
@@ -163,8 +179,8 @@ class StationPicture:
         self.server.scene.add_box("/workspace", color=WORKSPACE, dimensions=size, position=middle, wireframe=True)
 
 
-def _pose(X: Array) -> tuple[Array, Array]:
-    """Position and quaternion, w first."""
+def position_wxyz(X: Array) -> tuple[Array, Array]:
+    """Position (3,) and quaternion (4,), w first, of a pose (4, 4)."""
     return X[:3, 3], np.asarray(Rotation.from_matrix(X[:3, :3]).as_quat(scalar_first=True))
 
 

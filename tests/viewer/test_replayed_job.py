@@ -1,0 +1,146 @@
+"""A whole job's recording: in Rerun, in the browser, through today's networks, and after a kill."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from toolee_robot.cli.app import run
+from toolee_robot.recording.reading import read_history
+from toolee_robot.viewer.run_page import RunPage
+
+pytestmark = pytest.mark.nightly
+
+_MAIN = "from toolee_robot.cli import main; main()"
+CHROMIUM = next((p for p in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if p), None)
+ARGUMENTS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a whole job."""
+    out = tmp_path_factory.mktemp("runs")
+    command = [sys.executable, "-c", _MAIN, "hammer", "--seed", "100", "--json", "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=1200.0, check=True)
+    assert json.loads(done.stdout)["success"]
+    (folder,) = out.iterdir()
+    return folder
+
+
+@pytest.fixture
+def page(job: Path) -> Iterator[RunPage]:
+    history = read_history(job / "recording.mcap")
+    page = RunPage(history, history.station(), 8310)
+    yield page
+    page.close()
+
+
+def test_todays_networks_find_on_the_recorded_frames_what_the_job_found(
+    job: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same code gives the same poses: frames and hand were recorded without loss."""
+    assert run(["replay", str(job), "--rerun-perception", "--json"]) == 0
+    looks = json.loads(capsys.readouterr().out)
+    assert len(looks) >= 2
+    for look in looks:
+        assert look["today_usable"]
+        assert look["recorded_usable"]
+        assert look["moved_mm"] < 1e-3
+        assert look["turned_deg"] < 1e-2
+
+
+def test_it_takes_less_than_20_mb_a_minute_without_images(job: Path) -> None:
+    from mcap.reader import make_reader
+
+    size = 0
+    with (job / "recording.mcap").open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages():
+            size += 0 if channel.topic.startswith("/camera") else len(message.data)
+    history = read_history(job / "recording.mcap")
+    assert size / (history.end - history.start) * 60.0 < 20e6
+
+
+def test_it_opens_in_rerun(job: Path, tmp_path: Path) -> None:
+    """By Rerun's own reader, which knows images, poses, points, the pinhole and every other message's fields."""
+    rerun = str(Path(sys.executable).parent / "rerun")
+    env = os.environ | {"HOME": str(tmp_path), "FORCE_ANALYTICS": "0"}
+    rrd = tmp_path / "run.rrd"
+    convert = [rerun, "mcap", "convert", str(job / "recording.mcap"), "-o", str(rrd)]
+    subprocess.run(convert, check=True, env=env, timeout=300.0)
+    subprocess.run([rerun, "rrd", "verify", str(rrd)], check=True, env=env, timeout=300.0)
+    shown = subprocess.run(
+        [rerun, "rrd", "print", "-vv", str(rrd)], check=True, env=env, timeout=300.0, capture_output=True, text=True
+    ).stdout
+    for known in ("EncodedImage", "Image", "Pinhole", "Points3D", "InstancePoses3D", "Transform3D", "TextLog"):
+        assert f"archetype: {known}" in shown, known
+    for topic in ("/arm/measured", "/arm/commanded", "/arm/wrench", "/decisions", "/perception/estimates"):
+        assert topic in shown
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium on this machine")
+def test_the_browser_shows_plays_and_jumps(page: RunPage) -> None:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        view = browser.new_page(viewport={"width": 1300, "height": 900})
+        received = [0]
+
+        def count(_data: Any) -> None:
+            received[0] += 1
+
+        view.on("websocket", lambda socket: socket.on("framereceived", count))
+        view.goto(page.address)
+        view.get_by_text("Nail: 20.0 mm over the wood").wait_for(timeout=60_000)
+        view.wait_for_timeout(8_000)  # software rendering: the meshes appear
+        before = np.frombuffer(view.screenshot(), np.uint8)
+        view.get_by_role("button", name="next strike").click()
+        view.get_by_text("strike 1:").first.wait_for(timeout=60_000)
+        assert page.stamp in [d.stamp for d in page.decisions if d.name == "strike"]
+        view.wait_for_timeout(3_000)
+        assert len(before) != len(view.screenshot()), "the robot stands elsewhere"
+        drawn, messages = page.drawn, received[0]
+        view.get_by_role("button", name="Play", exact=True).click()
+        view.wait_for_timeout(5_000)
+        assert page.drawn - drawn > 0.8 * 30 * 5, "drawings in five seconds"
+        assert received[0] - messages > 0.8 * 30 * 5, "and the browser was sent them"
+        browser.close()
+
+
+def test_a_killed_job_is_listed_and_shown_up_to_its_last_second(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = [sys.executable, "-c", _MAIN, "hammer", "--seed", "100", "--perfect-perception", "--out", "."]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        deadline = time.monotonic() + 300.0
+        while time.monotonic() < deadline and process.poll() is None:
+            found = [p for p in tmp_path.glob(".*/recording.mcap") if p.stat().st_size > 1e6]
+            if found:
+                break
+            time.sleep(0.1)
+    finally:
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+    assert run(["runs", str(tmp_path), "--json"]) == 0
+    (listed,) = json.loads(capsys.readouterr().out)
+    assert listed["outcome"] == "unfinished"
+    history = read_history(Path(listed["folder"]) / "recording.mcap")
+    assert not history.complete
+    assert len(history.joints) > 500
+    page = RunPage(history, history.station(), 8310)
+    assert "The run was killed" in page.text
+    page.close()
+    assert run(["replay", listed["folder"], "--finish", str(tmp_path / "whole.mcap")]) == 0
+    assert read_history(tmp_path / "whole.mcap").complete

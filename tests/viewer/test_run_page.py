@@ -1,0 +1,78 @@
+"""The page of a run: what it says and shows at a time, replayed and live."""
+
+from __future__ import annotations
+
+import time
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.recording import small_run
+from toolee_robot.config import StationConfig
+from toolee_robot.recording.history import RunHistory
+from toolee_robot.recording.reading import read_history
+from toolee_robot.recording.recorder import RunRecorder
+from toolee_robot.robots import load_robot
+from toolee_robot.viewer.run_page import RunPage
+
+
+def _until(holds: Callable[[], bool], seconds: float = 20.0) -> bool:
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if holds():
+            return True
+        time.sleep(0.05)
+    return holds()
+
+
+def _place(page: RunPage, link: str) -> Any:
+    return page.scene.picture.place(link)
+
+
+@pytest.mark.sim(seconds=10)
+def test_it_shows_the_run_at_a_time_and_plays(tmp_path: Path) -> None:
+    history = read_history(small_run.write(tmp_path / "run.mcap"))
+    page = RunPage(history, history.station(), 8310)
+    try:
+        with urllib.request.urlopen(page.address) as served:
+            assert b"<html" in served.read(2000)
+        assert "Handover" in page.text
+        assert "20.0 mm over the wood" in page.text
+        page.seek(2.0)
+        description = load_robot()
+        expected = description.link_poses(small_run.REACHED, description.hand_open)["forearm_link"][:3, 3]
+        assert _until(lambda: np.allclose(_place(page, "forearm_link"), expected, atol=1e-6))
+        before = _place(page, "nail_head")
+        page.seek(4.2)
+        assert _until(lambda: "12.3 mm over the wood" in page.text)
+        assert "strike 1: expected, 12.3 mm left, 54 N" in page.text
+        assert "the nail went in" in page.text
+        sunk = _place(page, "nail_head") - before
+        assert sunk[2] == pytest.approx(-0.0077, abs=1e-6), "the nail goes down with the hammer's strikes"
+        page.seek(0.0)
+        page.play()
+        assert _until(lambda: "Flush" in page.text), "it plays to the end in 4.3 s"
+        assert [d.name for d in page.decisions] == ["stage", "stage", "pose_in_hand", "stage", "strike", "ended"]
+    finally:
+        page.close()
+
+
+@pytest.mark.sim(seconds=10)
+def test_it_follows_a_job_that_runs(tmp_path: Path) -> None:
+    page = RunPage(RunHistory(complete=False), StationConfig(), 8310, live=True)
+    try:
+        assert "Connecting" in page.text
+        page.prompt("Lay the hammer into the open hand.")
+        assert "➤ Lay the hammer into the open hand." in page.text
+        with RunRecorder(tmp_path / "run.mcap", {"X_hand_ee": np.eye(4), "X_tool_ee": np.eye(4)}) as recorder:
+            page.follow(recorder)
+            small_run.record(recorder)
+            assert _until(lambda: "Flush" in page.text)
+        assert "➤" not in page.text, "the job has gone on"
+        assert "12.3 mm over the wood" in page.text
+    finally:
+        page.close()

@@ -1,0 +1,121 @@
+"""Where everything was at one time of a run, as far as the robot knew."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+
+from toolee_robot.config import StationConfig
+from toolee_robot.control import RobotModel
+from toolee_robot.frames import Array, inverse, transform
+from toolee_robot.recording.history import RunHistory, SeenEstimate
+
+GAP = 0.1
+"""Time without a sample after which a motion is over [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class RunState:
+    """The state of a run at one time.
+
+    Attributes:
+        stamp: The time [s].
+        links: Pose of every link in `base`, (4, 4), by name.
+        X_base_hand: Pose of the hand, (4, 4).
+        X_base_tool: Believed pose of the tool, (4, 4); None while the hand does not hold it.
+        X_base_ee: Believed pose of its end effector, (4, 4); None likewise.
+        in_hand: The fused estimate that was believed; None before the first.
+        sunk: How far the nail has been driven [m].
+        protrusion: Height of its head over the wood [m].
+        frame: Index of the newest frame; -1 before the first.
+        stage: Stage of the job.
+    """
+
+    stamp: float
+    links: dict[str, Array]
+    X_base_hand: Array
+    X_base_tool: Array | None
+    X_base_ee: Array | None
+    in_hand: SeenEstimate | None
+    sunk: float
+    protrusion: float
+    frame: int
+    stage: str
+
+
+class RunStates:
+    """The states of a run.
+
+    Args:
+        history: What was recorded; it may grow.
+        config: The station.
+    """
+
+    def __init__(self, history: RunHistory, config: StationConfig) -> None:
+        self._history, self._config = history, config
+        self._robot = RobotModel.of_station(config)
+        metadata = history.metadata
+        self._X_hand_ee = np.array(json.loads(metadata.get("X_hand_ee", json.dumps(np.eye(4).tolist()))))
+        self._X_ee_tool = inverse(np.array(json.loads(metadata.get("X_tool_ee", json.dumps(np.eye(4).tolist())))))
+
+    def at(self, stamp: float) -> RunState:
+        """The state at a time [s]."""
+        h = self._history
+        q_arm, q_hand = self.q_arm(stamp), h.hand.at(stamp)
+        q_hand = self._robot.description.hand_open if q_hand is None else q_hand
+        links = self._robot.description.link_poses(q_arm, q_hand)
+        X_base_hand = links[self._robot.description.hand_frame]
+        stage, held = "", False
+        for decision in h.decisions.values[: h.decisions.index(stamp) + 1]:
+            if decision.name == "stage":
+                stage = str(decision.data["stage"])
+            elif decision.name == "stage_ended" and decision.data["stage"] == "grip":
+                held = True
+            elif decision.name == "ended":
+                stage = str(decision.data["outcome"])
+                held = held and stage != "tool_lost"
+        in_hand = next((e for e in reversed(h.in_hand.values[: h.in_hand.index(stamp) + 1]) if e.usable), None)
+        X_hand_ee = self._X_hand_ee if in_hand is None or in_hand.X is None else in_hand.X
+        X_base_ee = X_base_hand @ X_hand_ee if held else None
+        protrusion = h.protrusions.at(stamp)
+        whole = self._config.work.nail_protrusion
+        protrusion = whole if protrusion is None else protrusion
+        return RunState(
+            stamp, links, X_base_hand, None if X_base_ee is None else X_base_ee @ self._X_ee_tool, X_base_ee, in_hand,
+            whole - protrusion, protrusion, h.images.index(stamp), stage,
+        )  # fmt: skip
+
+    def q_arm(self, stamp: float) -> Array:
+        """Joint positions of the arm at a time [s], (6,) [rad], interpolated; at home before the first motion."""
+        joints = self._history.joints
+        i = joints.index(stamp)
+        if i < 0:
+            return joints.values[0] if len(joints) else np.array(self._config.scene.home)
+        if i + 1 >= len(joints):
+            return joints.values[i]
+        t0, t1 = joints.stamps[i], joints.stamps[i + 1]
+        if t1 - t0 > GAP:  # between two motions the arm stands still
+            return joints.values[i]
+        share = (stamp - t0) / (t1 - t0) if t1 > t0 else 0.0
+        return np.asarray((1.0 - share) * joints.values[i] + share * joints.values[i + 1])
+
+    def X_hand_camera(self, frame: int) -> Array | None:
+        """Pose of the camera in the hand at the exposure of a frame, (4, 4); None where it was not recorded."""
+        X = self._history.Xs_camera_hand.at(self._history.images.stamps[frame])
+        return None if X is None else inverse(X)
+
+    def X_base_nail_part(self, X: Array, sunk: float) -> Array:
+        """Pose of a part of the nail after the nail was driven.
+
+        Args:
+            X: Its pose before, (4, 4).
+            sunk: How far the nail was driven [m].
+
+        Returns:
+            Its pose, (4, 4).
+        """
+        z = self._config.work.X_base_nail()[:3, 2]
+        down = z if z[2] < 0.0 else -z
+        return transform(p=down * sunk) @ X
