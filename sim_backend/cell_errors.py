@@ -1,7 +1,7 @@
 """Errors of what a person measures in a cell: how what a job is told differs from what is there.
 
-Every source has a random stream of its own, and its size only scales what is drawn: with another size of one source the
-others err as before, so that trials of the same seed are paired.
+Camera, nail and tool have a random stream each, and a size only scales what is drawn: with another size of one error
+the others are as before, so that trials of the same seed are paired.
 """
 
 from __future__ import annotations
@@ -47,7 +47,6 @@ EXACT = CellErrors(*(0.0,) * 8)
 """No errors: the job is told what is there."""
 NOMINAL = CellErrors()
 """What a careful person's measurements are off by."""
-PRESETS = {"exact": EXACT, "nominal": NOMINAL}
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,12 +58,14 @@ class DrawnErrors:
         nail: Nail's place, and height of the wood's top, (3,) [m].
         tool: Standard normal numbers of the tool's data: radius, face (3), normal (3), mass, balance, (9,).
         sizes: Their sizes.
+        known_camera: Whether the camera's error is that of a calibration, and not of these sizes.
     """
 
     camera: Array
     nail: Array
     tool: Array
     sizes: CellErrors
+    known_camera: bool = False
 
     def displaced(self, config: StationConfig) -> StationConfig:
         """Displace camera and nail of a station by the errors.
@@ -107,16 +108,19 @@ class DrawnErrors:
         )
 
     @property
-    def facts(self) -> dict[str, float]:
-        """Figures for a run's summary."""
+    def facts(self) -> dict[str, float | None]:
+        """Figures for a run's summary; None for a camera whose error is its calibration's."""
+        place, turn = float(np.linalg.norm(self.camera[:3])), float(np.linalg.norm(self.camera[3:]))
         return {
-            "camera_mm": round(1e3 * float(np.linalg.norm(self.camera[:3])), 3),
-            "camera_deg": round(float(np.rad2deg(np.linalg.norm(self.camera[3:]))), 3),
+            "camera_mm": None if self.known_camera else round(1e3 * place, 3),
+            "camera_deg": None if self.known_camera else round(float(np.rad2deg(turn)), 3),
             "nail_beside_mm": round(1e3 * float(np.linalg.norm(self.nail[:2])), 3),
             "nail_height_mm": round(1e3 * float(self.nail[2]), 3),
             "face_mm": round(1e3 * self.sizes.ruler * float(np.linalg.norm(self.tool[1:4])), 3),
             "face_deg": round(float(np.rad2deg(self.sizes.face_angle * np.linalg.norm(self.tool[4:7]))), 3),
+            "handle_mm": round(5e2 * self.sizes.ruler * float(self.tool[0]), 3),
             "mass_percent": round(100.0 * self.sizes.scales * float(self.tool[7]), 3),
+            "balance_mm": round(1e3 * self.sizes.balance * float(self.tool[8]), 3),
         }
 
 
@@ -138,7 +142,7 @@ def draw_errors(sizes: CellErrors, seed: int, camera_covariance: Array | None = 
     else:
         off = camera.multivariate_normal(np.zeros(6), camera_covariance)
     beside = nail.normal(size=3) * [sizes.nail_beside, sizes.nail_beside, sizes.nail_height]
-    return DrawnErrors(off, beside, tool.normal(size=9), sizes)
+    return DrawnErrors(off, beside, tool.normal(size=9), sizes, camera_covariance is not None)
 
 
 def _three(v: Array) -> tuple[float, float, float]:

@@ -135,7 +135,8 @@ def test_the_whole_job_leaves_a_whole_folder(corrected: _Job) -> None:
 
 
 def test_a_job_that_is_told_what_a_person_measures_drives_the_nail(tmp_path: Path) -> None:
-    job = _whole_job(tmp_path, "--perfect-perception")
+    (tmp_path / "short.yaml").write_text("work: {nail_protrusion: 0.006}")
+    job = _whole_job(tmp_path, "--perfect-perception", "--config", "short.yaml")
     assert job.returncode == 0, job.err
     assert job.record["outcome"] == "flush"
     errors = job.record["errors"]

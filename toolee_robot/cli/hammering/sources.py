@@ -116,7 +116,7 @@ class SimulatedSource:
         """See `Source`."""
         words = [f"seed {self.seed}"]
         if self.errors == EXACT:
-            words.append("what the job is told is exact")
+            words.append("what the job is told is exact" if self.config.camera.pose is None else "exact but the camera")
         if self.stand_in is not None:
             words.append(f"{self.config.arm.model} over ur_rtde at {self.stand_in.host}")
             words.append(f"{self.stand_in.profile} controller")
