@@ -15,6 +15,9 @@ from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.frames import Array
 from toolee_robot.types import Trajectory
 
+LOWERING_SPEED = 0.5
+"""Largest speed of the way down to where a guarded touch begins [m/s]."""
+
 
 def plan_over_nail(
     robot: RobotModel, config: StationConfig, world: CollisionWorld, q_start: Array, plan: StrikePlan, before: float
@@ -36,7 +39,7 @@ def plan_over_nail(
         PlanningError: As `plan_transfer` and `plan_straight`.
     """
     line, high = _line_of(robot, plan), min(plan.run_up, config.strike.run_up)
-    lower = _travel(line, config, -high, -before)
+    lower = _travel(line, config, -high, -before, LOWERING_SPEED)
     approach = concatenate(plan_transfer(robot, config, world, q_start, lower.q[0]), lower)
     check_trajectory(approach, robot.arm, config.arm, config.scene, world)
     return approach
@@ -50,7 +53,7 @@ def plan_straight(
     length: float,
     direction: tuple[float, float, float] = (0.0, 0.0, 1.0),
     speed: float = 0.25,
-    acceleration: float | None = None,
+    share: float | None = None,
 ) -> Trajectory:
     """Plan a straight motion of the flange with constant orientation, from rest to rest.
 
@@ -62,7 +65,7 @@ def plan_straight(
         length: Length of the motion [m]; negative against the direction.
         direction: Direction in `base`; up by default.
         speed: Largest speed [m/s].
-        acceleration: Largest acceleration of every joint [rad/s^2]; that of transfers if None.
+        share: Largest velocity and acceleration of the joints as a share of a strike's; those of transfers if None.
 
     Returns:
         The trajectory, checked for collisions and limits, at rest at both ends.
@@ -73,7 +76,7 @@ def plan_straight(
         UnreachableError: The line is out of reach or singular.
     """
     line = Line.through(robot.ik, q_start, np.asarray(direction, dtype=np.float64))
-    move = _travel(line, config, 0.0, length, speed, acceleration)
+    move = _travel(line, config, 0.0, length, speed, share)
     world.check(move.q[:: max(1, len(move.q) // 20)], 0.0, "the straight move", BRAKE_EXEMPT)
     check_trajectory(move, robot.arm, config.arm, config.scene, world)
     return move
@@ -85,17 +88,14 @@ def _travel(
     start: float,
     end: float,
     speed: float = 0.25,
-    acceleration: float | None = None,
+    share: float | None = None,
 ) -> Trajectory:
-    """Build a motion along the line with the limits of transfers, from rest to rest."""
+    """Build a motion along the line from rest to rest, with the limits of transfers or a share of a strike's."""
+    arm = config.arm
+    scale = arm.transfer_velocity_scale if share is None else share
+    acceleration = arm.transfer_acceleration if share is None else share * arm.acceleration
     q = line.q(np.linspace(start, end, 9))
-    limits = line.travel_limits(
-        q,
-        config.arm.transfer_velocity_scale * np.asarray(config.arm.velocity),
-        config.arm.transfer_acceleration if acceleration is None else acceleration,
-        config.arm.jerk,
-        speed,
-    )
+    limits = line.travel_limits(q, scale * np.asarray(arm.velocity), acceleration, arm.jerk, speed)
     return line.timed(travel_profile(start, end, limits.speed, limits.acceleration, limits.jerk))
 
 

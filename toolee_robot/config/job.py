@@ -64,10 +64,11 @@ class TaskConfig:
     """Rotational slip between two looks at the tool above which it must be gripped again [rad]."""
     views: Count = 6
     """Number of views of the first look at the tool."""
-    views_again: Count = 4
+    views_again: Count = 2
     """Number of views of each later look."""
     strikes_between_looks: Count = 4
-    """Number of strikes after which the tool is looked at again."""
+    """Number of strikes after which the tool is looked at again; twice as many after a look that found it held
+    steadily."""
     handover_timeout: Positive = 30.0
     """Time that a person has to hand over the tool, and to answer each question [s]."""
 

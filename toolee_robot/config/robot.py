@@ -39,8 +39,8 @@ class ArmLimits:
     """Largest acceleration of every joint while braking after a contact or a stop [rad/s^2]."""
     stop_jerk: Positive = 1500.0
     """Largest jerk of every joint while braking after a contact or a stop [rad/s^3]."""
-    transfer_velocity_scale: Annotated[float, Field(gt=0, le=1)] = 0.35
-    """Share of `velocity` used for transfers through free space."""
+    transfer_velocity_scale: Annotated[float, Field(gt=0, le=1)] = 0.5
+    """Share of `velocity` used for transfers through free space: 60 deg/s of the large joints, PolyScope's default."""
     transfer_acceleration: Positive = 3.0
     """Largest acceleration of every joint in a transfer [rad/s^2]."""
 

@@ -187,7 +187,7 @@ class Motions:
         guard: ContactGuard | None = None,
         *,
         speed: float = STRAIGHT_SPEED,
-        acceleration: float | None = None,
+        share: float | None = None,
     ) -> bool:
         """Move on a straight line with constant orientation; the tool may touch the work.
 
@@ -197,7 +197,7 @@ class Motions:
             length: Length along it [m]; negative for the opposite direction.
             guard: Contact detection; None for none.
             speed: Largest speed [m/s]; less where the mode allows less.
-            acceleration: Largest acceleration of every joint [rad/s^2]; that of transfers if None.
+            share: Largest velocity and acceleration of the joints as a share of a strike's; those of transfers if None.
 
         Returns:
             Whether a contact ended the motion.
@@ -209,7 +209,7 @@ class Motions:
             return False
         world = self.world()
         speed = min(speed, 0.95 * self.arm.mode.speed(self._config.supervisor))
-        move = plan_straight(self._robot, self._config, world, self.q, length, direction, speed, acceleration)
+        move = plan_straight(self._robot, self._config, world, self.q, length, direction, speed, share)
         return self.execute(name, move, guard, at_work=True).contact is not None
 
     def retreat(self) -> bool:

@@ -24,6 +24,9 @@ from toolee_robot.tasks.hammering.nail_forecast import NailForecast
 from toolee_robot.tasks.hammering.nail_gauge import CLEAR, MAX_DEPTH_PER_STRIKE, NailGauge
 from toolee_robot.types import Payload
 
+SURELY_FLUSH = 0.5
+"""Share of `flush_protrusion` up to which one measurement is enough, after a strike at a nail that was flush before it
+by forecast; more needs another strike, since after slip a measurement is accurate to half a millimetre."""
 FLUSH_WHEN_STALLED = 0.0015
 """Protrusion up to which a nail that no longer moves counts as flush [m]; after slip a measurement is accurate to half
 a millimetre."""
@@ -31,8 +34,9 @@ BLIND_MISSES = 3
 """Number of successive misses after which the uncorrected baseline gives up."""
 CONFIRMED = 0.0005
 """Largest progress of a strike on a flush nail [m]."""
-RETRACT_SPEED, RETRACT_ACCELERATION = 0.6, 0.4
-"""Largest speed of the way up after a strike, with nobody in reach [m/s], and acceleration as a share of a strike's."""
+RETRACT_SPEED, RETRACT_SHARE = 0.8, 0.5
+"""Largest speed of the way up after a strike, with nobody in reach [m/s], and share of a strike's velocities and
+accelerations."""
 
 
 class NailDriving:
@@ -45,7 +49,8 @@ class NailDriving:
         clock: The station's clock.
         stages: Times the stages of the job.
         observer: Receives the events of the job.
-        look: Looks at the tool from the given number of views and sets `motions.X_hand_ee`.
+        look: Looks at the tool from the given number of views and sets `motions.X_hand_ee`; returns whether the tool
+            is held steadily.
         tool: Mass [kg] and centre of mass of the tool in the frame of its end effector [m].
         correction: Whether the estimated in-hand pose is used.
 
@@ -63,7 +68,7 @@ class NailDriving:
         clock: Clock,
         stages: Stages,
         observer: TaskObserver,
-        look: Callable[[int], None],
+        look: Callable[[int], bool],
         tool: Payload,
         *,
         correction: bool,
@@ -77,8 +82,9 @@ class NailDriving:
         self._tool = tool
         self._correction = correction
         self._gauge = NailGauge(motions, config, robot, observer)
-        self._forecast = NailForecast(config.task.flush_protrusion, motions.arm.rate)
+        self._forecast = NailForecast(config.work.nail_length, config.task.flush_protrusion, motions.arm.rate)
         self._strikes_seen = 0
+        self._look_after = config.task.strikes_between_looks
         self._measured = False
 
     @property
@@ -114,14 +120,15 @@ class NailDriving:
         while True:
             height = forecast.height
             # Another strike confirms it: after slip a measurement is accurate only to half a millimetre.
-            flush = flush + 1 if height <= task.flush_protrusion else 0
-            if flush > 2 or (flush == 2 and progress < CONFIRMED):
+            flush = flush + 1 if height <= task.flush_protrusion and not forecast.unmeasured else 0
+            sure = forecast.finished > 0 and height <= SURELY_FLUSH * task.flush_protrusion
+            if flush > 2 or (flush and sure) or (flush == 2 and progress < CONFIRMED):
                 return Outcome.FLUSH, f"the head stands {height * 1e3:.1f} mm over the wood"
             if len(self.strikes) >= task.max_strikes:
                 end = f"after {task.max_strikes} strikes the head stands {height * 1e3:.1f} mm over the wood"
                 return Outcome.OUT_OF_STRIKES, f"{end}, not confirmed by another strike" if flush else end
             self._check_load()
-            if self.strikes_since_look >= task.strikes_between_looks and not flush:
+            if self.strikes_since_look >= self._look_after and height > task.flush_protrusion:
                 self._look(task.views_again)
             plan = self._plan(height)
             before, measured = height, None
@@ -163,8 +170,9 @@ class NailDriving:
         self.protrusion = height
 
     def _look(self, views: int) -> None:
-        self._look_from(views)
+        steady = self._look_from(views)
         self._strikes_seen = len(self.strikes)
+        self._look_after = self._config.task.strikes_between_looks * (2 if steady else 1)
 
     def _plan(self, height: float) -> StrikePlan:
         """Plan a strike at a nail that protrudes by `height` [m]."""
@@ -196,7 +204,7 @@ class NailDriving:
             met = verdict.meeting is Meeting.EXPECTED
             last = len(self.strikes) + 1 >= self._config.task.max_strikes
             measure = self._forecast.struck(verdict, plan.speed) or last if met else True
-            look_due = self.strikes_since_look + 1 >= self._config.task.strikes_between_looks
+            look_due = self.strikes_since_look + 1 >= self._look_after
             self._retract(plan, CLEAR if measure or look_due else min(plan.run_up, self._config.strike.run_up))
         height = None
         try:
@@ -231,8 +239,7 @@ class NailDriving:
         fk = self._robot.arm.fk
         X_base_ee = fk(self._motions.q) @ inverse(fk(plan.q_contact)) @ plan.X_base_ee_contact
         below = float(plan.X_base_ee_contact[2, 3] - X_base_ee[2, 3])
-        acceleration = RETRACT_ACCELERATION * self._config.arm.acceleration
-        self._motions.straight("up", UP, above + max(below, 0.0), speed=RETRACT_SPEED, acceleration=acceleration)
+        self._motions.straight("up", UP, above + max(below, 0.0), speed=RETRACT_SPEED, share=RETRACT_SHARE)
 
     def _record(self, plan: StrikePlan, report: MotionReport, verdict: ContactVerdict, height: float | None) -> None:
         force = float(np.max(np.linalg.norm(report.wrenches[:, :3], axis=1)))

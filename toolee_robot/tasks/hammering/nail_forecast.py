@@ -1,7 +1,9 @@
 """Forecast of the nail's protrusion between two measurements, and the decision when to measure it again.
 
-A measurement takes longer than a strike. Between two of them the nail's height follows from the progress of the last
-measured strikes, and each strike confirms it: the place of the contact tells where the head was.
+A measurement takes longer than a strike. Wood resists a nail in proportion to the depth of its shank (friction; Forest
+Products Laboratory, Wood Handbook, FPL-GTR-282, chapter 8), and every strike of a job brings about the same energy, so
+that the square of the depth grows by the same amount with each: one measured strike tells the course of the others.
+Each strike confirms it: the place of the contact tells where the head was.
 """
 
 from __future__ import annotations
@@ -10,36 +12,39 @@ import numpy as np
 
 from toolee_robot.control.contact import ContactVerdict
 
-LONGEST = 4
+LONGEST = 12
 """Largest number of successive strikes without a measurement."""
-DECAY = 0.9
-"""Progress of a strike relative to the one before: the deeper a nail, the more wood holds it."""
 DISAGREEMENT, LATENESS = 0.003, 1.5
 """Deviation of a contact from the forecast above which the nail is measured [m], beyond the arm's travel in so many
-control cycles: a force is felt up to a cycle late, and another one where it is noisy."""
+control cycles: a force is felt up to a cycle late, and another one where it is noisy. In the mean of the last k
+contacts the lateness counts by 1/sqrt(k): a bent nail shows in two or three contacts where one is too uncertain."""
 
 
 class NailForecast:
     """The nail's protrusion as far as it is known.
 
     Args:
-        flush: Protrusion from which on every strike is followed by a measurement [m].
+        length: Length of the nail [m].
+        flush: Protrusion up to which a nail counts as flush [m].
         rate: Rate of the arm's readings [Hz].
 
     Attributes:
         height: Protrusion as forecast for now [m].
         unmeasured: Number of strikes since the last measurement.
+        finished: Number of the last successive strikes at a nail that was flush before them by forecast or measurement.
         surprise: What the last strike met otherwise than forecast, for a person; empty if nothing.
     """
 
-    def __init__(self, flush: float, rate: float) -> None:
+    def __init__(self, length: float, flush: float, rate: float) -> None:
         self.height = 0.0
         self.unmeasured = 0
+        self.finished = 0
         self.surprise = ""
-        self._flush, self._rate = flush, rate
+        self._length, self._flush, self._rate = length, flush, rate
         self._measured = 0.0
-        self._progress: float | None = None
+        self._growth: float | None = None  # of the squared depth in a strike [m^2]
         self._delays: list[float] = []
+        self._offs: list[float] = []  # of the contacts since the last measurement, from the forecast [m]
 
     def measured(self, height: float) -> float:
         """Take over a measurement.
@@ -53,10 +58,13 @@ class NailForecast:
         progress = 0.0
         if self.unmeasured:
             progress = (self._measured - height) / self.unmeasured
-            # The mean is that of the strike in the middle; the forecast begins with the last one.
-            self._progress = max(progress, 0.0) * DECAY ** (0.5 * (self.unmeasured - 1))
+            growth = (self._depth(height) ** 2 - self._depth(self._measured) ** 2) / self.unmeasured
+            self._growth = max(growth, 0.0)
+        if height > self._flush:
+            self.finished = 0
         self.height = self._measured = height
         self.unmeasured = 0
+        self._offs.clear()
         return progress
 
     def struck(self, verdict: ContactVerdict, speed: float) -> bool:
@@ -67,18 +75,32 @@ class NailForecast:
             speed: Speed of the face at the contact [m/s].
 
         Returns:
-            Whether the nail must be measured before the next strike.
+            Whether the nail must be measured before the next strike: it met the nail elsewhere than forecast, the nail
+            was flush already by forecast, or it was not measured for long.
         """
         self.unmeasured += 1
+        self.finished = self.finished + 1 if self.height <= self._flush else 0
         if self.unmeasured == 1:
             self._delays.append(verdict.before)  # the nail's height was known: this is the delay of the detection
-        off = verdict.before - float(np.mean(self._delays))
+        self._offs.append(verdict.before - float(np.mean(self._delays)))
+        off = self._disagreement(LATENESS * speed / self._rate)
         self.surprise = ""
-        if abs(off) > LATENESS * speed / self._rate + DISAGREEMENT:
+        if off:
             where = f"{abs(off) * 1e3:.0f} mm {'above' if off > 0 else 'below'}"
             self.surprise = f"the strike met the nail {where} where it was expected: measuring it"
-        if self._progress is None:
+        if self._growth is None:
             return True
-        steps = [self._progress * DECAY ** (k + 1) for k in range(self.unmeasured + 1)]
-        self.height = self._measured - sum(steps[:-1])
-        return bool(self.surprise) or self.unmeasured > LONGEST or self._measured - sum(steps) <= self._flush
+        depth = float(np.sqrt(self._depth(self._measured) ** 2 + self.unmeasured * self._growth))
+        self.height = max(self._length - depth, 0.0)
+        return bool(self.surprise) or self.finished > 0 or self.unmeasured > LONGEST
+
+    def _disagreement(self, lateness: float) -> float:
+        """Mean deviation of the last contacts that is beyond what their lateness [m] explains [m]; 0 if none is."""
+        counts = np.arange(1, len(self._offs) + 1)
+        means = np.cumsum(self._offs[::-1]) / counts
+        beyond = np.abs(means) > DISAGREEMENT + lateness / np.sqrt(counts)
+        return float(means[np.argmax(beyond)]) if beyond.any() else 0.0
+
+    def _depth(self, height: float) -> float:
+        """Depth of the shank in the wood [m]."""
+        return max(self._length - height, 0.0)

@@ -18,7 +18,7 @@ from toolee_robot.tasks.hammering.touch import Touch
 
 TOLERANCE = 0.012
 """Largest deviation of a touch from the expected height at which it counts as the nail's head [m]."""
-CLEAR = 0.020
+CLEAR = 0.015
 """Height over the nail's head at which a measurement starts [m]."""
 LIFT = 0.006
 """Height over what was touched at which the face moves aside [m]."""

@@ -256,9 +256,8 @@ class HammeringTask:
         self._handover.tool_gone()
         return f"the arm moved away from it: {PUT_AWAY}" if self._motions.retreat() else PUT_AWAY
 
-    def _look(self, views: int) -> None:
-        if self._correction:
-            self._tool_pose.look(views)
+    def _look(self, views: int) -> bool:
+        return self._correction and self._tool_pose.look(views)
 
     def _check_calibration(self) -> None:
         """Refuse a station whose camera calibration is missing or invalid."""

@@ -11,7 +11,7 @@ from toolee_robot.control.planning.views import plan_views
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.slip import merge, slip
 from toolee_robot.errors import PerceptionError
-from toolee_robot.frames import Array
+from toolee_robot.frames import Array, angle_between, inverse
 from toolee_robot.hal import Station
 from toolee_robot.tasks.common.look import Look, Perceiver
 from toolee_robot.tasks.common.motions import Motions
@@ -22,6 +22,9 @@ from toolee_robot.types import InHandEstimate
 
 SETTLE = 0.3
 """Time at standstill before a frame is taken, so that arm, wrist and tool have stopped swinging [s]."""
+STEADY, STEADY_ANGLE = 0.00075, np.deg2rad(0.5)
+"""Largest slip per strike of a tool that is held steadily: in the plane of the face [m], since touches measure the slip
+along its normal, and of its normal [rad]."""
 
 
 class ToolPose:
@@ -65,11 +68,14 @@ class ToolPose:
         """Believe the next look alone: what was known of the pose no longer holds, for instance after a stop."""
         self._related = False
 
-    def look(self, views: int) -> None:
+    def look(self, views: int) -> bool:
         """Estimate the pose of the face in the hand; on failure once more, from other views.
 
         Args:
             views: Number of views.
+
+        Returns:
+            Whether the tool is held steadily: it has hardly slipped since the look before; False at the first one.
 
         Raises:
             PerceptionError: The tool was not found, or its pose cannot be trusted.
@@ -98,9 +104,12 @@ class ToolPose:
                 with self._stages(Stage.PERCEIVE):
                     look.take(self._station)
             try:
+                steady = False
                 with self._stages(Stage.PERCEIVE):
                     estimate = look.fuse(self._station.clock.now())
                     if self._related:
+                        strikes = max(self._strikes_since_look(), 1)
+                        steady = _steady(self.estimates[-1][1].X_hand_ee, estimate.X_hand_ee, strikes)
                         estimate = self._after_slip(self.estimates[-1][1], estimate)
                 break
             except (PerceptionError, JobEnded) as error:
@@ -111,6 +120,7 @@ class ToolPose:
         self.estimates.append((self._station.clock.now(), estimate))
         self._motions.X_hand_ee = estimate.X_hand_ee
         self._related = True
+        return steady
 
     def _after_slip(self, before: InHandEstimate, now: InHandEstimate) -> InHandEstimate:
         """Fuse the estimates of two looks; ends the job when the tool has slipped too far."""
@@ -124,3 +134,9 @@ class ToolPose:
             )
         strikes = max(self._strikes_since_look(), 1)
         return merge(before, now, strikes * task.slip_per_strike, strikes * task.slip_angle_per_strike)
+
+
+def _steady(before: Array, now: Array, strikes: int) -> bool:
+    """Whether the face has hardly moved in the hand but along its normal, by its poses there, (4, 4) each."""
+    aside = float(np.linalg.norm((inverse(before) @ now)[:2, 3]))
+    return aside <= strikes * STEADY and angle_between(before[:3, 2], now[:3, 2]) <= strikes * STEADY_ANGLE
