@@ -1,6 +1,6 @@
 """Errors of what a person measures in a cell: how what a job is told differs from what is there.
 
-Camera, nail and tool have a random stream each, and a size only scales what is drawn: with another size of one error
+Camera, nail, tool and the nail's lean have a random stream each, and a size only scales what is drawn: with another size of one error
 the others are as before, so that trials of the same seed are paired.
 """
 
@@ -33,6 +33,8 @@ class CellErrors:
     """Of the nail's place beside its axis [m]: a punched mark and a ruler; assumed."""
     nail_height: NotNegative = 0.0003
     """Of the height of the wood's top [m]: touched with a known tip; assumed."""
+    nail_lean: NotNegative = float(np.deg2rad(2.0))
+    """Of the nail's lean to each side [rad], which the job takes for upright: set by hand; assumed."""
     ruler: NotNegative = 0.001
     """Of a length that is measured on the tool [m]; of the handle's radius half as much (a calliper). Assumed."""
     face_angle: NotNegative = float(np.deg2rad(1.0))
@@ -43,7 +45,7 @@ class CellErrors:
     """Of the centre of mass along the handle [m], found by balancing it; assumed."""
 
 
-EXACT = CellErrors(*(0.0,) * 8)
+EXACT = CellErrors(*(0.0,) * 9)
 """No errors: the job is told what is there."""
 NOMINAL = CellErrors()
 """What a careful person's measurements are off by."""
@@ -56,6 +58,7 @@ class DrawnErrors:
     Attributes:
         camera: Camera's place [m] and orientation as a rotation vector [rad], axes of `base`, (6,).
         nail: Nail's place, and height of the wood's top, (3,) [m].
+        lean: Nail's lean, x and y of a rotation vector in the upright nail's axes, (2,) [rad].
         tool: Standard normal numbers of the tool's data: radius, face (3), normal (3), mass, balance, (9,).
         sizes: Their sizes.
         known_camera: Whether the camera's error is that of a calibration, and not of these sizes.
@@ -63,6 +66,7 @@ class DrawnErrors:
 
     camera: Array
     nail: Array
+    lean: Array
     tool: Array
     sizes: CellErrors
     known_camera: bool = False
@@ -84,6 +88,11 @@ class DrawnErrors:
         height = max(1e-3, config.work.stand_height + float(self.nail[2]))
         work = replace(config.work, nail_xy=(float(x), float(y)), stand_height=height)
         return replace(config, camera=replace(config.camera, pose=rows(X)), work=work)
+
+    @property
+    def nail_lean(self) -> tuple[float, float]:
+        """The nail's lean, for `SimOptions`: it is in the cell, whatever is displaced."""
+        return float(self.lean[0]), float(self.lean[1])
 
     def measured(self, tool: Tool, name: str) -> ToolData:
         """What a person with ruler, scales and calliper writes down of a hammer.
@@ -116,6 +125,7 @@ class DrawnErrors:
             "camera_deg": None if self.known_camera else round(float(np.rad2deg(turn)), 3),
             "nail_beside_mm": round(1e3 * float(np.linalg.norm(self.nail[:2])), 3),
             "nail_height_mm": round(1e3 * float(self.nail[2]), 3),
+            "nail_lean_deg": round(float(np.rad2deg(np.linalg.norm(self.lean))), 3),
             "face_mm": round(1e3 * self.sizes.ruler * float(np.linalg.norm(self.tool[1:4])), 3),
             "face_deg": round(float(np.rad2deg(self.sizes.face_angle * np.linalg.norm(self.tool[4:7]))), 3),
             "handle_mm": round(5e2 * self.sizes.ruler * float(self.tool[0]), 3),
@@ -136,13 +146,14 @@ def draw_errors(sizes: CellErrors, seed: int, camera_covariance: Array | None = 
     Returns:
         The errors.
     """
-    camera, nail, tool = (np.random.default_rng([seed, 31, stream]) for stream in range(3))
+    camera, nail, tool, lean = (np.random.default_rng([seed, 31, stream]) for stream in range(4))
     if camera_covariance is None:
         off = camera.normal(size=6) * np.repeat([sizes.camera_position, sizes.camera_rotation], 3)
     else:
         off = camera.multivariate_normal(np.zeros(6), camera_covariance)
     beside = nail.normal(size=3) * [sizes.nail_beside, sizes.nail_beside, sizes.nail_height]
-    return DrawnErrors(off, beside, tool.normal(size=9), sizes, camera_covariance is not None)
+    leaning = sizes.nail_lean * lean.normal(size=2)
+    return DrawnErrors(off, beside, leaning, tool.normal(size=9), sizes, camera_covariance is not None)
 
 
 def _three(v: Array) -> tuple[float, float, float]:

@@ -69,6 +69,8 @@ class SimOptions:
         friction: Coefficient of friction between hand and handle.
         q_start: Joint positions of the arm at the start, (6,) [rad]; the station's home if None.
         hands_over: Whether the person hands a tool over at all.
+        nail_lean: Lean of the nail, which nobody tells the job: x and y of a rotation vector in the upright nail's axes
+            [rad].
         boards: Calibration boards in the world; nothing touches them.
     """
 
@@ -78,6 +80,7 @@ class SimOptions:
     friction: float = 0.9
     q_start: Array | None = None
     hands_over: bool = True
+    nail_lean: tuple[float, float] = (0.0, 0.0)
     boards: tuple[PlacedBoard, ...] = ()
 
     def __post_init__(self) -> None:

@@ -97,7 +97,7 @@ class SimWorld:
         self.furniture = Furniture.build(self.client, config)
         self.nail = Nail(
             self.client, config.work.X_base_nail(), NailSpec.from_config(config.work), self.furniture.block,
-            config.task.flush_protrusion,
+            config.task.flush_protrusion, options.nail_lean,
         )  # fmt: skip
         self.tool = ToolBody(self.client, tool, X_base_tool)
         self.grip: AssistedGrip | None = None
@@ -113,6 +113,11 @@ class SimWorld:
     def tool_body(self) -> int:
         """Id of the tool's body in pybullet."""
         return self.tool.body
+
+    @property
+    def robot_body(self) -> int:
+        """Id of the robot's body in pybullet."""
+        return self.robot.body
 
     def X_base_hand(self) -> Array:
         """Pose of the palm, 4x4."""

@@ -1,7 +1,8 @@
 """The judge: ground truth about a run, for the command line's report and the tests, never for the task.
 
 It observes every step of the simulated world and determines the error of an in-hand estimate of the end effector (EE)
-at its time, where and how fast the face met the nail at each strike, and the nail's outcome.
+at its time, where and how fast the face met the nail at each strike, and the nail's outcome. Only the face counts: a
+handle, a cheek or the hand may drive a nail, too, but that is no hit.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -19,6 +20,7 @@ from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.sim_backend.ground_truth.verdict import (
     PoseError,
     StrikeTruth,
+    StruckBy,
     Verdict,
     pose_error,
     strike_offset,
@@ -33,6 +35,8 @@ HISTORY_PERIOD = 1 / 240  # [s] between recorded poses
 STRIKE_SPEED = 0.15  # [m/s] approach speed above which a contact is a strike, not a touch
 REARM_GAP = 0.010  # [m] distance to which the face must retract from the head before the next strike
 MISS_DEPTH = 0.003  # [m] below the head's top at which a face without contact has missed
+FACE_DEPTH = 0.003  # [m] along the face's normal within which a contact lies on the face, its rim or its crown
+FACE_NORMAL = np.cos(np.deg2rad(45.0))  # of the angle between the contact's normal and the face's, at least
 FAR = 0.10  # [m] distance between face and nail beyond which strikes are not looked for
 
 
@@ -54,6 +58,10 @@ class TruthSource(Protocol):
     @property
     def tool_body(self) -> int:
         """Id of the tool's body in pybullet, a single free body."""
+
+    @property
+    def robot_body(self) -> int | None:
+        """Id of the robot's body in pybullet; None without one."""
 
     def X_base_hand(self) -> Array:
         """Pose of the palm."""
@@ -96,35 +104,36 @@ class Judge:
         X_base_nail = nail.head_pose()
         p_nail_ee = (inverse(X_base_nail) @ X_base_ee)[:3, 3]
         gap = -float(p_nail_ee[2])
-        if gap > REARM_GAP:
+        force, struck_by = self._contact(X_base_ee)
+        if gap > REARM_GAP and struck_by is StruckBy.NOTHING:
             self._armed, self._open = True, False
             self._approach_speed = self._speed_along(X_base_ee, X_base_nail)
             return
-        force = self._contact_force()
         if self._open:
             last = self._strikes[-1]
             protrusion = nail.protrusion
             self._strikes[-1] = replace(
                 last,
+                struck_by=_most_telling(last.struck_by, struck_by),
                 peak_force=max(last.peak_force, force),
                 protrusion_mm=protrusion * 1e3,
-                work=driving_work(nail.spec, last.protrusion_before_mm * 1e-3, protrusion),
+                work=driving_work(nail.spec, last.protrusion_before_mm * 1e-3, protrusion, nail.bend_angle),
             )
-        elif self._armed and (force > 0.0 or gap < -MISS_DEPTH):
+        elif self._armed and (struck_by is not StruckBy.NOTHING or gap < -MISS_DEPTH):
             self._armed = False
             if self._approach_speed >= STRIKE_SPEED:
-                self._begin(now, force, X_base_ee, X_base_nail)
+                self._begin(now, force, struck_by, X_base_ee, X_base_nail)
         else:
             self._approach_speed = self._speed_along(X_base_ee, X_base_nail)
 
-    def _begin(self, now: float, force: float, X_base_ee: Array, X_base_nail: Array) -> None:
+    def _begin(self, now: float, force: float, struck_by: StruckBy, X_base_ee: Array, X_base_nail: Array) -> None:
         world = self._world
         mass = float(pb.getDynamicsInfo(world.tool_body, -1, physicsClientId=world.client)[0])
         before = self._protrusion_before * 1e3
         self._strikes.append(
             StrikeTruth(
                 stamp=now,
-                hit=force > 0.0,
+                struck_by=struck_by,
                 offset_mm=strike_offset(X_base_nail, X_base_ee) * 1e3,
                 tilt_deg=float(np.rad2deg(strike_tilt(X_base_nail, X_base_ee))),
                 speed=self._approach_speed,
@@ -135,7 +144,7 @@ class Judge:
                 protrusion_mm=world.nail.protrusion * 1e3,
             )
         )
-        self._open = force > 0.0
+        self._open = True
 
     def _speed_along(self, X_base_ee: Array, X_base_nail: Array) -> float:
         """Speed [m/s] of the face's centre along the nail's axis; also remembers the protrusion before contact."""
@@ -145,13 +154,24 @@ class Judge:
         v, w = pb.getBaseVelocity(world.tool_body, physicsClientId=world.client)
         return float((np.asarray(v) + np.cross(w, X_base_ee[:3, 3] - np.asarray(p_com))) @ X_base_nail[:3, 2])
 
-    def _contact_force(self) -> float:
-        """Sum of the normal forces [N] of tool on nail in the last step."""
+    def _contact(self, X_base_ee: Array) -> tuple[float, StruckBy]:
+        """Sum of the normal forces [N] of tool on nail in the last step, and what met the nail's head."""
+        world = self._world
+        contacts = self._contacts(world.tool_body)
+        if contacts:
+            force = float(sum(contact[9] for contact in contacts))
+            on_face = any(_on_face(X_base_ee, contact) for contact in contacts)
+            return force, StruckBy.FACE if on_face else StruckBy.OTHER_PART
+        touched = world.robot_body is not None and self._contacts(world.robot_body)
+        return 0.0, StruckBy.HAND if touched else StruckBy.NOTHING
+
+    def _contacts(self, body: int) -> list[tuple[Any, ...]]:
+        """pybullet's contacts of a body with the nail's head that carry a force."""
         world = self._world
         contacts = pb.getContactPoints(
-            bodyA=world.tool_body, bodyB=world.nail.body, linkIndexB=SLIDE, physicsClientId=world.client
+            bodyA=body, bodyB=world.nail.body, linkIndexB=SLIDE, physicsClientId=world.client
         )
-        return float(sum(contact[9] for contact in contacts))
+        return [contact for contact in contacts if contact[9] > 0.0]
 
     @property
     def strikes(self) -> tuple[StrikeTruth, ...]:
@@ -218,12 +238,28 @@ class Judge:
         return Verdict(
             nail_outcome=nail.outcome.value,
             protrusion_mm=nail.protrusion * 1e3,
-            bend_deg=float(np.rad2deg(nail.bend_angle)),
+            nail_bend_deg=float(np.rad2deg(nail.bend_angle)),
+            nail_lean_deg=float(np.rad2deg(nail.lean_angle)),
+            nail_shift_mm=nail.largest_shift * 1e3,
             pose_error_mm=error.position_mm if error else None,
             pose_error_deg=error.angle_deg if error else None,
             strike_offset_mm=float(np.median([b.offset_mm for b in strikes])) if strikes else None,
             strike_tilt_deg=float(np.median([b.tilt_deg for b in strikes])) if strikes else None,
             contact_speed=float(np.median([b.speed for b in strikes])) if strikes else None,
             hits=sum(b.hit for b in strikes),
-            misses=sum(not b.hit for b in strikes),
+            off_face_strikes=sum(b.struck_by in (StruckBy.OTHER_PART, StruckBy.HAND) for b in strikes),
+            misses=sum(b.struck_by is StruckBy.NOTHING for b in strikes),
         )
+
+
+def _most_telling(before: StruckBy, now: StruckBy) -> StruckBy:
+    """What a strike was by: the face if it met the head at any time, or else what did first."""
+    return now if now is StruckBy.FACE or before is StruckBy.NOTHING else before
+
+
+def _on_face(X_base_ee: Array, contact: tuple[Any, ...]) -> bool:
+    """Whether one of pybullet's contacts of the tool with another body lies on the tool's face."""
+    normal = X_base_ee[:3, 2]
+    depth = float((np.asarray(contact[5]) - X_base_ee[:3, 3]) @ normal)  # of the point on the tool
+    # pybullet's normal points from the other body to the tool.
+    return abs(depth) <= FACE_DEPTH and float(-np.asarray(contact[7]) @ normal) >= FACE_NORMAL

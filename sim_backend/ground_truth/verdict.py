@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
@@ -70,13 +71,29 @@ def strike_tilt(X_base_nail: Array, X_base_ee: Array) -> float:
     return angle_between(X_base_ee[:3, 2], X_base_nail[:3, 2])
 
 
+class StruckBy(StrEnum):
+    """What met the nail's head.
+
+    Attributes:
+        FACE: The tool's striking face.
+        OTHER_PART: Another part of the tool: a cheek, the claw, the handle.
+        HAND: The hand or the arm.
+        NOTHING: Nothing: a miss.
+    """
+
+    FACE = "face"
+    OTHER_PART = "other_part"
+    HAND = "hand"
+    NOTHING = "nothing"
+
+
 @dataclass(frozen=True)
 class StrikeTruth:
     """One strike at its first contact, or one miss when the face passed the head's height.
 
     Attributes:
         stamp: Time [s].
-        hit: Whether the face hit the nail.
+        struck_by: What met the nail's head; the face, if it did so at any time of the strike.
         offset_mm: Distance of the face's centre from the nail's axis [mm].
         tilt_deg: Angle between the face's normal and the nail's axis [deg].
         speed: Speed of the face's centre along the nail before the contact [m/s].
@@ -88,7 +105,7 @@ class StrikeTruth:
     """
 
     stamp: float
-    hit: bool
+    struck_by: StruckBy
     offset_mm: float
     tilt_deg: float
     speed: float
@@ -97,6 +114,11 @@ class StrikeTruth:
     peak_force: float
     protrusion_before_mm: float
     protrusion_mm: float
+
+    @property
+    def hit(self) -> bool:
+        """Whether the face hit the nail, which alone counts."""
+        return self.struck_by is StruckBy.FACE
 
 
 @dataclass(frozen=True)
@@ -108,25 +130,31 @@ class Verdict:
     Attributes:
         nail_outcome: Value of `NailOutcome`.
         protrusion_mm: Protrusion of the nail [mm].
-        bend_deg: Bend of the nail [deg].
+        nail_bend_deg: Bend of the nail against its hole [deg].
+        nail_lean_deg: Lean of the nail against the normal of the wood's surface [deg].
+        nail_shift_mm: Largest distance of the nail's head from the axis of its hole so far [mm].
         pose_error_mm: Position error of the in-hand estimate [mm].
         pose_error_deg: Rotation error of the in-hand estimate [deg].
         strike_offset_mm: Median offset of the strikes [mm].
         strike_tilt_deg: Median tilt of the strikes [deg].
         contact_speed: Median speed of the strikes [m/s].
-        hits: Number of hits.
-        misses: Number of misses.
+        hits: Number of strikes in which the face met the nail's head.
+        off_face_strikes: Number of strikes in which only something else met it.
+        misses: Number of strikes in which nothing did.
     """
 
     nail_outcome: str
     protrusion_mm: float
-    bend_deg: float
+    nail_bend_deg: float
+    nail_lean_deg: float
+    nail_shift_mm: float
     pose_error_mm: float | None
     pose_error_deg: float | None
     strike_offset_mm: float | None
     strike_tilt_deg: float | None
     contact_speed: float | None
     hits: int
+    off_face_strikes: int
     misses: int
 
 

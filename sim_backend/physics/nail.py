@@ -3,7 +3,8 @@
 The nail slides along its axis on a prismatic joint whose motor holds velocity 0 with a force limited to the wood's
 resistance at the current depth: the solver's Coulomb friction, stable where an explicit force diverges. Two hinges at
 the wood's surface hold with the shank's plastic moment: a lateral or eccentric strike beyond it bends the nail
-permanently. The nail's mass of 20 g is more than a real nail's (about 2 g), since the solver needs the mass ratio.
+permanently, and a bent nail resists more. A person may have set the nail with a lean: its hole then leans, too. As
+carpenters judge it, a nail counts as bent from a shift of its head of 3 mm or a lean of 10 deg on. The nail's mass of 20 g is more than a real nail's (about 2 g), since the solver needs the mass ratio.
 
 `before_step` must be called before every step, and steps must be those of `impact_steps.IMPACT` while a fast body is
 near (`impact_near`). Nothing but strikes moves the nail.
@@ -25,7 +26,8 @@ HEAD_HEIGHT = 0.006  # [m] of the head's collision shape: pybullet's contacts wi
 LUMPED_MASS = 0.020  # [kg] during strikes
 STUCK_MASS = 100.0  # [kg] between strikes
 STOP_FORCE = 1e6  # [N] limit of the motor that holds the nail still
-BENT_ANGLE = np.deg2rad(10.0)
+BENT_LEAN = np.deg2rad(10.0)
+BENT_SHIFT = 0.003  # [m]
 HINGE_MASS, HINGE_INERTIA = 1e-3, 1e-7  # [kg], [kg m^2] of the hinges' otherwise massless links
 HINGE_X, HINGE_Y, SLIDE = 0, 1, 2
 
@@ -36,7 +38,7 @@ class NailOutcome(StrEnum):
     Attributes:
         STANDING: It is not driven yet.
         FLUSH: Its head is down.
-        BENT: It is bent by more than 10 deg.
+        BENT: It leans by 10 deg, or its head was pushed 3 mm aside, however deep it is now.
     """
 
     STANDING = "standing"
@@ -49,16 +51,18 @@ class Nail:
 
     Args:
         client: pybullet's physics client.
-        X_world_nail: Pose of the head's top before the first strike, 4x4, z into the wood.
+        X_world_nail: Pose of the head's top before the first strike, if the nail is upright, 4x4, z into the wood.
         spec: Nail and wood; the defaults if None.
         wood: pybullet's id of the body into which the nail is driven, which does not collide with it; None if there is
             none.
         flush_protrusion: Largest protrusion at which the nail counts as flush [m].
+        lean: Rotation vector's x and y with which nail and hole lean about the point where it enters the wood, axes of
+            the upright nail [rad].
 
     Attributes:
         spec: Nail and wood.
         flush_protrusion: Largest protrusion at which the nail counts as flush [m].
-        X_world_surface: Pose at which the nail enters the wood, 4x4, z into it.
+        X_world_surface: Pose at which the nail enters the wood, 4x4, z along its hole.
         body: pybullet's id of the nail.
     """
 
@@ -69,18 +73,21 @@ class Nail:
         spec: NailSpec | None = None,
         wood: int | None = None,
         flush_protrusion: float = 0.001,
+        lean: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         self.spec = spec = spec or NailSpec()
         self.flush_protrusion = flush_protrusion
         self._client = client
-        self.X_world_surface = X_world_nail @ transform(p=[0.0, 0.0, spec.protrusion])
+        upright = X_world_nail @ transform(p=[0.0, 0.0, spec.protrusion])
+        self.X_world_surface = upright @ transform(Rotation.from_rotvec([*lean, 0.0]))
+        self._into_wood = self.X_world_surface[:3, :3].T @ upright[:3, 2]
+        self._largest_shift = self._largest_lean = 0.0
         self.body = self._create()
         if wood is not None:
             for link in range(-1, 3):
                 pb.setCollisionFilterPair(self.body, wood, link, -1, 0, physicsClientId=client)
-        self._set_for: tuple[float, bool, float] | None = None
+        self._set_for: tuple[float, float, bool, float] | None = None
         self._struck = True
-        self._kept: list[float] | None = None
         self.before_step(0.0)
 
     def _create(self) -> int:
@@ -154,12 +161,13 @@ class Nail:
             self._struck = struck
             self._set_mass(LUMPED_MASS if struck else STUCK_MASS)
         travel, speed = pb.getJointState(self.body, SLIDE, physicsClientId=self._client)[:2]
-        protrusion = self.spec.protrusion - travel
+        protrusion, bend = self.spec.protrusion - travel, self.bend_angle
         fast = not struck or protrusion - max(speed, 0.0) * dt <= 0.0
-        if (protrusion, fast, dt) == self._set_for:
+        if (protrusion, bend, fast, dt) == self._set_for:
             return
-        self._set_for = (protrusion, fast, dt)
-        self._hold(SLIDE, STOP_FORCE if fast else resistance(self.spec, protrusion))
+        self._set_for = (protrusion, bend, fast, dt)
+        self._largest_shift, self._largest_lean = self.largest_shift, self.largest_lean
+        self._hold(SLIDE, STOP_FORCE if fast else resistance(self.spec, protrusion, bend))
         for hinge in (HINGE_X, HINGE_Y):
             self._hold(hinge, self.spec.plastic_moment if struck else STOP_FORCE)
 
@@ -200,15 +208,49 @@ class Nail:
         """Length of the nail in the wood [m]."""
         return self.spec.length - self.protrusion
 
+    def _direction(self) -> tuple[float, float, float]:
+        """Direction of the nail in `X_world_surface`, a unit vector into the wood: Rx(a) Ry(b) z."""
+        a, b = self._joint(HINGE_X), self._joint(HINGE_Y)
+        return float(np.sin(b)), float(-np.sin(a) * np.cos(b)), float(np.cos(a) * np.cos(b))
+
     @property
     def bend_angle(self) -> float:
-        """Angle between the nail and its initial direction [rad]."""
-        return float(np.arccos(np.cos(self._joint(HINGE_X)) * np.cos(self._joint(HINGE_Y))))
+        """Angle between the nail and its hole [rad]."""
+        x, y, z = self._direction()
+        return float(np.arctan2(np.hypot(x, y), z))
+
+    @property
+    def lean_angle(self) -> float:
+        """Angle between the nail and the normal of the wood's surface [rad]."""
+        direction = np.array(self._direction())
+        across = direction - (direction @ self._into_wood) * self._into_wood
+        return float(np.arctan2(np.linalg.norm(across), direction @ self._into_wood))
+
+    @property
+    def shift(self) -> float:
+        """Distance of the head from the axis of the nail's hole [m]."""
+        x, y, _ = self._direction()
+        return float(self.protrusion * np.hypot(x, y))
+
+    @property
+    def largest_shift(self) -> float:
+        """Largest `shift` at any step so far [m]: the deeper the nail, the closer a bent one's head is to the axis."""
+        return max(self._largest_shift, self.shift)
+
+    @property
+    def largest_lean(self) -> float:
+        """Largest `lean_angle` at any step so far [rad]."""
+        return max(self._largest_lean, self.lean_angle)
+
+    @property
+    def bent(self) -> bool:
+        """Whether the nail counts as bent: its lean or its head's shift was too large at some step."""
+        return self.largest_shift >= BENT_SHIFT or self.largest_lean >= BENT_LEAN
 
     @property
     def resistance(self) -> float:
         """Force that would drive the nail further now [N]."""
-        return resistance(self.spec, self.protrusion)
+        return resistance(self.spec, self.protrusion, self.bend_angle)
 
     def head_pose(self) -> Array:
         """Current pose of the head's top, X_world_nail, 4x4."""
@@ -223,6 +265,6 @@ class Nail:
     @property
     def outcome(self) -> NailOutcome:
         """The nail's current outcome."""
-        if self.bend_angle > BENT_ANGLE:
+        if self.bent:
             return NailOutcome.BENT
         return NailOutcome.FLUSH if self.protrusion <= self.flush_protrusion else NailOutcome.STANDING

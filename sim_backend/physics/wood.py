@@ -9,6 +9,9 @@
 - `tip`: the force that the point needs to push the wood aside. An estimate: 150 N for a 3 mm nail in pine of G = 0.42
   without a hole, proportional to the displaced area and to G^(5/2). A pilot hole reduces the displaced area.
 - head: pull-through strength f_head = 70e-6 rho^2 [MPa, kg/m^3] (EN 1995-1-1, 8.3.2) on the head's area.
+
+A nail that is bent where it enters the wood resists more (`bend_resistance`): the wood's walls, which turn it into its
+hole, press on it and rub, and its wire is bent and straightened on the way.
 """
 
 from __future__ import annotations
@@ -23,6 +26,8 @@ from toolee_robot.errors import ConfigError
 WITHDRAWAL = 54.12e6  # [Pa] friction force per (diameter x depth) at G = 1
 TIP_PRESSURE = 150.0 / 0.003**2 / 0.42**2.5  # [Pa] tip force per squared diameter at G = 1; an estimate
 WIDEST_TIGHT_HOLE = 0.9  # ratio of pilot hole to shank diameter up to which the friction is that without a hole
+WALL_FRICTION = 0.3  # coefficient of friction of a nail's wire on wood; an estimate
+STEEL = 210e9  # [Pa] elastic modulus of the wire
 HEAD_CRUSH_DEPTH = 0.3e-3  # [m] indentation at which the wood under the head yields fully
 WATER_DENSITY = 1000.0  # [kg/m^3]
 
@@ -102,6 +107,35 @@ def tip_force(spec: NailSpec) -> float:
     return float(TIP_PRESSURE * spec.specific_gravity**2.5 * (spec.diameter**2 - spec.pilot_diameter**2))
 
 
+def embedding_strength(spec: NailSpec) -> float:
+    """Pressure on the wire's width at which the wood beside it yields [Pa] (EN 1995-1-1, 8.15 and 8.16)."""
+    millimetres, density = spec.diameter * 1e3, spec.specific_gravity * WATER_DENSITY
+    factor = 1 - 0.01 * millimetres if spec.pilot_diameter > 0 else millimetres**-0.3
+    return 0.082e6 * density * factor
+
+
+def bend_resistance(spec: NailSpec, bend: float) -> float:
+    """Additional force that drives a nail which is bent where it enters the wood.
+
+    The wood turns the wire into its hole over the length b at which a couple of its yielding walls holds the plastic
+    moment M, M = f d b^2 with the embedding strength f and the diameter d. The walls press with 2 f d b in all, in
+    proportion to the bend below the elastic limit M b / (E I), and rub. Beyond that limit the wire is bent and
+    straightened: 2 M / b per radian.
+
+    Args:
+        spec: Nail and wood.
+        bend: Angle between the nail and its hole [rad].
+
+    Returns:
+        The force [N].
+    """
+    load = embedding_strength(spec) * spec.diameter
+    length = np.sqrt(spec.plastic_moment / load)
+    elastic = spec.plastic_moment * length / (STEEL * np.pi * spec.diameter**4 / 64)
+    rubbing = WALL_FRICTION * 2 * load * length * min(bend / elastic, 1.0)
+    return float(rubbing + 2 * spec.plastic_moment / length * max(bend - elastic, 0.0))
+
+
 def head_force(spec: NailSpec, protrusion: float) -> float:
     """Bearing force of the wood under the head.
 
@@ -121,27 +155,30 @@ def head_force(spec: NailSpec, protrusion: float) -> float:
     return float(strength * area * min(max(indentation, 0.0), 1.0))
 
 
-def resistance(spec: NailSpec, protrusion: float) -> float:
+def resistance(spec: NailSpec, protrusion: float, bend: float = 0.0) -> float:
     """Force that drives the nail further.
 
     Args:
         spec: Nail and wood.
         protrusion: Height of the head's top over the wood [m].
+        bend: Angle between the nail and its hole [rad].
 
     Returns:
         The force [N].
     """
     depth = max(spec.length - protrusion, 0.0)
-    return tip_force(spec) + shank_friction(spec) * depth + head_force(spec, protrusion)
+    straight = tip_force(spec) + shank_friction(spec) * depth + head_force(spec, protrusion)
+    return straight + (bend_resistance(spec, bend) if bend > 0.0 else 0.0)
 
 
-def driving_work(spec: NailSpec, start: float, end: float) -> float:
+def driving_work(spec: NailSpec, start: float, end: float, bend: float = 0.0) -> float:
     """Energy needed to drive the nail: the integral of `resistance`.
 
     Args:
         spec: Nail and wood.
         start: Protrusion at the start [m].
         end: Protrusion at the end [m].
+        bend: Angle between the nail and its hole [rad].
 
     Returns:
         The energy [J].
@@ -155,4 +192,5 @@ def driving_work(spec: NailSpec, start: float, end: float) -> float:
 
     tip = tip_force(spec) * (start - end)
     shank = shank_friction(spec) * ((spec.length - end) ** 2 - (spec.length - start) ** 2) / 2
-    return float(tip + shank + head(end) - head(start))
+    bent = bend_resistance(spec, bend) * (start - end) if bend > 0.0 else 0.0
+    return float(tip + shank + head(end) - head(start) + bent)

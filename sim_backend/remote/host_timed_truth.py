@@ -41,6 +41,11 @@ class HostTimedTruth:
         """Id of the tool's body in pybullet."""
         return self._world.tool_body
 
+    @property
+    def robot_body(self) -> int:
+        """Id of the robot's body in pybullet."""
+        return self._world.robot_body
+
     def X_base_hand(self) -> Array:
         """Pose of the palm, 4x4."""
         return self._world.X_base_hand()

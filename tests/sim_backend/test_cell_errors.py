@@ -27,6 +27,7 @@ def test_without_errors_the_job_is_told_what_is_there() -> None:
     data = errors.measured(tool, "hammer")
     np.testing.assert_allclose(data.X_tool_face[:3, 3], tool.ee(Category.HAMMER_HEAD).X_tool_ee[:3, 3])
     assert (data.mass, data.grip_radius) == (tool.mass, tool.handle.grip_radius)
+    assert errors.nail_lean == (0.0, 0.0)
     assert set(errors.facts.values()) == {0.0}
 
 
@@ -41,9 +42,18 @@ def test_the_errors_are_as_large_as_they_say() -> None:
     assert np.std(beside, axis=0) == pytest.approx([NOMINAL.nail_beside] * 2, rel=0.15)
     heights = [other.work.stand_height for other in told]
     assert np.std(heights) == pytest.approx(NOMINAL.nail_height, rel=0.15)
+    leans = [draw_errors(NOMINAL, seed).nail_lean for seed in SEEDS]
+    assert np.std(leans, axis=0) == pytest.approx([NOMINAL.nail_lean] * 2, rel=0.15)
     tool = make_tool(NAIL_DRIVERS[0], 5)
     masses = [draw_errors(NOMINAL, seed).measured(tool, "hammer").mass for seed in SEEDS]
     assert np.std(masses) / tool.mass == pytest.approx(NOMINAL.scales, rel=0.15)
+
+
+def test_a_seed_keeps_the_errors_that_it_had() -> None:
+    """Those of jobs that were run before the nail leaned."""
+    facts = draw_errors(NOMINAL, 7401).facts
+    assert (facts["camera_mm"], facts["nail_beside_mm"], facts["face_mm"]) == (3.116, 1.042, 2.058)
+    assert (facts["mass_percent"], facts["balance_mm"]) == (-1.249, 2.585)
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(CellErrors)])

@@ -16,7 +16,7 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.errors import TooleeError
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.sim_backend.ground_truth.judge import Judge
-from toolee_robot.sim_backend.ground_truth.verdict import pose_error, strike_offset, strike_tilt
+from toolee_robot.sim_backend.ground_truth.verdict import StruckBy, pose_error, strike_offset, strike_tilt
 from toolee_robot.sim_backend.physics.impact_steps import IMPACT
 from toolee_robot.sim_backend.physics.nail import Nail
 from toolee_robot.sim_backend.physics.wood import NailSpec, driving_work
@@ -41,11 +41,13 @@ class ThrownHead:
         self.tool_body = int(pb.createMultiBody(0.6, shape, -1, [0, 0, 0.3], physicsClientId=client))
         pb.changeDynamics(self.tool_body, -1, linearDamping=0, angularDamping=0, restitution=0, physicsClientId=client)
         self.X_hand_ee = X_hand_ee
+        self.X_tool_ee = transform(DOWN, [0.0, 0.0, -HALF])
+        self.robot_body: int | None = None
         self.judge = Judge(self)
 
     def X_base_ee(self) -> Array:
         p, q = pb.getBasePositionAndOrientation(self.tool_body, physicsClientId=self.client)
-        return transform(Rotation.from_quat(q), p) @ transform(DOWN, [0.0, 0.0, -HALF])
+        return transform(Rotation.from_quat(q), p) @ self.X_tool_ee
 
     def X_base_hand(self) -> Array:
         return self.X_base_ee() @ inverse(self.X_hand_ee)
@@ -90,7 +92,7 @@ def test_a_strike_is_measured_at_first_contact(world: ThrownHead) -> None:
     assert strike.protrusion_before_mm == pytest.approx(20.0, abs=0.01)
     assert strike.protrusion_mm == pytest.approx(world.nail.protrusion * 1e3)
     assert 0.7 * strike.energy < strike.work < strike.energy
-    assert strike.work == pytest.approx(driving_work(SPEC, SPEC.protrusion, world.nail.protrusion))
+    assert strike.work == pytest.approx(driving_work(SPEC, SPEC.protrusion, world.nail.protrusion), rel=1e-3)
     assert strike.peak_force > 100.0
 
 
@@ -115,8 +117,38 @@ def test_a_miss_is_a_strike_that_hit_nothing(world: ThrownHead) -> None:
     assert miss.offset_mm == pytest.approx(25.0, abs=0.1)
     assert miss.protrusion_mm == pytest.approx(20.0)
     verdict = world.judge.verdict()
-    assert (verdict.hits, verdict.misses) == (0, 1)
+    assert (verdict.hits, verdict.off_face_strikes, verdict.misses) == (0, 0, 1)
     assert verdict.strike_offset_mm == pytest.approx(25.0, abs=0.1)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 8.0, 20.0])
+@pytest.mark.parametrize("offset", [0.0, 0.006, 0.011])
+def test_the_faces_rim_is_face(world: ThrownHead, offset: float, tilt: float) -> None:
+    world.throw(speed=1.5, offset=offset, tilt=np.deg2rad(tilt))
+    assert [strike.struck_by for strike in world.judge.strikes] == [StruckBy.FACE]
+
+
+def test_a_cheek_that_drives_the_nail_does_not_count(world: ThrownHead) -> None:
+    """The head flies down on its side: what meets the nail is the cylinder's flank, and the face looks aside."""
+    world.X_tool_ee = transform(Rotation.from_rotvec([0.0, np.pi / 2, 0.0]), [0.014, 0.0, -HALF + 0.02])
+    world.throw(speed=1.5)
+    (strike,) = world.judge.strikes
+    assert strike.struck_by is StruckBy.OTHER_PART
+    assert not strike.hit
+    assert strike.protrusion_mm < strike.protrusion_before_mm - 1.0, "it drove the nail all the same"
+    verdict = world.judge.verdict()
+    assert (verdict.hits, verdict.off_face_strikes, verdict.misses) == (0, 1, 0)
+
+
+def test_a_hand_on_the_nail_does_not_count(world: ThrownHead) -> None:
+    """A fist beside the face meets the nail, and the face passes it."""
+    shape = pb.createCollisionShape(pb.GEOM_SPHERE, radius=0.02, physicsClientId=world.client)
+    world.robot_body = int(pb.createMultiBody(0.6, shape, -1, [0, 0, 0.2], physicsClientId=world.client))
+    fist = world.nail.head_pose()[:3, 3] + [0.0, 0.0, 0.022]
+    pb.resetBasePositionAndOrientation(world.robot_body, fist, [0, 0, 0, 1], physicsClientId=world.client)
+    pb.resetBaseVelocity(world.robot_body, [0, 0, -1.5], physicsClientId=world.client)
+    world.throw(speed=1.5, offset=0.05)
+    assert [strike.struck_by for strike in world.judge.strikes] == [StruckBy.HAND]
 
 
 def test_in_hand_pose_is_known_at_every_time_of_the_run(world: ThrownHead) -> None:

@@ -18,8 +18,15 @@ from toolee_robot.errors import ConfigError
 from toolee_robot.frames import Array, inverse, is_rigid, transform
 from toolee_robot.sim_backend.physics.bodies import ToolBody
 from toolee_robot.sim_backend.physics.impact_steps import IMPACT, StepSettings
-from toolee_robot.sim_backend.physics.nail import LUMPED_MASS, Nail, NailOutcome
-from toolee_robot.sim_backend.physics.wood import NailSpec, driving_work, resistance, tip_force
+from toolee_robot.sim_backend.physics.nail import HINGE_X, LUMPED_MASS, Nail, NailOutcome
+from toolee_robot.sim_backend.physics.wood import (
+    NailSpec,
+    bend_resistance,
+    driving_work,
+    embedding_strength,
+    resistance,
+    tip_force,
+)
 from toolee_robot.tools import ToolKind, make_tool
 from toolee_robot.tools import test_seeds as held_out_seeds
 
@@ -73,11 +80,11 @@ def bench() -> Iterator[Bench]:
     yield from make_bench(SPEC)
 
 
-def make_bench(spec: NailSpec) -> Iterator[Bench]:
+def make_bench(spec: NailSpec, lean: tuple[float, float] = (0.0, 0.0)) -> Iterator[Bench]:
     client = pb.connect(pb.DIRECT)
     shape = pb.createCollisionShape(pb.GEOM_BOX, halfExtents=[0.05, 0.05, 0.03], physicsClientId=client)
     wood = pb.createMultiBody(0.0, shape, -1, [0.0, 0.0, -0.03], physicsClientId=client)
-    yield Bench(client, Nail(client, transform(UPRIGHT, [0.0, 0.0, spec.protrusion]), spec, wood))
+    yield Bench(client, Nail(client, transform(UPRIGHT, [0.0, 0.0, spec.protrusion]), spec, wood, lean=lean))
     pb.disconnect(client)
 
 
@@ -190,6 +197,59 @@ def test_side_load_bends_only_beyond_the_plastic_moment(bench: Bench) -> None:
     head = bench.nail.head_pose()
     assert is_rigid(head)
     assert head[0, 3] == pytest.approx(SPEC.protrusion * np.sin(bent), rel=0.1)
+
+
+def bend(bench: Bench, angle: float) -> None:
+    pb.resetJointState(bench.nail.body, HINGE_X, np.deg2rad(angle), physicsClientId=bench.client)
+
+
+def test_a_nail_bent_in_its_hole_is_driven_less(bench: Bench) -> None:
+    bend(bench, 5.0)
+    driven = bench.strike(0.6, 1.5)
+    straight = fresh_blow()
+    assert 0.2 * straight < driven < 0.6 * straight
+    assert driving_work(SPEC, SPEC.protrusion, SPEC.protrusion - driven, np.deg2rad(5.0)) < 0.5 * 0.6 * 1.5**2
+
+
+def test_a_head_pushed_three_millimetres_aside_is_bent_however_deep_it_is_driven(bench: Bench) -> None:
+    bend(bench, 8.0)
+    bench.step(IMPACT, IMPACT.time_step)
+    assert bench.nail.outcome is NailOutcome.STANDING, f"{bench.nail.shift * 1e3:.2f} mm"
+    bend(bench, 9.0)
+    bench.step(IMPACT, IMPACT.time_step)
+    assert bench.nail.outcome is NailOutcome.BENT
+    pb.resetJointState(bench.nail.body, 2, SPEC.protrusion - 0.0005, physicsClientId=bench.client)
+    bench.step(IMPACT, IMPACT.time_step)
+    assert bench.nail.shift < 1e-3
+    assert bench.nail.largest_shift == pytest.approx(SPEC.protrusion * np.sin(np.deg2rad(9.0)), rel=0.01)
+    assert bench.nail.outcome is NailOutcome.BENT
+
+
+def test_a_leaning_nail_is_driven_along_its_hole_and_from_ten_degrees_on_is_bent() -> None:
+    lean = np.deg2rad([2.0, -3.0])
+    bench = next(make_bench(SPEC, (float(lean[0]), float(lean[1]))))
+    nail = bench.nail
+    assert np.rad2deg(nail.lean_angle) == pytest.approx(np.hypot(2.0, 3.0), abs=0.01)
+    assert nail.bend_angle == pytest.approx(0.0, abs=1e-9)
+    tip = nail.head_pose() @ [0.0, 0.0, SPEC.protrusion, 1.0]
+    np.testing.assert_allclose(tip[:3], np.zeros(3), atol=1e-9)
+    for _ in range(15):
+        bench.strike(0.8, 1.5)
+    assert nail.outcome is NailOutcome.FLUSH
+    assert nail.lean_angle < np.deg2rad(8.0)
+    assert next(make_bench(SPEC, (np.deg2rad(10.1), 0.0))).nail.outcome is NailOutcome.BENT
+
+
+def test_the_walls_of_a_bent_nails_hole_hold_its_plastic_moment() -> None:
+    """Against the beam equations: pressure of 0.082 (1 - 0.01 d) rho [N/mm2] on b and -b, and M / b to bend."""
+    f = 0.082 * (1 - 0.01 * 2.2) * 350.0
+    assert embedding_strength(SPEC) == pytest.approx(f * 1e6)
+    b = np.sqrt(SPEC.plastic_moment * 1e3 / (f * 2.2))  # [mm]
+    steep = bend_resistance(SPEC, np.deg2rad(9.0)) - bend_resistance(SPEC, np.deg2rad(8.0))
+    assert steep == pytest.approx(2 * SPEC.plastic_moment * 1e3 / b * np.deg2rad(1.0))
+    small = [bend_resistance(SPEC, np.deg2rad(angle)) for angle in (0.0, 0.3, 0.6)]
+    assert small == pytest.approx([0.0, small[1], 2 * small[1]])
+    assert bend_resistance(SPEC, np.deg2rad(10.0)) > 1.5 * resistance(SPEC, SPEC.protrusion)
 
 
 def test_reported_head_pose_is_the_bodys(bench: Bench) -> None:

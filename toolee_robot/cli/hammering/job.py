@@ -42,7 +42,10 @@ if TYPE_CHECKING:
 EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
 PAGE_PORT = 8080
 """Port of the page of a running job; the next free one where it is in use."""
-TRUE_FIGURES = ("pose_error_mm", "pose_error_deg", "strike_offset_mm", "strike_tilt_deg", "contact_speed")
+TRUE_FIGURES = (
+    "pose_error_mm", "pose_error_deg", "strike_offset_mm", "strike_tilt_deg", "contact_speed", "nail_bend_deg",
+    "nail_lean_deg", "nail_shift_mm", "off_face_strikes",
+)  # fmt: skip
 """Figures that only a simulation knows."""
 
 
@@ -90,7 +93,14 @@ class HammerReport:
         return [
             ("pose error *", f"{_figure(f['pose_error_mm'], ' mm')}, {_figure(f['pose_error_deg'], '°')}"),
             ("strike offset, tilt *", f"{_figure(f['strike_offset_mm'], ' mm')}, {_figure(f['strike_tilt_deg'], '°')}"),
+            ("nail *", self._nail()),
         ]
+
+    def _nail(self) -> str:
+        f = self.figures
+        words = f"{f['nail']}, leans by {_figure(f['nail_lean_deg'], '°')}, bent by {_figure(f['nail_bend_deg'], '°')}"
+        off = f["off_face_strikes"]
+        return f"{words}; {off} strike{'' if off == 1 else 's'} not with the face" if off else words
 
 
 @dataclass(frozen=True)
@@ -235,9 +245,9 @@ class HammerJob:
         if success and verdict is not None and verdict.nail_outcome != "flush":
             # The robot measures the nail by touch; the simulation knows its true state.
             success = False
-            reason = (
-                f"the robot takes the nail for flush ({reason}), but it is {verdict.nail_outcome.replace('_', ' ')}"
-            )
+            reason = f"the robot takes the nail for flush ({reason}), but it is {verdict.nail_outcome}"
+            if verdict.nail_outcome == "bent":
+                outcome = str(Outcome.BENT)
         machine_stalled = self._machine_stalled(result, longest_stall)
         if machine_stalled:
             reason += (

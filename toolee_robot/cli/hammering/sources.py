@@ -141,8 +141,9 @@ class SimulatedSource:
     @contextmanager
     def open(self, tell: Tell, doing: Tell) -> Iterator[Opened]:  # noqa: ARG002  (a simulation needs neither)
         """See `Source`."""
-        with open_station(self.config, self.seed, SimOptions(gui=self.gui), self.stand_in, self.hand_driver) as sim:
-            drawn = self._drawn
+        drawn = self._drawn
+        options = SimOptions(gui=self.gui, nail_lean=drawn.nail_lean)
+        with open_station(self.config, self.seed, options, self.stand_in, self.hand_driver) as sim:
             config = self.config if self.errors == EXACT else drawn.displaced(self.config)
             grasp = measured_grasp(drawn.measured(sim.tool, sim.tool.name), config)
             yield Opened(sim.station, config, grasp, sim.tool.name, _words(sim.tool), sim.judge, sim.tool)

@@ -1,7 +1,7 @@
 """The cell of a rehearsed job: what the station file says, with the errors of what a person measures.
 
 Drawn from the seed, and unknown to the job: where the camera really stands, by the covariance of its calibration; where
-the nail really is; and the hammer, of which the job gets what a ruler and scales tell (`sim_backend.cell_errors`).
+the nail really is and how it leans; and the hammer, of which the job gets what a ruler and scales tell (`sim_backend.cell_errors`).
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ def job_cell(config: StationConfig, station_file: Path, seed: int) -> Cell:
         ConfigError: The file lacks what a job needs, or its calibration's record cannot be read or was altered.
     """
     check_purpose(config)
-    options = SimOptions()
-    tool, _ = draw_handover(seed, options)
     errors = draw_errors(NOMINAL, seed, camera_covariance(config, station_file))
+    options = SimOptions(nail_lean=errors.nail_lean)
+    tool, _ = draw_handover(seed, options)
     measured = replace(config, tool=errors.measured(tool, f"{tool.kind.replace('_', ' ')} of the rehearsal"))
     return Cell(errors.displaced(config), measured, tool, options, seed)
 
