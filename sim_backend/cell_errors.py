@@ -1,7 +1,7 @@
 """Errors of what a person measures in a cell: how what a job is told differs from what is there.
 
-Camera, nail, tool and the nail's lean have a random stream each, and a size only scales what is drawn: with another size of one error
-the others are as before, so that trials of the same seed are paired.
+Camera, nail, tool and the nail's lean have a random stream each, and a size only scales what is drawn: with another
+size of one error the others are as before, so that trials of the same seed are paired.
 """
 
 from __future__ import annotations

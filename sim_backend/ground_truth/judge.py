@@ -166,7 +166,7 @@ class Judge:
         return 0.0, StruckBy.HAND if touched else StruckBy.NOTHING
 
     def _contacts(self, body: int) -> list[tuple[Any, ...]]:
-        """pybullet's contacts of a body with the nail's head that carry a force."""
+        """Contacts of a body with the nail's head that carry a force, as pybullet's tuples."""
         world = self._world
         contacts = pb.getContactPoints(
             bodyA=body, bodyB=world.nail.body, linkIndexB=SLIDE, physicsClientId=world.client

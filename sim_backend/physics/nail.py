@@ -3,8 +3,9 @@
 The nail slides along its axis on a prismatic joint whose motor holds velocity 0 with a force limited to the wood's
 resistance at the current depth: the solver's Coulomb friction, stable where an explicit force diverges. Two hinges at
 the wood's surface hold with the shank's plastic moment: a lateral or eccentric strike beyond it bends the nail
-permanently, and a bent nail resists more. A person may have set the nail with a lean: its hole then leans, too. As
-carpenters judge it, a nail counts as bent from a shift of its head of 3 mm or a lean of 10 deg on. The nail's mass of 20 g is more than a real nail's (about 2 g), since the solver needs the mass ratio.
+permanently, and a bent nail resists more. A person may have set the nail with a lean: its hole then leans, too. A
+nail counts as bent from a shift of its head of 3 mm or a lean of 10 deg on. The nail's mass of
+20 g is more than a real nail's (about 2 g), since the solver needs the mass ratio.
 
 `before_step` must be called before every step, and steps must be those of `impact_steps.IMPACT` while a fast body is
 near (`impact_near`). Nothing but strikes moves the nail.

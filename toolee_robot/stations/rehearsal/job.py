@@ -1,7 +1,8 @@
 """The cell of a rehearsed job: what the station file says, with the errors of what a person measures.
 
 Drawn from the seed, and unknown to the job: where the camera really stands, by the covariance of its calibration; where
-the nail really is and how it leans; and the hammer, of which the job gets what a ruler and scales tell (`sim_backend.cell_errors`).
+the nail really is and how it leans; and the hammer, of which the job gets what a ruler and scales tell
+(`sim_backend.cell_errors`).
 """
 
 from __future__ import annotations
