@@ -1,0 +1,10 @@
+"""Print the tables: python -m tests.cross_checks."""
+
+from __future__ import annotations
+
+from tests.cross_checks.tables import free_head_table, held_table, sweep_table
+
+for rows in (free_head_table(), held_table(), sweep_table()):
+    for row in rows:
+        print(row, flush=True)
+    print()

@@ -1,0 +1,122 @@
+"""A hammer in a compliant, slipping grip behind a wrist that yields, carried onto a nail: what both engines build.
+
+The carriage moves straight down at the speed of the strike, and brakes after the contact. The palm turns on it about a
+wrist with a limited torque. The handle lies along x, the face meets the nail at the origin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from toolee_robot.end_effectors import Category
+from toolee_robot.frames import Array
+from toolee_robot.sim_backend.physics.grip import GripLimits
+from toolee_robot.sim_backend.physics.wood import NailSpec
+from toolee_robot.tools import Tool
+
+CARRIAGE_MASS, PALM_MASS, PALM_INERTIA = 50.0, 1.0, 4e-3  # [kg], [kg], [kg m^2]
+WRIST_TO_GRIP = 0.10  # [m]
+WRIST_GAIN = 12.0  # [1/s]
+WRIST_STIFFNESS = 60.0  # [N m s/rad] of MuJoCo's servo of the wrist's velocity, up to the torque's limit
+GRIP_WIDTH = 0.08  # [m] of the hand along the handle
+FACE_DROP = 0.03  # [m] of the face under the handle's axis
+GAP = 0.004  # [m] between face and nail at the start
+FOLLOW_THROUGH = 0.004  # [s] after the contact at which the carriage begins to brake
+BRAKING = 30.0  # [m/s^2]
+DURATION = 0.16  # [s]
+SWING = 10.0  # [m/s^2] acceleration of the carriage between two strikes
+LIFT = 0.6  # [m/s] at most, upwards
+
+
+@dataclass(frozen=True)
+class Hammer:
+    """A hammer.
+
+    Attributes:
+        mass: Its mass [kg].
+        moments: Moments of inertia about the handle, the axis about which a strike turns it, and the vertical [kg m^2].
+        balance: Distance of the centre of mass from the grip [m].
+        reach: Distance of the face's centre from the grip [m].
+    """
+
+    mass: float = 0.7
+    moments: tuple[float, float, float] = (4e-4, 4e-3, 4e-3)
+    balance: float = 0.17
+    reach: float = 0.20
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A held strike.
+
+    Attributes:
+        hammer: The hammer.
+        speed: Speed at the contact [m/s].
+        limits: What the grip transmits.
+        wrist_torque: Torque at which the wrist yields [Nm].
+        eccentricity: Distance of the face's centre from the nail's axis along the handle, towards the hand [m].
+        sideways: Distance of the face's centre from the nail's axis across the handle [m].
+        spec: Nail and wood.
+    """
+
+    hammer: Hammer = field(default_factory=Hammer)
+    speed: float = 1.2
+    limits: GripLimits = field(default_factory=lambda: GripLimits.from_contact(100.0, 0.9, 0.014, GRIP_WIDTH))
+    wrist_torque: float = 3.3
+    eccentricity: float = 0.0
+    sideways: float = 0.0
+    spec: NailSpec = field(default_factory=NailSpec)
+
+    @classmethod
+    def of(cls, tool: Tool, friction: float, finger_force: float, wrist_torque: float, **rest: float) -> Rig:
+        """The rig for a tool of the catalogue, held at its grip by `finger_force` [N] in all."""
+        moments = np.linalg.eigvalsh(tool.inertia)
+        hammer = Hammer(
+            tool.mass, (float(moments[0]), float(moments[1]), float(moments[2])), float(tool.center_of_mass[2]),
+            float(tool.ee(Category.HAMMER_HEAD).X_tool_ee[2, 3]),
+        )  # fmt: skip
+        limits = GripLimits.from_contact(finger_force, friction, tool.handle.grip_radius, GRIP_WIDTH)
+        return cls(hammer, limits=limits, wrist_torque=wrist_torque, **rest)
+
+    def carriage_speed(self, time: float) -> float:
+        """Downward speed [m/s] of the carriage at `time` [s] after the start."""
+        braking = max(0.0, time - GAP / self.speed - FOLLOW_THROUGH) * BRAKING
+        return max(0.0, self.speed - braking)
+
+
+@dataclass(frozen=True)
+class HeldStrike:
+    """What one held strike does.
+
+    Attributes:
+        driven: How far the nail is driven [m].
+        along: Slip along the handle [m], positive out of the hand.
+        across: Slip across the handle [m].
+        tilt: Largest tilt of the handle in the hand [rad].
+        left: Tilt that is left at the end [rad].
+        rebound: Largest speed of the face away from the nail [m/s].
+        yielded: Largest turn of the wrist [rad].
+        spin: Slip about the handle and of the tilt's rest pose [rad]; pybullet only.
+        lost: Whether the grip lost the handle.
+        finite: Whether every number stayed finite.
+    """
+
+    driven: float
+    along: float
+    across: float
+    tilt: float
+    left: float
+    rebound: float
+    yielded: float
+    spin: float = 0.0
+    lost: bool = False
+    finite: bool = True
+
+    @property
+    def row(self) -> Array:
+        """Drive, slips [mm], tilts [deg], rebound [m/s], wrist [deg], (7,)."""
+        lengths = 1e3 * np.array([self.driven, self.along, self.across])
+        tilts = np.rad2deg([self.tilt, self.left])
+        return np.array([*lengths, *tilts, self.rebound, np.rad2deg(self.yielded)])

@@ -1,0 +1,96 @@
+"""The cross-checks' cases, and their tables in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from tests.cross_checks.free_head import in_mujoco, in_pybullet, wire_mass
+from tests.cross_checks.grip_sweep import Case, cases, hammers, lost_by_arithmetic, series
+from tests.cross_checks.held_hammer import GRIP_WIDTH, HeldStrike, Rig
+from tests.cross_checks.held_mujoco import held_in_mujoco
+from tests.cross_checks.held_pybullet import held_in_pybullet
+from tests.sim_backend.physics.energy_balance import driven_by
+from toolee_robot.config import WorkConfig
+from toolee_robot.sim_backend.physics.grip import GripLimits
+from toolee_robot.sim_backend.physics.wood import NailSpec
+
+SPEC = NailSpec.from_config(WorkConfig())
+THICK = NailSpec(0.0031, 0.065, 0.007, 0.001, 0.045, 0.42, 0.0)
+"""A nail of 3.1 x 65 mm in pine, without a hole."""
+MASSES, SPEEDS = (0.3, 0.6, 1.2), (0.6, 1.0, 1.5, 2.0)
+
+
+def free_head_table() -> Iterator[str]:
+    """Rows of the table of free heads on a nail."""
+    yield "| nail | head | speed | here | MuJoCo | difference | MuJoCo, a nail of its own mass | energy balance |"
+    yield "|---|---|---|---|---|---|---|---|"
+    for name, spec in (("2.2 x 30", SPEC), ("3.1 x 65", THICK)):
+        for mass in MASSES:
+            for speed in SPEEDS:
+                ours = 1e3 * in_pybullet(spec, mass, speed)
+                lumped = 1e3 * in_mujoco(spec, mass, speed).driven
+                wire = 1e3 * in_mujoco(spec, mass, speed, wire_mass(spec)).driven
+                balance = 1e3 * driven_by(spec, spec.protrusion, 0.5 * mass * speed**2)
+                yield (
+                    f"| {name} | {mass} kg | {speed} m/s | {ours:.2f} mm | {lumped:.2f} mm | {ours - lumped:+.2f} mm, "
+                    f"{100 * (ours / lumped - 1):+.0f} % | {wire:.2f} mm | {balance:.2f} mm |"
+                )
+
+
+def _limits(finger_force: float, friction: float) -> GripLimits:
+    return GripLimits.from_contact(finger_force, friction, 0.014, GRIP_WIDTH)
+
+
+HELD: tuple[tuple[str, Rig], ...] = (
+    ("100 N, 0.9", Rig()),
+    ("the same, 0.8 m/s", Rig(speed=0.8)),
+    ("the same, 1.6 m/s", Rig(speed=1.6)),
+    ("the same, 8 mm off centre", Rig(eccentricity=0.008)),
+    ("200 N, 0.9", Rig(limits=_limits(200.0, 0.9))),
+    ("40 N, 0.9", Rig(limits=_limits(40.0, 0.9))),
+    ("40 N, 0.2", Rig(limits=_limits(40.0, 0.2))),
+    ("20 N, 0.3", Rig(limits=_limits(20.0, 0.3))),
+    ("20 N, 0.3, 1.6 m/s", Rig(limits=_limits(20.0, 0.3), speed=1.6)),
+    ("12 N, 0.5", Rig(limits=_limits(12.0, 0.5))),
+    ("8 N, 0.9, 1.6 m/s", Rig(limits=_limits(8.0, 0.9), speed=1.6)),
+)
+"""Finger force and friction of each held strike, and its rig."""
+
+
+def held_strikes(rig: Rig) -> tuple[HeldStrike, HeldStrike]:
+    """One held strike here and in MuJoCo, with the same gains and bounds of the grip."""
+    with held_in_pybullet(rig) as held:
+        return held.strike(), held_in_mujoco(rig, held.grip.gains)
+
+
+def held_table() -> Iterator[str]:
+    """Rows of the table of held strikes, each figure here and in MuJoCo."""
+    yield "| fingers, friction | drive | slip along | largest tilt | tilt left | rebound | wrist |"
+    yield "|---|---|---|---|---|---|---|"
+    for name, rig in HELD:
+        a, b = (strike.row for strike in held_strikes(rig))
+        yield (
+            f"| {name} | {a[0]:.2f}, {b[0]:.2f} mm | {a[1]:.2f}, {b[1]:.2f} mm | {a[3]:.1f}, {b[3]:.1f}° | "
+            f"{a[4]:.1f}, {b[4]:.1f}° | {a[5]:.2f}, {b[5]:.2f} m/s | {a[6]:.1f}, {b[6]:.1f}° |"
+        ).replace("-0.00", "0.00")
+
+
+def sweep_table(held: Iterable[Case] | None = None) -> Iterator[str]:
+    """Rows of the table of the sweep; all its cases if None."""
+    yield "| friction | fingers | wrist | lost | of them by arithmetic | slip along | slip across | tilt | drive |"
+    yield "|---|---|---|---|---|---|---|---|---|"
+    for case in cases() if held is None else held:
+        found = [series(tool, case) for tool in hammers()]
+        rows = np.array([strike.row for one in found for strike in one.strikes])
+        slips = np.abs(rows[:, 1:3])
+        median, worst = np.median(slips, axis=0), slips.max(axis=0)
+        lost = sum(one.lost for one in found)
+        arithmetic = sum(lost_by_arithmetic(tool, case) for tool in hammers())
+        yield (
+            f"| {case.friction} | {case.finger_force:.0f} N | {case.wrist_torque} Nm | {lost} of {len(found)} | "
+            f"{arithmetic} | {median[0]:.2f}, at most {worst[0]:.2f} mm | "
+            f"{median[1]:.2f}, at most {worst[1]:.2f} mm | {np.median(rows[:, 3]):.1f}° | "
+            f"{np.median(rows[:, 0]):.2f} mm |"
+        )
