@@ -114,7 +114,12 @@ def test_the_whole_job_leaves_a_whole_folder(corrected: _Job) -> None:
     assert record["run_folder"] == f"out/{folder.name}"
     assert sorted(p.name for p in folder.iterdir()) == ["picture.png", "recording.mcap", "summary.json"]
     summary = json.loads((folder / "summary.json").read_text())
-    assert len(summary["strike_log"]) == record["strikes"]
+    log = summary["strike_log"]
+    assert len(log) == record["strikes"]
+    assert record["largest_impulse"] == pytest.approx(max(s["load"]["impulse"] for s in log), abs=1e-3)
+    assert record["largest_flange_force"] == pytest.approx(max(s["peak_force"] for s in log), abs=1e-3)
+    assert 0.1 < record["largest_torque_share"] < 1.0
+    assert {strike["struck_by"] for strike in summary["strike_truth"]} == {"face"}
     assert summary["station"]["work"]["nail_protrusion"] == 0.02
     picture = cv2.imread(str(folder / "picture.png"))
     assert picture is not None
@@ -142,6 +147,9 @@ def test_a_job_that_is_told_what_a_person_measures_drives_the_nail(tmp_path: Pat
     errors = job.record["errors"]
     assert errors["camera_mm"] > 0.5
     assert errors["nail_beside_mm"] > 0.1
+    # Nobody told it that the nail leans; driven, it leans as it did.
+    assert job.record["nail_lean_deg"] == pytest.approx(errors["nail_lean_deg"], abs=0.5)
+    assert errors["nail_lean_deg"] > 0.1
     # The face is where the job takes it to be, and the nail is not.
     assert job.record["strike_offset_mm"] == pytest.approx(errors["nail_beside_mm"], abs=1.5)
 

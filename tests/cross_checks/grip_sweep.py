@@ -8,8 +8,9 @@ from functools import cache
 
 import numpy as np
 
-from tests.cross_checks.held_hammer import HeldStrike, Rig
+from tests.cross_checks.held_hammer import GRIP_WIDTH, HeldStrike, Rig
 from tests.cross_checks.held_pybullet import held_in_pybullet
+from toolee_robot.sim_backend.physics.grip import GripLimits
 from toolee_robot.sim_backend.station import draw_hammer
 from toolee_robot.tools import Tool
 
@@ -71,7 +72,8 @@ def hammers() -> tuple[Tool, ...]:
 @cache
 def series(tool: Tool, case: Case, finer: int = 1) -> Series:
     """Strike with a hammer, `STRIKES` times or until it is lost, with steps as often shorter as `finer` says."""
-    rig = Rig.of(tool, case.friction, case.finger_force, case.wrist_torque, speed=SPEED, sideways=SIDEWAYS)
+    limits = GripLimits.from_contact(case.finger_force, case.friction, tool.handle.grip_radius, GRIP_WIDTH)
+    rig = Rig.of(tool, limits, case.wrist_torque, SPEED, SIDEWAYS)
     with held_in_pybullet(rig, finer) as held:
         strikes = [held.strike()]
         while held.grip.holding and held.finite and len(strikes) < STRIKES:

@@ -70,15 +70,14 @@ class Rig:
     spec: NailSpec = field(default_factory=NailSpec)
 
     @classmethod
-    def of(cls, tool: Tool, friction: float, finger_force: float, wrist_torque: float, **rest: float) -> Rig:
-        """The rig for a tool of the catalogue, held at its grip by `finger_force` [N] in all."""
+    def of(cls, tool: Tool, limits: GripLimits, wrist_torque: float, speed: float, sideways: float) -> Rig:
+        """The rig for a tool of the catalogue, held at its grip."""
         moments = np.linalg.eigvalsh(tool.inertia)
         hammer = Hammer(
             tool.mass, (float(moments[0]), float(moments[1]), float(moments[2])), float(tool.center_of_mass[2]),
             float(tool.ee(Category.HAMMER_HEAD).X_tool_ee[2, 3]),
         )  # fmt: skip
-        limits = GripLimits.from_contact(finger_force, friction, tool.handle.grip_radius, GRIP_WIDTH)
-        return cls(hammer, limits=limits, wrist_torque=wrist_torque, **rest)
+        return cls(hammer, speed, limits, wrist_torque, sideways=sideways)
 
     def carriage_speed(self, time: float) -> float:
         """Downward speed [m/s] of the carriage at `time` [s] after the start."""

@@ -73,6 +73,7 @@ class HammerReport:
         rows = [
             ("strikes", str(f["strikes"])),
             ("nail over the wood", _figure(f["protrusion_mm"], " mm")),
+            *self._load_rows(),
             *self._true_rows(),
             ("robot's time", f"{f['robot_seconds']:.0f} s, {f['nail_seconds']:.0f} s of it for the nail"),
             ("time", f"{f['seconds']:.1f} s  [dim]({seconds})[/dim]"),
@@ -85,6 +86,16 @@ class HammerReport:
         title = "the nail is flush" if f["success"] else str(f["outcome"]).replace("_", " ")
         colour = "green" if f["success"] else "red"
         return Panel("\n".join(lines), title=f"[bold]{title}[/bold]", border_style=colour, expand=False, padding=(1, 2))
+
+    def _load_rows(self) -> list[tuple[str, str]]:
+        f = self.figures
+        if f["largest_impulse"] is None:
+            return []
+        flange = f"{_figure(f['largest_impulse'], ' N s')}, {f['largest_flange_force']:.0f} N"
+        return [
+            ("most at the flange", flange),
+            ("most in a joint", f"{100 * f['largest_torque_share']:.0f} % of its largest torque"),
+        ]
 
     def _true_rows(self) -> list[tuple[str, str]]:
         f = self.figures
@@ -265,6 +276,9 @@ class HammerJob:
             "strikes": len(result.strikes),
             "protrusion_mm": measured if verdict is None else _rounded(verdict.protrusion_mm),
             "measured_protrusion_mm": measured,
+            "largest_impulse": _largest([strike.load.impulse for strike in result.strikes]),
+            "largest_flange_force": _largest([strike.peak_force for strike in result.strikes]),
+            "largest_torque_share": _largest([strike.load.torque_share for strike in result.strikes]),
             "nail": None if verdict is None else verdict.nail_outcome,
             **{name: None if verdict is None else _rounded(getattr(verdict, name)) for name in TRUE_FIGURES},
             "stage_seconds": {str(k): round(v, 3) for k, v in result.stage_seconds.items()},
@@ -333,6 +347,10 @@ def _resume(task: HammeringTask, screen: ConsoleObserver) -> HammerResult:
 
 def _rounded(value: float | None) -> float | None:
     return None if value is None else round(value, 3)
+
+
+def _largest(values: list[float]) -> float | None:
+    return _rounded(max(values, default=None))
 
 
 def _figure(value: float | None, unit: str) -> str:
