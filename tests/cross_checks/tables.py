@@ -30,13 +30,27 @@ def free_head_table() -> Iterator[str]:
         for mass in MASSES:
             for speed in SPEEDS:
                 ours = 1e3 * in_pybullet(spec, mass, speed)
-                lumped = 1e3 * in_mujoco(spec, mass, speed).driven
-                wire = 1e3 * in_mujoco(spec, mass, speed, wire_mass(spec)).driven
+                lumped = 1e3 * in_mujoco(spec, mass, speed)
+                wire = 1e3 * in_mujoco(spec, mass, speed, nail=wire_mass(spec))
                 balance = 1e3 * driven_by(spec, spec.protrusion, 0.5 * mass * speed**2)
                 yield (
                     f"| {name} | {mass} kg | {speed} m/s | {ours:.2f} mm | {lumped:.2f} mm | {ours - lumped:+.2f} mm, "
                     f"{100 * (ours / lumped - 1):+.0f} % | {wire:.2f} mm | {balance:.2f} mm |"
                 )
+
+
+BAD_HITS = ((0.0, 0.0), (0.004, 0.0), (0.008, 0.0), (0.012, 0.0), (0.0, 5.0), (0.0, 10.0), (0.0, 20.0))
+"""Offset of the face [m], and tilt [deg], of heads of 0.6 kg at 1.5 m/s."""
+
+
+def bad_hit_table() -> Iterator[str]:
+    """Rows of the table of heads that meet the nail off their middle or tilted."""
+    yield "| off centre | tilted | here | MuJoCo | difference |"
+    yield "|---|---|---|---|---|"
+    for offset, tilt in BAD_HITS:
+        ours, theirs = (1e3 * drive(SPEC, 0.6, 1.5, offset, np.deg2rad(tilt)) for drive in (in_pybullet, in_mujoco))
+        difference = 100 * (ours / theirs - 1)
+        yield f"| {1e3 * offset:.0f} mm | {tilt:.0f}° | {ours:.2f} mm | {theirs:.2f} mm | {difference:+.0f} % |"
 
 
 def _limits(finger_force: float, friction: float) -> GripLimits:
