@@ -1,12 +1,12 @@
 """Errors of what a person measures in a cell: how what a job is told differs from what is there.
 
-Camera, nail, tool and the nail's lean have a random stream each, and a size only scales what is drawn: with another
-size of one error the others are as before, so that trials of the same seed are paired.
+Each group of errors has a random stream of its own, and a size only scales what is drawn: with another size of one
+error the others are as before, so that trials of the same seed are paired.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -17,6 +17,8 @@ from toolee_robot.config.values import STRICT, NotNegative
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, transform
 from toolee_robot.tools import Tool
+from toolee_robot.types import DhCalibration
+from toolee_robot.types.arm import Six
 
 
 @dataclass(frozen=True)
@@ -43,9 +45,17 @@ class CellErrors:
     """Of the tool's mass, as a share of it: kitchen scales; assumed."""
     balance: NotNegative = 0.005
     """Of the centre of mass along the handle [m], found by balancing it; assumed."""
+    kinematics: NotNegative = 0.0002
+    """Of each Denavit-Hartenberg length [m] and angle [rad] of the arm: what its factory's calibration leaves, some
+    0.6 mm at the flange; assumed."""
+    wood: NotNegative = 0.1
+    """Of the wood's specific gravity, as a share of it: coefficient of variation within a species (Forest Products
+    Laboratory, Wood Handbook, FPL-GTR-282, table 5-6). Its resistance varies by 2.5 times as much."""
+    friction: NotNegative = 0.1
+    """Of the coefficient of friction between hand and handle, as a share of it; assumed."""
 
 
-EXACT = CellErrors(*(0.0,) * 9)
+EXACT = CellErrors(*(0.0 for _ in fields(CellErrors)))
 """No errors: the job is told what is there."""
 NOMINAL = CellErrors()
 """What a careful person's measurements are off by."""
@@ -60,6 +70,8 @@ class DrawnErrors:
         nail: Nail's place, and height of the wood's top, (3,) [m].
         lean: Nail's lean, x and y of a rotation vector in the upright nail's axes, (2,) [rad].
         tool: Standard normal numbers of the tool's data: radius, face (3), normal (3), mass, balance, (9,).
+        arm: Standard normal numbers of the arm's kinematics: theta, a, d, alpha of the six joints, (4, 6).
+        material: Standard normal numbers of the wood and of the friction in the hand, (2,).
         sizes: Their sizes.
         known_camera: Whether the camera's error is that of a calibration, and not of these sizes.
     """
@@ -68,11 +80,13 @@ class DrawnErrors:
     nail: Array
     lean: Array
     tool: Array
+    arm: Array
+    material: Array
     sizes: CellErrors
     known_camera: bool = False
 
     def displaced(self, config: StationConfig) -> StationConfig:
-        """Displace camera and nail of a station by the errors.
+        """Displace camera and nail of a station, and the kinematics of its arm, by the errors.
 
         Args:
             config: The station, as it is or as it is believed to be.
@@ -87,7 +101,33 @@ class DrawnErrors:
         x, y = np.asarray(config.work.nail_xy) + self.nail[:2]
         height = max(1e-3, config.work.stand_height + float(self.nail[2]))
         work = replace(config.work, nail_xy=(float(x), float(y)), stand_height=height)
-        return replace(config, camera=replace(config.camera, pose=rows(X)), work=work)
+        arm = replace(config.arm, calibration=self._miscalibrated(config.arm.calibration))
+        return replace(config, camera=replace(config.camera, pose=rows(X)), work=work, arm=arm)
+
+    def made_of(self, config: StationConfig) -> StationConfig:
+        """What the cell is really made of, which nobody tells the job.
+
+        Args:
+            config: The cell, with the wood that a person takes it for.
+
+        Returns:
+            The cell with the wood that it has.
+        """
+        gravity = config.work.wood_specific_gravity * _share(self.sizes.wood * float(self.material[0]))
+        return replace(config, work=replace(config.work, wood_specific_gravity=gravity))
+
+    @property
+    def friction_share(self) -> float:
+        """Friction between hand and handle as a share of the usual one."""
+        return _share(self.sizes.friction * float(self.material[1]))
+
+    def _miscalibrated(self, calibration: DhCalibration | None) -> DhCalibration | None:
+        """A factory calibration, or none, off by the errors."""
+        if not self.sizes.kinematics:
+            return calibration
+        known = DhCalibration(*((0.0,) * 6,) * 4) if calibration is None else calibration
+        deltas = (known.delta_theta, known.delta_a, known.delta_d, known.delta_alpha)
+        return DhCalibration(*(_six(d + self.sizes.kinematics * z) for d, z in zip(deltas, self.arm, strict=True)))
 
     @property
     def nail_lean(self) -> tuple[float, float]:
@@ -131,6 +171,9 @@ class DrawnErrors:
             "handle_mm": round(5e2 * self.sizes.ruler * float(self.tool[0]), 3),
             "mass_percent": round(100.0 * self.sizes.scales * float(self.tool[7]), 3),
             "balance_mm": round(1e3 * self.sizes.balance * float(self.tool[8]), 3),
+            "kinematics_mm": round(1e3 * self.sizes.kinematics * float(np.sqrt(np.mean(self.arm**2))), 3),
+            "wood_percent": round(100.0 * self.sizes.wood * float(self.material[0]), 3),
+            "friction_percent": round(100.0 * self.sizes.friction * float(self.material[1]), 3),
         }
 
 
@@ -146,14 +189,33 @@ def draw_errors(sizes: CellErrors, seed: int, camera_covariance: Array | None = 
     Returns:
         The errors.
     """
-    camera, nail, tool, lean = (np.random.default_rng([seed, 31, stream]) for stream in range(4))
+    camera, nail, tool, lean, arm, material = (np.random.default_rng([seed, 31, stream]) for stream in range(6))
     if camera_covariance is None:
         off = camera.normal(size=6) * np.repeat([sizes.camera_position, sizes.camera_rotation], 3)
     else:
         off = camera.multivariate_normal(np.zeros(6), camera_covariance)
     beside = nail.normal(size=3) * [sizes.nail_beside, sizes.nail_beside, sizes.nail_height]
     leaning = sizes.nail_lean * lean.normal(size=2)
-    return DrawnErrors(off, beside, leaning, tool.normal(size=9), sizes, camera_covariance is not None)
+    return DrawnErrors(
+        off,
+        beside,
+        leaning,
+        tool.normal(size=9),
+        arm.normal(size=(4, 6)),
+        material.normal(size=2),
+        sizes,
+        known_camera=camera_covariance is not None,
+    )
+
+
+def _share(error: float) -> float:
+    """1 and a relative error; errors that nobody would overlook are cut."""
+    return 1.0 + float(np.clip(error, -0.5, 0.5))
+
+
+def _six(v: Array) -> Six:
+    a, b, c, d, e, f = (float(value) for value in v)
+    return a, b, c, d, e, f
 
 
 def _three(v: Array) -> tuple[float, float, float]:

@@ -11,6 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 from toolee_robot.config import StationConfig
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import inverse, rotation_angle
+from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL, CellErrors, draw_errors
 from toolee_robot.tools import NAIL_DRIVERS, make_tool
 
@@ -28,6 +29,9 @@ def test_without_errors_the_job_is_told_what_is_there() -> None:
     np.testing.assert_allclose(data.X_tool_face[:3, 3], tool.ee(Category.HAMMER_HEAD).X_tool_ee[:3, 3])
     assert (data.mass, data.grip_radius) == (tool.mass, tool.handle.grip_radius)
     assert errors.nail_lean == (0.0, 0.0)
+    assert told.arm == CONFIG.arm
+    assert errors.made_of(CONFIG) == CONFIG
+    assert errors.friction_share == 1.0
     assert set(errors.facts.values()) == {0.0}
 
 
@@ -44,9 +48,30 @@ def test_the_errors_are_as_large_as_they_say() -> None:
     assert np.std(heights) == pytest.approx(NOMINAL.nail_height, rel=0.15)
     leans = [draw_errors(NOMINAL, seed).nail_lean for seed in SEEDS]
     assert np.std(leans, axis=0) == pytest.approx([NOMINAL.nail_lean] * 2, rel=0.15)
+    gravity = [draw_errors(NOMINAL, seed).made_of(CONFIG).work.wood_specific_gravity for seed in SEEDS]
+    assert np.std(gravity) / CONFIG.work.wood_specific_gravity == pytest.approx(NOMINAL.wood, rel=0.15)
+    assert np.std([draw_errors(NOMINAL, seed).friction_share for seed in SEEDS]) == pytest.approx(
+        NOMINAL.friction, rel=0.15
+    )
     tool = make_tool(NAIL_DRIVERS[0], 5)
     masses = [draw_errors(NOMINAL, seed).measured(tool, "hammer").mass for seed in SEEDS]
     assert np.std(masses) / tool.mass == pytest.approx(NOMINAL.scales, rel=0.15)
+
+
+def test_the_arm_is_not_where_its_calibration_says() -> None:
+    q = np.array([0.3, -1.6, 1.9, -1.8, -1.57, 0.2])
+    true = DhParameters.of(CONFIG.arm.model, None)
+    told = [draw_errors(NOMINAL, seed).displaced(CONFIG).arm.calibration for seed in SEEDS]
+    places = np.array([DhParameters.of(CONFIG.arm.model, dh).fk(q)[:3, 3] for dh in told])
+    off = 1e3 * np.linalg.norm(places - true.fk(q)[:3, 3], axis=1)
+    assert 0.4 < np.median(off) < 1.0
+    assert max(off) < 3.0
+    # A factory's calibration is kept, and off by as much.
+    factory = replace(CONFIG, arm=replace(CONFIG.arm, calibration=told[0]))
+    again = draw_errors(NOMINAL, 0).displaced(factory).arm.calibration
+    assert again is not None
+    assert told[0] is not None
+    np.testing.assert_allclose(again.delta_d, 2.0 * np.array(told[0].delta_d))
 
 
 def test_a_seed_keeps_the_errors_that_it_had() -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import shutil
-import tempfile
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -14,12 +11,13 @@ import trimesh
 
 from toolee_robot.errors import AssetError
 from toolee_robot.frames import Array, inverse, transform
-from toolee_robot.robots.assets import UR10_URDF, cache_folder
+from toolee_robot.robots.assets import UR10_URDF
 from toolee_robot.robots.dh import joint_origins
 from toolee_robot.robots.hands import SHADOW_HAND, HandChoice, HandModel, hand_model
+from toolee_robot.robots.installed import install_urdf
 from toolee_robot.robots.meshes import link_mesh
 from toolee_robot.robots.tree import FLANGE_FRAME, Shape, Tree
-from toolee_robot.robots.urdf import read_urdf, write_urdf
+from toolee_robot.robots.urdf import read_urdf
 from toolee_robot.types import ArmModel, DhCalibration, Payload
 
 ARM_JOINTS = (
@@ -197,38 +195,6 @@ def robot_tree(
     return Tree((*arm.links, *hand.tree.links))
 
 
-def _install(name: str, tree: Tree) -> Path:
-    """Write URDF and meshes into the cache unless present (keyed by content) and return the path of the URDF."""
-    files = {shape.mesh: link for link in tree.links for shape in (*link.visuals, *link.collisions) if shape.mesh}
-    probe = hashlib.sha256(write_urdf(name, tree, lambda shape: Path(shape.mesh.name if shape.mesh else "")).encode())
-    for file in files:
-        probe.update(file.read_bytes())
-    folder = cache_folder() / f"robot-{probe.hexdigest()[:16]}"
-    urdf = folder / f"{name}.urdf"
-    if urdf.is_file():
-        return urdf
-    scratch = Path(tempfile.mkdtemp(dir=folder.parent))
-
-    def place(shape: Shape) -> Path:
-        if shape.mesh is None:
-            raise ValueError("a mesh shape without a file")
-        prefix = "arm" if files[shape.mesh].name in arm_tree().by_name else "hand"
-        target = scratch / "meshes" / f"{prefix}_{shape.mesh.name}"
-        target.parent.mkdir(exist_ok=True)
-        if not target.exists():
-            shutil.copyfile(shape.mesh, target)
-        return folder / "meshes" / target.name
-
-    (scratch / urdf.name).write_text(write_urdf(name, tree, place))
-    try:
-        scratch.replace(folder)
-    except OSError:  # another process installed it meanwhile
-        shutil.rmtree(scratch, ignore_errors=True)
-        if not urdf.is_file():
-            raise
-    return urdf
-
-
 def load_robot(
     model: ArmModel = ArmModel.UR10,
     calibration: DhCalibration | None = None,
@@ -254,7 +220,7 @@ def load_robot(
 @lru_cache(maxsize=8)
 def _load_robot(model: ArmModel, calibration: DhCalibration | None, hand: HandModel) -> RobotDescription:
     tree = robot_tree(model, calibration, hand)
-    urdf = _install(f"{model.lower()}_{hand.name}", tree)
+    urdf = install_urdf(f"{model.lower()}_{hand.name}", tree)
     lower, upper = tree.limits()
     movable = [link for link in tree.links if link.axis is not None]
     return RobotDescription(

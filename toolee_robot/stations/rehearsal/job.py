@@ -38,10 +38,11 @@ def job_cell(config: StationConfig, station_file: Path, seed: int) -> Cell:
     """
     check_purpose(config)
     errors = draw_errors(NOMINAL, seed, camera_covariance(config, station_file))
-    options = SimOptions(nail_lean=errors.nail_lean)
+    usual = SimOptions(nail_lean=errors.nail_lean)
+    options = replace(usual, friction=usual.friction * errors.friction_share)
     tool, _ = draw_handover(seed, options)
     measured = replace(config, tool=errors.measured(tool, f"{tool.kind.replace('_', ' ')} of the rehearsal"))
-    return Cell(errors.displaced(config), measured, tool, options, seed)
+    return Cell(errors.made_of(errors.displaced(config)), measured, tool, options, seed)
 
 
 def camera_covariance(config: StationConfig, station_file: Path) -> Array:
