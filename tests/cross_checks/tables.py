@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from tests.cross_checks.free_head import in_mujoco, in_pybullet, wire_mass
+from tests.cross_checks.friction_grasp import held_by_friction
 from tests.cross_checks.grip_sweep import Case, cases, hammers, lost_by_arithmetic, series
 from tests.cross_checks.held_hammer import GRIP_WIDTH, HeldStrike, Rig
 from tests.cross_checks.held_mujoco import held_in_mujoco
@@ -88,6 +89,29 @@ def held_table() -> Iterator[str]:
         yield (
             f"| {name} | {a[0]:.2f}, {b[0]:.2f} mm | {a[1]:.2f}, {b[1]:.2f} mm | {a[3]:.1f}, {b[3]:.1f}° | "
             f"{a[4]:.1f}, {b[4]:.1f}° | {a[5]:.2f}, {b[5]:.2f} m/s | {a[6]:.1f}, {b[6]:.1f}° |"
+        ).replace("-0.00", "0.00")
+
+
+BY_FRICTION = ((200.0, 0.9), (100.0, 0.9), (60.0, 0.6), (40.0, 0.9), (40.0, 0.2), (20.0, 0.9), (20.0, 0.3), (12.0, 0.5))
+"""Finger force [N] and friction of the strikes with a hammer that only friction holds."""
+
+
+def by_friction(finger_force: float, friction: float) -> tuple[HeldStrike, HeldStrike]:
+    """One held strike here, and in MuJoCo with contact and friction alone."""
+    rig = Rig(limits=_limits(finger_force, friction))
+    with held_in_pybullet(rig) as held:
+        return held.strike(), held_by_friction(rig, finger_force, friction)
+
+
+def friction_table() -> Iterator[str]:
+    """Rows of the table of strikes with a hammer that only friction holds, each figure here and in MuJoCo."""
+    yield "| fingers | friction | drive | slip along | largest tilt | wrist |"
+    yield "|---|---|---|---|---|---|"
+    for force, friction in BY_FRICTION:
+        a, b = (strike.row for strike in by_friction(force, friction))
+        yield (
+            f"| {force:.0f} N | {friction} | {a[0]:.2f}, {b[0]:.2f} mm | {a[1]:.2f}, {b[1]:.2f} mm | "
+            f"{a[3]:.1f}, {b[3]:.1f}° | {a[6]:.1f}, {b[6]:.1f}° |"
         ).replace("-0.00", "0.00")
 
 

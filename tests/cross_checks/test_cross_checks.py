@@ -10,7 +10,17 @@ import pytest
 from tests.cross_checks.free_head import in_mujoco, in_pybullet, wire_mass
 from tests.cross_checks.grip_sweep import Case, cases, hammers, lost_by_arithmetic, series
 from tests.cross_checks.held_hammer import Rig
-from tests.cross_checks.tables import BAD_HITS, HELD, MASSES, SPEC, SPEEDS, THICK, held_strikes
+from tests.cross_checks.tables import (
+    BAD_HITS,
+    BY_FRICTION,
+    HELD,
+    MASSES,
+    SPEC,
+    SPEEDS,
+    THICK,
+    by_friction,
+    held_strikes,
+)
 from tests.sim_backend.physics.energy_balance import driven_by
 from toolee_robot.sim_backend.physics import grip_gains
 from toolee_robot.sim_backend.physics.wood import NailSpec
@@ -48,6 +58,17 @@ def test_a_held_hammer_strikes_and_slips_as_in_mujoco(name: str, rig: Rig) -> No
     assert ours.left == pytest.approx(theirs.left, rel=0.07, abs=np.deg2rad(0.3))
     assert ours.rebound == pytest.approx(theirs.rebound, abs=0.08)
     assert ours.yielded == pytest.approx(theirs.yielded, abs=np.deg2rad(1.0))
+
+
+@pytest.mark.parametrize(("force", "friction"), BY_FRICTION)
+def test_what_friction_alone_holds_in_mujoco_the_grip_holds_here(force: float, friction: float) -> None:
+    """Rough, since a palm and four fingers are not the assisted grip: less drive here, and less slip."""
+    ours, theirs = by_friction(force, friction)
+    assert not ours.lost
+    assert not theirs.lost
+    assert 0.7 < ours.driven / theirs.driven < 1.1
+    assert abs(ours.along - theirs.along) < 0.004
+    assert ours.tilt < theirs.tilt + np.deg2rad(8.0)
 
 
 @pytest.mark.parametrize("case", list(cases()), ids=str)
