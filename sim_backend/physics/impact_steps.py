@@ -1,10 +1,9 @@
 """Step settings of the physics engine during a strike.
 
 A strike lasts 2 to 5 ms and moves the nail by 2 mm. Compared with the energy balance (free heads of 0.4 to 1 kg at 1 to
-4 m/s, tests/sim_backend/physics/test_nail.py), the nail's travel is 1 to 15 % too short at 1/4000 s with 100
-iterations, because of the first-order integration of the deceleration, and 16 to 98 % too short at 1/240 s. The
-engine's correction of penetrations (contactERP, 0.2 by default) would add up to 15 % of energy to eccentric strikes: it
-is off.
+4 m/s, tests/sim_backend/physics/test_nail.py), the nail's travel is 0.4 % off at most at 1/4000 s with 100 iterations,
+and 4 % at 1/240 s. The engine's correction of penetrations (contactERP, 0.2 by default) would add up to 15 % of energy
+to eccentric strikes: it is off.
 """
 
 from __future__ import annotations

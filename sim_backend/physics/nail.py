@@ -7,6 +7,10 @@ permanently, and a bent nail resists more. A person may have set the nail with a
 nail counts as bent from a shift of its head of 3 mm or a lean of 10 deg on. The nail's mass of
 20 g is more than a real nail's (about 2 g), since the solver needs the mass ratio.
 
+The engine moves bodies by the velocity at the end of a step, so that a nail which resists in full from the first step
+on would go v dt / 2 too short, whatever the nail. At rest it resists with half of the force: velocities are then those
+in the middle of steps.
+
 `before_step` must be called before every step, and steps must be those of `impact_steps.IMPACT` while a fast body is
 near (`impact_near`). Nothing but strikes moves the nail.
 """
@@ -27,6 +31,7 @@ HEAD_HEIGHT = 0.006  # [m] of the head's collision shape: pybullet's contacts wi
 LUMPED_MASS = 0.020  # [kg] during strikes
 STUCK_MASS = 100.0  # [kg] between strikes
 STOP_FORCE = 1e6  # [N] limit of the motor that holds the nail still
+AT_REST = 1e-3  # [m/s]
 BENT_LEAN = np.deg2rad(10.0)
 BENT_SHIFT = 0.003  # [m]
 HINGE_MASS, HINGE_INERTIA = 1e-3, 1e-7  # [kg], [kg m^2] of the hinges' otherwise massless links
@@ -87,7 +92,7 @@ class Nail:
         if wood is not None:
             for link in range(-1, 3):
                 pb.setCollisionFilterPair(self.body, wood, link, -1, 0, physicsClientId=client)
-        self._set_for: tuple[float, float, bool, float] | None = None
+        self._set_for: tuple[float, float, bool, bool, float] | None = None
         self._struck = True
         self.before_step(0.0)
 
@@ -164,11 +169,13 @@ class Nail:
         travel, speed = pb.getJointState(self.body, SLIDE, physicsClientId=self._client)[:2]
         protrusion, bend = self.spec.protrusion - travel, self.bend_angle
         fast = not struck or protrusion - max(speed, 0.0) * dt <= 0.0
-        if (protrusion, bend, fast, dt) == self._set_for:
+        at_rest = abs(speed) < AT_REST
+        if (protrusion, bend, fast, at_rest, dt) == self._set_for:
             return
-        self._set_for = (protrusion, bend, fast, dt)
+        self._set_for = (protrusion, bend, fast, at_rest, dt)
         self._largest_shift, self._largest_lean = self.largest_shift, self.largest_lean
-        self._hold(SLIDE, STOP_FORCE if fast else resistance(self.spec, protrusion, bend))
+        force = resistance(self.spec, protrusion, bend) * (0.5 if at_rest else 1.0)
+        self._hold(SLIDE, STOP_FORCE if fast else force)
         for hinge in (HINGE_X, HINGE_Y):
             self._hold(hinge, self.spec.plastic_moment if struck else STOP_FORCE)
 

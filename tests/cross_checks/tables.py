@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
 from tests.cross_checks.free_head import in_mujoco, in_pybullet, wire_mass
-from tests.cross_checks.grip_sweep import Case, cases, hammers, lost_by_arithmetic, series
+from tests.cross_checks.friction_grasp import held_by_friction
+from tests.cross_checks.grip_sweep import cases, hammers, lost_by_arithmetic, series
 from tests.cross_checks.held_hammer import GRIP_WIDTH, HeldStrike, Rig
 from tests.cross_checks.held_mujoco import held_in_mujoco
 from tests.cross_checks.held_pybullet import held_in_pybullet
@@ -91,20 +92,44 @@ def held_table() -> Iterator[str]:
         ).replace("-0.00", "0.00")
 
 
-def sweep_table(held: Iterable[Case] | None = None) -> Iterator[str]:
-    """Rows of the table of the sweep; all its cases if None."""
-    yield "| friction | fingers | wrist | lost | of them by arithmetic | slip along | slip across | tilt | drive |"
-    yield "|---|---|---|---|---|---|---|---|---|"
-    for case in cases() if held is None else held:
+BY_FRICTION = ((200.0, 0.9), (100.0, 0.9), (60.0, 0.6), (40.0, 0.9), (40.0, 0.2), (20.0, 0.9), (20.0, 0.3), (12.0, 0.5))
+"""Finger force [N] and friction of the strikes with a hammer that only friction holds."""
+
+
+def by_friction(finger_force: float, friction: float) -> tuple[HeldStrike, HeldStrike]:
+    """One held strike here, and in MuJoCo with contact and friction alone."""
+    rig = Rig(limits=_limits(finger_force, friction))
+    with held_in_pybullet(rig) as held:
+        return held.strike(), held_by_friction(rig, finger_force, friction)
+
+
+def friction_table() -> Iterator[str]:
+    """Rows of the table of strikes with a hammer that only friction holds, each figure here and in MuJoCo."""
+    yield "| fingers | friction | drive | slip along | largest tilt | wrist |"
+    yield "|---|---|---|---|---|---|"
+    for force, friction in BY_FRICTION:
+        a, b = (strike.row for strike in by_friction(force, friction))
+        yield (
+            f"| {force:.0f} N | {friction} | {a[0]:.2f}, {b[0]:.2f} mm | {a[1]:.2f}, {b[1]:.2f} mm | "
+            f"{a[3]:.1f}, {b[3]:.1f}° | {a[6]:.1f}, {b[6]:.1f}° |"
+        ).replace("-0.00", "0.00")
+
+
+def sweep_table() -> Iterator[str]:
+    """Rows of the table of the sweep."""
+    yield "| friction | fingers | wrist | lost | in a strike | by arithmetic | slip along | across | tilt | drive |"
+    yield "|---|---|---|---|---|---|---|---|---|---|"
+    for case in cases():
         found = [series(tool, case) for tool in hammers()]
         rows = np.array([strike.row for one in found for strike in one.strikes])
         slips = np.abs(rows[:, 1:3])
         median, worst = np.median(slips, axis=0), slips.max(axis=0)
         lost = sum(one.lost for one in found)
+        struck = sum(one.strikes[-1].lost for one in found)
         arithmetic = sum(lost_by_arithmetic(tool, case) for tool in hammers())
         yield (
             f"| {case.friction} | {case.finger_force:.0f} N | {case.wrist_torque} Nm | {lost} of {len(found)} | "
-            f"{arithmetic} | {median[0]:.2f}, at most {worst[0]:.2f} mm | "
+            f"{struck} | {arithmetic} | {median[0]:.2f}, at most {worst[0]:.2f} mm | "
             f"{median[1]:.2f}, at most {worst[1]:.2f} mm | {np.median(rows[:, 3]):.1f}° | "
             f"{np.median(rows[:, 0]):.2f} mm |"
         )

@@ -10,7 +10,17 @@ import pytest
 from tests.cross_checks.free_head import in_mujoco, in_pybullet, wire_mass
 from tests.cross_checks.grip_sweep import Case, cases, hammers, lost_by_arithmetic, series
 from tests.cross_checks.held_hammer import Rig
-from tests.cross_checks.tables import BAD_HITS, HELD, MASSES, SPEC, SPEEDS, THICK, held_strikes
+from tests.cross_checks.tables import (
+    BAD_HITS,
+    BY_FRICTION,
+    HELD,
+    MASSES,
+    SPEC,
+    SPEEDS,
+    THICK,
+    by_friction,
+    held_strikes,
+)
 from tests.sim_backend.physics.energy_balance import driven_by
 from toolee_robot.sim_backend.physics import grip_gains
 from toolee_robot.sim_backend.physics.wood import NailSpec
@@ -23,9 +33,9 @@ pytestmark = [pytest.mark.sim, pytest.mark.nightly]
 @pytest.mark.parametrize("mass", MASSES)
 @pytest.mark.parametrize("speed", SPEEDS)
 def test_a_free_head_drives_a_nail_as_in_mujoco(spec: NailSpec, mass: float, speed: float) -> None:
-    """Always a little less: the deceleration begins half a step of 1/4000 s early, 0.125 mm at 1 m/s."""
+    """0.022 mm off at most, and what a head drives a nail of its own mass in MuJoCo agrees with the energy balance."""
     ours, theirs = in_pybullet(spec, mass, speed), in_mujoco(spec, mass, speed)
-    assert -1.1 * speed / 4000 / 2 < ours - theirs < 0.0
+    assert ours == pytest.approx(theirs, abs=3e-5)
     wire = in_mujoco(spec, mass, speed, nail=wire_mass(spec))
     assert wire == pytest.approx(driven_by(spec, spec.protrusion, 0.5 * mass * speed**2), rel=0.05)
 
@@ -33,7 +43,7 @@ def test_a_free_head_drives_a_nail_as_in_mujoco(spec: NailSpec, mass: float, spe
 @pytest.mark.parametrize(("offset", "tilt"), BAD_HITS)
 def test_a_head_off_its_middle_or_tilted_drives_as_in_mujoco(offset: float, tilt: float) -> None:
     ours, theirs = (drive(SPEC, 0.6, 1.5, offset, np.deg2rad(tilt)) for drive in (in_pybullet, in_mujoco))
-    assert ours == pytest.approx(theirs, rel=0.07)
+    assert ours == pytest.approx(theirs, rel=0.05)
 
 
 @pytest.mark.parametrize(("name", "rig"), HELD, ids=[name for name, _ in HELD])
@@ -41,13 +51,24 @@ def test_a_held_hammer_strikes_and_slips_as_in_mujoco(name: str, rig: Rig) -> No
     ours, theirs = held_strikes(rig)
     assert not ours.lost, name
     assert not theirs.lost
-    assert ours.driven == pytest.approx(theirs.driven, rel=0.11)
-    assert ours.along == pytest.approx(theirs.along, rel=0.12, abs=5e-5)
+    assert ours.driven == pytest.approx(theirs.driven, rel=0.065)
+    assert ours.along == pytest.approx(theirs.along, rel=0.07, abs=5e-5)
     assert ours.across == pytest.approx(theirs.across, abs=8e-4)
     assert ours.tilt == pytest.approx(theirs.tilt, rel=0.07, abs=np.deg2rad(0.3))
-    assert ours.left == pytest.approx(theirs.left, rel=0.07, abs=np.deg2rad(0.3))
+    assert ours.left == pytest.approx(theirs.left, rel=0.07, abs=np.deg2rad(0.4))
     assert ours.rebound == pytest.approx(theirs.rebound, abs=0.08)
     assert ours.yielded == pytest.approx(theirs.yielded, abs=np.deg2rad(1.0))
+
+
+@pytest.mark.parametrize(("force", "friction"), BY_FRICTION)
+def test_what_friction_alone_holds_in_mujoco_the_grip_holds_here(force: float, friction: float) -> None:
+    """Rough, since a palm and four fingers are not the assisted grip: less drive here, and less slip."""
+    ours, theirs = by_friction(force, friction)
+    assert not ours.lost
+    assert not theirs.lost
+    assert 0.72 < ours.driven / theirs.driven < 1.1
+    assert abs(ours.along - theirs.along) < 0.004
+    assert ours.tilt < theirs.tilt + np.deg2rad(8.0)
 
 
 @pytest.mark.parametrize("case", list(cases()), ids=str)

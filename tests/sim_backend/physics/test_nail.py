@@ -101,22 +101,21 @@ def collision_energy(mass: float, speed: float) -> float:
 @pytest.mark.parametrize("mass", [0.5, 0.8])
 @pytest.mark.parametrize("speed", [1.0, 1.5, 2.0, 2.5])
 def test_drive_agrees_with_the_energy_balance(bench: Bench, mass: float, speed: float) -> None:
-    """-1 to -11 % of the balance here: the integration brakes half a step too early, and never creates energy."""
+    """0.3 % off at most here, and never with more energy than the head has."""
     driven = bench.strike(mass, speed)
     expected = driven_by(SPEC, SPEC.protrusion, collision_energy(mass, speed))
-    assert -0.13 < driven / expected - 1 < 0.0
+    assert driven == pytest.approx(expected, rel=0.006)
     assert driving_work(SPEC, SPEC.protrusion, SPEC.protrusion - driven) < 0.5 * mass * speed**2
 
 
-def test_shorter_steps_come_closer_to_the_balance_and_the_default_step_fails() -> None:
+def test_steps_of_a_millisecond_follow_the_balance_and_the_default_step_fails() -> None:
     expected = driven_by(SPEC, SPEC.protrusion, collision_energy(0.6, 1.5))
     errors = []
     for step in (1 / 240, 1 / 1000, 1 / 4000, 1 / 16000):
         driven = next(make_bench(SPEC)).strike(0.6, 1.5, settings=StepSettings(step, 100, 0.0))
         errors.append(abs(driven / expected - 1))
-    assert errors == sorted(errors, reverse=True)
-    assert errors[0] > 0.25
-    assert errors[-1] < 0.03
+    assert errors[0] > 0.02
+    assert max(errors[1:]) < 0.005
 
 
 def test_deep_nail_resists_more(bench: Bench) -> None:
