@@ -73,7 +73,7 @@ class DrawnErrors:
         arm: Standard normal numbers of the arm's kinematics: theta, a, d, alpha of the six joints, (4, 6).
         material: Standard normal numbers of the wood and of the friction in the hand, (2,).
         sizes: Their sizes.
-        known_camera: Whether the camera's error is that of a calibration, and not of these sizes.
+        known_camera: Whether the camera's error is that of the calibration that the job is told, and not drawn here.
     """
 
     camera: Array
@@ -184,7 +184,7 @@ def draw_errors(sizes: CellErrors, seed: int, camera_covariance: Array | None = 
         sizes: Their sizes.
         seed: Seed of the job.
         camera_covariance: Covariance of the camera's pose by its calibration's record, (6, 6) [m, rad], axes of `base`,
-            instead of the sizes; None for these.
+            instead of the sizes; zeros where the calibration has its own error already; None for the sizes.
 
     Returns:
         The errors.
@@ -204,7 +204,7 @@ def draw_errors(sizes: CellErrors, seed: int, camera_covariance: Array | None = 
         arm.normal(size=(4, 6)),
         material.normal(size=2),
         sizes,
-        known_camera=camera_covariance is not None,
+        known_camera=camera_covariance is not None and not np.any(camera_covariance),
     )
 
 

@@ -31,6 +31,10 @@ class Arm(StrEnum):
     """They believe the estimated direction of the face, and its nominal place."""
     ONE_VIEW = "one_view"
     """They look once where the whole system looks from several views."""
+    MASK_CENTROID = "mask_centroid"
+    """They take the mask's centroid for the face's place, and its nominal direction."""
+    ICP = "icp"
+    """They register the tool's own shape, which they are told, to the cloud (iterative closest point)."""
 
     @property
     def options(self) -> tuple[str, ...]:

@@ -106,10 +106,11 @@ class Hammer:
     perfect_perception: Flag = False
     """For tests and ablations only: poses from the simulation's ground truth instead of the camera."""
     ablation: Annotated[
-        Literal["position_only", "normal_only", "one_view"] | None,
-        tyro.conf.arg(metavar="position_only|normal_only|one_view", help_behavior_hint=""),
+        Literal["position_only", "normal_only", "one_view", "mask_centroid", "icp"] | None,
+        tyro.conf.arg(metavar="position_only|normal_only|one_view|mask_centroid|icp", help_behavior_hint=""),
     ] = None
-    """For trials only: believe only the estimated position, or orientation, of the face, or look once only."""
+    """For trials only: believe only the estimated position, or orientation, of the face; look once only; or take the
+    mask's centroid, or a registration of the tool's own shape (ICP), for the face's pose."""
 
     def run(self) -> int:
         if not 0 <= self.seed < 2**31:

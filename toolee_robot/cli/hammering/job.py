@@ -15,6 +15,7 @@ from rich.markup import escape
 from rich.panel import Panel
 
 from toolee_robot.cli.hammering.console import ConsoleObserver
+from toolee_robot.cli.hammering.perceivers import job_perceiver
 from toolee_robot.cli.hammering.sources import Opened, Source
 from toolee_robot.cli.hammering.stops import after_stop
 from toolee_robot.cli.output import json_line
@@ -28,12 +29,10 @@ from toolee_robot.robots import hand_model
 from toolee_robot.runtime.code_version import code_version
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
-from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.sim_backend.ground_truth.verdict import StrikeTruth, Verdict
-from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.common.observer import Observers
 from toolee_robot.tasks.common.outcome import HammerResult, Outcome
-from toolee_robot.tasks.hammering.ablation import Ablation, ablated
+from toolee_robot.tasks.hammering.ablation import Ablation
 from toolee_robot.tasks.hammering.task import HammeringTask
 
 if TYPE_CHECKING:
@@ -165,18 +164,13 @@ class HammerJob:
             RunRecorder(folder / RECORDING, self._metadata(opened)) as recorder,
         ):
             console.print(f"[bold]{escape(opened.words)}[/bold]  [dim]{escape(self._mode())}[/dim]")
-            station, config = opened.station, opened.config
+            station = opened.station
             if page is not None:
                 page.follow(recorder)
             if opened.shape is not None:
                 recorder.attach("tool.glb", "model/gltf-binary", tool_model(opened.shape))
-            keeper = RecordingObserver(recorder, station, config)
-            if perception is None:
-                assert opened.truth is not None, "the command refuses it"
-                perceiver: Perceiver = PerfectPerception(opened.truth)
-            else:
-                perceiver = perception
-            perceiver, config = ablated(self.ablation, perceiver, config, opened.grasp.X_hand_ee)
+            keeper = RecordingObserver(recorder, station, opened.config)
+            perceiver, config = job_perceiver(self.ablation, perception, opened)
             task = HammeringTask(
                 station, perceiver, config, opened.grasp,
                 correction=self.correction,

@@ -1,4 +1,4 @@
-"""Jobs that believe a part of what perception tells, to see what each part is worth."""
+"""Jobs that perceive less than the whole system, or in another way, to see what each part is worth."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from toolee_robot.types import HoldingHand, InHandEstimate, RgbdFrame, ToolEstim
 
 
 class Ablation(StrEnum):
-    """What a job leaves out."""
+    """What a job leaves out, or does instead."""
 
     POSITION_ONLY = "position_only"
     """The estimated orientation: the nominal one is believed."""
@@ -22,6 +22,10 @@ class Ablation(StrEnum):
     """The estimated position: the nominal one is believed."""
     ONE_VIEW = "one_view"
     """All views of a look but the first."""
+    MASK_CENTROID = "mask_centroid"
+    """The pose network: the face is at the mask's centroid, with the nominal orientation."""
+    ICP = "icp"
+    """The pose network: the tool's own shape is registered to the cloud (iterative closest point)."""
 
 
 class PartlyNominal:
@@ -61,15 +65,15 @@ def ablated(
 
     Args:
         ablation: What; None for nothing.
-        perceiver: The whole perception.
+        perceiver: The perception; for `MASK_CENTROID` and `ICP` the one that replaces the whole one.
         config: Configuration of the station.
         X_hand_ee: Pose of the end effector in the hand in the nominal grasp, (4, 4).
 
     Returns:
         Perception and configuration of the job.
     """
-    if ablation is None:
-        return perceiver, config
     if ablation is Ablation.ONE_VIEW:
         return perceiver, replace(config, task=replace(config.task, views=1, views_again=1))
-    return PartlyNominal(perceiver, X_hand_ee, position=ablation is Ablation.POSITION_ONLY), config
+    if ablation in (Ablation.POSITION_ONLY, Ablation.NORMAL_ONLY):
+        return PartlyNominal(perceiver, X_hand_ee, position=ablation is Ablation.POSITION_ONLY), config
+    return perceiver, config

@@ -1,0 +1,58 @@
+"""What a job perceives with: the networks, the simulation's ground truth, or what is compared with them."""
+
+from __future__ import annotations
+
+from toolee_robot.cli.hammering.sources import Opened
+from toolee_robot.config import StationConfig
+from toolee_robot.end_effectors import Category
+from toolee_robot.errors import UserError
+from toolee_robot.frames import Array, inverse, transform_points
+from toolee_robot.perception import ToolPerception
+from toolee_robot.perception.research.classical import ClassicalPoses, centroid_pose, registration
+from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
+from toolee_robot.tasks.common.look import Perceiver
+from toolee_robot.tasks.hammering.ablation import Ablation, ablated
+
+SURFACE = 20_000
+"""Number of points on the tool's surface that a registration uses."""
+
+
+def job_perceiver(
+    ablation: Ablation | None, perception: ToolPerception | None, opened: Opened
+) -> tuple[Perceiver, StationConfig]:
+    """Build the perception of a job.
+
+    Args:
+        ablation: What it leaves out or does instead; None for nothing.
+        perception: The networks; None for the simulation's ground truth.
+        opened: The station.
+
+    Returns:
+        The perception, and the configuration of the job.
+
+    Raises:
+        UserError: `ICP` without the tool's shape, which only a simulation has; code `user.no_tool_shape`.
+    """
+    X_hand_ee = opened.grasp.X_hand_ee
+    perceiver: Perceiver
+    if perception is None:
+        assert opened.truth is not None, "the command refuses it"
+        perceiver = PerfectPerception(opened.truth)
+    elif ablation is Ablation.MASK_CENTROID:
+        perceiver = ClassicalPoses(perception, X_hand_ee, centroid_pose)
+    elif ablation is Ablation.ICP:
+        perceiver = ClassicalPoses(perception, X_hand_ee, registration(_surface(opened)))
+    else:
+        perceiver = perception
+    return ablated(ablation, perceiver, opened.config, X_hand_ee)
+
+
+def _surface(opened: Opened) -> Array:
+    """Points on the tool's surface in the frame of its striking face, (S, 3) [m]."""
+    if opened.shape is None:
+        raise UserError(
+            "--ablation icp needs the tool's shape, which only a simulation knows: leave it out",
+            code="user.no_tool_shape",
+        )
+    points = opened.shape.mesh.sample(SURFACE, seed=0)
+    return transform_points(inverse(opened.shape.ee(Category.HAMMER_HEAD).X_tool_ee), points)
