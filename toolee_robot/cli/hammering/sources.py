@@ -17,7 +17,7 @@ from toolee_robot.sim_backend.ground_truth.verdict import Truth
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.ur_controller.profile import ProfileName
 from toolee_robot.stations.lab import LabStation
-from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
+from toolee_robot.stations.rehearsal import EmulatedLab, job_cell, job_errors
 from toolee_robot.stations.simulated import HandDriver, StandIn, open_station
 from toolee_robot.tasks.hammering.grasp import Grasp, measured_grasp
 from toolee_robot.tools import Tool, ToolShape
@@ -191,6 +191,7 @@ class RehearsalSource:
             "arm": "ur-rtde",
             "controller_profile": self.profile,
             "hand_driver": True,
+            "errors": job_errors(self.config, self.station_file, self.seed).facts,
         }
 
     @contextmanager

@@ -11,6 +11,6 @@ it: see `job`.
 """
 
 from toolee_robot.stations.rehearsal.emulated_lab import Cell, EmulatedLab
-from toolee_robot.stations.rehearsal.job import job_cell
+from toolee_robot.stations.rehearsal.job import job_cell, job_errors
 
-__all__ = ["Cell", "EmulatedLab", "job_cell"]
+__all__ = ["Cell", "EmulatedLab", "job_cell", "job_errors"]

@@ -15,7 +15,7 @@ import numpy as np
 from toolee_robot.calibration.record import read_record
 from toolee_robot.config import StationConfig
 from toolee_robot.frames import Array
-from toolee_robot.sim_backend.cell_errors import NOMINAL, draw_errors
+from toolee_robot.sim_backend.cell_errors import NOMINAL, DrawnErrors, draw_errors
 from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.sim_backend.station import draw_handover
 from toolee_robot.stations.lab import check_purpose
@@ -37,12 +37,29 @@ def job_cell(config: StationConfig, station_file: Path, seed: int) -> Cell:
         ConfigError: The file lacks what a job needs, or its calibration's record cannot be read or was altered.
     """
     check_purpose(config)
-    errors = draw_errors(NOMINAL, seed, camera_covariance(config, station_file))
+    errors = job_errors(config, station_file, seed)
     usual = SimOptions(nail_lean=errors.nail_lean)
     options = replace(usual, friction=usual.friction * errors.friction_share)
     tool, _ = draw_handover(seed, options)
     measured = replace(config, tool=errors.measured(tool, f"{tool.kind.replace('_', ' ')} of the rehearsal"))
     return Cell(errors.made_of(errors.displaced(config)), measured, tool, options, seed)
+
+
+def job_errors(config: StationConfig, station_file: Path, seed: int) -> DrawnErrors:
+    """Draw the errors of what a station file says.
+
+    Args:
+        config: What the station file says; it has a calibration.
+        station_file: The file.
+        seed: Seed of the job.
+
+    Returns:
+        The errors.
+
+    Raises:
+        ConfigError: The calibration's record cannot be read or was altered.
+    """
+    return draw_errors(NOMINAL, seed, camera_covariance(config, station_file))
 
 
 def camera_covariance(config: StationConfig, station_file: Path) -> Array:
