@@ -44,6 +44,23 @@ def without_duplicates(
     return [masks[i] for i in kept], [labels[i] for i in kept], [scores[i] for i in kept], [boxes[i] for i in kept]
 
 
+def scored(instances: Instances, threshold: float) -> Instances:
+    """Leave out end effectors of a low score.
+
+    Args:
+        instances: Instances; of the tools all are kept, because their masks tell about the end effectors'.
+        threshold: Least score.
+
+    Returns:
+        The remaining instances.
+    """
+    masks, labels, scores, boxes = instances
+    kept = [
+        i for i, (label, score) in enumerate(zip(labels, scores, strict=True)) if label == TOOL or score >= threshold
+    ]
+    return [masks[i] for i in kept], [labels[i] for i in kept], [scores[i] for i in kept], [boxes[i] for i in kept]
+
+
 def associate(
     masks: list[NDArray[np.bool_]],
     labels: list[int],

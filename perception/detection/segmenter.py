@@ -12,11 +12,12 @@ import numpy as np
 import torch
 
 from toolee_robot.end_effectors import CATEGORIES, Category
+from toolee_robot.perception.detection.coarse_pass import coarse_size, merge_coarse
 from toolee_robot.perception.detection.config import DetectorConfig, working_size
 from toolee_robot.perception.detection.detector import CLASSES, TOOL, Detector, RawDetections
 from toolee_robot.perception.detection.detector_weights import trained_detector
 from toolee_robot.perception.detection.inputs import RgbdBatch, encode_rgbd
-from toolee_robot.perception.detection.instances import Instances, associate, without_duplicates
+from toolee_robot.perception.detection.instances import Instances, associate, scored, without_duplicates
 from toolee_robot.perception.detection.mask_head import paste_one
 from toolee_robot.perception.detection.refiner.mask_refinement import MaskRefinement
 from toolee_robot.perception.detection.zoom_pass import MIN_PROBABILITY, Crop, crops, cut, merge, placed
@@ -31,6 +32,8 @@ EVERYTHING = 0.02
 class Stages:
     """Stages after the network's first pass, each of which costs time."""
 
+    coarse: bool
+    """A scene seen finer than the tools of the training is seen again at their scale (`coarse_pass`)."""
     zoomed: bool
     """Tools whose end effector is missing or doubtful are detected again, enlarged (`zoom_pass`)."""
     mirrored: bool
@@ -39,9 +42,9 @@ class Stages:
     """The end effectors' masks are refined (`refiner`)."""
 
 
-WHOLE_IMAGE = Stages(zoomed=True, mirrored=True, refined=True)
+WHOLE_IMAGE = Stages(coarse=True, zoomed=True, mirrored=True, refined=True)
 """Stages for an image of which nothing is known."""
-IN_CROP = Stages(zoomed=False, mirrored=False, refined=False)
+IN_CROP = Stages(coarse=False, zoomed=False, mirrored=False, refined=False)
 """Stages for a crop about the hand that holds the tool: none gains there (`toolee evaluate held --ablate`)."""
 
 
@@ -118,7 +121,8 @@ class Segmenter:
 
         Args:
             frame: Colour image with registered depth [m], any size.
-            score_threshold: Least class probability; None: the configured one.
+            score_threshold: Least score of an end effector, and least class probability of anything in a pass; None:
+                the configured one.
             stages: Stages after the first pass.
 
         Returns:
@@ -133,6 +137,11 @@ class Segmenter:
             least = max(threshold, MIN_PROBABILITY)
             second = [placed(self._detect_in(frame, c, least, stages.mirrored), c, image) for c in zoomed]
             found = without_duplicates(*merge(found, second, zoomed, image))
+        coarse = coarse_size(frame, size) if stages.coarse else None
+        if coarse is not None:
+            found = merge_coarse(found, self._detect_at(frame, coarse, threshold, stages.mirrored))
+        # Mirrored passes and mask quality have lowered the scores since the class probability was judged.
+        found = scored(found, threshold)
         return self._refinement(frame, found) if stages.refined and self._refinement is not None else found
 
     def instances_in(

@@ -277,7 +277,7 @@ def ways(perception: ToolPerception, ablate: bool = False) -> dict[str, Way]:
 
         return variant(detect)
 
-    plain = Stages(zoomed=False, mirrored=False, refined=False)
+    plain = Stages(coarse=False, zoomed=False, mirrored=False, refined=False)
     found["whole, one pass"] = variant(lambda frame, _hand: detector.instances(frame, stages=plain))
     for side in (256, 320, 384):
         found[f"crop {side}"] = in_crop(side, plain)
