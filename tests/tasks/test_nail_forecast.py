@@ -50,6 +50,26 @@ def test_in_wood_that_resists_by_friction_the_first_strike_tells_the_whole_cours
     assert measured[:2] == [1, flush + 1]
 
 
+def test_a_first_strike_that_was_measured_too_short_is_not_relied_on() -> None:
+    # Seed 7407 in the simulation: 0.6 mm were measured of 1.8, and a dozen strikes drove the nail past the forecast.
+    forecast, course = NailForecast(LENGTH, FLUSH, 125.0), depths(38.5e-6, 8)
+    rng = np.random.default_rng(0)
+    forecast.measured(START)
+    height = START
+    for number, depth in enumerate(course, start=1):
+        met = ContactVerdict(Meeting.EXPECTED, height - forecast.height + DELAY - rng.uniform(0.0, SPEED / 125.0))
+        height -= depth
+        if forecast.struck(met, SPEED):
+            forecast.measured(height + (0.0012 if number == 1 else 0.0))
+        assert abs(forecast.height - height) < 0.002
+    assert forecast.unmeasured > 1
+
+
+def test_a_nail_that_hardly_moves_is_measured_after_every_strike() -> None:
+    measured, _, _ = drive(NailForecast(LENGTH, FLUSH, RATE), [0.0001] * 5, np.random.default_rng(0))
+    assert measured == [1, 2, 3, 4, 5]
+
+
 def test_a_measured_course_needs_few_measurements() -> None:
     # Seed 7401 in the simulation: the strikes were measured one by one.
     usual = [0.0031, 0.00243, 0.00219, 0.00182, 0.00147, 0.00164, 0.00153, 0.00138, 0.00106, 0.0012, 0.0013, 0, 0]

@@ -2,8 +2,8 @@
 
 A measurement takes longer than a strike. Wood resists a nail in proportion to the depth of its shank (friction; Forest
 Products Laboratory, Wood Handbook, FPL-GTR-282, chapter 8), and every strike of a job brings about the same energy, so
-that the square of the depth grows by the same amount with each: one measured strike tells the course of the others.
-Each strike confirms it: the place of the contact tells where the head was.
+that the square of the depth grows by the same amount with each: measured strikes tell the course of the others, the
+better the deeper they have driven the nail. Each strike confirms it: the place of the contact tells where the head was.
 """
 
 from __future__ import annotations
@@ -14,6 +14,9 @@ from toolee_robot.control.contact import ContactVerdict
 
 LONGEST = 12
 """Largest number of successive strikes without a measurement."""
+ACCURACY, UNCERTAIN = 0.0007, 0.004
+"""Accuracy of the depth between two measurements [m], and what the forecast may be off by for it [m]: a nail that was
+driven by less than the accuracy is measured after every strike."""
 DISAGREEMENT, LATENESS = 0.003, 1.5
 """Deviation of a contact from the forecast above which the nail is measured [m], beyond the arm's travel in so many
 control cycles: a force is felt up to a cycle late, and another one where it is noisy. In the mean of the last k
@@ -42,6 +45,8 @@ class NailForecast:
         self.surprise = ""
         self._length, self._flush, self._rate = length, flush, rate
         self._measured = 0.0
+        self._first = 0.0  # height from which on strikes are counted [m]
+        self._strikes = 0  # strikes between it and the last measurement
         self._growth: float | None = None  # of the squared depth in a strike [m^2]
         self._delays: list[float] = []
         self._offs: list[float] = []  # of the contacts since the last measurement, from the forecast [m]
@@ -58,8 +63,11 @@ class NailForecast:
         progress = 0.0
         if self.unmeasured:
             progress = (self._measured - height) / self.unmeasured
-            growth = (self._depth(height) ** 2 - self._depth(self._measured) ** 2) / self.unmeasured
+            self._strikes += self.unmeasured
+            growth = (self._depth(height) ** 2 - self._depth(self._first) ** 2) / self._strikes
             self._growth = max(growth, 0.0)
+        else:  # a strike that was interrupted may have driven it
+            self._first, self._strikes = height, 0
         if height > self._flush:
             self.finished = 0
         self.height = self._measured = height
@@ -76,7 +84,7 @@ class NailForecast:
 
         Returns:
             Whether the nail must be measured before the next strike: it met the nail elsewhere than forecast, the nail
-            was flush already by forecast, or it was not measured for long.
+            was flush already by forecast, the forecast has become uncertain, or it was not measured for long.
         """
         self.unmeasured += 1
         self.finished = self.finished + 1 if self.height <= self._flush else 0
@@ -92,7 +100,9 @@ class NailForecast:
             return True
         depth = float(np.sqrt(self._depth(self._measured) ** 2 + self.unmeasured * self._growth))
         self.height = max(self._length - depth, 0.0)
-        return bool(self.surprise) or self.finished > 0 or self.unmeasured > LONGEST
+        driven, ahead = self._first - self._measured, self._measured - self.height
+        uncertain = driven < ACCURACY or ahead * ACCURACY > UNCERTAIN * driven
+        return bool(self.surprise) or self.finished > 0 or uncertain or self.unmeasured > LONGEST
 
     def _disagreement(self, lateness: float) -> float:
         """Mean deviation of the last contacts that is beyond what their lateness [m] explains [m]; 0 if none is."""
