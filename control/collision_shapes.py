@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
@@ -145,9 +146,9 @@ def hand_bodies(robot: RobotModel, q_hand: Array) -> list[Body]:
 
 
 def station_bodies(config: StationConfig) -> list[Body]:
-    """Build the boxes of table, stand, block, camera, person and the station's obstacles in `base`."""
+    """Build the boxes of table, stand, block, camera, person, obstacles, and of several nails in `base`."""
     work, scene = config.work, config.scene
-    x, y = work.nail_xy
+    x, y = work.block_center
     block, top = work.block_size, work.wood_height
     return [
         box_body("table", (0.4, 0.0, -0.05), (*scene.table_size, 0.1)),
@@ -156,7 +157,21 @@ def station_bodies(config: StationConfig) -> list[Body]:
         box_body("camera", config.camera.center, scene.camera_size),
         box_body("person", scene.person_center, scene.person_size),
         *(rotated_box_body(o.name, o.X_base_box, o.size) for o in scene.obstacles),
+        *_nail_bodies(config),
     ]
+
+
+def _nail_bodies(config: StationConfig) -> Iterator[Body]:
+    """The nails as they stood before the first strike, where there are several: handle and hand pass beside them.
+
+    The head of the tool may come near each; the least distance of two nails keeps it from the next one.
+    """
+    top = config.work.wood_height
+    for nail in config.work.nails:
+        assert nail.head_diameter is not None
+        assert nail.protrusion is not None
+        size = (nail.head_diameter, nail.head_diameter, nail.protrusion)
+        yield replace(box_body(f"nail {nail.name}", (*nail.xy, top + nail.protrusion / 2), size), group="nail")
 
 
 def box_body(name: str, center: tuple[float, ...], size: tuple[float, ...]) -> Body:

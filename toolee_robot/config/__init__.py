@@ -11,7 +11,7 @@ calibration. Lengths are in metres and angles in radians unless a field states o
 
 from toolee_robot.config.calibration import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig
 from toolee_robot.config.camera_device import CameraDevice
-from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope, WorkConfig
+from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.config.measured import MEASURED, load_lab_station, unmeasured
 from toolee_robot.config.obstacle import Obstacle
@@ -20,9 +20,11 @@ from toolee_robot.config.robot import ArmLimits, HandConfig
 from toolee_robot.config.servo import ServoConfig, servo_lag
 from toolee_robot.config.station import StationConfig, load_station
 from toolee_robot.config.tool import ToolData
+from toolee_robot.config.work import ONLY_NAIL, NailConfig, WorkConfig
 
 __all__ = [
     "MEASURED",
+    "ONLY_NAIL",
     "SIMULATED",
     "SIMULATED_CALIBRATION",
     "ArmLimits",
@@ -30,6 +32,7 @@ __all__ = [
     "CameraConfig",
     "CameraDevice",
     "HandConfig",
+    "NailConfig",
     "Obstacle",
     "PersonConfig",
     "SceneConfig",
