@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import trimesh
 
-from toolee_robot.config import StationConfig, ToolEnvelope
+from toolee_robot.config import StationConfig, ToolEnvelope, WorkConfig
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.frames import Array, frame_from_axes, transform, transform_points
 from toolee_robot.robots import SHAPE_MARGIN, HandModel
@@ -146,7 +146,7 @@ def hand_bodies(robot: RobotModel, q_hand: Array) -> list[Body]:
 
 
 def station_bodies(config: StationConfig) -> list[Body]:
-    """Build the boxes of table, stand, block, camera, person, obstacles, and of several nails in `base`."""
+    """Build the boxes of table, stand, block, camera, person and the station's obstacles in `base`."""
     work, scene = config.work, config.scene
     x, y = work.block_center
     block, top = work.block_size, work.wood_height
@@ -157,21 +157,26 @@ def station_bodies(config: StationConfig) -> list[Body]:
         box_body("camera", config.camera.center, scene.camera_size),
         box_body("person", scene.person_center, scene.person_size),
         *(rotated_box_body(o.name, o.X_base_box, o.size) for o in scene.obstacles),
-        *_nail_bodies(config),
     ]
 
 
-def _nail_bodies(config: StationConfig) -> Iterator[Body]:
-    """The nails as they stood before the first strike, where there are several: handle and hand pass beside them.
+def nail_bodies(work: WorkConfig, names: Collection[str]) -> tuple[Body, ...]:
+    """Build the boxes around nails as they stand before the first strike, in `base`.
 
-    The head of the tool may come near each; the least distance of two nails keeps it from the next one.
+    Args:
+        work: The work.
+        names: Names of the nails.
+
+    Returns:
+        A body each, of the group "nail".
     """
-    top = config.work.wood_height
-    for nail in config.work.nails:
-        assert nail.head_diameter is not None
-        assert nail.protrusion is not None
-        size = (nail.head_diameter, nail.head_diameter, nail.protrusion)
-        yield replace(box_body(f"nail {nail.name}", (*nail.xy, top + nail.protrusion / 2), size), group="nail")
+    found = []
+    for name in names:
+        nail = work.only(name)
+        center = (*nail.nail_xy, nail.wood_height + nail.nail_protrusion / 2)
+        size = (nail.nail_head_diameter, nail.nail_head_diameter, nail.nail_protrusion)
+        found.append(replace(box_body(f"nail {name}", center, size), group="nail"))
+    return tuple(found)
 
 
 def box_body(name: str, center: tuple[float, ...], size: tuple[float, ...]) -> Body:

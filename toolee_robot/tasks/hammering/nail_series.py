@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from toolee_robot.config import WorkConfig
+from toolee_robot.control import CollisionWorld
+from toolee_robot.control.collision_shapes import Body, nail_bodies
 from toolee_robot.errors import PlanningError
+from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import JobEnded, NailResult, Outcome, Strike
 from toolee_robot.tasks.hammering.nail_driving import NailDriving
@@ -16,19 +20,35 @@ OF_THE_NAIL = frozenset(
 holds is lost, unknown, or no longer held as it was, or the last strike was too much for the arm."""
 
 
+class NailMotions(Motions):
+    """The motions of a job among several nails.
+
+    Attributes:
+        in_the_way: The nails that stand and are not struck now.
+    """
+
+    in_the_way: tuple[Body, ...] = ()
+
+    def world(self) -> CollisionWorld:
+        """Collision model of the present state, with the nails that are in the way."""
+        X_hand_ee = self.X_hand_ee if self.held else None
+        return CollisionWorld(self._robot, self._config, self.q_hand, X_hand_ee, self.in_the_way)
+
+
 class NailSeries:
     """The nails in order, and what became of them.
 
     Args:
+        work: The work.
+        motions: Is told which nails are in the way.
         nails: What drives each nail, with its name, in order.
-        heights: Heights of their heads over the wood before the first strike [m].
         observer: Receives the events of the job.
     """
 
     def __init__(
-        self, nails: Sequence[tuple[str, NailDriving]], heights: Sequence[float], observer: TaskObserver
+        self, work: WorkConfig, motions: NailMotions, nails: Sequence[tuple[str, NailDriving]], observer: TaskObserver
     ) -> None:
-        self._nails, self._heights, self._observer = nails, heights, observer
+        self._work, self._motions, self._nails, self._observer = work, motions, nails, observer
         self._ended: list[NailResult] = []
         self._begun = False
         self._unseen = 0
@@ -79,8 +99,9 @@ class NailSeries:
         while len(self._ended) < len(self._nails):
             name, driving = self._nails[len(self._ended)]
             if not self._begun:
-                self._observer.nail_started(name, self._heights[len(self._ended)])
+                self._observer.nail_started(name, self._work.only(name).nail_protrusion)
             self._begun = True
+            self._motions.in_the_way = nail_bodies(self._work, self._standing(name))
             try:
                 outcome, reason = drive(lift)
             except JobEnded as end:
@@ -100,6 +121,11 @@ class NailSeries:
             return Outcome.FLUSH, f"all {len(flush)} nails are flush"
         reasons = "; ".join(f"{nail.name}: {nail.reason}" for nail in others)
         return others[0].outcome or Outcome.STUCK, f"{len(flush)} of {len(self._nails)} nails are flush; {reasons}"
+
+    def _standing(self, struck: str) -> list[str]:
+        """The nails other than the one that is struck that are not known to be flush."""
+        flush = [nail.name for nail in self._ended if nail.outcome is Outcome.FLUSH]
+        return [name for name in self._work.names if name not in (struck, *flush)]
 
     def told(self, reason: str) -> str:
         """Say at which of several nails the job stopped.
