@@ -88,9 +88,7 @@ class SeenBoard:
         return np.asarray(R @ self.covariance[3:, 3:] @ R.T + self.camera.covariance[3:, 3:])
 
 
-def see_board(
-    camera: KnownCamera, board: Board, view: BoardView, image: NDArray[np.uint8] | None = None
-) -> SeenBoard:
+def see_board(camera: KnownCamera, board: Board, view: BoardView, image: NDArray[np.uint8] | None = None) -> SeenBoard:
     """Locate a board by one image.
 
     Args:

@@ -1,6 +1,6 @@
 """Configuration of a station and of the job as frozen dataclasses, optionally loaded from a YAML station file.
 
-    from toolee_robot.config import StationConfig, load_station
+    from toolee_robot.config import StationConfig, load_station, read_station
     config = StationConfig()                 # the simulated station
     config = load_station(Path("lab.yaml"))  # another station in simulation: any subset of the fields
     config = load_lab_station(Path("lab.yaml"))  # a real robot's: nothing that is measured has a default
@@ -18,7 +18,7 @@ from toolee_robot.config.obstacle import Obstacle
 from toolee_robot.config.person import PersonConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
 from toolee_robot.config.servo import ServoConfig, servo_lag
-from toolee_robot.config.station import StationConfig, load_station
+from toolee_robot.config.station import StationConfig, load_station, read_station
 from toolee_robot.config.tool import ToolData
 from toolee_robot.config.work import ONLY_NAIL, NailConfig, WorkConfig
 
@@ -46,6 +46,7 @@ __all__ = [
     "WorkConfig",
     "load_lab_station",
     "load_station",
+    "read_station",
     "servo_lag",
     "unmeasured",
 ]

@@ -46,28 +46,37 @@ TOUCH = 3e-4
 
 
 @dataclass(frozen=True, eq=False)
-class SimulatedNailBoard:
-    """A board on the wood of a simulated station, and what is known of it.
+class PrintOnWood:
+    """A printed board on the wood, and what a person measured of it.
 
     Attributes:
-        true: The station as it is.
-        camera: The camera by its calibration.
         board: The board by the measured scale bars.
         on_wood: How it lies by a person's measurement.
         placed: The board as it is.
         entry: True place of the nail's axis in the plane of the wood, `base`, (3,) [m].
         up: True normal of the wood, (3,).
+    """
+
+    board: Board
+    on_wood: OnWood
+    placed: PlacedBoard
+    entry: Array
+    up: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedNailBoard(PrintOnWood):
+    """A board on the wood of a simulated station, and what is known of it.
+
+    Attributes:
+        true: The station as it is.
+        camera: The camera by its calibration.
         touched: The head by touches.
         seed: Seed of room and noise.
     """
 
     true: StationConfig
     camera: KnownCamera
-    board: Board
-    on_wood: OnWood
-    placed: PlacedBoard
-    entry: Array
-    up: Array
     touched: LocatedNail
     seed: int
 
@@ -95,8 +104,33 @@ def place_board(config: StationConfig, board: Board, height: float, turn: float,
     return PlacedBoard(board, transform(R, entry - R[:, 2] * height - R @ board.mark), on_flange=False)
 
 
-def simulated_nail_board(config: StationConfig, sheet: Sheet, seed: int, tilt: float = WOOD_TILT) -> SimulatedNailBoard:
+def print_on_wood(true: StationConfig, sheet: Sheet, rng: np.random.Generator, tilt: float = WOOD_TILT) -> PrintOnWood:
     """Print a board, lay it on the wood, and put the nail through its cross.
+
+    Args:
+        true: The station as it is.
+        sheet: The sheet that is printed.
+        rng: Source of what is drawn.
+        tilt: Standard deviation of each component of the wood's tilt [rad].
+
+    Returns:
+        The board.
+    """
+    printed = replace(sheet.board, square=sheet.board.square * rng.uniform(*PRINT_SCALE))
+    x, y = (float(length + rng.normal(0.0, RULE)) for length in printed.size)
+    height = float(rng.uniform(*THICKNESS))
+    placed = place_board(true, printed, height, float(rng.uniform(-np.pi, np.pi)), rng.normal(0.0, tilt, 2))
+    # The nail is where the person put it: the board is not quite there.
+    off = placed.X_frame_board[:3, :3] @ np.array([*rng.normal(0.0, PLACING, 2), 0.0])
+    placed = replace(placed, X_frame_board=transform(p=off) @ placed.X_frame_board)
+    board = sheet.board.measured(x, y)
+    on_wood = OnWood((float(board.mark[0]), float(board.mark[1])), height + float(rng.normal(0.0, CALLIPER)), PLACING)
+    entry = np.array([*true.work.nail_xy, true.work.wood_height])
+    return PrintOnWood(board, on_wood, placed, entry, -placed.X_frame_board[:3, 2])
+
+
+def simulated_nail_board(config: StationConfig, sheet: Sheet, seed: int, tilt: float = WOOD_TILT) -> SimulatedNailBoard:
+    """Print a board and lay it on the wood of a station with a calibrated camera.
 
     Args:
         config: The station; its camera stands where `position` and `target` say.
@@ -109,23 +143,14 @@ def simulated_nail_board(config: StationConfig, sheet: Sheet, seed: int, tilt: f
     """
     rng = np.random.default_rng([seed, 32])
     config = replace(config, camera=config.camera.uncalibrated)
-    true = replace(
-        config, work=config.work.moved(*rng.uniform(-MOVED, MOVED, 2), float(rng.uniform(-RAISED, RAISED)))
-    )
-    printed = replace(sheet.board, square=sheet.board.square * rng.uniform(*PRINT_SCALE))
-    x, y = (float(length + rng.normal(0.0, RULE)) for length in printed.size)
-    height = float(rng.uniform(*THICKNESS))
-    placed = place_board(true, printed, height, float(rng.uniform(-np.pi, np.pi)), rng.normal(0.0, tilt, 2))
-    up = -placed.X_frame_board[:3, 2]
-    # The nail is where the person put it: the board is not quite there.
-    off = placed.X_frame_board[:3, :3] @ np.array([*rng.normal(0.0, PLACING, 2), 0.0])
-    placed = replace(placed, X_frame_board=transform(p=off) @ placed.X_frame_board)
-    board = sheet.board.measured(x, y)
-    on_wood = OnWood((float(board.mark[0]), float(board.mark[1])), height + float(rng.normal(0.0, CALLIPER)), PLACING)
-    entry = np.array([*true.work.nail_xy, true.work.wood_height])
-    head = entry + true.work.nail_protrusion * np.array([0.0, 0.0, 1.0])
+    dx, dy = rng.uniform(-MOVED, MOVED, 2).tolist()
+    true = replace(config, work=config.work.moved(dx, dy, float(rng.uniform(-RAISED, RAISED))))
+    laid = print_on_wood(true, sheet, rng, tilt)
+    head = laid.entry + true.work.nail_protrusion * np.array([0.0, 0.0, 1.0])
     touched = LocatedNail(head + rng.normal(0.0, TOUCH, 3), 0.0, np.eye(3) * TOUCH**2)
-    return SimulatedNailBoard(true, _calibrated(config, sheet, rng), board, on_wood, placed, entry, up, touched, seed)
+    return SimulatedNailBoard(
+        laid.board, laid.on_wood, laid.placed, laid.entry, laid.up, true, _calibrated(config, sheet, rng), touched, seed
+    )
 
 
 def _calibrated(config: StationConfig, sheet: Sheet, rng: np.random.Generator) -> KnownCamera:
