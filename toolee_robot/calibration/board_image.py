@@ -140,4 +140,4 @@ def _pattern(board: Board) -> Array:
     """The board's drawing, 0 black to 1 white, `_CELLS` pixels a square."""
     size = (board.columns * MODULES, board.rows * MODULES)
     drawn = np.asarray(board.charuco.generateImage(size, marginSize=0)) / 255.0
-    return np.kron(drawn, np.ones((_CELLS // MODULES, _CELLS // MODULES)))
+    return np.asarray(np.kron(drawn, np.ones((_CELLS // MODULES, _CELLS // MODULES))), np.float64)
