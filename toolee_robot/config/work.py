@@ -109,7 +109,7 @@ class WorkConfig:
                 f"{whose}pilot_hole_diameter {nail.pilot_hole_diameter} leaves nail_diameter {nail.diameter} no hold"
             )
         off = np.abs(np.subtract(nail.xy, self.block_center))
-        if np.any(off + nail.diameter / 2 > np.array(self.block_size[:2]) / 2):
+        if np.any(off > np.array(self.block_size[:2]) / 2):
             x, y = self.block_center
             raise ValueError(
                 f"{whose}it is not in the wood: ({nail.xy[0]}, {nail.xy[1]}) lies outside of the block, which is "
