@@ -56,6 +56,9 @@ class Print:
         Args:
             board: The board with its measured square.
             thickness: Height of the printed side over the wood [m].
+
+        Returns:
+            The same, with where the nail goes through it.
         """
         x, y = (float(board.mark[0]), float(board.mark[1])) if self.at is None else self.at
         return OnWood((x, y), thickness, self.placing)
