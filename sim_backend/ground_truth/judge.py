@@ -242,8 +242,12 @@ class Judge:
         return Verdict(
             nails=tuple(
                 NailTruth(
-                    name, nail.outcome.value, nail.protrusion * 1e3, float(np.rad2deg(nail.bend_angle)),
-                    float(np.rad2deg(nail.lean_angle)), nail.largest_shift * 1e3,
+                    name,
+                    nail.outcome.value,
+                    nail.protrusion * 1e3,
+                    float(np.rad2deg(nail.bend_angle)),
+                    float(np.rad2deg(nail.lean_angle)),
+                    nail.largest_shift * 1e3,
                 )
                 for name, nail in self._world.nails.items()
             ),
