@@ -35,10 +35,13 @@ ROUNDING = 1e-6
 
 # Links in chain order; neighbours touch by construction and are not checked.
 _LINKS = ("base", "shoulder", "upper arm", "forearm", "wrist 1", "wrist 2", "wrist 3")
-RUN_UP_EXEMPT = frozenset({("tool head", "block")})
-"""Pairs of groups that may touch up to the contact: only the tool's head may come near the block."""
+RUN_UP_EXEMPT = frozenset({("tool head", "block"), ("tool head", "nail")})
+"""Pairs of groups that may touch up to the contact: only the tool's head may come near the block, and near
+nails beside the one that is struck: `StationConfig` keeps them apart by its radius."""
+BESIDE_NAILS = frozenset((part, "nail") for part in ("tool head", "tool claw", "tool handle"))
+"""Pairs of groups of which a strike only needs to keep the least clearance."""
 BRAKE_EXEMPT = frozenset(
-    (part, body) for part in ("tool head", "tool claw", "tool handle") for body in ("block", "stand")
+    (part, body) for part in ("tool head", "tool claw", "tool handle") for body in ("block", "stand", "nail")
 )
 """Pairs of groups that may touch while braking: after a missed nail the block stops the tool."""
 

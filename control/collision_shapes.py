@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import trimesh
 
-from toolee_robot.config import StationConfig, ToolEnvelope
+from toolee_robot.config import StationConfig, ToolEnvelope, WorkConfig
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.frames import Array, frame_from_axes, transform, transform_points
 from toolee_robot.robots import SHAPE_MARGIN, HandModel
@@ -147,7 +148,7 @@ def hand_bodies(robot: RobotModel, q_hand: Array) -> list[Body]:
 def station_bodies(config: StationConfig) -> list[Body]:
     """Build the boxes of table, stand, block, camera, person and the station's obstacles in `base`."""
     work, scene = config.work, config.scene
-    x, y = work.nail_xy
+    x, y = work.block_center
     block, top = work.block_size, work.wood_height
     return [
         box_body("table", (0.4, 0.0, -0.05), (*scene.table_size, 0.1)),
@@ -157,6 +158,25 @@ def station_bodies(config: StationConfig) -> list[Body]:
         box_body("person", scene.person_center, scene.person_size),
         *(rotated_box_body(o.name, o.X_base_box, o.size) for o in scene.obstacles),
     ]
+
+
+def nail_bodies(work: WorkConfig, names: Collection[str]) -> tuple[Body, ...]:
+    """Build the boxes around nails as they stand before the first strike, in `base`.
+
+    Args:
+        work: The work.
+        names: Names of the nails.
+
+    Returns:
+        A body each, of the group "nail".
+    """
+    found = []
+    for name in names:
+        nail = work.only(name)
+        center = (*nail.nail_xy, nail.wood_height + nail.nail_protrusion / 2)
+        size = (nail.nail_head_diameter, nail.nail_head_diameter, nail.nail_protrusion)
+        found.append(replace(box_body(f"nail {name}", center, size), group="nail"))
+    return tuple(found)
 
 
 def box_body(name: str, center: tuple[float, ...], size: tuple[float, ...]) -> Body:

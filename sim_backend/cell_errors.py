@@ -98,9 +98,7 @@ class DrawnErrors:
         X = transform(
             Rotation.from_rotvec(self.camera[3:]) * Rotation.from_matrix(X[:3, :3]), X[:3, 3] + self.camera[:3]
         )
-        x, y = np.asarray(config.work.nail_xy) + self.nail[:2]
-        height = max(1e-3, config.work.stand_height + float(self.nail[2]))
-        work = replace(config.work, nail_xy=(float(x), float(y)), stand_height=height)
+        work = config.work.moved(*_three(self.nail))
         arm = replace(config.arm, calibration=self._miscalibrated(config.arm.calibration))
         return replace(config, camera=replace(config.camera, pose=rows(X)), work=work, arm=arm)
 

@@ -66,7 +66,8 @@ class SimWorld:
         client: Id of pybullet's physics client; -1 once closed.
         robot: Arm and hand.
         furniture: The static bodies.
-        nail: The nail.
+        nails: The nails by name.
+        nail: The one that the tool is nearest to; the only one where there is one.
         tool: The tool's body.
         grip: The assisted grip, if there is one.
         wrench: Reads the arm's wrench, (6,) [N, Nm]; set by the force sensor.
@@ -95,10 +96,14 @@ class SimWorld:
         q_arm = np.array(config.scene.home if options.q_start is None else options.q_start)
         self.robot = RobotBody(self.client, robot, q_arm, robot.hand_open)
         self.furniture = Furniture.build(self.client, config)
-        self.nail = Nail(
-            self.client, config.work.X_base_nail(), NailSpec.from_config(config.work), self.furniture.block,
-            config.task.flush_protrusion, options.nail_lean,
-        )  # fmt: skip
+        self.nails = {
+            name: Nail(
+                self.client, work.X_base_nail(), NailSpec.from_config(work), self.furniture.block,
+                config.task.flush_protrusion, options.nail_lean,
+            )
+            for name, work in config.work.each()
+        }  # fmt: skip
+        self.nail = self.nails[config.work.names[0]]
         self.tool = ToolBody(self.client, tool, X_base_tool)
         self.grip: AssistedGrip | None = None
         pb.setCollisionFilterPair(self.robot.body, self.furniture.table, -1, -1, 0, physicsClientId=self.client)
@@ -159,7 +164,9 @@ class SimWorld:
             self._settings = settings
         dt = settings.time_step
         self.robot.before_step(dt)
-        self.nail.before_step(dt, struck=settings is IMPACT and self._quanta < self._window_end)
+        for nail in self.nails.values():
+            struck = nail is self.nail and settings is IMPACT and self._quanta < self._window_end
+            nail.before_step(dt, struck=struck)
         if self.grip is not None:
             self.grip.before_step(dt)
         for callback in self.before_step:
@@ -179,12 +186,14 @@ class SimWorld:
 
         A tool that is lowered onto the nail, or turns on it, needs no short steps.
         """
-        face = self.X_base_ee()[:3, 3] - self.nail.X_world_surface[:3, 3]
-        if face @ face > NEAR_NAIL**2:
+        p_face = self.X_base_ee()[:3, 3]
+        if len(self.nails) > 1:
+            self.nail = min(self.nails.values(), key=lambda nail: _squared(p_face - nail.X_world_surface[:3, 3]))
+        if _squared(p_face - self.nail.X_world_surface[:3, 3]) > NEAR_NAIL**2:
             return False
         v, w = pb.getBaseVelocity(self.tool.body, physicsClientId=self.client)
         p = pb.getBasePositionAndOrientation(self.tool.body, physicsClientId=self.client)[0]
-        velocity = np.array(v) + cross(w, self.X_base_ee()[:3, 3] - np.array(p))
+        velocity = np.array(v) + cross(w, p_face - np.array(p))
         if -velocity[2] > STRIKE_SPEED and self.nail.impact_near(self.tool.body):
             self._window_end = self._quanta + WINDOW_QUANTA
         return self._quanta < self._window_end
@@ -206,6 +215,10 @@ class SimWorld:
         if self.client >= 0:
             pb.disconnect(physicsClientId=self.client)
             self.client = -1
+
+
+def _squared(v: Array) -> float:
+    return float(v @ v)
 
 
 def _is_hammer(tool: Tool) -> bool:

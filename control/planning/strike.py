@@ -14,7 +14,7 @@ import numpy as np
 
 from toolee_robot.arm_data import ARM_DATA
 from toolee_robot.config import StationConfig
-from toolee_robot.control.collision import BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Clearance, CollisionWorld
+from toolee_robot.control.collision import BESIDE_NAILS, BRAKE_EXEMPT, FAR, RUN_UP_EXEMPT, Clearance, CollisionWorld
 from toolee_robot.control.compliance import yield_length
 from toolee_robot.control.correction import Candidates, candidates, flange_targets, rank
 from toolee_robot.control.dynamics.arm_dynamics import ArmDynamics
@@ -241,9 +241,11 @@ def _solve_lines(
         clearance = min(before, after, key=lambda c: c.distance)
         nearest = nearest or clearance
         if clearance.distance >= config.strike.clearance:
-            clear.append(
-                replace(candidate, value=candidate.value + 0.4 * clearance.distance / FAR, clearance=clearance)
-            )
+            wide = clearance.distance
+            if clearance.pair[1].startswith("nail "):  # passing beside a nail is as good as where there is none
+                beside = world.closest(q[candidate.index][s <= 0], FAR, RUN_UP_EXEMPT | BESIDE_NAILS)
+                wide = min(beside.distance, after.distance)
+            clear.append(replace(candidate, value=candidate.value + 0.4 * wide / FAR, clearance=clearance))
         if len(clear) == 4:
             break
     if not clear:

@@ -8,7 +8,7 @@ handle, a cheek or the hand may drive a nail, too, but that is no hit.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from toolee_robot.errors import TooleeError
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.sim_backend.ground_truth.verdict import (
+    NailTruth,
     PoseError,
     StrikeTruth,
     StruckBy,
@@ -53,7 +54,11 @@ class TruthSource(Protocol):
 
     @property
     def nail(self) -> Nail:
-        """The nail."""
+        """The nail that the tool is nearest to."""
+
+    @property
+    def nails(self) -> Mapping[str, Nail]:
+        """The nails by name."""
 
     @property
     def tool_body(self) -> int:
@@ -180,7 +185,7 @@ class Judge:
 
     @property
     def protrusion_mm(self) -> float:
-        """Current protrusion of the nail [mm]."""
+        """Current protrusion of the nail that the tool is nearest to [mm]."""
         return self._world.nail.protrusion * 1e3
 
     def X_hand_ee(self, stamp: float) -> Array:
@@ -234,13 +239,18 @@ class Judge:
         candidates = [e for e in candidates if e[1].usable] or candidates
         error = self.estimate_error(*candidates[-1]) if candidates else None
         strikes = self._strikes
-        nail = self._world.nail
         return Verdict(
-            nail_outcome=nail.outcome.value,
-            protrusion_mm=nail.protrusion * 1e3,
-            nail_bend_deg=float(np.rad2deg(nail.bend_angle)),
-            nail_lean_deg=float(np.rad2deg(nail.lean_angle)),
-            nail_shift_mm=nail.largest_shift * 1e3,
+            nails=tuple(
+                NailTruth(
+                    name,
+                    nail.outcome.value,
+                    nail.protrusion * 1e3,
+                    float(np.rad2deg(nail.bend_angle)),
+                    float(np.rad2deg(nail.lean_angle)),
+                    nail.largest_shift * 1e3,
+                )
+                for name, nail in self._world.nails.items()
+            ),
             pose_error_mm=error.position_mm if error else None,
             pose_error_deg=error.angle_deg if error else None,
             strike_offset_mm=float(np.median([b.offset_mm for b in strikes])) if strikes else None,

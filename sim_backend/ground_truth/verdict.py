@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
@@ -122,17 +122,34 @@ class StrikeTruth:
 
 
 @dataclass(frozen=True)
+class NailTruth:
+    """How a nail stands.
+
+    Attributes:
+        name: Its name.
+        outcome: Value of `NailOutcome`.
+        protrusion_mm: Its protrusion [mm].
+        bend_deg: Its bend against its hole [deg].
+        lean_deg: Its lean against the normal of the wood's surface [deg].
+        shift_mm: Largest distance of its head from the axis of its hole so far [mm].
+    """
+
+    name: str
+    outcome: str
+    protrusion_mm: float
+    bend_deg: float
+    lean_deg: float
+    shift_mm: float
+
+
+@dataclass(frozen=True)
 class Verdict:
     """Figures of a run; None where they do not apply.
 
     The pose error is that of the last usable estimate before the first strike, or of the last one if none is usable.
 
     Attributes:
-        nail_outcome: Value of `NailOutcome`.
-        protrusion_mm: Protrusion of the nail [mm].
-        nail_bend_deg: Bend of the nail against its hole [deg].
-        nail_lean_deg: Lean of the nail against the normal of the wood's surface [deg].
-        nail_shift_mm: Largest distance of the nail's head from the axis of its hole so far [mm].
+        nails: How each nail stands.
         pose_error_mm: Position error of the in-hand estimate [mm].
         pose_error_deg: Rotation error of the in-hand estimate [deg].
         strike_offset_mm: Median offset of the strikes [mm].
@@ -143,11 +160,7 @@ class Verdict:
         misses: Number of strikes in which nothing did.
     """
 
-    nail_outcome: str
-    protrusion_mm: float
-    nail_bend_deg: float
-    nail_lean_deg: float
-    nail_shift_mm: float
+    nails: tuple[NailTruth, ...]
     pose_error_mm: float | None
     pose_error_deg: float | None
     strike_offset_mm: float | None
@@ -156,6 +169,23 @@ class Verdict:
     hits: int
     off_face_strikes: int
     misses: int
+
+    def worst(self, names: Collection[str] = ()) -> NailTruth:
+        """The nail that stands worst: of those that are not flush, else of all, the highest.
+
+        Args:
+            names: Names of the nails that count; empty for all.
+
+        Returns:
+            How it stands.
+        """
+        nails = [nail for nail in self.nails if not names or nail.name in names]
+        return max(nails, key=lambda nail: (nail.outcome != "flush", nail.protrusion_mm))
+
+    @property
+    def nail_outcome(self) -> str:
+        """Value of `NailOutcome` of the nail that stands worst; of the only one where there is one."""
+        return self.worst().outcome
 
 
 class Truth(Protocol):

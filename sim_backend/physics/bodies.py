@@ -104,7 +104,7 @@ class Furniture:
             The bodies.
         """
         work = config.work
-        x, y = work.nail_xy
+        x, y = work.block_center
         sx, sy = config.scene.table_size
         table = fixed_box(client, (sx, sy, TABLE_THICKNESS), np.array([0, 0, -TABLE_THICKNESS / 2]), (0.6, 0.58, 0.55))
         stand = fixed_box(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from toolee_robot.frames import Array
 from toolee_robot.hal import Clock
 from toolee_robot.sim_backend.physics.nail import Nail
@@ -33,8 +35,13 @@ class HostTimedTruth:
 
     @property
     def nail(self) -> Nail:
-        """The nail."""
+        """The nail that the tool is nearest to."""
         return self._world.nail
+
+    @property
+    def nails(self) -> Mapping[str, Nail]:
+        """The nails by name."""
+        return self._world.nails
 
     @property
     def tool_body(self) -> int:

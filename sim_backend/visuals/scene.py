@@ -27,6 +27,8 @@ Color = tuple[float, float, float]
 SHIRT_COLORS: tuple[Color, ...] = ((0.2, 0.3, 0.5), (0.5, 0.2, 0.2), (0.25, 0.4, 0.3), (0.35, 0.35, 0.38))
 
 
+_HEAD, _SHANK = "nail head ", "nail shank "
+"""Names of a nail's visual bodies, before its own."""
 STAND_COLOR: Color = (0.30, 0.32, 0.36)
 PINE_COLOR: Color = (0.80, 0.66, 0.46)
 
@@ -49,14 +51,14 @@ class SceneState:
     Attributes:
         links: Pose of each robot link, by its name.
         X_base_tool: Pose of the tool.
-        X_base_nail: Pose of the nail's head.
+        Xs_base_nail: Pose of each nail's head, by the nail's name.
         person_center: Middle of the person's body, (3,) [m].
         person_arm: Shoulder and hand, (3,) each [m], while the person holds the tool, else None.
     """
 
     links: Mapping[str, Array]
     X_base_tool: Array
-    X_base_nail: Array
+    Xs_base_nail: Mapping[str, Array]
     person_center: Array
     person_arm: tuple[Array, Array] | None
 
@@ -84,7 +86,45 @@ def scene_state(world: SimWorld, person: VisiblePerson) -> SceneState:
         The poses of everything visible.
     """
     links = {name: world.robot.link_pose(index) for name, index in world.robot.link_index.items()}
-    return SceneState(links, world.X_base_tool(), world.nail.head_pose(), person.center.copy(), person.visible_arm)
+    heads = {name: nail.head_pose() for name, nail in world.nails.items()}
+    return SceneState(links, world.X_base_tool(), heads, person.center.copy(), person.visible_arm)
+
+
+def nail_of(body: str) -> str:
+    """The nail of which a visual body of `BodyId.NAIL` is a part.
+
+    Args:
+        body: Name of the body.
+
+    Returns:
+        Name of the nail.
+    """
+    return body.removeprefix(_HEAD).removeprefix(_SHANK)
+
+
+class NailVisuals:
+    """Head and shank of a nail as meshes.
+
+    Args:
+        name: Its name.
+        spec: Its sizes.
+    """
+
+    def __init__(self, name: str, spec: NailSpec) -> None:
+        self._name, self._spec = name, spec
+        self._head = cylinder(spec.head_diameter / 2, spec.head_thickness)
+        self._shank = cylinder(spec.diameter / 2, spec.length)
+
+    def bodies(self, X: Array) -> list[VisualBody]:
+        """The nail with its head's top at X, (4, 4) in `base`; see `nail_of`."""
+        spec = self._spec
+        head = X @ transform(p=[0.0, 0.0, spec.head_thickness / 2])
+        shank = X @ transform(p=[0.0, 0.0, spec.head_thickness + spec.length / 2])
+        grey: Color = (0.62, 0.62, 0.66)
+        return [
+            VisualBody(f"{part}{self._name}", mesh, at, "steel_bright", grey, 0.35, 1.0, body_id=BodyId.NAIL)
+            for part, mesh, at in ((_HEAD, self._head, head), (_SHANK, self._shank, shank))
+        ]
 
 
 class SceneVisuals:
@@ -122,8 +162,7 @@ class SceneVisuals:
             for i, part in enumerate(tool.parts)
         ]
         work = config.work
-        nail = self._nail_spec = NailSpec.from_config(work)
-        x, y = work.nail_xy
+        x, y = work.block_center
         height = work.stand_height
         self._static = [
             _static("stand", box((*work.stand_size, height)), (x, y, height / 2), "steel_painted", STAND_COLOR),
@@ -133,8 +172,7 @@ class SceneVisuals:
             VisualBody(o.name, box(o.size), o.X_base_box, "steel_painted", OBSTACLE_COLOR, 0.6, body_id=BodyId.WORK)
             for o in config.scene.obstacles
         ]
-        self._nail_head = cylinder(nail.head_diameter / 2, nail.head_thickness)
-        self._nail_shank = cylinder(nail.diameter / 2, nail.length)
+        self._nails = {name: NailVisuals(name, NailSpec.from_config(of_one)) for name, of_one in work.each()}
         self._head = sphere(0.11)
         self._torso = box(config.scene.person_size)
         self._fist = sphere(0.045)
@@ -158,17 +196,9 @@ class SceneVisuals:
             )  # fmt: skip
         for board in self._boards:
             bodies.extend(board.bodies(state.links[FLANGE_FRAME]))
-        return [*bodies, *self._nail(state.X_base_nail), *self._visible_person(state)]
-
-    def _nail(self, X: Array) -> list[VisualBody]:
-        spec = self._nail_spec
-        head = X @ transform(p=[0.0, 0.0, spec.head_thickness / 2])
-        shank = X @ transform(p=[0.0, 0.0, spec.head_thickness + spec.length / 2])
-        grey: Color = (0.62, 0.62, 0.66)
-        return [
-            VisualBody("nail_head", self._nail_head, head, "steel_bright", grey, 0.35, 1.0, body_id=BodyId.NAIL),
-            VisualBody("nail_shank", self._nail_shank, shank, "steel_bright", grey, 0.35, 1.0, body_id=BodyId.NAIL),
-        ]
+        for name, X in state.Xs_base_nail.items():
+            bodies.extend(self._nails[name].bodies(X))
+        return [*bodies, *self._visible_person(state)]
 
     def _visible_person(self, state: SceneState) -> list[VisualBody]:
         center = state.person_center

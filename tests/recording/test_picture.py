@@ -51,7 +51,7 @@ def test_the_camera_image_is_there_and_the_mask_is_tinted() -> None:
 
 def test_the_nail_takes_a_panel_of_its_own() -> None:
     two = _pixels(draw(_frame(), [_estimate()]))
-    three = _pixels(draw(_frame(), [_estimate()], NailCurve((20.0, 12.0, 5.0, 0.8), 1.0)))
+    three = _pixels(draw(_frame(), [_estimate()], [NailCurve((20.0, 12.0, 5.0, 0.8), 1.0)]))
     assert three.shape[1] == pytest.approx(1.5 * two.shape[1], abs=2)
     wood = (0xD9, 0xB4, 0x8A)
     assert _share(two, wood) < 1e-4
@@ -60,7 +60,7 @@ def test_the_nail_takes_a_panel_of_its_own() -> None:
 
 @pytest.mark.parametrize("protrusion", [(), (20.0,), (20.0, 20.0), (20.0, None, None, -0.3)])
 def test_any_number_of_strikes_can_be_drawn(protrusion: tuple[float | None, ...]) -> None:
-    assert _pixels(draw(_frame(), [], NailCurve(protrusion, 1.0))).size
+    assert _pixels(draw(_frame(), [], [NailCurve(protrusion, 1.0)])).size
 
 
 def test_a_box_over_the_edge_a_tiny_cloud_and_several_tools_can_be_drawn() -> None:
@@ -73,4 +73,4 @@ def test_a_box_over_the_edge_a_tiny_cloud_and_several_tools_can_be_drawn() -> No
 def test_a_detection_without_a_pose_says_why_instead() -> None:
     detection = _estimate().detection
     nothing = ToolEstimate(detection, np.full((4, 4), np.nan), np.full((6, 6), np.nan), 0.0, False, "only 12 points")
-    assert _pixels(draw(_frame(), [nothing], NailCurve((20.0,), 1.0))).size
+    assert _pixels(draw(_frame(), [nothing], [NailCurve((20.0,), 1.0)])).size

@@ -68,6 +68,17 @@ class Board:
         return np.array([width / 2, height / 2, 0.0])
 
     @property
+    def mark(self) -> Array:
+        """The small white cross in the black square nearest to the middle, in the board's frame, (3,) [m].
+
+        A nail goes through it where the board lies on the wood.
+        """
+        black = [(c, r) for c in range(self.columns) for r in range(self.rows) if (c + r) % 2 == 0]
+        middle = (self.columns - 1) / 2, (self.rows - 1) / 2
+        c, r = min(black, key=lambda at: (math.hypot(at[0] - middle[0], at[1] - middle[1]), at))
+        return np.array([(c + 0.5) * self.square, (r + 0.5) * self.square, 0.0])
+
+    @property
     def corners(self) -> Array:
         """Chessboard corners in the board's frame, (M, 3) [m], by number."""
         return np.asarray(self.charuco.getChessboardCorners(), np.float64)

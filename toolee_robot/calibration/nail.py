@@ -1,4 +1,4 @@
-"""The place of the nail's head, from touches with a known tip."""
+"""The place of a nail: by touches of its head with a known tip, and by the camera, which sees a board on the wood."""
 
 from __future__ import annotations
 
@@ -6,35 +6,92 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
 
+from toolee_robot.calibration.board import Board
+from toolee_robot.calibration.board_sight import KnownCamera, see_board
+from toolee_robot.calibration.observation import find_board
 from toolee_robot.errors import UserError
-from toolee_robot.frames import Array, transform_points
+from toolee_robot.frames import Array, angle_between, transform_points
 
 MIN_TOUCHES = 3
 """Fewest touches."""
 LARGEST_SPREAD = 2e-3
 """Distance of a touch from the median of all above which it was on something else [m]."""
+LARGEST_TILT = float(np.deg2rad(5.0))
+"""Tilt of the wood off the horizontal beyond which a board does not lie on it: a job's nails stand upright [rad]."""
+LARGEST_SCALING = 0.03
+"""Deviation of the board's distance in the depth image from that by its size beyond which its size is wrong."""
+FEWEST_DEPTHS = 30
+"""Fewest pixels of the board with a depth for that comparison."""
+AGREES = 0.999
+"""Probability with which touches and sight of the same nail agree."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LocatedNail:
     """A nail's head.
 
     Attributes:
         head: Middle of its top in `base`, (3,) [m].
         spread: Largest distance of a touch from it [m].
+        covariance: Covariance of `head`, (3, 3) [m^2].
     """
 
-    head: tuple[float, float, float]
+    head: Array
     spread: float
+    covariance: Array
 
 
-def locate_nail(Xs_base_flange: Sequence[Array], p_flange_tip: Array) -> LocatedNail:
+@dataclass(frozen=True)
+class OnWood:
+    """How a board lies on the wood, with the standard deviations of a person's measurement.
+
+    Attributes:
+        p_board_nail: Place of the nail's axis in the board's frame, x and y [m].
+        thickness: Height of the printed plane over the wood [m].
+        placing_error: Standard deviation of the nail's place on the board about each axis [m].
+        thickness_error: Standard deviation of the height [m].
+    """
+
+    p_board_nail: tuple[float, float]
+    thickness: float
+    placing_error: float = 5e-4
+    thickness_error: float = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class SeenNail:
+    """Where a nail enters the wood, by the camera.
+
+    Attributes:
+        entry: The nail's axis in the plane of the wood, in `base`, (3,) [m].
+        covariance: Its covariance by calibration, image, and how the board lies, (3, 3) [m^2].
+        up: The wood's normal, away from it, (3,), `base`.
+        tilt: Its angle to the vertical [rad].
+        tilt_sigma: Standard deviation of each of the two components of the tilt [rad].
+        corners: Number of the board's corners that were seen.
+        reprojection: Root mean square reprojection error of these [px].
+    """
+
+    entry: Array
+    covariance: Array
+    up: Array
+    tilt: float
+    tilt_sigma: float
+    corners: int
+    reprojection: float
+
+
+def locate_nail(Xs_base_flange: Sequence[Array], p_flange_tip: Array, touch_error: float = 5e-4) -> LocatedNail:
     """Locate the head: the median of the touches.
 
     Args:
         Xs_base_flange: Poses of the flange with the tip on the head's middle, (4, 4) each.
         p_flange_tip: The tip in the flange, (3,) [m].
+        touch_error: Standard deviation of the mean of the touches about each axis [m]: tip, kinematics and eye, which
+            are off by much the same each time.
 
     Returns:
         The nail.
@@ -45,12 +102,119 @@ def locate_nail(Xs_base_flange: Sequence[Array], p_flange_tip: Array) -> Located
     if len(Xs_base_flange) < MIN_TOUCHES:
         raise UserError(f"{len(Xs_base_flange)} touches: give {MIN_TOUCHES} or more", code="user.nail_few_touches")
     p = transform_points(np.asarray(Xs_base_flange), p_flange_tip[None])[:, 0]
-    x, y, z = np.median(p, axis=0).tolist()
-    off = np.linalg.norm(p - [x, y, z], axis=1)
+    head = np.median(p, axis=0)
+    off = np.linalg.norm(p - head, axis=1)
     if off.max() > LARGEST_SPREAD:
         raise UserError(
             f"touch {int(np.argmax(off)) + 1} is {off.max() * 1e3:.1f} mm from the others: touch the middle of the "
             "head again, and check the tip with `toolee calibrate mount`",
             code="user.nail_spread",
         )
-    return LocatedNail((x, y, z), float(off.max()))
+    covariance = np.diag(touch_error**2 + p.var(axis=0, ddof=1) / len(p))
+    return LocatedNail(head, float(off.max()), covariance)
+
+
+def see_nail(
+    camera: KnownCamera,
+    board: Board,
+    on_wood: OnWood,
+    rgb: NDArray[np.uint8],
+    depth: NDArray[np.float32] | None = None,
+) -> SeenNail:
+    """Locate the nail by an image of a board on the wood.
+
+    Args:
+        camera: The calibrated camera.
+        board: The board with its measured square.
+        on_wood: How it lies.
+        rgb: The image, (H, W, 3) uint8, or grey.
+        depth: The depth image, registered to it, (H, W) [m], 0 or NaN where unknown; None where there is none: a wrong
+            size of the board is then not noticed.
+
+    Returns:
+        The nail.
+
+    Raises:
+        UserError: The board is not seen (`user.board_not_seen`), or so that its tilt is ambiguous
+            (`user.board_ambiguous`); it has another size (`user.board_size`), or lies on no upright block's top
+            (`user.wood_tilted`).
+    """
+    view = find_board(rgb, board)
+    if view is None:
+        raise UserError(
+            "no board is seen in the image: is it the sheet that was named, whole, flat, well lit, and near enough?",
+            code="user.board_not_seen",
+        )
+    seen = see_board(camera, board, view, rgb)
+    if depth is not None:
+        _check_size(seen.X_camera_board, board, camera, depth)
+    X = seen.X_base_board
+    up = -X[:3, 2]
+    tilt = angle_between(up, np.array([0.0, 0.0, 1.0]))
+    if tilt > LARGEST_TILT:
+        raise UserError(
+            f"the board is tilted by {np.rad2deg(tilt):.1f}°, {np.rad2deg(LARGEST_TILT):.0f} are allowed: lay it flat "
+            "on the wood, make the wood level, or calibrate the camera again (`toolee calibrate check`)",
+            code="user.wood_tilted",
+        )
+    p_board = np.array([*on_wood.p_board_nail, on_wood.thickness])
+    entry, covariance = seen.point(p_board)
+    by_person = np.diag([on_wood.placing_error, on_wood.placing_error, on_wood.thickness_error]) ** 2
+    covariance = covariance + X[:3, :3] @ by_person @ X[:3, :3].T
+    tilt_sigma = float(np.sqrt(np.trace(seen.rotation()[:2, :2]) / 2))
+    return SeenNail(entry, covariance, up, tilt, tilt_sigma, len(view.ids), seen.reprojection)
+
+
+def _check_size(X_camera_board: Array, board: Board, camera: KnownCamera, depth: NDArray[np.float32]) -> None:
+    """Compare the distance of the board by its size with that in the depth image."""
+    k = camera.intrinsics
+    width, height = board.size
+    x, y = np.meshgrid(np.linspace(0.02, 0.98, 40) * width, np.linspace(0.02, 0.98, 40) * height)
+    points = transform_points(X_camera_board, np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
+    u = np.rint(k.fx * points[:, 0] / points[:, 2] + k.cx).astype(int)
+    v = np.rint(k.fy * points[:, 1] / points[:, 2] + k.cy).astype(int)
+    inside = (u >= 0) & (u < k.width) & (v >= 0) & (v < k.height)
+    measured = depth[v[inside], u[inside]]
+    known = np.isfinite(measured) & (measured > 0.0)
+    if np.count_nonzero(known) < FEWEST_DEPTHS:
+        return
+    ratio = float(np.median(measured[known] / points[inside, 2][known]))
+    if abs(ratio - 1.0) > LARGEST_SCALING:
+        raise UserError(
+            f"by its size the board is {points[:, 2].mean():.3f} m away, by the depth image {ratio:.3f} times as far: "
+            f"its squares seem to be {ratio * board.square * 1e3:.1f} mm and not {board.square * 1e3:.1f}: check "
+            "--sheet, and measure both scale bars again",
+            code="user.board_size",
+        )
+
+
+def combine(seen: SeenNail, touched: LocatedNail, protrusion: float, protrusion_error: float = 5e-4) -> SeenNail:
+    """Combine sight and touches of a nail, weighted by their covariances.
+
+    Args:
+        seen: The nail by the camera.
+        touched: Its head by touches.
+        protrusion: Height of the head over the wood [m].
+        protrusion_error: Standard deviation of it [m].
+
+    Returns:
+        The nail.
+
+    Raises:
+        UserError: The two disagree by more than their covariances explain (`user.nail_disagrees`).
+    """
+    entry = touched.head - protrusion * seen.up
+    covariance = touched.covariance + protrusion_error**2 * np.outer(seen.up, seen.up)
+    off, both = entry - seen.entry, covariance + seen.covariance
+    if off @ np.linalg.solve(both, off) > chi2.ppf(AGREES, 3):
+        raise UserError(
+            f"camera and touches disagree by ({off[0] * 1e3:+.1f}, {off[1] * 1e3:+.1f}, {off[2] * 1e3:+.1f}) mm, more "
+            "than their errors explain: check the tip (`toolee calibrate mount`), the place of the nail on the board, "
+            "its height over the wood, and the camera's calibration (`toolee calibrate check`)",
+            code="user.nail_disagrees",
+        )
+    gain = seen.covariance @ np.linalg.inv(both)
+    return SeenNail(
+        seen.entry + gain @ off, seen.covariance - gain @ seen.covariance, seen.up, seen.tilt, seen.tilt_sigma,
+        seen.corners, seen.reprojection,
+    )  # fmt: skip

@@ -13,6 +13,7 @@ from toolee_robot.calibration.board import Sheet
 from toolee_robot.runtime.files import write_atomic
 
 _INCH = 0.0254  # [m]
+_CROSS = 0.004  # [m] half length of the lines of the cross through which a nail goes
 _EDGE = 0.012  # [m] of the sheet that printers leave white
 
 
@@ -36,6 +37,9 @@ def board_pdf(sheet: Sheet) -> bytes:
     axes.set_ylim(0.0, sheet.height)
     for x, y, w, h in board.rectangles:
         axes.add_patch(Rectangle((x0 + x, y0 + height - y - h), w, h, facecolor="black", linewidth=0))
+    x, y = x0 + board.mark[0], y0 + height - board.mark[1]
+    for ends in (((x - _CROSS, x + _CROSS), (y, y)), ((x, x), (y - _CROSS, y + _CROSS))):
+        axes.plot(*ends, color="white", linewidth=0.5, solid_capstyle="butt")
     low, left = y0 - 0.55 * _EDGE, x0 - 0.55 * _EDGE
     axes.plot([x0, x0 + width], [low, low], color="black", linewidth=0.5, solid_capstyle="butt")
     axes.plot([left, left], [y0, y0 + height], color="black", linewidth=0.5, solid_capstyle="butt")

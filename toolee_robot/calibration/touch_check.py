@@ -8,15 +8,12 @@ import numpy as np
 from scipy.stats import chi2
 
 from toolee_robot.calibration.board import Board
-from toolee_robot.calibration.hand_eye.refinement import confidence_factor, point_covariance
-from toolee_robot.calibration.hand_eye.reprojection import Estimate, Views
-from toolee_robot.calibration.observation import BoardView, Observation, camera_board
+from toolee_robot.calibration.board_sight import KnownCamera, see_board
+from toolee_robot.calibration.hand_eye.refinement import confidence_factor
+from toolee_robot.calibration.observation import BoardView
 from toolee_robot.calibration.record import CalibrationRecord, TouchCheck
 from toolee_robot.errors import UserError
-from toolee_robot.frames import HALF_TURN, Array, transform_points
-
-AMBIGUOUS = 1.5
-"""Ratio of the reprojection errors of a board's two possible poses below which its place is not believed."""
+from toolee_robot.frames import HALF_TURN, Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,23 +48,8 @@ def see_corner(record: CalibrationRecord, board: Board, view: BoardView, corner:
         raise UserError(
             f"corner {corner}: the board has the corners 0 to {len(board.corners) - 1}", code="user.board_corner"
         )
-    X_camera_board, ratio = camera_board(view, board, record.intrinsics)
-    if ratio < AMBIGUOUS:
-        raise UserError(
-            "two tilts of the board explain the image almost equally: lay it nearer to the camera, or turn it so that "
-            "the camera sees it more from the side",
-            code="user.board_ambiguous",
-        )
-    p_camera = transform_points(X_camera_board, board.corners[corner][None])[0]
-    # The board's pose in the image as an arm's would be: by_flange is its derivative, with the camera as the base.
-    views = Views([Observation("", X_camera_board, view)], board, record.intrinsics)
-    G = views.project(Estimate(np.eye(4), np.eye(4))).by_flange[0]
-    pose = record.pixel_noise**2 * np.linalg.inv(G.T @ G)
-    x, y, z = p_camera - X_camera_board[:3, 3]
-    J = np.hstack([np.eye(3), np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])])
-    R = record.pose[:3, :3]
-    covariance = R @ J @ pose @ J.T @ R.T + point_covariance(np.array(record.covariance), record.pose, p_camera)
-    return SeenCorner(transform_points(record.pose, p_camera[None])[0], covariance)
+    seen = see_board(KnownCamera.of_record(record), board, view)
+    return SeenCorner(*seen.point(board.corners[corner]))
 
 
 def touch_check(

@@ -20,6 +20,7 @@ from rich.markup import escape
 from toolee_robot.cli.arm.command import Arm
 from toolee_robot.cli.bench.calibration import BenchCalibration
 from toolee_robot.cli.bench.command import Bench
+from toolee_robot.cli.bench.nail import BenchNail
 from toolee_robot.cli.bench.servo import BenchServo
 from toolee_robot.cli.bench.swing import BenchSwing
 from toolee_robot.cli.calibrate.command import Calibrate
@@ -48,6 +49,7 @@ Command = (
     | Annotated[Arm, tyro.conf.subcommand("arm")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[BenchCalibration, tyro.conf.subcommand("bench-calibration")]
+    | Annotated[BenchNail, tyro.conf.subcommand("bench-nail")]
     | Annotated[BenchServo, tyro.conf.subcommand("bench-servo")]
     | Annotated[BenchSwing, tyro.conf.subcommand("bench-swing")]
     | Annotated[Camera, tyro.conf.subcommand("camera")]
@@ -72,6 +74,7 @@ AnyCommand = (
     | Arm
     | Bench
     | BenchCalibration
+    | BenchNail
     | BenchServo
     | BenchSwing
     | Camera

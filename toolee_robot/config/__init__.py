@@ -1,6 +1,6 @@
 """Configuration of a station and of the job as frozen dataclasses, optionally loaded from a YAML station file.
 
-    from toolee_robot.config import StationConfig, load_station
+    from toolee_robot.config import StationConfig, load_station, read_station
     config = StationConfig()                 # the simulated station
     config = load_station(Path("lab.yaml"))  # another station in simulation: any subset of the fields
     config = load_lab_station(Path("lab.yaml"))  # a real robot's: nothing that is measured has a default
@@ -11,18 +11,20 @@ calibration. Lengths are in metres and angles in radians unless a field states o
 
 from toolee_robot.config.calibration import SIMULATED, SIMULATED_CALIBRATION, CalibrationConfig
 from toolee_robot.config.camera_device import CameraDevice
-from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope, WorkConfig
+from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.config.measured import MEASURED, load_lab_station, unmeasured
 from toolee_robot.config.obstacle import Obstacle
 from toolee_robot.config.person import PersonConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
 from toolee_robot.config.servo import ServoConfig, servo_lag
-from toolee_robot.config.station import StationConfig, load_station
+from toolee_robot.config.station import StationConfig, load_station, read_station
 from toolee_robot.config.tool import ToolData
+from toolee_robot.config.work import ONLY_NAIL, NailConfig, WorkConfig
 
 __all__ = [
     "MEASURED",
+    "ONLY_NAIL",
     "SIMULATED",
     "SIMULATED_CALIBRATION",
     "ArmLimits",
@@ -30,6 +32,7 @@ __all__ = [
     "CameraConfig",
     "CameraDevice",
     "HandConfig",
+    "NailConfig",
     "Obstacle",
     "PersonConfig",
     "SceneConfig",
@@ -43,6 +46,7 @@ __all__ = [
     "WorkConfig",
     "load_lab_station",
     "load_station",
+    "read_station",
     "servo_lag",
     "unmeasured",
 ]

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from toolee_robot.calibration.record import Rows
 from toolee_robot.config.camera_device import CameraDevice
 from toolee_robot.config.obstacle import Obstacle
-from toolee_robot.config.values import STRICT, Count, NotNegative, Positive
-from toolee_robot.frames import Array, frame_from_axes, transform
+from toolee_robot.config.values import STRICT, Count, Positive
+from toolee_robot.frames import Array, frame_from_axes
 from toolee_robot.types import CameraIntrinsics
 
 BODY_NAMES = ("table", "stand", "block", "camera", "person")
@@ -75,62 +73,6 @@ class CameraConfig:
     def uncalibrated(self) -> CameraConfig:
         """The camera without its calibration: where a person has measured it, and where a simulated one stands."""
         return replace(self, pose=None)
-
-
-@dataclass(frozen=True)
-class WorkConfig:
-    """The wooden block on its stand, and the nail, which stands upright: the z axis of `nail` points down.
-
-    Heights are relative to the base plane, which is the top of the table. With the default values 3.7 J drive the nail;
-    a held claw hammer of 0.9 kg at 1.5 m/s, which hits far from its centre of mass, delivers about 0.45 J per strike.
-    """
-
-    __pydantic_config__ = STRICT
-    nail_xy: tuple[float, float] = (0.75, 0.10)
-    """Position of the nail's axis in `base`, x and y [m]."""
-    stand_height: Positive = 0.20
-    """Height of the stand under the block [m]."""
-    stand_size: tuple[Positive, Positive] = (0.07, 0.07)
-    """Size of the stand, x and y [m]."""
-    block_size: tuple[Positive, Positive, Positive] = (0.08, 0.08, 0.06)
-    """Size of the block, x, y and z [m]."""
-    nail_diameter: Positive = 0.0022
-    """Diameter of the nail's shank [m]."""
-    nail_length: Positive = 0.030
-    """Length of the nail's shank [m]."""
-    nail_head_diameter: Positive = 0.006
-    """Diameter of the nail's head [m]."""
-    nail_protrusion: Positive = 0.020
-    """Height of the top of the nail's head over the wood before the first strike [m]."""
-    wood_specific_gravity: Annotated[float, Field(gt=0, lt=1.5)] = 0.35
-    """Specific gravity of the wood: white pine 0.35, Scots pine 0.42, oak 0.68."""
-    pilot_hole_diameter: NotNegative = 0.0015
-    """Diameter of the predrilled hole; 0 for none [m]."""
-
-    def __post_init__(self) -> None:
-        if self.nail_protrusion > self.nail_length:
-            raise ValueError(f"nail_protrusion {self.nail_protrusion} is more than nail_length {self.nail_length}")
-        if self.pilot_hole_diameter >= self.nail_diameter:
-            raise ValueError(
-                f"pilot_hole_diameter {self.pilot_hole_diameter} leaves nail_diameter {self.nail_diameter} no hold"
-            )
-
-    @property
-    def wood_height(self) -> float:
-        """Height of the top of the block over the base plane [m]."""
-        return self.stand_height + self.block_size[2]
-
-    def X_base_nail(self, protrusion: float | None = None) -> Array:
-        """Pose of the nail in `base`.
-
-        Args:
-            protrusion: Height of the top of the nail's head over the wood [m]; None for `nail_protrusion`.
-
-        Returns:
-            X_base_nail, (4, 4); the origin is the centre of the head's top, z points into the wood.
-        """
-        z = self.wood_height + (self.nail_protrusion if protrusion is None else protrusion)
-        return transform(np.diag([1.0, -1.0, -1.0]), [*self.nail_xy, z])
 
 
 @dataclass(frozen=True)

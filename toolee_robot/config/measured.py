@@ -10,6 +10,7 @@ from typing import Any
 from toolee_robot.config.field_docs import field_docs
 from toolee_robot.config.station import StationConfig, read_station, to_station
 from toolee_robot.config.units import wrong_unit
+from toolee_robot.config.work import SIZES
 from toolee_robot.errors import ConfigError
 from toolee_robot.types import MOUNT
 
@@ -88,6 +89,7 @@ def load_lab_station(path: Path) -> StationConfig:
 def _check_units(config: StationConfig, path: Path) -> None:
     """Refuse sizes that are in another unit, such as a camera at 950 m."""
     records = [(name, getattr(config, name)) for name in (*MEASURED, "tool") if getattr(config, name) is not None]
+    records += [(f"work.nails {nail.name}", nail) for nail in config.work.nails]
     records += [(f"scene.obstacles {obstacle.name}", obstacle) for obstacle in config.scene.obstacles]
     wrong = [
         f"{section}.{name}: {text}"
@@ -104,6 +106,11 @@ def _missing(data: Any) -> list[str]:
     missing = [f"{section}.{name}" for section, name in wanted if _field(data, section, name) is None]
     if _field(data, "hand", "model") == MOUNT and "hand.weighed" in missing:
         missing.remove("hand.weighed")  # a mount's data say what it weighs
+    nails = _field(data, "work", "nails") or ()
+    of_each = {"nail_xy": "xy", "pilot_hole_diameter": "pilot_hole_diameter"} | {f"nail_{n}": n for n in SIZES}
+    for name, field in of_each.items():
+        if nails and all(isinstance(nail, dict) and nail.get(field) is not None for nail in nails):
+            missing = [other for other in missing if other != f"work.{name}"]
     return missing
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 from toolee_robot.config.calibration import SIMULATED_CALIBRATION, CalibrationConfig
 from toolee_robot.config.calibration_record import check_record, take_record
-from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope, WorkConfig
+from toolee_robot.config.cell import CameraConfig, SceneConfig, ToolEnvelope
 from toolee_robot.config.job import StrikeConfig, SupervisorConfig, TaskConfig
 from toolee_robot.config.person import PersonConfig
 from toolee_robot.config.robot import ArmLimits, HandConfig
@@ -16,6 +18,7 @@ from toolee_robot.config.servo import ServoConfig
 from toolee_robot.config.station_frame import take_frame, to_base
 from toolee_robot.config.tool import ToolData
 from toolee_robot.config.values import STRICT
+from toolee_robot.config.work import WorkConfig
 from toolee_robot.runtime.yaml_files import read_yaml, to_record
 
 
@@ -29,7 +32,7 @@ class StationConfig:
     camera: CameraConfig = field(default_factory=CameraConfig)
     """Pose and intrinsics of the fixed camera."""
     work: WorkConfig = field(default_factory=WorkConfig)
-    """The block, its stand and the nail."""
+    """The block, its stand and the nails."""
     scene: SceneConfig = field(default_factory=SceneConfig)
     """Obstacles, home posture, handover pose and workspace."""
     arm: ArmLimits = field(default_factory=ArmLimits)
@@ -58,6 +61,20 @@ class StationConfig:
                 f"strike.speed {self.strike.speed} is more than supervisor.unattended_speed "
                 f"{self.supervisor.unattended_speed}: every strike would be refused"
             )
+        self._check_spacing()
+
+    def _check_spacing(self) -> None:
+        """Refuse nails so near to each other that the hammer's head meets the next one."""
+        for a, b in combinations(self.work.all_nails, 2):
+            assert a.head_diameter is not None
+            assert b.head_diameter is not None
+            distance = math.dist(a.xy, b.xy)
+            least = self.tool_envelope.head_radius + max(a.head_diameter, b.head_diameter) / 2
+            if distance < least:
+                raise ValueError(
+                    f"the nails {a.name} and {b.name} are {distance * 1e3:.1f} mm apart: {least * 1e3:.1f} mm or more "
+                    "are needed (tool_envelope.head_radius and half a nail's head), or the hammer meets both"
+                )
 
 
 def read_station(path: Path) -> Any:
@@ -108,7 +125,7 @@ def to_station(data: Any, path: Path) -> StationConfig:
     what = "station"
     if not isinstance(data, dict):
         return to_record(data, path, StationConfig, what)
-    data, record = take_record(dict(data), path)
+    data, record = take_record(_first_nail(dict(data)), path)
     frame = take_frame(data)
     config = to_record(data, path, StationConfig, what)
     if (converted := to_base(data, frame)) is not data:
@@ -117,3 +134,15 @@ def to_station(data: Any, path: Path) -> StationConfig:
         return config
     check_record(record, config.camera.intrinsics, config.arm.calibration, path)
     return replace(config, camera=replace(config.camera, pose=record.X_base_camera))
+
+
+def _first_nail(data: dict[str, Any]) -> dict[str, Any]:
+    """Name the place of the first of several nails, which a file with a list of them leaves out."""
+    work = data.get("work")
+    if not isinstance(work, dict) or "nail_xy" in work:
+        return data
+    nails = work.get("nails")
+    first = nails[0] if isinstance(nails, list) and nails else None
+    if not isinstance(first, dict) or "xy" not in first:
+        return data
+    return data | {"work": {"nail_xy": first["xy"], **work}}

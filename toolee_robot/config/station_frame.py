@@ -17,6 +17,7 @@ POINTS = (
     ("camera", "position"),
     ("camera", "target"),
     ("work", "nail_xy"),
+    ("work", "block_xy"),
     ("scene", "person_center"),
     ("scene", "handover_position"),
     ("scene", "handover_facing"),
@@ -26,6 +27,8 @@ BOX = ("scene", "workspace_lower", "workspace_upper")
 """Section and fields of the box that is axis-aligned in `base`."""
 OBSTACLES = ("scene", "obstacles")
 """Section and field of the list of boxes, each with a centre and a rotation."""
+NAILS = ("work", "nails")
+"""Section and field of the list of nails, each with a place."""
 
 
 def take_frame(data: dict[str, Any]) -> BaseFrame:
@@ -79,7 +82,7 @@ def to_base(data: dict[str, Any], frame: BaseFrame) -> dict[str, Any]:
         return data
     data = copy.deepcopy(data)
     for section, name in POINTS:
-        if name in (data.get(section) or {}):
+        if (data.get(section) or {}).get(name) is not None:
             data[section][name] = _turned(data[section][name])
     section, lower, upper = BOX
     if (box := data.get(section) or {}).keys() >= {lower, upper}:
@@ -92,6 +95,9 @@ def to_base(data: dict[str, Any], frame: BaseFrame) -> dict[str, Any]:
             obstacle.get("rotation", (0.0, 0.0, 0.0))
         )
         obstacle["rotation"] = turned.as_rotvec().tolist()
+    section, name = NAILS
+    for nail in (data.get(section) or {}).get(name) or ():
+        nail["xy"] = _turned(nail["xy"])
     return data
 
 
@@ -102,6 +108,6 @@ def _turned(point: Any) -> list[float]:
 
 def _positions(data: dict[str, Any]) -> Iterator[str]:
     section, *corners = BOX
-    for part, name in (*POINTS, OBSTACLES, *((section, corner) for corner in corners)):
+    for part, name in (*POINTS, OBSTACLES, NAILS, *((section, corner) for corner in corners)):
         if isinstance(fields := data.get(part), dict) and name in fields:
             yield f"{part}.{name}"

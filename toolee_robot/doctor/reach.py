@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,7 +29,10 @@ def check_reach(config: StationConfig) -> Iterator[Finding]:
     grips = [model.hand.grasp.X_hand_tool(t.handle.grip_radius) @ _face(t) for t in tools]
     swung = [Payload(t.mass, t.center_of_mass).seen_from(inverse(_face(t))) for t in tools]
     yield _views(robot, config, home, model.hand_closed, grips[0])
-    yield _strikes(robot, config, home, model.hand_closed, list(zip(grips, swung, strict=True)))
+    for name, work in config.work.each():
+        what = "strike" if len(work.names) == 1 else f"strike at {name}"
+        one = replace(config, work=work)
+        yield _strikes(what, robot, one, home, model.hand_closed, list(zip(grips, swung, strict=True)))
 
 
 def _seed(kind: ToolKind) -> int:
@@ -58,9 +62,9 @@ def _views(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array,
 
 
 def _strikes(
-    robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, grips: list[tuple[Array, Payload]]
+    name: str, robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, grips: list[tuple[Array, Payload]]
 ) -> Finding:
-    name, X_base_nail, wanted = "strike", config.work.X_base_nail(), config.strike.speed
+    X_base_nail, wanted = config.work.X_base_nail(), config.strike.speed
     speeds: list[float] = []
     failures: list[Finding] = []
     for X_hand_ee, tool in grips:
@@ -68,7 +72,9 @@ def _strikes(
         try:
             plan = plan_strike(robot, config, world, home, q_hand, X_hand_ee, X_base_nail, tool=tool)
         except PlanningError as error:
-            failures.append(Finding.of_error(name, error, "move the nail (work.nail_xy), or raise the stand"))
+            failures.append(
+                Finding.of_error(name, error, "move the nail (work.nail_xy or work.nails), or raise the stand")
+            )
         else:
             speeds.append(plan.speed)
     if not speeds:

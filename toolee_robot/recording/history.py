@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from toolee_robot.config import StationConfig
+from toolee_robot.config import ONLY_NAIL, StationConfig
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array
 from toolee_robot.recording.messages import matrix
@@ -139,7 +139,9 @@ class RunHistory:
     decisions: Series[SeenDecision] = field(default_factory=Series)
     """All decisions."""
     protrusions: Series[float] = field(default_factory=Series)
-    """Height of the nail over the wood, as measured after each strike [m]."""
+    """Height of the nail over the wood, of the one begun last: at its beginning, and as measured after strikes [m]."""
+    nails: dict[str, Series[float]] = field(default_factory=dict)
+    """The same of each nail, by its name; from when it was begun [m]."""
     logs: Series[str] = field(default_factory=Series)
     """Messages for a person."""
     lock: threading.Lock = field(default_factory=threading.Lock)
@@ -225,8 +227,10 @@ def _estimate(series: Callable[[RunHistory], Series[SeenEstimate]]) -> Callable[
 def _decision(history: RunHistory, stamp: float, message: Any) -> None:
     data = json.loads(message.data)
     history.decisions.add(stamp, SeenDecision(stamp, message.name, message.reason, data))
-    if message.name == "strike" and data.get("protrusion") is not None:
-        history.protrusions.add(stamp, float(data["protrusion"]))
+    if message.name in ("nail", "strike") and data.get("protrusion") is not None:
+        height = float(data["protrusion"])
+        history.protrusions.add(stamp, height)
+        history.nails.setdefault(data.get("nail", ONLY_NAIL), Series()).add(stamp, height)
 
 
 def _wrench(history: RunHistory, stamp: float, m: Any) -> None:

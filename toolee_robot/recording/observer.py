@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from toolee_robot.config import StationConfig
+from toolee_robot.config import ONLY_NAIL, StationConfig
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import DeviceError
@@ -21,7 +21,7 @@ from toolee_robot.recording.picture import NailCurve, draw
 from toolee_robot.recording.recorder import RunRecorder
 from toolee_robot.robots import ARM_JOINTS
 from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.tasks.common.outcome import HammerResult, Stage, Strike
+from toolee_robot.tasks.common.outcome import HammerResult, NailResult, Stage, Strike
 from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
 
 
@@ -38,7 +38,10 @@ class RecordingObserver(TaskObserver):
         self._recorder, self._station, self._clock = recorder, station, station.clock
         recorder.attach("station.json", "application/json", json.dumps(plain(asdict(config))).encode())
         recorder.record_pose(self._clock.now(), "base", "camera", config.camera.X_base_camera)
-        recorder.record_pose(self._clock.now(), "base", "nail", config.work.X_base_nail())
+        self._nail = ONLY_NAIL
+        for name, work in config.work.each():
+            frame = name if len(config.work.names) == 1 else f"nail {name}"
+            recorder.record_pose(self._clock.now(), "base", frame, work.X_base_nail())
 
     def stage_started(self, stage: Stage) -> None:
         self._recorder.record_decision(self._clock.now(), "stage", f"{stage} begins", {"stage": stage})
@@ -94,8 +97,19 @@ class RecordingObserver(TaskObserver):
     def contact(self, stamp: float, force: float, X_base_ee: Array) -> None:
         self._recorder.record_contact(stamp, force, X_base_ee)
 
+    def nail_started(self, name: str, protrusion: float) -> None:
+        self._nail = name
+        data = {"nail": name, "protrusion": protrusion}
+        reason = f"nail {name}, {protrusion * 1e3:.1f} mm over the wood"
+        self._recorder.record_decision(self._clock.now(), "nail", reason, data)
+
+    def nail_ended(self, result: NailResult) -> None:
+        data = {"nail": result.name, "outcome": str(result.outcome), "strikes": len(result.strikes)}
+        reason = f"nail {result.name}: {str(result.outcome).replace('_', ' ')}, {result.reason}"
+        self._recorder.record_decision(self._clock.now(), "nail_ended", reason, data)
+
     def strike(self, strike: Strike) -> None:
-        data: dict[str, Any] = {"number": strike.number, "protrusion": strike.protrusion}
+        data: dict[str, Any] = {"nail": self._nail, "number": strike.number, "protrusion": strike.protrusion}
         data |= {"speed": strike.speed, "peak_force": strike.peak_force, "meeting": str(strike.meeting)}
         data |= asdict(strike.load)
         left = "not measured after it" if strike.protrusion is None else f"{strike.protrusion * 1e3:.1f} mm left"
@@ -104,7 +118,8 @@ class RecordingObserver(TaskObserver):
 
     def ended(self, result: HammerResult) -> None:
         self._status()
-        data = {"outcome": str(result.outcome), "reason": result.reason, "strikes": len(result.strikes)}
+        data: dict[str, Any] = {"outcome": str(result.outcome), "reason": result.reason}
+        data |= {"strikes": len(result.strikes), "nails": {n.name: n.outcome and str(n.outcome) for n in result.nails}}
         reason = f"{str(result.outcome).replace('_', ' ')}: {result.reason}"
         self._recorder.record_decision(self._clock.now(), "ended", reason, data)
 
@@ -115,30 +130,30 @@ class RecordingObserver(TaskObserver):
 
 
 class PictureCollector(TaskObserver):
-    """Collects the contents of the picture: the best frame of the first look, and the nail after every strike.
+    """Collects the contents of the picture: the best frame of the first look, and each nail after every strike.
 
     Args:
-        protrusion: Protrusion of the nail before the first strike [m].
         flush: Largest protrusion that counts as flush [m].
-
-    Attributes:
-        strikes: The strikes so far.
     """
 
-    def __init__(self, protrusion: float, flush: float) -> None:
+    def __init__(self, flush: float) -> None:
         self._best: tuple[RgbdFrame, list[ToolEstimate]] | None = None
         self._rank = (False, -1.0)
-        self.strikes: list[Strike] = []
-        self._protrusion_mm = protrusion * 1e3
+        self._nails: list[tuple[str, list[float | None]]] = []
+        self._struck = False
         self._flush_mm = flush * 1e3
 
     def frame(self, frame: RgbdFrame, estimates: list[ToolEstimate], X_camera_hand: Array) -> None:
         rank = max(((e.usable, e.confidence) for e in estimates if e.category is Category.HAMMER_HEAD), default=None)
-        if self._best is None or (not self.strikes and rank is not None and rank > self._rank):
+        if self._best is None or (not self._struck and rank is not None and rank > self._rank):
             self._best, self._rank = (frame, estimates), rank or self._rank
 
+    def nail_started(self, name: str, protrusion: float) -> None:
+        self._nails.append((name, [protrusion * 1e3]))
+
     def strike(self, strike: Strike) -> None:
-        self.strikes.append(strike)
+        self._struck = True
+        self._nails[-1][1].append(None if strike.protrusion is None else strike.protrusion * 1e3)
 
     def picture(self, title: str, note: str) -> bytes | None:
         """Draw the picture.
@@ -152,6 +167,5 @@ class PictureCollector(TaskObserver):
         """
         if self._best is None:
             return None
-        measured = (None if b.protrusion is None else b.protrusion * 1e3 for b in self.strikes)
-        nail = NailCurve((self._protrusion_mm, *measured), self._flush_mm)
-        return draw(*self._best, nail, title=title, note=note, focus=Category.HAMMER_HEAD)
+        nails = [NailCurve(tuple(heights), self._flush_mm, name) for name, heights in self._nails]
+        return draw(*self._best, nails, title=title, note=note, focus=Category.HAMMER_HEAD)

@@ -36,16 +36,18 @@ class NailCurve:
         protrusion_mm: Protrusion over the wood before the first strike and after each strike [mm]; None where it was
             not measured.
         flush_mm: Largest protrusion that counts as flush [mm].
+        name: Name of the nail, which is shown where there are several.
     """
 
     protrusion_mm: tuple[float | None, ...]
     flush_mm: float
+    name: str = ""
 
 
 def draw(
     frame: RgbdFrame,
     estimates: Sequence[ToolEstimate],
-    nail: NailCurve | None = None,
+    nails: Sequence[NailCurve] = (),
     *,
     title: str = "",
     note: str = "",
@@ -58,7 +60,7 @@ def draw(
     Args:
         frame: The frame.
         estimates: Estimates from the frame.
-        nail: Course of the nail's protrusion; None for no such panel.
+        nails: Course of each nail's protrusion, in order; empty for no such panel.
         title: Title of the picture.
         note: Text at its upper right corner.
         focus: Category preferred for the cloud's panel.
@@ -67,7 +69,7 @@ def draw(
         The picture as PNG.
     """
     best = max(estimates, key=lambda e: (e.category == focus, e.usable, e.confidence), default=None)
-    panels = 2 + (nail is not None)
+    panels = 2 + bool(nails)
     with mpl.rc_context({"font.family": "DejaVu Sans", "font.size": 10.5, "text.color": _INK, "axes.labelcolor": _INK}):
         figure = Figure(figsize=(5.6 * panels, 5.9), dpi=110, facecolor="white")
         grid = figure.add_gridspec(1, panels, left=0.012, right=0.985, bottom=0.10, top=0.845, wspace=0.06)
@@ -77,8 +79,8 @@ def draw(
             figure.text(0.988, 0.955, note, fontsize=10.5, color=_MUTED, va="center", ha="right")
         _draw_rgb(figure, grid[0], frame, estimates, best)
         _draw_cloud(figure, grid[1], frame, best)
-        if nail is not None:
-            _draw_nail(figure, grid[2], nail)
+        if nails:
+            _draw_nails(figure, grid[2], nails)
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
@@ -211,32 +213,36 @@ def _draw_cloud(figure: Figure, panel: SubplotSpec, frame: RgbdFrame, best: Tool
     ax.set_axis_off()
 
 
-def _draw_nail(figure: Figure, panel: SubplotSpec, nail: NailCurve) -> None:
-    _heading(figure, panel, "The nail, as the robot measures it")
+def _draw_nails(figure: Figure, panel: SubplotSpec, nails: Sequence[NailCurve]) -> None:
+    several = len(nails) > 1
+    _heading(figure, panel, f"The nail{'s' if several else ''}, as the robot measures {'them' if several else 'it'}")
     ax = figure.add_subplot(panel)
-    known = [(strike, value) for strike, value in enumerate(nail.protrusion_mm) if value is not None]
-    strikes, values = [strike for strike, _ in known], np.array([value for _, value in known])
-    top = max(values.max(initial=1.0), 1.0) * 1.12
+    top = max((value for nail in nails for value in nail.protrusion_mm if value is not None), default=1.0)
+    top = max(top, 1.0) * 1.12
     bottom = -0.14 * top
     ax.axhspan(bottom, 0.0, color="#d9b48a", lw=0)
     ax.text(0.985, bottom / 2, "wood", transform=ax.get_yaxis_transform(), color="#7a5526", ha="right", va="center")
-    ax.axhline(nail.flush_mm, color="#2a9d3f", lw=1.4, ls=(0, (5, 3)))
+    ax.axhline(nails[0].flush_mm, color="#2a9d3f", lw=1.4, ls=(0, (5, 3)))
     ax.text(
-        0.015, bottom / 2, f"- -  flush: {nail.flush_mm:g} mm or less", transform=ax.get_yaxis_transform(),
+        0.015, bottom / 2, f"- -  flush: {nails[0].flush_mm:g} mm or less", transform=ax.get_yaxis_transform(),
         color="#14632a", ha="left", va="center",
     )  # fmt: skip
-    ax.vlines(strikes, 0.0, values, color="#9aa5b1", lw=2.2, zorder=2)
-    ax.plot(strikes, values, color=_AXES[2], lw=1.2, alpha=0.5, zorder=3)
-    ax.scatter(strikes, values, s=44, color=_AXES[2], zorder=4, edgecolors="white", linewidths=1)
-    if len(values):
-        for i in {0, len(values) - 1}:
+    first = 0
+    for nail in nails:
+        known = [(first + strike, value) for strike, value in enumerate(nail.protrusion_mm) if value is not None]
+        strikes, values = [strike for strike, _ in known], [value for _, value in known]
+        ax.vlines(strikes, 0.0, values, color="#9aa5b1", lw=2.2, zorder=2)
+        ax.plot(strikes, values, color=_AXES[2], lw=1.2, alpha=0.5, zorder=3)
+        ax.scatter(strikes, values, s=44, color=_AXES[2], zorder=4, edgecolors="white", linewidths=1)
+        for i in {0, len(values) - 1} if values else set[int]():
             ax.annotate(
-                f"{values[i]:.1f}", (strikes[i], values[i]), xytext=(0, 9), textcoords="offset points",
-                ha="center", fontweight="bold",
+                f"{values[i]:.1f}" + (f"\n{nail.name}" if several and i == 0 else ""), (strikes[i], values[i]),
+                xytext=(0, 9), textcoords="offset points", ha="center", fontweight="bold",
             )  # fmt: skip
+        first += len(nail.protrusion_mm)
     ax.set(
         ylim=(bottom, top),
-        xlim=(-0.6, max(len(nail.protrusion_mm) - 1, 4) + 0.6),
+        xlim=(-0.6, max(first - 1, 4) + 0.6),
         xlabel="strike",
         ylabel="nail over the wood [mm]",
     )

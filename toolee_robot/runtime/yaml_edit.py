@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import yaml
@@ -13,14 +13,17 @@ from toolee_robot.errors import ConfigError
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.yaml_files import read_yaml
 
+Value = float | str | Sequence[float]
+"""What a field may be set to."""
 
-def set_fields(path: Path, section: str, values: Mapping[str, float | str]) -> None:
+
+def set_fields(path: Path, section: str, values: Mapping[str, Value]) -> None:
     """Set fields of a section of a YAML file; the section is added at its end where there is none.
 
     Args:
         path: The file; its top level is a mapping in block style, or empty.
         section: Name of the section, a mapping.
-        values: Numbers or texts of the fields by name; other fields of the section stay.
+        values: Numbers, texts or lists of numbers of the fields by name; other fields of the section stay.
 
     Raises:
         ConfigError: The file cannot be read, or has a layout that cannot be edited safely; nothing was written.
@@ -42,7 +45,7 @@ def set_fields(path: Path, section: str, values: Mapping[str, float | str]) -> N
     write_atomic(path, edited.encode())
 
 
-def _edited(text: str, section: str, values: Mapping[str, float | str]) -> str:
+def _edited(text: str, section: str, values: Mapping[str, Value]) -> str:
     root = yaml.compose(text, yaml.SafeLoader)
     nodes = {} if root is None else {key.value: value for key, value in root.value}
     node = nodes.get(section)
@@ -69,9 +72,11 @@ def _edited(text: str, section: str, values: Mapping[str, float | str]) -> str:
     return text
 
 
-def _text(value: float | str) -> str:
+def _text(value: Value) -> str:
     """A number as YAML 1.1 reads it, which wants a point before an exponent; a text in quotes, as in JSON."""
     if isinstance(value, str):
         return json.dumps(value)
+    if isinstance(value, Sequence):
+        return f"[{', '.join(_text(v) for v in value)}]"
     text = str(int(value)) if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))
     return text if "e" not in text or "." in text else text.replace("e", ".0e")

@@ -78,7 +78,7 @@ class RunScene:
             for name, X in state.links.items():
                 self.picture.move(name, X)
             for name, X in self._nail.items():
-                self.picture.move(name, self.states.X_base_nail_part(X, state.sunk))
+                self.picture.move(name, self.states.X_base_nail_part(name, X, state.sunk))
             _move(self._hand, state.X_base_hand)
             self._show_tool(state)
             if state.frame != self._frame:

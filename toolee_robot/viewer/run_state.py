@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.control import RobotModel
 from toolee_robot.frames import Array, inverse, transform
 from toolee_robot.recording.history import RunHistory, SeenEstimate
+from toolee_robot.sim_backend.visuals.scene import nail_of
 
 GAP = 0.1
 """Time without a sample after which a motion is over [s]."""
@@ -27,8 +29,8 @@ class RunState:
         X_base_tool: Believed pose of the tool, (4, 4); None while the hand does not hold it.
         X_base_ee: Believed pose of its end effector, (4, 4); None likewise.
         in_hand: The fused estimate that was believed; None before the first.
-        sunk: How far the nail has been driven [m].
-        protrusion: Height of its head over the wood [m].
+        sunk: How far each nail has been driven, by its name [m].
+        protrusion: Height over the wood of the head of the nail begun last [m].
         frame: Index of the newest frame; -1 before the first.
         stage: Stage of the job.
     """
@@ -39,7 +41,7 @@ class RunState:
     X_base_tool: Array | None
     X_base_ee: Array | None
     in_hand: SeenEstimate | None
-    sunk: float
+    sunk: Mapping[str, float]
     protrusion: float
     frame: int
     stage: str
@@ -80,11 +82,14 @@ class RunStates:
         X_hand_ee = self._X_hand_ee if in_hand is None or in_hand.X is None else in_hand.X
         X_base_ee = X_base_hand @ X_hand_ee if held else None
         protrusion = h.protrusions.at(stamp)
-        whole = self._config.work.nail_protrusion
-        protrusion = whole if protrusion is None else protrusion
+        protrusion = self._config.work.nail_protrusion if protrusion is None else protrusion
+        sunk = {}
+        for name, work in self._config.work.each():
+            height = h.nails[name].at(stamp) if name in h.nails else None
+            sunk[name] = 0.0 if height is None else work.nail_protrusion - height
         return RunState(
             stamp, links, X_base_hand, None if X_base_ee is None else X_base_ee @ self._X_ee_tool, X_base_ee, in_hand,
-            whole - protrusion, protrusion, h.images.index(stamp), stage,
+            sunk, protrusion, h.images.index(stamp), stage,
         )  # fmt: skip
 
     def q_arm(self, stamp: float) -> Array:
@@ -106,16 +111,17 @@ class RunStates:
         X = self._history.Xs_camera_hand.at(self._history.images.stamps[frame])
         return None if X is None else inverse(X)
 
-    def X_base_nail_part(self, X: Array, sunk: float) -> Array:
-        """Pose of a part of the nail after the nail was driven.
+    def X_base_nail_part(self, body: str, X: Array, sunk: Mapping[str, float]) -> Array:
+        """Pose of a part of a nail after it was driven.
 
         Args:
+            body: Name of the part's visual body.
             X: Its pose before, (4, 4).
-            sunk: How far the nail was driven [m].
+            sunk: How far each nail was driven, by its name [m].
 
         Returns:
             Its pose, (4, 4).
         """
         z = self._config.work.X_base_nail()[:3, 2]
         down = z if z[2] < 0.0 else -z
-        return transform(p=down * sunk) @ X
+        return transform(p=down * sunk[nail_of(body)]) @ X

@@ -41,7 +41,7 @@ def named_frames(config: StationConfig) -> dict[str, Array]:
         "pendant_base": transform(np.diag([-1.0, -1.0, 1.0])),
         "flange at home": robot.arm.fk(np.array(scene.home)),
         "camera": config.camera.X_base_camera,
-        "nail": config.work.X_base_nail(),
+        **{name if len(work.names) == 1 else f"nail {name}": work.X_base_nail() for name, work in config.work.each()},
         "handover, x faces the person": palm,
     }
 

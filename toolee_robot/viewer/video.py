@@ -102,7 +102,12 @@ class _Painter:
         """The picture at a time [s], (HEIGHT, WIDTH, 3)."""
         state = self._states.at(stamp)
         moving = np.concatenate([X.ravel() for X in state.links.values()])
-        key = (np.round(moving, 4).tobytes(), state.X_base_tool is None, round(state.sunk, 5), state.in_hand is None)
+        key = (
+            np.round(moving, 4).tobytes(),
+            state.X_base_tool is None,
+            tuple(np.round(list(state.sunk.values()), 5)),
+            state.in_hand is None,
+        )
         if key != self._key:
             self._key, self._rendered = key, self._render(state)
         picture = self._rendered.copy()
@@ -114,7 +119,7 @@ class _Painter:
         for body in self._bodies:
             X = state.links.get(body.name, body.X_base_body)
             if body.body_id is BodyId.NAIL:
-                X = self._states.X_base_nail_part(X, state.sunk)
+                X = self._states.X_base_nail_part(body.name, X, state.sunk)
             shown.append(Body(body.mesh, X, self._materials[body.name], int(body.body_id)))
         if state.X_base_tool is not None:
             shown += [Body(mesh, state.X_base_tool, material, int(BodyId.TOOL)) for mesh, material in self._tool]

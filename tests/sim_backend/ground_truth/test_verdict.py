@@ -37,6 +37,7 @@ class ThrownHead:
     def __init__(self, client: int, X_hand_ee: Array) -> None:
         self.client, self.time = client, 0.0
         self.nail = Nail(client, transform(DOWN, [0.0, 0.0, SPEC.protrusion]), SPEC)
+        self.nails = {"nail": self.nail}
         shape = pb.createCollisionShape(pb.GEOM_CYLINDER, radius=0.014, height=2 * HALF, physicsClientId=client)
         self.tool_body = int(pb.createMultiBody(0.6, shape, -1, [0, 0, 0.3], physicsClientId=client))
         pb.changeDynamics(self.tool_body, -1, linearDamping=0, angularDamping=0, restitution=0, physicsClientId=client)

@@ -1,65 +1,151 @@
-"""`toolee calibrate nail`: where the nail is, from touches of its head."""
+"""`toolee calibrate nail`: where a nail is, by the camera, by touches of its head, or by both."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
 
 from toolee_robot.cli.options import Flag
-from toolee_robot.cli.output import json_line
-from toolee_robot.config import load_station
+from toolee_robot.config import StationConfig, load_lab_station, load_station
+from toolee_robot.errors import UserError
+from toolee_robot.runtime.clock import check_real_time_factor
 
 
 @dataclass(frozen=True, kw_only=True)
 class Nail:
-    """Locate the nail from touches of its head's middle with a known tip.
+    """Locate a nail: by the camera, which sees a printed board on the wood, and by touches of its head's middle.
+
+    Example: toolee calibrate nail --camera
+
+    Example: toolee calibrate nail --camera --station lab.yaml --bars-mm 361.3 258.1 --thickness-mm 0.2 --write
 
     Example: toolee calibrate nail --touches nail.yaml --tip-mm 0.3 -0.2 151.4 --config lab.yaml
 
-    Touch the middle of the head three times or more, from different sides. The file lists the joint positions, as for
-    `toolee calibrate mount`, which also locates the tip.
+    The board, from `toolee calibrate board`, lies flat on the wood, glued or on a stiff plate, and the nail goes
+    through its white cross. Only the camera looks; nothing moves. With --touches, too, both are combined, weighted by
+    their uncertainties. Touch the middle of the head three times or more, from different sides; the file lists the
+    joint positions, as for `toolee calibrate mount`, which also locates the tip. With --camera alone a simulated lab is
+    looked at.
 
-    Exit code 0: the nail is located; 2: the touches are refused, for the reason given.
+    Exit code 0: the nail is located; 1: a device failed; 2: images or touches are refused, for the reason given.
     """
 
-    touches: Annotated[Path, tyro.conf.arg(metavar="YAML")]
-    """The joint positions."""
-    tip_mm: Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
-    """The tip in the flange."""
-    config: Annotated[Path, tyro.conf.arg(metavar="YAML")]
-    """The station file: the arm's model and kinematics, and the height that it has for the nail."""
+    camera: Flag = False
+    """Locate it by the camera."""
+    station: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """With --camera: your own station. Its camera takes the images, and its calibration must hold."""
+    rehearse: Flag = False
+    """With --station: emulate every device, in front of a simulated cell."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """The station file without --station: the arm's kinematics, and where it has the nail."""
+    nail: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    """Which of several nails (work.nails)."""
+    sheet: Literal["a4", "a3"] = "a3"
+    """The board, as `toolee calibrate board` drew it. An A4 is too small for a camera of 512 pixels at 0.95 m."""
+    bars_mm: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y", help_behavior_hint="")] = None
+    """Lengths of the two scale bars, measured on the print. A simulated lab measures its own."""
+    thickness_mm: Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")] = None
+    """Height of the printed side over the wood: paper and plate."""
+    at_mm: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y", help_behavior_hint="")] = None
+    """Place of the nail on the board, from the outer corner of the first square, along the bars x and y; the white
+    cross if left out."""
+    placing_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.5
+    """Standard deviation of that place about each axis: how well the nail goes through the cross."""
+    touches: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
+    """The joint positions of touches."""
+    tip_mm: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="")] = None
+    """With --touches: the tip in the flange."""
+    touch_mm: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.5
+    """With --touches: standard deviation of their mean about each axis: tip, kinematics and eye."""
+    seed: int = 0
+    """Simulated: seed of the cell, the print, how it lies, the room and the noise."""
+    real_time_factor: Annotated[float, tyro.conf.arg(metavar="0.05..1")] = 0.5
+    """With --rehearse: rate of the station's time relative to wall-clock time."""
+    write: Flag = False
+    """Enter the place in the station file of --station or --config; the rest of it stays."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
 
     def run(self) -> int:
+        self._check()
+        path = self.station or self.config
+        if self.station is not None:
+            config = load_lab_station(self.station)
+        else:
+            config = StationConfig() if self.config is None else load_station(self.config)
+        from dataclasses import replace
+
+        from toolee_robot.cli.calibrate.nail_job import NailJob, Print
+
+        names = config.work.names
+        name = names[0] if self.nail is None else self.nail
+        if name not in names:
+            raise UserError(f"--nail {name}: the station's nails are {', '.join(names)} (work.nails)", code="user.nail")
+        config = replace(config, work=config.work.only(name))
         console = Console(stderr=self.json, highlight=False)
-        config = load_station(self.config)
-        import numpy as np
-
-        from toolee_robot.calibration.nail import locate_nail
-        from toolee_robot.calibration.tip import read_touches
-        from toolee_robot.control import RobotModel
-
-        arm = RobotModel.of_station(config).arm
-        flange = [arm.fk(np.array(q)) for q in read_touches(self.touches).touches]
-        nail = locate_nail(flange, np.array(self.tip_mm) / 1e3)
-        x, y, z = nail.head
-        expected = config.work.X_base_nail()[2, 3]
-        console.print(
-            f"middle of the nail's head: ({x * 1e3:.2f}, {y * 1e3:.2f}, {z * 1e3:.2f}) mm in base_link, the touches "
-            f"{nail.spread * 1e3:.2f} mm apart\n"
-            f"by the station file the head's top is at {expected * 1e3:.2f} mm: {1e3 * (z - expected):+.2f} mm\n\n"
-            f"frame: base_link        # in a file with frame: pendant_base give [{-x:.5f}, {-y:.5f}]\n"
-            f"work:\n  nail_xy: [{x:.5f}, {y:.5f}]",
-            soft_wrap=True,
-        )
-        if self.json:
-            print(
-                json_line({"head": list(nail.head), "spread": nail.spread, "height_off": z - float(expected)}),
-                flush=True,
-            )
+        at = None if self.at_mm is None else (self.at_mm[0] / 1e3, self.at_mm[1] / 1e3)
+        job = NailJob(config, console, Print(self.sheet, at, self.placing_mm / 1e3))
+        if self.touches is not None:
+            assert self.tip_mm is not None
+            job.touch(self.touches, self.tip_mm, self.touch_mm / 1e3)
+        if self.camera and self.station is None:
+            job.simulate(self.seed)
+        elif self.camera and self.rehearse:
+            assert self.station is not None
+            job.rehearse(self.station, self.seed, self.real_time_factor)
+        elif self.camera:
+            assert self.station is not None
+            assert self.bars_mm is not None
+            assert self.thickness_mm is not None
+            bars = self.bars_mm[0] / 1e3, self.bars_mm[1] / 1e3
+            job.live(self.station, bars, self.thickness_mm / 1e3)
+        job.conclude(path, write=self.write, as_json=self.json)
         return 0
+
+    def _check(self) -> None:
+        if not self.camera and self.touches is None:
+            raise UserError(
+                "nothing tells where the nail is: give --camera, --touches, or both", code="user.nail_no_source"
+            )
+        if self.touches is not None and (self.tip_mm is None or (self.station or self.config) is None):
+            raise UserError(
+                "--touches needs --tip-mm, from `toolee calibrate mount`, and the station file (--config or --station)",
+                code="user.option",
+            )
+        if self.touches is not None and self.camera and (self.station is None or self.rehearse):
+            raise UserError(
+                "--touches with a simulated camera: the touches are not of its nail; give your --station alone",
+                code="user.option",
+            )
+        if self.station is not None and (self.config is not None or not self.camera):
+            raise UserError(
+                "--station is for --camera; without it give the file as --config, and never both", code="user.option"
+            )
+        if self.rehearse and self.station is None:
+            raise UserError(
+                "--rehearse without --station: give the station file that is rehearsed", code="user.no_station"
+            )
+        real = self.station is not None and not self.rehearse
+        given = self.bars_mm is not None, self.thickness_mm is not None
+        if real and not all(given):
+            raise UserError(
+                "--bars-mm and --thickness-mm are missing: measure the two scale bars on your print, and how high the "
+                "printed side is over the wood",
+                code="user.board_scale_unknown",
+            )
+        if not real and any(given):
+            raise UserError(
+                "--bars-mm and --thickness-mm are of your own print: a simulated lab measures its own",
+                code="user.option",
+            )
+        if self.write and (self.station or self.config) is None:
+            raise UserError("--write needs --station or --config: the file to write to", code="user.option")
+        if self.thickness_mm is not None and not 0.0 <= self.thickness_mm <= 50.0:
+            raise UserError(f"--thickness-mm {self.thickness_mm}: give 0 to 50", code="user.option")
+        if not (0.01 <= self.placing_mm <= 10.0 and 0.01 <= self.touch_mm <= 10.0) or self.seed < 0:
+            raise UserError("give --placing-mm and --touch-mm 0.01 to 10, and --seed 0 or more", code="user.option")
+        check_real_time_factor(self.real_time_factor, "127.0.0.1")

@@ -33,7 +33,7 @@ HANDS = {"inspire": "inspire_rh56", "ability": "ability_hand"}
 
 @dataclass(frozen=True)
 class Hammer:
-    """Take a hammer from a person, look at it, and drive the nail.
+    """Take a hammer from a person, look at it, and drive the nail, or one nail after the other.
 
     Example: toolee hammer --seed 100 --json
 
@@ -41,19 +41,26 @@ class Hammer:
 
     Example: toolee hammer --station lab.yaml
 
+    Example: toolee hammer --config examples/nails.yaml --nail left
+
     Without --station the station is simulated. With it, every device of the station file is opened by its driver, and a
     real arm moves; with --rehearse the same drivers meet emulated devices in front of a simulated cell.
 
+    Where the station lists several nails they are driven in its order, with the same tool; one that bends, sticks or is
+    missed does not keep the next one from being driven.
+
     After a stop with the hammer in the hand a person at the terminal may resume the job, or have the hand opened.
 
-    Exit code 0: the nail is flush; 1: it is not, for the reason given; 2: invalid input; 130: interrupted, the arm was
-    stopped.
+    Exit code 0: every nail is flush; 1: one is not, for the reason given; 2: invalid input; 130: interrupted, the arm
+    was stopped.
     """
 
     seed: int = 0
     """Seed of the hammer (none was used in training), the grasp and the noise."""
     json: Flag = False
     """Print one line of JSON last on standard output; everything for people goes to standard error."""
+    nail: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    """Drive this one of several nails (work.nails) alone."""
     no_correction: Flag = False
     """Strike with the nominal pose of the tool in the hand: the baseline."""
     errors: Annotated[Path | None, tyro.conf.arg(metavar="YAML", help_behavior_hint="")] = None
@@ -133,6 +140,7 @@ class Hammer:
         # Only somebody at a terminal can have looked at the robot.
         interactive = not self.json and console.is_terminal and sys.stdin.isatty()
         source = self._simulated() if self.station is None else self._own(self.station)
+        nails = self._nails(source.config)
 
         from toolee_robot.cli.hammering.job import HammerJob  # takes seconds to import: after the checks of the options
         from toolee_robot.cli.run_folder import run_folder
@@ -144,7 +152,7 @@ class Hammer:
             ask = (lambda question: console.input(question, markup=False)) if interactive else None
             job = HammerJob(
                 source, correction=not self.no_correction, perfect_perception=self.perfect_perception, ask=ask,
-                view=self.view, ablation=None if self.ablation is None else Ablation(self.ablation),
+                view=self.view, nails=nails, ablation=None if self.ablation is None else Ablation(self.ablation),
             )  # fmt: skip
             report = job.run(folder.path, console)
             folder.keep()
@@ -152,6 +160,17 @@ class Hammer:
         if self.json:
             print(json_line({**report.figures, "run_folder": str(folder.path)}), flush=True)
         return report.exit_code
+
+    def _nails(self, config: StationConfig) -> tuple[str, ...]:
+        """Names of the nails to drive."""
+        names = config.work.names
+        if self.nail is None:
+            return names
+        if self.nail not in names:
+            raise UserError(
+                f"--nail {self.nail}: the station's nails are {', '.join(names)} (work.nails)", code="user.nail"
+            )
+        return (self.nail,)
 
     def _simulated(self) -> Source:
         """The simulated station; refuses options that are for a lab's own one."""

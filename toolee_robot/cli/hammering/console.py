@@ -17,7 +17,7 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array
 from toolee_robot.recording.pose_text import pose_text, sigma_text
 from toolee_robot.tasks.common.observer import TaskObserver
-from toolee_robot.tasks.common.outcome import HammerResult, Stage, Strike
+from toolee_robot.tasks.common.outcome import HammerResult, NailResult, Outcome, Stage, Strike
 from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
 
 _PHASES = {
@@ -48,14 +48,14 @@ class ConsoleObserver(TaskObserver):
 
     Args:
         console: The console.
-        protrusion: Protrusion of the nail before the first strike [m].
         flush: Largest protrusion that counts as flush [m].
+        nails: Number of nails that are to be driven.
     """
 
-    def __init__(self, console: Console, protrusion: float, flush: float) -> None:
+    def __init__(self, console: Console, flush: float, nails: int = 1) -> None:
         self._console = console
-        self._start, self._flush = protrusion, flush
-        self._last = protrusion
+        self._start = self._last = flush
+        self._flush, self._nails, self._nail = flush, nails, 0
         self._progress = Progress(
             SpinnerColumn(),
             TextColumn("{task.description}"),
@@ -124,6 +124,23 @@ class ConsoleObserver(TaskObserver):
             f"    {sigma}  from {estimate.frames_used} of {estimate.frames_seen} frames"
             + ("" if estimate.usable else f"  [red]{escape(estimate.reason)}[/red]")
         )
+
+    def nail_started(self, name: str, protrusion: float) -> None:
+        self._start = self._last = protrusion
+        self._nail += 1
+        if self._nails > 1:
+            self._close_phase()
+            self._console.print(f"[bold magenta]Nail {escape(name)}[/bold magenta]  ({self._nail} of {self._nails})")
+        if self._task is not None:
+            self._progress.reset(self._task, total=protrusion - self._flush)
+
+    def nail_ended(self, result: NailResult) -> None:
+        if self._nails > 1:
+            colour = "green" if result.outcome is Outcome.FLUSH else "red"
+            outcome = str(result.outcome).replace("_", " ")
+            self._console.print(
+                f"  [bold {colour}]nail {escape(result.name)}: {outcome}[/bold {colour}]  {escape(result.reason)}"
+            )
 
     def strike(self, strike: Strike) -> None:
         if strike.protrusion is None:

@@ -29,9 +29,9 @@ from toolee_robot.robots import hand_model
 from toolee_robot.runtime.code_version import code_version
 from toolee_robot.runtime.files import write_atomic
 from toolee_robot.runtime.latency_monitor import STALL_LIMIT, LatencyMonitor
-from toolee_robot.sim_backend.ground_truth.verdict import StrikeTruth, Verdict
+from toolee_robot.sim_backend.ground_truth.verdict import NailTruth, StrikeTruth, Verdict
 from toolee_robot.tasks.common.observer import Observers
-from toolee_robot.tasks.common.outcome import HammerResult, Outcome
+from toolee_robot.tasks.common.outcome import HammerResult, NailResult, Outcome
 from toolee_robot.tasks.hammering.ablation import Ablation
 from toolee_robot.tasks.hammering.task import HammeringTask
 
@@ -42,10 +42,10 @@ EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
 PAGE_PORT = 8080
 """Port of the page of a running job; the next free one where it is in use."""
 TRUE_FIGURES = (
-    "pose_error_mm", "pose_error_deg", "strike_offset_mm", "strike_tilt_deg", "contact_speed", "nail_bend_deg",
-    "nail_lean_deg", "nail_shift_mm", "off_face_strikes",
+    "pose_error_mm", "pose_error_deg", "strike_offset_mm", "strike_tilt_deg", "contact_speed", "off_face_strikes",
 )  # fmt: skip
-"""Figures that only a simulation knows."""
+NAIL_FIGURES = ("bend_deg", "lean_deg", "shift_mm")
+"""Figures that only a simulation knows: of the job, and of each nail."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class HammerReport:
         seconds = ", ".join(f"{name} {s:.1f}" for name, s in f["stage_seconds"].items())
         rows = [
             ("strikes", str(f["strikes"])),
-            ("nail over the wood", _figure(f["protrusion_mm"], " mm")),
+            *self._nail_rows(),
             *self._load_rows(),
             *self._true_rows(),
             ("robot's time", f"{f['robot_seconds']:.0f} s, {f['nail_seconds']:.0f} s of it for the nail"),
@@ -82,7 +82,8 @@ class HammerReport:
         lines += [f"{name:<22}{value}" for name, value in rows]
         if f["nail"] is not None:
             lines += ["", "[dim]* measured by the simulation; the task cannot see it[/dim]"]
-        title = "the nail is flush" if f["success"] else str(f["outcome"]).replace("_", " ")
+        flush = "the nail is flush" if len(f["nails"]) < 2 else "the nails are flush"
+        title = flush if f["success"] else str(f["outcome"]).replace("_", " ")
         colour = "green" if f["success"] else "red"
         return Panel("\n".join(lines), title=f"[bold]{title}[/bold]", border_style=colour, expand=False, padding=(1, 2))
 
@@ -94,6 +95,19 @@ class HammerReport:
         return [
             ("most at the flange", flange),
             ("most in a joint", f"{100 * f['largest_torque_share']:.0f} % of its largest torque"),
+        ]
+
+    def _nail_rows(self) -> list[tuple[str, str]]:
+        f = self.figures
+        if len(f["nails"]) < 2:
+            return [("nail over the wood", _figure(f["protrusion_mm"], " mm"))]
+        return [
+            (
+                f"nail {nail['name']}",
+                f"{str(nail['outcome'] or 'not begun').replace('_', ' ')}, {nail['strikes']} strikes, "
+                f"{_figure(nail['protrusion_mm'], ' mm')} over the wood",
+            )
+            for nail in f["nails"]
         ]
 
     def _true_rows(self) -> list[tuple[str, str]]:
@@ -124,6 +138,7 @@ class HammerJob:
         ablation: What perception leaves out; None for nothing.
         ask: Asks the person at the terminal what to do after a stop; None: the job then ends.
         view: Whether a page in the browser shows the job, too.
+        nails: Names of the nails to drive; empty for all.
     """
 
     source: Source
@@ -132,6 +147,7 @@ class HammerJob:
     ablation: Ablation | None = None
     ask: Callable[[str], str] | None = None
     view: bool = False
+    nails: tuple[str, ...] = ()
 
     def run(self, folder: Path, console: Console) -> HammerReport:
         """Do the job and write summary.json, recording.mcap and picture.png, whatever its outcome.
@@ -150,11 +166,8 @@ class HammerJob:
         """
         began = time.perf_counter()
         perception = None if self.perfect_perception else ToolPerception.load()
-        work, flush = self.source.config.work, self.source.config.task.flush_protrusion
-        screen, collector = (
-            ConsoleObserver(console, work.nail_protrusion, flush),
-            PictureCollector(work.nail_protrusion, flush),
-        )
+        names, flush = self.nails or self.source.config.work.names, self.source.config.task.flush_protrusion
+        screen, collector = ConsoleObserver(console, flush, len(names)), PictureCollector(flush)
         with (
             nullcontext() if self.source.real_time_factor is None else LatencyMonitor() as machine,
             self._page(console) as page,
@@ -174,7 +187,7 @@ class HammerJob:
             task = HammeringTask(
                 station, perceiver, config, opened.grasp,
                 correction=self.correction,
-                observer=Observers(screen, keeper, collector),
+                observer=Observers(screen, keeper, collector), nails=names,
             )  # fmt: skip
             if machine is not None:
                 machine.begin()
@@ -247,11 +260,13 @@ class HammerJob:
         longest_stall: float | None,
     ) -> dict[str, Any]:
         success, outcome, reason = result.success, str(result.outcome), result.reason
-        if success and verdict is not None and verdict.nail_outcome != "flush":
+        truth = None if verdict is None else verdict.worst([nail.name for nail in result.nails])
+        if success and truth is not None and truth.outcome != "flush":
             # The robot measures the nail by touch; the simulation knows its true state.
             success = False
-            reason = f"the robot takes the nail for flush ({reason}), but it is {verdict.nail_outcome}"
-            if verdict.nail_outcome == "bent":
+            which = f"the nail {truth.name}" if len(result.nails) > 1 else "the nail"
+            reason = f"the robot takes {which} for flush ({reason}), but it is {truth.outcome.replace('_', ' ')}"
+            if truth.outcome == "bent":
                 outcome = str(Outcome.BENT)
         machine_stalled = self._machine_stalled(result, longest_stall)
         if machine_stalled:
@@ -268,13 +283,15 @@ class HammerJob:
             "outcome": outcome,
             "reason": reason,
             "strikes": len(result.strikes),
-            "protrusion_mm": measured if verdict is None else _rounded(verdict.protrusion_mm),
+            "protrusion_mm": measured if truth is None else _rounded(truth.protrusion_mm),
             "measured_protrusion_mm": measured,
             "largest_impulse": _largest([strike.load.impulse for strike in result.strikes]),
             "largest_flange_force": _largest([strike.peak_force for strike in result.strikes]),
             "largest_torque_share": _largest([strike.load.torque_share for strike in result.strikes]),
-            "nail": None if verdict is None else verdict.nail_outcome,
+            "nail": None if truth is None else truth.outcome,
+            "nails": [_nail_figures(nail, verdict) for nail in result.nails],
             **{name: None if verdict is None else _rounded(getattr(verdict, name)) for name in TRUE_FIGURES},
+            **_true_nail_figures(truth),
             "stage_seconds": {str(k): round(v, 3) for k, v in result.stage_seconds.items()},
             "robot_seconds": round(result.robot_seconds, 3),
             "nail_seconds": round(result.nail_seconds, 3),
@@ -304,7 +321,7 @@ class HammerJob:
         summary = {
             **figures,
             "version": code_version(),
-            "strike_log": [asdict(strike) for strike in result.strikes],
+            "strike_log": [{"nail": nail.name, **asdict(s)} for nail in result.nails for s in nail.strikes],
             "strike_truth": [asdict(truth) for truth in truths],
             "looks": [
                 {
@@ -326,6 +343,25 @@ class HammerJob:
         picture = collector.picture(title, f"{opened.words}, {self._mode()}")
         if picture is not None:
             write_atomic(folder / "picture.png", picture)
+
+
+def _true_nail_figures(truth: NailTruth | None) -> dict[str, float | None]:
+    return {f"nail_{name}": None if truth is None else _rounded(getattr(truth, name)) for name in NAIL_FIGURES}
+
+
+def _nail_figures(nail: NailResult, verdict: Verdict | None) -> dict[str, Any]:
+    measured = None if nail.protrusion is None else _rounded(nail.protrusion * 1e3)
+    truth = None if verdict is None else verdict.worst([nail.name])
+    return {
+        "name": nail.name,
+        "outcome": None if nail.outcome is None else str(nail.outcome),
+        "reason": nail.reason,
+        "strikes": len(nail.strikes),
+        "protrusion_mm": measured if truth is None else _rounded(truth.protrusion_mm),
+        "measured_protrusion_mm": measured,
+        "nail": None if truth is None else truth.outcome,
+        "nail_seconds": round(nail.seconds, 3),
+    }
 
 
 def _prompt(text: str, screen: ConsoleObserver, page: RunPage | None) -> None:

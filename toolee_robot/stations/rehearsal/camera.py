@@ -91,8 +91,8 @@ class SeenScene:
 def _way(before: SceneState, now: SceneState) -> float:
     moved = [
         now.X_base_tool[:3, 3] - before.X_base_tool[:3, 3],
-        now.X_base_nail[:3, 3] - before.X_base_nail[:3, 3],
         now.person_center - before.person_center,
+        *(X[:3, 3] - before.Xs_base_nail[name][:3, 3] for name, X in now.Xs_base_nail.items()),
         *(X[:3, 3] - before.links[name][:3, 3] for name, X in now.links.items()),
     ]
     return float(np.abs(np.array(moved)).max())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from toolee_robot.control.records import StrikePlan
 from toolee_robot.frames import Array
 from toolee_robot.hal import MotionReport
-from toolee_robot.tasks.common.outcome import HammerResult, Stage, Strike
+from toolee_robot.tasks.common.outcome import HammerResult, NailResult, Stage, Strike
 from toolee_robot.types import InHandEstimate, RgbdFrame, ToolEstimate
 
 
@@ -69,8 +69,19 @@ class TaskObserver:
             X_base_ee: Estimated pose of the end effector in `base`, (4, 4).
         """
 
+    def nail_started(self, name: str, protrusion: float) -> None:
+        """Called before the first look for a nail.
+
+        Args:
+            name: Its name.
+            protrusion: Height of its head over the wood, as far as is known [m].
+        """
+
+    def nail_ended(self, result: NailResult) -> None:
+        """Called when the job is done with a nail, or gives it up."""
+
     def strike(self, strike: Strike) -> None:
-        """Called when a strike was executed and measured."""
+        """Called when a strike on the nail started last was executed and measured."""
 
     def ended(self, result: HammerResult) -> None:
         """Called when the job has ended and the arm stands still."""
@@ -113,6 +124,14 @@ class Observers(TaskObserver):
     def contact(self, stamp: float, force: float, X_base_ee: Array) -> None:
         for o in self._observers:
             o.contact(stamp, force, X_base_ee)
+
+    def nail_started(self, name: str, protrusion: float) -> None:
+        for o in self._observers:
+            o.nail_started(name, protrusion)
+
+    def nail_ended(self, result: NailResult) -> None:
+        for o in self._observers:
+            o.nail_ended(result)
 
     def strike(self, strike: Strike) -> None:
         for o in self._observers:

@@ -68,7 +68,7 @@ class Strike:
     """One strike as the robot measured it.
 
     Attributes:
-        number: Number of the strike in the job, from 1.
+        number: Number of the strike on its nail, from 1.
         stamp: Time of the contact, or of the end of the motion without one, on the station's clock [s].
         speed: Planned speed of the face at the contact [m/s].
         peak_force: Largest sensed force at the flange [N].
@@ -88,18 +88,42 @@ class Strike:
 
 
 @dataclass(frozen=True)
+class NailResult:
+    """What became of one nail.
+
+    Attributes:
+        name: Its name.
+        outcome: How its driving ended; None where it was not begun.
+        reason: Why it ended so, for a person; empty where it was not begun.
+        strikes: The strikes on it, in order.
+        protrusion: Height of its head over the wood as measured last [m]; None where it was not.
+        seconds: Time that it took from the first look's end on [s], station clock.
+    """
+
+    name: str
+    outcome: Outcome | None
+    reason: str
+    strikes: tuple[Strike, ...] = ()
+    protrusion: float | None = None
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
 class HammerResult:
     """Result of a job.
 
     Attributes:
-        outcome: How the job ended.
+        outcome: How the job ended; with several nails FLUSH where every one is flush, else what stopped the job, or how
+            the first that is not flush ended.
         reason: Why it ended so, for a person.
-        strikes: The strikes in order.
-        protrusion: Height of the nail's head over the wood as measured last [m]; None before the first strike.
+        strikes: The strikes in order, on all nails.
+        protrusion: Height of the head of the nail struck last over the wood as measured last [m]; None before the first
+            strike.
         estimates: Fused poses of the end effector in the hand, each with its time on the station's clock [s].
         stage_seconds: Wall-clock time spent in each stage [s], by the stage's name.
         robot_seconds: Time that the job took on the station's clock [s].
-        nail_seconds: Part of it in which the nail was driven: all after the first look at the tool [s].
+        nail_seconds: Part of it in which nails were driven: with one, all after the first look at the tool [s].
+        nails: What became of each nail that was to be driven.
     """
 
     outcome: Outcome
@@ -110,8 +134,9 @@ class HammerResult:
     stage_seconds: dict[str, float] = field(default_factory=dict)
     robot_seconds: float = 0.0
     nail_seconds: float = 0.0
+    nails: tuple[NailResult, ...] = ()
 
     @property
     def success(self) -> bool:
-        """Whether the nail is flush."""
+        """Whether every nail that was to be driven is flush."""
         return self.outcome is Outcome.FLUSH

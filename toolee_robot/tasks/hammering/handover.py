@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -56,6 +57,7 @@ class Handover:
         stages: Times the stages of the job.
         observer: Receives messages.
         grasp: Nominal grasp of the tool.
+        nails: Names of the nails that will be struck.
 
     Attributes:
         person_clear: Whether nobody was asked to come near since a person was last seen out of reach.
@@ -70,10 +72,11 @@ class Handover:
         stages: Stages,
         observer: TaskObserver,
         grasp: Grasp,
+        nails: Sequence[str],
     ) -> None:
         self.person_clear = True
         self._station, self._config, self._robot, self._motions = station, config, robot, motions
-        self._stages, self._observer, self._grasp = stages, observer, grasp
+        self._stages, self._observer, self._grasp, self._nails = stages, observer, grasp, nails
         self._prompts = _MOUNT if robot.description.hand.clamps else _HAND
 
     def take_tool(self) -> None:
@@ -176,10 +179,14 @@ class Handover:
         """
         q_hand = self._robot.description.hand_closed
         world = CollisionWorld(self._robot, self._config, q_hand, self._motions.X_hand_ee)
-        state = self._motions.q, q_hand, self._motions.X_hand_ee, self._config.work.X_base_nail()
-        try:
-            plan_strike(self._robot, self._config, world, *state, tool=self._grasp.swung)
-        except UnreachableError:
-            raise
-        except PlanningError as error:
-            self._observer.message(f"with the tool as it nominally lies in the hand no strike is possible: {error}")
+        state = self._motions.q, q_hand, self._motions.X_hand_ee
+        for name in self._nails:
+            X_base_nail = self._config.work.only(name).X_base_nail()
+            whose = f"nail {name}: " if len(self._nails) > 1 else ""
+            try:
+                plan_strike(self._robot, self._config, world, *state, X_base_nail, tool=self._grasp.swung)
+            except UnreachableError as error:
+                raise UnreachableError(f"{whose}{error}", code=error.code) from error
+            except PlanningError as error:
+                message = f"{whose}with the tool as it nominally lies in the hand no strike is possible: {error}"
+                self._observer.message(message)

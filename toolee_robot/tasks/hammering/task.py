@@ -1,4 +1,4 @@
-"""The hammering job: take the tool, look at it, strike until the nail is flush, park the arm.
+"""The hammering job: take the tool, look at it, strike until every nail is flush, park the arm.
 
 A state machine over the hardware abstraction. Its inputs are the station file, the camera's frames and the sensors of
 arm and hand. Every job ends with an `Outcome` and a reason; every exception leaves the arm at a standstill. A job that
@@ -11,8 +11,9 @@ was stopped with the tool in the hand can go on after a person has looked:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from datetime import date
 
 import numpy as np
@@ -31,7 +32,7 @@ from toolee_robot.errors import (
 )
 from toolee_robot.hal import Station
 from toolee_robot.tasks.common.look import Perceiver
-from toolee_robot.tasks.common.motions import UP, Motions
+from toolee_robot.tasks.common.motions import UP
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, JobEnded, Outcome, Stage
 from toolee_robot.tasks.common.recovery import PUT_AWAY, TAKE_OUT, Stops
@@ -39,6 +40,7 @@ from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.tasks.hammering.grasp import Grasp
 from toolee_robot.tasks.hammering.handover import Handover
 from toolee_robot.tasks.hammering.nail_driving import NailDriving
+from toolee_robot.tasks.hammering.nail_series import NailMotions, NailSeries
 from toolee_robot.tasks.hammering.tool_pose import ToolPose
 
 LIFT = 0.020
@@ -60,6 +62,7 @@ class HammeringTask:
         correction: Whether the estimated in-hand pose is used. False strikes with the nominal one, which is the paper's
             baseline, for comparison only.
         observer: Receives the events of the job; None for no observer.
+        nails: Names of the nails to drive, in order; None for all of the station.
     """
 
     def __init__(
@@ -71,6 +74,7 @@ class HammeringTask:
         *,
         correction: bool = True,
         observer: TaskObserver | None = None,
+        nails: Sequence[str] | None = None,
     ) -> None:
         self._stops = Stops()
         self._station = station
@@ -78,15 +82,25 @@ class HammeringTask:
         self._correction = correction
         self._observer = observer = observer or TaskObserver()
         self._robot = robot = RobotModel.of_station(config)
-        self._motions = motions = Motions(station, config, robot, observer, grasp.X_hand_ee)
+        self._motions = motions = NailMotions(station, config, robot, observer, grasp.X_hand_ee)
         self._stages = stages = Stages(observer)
-        self._handover = Handover(station, config, robot, motions, stages, observer, grasp)
-        self._nail_driving = nail_driving = NailDriving(
-            motions, config, robot, station.clock, stages, observer, self._look, grasp.swung, correction=correction
-        )
+        names = tuple(nails or config.work.names)
+        self._handover = Handover(station, config, robot, motions, stages, observer, grasp, names)
+        self._nails = series = NailSeries(
+            config.work,
+            motions,
+            [
+                (name, NailDriving(
+                    motions, replace(config, work=config.work.only(name)), robot, station.clock, stages, observer,
+                    self._look, grasp.swung, correction=correction,
+                ))
+                for name in names
+            ],
+            observer,
+        )  # fmt: skip
         self._tool_pose = ToolPose(
             station, perceiver, config, robot, motions, stages, observer, grasp.X_hand_ee,
-            strikes_since_look=lambda: nail_driving.strikes_since_look,
+            strikes_since_look=lambda: series.strikes_since_look,
         )  # fmt: skip
         self._outcome: Outcome | None = None
         self._began = station.clock.now()
@@ -173,18 +187,20 @@ class HammeringTask:
         return HammerResult(
             outcome,
             reason,
-            tuple(self._nail_driving.strikes),
-            self._nail_driving.protrusion,
+            self._nails.strikes,
+            self._nails.protrusion,
             tuple(self._tool_pose.estimates),
             dict(self._stages.seconds),
             self._station.clock.now() - self._began,
-            self._nail_driving.seconds,
+            self._nails.seconds,
+            self._nails.results(outcome, reason),
         )
 
     def _end(self, job: Callable[[], tuple[Outcome, str]]) -> HammerResult:
         """Run a job to its end, whatever ends it."""
         try:
-            outcome, reason = self._park(*self._ending(job))
+            outcome, reason = self._ending(job)
+            outcome, reason = self._park(outcome, self._nails.told(reason))
         except BaseException:
             self._motions.stand_still()
             raise
@@ -219,26 +235,27 @@ class HammeringTask:
         self._check_calibration()
         self._motions.begin()
         self._handover.take_tool()
-        return self._drive(lift=False)
+        return self._nails.drive(self._drive, lift=False)
 
     def _go_on(self) -> tuple[Outcome, str]:
         self._motions.check_hand()
         self._handover.clear_person("Step back: the arm looks at the hammer again, and then strikes on.")
         self._tool_pose.forget()
-        return self._drive(lift=True)
+        return self._nails.drive(self._drive, lift=True)
 
     def _drive(self, lift: bool) -> tuple[Outcome, str]:
-        """Look at the tool and drive the nail; a doubt about the grip that passes is answered by a new look."""
-        doubts, strikes = 0, 0
+        """Look at the tool and drive the present nail; a doubt about the grip that passes is answered by a new look."""
+        doubts, strikes, driving = 0, 0, self._nails.driving
         while True:
             try:
                 if lift:
                     with suppress(PlanningError):  # a hand that stands far from the work need not be lifted
                         self._motions.straight("up", UP, LIFT)
                 self._look(self._config.task.views)
-                return self._nail_driving.run()
+                self._nails.looked()
+                return driving.run()
             except GripDoubtError as doubt:
-                done = len(self._nail_driving.strikes)
+                done = len(driving.strikes)
                 doubts = doubts + 1 if done == strikes else 1
                 strikes, lift = done, True
                 if doubts >= MAX_DOUBTS:

@@ -1,0 +1,286 @@
+"""One location of a nail: touches, images, their combination, and what is entered in the station file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.panel import Panel
+
+from toolee_robot.calibration.board import SHEETS, Board
+from toolee_robot.calibration.board_sight import KnownCamera
+from toolee_robot.calibration.nail import LocatedNail, OnWood, SeenNail, combine, locate_nail, see_nail
+from toolee_robot.calibration.record import read_record
+from toolee_robot.calibration.tip import read_touches
+from toolee_robot.cli.output import json_line
+from toolee_robot.config import StationConfig, read_station
+from toolee_robot.control import RobotModel
+from toolee_robot.errors import ConfigError, NotReadyError
+from toolee_robot.frames import Array, BaseFrame, angle_between, inverse
+from toolee_robot.hal import Station
+from toolee_robot.runtime.yaml_edit import set_fields
+from toolee_robot.stations.lab import LabStation, Purpose
+from toolee_robot.stations.rehearsal import EmulatedLab, job_cell
+from toolee_robot.stations.rehearsal.job import camera_covariance
+from toolee_robot.stations.simulated_nail import print_on_wood, simulated_nail_board
+from toolee_robot.tasks.calibration.still_frame import mean_frame
+
+FRAMES = 5
+"""Number of frames that are averaged."""
+PIXEL_NOISE = 0.3
+"""Standard deviation of a board's corner where the camera was calibrated by another program [px]."""
+
+
+@dataclass(frozen=True)
+class Print:
+    """What is known of the board on the wood.
+
+    Attributes:
+        sheet: Name of its sheet.
+        at: Place of the nail on it [m]; None for its cross.
+        placing: Standard deviation of that place [m].
+    """
+
+    sheet: str
+    at: tuple[float, float] | None
+    placing: float
+
+    def on_wood(self, board: Board, thickness: float) -> OnWood:
+        """How the board lies.
+
+        Args:
+            board: The board with its measured square.
+            thickness: Height of the printed side over the wood [m].
+
+        Returns:
+            The same, with where the nail goes through it.
+        """
+        x, y = (float(board.mark[0]), float(board.mark[1])) if self.at is None else self.at
+        return OnWood((x, y), thickness, self.placing)
+
+
+@dataclass
+class NailJob:
+    """A location of a nail.
+
+    Attributes:
+        config: The station; its work is about the nail.
+        console: The console.
+        printed: The board on the wood.
+        figures: What --json prints, by name.
+    """
+
+    config: StationConfig
+    console: Console
+    printed: Print
+    figures: dict[str, Any] = field(default_factory=dict)
+    _touched: LocatedNail | None = None
+    _seen: SeenNail | None = None
+
+    def touch(self, touches: Path, tip_mm: tuple[float, float, float], error: float) -> None:
+        """Locate the nail's head by touches.
+
+        Args:
+            touches: File of the joint positions.
+            tip_mm: The tip in the flange [mm].
+            error: Standard deviation of the touches' mean about each axis [m].
+
+        Raises:
+            TooleeError: The touches are refused.
+        """
+        arm = RobotModel.of_station(self.config).arm
+        flange = [arm.fk(np.array(q)) for q in read_touches(touches).touches]
+        self._touched = locate_nail(flange, np.array(tip_mm) / 1e3, error)
+        x, y, z = self._touched.head * 1e3
+        self.console.print(
+            f"middle of the nail's head by touches: ({x:.2f}, {y:.2f}, {z:.2f}) mm in base_link, the touches "
+            f"{self._touched.spread * 1e3:.2f} mm apart",
+            soft_wrap=True,
+        )
+
+    def simulate(self, seed: int) -> None:
+        """Look at a simulated lab's nail.
+
+        Args:
+            seed: Seed of what is drawn.
+
+        Raises:
+            TooleeError: The image is refused.
+        """
+        lab = simulated_nail_board(self.config, SHEETS[self.printed.sheet], seed)
+        self.console.print(
+            f"[bold]Simulated lab[/bold]  [dim]seed {seed}: a calibrated camera, a print of which the scale is drawn, "
+            "on wood that is not where the station file has it[/dim]"
+        )
+        with lab.build() as simulation:
+            images = mean_frame(simulation.station.camera, FRAMES)
+        self._see(lab.camera, lab.board, replace(lab.on_wood, placing_error=self.printed.placing), *images)
+        self._true_error(lab.entry, lab.up)
+
+    def rehearse(self, station_file: Path, seed: int, factor: float) -> None:
+        """Look at a nail with a lab's own camera driver, every device emulated.
+
+        Args:
+            station_file: The station file.
+            seed: Seed of the cell and of what a person measured there.
+            factor: Rate of the station's time relative to wall-clock time.
+
+        Raises:
+            TooleeError: The image or the calibration is refused.
+        """
+        cell = job_cell(self.config, station_file, seed)
+        laid = print_on_wood(cell.true, SHEETS[self.printed.sheet], np.random.default_rng([seed, 33]))
+        cell = replace(cell, options=replace(cell.options, hands_over=False, boards=(laid.placed,)))
+        self.console.print(f"[bold]Rehearsal, every device emulated[/bold]  [dim]seed {seed}[/dim]")
+        with (
+            EmulatedLab(cell, self._tell, factor, "harsh", Purpose.CALIBRATION, self._doing) as lab,
+            lab.blaming_the_machine(),
+        ):
+            self._look(lab.station, station_file, laid.board, laid.on_wood)
+        self._true_error(laid.entry, laid.up)
+
+    def live(self, station_file: Path, bars: tuple[float, float], thickness: float) -> None:
+        """Look at a nail with a lab's camera; nothing moves.
+
+        Args:
+            station_file: The station file.
+            bars: Measured lengths of the print's scale bars [m].
+            thickness: Height of the printed side over the wood [m].
+
+        Raises:
+            TooleeError: A device is not there or not ready, or the image or the calibration is refused.
+        """
+        board = SHEETS[self.printed.sheet].board.measured(*bars)
+        with LabStation(self.config, self._tell, purpose=Purpose.CALIBRATION, doing=self._doing) as lab:
+            self._look(lab.station, station_file, board, self.printed.on_wood(board, thickness))
+
+    def _look(self, station: Station, station_file: Path, board: Board, on_wood: OnWood) -> None:
+        camera = known_camera(self.config, station_file, station)
+        self._see(camera, board, on_wood, *mean_frame(station.camera, FRAMES))
+
+    def _see(self, camera: KnownCamera, board: Board, on_wood: OnWood, rgb: Any, depth: Any) -> None:
+        seen = see_nail(camera, board, on_wood, rgb, depth)
+        if self._touched is not None:
+            seen = combine(seen, self._touched, self.config.work.nail_protrusion)
+        self._seen = seen
+
+    def _true_error(self, entry: Array, up: Array) -> None:
+        assert self._seen is not None
+        off = self._seen.entry - entry
+        self.figures |= {
+            "true_lateral_mm": round(float(np.hypot(off[0], off[1])) * 1e3, 3),
+            "true_height_mm": round(float(abs(off[2])) * 1e3, 3),
+            "true_tilt_deg": round(float(np.rad2deg(angle_between(self._seen.up, up))), 3),
+        }
+
+    def conclude(self, path: Path | None, *, write: bool, as_json: bool) -> None:
+        """Tell the result, and enter it in the station file.
+
+        Args:
+            path: The station file; None for none.
+            write: Whether to enter it.
+            as_json: Whether to print the figures as a line of JSON, too.
+
+        Raises:
+            ConfigError: The file has a layout that is not edited.
+        """
+        work, seen, touched = self.config.work, self._seen, self._touched
+        rows: list[tuple[str, str]] = []
+        if seen is not None:
+            entry, sigma = seen.entry, np.sqrt(np.diag(seen.covariance))
+            rows += [
+                ("nail at the wood", f"({_mm(entry)}) ± ({_mm(2 * sigma)}) mm in base_link (95 %)"),
+                ("wood off the level", f"{np.rad2deg(seen.tilt):.2f} ± {np.rad2deg(2 * seen.tilt_sigma):.2f}°"),
+                ("board", f"{seen.corners} corners, {seen.reprojection:.2f} px"),
+            ]
+            self.figures |= {
+                "entry": entry.tolist(), "covariance": seen.covariance.tolist(), "up": seen.up.tolist(),
+                "tilt_deg": round(float(np.rad2deg(seen.tilt)), 3), "corners": seen.corners,
+            }  # fmt: skip
+        else:
+            assert touched is not None
+            entry = touched.head - [0.0, 0.0, work.nail_protrusion]
+        if touched is not None:
+            self.figures |= {"head": touched.head.tolist(), "spread": touched.spread}
+        off = entry - [*work.nail_xy, work.wood_height]
+        self.figures["height_off"] = float(off[2])
+        rows.append(("from the station file", f"({_mm(off, sign=True)}) mm"))
+        if "true_lateral_mm" in self.figures:
+            f = self.figures
+            rows.append(
+                ("true errors *", f"beside {f['true_lateral_mm']} mm, height {f['true_height_mm']} mm, "
+                 f"tilt {f['true_tilt_deg']}°")
+            )  # fmt: skip
+        lines = [f"{name:<24}{value}" for name, value in rows]
+        height = float(entry[2]) - work.block_size[2]
+        xy = self._in_file(entry, path)
+        nail_fields: dict[str, Any] = {"nail_xy": xy}
+        if work.nails:
+            lines += ["", f"In work.nails, for the nail that is at {list(work.nail_xy)} in base_link: xy: {xy}"]
+            nail_fields = {}
+        values = {**nail_fields, "stand_height": round(height, 5)}
+        if write:
+            assert path is not None
+            set_fields(path, "work", values)
+            lines += ["", f"Entered in {escape(str(path))}: {', '.join(f'work.{name}' for name in values)}."]
+        else:
+            text = "\n".join(f"  {name}: {value}" for name, value in values.items())
+            lines += ["", "In the station file:", "work:", text]
+        if "true_lateral_mm" in self.figures:
+            lines += ["", "[dim]* measured by the simulation; whoever looks cannot see it[/dim]"]
+        title = "[bold]the nail is located[/bold]"
+        self.console.print(Panel("\n".join(lines), title=title, border_style="green", expand=False, padding=(1, 2)))
+        if as_json:
+            print(json_line(self.figures), flush=True)
+
+    def _in_file(self, entry: Array, path: Path | None) -> list[float]:
+        """The nail's place in the frame of the station file."""
+        data = {} if path is None else read_station(path)
+        X = inverse(BaseFrame(data.get("frame", BaseFrame.BASE_LINK)).X_base_this)
+        x, y, _ = (X[:3, :3] @ entry).tolist()
+        return [round(x, 5), round(y, 5)]
+
+    def _tell(self, text: str) -> None:
+        self.console.print(f"  [bold yellow]> {escape(text)}[/bold yellow]", soft_wrap=True)
+
+    def _doing(self, text: str) -> None:
+        self.console.print(f"[dim]{escape(text)}[/dim]", soft_wrap=True)
+
+
+def known_camera(config: StationConfig, station_file: Path, station: Station) -> KnownCamera:
+    """What the calibration that a station file names tells of its camera.
+
+    Args:
+        config: What the file says.
+        station_file: The file.
+        station: The devices, which tell their serial numbers.
+
+    Returns:
+        The camera.
+
+    Raises:
+        ConfigError: There is no calibration (`config.uncalibrated`), or its record cannot be read or was altered.
+        NotReadyError: It is too old, too bad, or of other devices (`not_ready.calibration`).
+    """
+    calibration = config.calibration
+    if calibration is None:
+        raise ConfigError(
+            "the station file names no calibration: `toolee calibrate camera` first", code="config.uncalibrated"
+        )
+    if problems := calibration.problems(station.robot_serial, station.camera_serial, date.today()):
+        raise NotReadyError(
+            f"the camera's calibration does not hold: {'; '.join(problems)}", code="not_ready.calibration"
+        )
+    if calibration.record is not None:
+        return KnownCamera.of_record(read_record(station_file.parent / calibration.record))
+    covariance = camera_covariance(config, station_file)
+    return KnownCamera(config.camera.X_base_camera, covariance, config.camera.intrinsics, PIXEL_NOISE)
+
+
+def _mm(values: Array, *, sign: bool = False) -> str:
+    return ", ".join(f"{1e3 * v:+.2f}" if sign else f"{1e3 * v:.2f}" for v in values)

@@ -1,0 +1,166 @@
+"""A simulated lab that finds its nail by the camera: a printed board lies on the wood, and the nail goes through it.
+
+Drawn from the seed, and unknown to whoever looks: how the calibration of the camera is off, the print's scale, where
+the block really is, how its top is tilted, where the board lies on it, and by how much a person's measurements are off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.calibration.board import Board, Sheet
+from toolee_robot.calibration.board_sight import KnownCamera
+from toolee_robot.calibration.hand_eye.benchmark import PROTOCOLS
+from toolee_robot.calibration.hand_eye.closed_form import closed_forms
+from toolee_robot.calibration.hand_eye.refinement import refine
+from toolee_robot.calibration.hand_eye.reprojection import Views
+from toolee_robot.calibration.hand_eye.solve import best_start
+from toolee_robot.calibration.hand_eye.synthetic import draw
+from toolee_robot.calibration.nail import LocatedNail, OnWood
+from toolee_robot.calibration.observation import camera_board
+from toolee_robot.config import StationConfig
+from toolee_robot.frames import Array, transform
+from toolee_robot.sim_backend.options import PlacedBoard, SimOptions
+from toolee_robot.sim_backend.station import SimStation
+from toolee_robot.stations.simulated_board import PRINT_SCALE, RULE
+
+PROTOCOL = "15 poses"
+"""Protocol of the camera's calibration."""
+MOVED = 0.03
+"""Largest distance of the block from where the station file has it, along each axis of the table [m]."""
+RAISED = 0.005
+"""Largest error of its height in the file [m]."""
+WOOD_TILT = float(np.deg2rad(1.0))
+"""Standard deviation of each component of the tilt of the block's top [rad]."""
+THICKNESS = 0.0002, 0.005
+"""Height of a print over the wood: glued on it, or on a plate that lies there [m]."""
+PLACING = 3e-4
+"""Standard deviation of the nail's place at the board's cross about each axis: punched by hand [m]."""
+CALLIPER = 5e-5
+"""Standard deviation of a thickness that is measured with a calliper [m]."""
+TOUCH = 3e-4
+"""Standard deviation of a touch with a tip about each axis: kinematics, tip and eye [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class PrintOnWood:
+    """A printed board on the wood, and what a person measured of it.
+
+    Attributes:
+        board: The board by the measured scale bars.
+        on_wood: How it lies by a person's measurement.
+        placed: The board as it is.
+        entry: True place of the nail's axis in the plane of the wood, `base`, (3,) [m].
+        up: True normal of the wood, (3,).
+    """
+
+    board: Board
+    on_wood: OnWood
+    placed: PlacedBoard
+    entry: Array
+    up: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedNailBoard(PrintOnWood):
+    """A board on the wood of a simulated station, and what is known of it.
+
+    Attributes:
+        true: The station as it is.
+        camera: The camera by its calibration.
+        touched: The head by touches.
+        seed: Seed of room and noise.
+    """
+
+    true: StationConfig
+    camera: KnownCamera
+    touched: LocatedNail
+    seed: int
+
+    def build(self) -> SimStation:
+        """Build the simulated station with the board on the wood."""
+        return SimStation.build(self.true, self.seed, SimOptions(hands_over=False, boards=(self.placed,)))
+
+
+def place_board(config: StationConfig, board: Board, height: float, turn: float, tilt: Array) -> PlacedBoard:
+    """Lay a board on a station's wood, its cross at the nail.
+
+    Args:
+        config: The station as it is.
+        board: The board as it is.
+        height: Height of the printed plane over the wood [m].
+        turn: Rotation about the vertical [rad].
+        tilt: Tilt of the wood about x and y of `base`, (2,) [rad].
+
+    Returns:
+        The board.
+    """
+    R = Rotation.from_rotvec([*tilt, 0.0]).as_matrix() @ Rotation.from_euler("z", turn).as_matrix()
+    R = R @ np.diag([1.0, -1.0, -1.0])  # the board's z points away from who looks at it
+    entry = np.array([*config.work.nail_xy, config.work.wood_height])
+    return PlacedBoard(board, transform(R, entry - R[:, 2] * height - R @ board.mark), on_flange=False)
+
+
+def print_on_wood(true: StationConfig, sheet: Sheet, rng: np.random.Generator, tilt: float = WOOD_TILT) -> PrintOnWood:
+    """Print a board, lay it on the wood, and put the nail through its cross.
+
+    Args:
+        true: The station as it is.
+        sheet: The sheet that is printed.
+        rng: Source of what is drawn.
+        tilt: Standard deviation of each component of the wood's tilt [rad].
+
+    Returns:
+        The board.
+    """
+    printed = replace(sheet.board, square=sheet.board.square * rng.uniform(*PRINT_SCALE))
+    x, y = (float(length + rng.normal(0.0, RULE)) for length in printed.size)
+    height = float(rng.uniform(*THICKNESS))
+    placed = place_board(true, printed, height, float(rng.uniform(-np.pi, np.pi)), rng.normal(0.0, tilt, 2))
+    # The nail is where the person put it: the board is not quite there.
+    off = placed.X_frame_board[:3, :3] @ np.array([*rng.normal(0.0, PLACING, 2), 0.0])
+    placed = replace(placed, X_frame_board=transform(p=off) @ placed.X_frame_board)
+    board = sheet.board.measured(x, y)
+    on_wood = OnWood((float(board.mark[0]), float(board.mark[1])), height + float(rng.normal(0.0, CALLIPER)), PLACING)
+    entry = np.array([*true.work.nail_xy, true.work.wood_height])
+    return PrintOnWood(board, on_wood, placed, entry, -placed.X_frame_board[:3, 2])
+
+
+def simulated_nail_board(config: StationConfig, sheet: Sheet, seed: int, tilt: float = WOOD_TILT) -> SimulatedNailBoard:
+    """Print a board and lay it on the wood of a station with a calibrated camera.
+
+    Args:
+        config: The station; its camera stands where `position` and `target` say.
+        sheet: The sheet that is printed.
+        seed: Seed of what is drawn.
+        tilt: Standard deviation of each component of the wood's tilt [rad].
+
+    Returns:
+        The board.
+    """
+    rng = np.random.default_rng([seed, 32])
+    config = replace(config, camera=config.camera.uncalibrated)
+    dx, dy = rng.uniform(-MOVED, MOVED, 2).tolist()
+    true = replace(config, work=config.work.moved(dx, dy, float(rng.uniform(-RAISED, RAISED))))
+    laid = print_on_wood(true, sheet, rng, tilt)
+    head = laid.entry + true.work.nail_protrusion * np.array([0.0, 0.0, 1.0])
+    touched = LocatedNail(head + rng.normal(0.0, TOUCH, 3), 0.0, np.eye(3) * TOUCH**2)
+    return SimulatedNailBoard(
+        laid.board, laid.on_wood, laid.placed, laid.entry, laid.up, true, _calibrated(config, sheet, rng), touched, seed
+    )
+
+
+def _calibrated(config: StationConfig, sheet: Sheet, rng: np.random.Generator) -> KnownCamera:
+    """The camera by a calibration with drawn poses and noise."""
+    k = config.camera.intrinsics
+    drawn = draw(PROTOCOLS[PROTOCOL], sheet.board, k, config.camera.X_base_camera, rng)
+    found = closed_forms(
+        [o.X_base_flange for o in drawn.observations],
+        [camera_board(o.view, sheet.board, k)[0] for o in drawn.observations],
+    )
+    views = Views(drawn.observations, sheet.board, k)
+    refined = refine(views, best_start(views, found))
+    return KnownCamera(refined.estimate.X_base_camera, refined.covariance[:6, :6], k, refined.noise.pixel)

@@ -1,0 +1,159 @@
+"""The nails of one job, which are driven one after the other with the tool that is held."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from toolee_robot.config import WorkConfig
+from toolee_robot.control import CollisionWorld
+from toolee_robot.control.collision_shapes import Body, nail_bodies
+from toolee_robot.errors import PlanningError
+from toolee_robot.tasks.common.motions import Motions
+from toolee_robot.tasks.common.observer import TaskObserver
+from toolee_robot.tasks.common.outcome import JobEnded, NailResult, Outcome, Strike
+from toolee_robot.tasks.hammering.nail_driving import NailDriving
+
+OF_THE_NAIL = frozenset(
+    {Outcome.FLUSH, Outcome.BENT, Outcome.STUCK, Outcome.OUT_OF_STRIKES, Outcome.NAIL_MISSED, Outcome.NO_PLAN}
+)
+"""Outcomes that are about one nail: the next one is driven. All others stop the job: the robot stands, or what it
+holds is lost, unknown, or no longer held as it was, or the last strike was too much for the arm."""
+
+
+class NailMotions(Motions):
+    """The motions of a job among several nails.
+
+    Attributes:
+        in_the_way: The nails that stand and are not struck now.
+    """
+
+    in_the_way: tuple[Body, ...] = ()
+
+    def world(self) -> CollisionWorld:
+        """Collision model of the present state, with the nails that are in the way."""
+        X_hand_ee = self.X_hand_ee if self.held else None
+        return CollisionWorld(self._robot, self._config, self.q_hand, X_hand_ee, self.in_the_way)
+
+
+class NailSeries:
+    """The nails in order, and what became of them.
+
+    Args:
+        work: The work.
+        motions: Is told which nails are in the way.
+        nails: What drives each nail, with its name, in order.
+        observer: Receives the events of the job.
+    """
+
+    def __init__(
+        self, work: WorkConfig, motions: NailMotions, nails: Sequence[tuple[str, NailDriving]], observer: TaskObserver
+    ) -> None:
+        self._work, self._motions, self._nails, self._observer = work, motions, nails, observer
+        self._ended: list[NailResult] = []
+        self._begun = False
+        self._unseen = 0
+
+    @property
+    def driving(self) -> NailDriving:
+        """What drives the present nail; the last one where all have ended."""
+        return self._nails[min(len(self._ended), len(self._nails) - 1)][1]
+
+    @property
+    def strikes_since_look(self) -> int:
+        """Number of strikes since the last look at the tool, on this nail or the one before."""
+        return self._unseen + self.driving.strikes_since_look
+
+    @property
+    def strikes(self) -> tuple[Strike, ...]:
+        """All strikes so far."""
+        return tuple(strike for _, driving in self._nails for strike in driving.strikes)
+
+    @property
+    def protrusion(self) -> float | None:
+        """Height of the head of the nail driven last over the wood as measured last [m]; None before the first."""
+        return next((d.protrusion for _, d in reversed(self._nails) if d.protrusion is not None), None)
+
+    @property
+    def seconds(self) -> float:
+        """Time that the nails have taken so far [s], station clock."""
+        return sum(driving.seconds for _, driving in self._nails)
+
+    def looked(self) -> None:
+        """Note that the tool was looked at before the present nail."""
+        self._unseen = 0
+
+    def drive(self, drive: Callable[[bool], tuple[Outcome, str]], lift: bool) -> tuple[Outcome, str]:
+        """Drive the nails that have not ended; a nail that is given up does not keep the next one from being driven.
+
+        Args:
+            drive: Drives the present nail, with whether the hand is lifted from the work first.
+            lift: Whether it is for the first of them.
+
+        Returns:
+            Outcome of all, and the reason for a person.
+
+        Raises:
+            JobEnded: The job cannot go on.
+            TooleeError: A motion or a device failed.
+        """
+        while len(self._ended) < len(self._nails):
+            name, driving = self._nails[len(self._ended)]
+            if not self._begun:
+                self._observer.nail_started(name, self._work.only(name).nail_protrusion)
+            self._begun = True
+            self._motions.in_the_way = nail_bodies(self._work, self._standing(name))
+            try:
+                outcome, reason = drive(lift)
+            except JobEnded as end:
+                outcome, reason = end.outcome, str(end)
+            except PlanningError as error:
+                outcome, reason = Outcome.NO_PLAN, str(error)
+            if outcome not in OF_THE_NAIL:
+                raise JobEnded(outcome, reason)
+            self._unseen, self._begun, lift = driving.strikes_since_look, False, True
+            self._ended.append(_result(name, outcome, reason, driving))
+            self._observer.nail_ended(self._ended[-1])
+        if len(self._nails) == 1:
+            return outcome, reason
+        flush = [nail.name for nail in self._ended if nail.outcome is Outcome.FLUSH]
+        others = [nail for nail in self._ended if nail.outcome is not Outcome.FLUSH]
+        if not others:
+            return Outcome.FLUSH, f"all {len(flush)} nails are flush"
+        reasons = "; ".join(f"{nail.name}: {nail.reason}" for nail in others)
+        return others[0].outcome or Outcome.STUCK, f"{len(flush)} of {len(self._nails)} nails are flush; {reasons}"
+
+    def _standing(self, struck: str) -> list[str]:
+        """The nails other than the one that is struck that are not known to be flush."""
+        flush = [nail.name for nail in self._ended if nail.outcome is Outcome.FLUSH]
+        return [name for name in self._work.names if name not in (struck, *flush)]
+
+    def told(self, reason: str) -> str:
+        """Say at which of several nails the job stopped.
+
+        Args:
+            reason: Why it stopped.
+
+        Returns:
+            The reason with the nail's name, where there are several and one was begun.
+        """
+        return f"nail {self._nails[len(self._ended)][0]}: {reason}" if len(self._nails) > 1 and self._begun else reason
+
+    def results(self, outcome: Outcome, reason: str) -> tuple[NailResult, ...]:
+        """What became of the nails so far.
+
+        Args:
+            outcome: How the job ended: so did the nail that was begun and has not ended.
+            reason: Why.
+
+        Returns:
+            A result for each.
+        """
+        found = list(self._ended)
+        for name, driving in self._nails[len(found) :]:
+            begun = self._begun and len(found) == len(self._ended)
+            found.append(_result(name, outcome if begun else None, reason if begun else "", driving))
+        return tuple(found)
+
+
+def _result(name: str, outcome: Outcome | None, reason: str, driving: NailDriving) -> NailResult:
+    return NailResult(name, outcome, reason, tuple(driving.strikes), driving.protrusion, driving.seconds)
