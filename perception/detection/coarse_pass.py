@@ -64,5 +64,9 @@ def merge_coarse(found: Instances, coarse: Instances) -> Instances:
             score = max(score, later.pop(best)[2])
         merged.append((mask, label, score, box))
     merged += later
-    masks, labels, scores, boxes = ([instance[k] for instance in merged] for k in range(4))
-    return without_duplicates(masks, labels, scores, boxes)
+    return without_duplicates(
+        [mask for mask, *_ in merged],
+        [label for _, label, *_ in merged],
+        [score for *_, score, _ in merged],
+        [box for *_, box in merged],
+    )
