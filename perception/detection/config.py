@@ -26,8 +26,8 @@ class DetectorConfig:
         pre_nms: Proposals per level before suppression.
         post_nms: Proposals per image after suppression.
         rpn_nms: IoU above which a proposal is suppressed.
-        score_threshold: Least class probability and least score of an end effector; doubtful detections are kept,
-            because `trust.py` decides what is usable.
+        score_threshold: Least class probability, and least score of an end effector before its mask is refined;
+            doubtful detections are kept, because `trust.py` decides what is usable.
         box_nms: IoU above which a detection of the same class is suppressed.
         max_detections: Most detections per image.
     """
