@@ -216,3 +216,10 @@ class InHandEstimate:
     def sigma_position(self) -> float:
         """Square root of the largest eigenvalue of the position covariance [m]."""
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:3, :3])[-1]))
+
+    @property
+    def sigma_axis(self) -> float:
+        """Standard deviation of the direction of the EE's z axis [rad], root mean square of both ways to tilt it."""
+        R = self.X_hand_ee[:3, :3]
+        covariance = R.T @ self.covariance[3:, 3:] @ R
+        return float(np.sqrt(0.5 * np.trace(covariance[:2, :2])))

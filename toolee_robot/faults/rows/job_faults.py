@@ -206,7 +206,7 @@ WORK = (
              RUN_UP, Outcome.NAIL_MISSED, "before the nail", 2, "home", braking=Braking(2), looks_again=True,
              meetings=(Meeting.EARLY, Meeting.EARLY), sees=True, max_strikes=3),
     JobFault(26, "no progress", REST, RECORDS, _harden, None, Outcome.STUCK, "two strikes", 2, "home", max_strikes=5),
-    JobFault(26, "nail sinks too far", SWING, RECORDS, _bend(SLIDE, 0.010), "strike", Outcome.BENT, "has bent away", 1,
+    JobFault(26, "nail sinks too far", SWING, RECORDS, _bend(SLIDE, 0.011), "strike", Outcome.BENT, "has bent away", 1,
              "home", max_strikes=5, sees=True),
     JobFault(26, "nail bends aside", SWING, RECORDS, _bend(HINGE_X, np.deg2rad(80)), "strike", Outcome.BENT,
              "met nothing", 1, "home", max_strikes=5, sees=True),

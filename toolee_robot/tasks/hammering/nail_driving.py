@@ -22,6 +22,7 @@ from toolee_robot.tasks.common.outcome import JobEnded, Outcome, Stage, Strike
 from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.tasks.hammering.nail_forecast import NailForecast
 from toolee_robot.tasks.hammering.nail_gauge import CLEAR, MAX_DEPTH_PER_STRIKE, NailGauge
+from toolee_robot.tasks.hammering.tool_pose import Holding
 from toolee_robot.types import Payload
 
 SURELY_FLUSH = 0.5
@@ -49,8 +50,7 @@ class NailDriving:
         clock: The station's clock.
         stages: Times the stages of the job.
         observer: Receives the events of the job.
-        look: Looks at the tool from the given number of views and sets `motions.X_hand_ee`; returns whether the tool
-            is held steadily.
+        look: Looks at the tool from the given number of views and sets `motions.X_hand_ee`; returns how it is held.
         tool: Mass [kg] and centre of mass of the tool in the frame of its end effector [m].
         correction: Whether the estimated in-hand pose is used.
 
@@ -68,7 +68,7 @@ class NailDriving:
         clock: Clock,
         stages: Stages,
         observer: TaskObserver,
-        look: Callable[[int], bool],
+        look: Callable[[int], Holding],
         tool: Payload,
         *,
         correction: bool,
@@ -84,13 +84,18 @@ class NailDriving:
         self._gauge = NailGauge(motions, config, robot, observer)
         self._forecast = NailForecast(config.work.nail_length, config.task.flush_protrusion, motions.arm.rate)
         self._strikes_seen = 0
-        self._look_after = config.task.strikes_between_looks
+        self._holding = Holding()
         self._measured = False
 
     @property
     def strikes_since_look(self) -> int:
         """Number of strikes since the last look at the tool."""
         return len(self.strikes) - self._strikes_seen
+
+    @property
+    def _look_after(self) -> int:
+        """Number of strikes between two looks."""
+        return self._config.task.strikes_between_looks * (2 if self._holding.steady else 1)
 
     def run(self) -> tuple[Outcome, str]:
         """Strike until the nail is flush or another end condition holds; once more after an interruption.
@@ -136,6 +141,8 @@ class NailDriving:
             with self._check_missed(missed):
                 measured = self._strike_nail(plan, before)
                 missed = 0
+            if not missed:
+                self._motions.X_hand_ee = self._holding.struck(self._motions.X_hand_ee)
             if missed or measured is None:
                 continue
             struck = forecast.unmeasured
@@ -156,6 +163,7 @@ class NailDriving:
 
     def _begin(self) -> None:
         """Touch the nail: its height is known, but for an interruption, and the face's place along it is not."""
+        self._holding = Holding()
         known = self._config.work.nail_protrusion if self.protrusion is None else self._forecast.height
         self._strikes_seen = len(self.strikes)
         plan = self._plan(known)
@@ -170,9 +178,8 @@ class NailDriving:
         self.protrusion = height
 
     def _look(self, views: int) -> None:
-        steady = self._look_from(views)
+        self._holding = self._look_from(views)
         self._strikes_seen = len(self.strikes)
-        self._look_after = self._config.task.strikes_between_looks * (2 if steady else 1)
 
     def _plan(self, height: float) -> StrikePlan:
         """Plan a strike at a nail that protrudes by `height` [m]."""

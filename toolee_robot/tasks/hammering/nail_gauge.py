@@ -50,7 +50,7 @@ class NailGauge:
         self._motions, self._config, self._robot = motions, config, robot
         self._touch = Touch(motions, config, robot, observer)
         self._reference = 0.0
-        self._corrected: Array | None = None  # `motions.X_hand_ee` as the last measurement has left it
+        self._corrected: Array | None = None  # the face's place in the hand as the last measurement has left it
 
     def begin(self, plan: StrikePlan) -> None:
         """Touch a nail of known height, and the wood, to find the offset of the face along its normal.
@@ -101,8 +101,10 @@ class NailGauge:
             JobEnded: A touch met nothing, or the tool already touches something before it.
         """
         motions, expected = self._motions, max(expected, 0.0)
-        known = motions.X_hand_ee is self._corrected  # but for the slip of a strike
-        lowest = self._height() - CLEAR - TOLERANCE
+        place = motions.X_hand_ee[:3, 3]
+        known = self._corrected is not None and np.array_equal(place, self._corrected)  # but for the slip of strikes
+        # A strike may have driven the nail, which `expected` does not know of.
+        lowest = self._height() - CLEAR - TOLERANCE - IMPLAUSIBLE_DEPTH
         nail = self._lower("nail", expected + MARGIN if known else None, lowest, missed)
         self._rise_to(nail + LIFT)
         # Towards the handle, so that the hand moves away from the block.
@@ -121,7 +123,7 @@ class NailGauge:
         measured = nail - wood + self._reference
         # Correct the face's position along its normal, from the nail's head that it rested on.
         motions.X_hand_ee = motions.X_hand_ee @ transform(p=[0.0, 0.0, nail - measured])
-        self._corrected = motions.X_hand_ee
+        self._corrected = motions.X_hand_ee[:3, 3]
         return measured
 
     def go_over(self, plan: StrikePlan) -> None:

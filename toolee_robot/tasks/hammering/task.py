@@ -41,7 +41,7 @@ from toolee_robot.tasks.hammering.grasp import Grasp
 from toolee_robot.tasks.hammering.handover import Handover
 from toolee_robot.tasks.hammering.nail_driving import NailDriving
 from toolee_robot.tasks.hammering.nail_series import NailMotions, NailSeries
-from toolee_robot.tasks.hammering.tool_pose import ToolPose
+from toolee_robot.tasks.hammering.tool_pose import Holding, ToolPose
 
 LIFT = 0.020
 """Retraction from the work before the tool is looked at again [m]."""
@@ -273,8 +273,8 @@ class HammeringTask:
         self._handover.tool_gone()
         return f"the arm moved away from it: {PUT_AWAY}" if self._motions.retreat() else PUT_AWAY
 
-    def _look(self, views: int) -> bool:
-        return self._correction and self._tool_pose.look(views)
+    def _look(self, views: int) -> Holding:
+        return self._tool_pose.look(views) if self._correction else Holding()
 
     def _check_calibration(self) -> None:
         """Refuse a station whose camera calibration is missing or invalid."""

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control.planning.views import plan_views
 from toolee_robot.control.robot_model import RobotModel
 from toolee_robot.control.slip import merge, slip
 from toolee_robot.errors import PerceptionError
-from toolee_robot.frames import Array, angle_between, inverse
+from toolee_robot.frames import Array, angle_between, inverse, transform
 from toolee_robot.hal import Station
 from toolee_robot.tasks.common.look import Look, Perceiver
 from toolee_robot.tasks.common.motions import Motions
@@ -25,6 +27,23 @@ SETTLE = 0.3
 STEADY, STEADY_ANGLE = 0.00075, np.deg2rad(0.5)
 """Largest slip per strike of a tool that is held steadily: in the plane of the face [m], since touches measure the slip
 along its normal, and of its normal [rad]."""
+
+
+@dataclass(frozen=True)
+class Holding:
+    """How the hand holds the tool, by the last two looks at it.
+
+    Attributes:
+        steady: Whether it has hardly slipped.
+        turn: How a strike turns the face's normal, a rotation vector in the face's axes, (3,) [rad].
+    """
+
+    steady: bool = False
+    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def struck(self, X_hand_ee: Array) -> Array:
+        """Pose of the face in the hand after one more strike, (4, 4), from that before it."""
+        return X_hand_ee @ transform(Rotation.from_rotvec(self.turn))
 
 
 class ToolPose:
@@ -68,14 +87,14 @@ class ToolPose:
         """Believe the next look alone: what was known of the pose no longer holds, for instance after a stop."""
         self._related = False
 
-    def look(self, views: int) -> bool:
+    def look(self, views: int) -> Holding:
         """Estimate the pose of the face in the hand; on failure once more, from other views.
 
         Args:
             views: Number of views.
 
         Returns:
-            Whether the tool is held steadily: it has hardly slipped since the look before; False at the first one.
+            How the tool is held since the look before.
 
         Raises:
             PerceptionError: The tool was not found, or its pose cannot be trusted.
@@ -104,12 +123,13 @@ class ToolPose:
                 with self._stages(Stage.PERCEIVE):
                     look.take(self._station)
             try:
-                steady = False
+                holding = Holding()
                 with self._stages(Stage.PERCEIVE):
                     estimate = look.fuse(self._station.clock.now())
                     if self._related:
                         strikes = max(self._strikes_since_look(), 1)
-                        steady = _steady(self.estimates[-1][1].X_hand_ee, estimate.X_hand_ee, strikes)
+                        usual = self._config.task.slip_angle_per_strike
+                        holding = _holding(self.estimates[-1][1], estimate, strikes, usual)
                         estimate = self._after_slip(self.estimates[-1][1], estimate)
                 break
             except (PerceptionError, JobEnded) as error:
@@ -120,7 +140,7 @@ class ToolPose:
         self.estimates.append((self._station.clock.now(), estimate))
         self._motions.X_hand_ee = estimate.X_hand_ee
         self._related = True
-        return steady
+        return holding
 
     def _after_slip(self, before: InHandEstimate, now: InHandEstimate) -> InHandEstimate:
         """Fuse the estimates of two looks; ends the job when the tool has slipped too far."""
@@ -136,7 +156,20 @@ class ToolPose:
         return merge(before, now, strikes * task.slip_per_strike, strikes * task.slip_angle_per_strike)
 
 
-def _steady(before: Array, now: Array, strikes: int) -> bool:
-    """Whether the face has hardly moved in the hand but along its normal, by its poses there, (4, 4) each."""
-    aside = float(np.linalg.norm((inverse(before) @ now)[:2, 3]))
-    return aside <= strikes * STEADY and angle_between(before[:3, 2], now[:3, 2]) <= strikes * STEADY_ANGLE
+def _holding(before: InHandEstimate, now: InHandEstimate, strikes: int, usual: float) -> Holding:
+    """Compare two looks with so many strikes between them.
+
+    The turn of a strike is the most probable one, with `usual` as its standard deviation [rad] before anything is seen:
+    what the looks tell counts the less, the less certain they are.
+    """
+    moved = inverse(before.X_hand_ee) @ now.X_hand_ee
+    angle = angle_between(before.X_hand_ee[:3, 2], now.X_hand_ee[:3, 2])
+    steady = np.linalg.norm(moved[:2, 3]) <= strikes * STEADY and angle <= strikes * STEADY_ANGLE
+    axis = np.array([-moved[1, 2], moved[0, 2], 0.0])  # of the turn from one normal to the other
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-9:
+        return Holding(bool(steady))
+    expected = (strikes * usual) ** 2
+    share = expected / (expected + before.sigma_axis**2 + now.sigma_axis**2)
+    x, y, z = (axis * (share * angle / (sine * strikes))).tolist()
+    return Holding(bool(steady), (x, y, z))
