@@ -129,7 +129,7 @@ class ToolPose:
                     if self._related:
                         strikes = max(self._strikes_since_look(), 1)
                         usual = self._config.task.slip_angle_per_strike
-                        holding = _holding(self.estimates[-1][1], estimate, strikes, usual)
+                        holding = holding_between(self.estimates[-1][1], estimate, strikes, usual)
                         estimate = self._after_slip(self.estimates[-1][1], estimate)
                 break
             except (PerceptionError, JobEnded) as error:
@@ -156,11 +156,19 @@ class ToolPose:
         return merge(before, now, strikes * task.slip_per_strike, strikes * task.slip_angle_per_strike)
 
 
-def _holding(before: InHandEstimate, now: InHandEstimate, strikes: int, usual: float) -> Holding:
-    """Compare two looks with so many strikes between them.
+def holding_between(before: InHandEstimate, now: InHandEstimate, strikes: int, usual: float) -> Holding:
+    """Compare two looks: how the hand holds the tool.
 
-    The turn of a strike is the most probable one, with `usual` as its standard deviation [rad] before anything is seen:
-    what the looks tell counts the less, the less certain they are.
+    The turn of a strike is the most probable one: what the looks tell counts the less, the less certain they are.
+
+    Args:
+        before: The earlier look.
+        now: The later look.
+        strikes: Number of strikes between them.
+        usual: Standard deviation of the turn of a strike before anything is seen [rad].
+
+    Returns:
+        How it is held.
     """
     moved = inverse(before.X_hand_ee) @ now.X_hand_ee
     angle = angle_between(before.X_hand_ee[:3, 2], now.X_hand_ee[:3, 2])
