@@ -112,8 +112,7 @@ def rank(found: Candidates, wanted_speed: float, near: Array) -> Array:
     """Compute the kinematic score of candidates; `planning.strike` adds the clearance.
 
     Speed counts up to 1.5 times the wanted speed (the reserve is needed for the joints' accelerations), the margin up
-    to 0.6 rad, the manipulability up to 0.1. The distance from `near` decides between candidates that are about as
-    good, so that successive strikes keep one posture: another one takes half a second to reach.
+    to 0.6 rad, the manipulability up to 0.1. The distance from `near` breaks ties.
 
     Args:
         found: The candidates.
@@ -127,4 +126,4 @@ def rank(found: Candidates, wanted_speed: float, near: Array) -> Array:
     margin = np.minimum(found.margin / 0.6, 1.0)
     dexterity = np.minimum(found.manipulability / 0.1, 1.0)
     travel = np.max(np.abs(found.q - near), axis=-1) / np.pi
-    return speed + 0.3 * margin + 0.3 * dexterity - 0.5 * travel
+    return speed + 0.3 * margin + 0.3 * dexterity - 0.15 * travel

@@ -35,6 +35,9 @@ TORQUE_ROUNDS = 6
 """Number of decelerations that are tried until a strike keeps the torques."""
 MIN_SPEED = 0.3
 """Least useful speed of a strike [m/s]; a slower one does not drive the nail."""
+ON_LINE, STAYS = 0.06, 0.1
+"""Distance of the joints up to which the arm stands on a strike's line [rad], and what that adds to its score: another
+posture takes half a second to reach, before every strike."""
 
 
 def plan_strike(
@@ -193,7 +196,8 @@ def _solve_lines(
     """Return the shortlist's lines that are reachable, fast enough and collision-free on a coarse grid, best first.
 
     The score is the kinematic rank, plus the ratio of attainable to wanted speed, plus 0.3 for a margin of 0.6 rad
-    along the whole line, plus 0.4 for a clearance of FAR. Raises UnreachableError or CollisionError when none is left.
+    along the whole line, plus 0.4 for a clearance of FAR, plus STAYS for a line on which the arm already stands. Raises
+    UnreachableError or CollisionError when none is left.
     """
     normal = X_base_nail[:3, 2]
     run_up = config.strike.run_up
@@ -219,6 +223,8 @@ def _solve_lines(
             continue
         margin = float(np.min(np.minimum(q[i] - arm.lower, arm.upper - q[i])))
         value = float(score[i]) + limits.speed / wanted + 0.3 * min(margin / 0.6, 1.0)
+        if np.min(np.max(np.abs(q[i] - near), axis=-1)) < ON_LINE:
+            value += STAYS
         line = Line(robot.ik, targets[i], normal, int(short.branch[i]), short.q[i])
         usable.append(_Feasible(value, int(i), line, limits, margin))
     if not usable:
