@@ -269,6 +269,7 @@ def test_the_nail_is_not_where_the_station_file_has_it(bench: Bench, change: dic
     if "too high" in reason:  # by 8 mm; a touch is good to half a millimetre
         assert float(result.reason.split(" mm too high")[0].split()[-1]) == pytest.approx(8.0, abs=0.5)
     assert result.strikes == ()
+    assert len(result.estimates) == 2, "it has looked again"
     assert "strike" not in log.motions
     assert is_home(bench.sim)
     assert at_rest(bench.sim)

@@ -50,7 +50,8 @@ class NailDriving:
         clock: The station's clock.
         stages: Times the stages of the job.
         observer: Receives the events of the job.
-        look: Looks at the tool from the given number of views and sets `motions.X_hand_ee`; returns how it is held.
+        look: Looks at the tool from the given number of views, and whether it forgets the looks before; sets
+            `motions.X_hand_ee` and returns how the tool is held.
         tool: Mass [kg] and centre of mass of the tool in the frame of its end effector [m].
         correction: Whether the estimated in-hand pose is used.
 
@@ -68,7 +69,7 @@ class NailDriving:
         clock: Clock,
         stages: Stages,
         observer: TaskObserver,
-        look: Callable[[int], Holding],
+        look: Callable[[int, bool], Holding],
         tool: Payload,
         *,
         correction: bool,
@@ -162,23 +163,36 @@ class NailDriving:
             self._look(task.views)
 
     def _begin(self) -> None:
-        """Touch the nail: its height is known, but for an interruption, and the face's place along it is not."""
+        """Touch the nail: its height is known, but for an interruption, and the face's place along it is not.
+
+        A nail that is not met is touched once more, after a look at the tool that does not believe the one before.
+        """
         self._holding = Holding()
         known = self._config.work.nail_protrusion if self.protrusion is None else self._forecast.height
         self._strikes_seen = len(self.strikes)
-        plan = self._plan(known)
-        height = known
-        with self._stages(Stage.TOUCH), self._check_blind():
-            if self._measured:
-                height = self._gauge.resume(plan, known)
-            else:
-                self._gauge.begin(plan)
-                self._measured = True
+        try:
+            height = self._first_touch(known)
+        except JobEnded as end:
+            if not self._correction or end.outcome is not Outcome.NAIL_MISSED:
+                raise
+            self._observer.message(f"{end}; looking again")
+            self._look(self._config.task.views, afresh=True)
+            height = self._first_touch(known)
         self._forecast.measured(height)
         self.protrusion = height
 
-    def _look(self, views: int) -> None:
-        self._holding = self._look_from(views)
+    def _first_touch(self, known: float) -> float:
+        """Touch a nail that protrudes by `known` [m], but for an interruption; returns what it protrudes by [m]."""
+        plan = self._plan(known)
+        with self._stages(Stage.TOUCH), self._check_blind():
+            if self._measured:
+                return self._gauge.resume(plan, known)
+            self._gauge.begin(plan)
+            self._measured = True
+        return known
+
+    def _look(self, views: int, *, afresh: bool = False) -> None:
+        self._holding = self._look_from(views, afresh)
         self._strikes_seen = len(self.strikes)
 
     def _plan(self, height: float) -> StrikePlan:

@@ -63,6 +63,7 @@ class NailGauge:
         """
         self.go_over(plan)
         known = self._config.work.nail_protrusion
+        self._reference = 0.0
         measured = self.measure(known)
         self._reference = known - measured
         self._corrected = None  # the place of the face will shift by the offset in the next measurement

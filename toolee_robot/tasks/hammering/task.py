@@ -273,8 +273,12 @@ class HammeringTask:
         self._handover.tool_gone()
         return f"the arm moved away from it: {PUT_AWAY}" if self._motions.retreat() else PUT_AWAY
 
-    def _look(self, views: int) -> Holding:
-        return self._tool_pose.look(views) if self._correction else Holding()
+    def _look(self, views: int, afresh: bool = False) -> Holding:
+        if not self._correction:
+            return Holding()
+        if afresh:
+            self._tool_pose.forget()
+        return self._tool_pose.look(views)
 
     def _check_calibration(self) -> None:
         """Refuse a station whose camera calibration is missing or invalid."""
