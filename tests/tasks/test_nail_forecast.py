@@ -135,6 +135,15 @@ def test_a_contact_elsewhere_is_measured_and_said(off: float) -> None:
     assert ("above" if off > 0 else "below") in forecast.surprise
 
 
+def test_how_many_strikes_are_left() -> None:
+    forecast, course = NailForecast(LENGTH, FLUSH, RATE), depths(72e-6, 12)
+    assert forecast.left == np.inf
+    _, _, heights = drive(forecast, course[:3], np.random.default_rng(0))
+    flush = next(n for n, height in enumerate(START - np.cumsum(course), start=1) if height <= FLUSH)
+    assert heights[-1] > FLUSH
+    assert flush - 1 < 3 + forecast.left <= flush
+
+
 def test_progress_is_that_of_one_strike() -> None:
     forecast = NailForecast(LENGTH, FLUSH, RATE)
     drive(forecast, [0.003], np.random.default_rng(0))

@@ -67,8 +67,8 @@ class TaskConfig:
     views_again: Count = 2
     """Number of views of each later look."""
     strikes_between_looks: Count = 4
-    """Number of strikes after which the tool is looked at again; twice as many after a look that found it held
-    steadily."""
+    """Number of strikes after which the tool is looked at again; up to half as many more if it is held steadily and
+    they finish the nail."""
     handover_timeout: Positive = 30.0
     """Time that a person has to hand over the tool, and to answer each question [s]."""
 

@@ -93,10 +93,10 @@ class NailDriving:
         """Number of strikes since the last look at the tool."""
         return len(self.strikes) - self._strikes_seen
 
-    @property
-    def _look_after(self) -> int:
-        """Number of strikes between two looks."""
-        return self._config.task.strikes_between_looks * (2 if self._holding.steady else 1)
+    def _look_due(self, strikes: int) -> bool:
+        """Whether to look again after so many strikes; not if a steadily held tool is about to finish the nail."""
+        usual = self._config.task.strikes_between_looks
+        return strikes >= usual and not (self._holding.steady and strikes + self._forecast.left <= 1.5 * usual)
 
     def run(self) -> tuple[Outcome, str]:
         """Strike until the nail is flush or another end condition holds; once more after an interruption.
@@ -134,7 +134,7 @@ class NailDriving:
                 end = f"after {task.max_strikes} strikes the head stands {height * 1e3:.1f} mm over the wood"
                 return Outcome.OUT_OF_STRIKES, f"{end}, not confirmed by another strike" if flush else end
             self._check_load()
-            if self.strikes_since_look >= self._look_after and height > task.flush_protrusion:
+            if self._look_due(self.strikes_since_look) and height > task.flush_protrusion:
                 self._look(task.views_again)
             plan = self._plan(height)
             before, measured = height, None
@@ -225,7 +225,7 @@ class NailDriving:
             met = verdict.meeting is Meeting.EXPECTED
             last = len(self.strikes) + 1 >= self._config.task.max_strikes
             measure = self._forecast.struck(verdict, plan.speed) or last if met else True
-            look_due = self.strikes_since_look + 1 >= self._look_after
+            look_due = self._look_due(self.strikes_since_look + 1)
             self._retract(plan, CLEAR if measure or look_due else min(plan.run_up, self._config.strike.run_up))
         height = None
         try:

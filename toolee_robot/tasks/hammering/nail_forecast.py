@@ -51,6 +51,13 @@ class NailForecast:
         self._delays: list[float] = []
         self._offs: list[float] = []  # of the contacts since the last measurement, from the forecast [m]
 
+    @property
+    def left(self) -> float:
+        """Number of strikes until the nail is flush, as far as is known; infinite if nothing is."""
+        if not self._growth:
+            return np.inf
+        return max(float(self._depth(self._flush) ** 2 - self._depth(self.height) ** 2) / self._growth, 0.0)
+
     def measured(self, height: float) -> float:
         """Take over a measurement.
 
