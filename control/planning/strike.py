@@ -8,6 +8,7 @@ acceleration. Braking begins there, so that after a missed nail the block, not t
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +31,7 @@ from toolee_robot.frames import Array, is_rigid
 from toolee_robot.types import Payload, Trajectory
 
 SHORTLIST = 24
-"""Number of candidates whose whole line is solved and checked."""
+"""Number of candidates whose whole line is solved and checked at once."""
 TORQUE_ROUNDS = 6
 """Number of decelerations that are tried until a strike keeps the torques."""
 MIN_SPEED = 0.3
@@ -83,9 +84,8 @@ def plan_strike(
     wanted = config.strike.speed if speed is None else speed
     X_flange_ee = robot.X_flange_hand(q_hand) @ X_hand_ee
     found = candidates(robot.ik, X_base_nail, X_flange_ee, config.arm, q_start)
-    order = np.argsort(-rank(found, wanted, q_start))[:SHORTLIST]
-    short = found.take(order)
-    fastest = min(wanted, float(np.max(short.attainable_speed)))
+    ranked = found.take(np.argsort(-rank(found, wanted, q_start)))
+    fastest = min(wanted, float(np.max(ranked.attainable_speed[:SHORTLIST])))
     yields = yield_length(robot, q_hand, X_flange_ee)
     dynamics = ArmDynamics(robot, q_hand, X_hand_ee, tool)
     failure: PlanningError | None = None
@@ -93,7 +93,7 @@ def plan_strike(
     for share in (1.0, 0.8, 0.6):
         top = share * fastest
         try:
-            plan = _plan(robot, config, world, dynamics, q_start, short, X_base_nail, X_flange_ee, top, wanted, began)
+            plan = _plan(robot, config, world, dynamics, q_start, ranked, X_base_nail, X_flange_ee, top, wanted, began)
         except (CollisionError, LimitError) as error:
             if isinstance(error, LimitError) and error.code != "limit.torque":
                 raise
@@ -117,17 +117,21 @@ def _plan(
     world: CollisionWorld,
     dynamics: ArmDynamics,
     q_start: Array,
-    short: Candidates,
+    ranked: Candidates,
     X_base_nail: Array,
     X_flange_ee: Array,
     speed: float,
     wanted: float,
     began: float,
 ) -> StrikePlan:
-    """Plan the best strike of at most `speed` [m/s] among the shortlist."""
+    """Plan the best strike of at most `speed` [m/s] among ranked candidates."""
     failure: PlanningError | None = None
     torque = TORQUE_SHARE * np.array(ARM_DATA[config.arm.model].torque)
-    for found in _solve_lines(robot, config, world, short, q_start, X_base_nail, X_flange_ee, speed):
+
+    def blocked() -> bool:
+        return failure is not None and failure.code == "collision.no_path"
+
+    for found in _by_branches(robot, config, world, ranked, q_start, X_base_nail, X_flange_ee, speed, blocked):
         line, limits, index = found.line, found.limits, found.index
         assert found.clearance is not None
         try:
@@ -142,7 +146,7 @@ def _plan(
             failure = failure or error
             continue
         return StrikePlan(
-            theta=float(short.theta[index]),
+            theta=float(ranked.theta[index]),
             q_standoff=strike.q[0],
             q_contact=strike.q[contact],
             approach=approach,
@@ -150,7 +154,7 @@ def _plan(
             contact_time=contact_time,
             speed=limits.speed,
             wanted_speed=wanted,
-            attainable_speed=float(short.attainable_speed[index]),
+            attainable_speed=float(ranked.attainable_speed[index]),
             run_up=config.strike.run_up,
             brake_length=brake,
             clearance=found.clearance,
@@ -181,6 +185,37 @@ class _Feasible:
     limits: PathLimits
     margin: float
     clearance: Clearance | None = None
+
+
+def _by_branches(
+    robot: RobotModel,
+    config: StationConfig,
+    world: CollisionWorld,
+    ranked: Candidates,
+    near: Array,
+    X_base_nail: Array,
+    X_flange_ee: Array,
+    wanted: float,
+    blocked: Callable[[], bool],
+) -> Iterator[_Feasible]:
+    """Yield the best lines; while the way to them is `blocked`, those of other branches of the inverse kinematics, too.
+
+    From where the arm stands there may be no way past itself to any line of one branch.
+    """
+    rows = np.arange(len(ranked.theta))
+    while len(rows):
+        short = ranked.take(rows[:SHORTLIST])
+        try:
+            best = _solve_lines(robot, config, world, short, near, X_base_nail, X_flange_ee, wanted)
+        except PlanningError:
+            if len(rows) == len(ranked.theta):
+                raise
+            return
+        yield from (replace(found, index=int(rows[found.index])) for found in best)
+        tried = [int(short.branch[found.index]) for found in best]
+        if not blocked():
+            return
+        rows = rows[~np.isin(ranked.branch[rows], tried)]
 
 
 def _solve_lines(
