@@ -16,6 +16,7 @@ from toolee_robot.config import StationConfig, ToolData
 from toolee_robot.config.values import STRICT, NotNegative
 from toolee_robot.end_effectors import Category
 from toolee_robot.frames import Array, transform
+from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.tools import Tool
 from toolee_robot.types import DhCalibration
 from toolee_robot.types.arm import Six
@@ -114,11 +115,6 @@ class DrawnErrors:
         gravity = config.work.wood_specific_gravity * _share(self.sizes.wood * float(self.material[0]))
         return replace(config, work=replace(config.work, wood_specific_gravity=gravity))
 
-    @property
-    def friction_share(self) -> float:
-        """Friction between hand and handle as a share of the usual one."""
-        return _share(self.sizes.friction * float(self.material[1]))
-
     def _miscalibrated(self, calibration: DhCalibration | None) -> DhCalibration | None:
         """A factory calibration, or none, off by the errors."""
         if not self.sizes.kinematics:
@@ -127,10 +123,17 @@ class DrawnErrors:
         deltas = (known.delta_theta, known.delta_a, known.delta_d, known.delta_alpha)
         return DhCalibration(*(_six(d + self.sizes.kinematics * z) for d, z in zip(deltas, self.arm, strict=True)))
 
-    @property
-    def nail_lean(self) -> tuple[float, float]:
-        """The nail's lean, for `SimOptions`: it is in the cell, whatever is displaced."""
-        return float(self.lean[0]), float(self.lean[1])
+    def options(self, usual: SimOptions) -> SimOptions:
+        """What is in the cell that no station file says: the nail's lean, and the friction in the hand.
+
+        Args:
+            usual: The options without errors.
+
+        Returns:
+            The options.
+        """
+        friction = usual.friction * _share(self.sizes.friction * float(self.material[1]))
+        return replace(usual, nail_lean=(float(self.lean[0]), float(self.lean[1])), friction=friction)
 
     def measured(self, tool: Tool, name: str) -> ToolData:
         """What a person with ruler, scales and calliper writes down of a hammer.

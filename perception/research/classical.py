@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Protocol
+from collections.abc import Callable
 
 import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
-from toolee_robot.end_effectors import CATEGORIES, Category
-from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse, transform, transform_points
 from toolee_robot.perception.cloud import EeCloud, ee_cloud
-from toolee_robot.types import HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import Detection, RgbdFrame
 
 FRONT = 0.95
 """Quantile of the visible points along the face's normal that is taken for the face's plane; the rest is noise."""
@@ -29,83 +25,20 @@ Pose = Callable[[EeCloud, Array], Array]
 """Estimates X_camera_ee, (4, 4), from the clouds of a detection and the nominal X_camera_ee."""
 
 
-class Perceives(Protocol):
-    """The perception whose detections are kept; `ToolPerception`."""
-
-    def estimate(
-        self, frame: RgbdFrame, hand: HoldingHand | None = None, categories: Sequence[Category] = CATEGORIES
-    ) -> list[ToolEstimate]:
-        """See `ToolPerception.estimate`."""
-
-    def fuse(
-        self,
-        estimates_per_frame: Sequence[Sequence[ToolEstimate]],
-        Xs_camera_hand: Sequence[Array],
-        category: Category | None = None,
-    ) -> InHandEstimate:
-        """See `ToolPerception.fuse`."""
-
-
-class ClassicalPoses:
-    """Perception that sees what the whole one sees, and estimates each pose in another way.
-
-    Which estimates are usable, and their weights in the fusion, stay those of the whole perception.
+def pose_of(estimator: Pose, frame: RgbdFrame, detection: Detection, X_camera_nominal: Array) -> Array | None:
+    """Estimate the pose of a detected end effector.
 
     Args:
-        perception: The whole perception.
-        X_hand_ee: Pose of the end effector in the hand in the nominal grasp, (4, 4): the hand's prior.
-        pose: The estimator.
+        estimator: The estimator.
+        frame: The frame in which it was detected.
+        detection: The detection.
+        X_camera_nominal: Its pose in the nominal grasp, (4, 4): the hand's prior.
+
+    Returns:
+        X_camera_ee, (4, 4); None where too little of it has a depth.
     """
-
-    def __init__(self, perception: Perceives, X_hand_ee: Array, pose: Pose) -> None:
-        self._perception, self._nominal, self._pose = perception, X_hand_ee, pose
-
-    def estimate(
-        self, frame: RgbdFrame, hand: HoldingHand | None = None, categories: Sequence[Category] = CATEGORIES
-    ) -> list[ToolEstimate]:
-        """See `ToolPerception.estimate`; the hand's pose must be given.
-
-        Args:
-            frame: The frame.
-            hand: The hand that holds the tool.
-            categories: The categories wanted.
-
-        Returns:
-            One estimate per detection, in the camera frame.
-
-        Raises:
-            UserError: The hand's pose is not given (code `user.no_hand`), or the frame is unusable.
-        """
-        if hand is None:
-            raise UserError("a classical pose begins with the hand's: give it", code="user.no_hand")
-        nominal = hand.X_camera_hand @ self._nominal
-        estimates = []
-        for estimate in self._perception.estimate(frame, hand, categories):
-            cloud = ee_cloud(frame, estimate.detection)
-            posed = cloud.usable and bool(np.isfinite(estimate.X_camera_ee).all())
-            estimates.append(replace(estimate, X_camera_ee=self._pose(cloud, nominal)) if posed else estimate)
-        return estimates
-
-    def fuse(
-        self,
-        estimates_per_frame: Sequence[Sequence[ToolEstimate]],
-        Xs_camera_hand: Sequence[Array],
-        category: Category | None = None,
-    ) -> InHandEstimate:
-        """See `ToolPerception.fuse`.
-
-        Args:
-            estimates_per_frame: The estimates of each frame.
-            Xs_camera_hand: Pose of the hand in the camera frame at each frame, (4, 4).
-            category: The end effector wanted; None: the one with the largest summed confidence.
-
-        Returns:
-            The fused pose in the hand.
-
-        Raises:
-            PerceptionError: No frame has a pose of the end effector.
-        """
-        return self._perception.fuse(estimates_per_frame, Xs_camera_hand, category)
+    cloud = ee_cloud(frame, detection)
+    return estimator(cloud, X_camera_nominal) if cloud.usable else None
 
 
 def centroid_pose(cloud: EeCloud, X_camera_nominal: Array) -> Array:

@@ -182,11 +182,6 @@ class Verdict:
         nails = [nail for nail in self.nails if not names or nail.name in names]
         return max(nails, key=lambda nail: (nail.outcome != "flush", nail.protrusion_mm))
 
-    @property
-    def nail_outcome(self) -> str:
-        """Value of `NailOutcome` of the nail that stands worst; of the only one where there is one."""
-        return self.worst().outcome
-
 
 class Truth(Protocol):
     """Ground truth about a run."""

@@ -94,6 +94,7 @@ class Nail:
                 pb.setCollisionFilterPair(self.body, wood, link, -1, 0, physicsClientId=client)
         self._set_for: tuple[float, float, bool, bool, float] | None = None
         self._struck = True
+        self._held_for: float | None = None
         self.before_step(0.0)
 
     def _create(self) -> int:
@@ -166,6 +167,9 @@ class Nail:
         if struck != self._struck:
             self._struck = struck
             self._set_mass(LUMPED_MASS if struck else STUCK_MASS)
+        if not struck and self._held_for == dt:
+            return
+        self._held_for = None if struck else dt
         travel, speed = pb.getJointState(self.body, SLIDE, physicsClientId=self._client)[:2]
         protrusion, bend = self.spec.protrusion - travel, self.bend_angle
         fast = not struck or protrusion - max(speed, 0.0) * dt <= 0.0

@@ -45,6 +45,18 @@ def plan(robot: RobotModel, config: StationConfig, home: Array, q_hand: Array, X
     return plan_strike(robot, config, world, home, q_hand, X_hand_ee, config.work.X_base_nail(), tool=TOOL)
 
 
+def test_where_the_arm_cannot_pass_itself_another_branch_is_struck_with(
+    robot: RobotModel, config: StationConfig, q_hand: Array
+) -> None:
+    """From the last view of seed 7718 no way leads to the best four strikes, past the hand's forearm."""
+    q_view = np.array([-0.3297, -1.3637, 2.1539, -2.1609, 2.0606, 0.8363])
+    X_hand_ee = transform(Rotation.from_rotvec([0.1791, -0.4172, 3.0556]), [0.2022, -0.0438, 0.0943])
+    world = CollisionWorld(robot, config, q_hand, X_hand_ee)
+    plan = plan_strike(robot, config, world, q_view, q_hand, X_hand_ee, config.work.X_base_nail(), tool=TOOL)
+    np.testing.assert_allclose(plan.approach.q[[0, -1]], [q_view, plan.q_standoff], atol=1e-9)
+    assert plan.speed == pytest.approx(config.strike.speed)
+
+
 def faces(robot: RobotModel, q: Array, q_hand: Array, X_hand_ee: Array) -> Array:
     """X_base_ee (N, 4, 4)"""
     return np.stack([robot.X_base_ee(row, q_hand, X_hand_ee) for row in q])

@@ -172,4 +172,4 @@ def test_a_hammer_known_from_its_data_sheet_drives_a_nail(perception: ToolPercep
     with SimStation.build(config, 0, SimOptions(tool=hammer)) as simulation:
         result = drive_nail(simulation.station, perception, config)
         assert result.success, result.reason
-        assert simulation.judge.verdict(result.estimates).nail_outcome == "flush"
+        assert simulation.judge.verdict(result.estimates).worst().outcome == "flush"

@@ -13,9 +13,10 @@ from toolee_robot.end_effectors import Category
 from toolee_robot.frames import inverse, rotation_angle
 from toolee_robot.robots.dh import DhParameters
 from toolee_robot.sim_backend.cell_errors import EXACT, NOMINAL, CellErrors, draw_errors
+from toolee_robot.sim_backend.options import SimOptions
 from toolee_robot.tools import NAIL_DRIVERS, make_tool
 
-CONFIG = StationConfig()
+CONFIG, USUAL = StationConfig(), SimOptions()
 SEEDS = range(400)
 
 
@@ -28,10 +29,9 @@ def test_without_errors_the_job_is_told_what_is_there() -> None:
     data = errors.measured(tool, "hammer")
     np.testing.assert_allclose(data.X_tool_face[:3, 3], tool.ee(Category.HAMMER_HEAD).X_tool_ee[:3, 3])
     assert (data.mass, data.grip_radius) == (tool.mass, tool.handle.grip_radius)
-    assert errors.nail_lean == (0.0, 0.0)
+    assert (errors.options(USUAL).nail_lean, errors.options(USUAL).friction) == ((0.0, 0.0), USUAL.friction)
     assert told.arm == CONFIG.arm
     assert errors.made_of(CONFIG) == CONFIG
-    assert errors.friction_share == 1.0
     assert set(errors.facts.values()) == {0.0}
 
 
@@ -46,13 +46,12 @@ def test_the_errors_are_as_large_as_they_say() -> None:
     assert np.std(beside, axis=0) == pytest.approx([NOMINAL.nail_beside] * 2, rel=0.15)
     heights = [other.work.stand_height for other in told]
     assert np.std(heights) == pytest.approx(NOMINAL.nail_height, rel=0.15)
-    leans = [draw_errors(NOMINAL, seed).nail_lean for seed in SEEDS]
+    leans = [draw_errors(NOMINAL, seed).options(USUAL).nail_lean for seed in SEEDS]
     assert np.std(leans, axis=0) == pytest.approx([NOMINAL.nail_lean] * 2, rel=0.15)
     gravity = [draw_errors(NOMINAL, seed).made_of(CONFIG).work.wood_specific_gravity for seed in SEEDS]
     assert np.std(gravity) / CONFIG.work.wood_specific_gravity == pytest.approx(NOMINAL.wood, rel=0.15)
-    assert np.std([draw_errors(NOMINAL, seed).friction_share for seed in SEEDS]) == pytest.approx(
-        NOMINAL.friction, rel=0.15
-    )
+    friction = [draw_errors(NOMINAL, seed).options(USUAL).friction for seed in SEEDS]
+    assert np.std(friction) / USUAL.friction == pytest.approx(NOMINAL.friction, rel=0.15)
     tool = make_tool(NAIL_DRIVERS[0], 5)
     masses = [draw_errors(NOMINAL, seed).measured(tool, "hammer").mass for seed in SEEDS]
     assert np.std(masses) / tool.mass == pytest.approx(NOMINAL.scales, rel=0.15)

@@ -12,7 +12,7 @@ from toolee_robot.config import StationConfig
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, transform
 from toolee_robot.tasks.hammering.ablation import Ablation, ablated
-from toolee_robot.types import HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import CameraIntrinsics, Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 NOMINAL = transform(Rotation.from_rotvec([0.1, 0.2, 0.3]), [0.24, 0.0, 0.03])
 SEEN = transform(Rotation.from_rotvec([0.3, 0.1, 0.2]), [0.25, 0.01, 0.02])
@@ -42,8 +42,6 @@ class Sees:
         (Ablation.POSITION_ONLY, SEEN, NOMINAL),
         (Ablation.NORMAL_ONLY, NOMINAL, SEEN),
         (Ablation.ONE_VIEW, SEEN, SEEN),
-        (Ablation.MASK_CENTROID, SEEN, SEEN),
-        (Ablation.ICP, SEEN, SEEN),
     ],
 )
 def test_the_rest_of_the_pose_is_nominal(ablation: Ablation | None, place: Array, turn: Array) -> None:
@@ -52,3 +50,33 @@ def test_the_rest_of_the_pose_is_nominal(ablation: Ablation | None, place: Array
     np.testing.assert_array_equal(X[:3, 3], place[:3, 3])
     np.testing.assert_allclose(X[:3, :3], turn[:3, :3], atol=1e-12)
     assert (config.task.views == 1) == (ablation is Ablation.ONE_VIEW)
+
+
+class SeesTwo(Sees):
+    """A perceiver that sees one end effector with a pose and one without."""
+
+    def estimate(
+        self,
+        frame: RgbdFrame,  # noqa: ARG002
+        hand: HoldingHand | None = None,  # noqa: ARG002
+        categories: Sequence[Category] = CATEGORIES,  # noqa: ARG002
+    ) -> list[ToolEstimate]:
+        detections = [
+            Detection(Category.HAMMER_HEAD, score, np.zeros((2, 2), bool), (0, 0, 1, 1)) for score in (0.9, 0.1)
+        ]
+        poses = SEEN, np.full((4, 4), np.nan)
+        return [ToolEstimate(d, X, np.eye(6), 0.9, True, "ok") for d, X in zip(detections, poses, strict=True)]
+
+
+@pytest.mark.parametrize("ablation", [Ablation.MASK_CENTROID, Ablation.ICP])
+def test_another_estimator_gets_the_nominal_pose_and_replaces_the_networks(ablation: Ablation) -> None:
+    X_camera_hand = transform(Rotation.from_rotvec([0.0, 0.4, 0.0]), [0.0, 0.1, 0.5])
+    shift = transform(p=[0.0, 0.0, 0.01])
+    depth = np.ones((2, 2), np.float32)
+    frame = RgbdFrame(np.zeros((2, 2, 3), np.uint8), depth, CameraIntrinsics(2.0, 2.0, 1.0, 1.0, 2, 2), 0.0)
+    perceiver, _ = ablated(ablation, SeesTwo(), StationConfig(), NOMINAL, lambda _, __, nominal: nominal @ shift)
+    posed, unposed = perceiver.estimate(frame, HoldingHand(X_camera_hand, np.eye(3)))
+    np.testing.assert_allclose(posed.X_camera_ee, X_camera_hand @ NOMINAL @ shift)
+    assert posed.detection.score == 0.9
+    assert np.isnan(unposed.X_camera_ee).all(), "what has no pose keeps the reason why"
+    np.testing.assert_array_equal(perceiver.fuse([], []).X_hand_ee, SEEN)

@@ -49,7 +49,7 @@ def test_the_nail_is_driven_without_a_hand(monkeypatch: pytest.MonkeyPatch) -> N
         result = task.run()
         assert result.outcome is Outcome.FLUSH, result.reason
         verdict = simulation.judge.verdict(result.estimates)
-        assert verdict.nail_outcome == "flush"
+        assert verdict.worst().outcome == "flush"
         assert verdict.misses == 0
         assert prompts[0] == MOUNT_EMPTY
         assert "mount" in prompts[1]

@@ -96,7 +96,7 @@ def test_a_strike_at_a_nail_that_should_be_flush_is_measured(course: list[float]
         met = ContactVerdict(Meeting.EXPECTED, DELAY)
         measure = forecast.struck(met, SPEED)
         assert measure or not flush
-        assert (forecast.finished > 0) == flush
+        assert forecast.finished == flush
         if measure:
             forecast.measured(max(forecast.height - depth, 0.0))
 

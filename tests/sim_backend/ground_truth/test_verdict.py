@@ -186,7 +186,7 @@ def test_verdict_judges_the_last_usable_estimate_before_the_first_strike(world: 
     ]
     verdict = world.judge.verdict(estimates)
     assert verdict.pose_error_mm == pytest.approx(2.0)
-    assert verdict.nail_outcome == "standing"
+    assert verdict.worst().outcome == "standing"
 
 
 @given(angles, angles, angles, lengths, lengths, lengths)

@@ -15,8 +15,6 @@ from toolee_robot.cli.output import json_line
 from toolee_robot.cli.progress import progress_bars
 from toolee_robot.errors import TooleeError, UserError
 
-FRAMES = 5
-"""Number of frames that are averaged."""
 ASKED = {"lateral": 1.0, "height": 0.3, "tilt": 1.0}
 """Largest medians that are asked for [mm, mm, deg]."""
 NAMES = ("lateral", "height", "tilt", "lateral, touched too", "height, touched too")
@@ -96,7 +94,7 @@ def _errors(sheet: str, seed: int) -> tuple[tuple[float, ...], bool]:
 
     lab = simulated_nail_board(StationConfig(), SHEETS[sheet], seed)
     with lab.build() as simulation:
-        rgb, depth = mean_frame(simulation.station.camera, FRAMES)
+        rgb, depth = mean_frame(simulation.station.camera)
     nail = see_nail(lab.camera, lab.board, lab.on_wood, rgb, depth)
     both = combine(nail, lab.touched, lab.true.work.nail_protrusion)
     off, off_both = (nail.entry - lab.entry) * 1e3, (both.entry - lab.entry) * 1e3

@@ -30,8 +30,6 @@ from toolee_robot.stations.rehearsal.job import camera_covariance
 from toolee_robot.stations.simulated_nail import print_on_wood, simulated_nail_board
 from toolee_robot.tasks.calibration.still_frame import mean_frame
 
-FRAMES = 5
-"""Number of frames that are averaged."""
 PIXEL_NOISE = 0.3
 """Standard deviation of a board's corner where the camera was calibrated by another program [px]."""
 
@@ -118,7 +116,7 @@ class NailJob:
             "on wood that is not where the station file has it[/dim]"
         )
         with lab.build() as simulation:
-            images = mean_frame(simulation.station.camera, FRAMES)
+            images = mean_frame(simulation.station.camera)
         self._see(lab.camera, lab.board, replace(lab.on_wood, placing_error=self.printed.placing), *images)
         self._true_error(lab.entry, lab.up)
 
@@ -161,7 +159,7 @@ class NailJob:
 
     def _look(self, station: Station, station_file: Path, board: Board, on_wood: OnWood) -> None:
         camera = known_camera(self.config, station_file, station)
-        self._see(camera, board, on_wood, *mean_frame(station.camera, FRAMES))
+        self._see(camera, board, on_wood, *mean_frame(station.camera))
 
     def _see(self, camera: KnownCamera, board: Board, on_wood: OnWood, rgb: Any, depth: Any) -> None:
         seen = see_nail(camera, board, on_wood, rgb, depth)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from toolee_robot.cli.hammering.sources import Opened
 from toolee_robot.config import StationConfig
 from toolee_robot.end_effectors import Category
 from toolee_robot.errors import UserError
 from toolee_robot.frames import Array, inverse, transform_points
 from toolee_robot.perception import ToolPerception
-from toolee_robot.perception.research.classical import ClassicalPoses, centroid_pose, registration
+from toolee_robot.perception.research import classical
 from toolee_robot.sim_backend.ground_truth.perception import PerfectPerception
 from toolee_robot.tasks.common.look import Perceiver
 from toolee_robot.tasks.hammering.ablation import Ablation, ablated
@@ -33,18 +35,15 @@ def job_perceiver(
     Raises:
         UserError: `ICP` without the tool's shape, which only a simulation has; code `user.no_tool_shape`.
     """
-    X_hand_ee = opened.grasp.X_hand_ee
-    perceiver: Perceiver
     if perception is None:
         assert opened.truth is not None, "the command refuses it"
-        perceiver = PerfectPerception(opened.truth)
-    elif ablation is Ablation.MASK_CENTROID:
-        perceiver = ClassicalPoses(perception, X_hand_ee, centroid_pose)
+        return PerfectPerception(opened.truth), opened.config
+    pose_of = None
+    if ablation is Ablation.MASK_CENTROID:
+        pose_of = partial(classical.pose_of, classical.centroid_pose)
     elif ablation is Ablation.ICP:
-        perceiver = ClassicalPoses(perception, X_hand_ee, registration(_surface(opened)))
-    else:
-        perceiver = perception
-    return ablated(ablation, perceiver, opened.config, X_hand_ee)
+        pose_of = partial(classical.pose_of, classical.registration(_surface(opened)))
+    return ablated(ablation, perception, opened.config, opened.grasp.X_hand_ee, pose_of)
 
 
 def _surface(opened: Opened) -> Array:

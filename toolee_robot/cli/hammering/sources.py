@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -142,9 +142,7 @@ class SimulatedSource:
     def open(self, tell: Tell, doing: Tell) -> Iterator[Opened]:  # noqa: ARG002  (a simulation needs neither)
         """See `Source`."""
         drawn = self._drawn
-        usual = SimOptions(gui=self.gui, nail_lean=drawn.nail_lean)
-        options = replace(usual, friction=usual.friction * drawn.friction_share)
-        cell = drawn.made_of(self.config)
+        cell, options = drawn.made_of(self.config), drawn.options(SimOptions(gui=self.gui))
         with open_station(cell, self.seed, options, self.stand_in, self.hand_driver) as sim:
             config = self.config if self.errors == EXACT else drawn.displaced(self.config)
             grasp = measured_grasp(drawn.measured(sim.tool, sim.tool.name), config)

@@ -38,8 +38,7 @@ def job_cell(config: StationConfig, station_file: Path, seed: int) -> Cell:
     """
     check_purpose(config)
     errors = job_errors(config, station_file, seed)
-    usual = SimOptions(nail_lean=errors.nail_lean)
-    options = replace(usual, friction=usual.friction * errors.friction_share)
+    options = errors.options(SimOptions())
     tool, _ = draw_handover(seed, options)
     measured = replace(config, tool=errors.measured(tool, f"{tool.kind.replace('_', ' ')} of the rehearsal"))
     return Cell(errors.made_of(errors.displaced(config)), measured, tool, options, seed)

@@ -7,8 +7,11 @@ from numpy.typing import NDArray
 
 from toolee_robot.hal import RgbdCamera
 
+FRAMES = 5
+"""Number of frames that are averaged."""
 
-def mean_frame(camera: RgbdCamera, count: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+
+def mean_frame(camera: RgbdCamera, count: int = FRAMES) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """Average frames of a scene that stands still.
 
     Args:

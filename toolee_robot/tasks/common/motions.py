@@ -9,6 +9,7 @@ import numpy as np
 
 from toolee_robot.config import StationConfig
 from toolee_robot.control.collision import CollisionWorld
+from toolee_robot.control.collision_shapes import Body
 from toolee_robot.control.contact import ContactVerdict
 from toolee_robot.control.modes import Mode, slowed_to
 from toolee_robot.control.planning.straight import plan_straight
@@ -58,6 +59,7 @@ class Motions:
         q: Joint positions that the arm holds, (6,) [rad]; set by `begin`.
         X_hand_ee: Estimated pose of the end effector in the hand, (4, 4).
         held: Whether the hand holds the tool.
+        in_the_way: Bodies of the work that nothing may touch, beside those of the station.
         payload: What the flange carries; None before it was set.
         noise: Readings of the force at rest, one a cycle, (N, 3) [N]; None before they were taken.
     """
@@ -74,6 +76,7 @@ class Motions:
     ) -> None:
         self.X_hand_ee = X_hand_ee
         self.held = False
+        self.in_the_way: tuple[Body, ...] = ()
         self.payload: Payload | None = None
         self.noise: Array | None = None
         self._zeroed: Array | None = None
@@ -105,7 +108,8 @@ class Motions:
 
     def world(self) -> CollisionWorld:
         """Collision model of the present state."""
-        return CollisionWorld(self._robot, self._config, self.q_hand, self.X_hand_ee if self.held else None)
+        X_hand_ee = self.X_hand_ee if self.held else None
+        return CollisionWorld(self._robot, self._config, self.q_hand, X_hand_ee, self.in_the_way)
 
     def set_payload(self, payload: Payload) -> None:
         """Tell the arm what its flange carries; see `hal.Arm`.

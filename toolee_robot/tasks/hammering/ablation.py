@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import StrEnum
+
+import numpy as np
 
 from toolee_robot.config import StationConfig
 from toolee_robot.end_effectors import CATEGORIES, Category
 from toolee_robot.frames import Array, transform
 from toolee_robot.tasks.common.look import Perceiver
-from toolee_robot.types import HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
+from toolee_robot.types import Detection, HoldingHand, InHandEstimate, RgbdFrame, ToolEstimate
 
 
 class Ablation(StrEnum):
@@ -28,17 +30,20 @@ class Ablation(StrEnum):
     """The pose network: the tool's own shape is registered to the cloud (iterative closest point)."""
 
 
-class PartlyNominal:
-    """A perceiver whose fused pose is in part that of the nominal grasp.
+PoseOf = Callable[[RgbdFrame, Detection, Array], Array | None]
+"""Estimates X_camera_ee, (4, 4), of a detection in a frame, from its nominal one; None where it cannot."""
+
+
+class Wrapped:
+    """A perceiver that does what another one does.
 
     Args:
-        perceiver: The whole perception.
+        perceiver: The other one.
         X_hand_ee: Pose of the end effector in the hand in the nominal grasp, (4, 4).
-        position: Whether the estimated position is kept; else the estimated orientation.
     """
 
-    def __init__(self, perceiver: Perceiver, X_hand_ee: Array, *, position: bool) -> None:
-        self._perceiver, self._nominal, self._position = perceiver, X_hand_ee, position
+    def __init__(self, perceiver: Perceiver, X_hand_ee: Array) -> None:
+        self._perceiver, self._nominal = perceiver, X_hand_ee
 
     def estimate(
         self, frame: RgbdFrame, hand: HoldingHand | None = None, categories: Sequence[Category] = CATEGORIES
@@ -52,22 +57,79 @@ class PartlyNominal:
         Xs_camera_hand: Sequence[Array],
         category: Category | None = None,
     ) -> InHandEstimate:
+        """See `Perceiver`."""
+        return self._perceiver.fuse(estimates_per_frame, Xs_camera_hand, category)
+
+
+class PartlyNominal(Wrapped):
+    """A perceiver whose fused pose is in part that of the nominal grasp.
+
+    Args:
+        perceiver: The whole perception.
+        X_hand_ee: Pose of the end effector in the hand in the nominal grasp, (4, 4).
+        position: Whether the estimated position is kept; else the estimated orientation.
+    """
+
+    def __init__(self, perceiver: Perceiver, X_hand_ee: Array, *, position: bool) -> None:
+        super().__init__(perceiver, X_hand_ee)
+        self._position = position
+
+    def fuse(
+        self,
+        estimates_per_frame: Sequence[Sequence[ToolEstimate]],
+        Xs_camera_hand: Sequence[Array],
+        category: Category | None = None,
+    ) -> InHandEstimate:
         """See `Perceiver`; a part of the pose is nominal."""
-        fused = self._perceiver.fuse(estimates_per_frame, Xs_camera_hand, category)
+        fused = super().fuse(estimates_per_frame, Xs_camera_hand, category)
         place, turn = (fused.X_hand_ee, self._nominal) if self._position else (self._nominal, fused.X_hand_ee)
         return replace(fused, X_hand_ee=transform(turn[:3, :3], place[:3, 3]))
 
 
+class OtherPoses(Wrapped):
+    """A perceiver that detects what another one does, and estimates each pose in another way.
+
+    Which estimates are usable, and their weights in the fusion, stay those of the other one.
+
+    Args:
+        perceiver: The whole perception.
+        X_hand_ee: Pose of the end effector in the hand in the nominal grasp, (4, 4).
+        pose_of: Estimates a pose.
+    """
+
+    def __init__(self, perceiver: Perceiver, X_hand_ee: Array, pose_of: PoseOf) -> None:
+        super().__init__(perceiver, X_hand_ee)
+        self._pose_of = pose_of
+
+    def estimate(
+        self, frame: RgbdFrame, hand: HoldingHand | None = None, categories: Sequence[Category] = CATEGORIES
+    ) -> list[ToolEstimate]:
+        """See `Perceiver`; the hand is given, as a task does."""
+        assert hand is not None, "a task tells where the hand is"
+        nominal = hand.X_camera_hand @ self._nominal
+        estimates = super().estimate(frame, hand, categories)
+        poses = [self._pose_of(frame, estimate.detection, nominal) for estimate in estimates]
+        return [
+            estimate if X is None or not np.isfinite(estimate.X_camera_ee).all() else replace(estimate, X_camera_ee=X)
+            for estimate, X in zip(estimates, poses, strict=True)
+        ]
+
+
 def ablated(
-    ablation: Ablation | None, perceiver: Perceiver, config: StationConfig, X_hand_ee: Array
+    ablation: Ablation | None,
+    perceiver: Perceiver,
+    config: StationConfig,
+    X_hand_ee: Array,
+    pose_of: PoseOf | None = None,
 ) -> tuple[Perceiver, StationConfig]:
-    """Leave out a part of perception.
+    """Leave out a part of perception, or replace it.
 
     Args:
         ablation: What; None for nothing.
-        perceiver: The perception; for `MASK_CENTROID` and `ICP` the one that replaces the whole one.
+        perceiver: The whole perception.
         config: Configuration of the station.
         X_hand_ee: Pose of the end effector in the hand in the nominal grasp, (4, 4).
+        pose_of: What estimates poses instead of the network; for `MASK_CENTROID` and `ICP`.
 
     Returns:
         Perception and configuration of the job.
@@ -76,4 +138,4 @@ def ablated(
         return perceiver, replace(config, task=replace(config.task, views=1, views_again=1))
     if ablation in (Ablation.POSITION_ONLY, Ablation.NORMAL_ONLY):
         return PartlyNominal(perceiver, X_hand_ee, position=ablation is Ablation.POSITION_ONLY), config
-    return perceiver, config
+    return perceiver if pose_of is None else OtherPoses(perceiver, X_hand_ee, pose_of), config

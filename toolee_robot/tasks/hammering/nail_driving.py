@@ -127,7 +127,7 @@ class NailDriving:
             height = forecast.height
             # Another strike confirms it: after slip a measurement is accurate only to half a millimetre.
             flush = flush + 1 if height <= task.flush_protrusion and not forecast.unmeasured else 0
-            sure = forecast.finished > 0 and height <= SURELY_FLUSH * task.flush_protrusion
+            sure = forecast.finished and height <= SURELY_FLUSH * task.flush_protrusion
             if flush > 2 or (flush and sure) or (flush == 2 and progress < CONFIRMED):
                 return Outcome.FLUSH, f"the head stands {height * 1e3:.1f} mm over the wood"
             if len(self.strikes) >= task.max_strikes:

@@ -34,14 +34,14 @@ class NailForecast:
     Attributes:
         height: Protrusion as forecast for now [m].
         unmeasured: Number of strikes since the last measurement.
-        finished: Number of the last successive strikes at a nail that was flush before them by forecast or measurement.
+        finished: Whether the nail was flush before the last strike, by forecast or measurement, as far as is known.
         surprise: What the last strike met otherwise than forecast, for a person; empty if nothing.
     """
 
     def __init__(self, length: float, flush: float, rate: float) -> None:
         self.height = 0.0
         self.unmeasured = 0
-        self.finished = 0
+        self.finished = False
         self.surprise = ""
         self._length, self._flush, self._rate = length, flush, rate
         self._measured = 0.0
@@ -76,7 +76,7 @@ class NailForecast:
         else:  # a strike that was interrupted may have driven it
             self._first, self._strikes = height, 0
         if height > self._flush:
-            self.finished = 0
+            self.finished = False
         self.height = self._measured = height
         self.unmeasured = 0
         self._offs.clear()
@@ -94,7 +94,7 @@ class NailForecast:
             was flush already by forecast, the forecast has become uncertain, or it was not measured for long.
         """
         self.unmeasured += 1
-        self.finished = self.finished + 1 if self.height <= self._flush else 0
+        self.finished = self.height <= self._flush
         if self.unmeasured == 1:
             self._delays.append(verdict.before)  # the nail's height was known: this is the delay of the detection
         self._offs.append(verdict.before - float(np.mean(self._delays)))
@@ -109,7 +109,7 @@ class NailForecast:
         self.height = max(self._length - depth, 0.0)
         driven, ahead = self._first - self._measured, self._measured - self.height
         uncertain = driven < ACCURACY or ahead * ACCURACY > UNCERTAIN * driven
-        return bool(self.surprise) or self.finished > 0 or uncertain or self.unmeasured > LONGEST
+        return bool(self.surprise) or self.finished or uncertain or self.unmeasured > LONGEST
 
     def _disagreement(self, lateness: float) -> float:
         """Mean deviation of the last contacts that is beyond what their lateness [m] explains [m]; 0 if none is."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from toolee_robot.config import WorkConfig
-from toolee_robot.control import CollisionWorld
-from toolee_robot.control.collision_shapes import Body, nail_bodies
+from toolee_robot.control.collision_shapes import nail_bodies
 from toolee_robot.errors import PlanningError
 from toolee_robot.tasks.common.motions import Motions
 from toolee_robot.tasks.common.observer import TaskObserver
@@ -20,21 +19,6 @@ OF_THE_NAIL = frozenset(
 holds is lost, unknown, or no longer held as it was, or the last strike was too much for the arm."""
 
 
-class NailMotions(Motions):
-    """The motions of a job among several nails.
-
-    Attributes:
-        in_the_way: The nails that stand and are not struck now.
-    """
-
-    in_the_way: tuple[Body, ...] = ()
-
-    def world(self) -> CollisionWorld:
-        """Collision model of the present state, with the nails that are in the way."""
-        X_hand_ee = self.X_hand_ee if self.held else None
-        return CollisionWorld(self._robot, self._config, self.q_hand, X_hand_ee, self.in_the_way)
-
-
 class NailSeries:
     """The nails in order, and what became of them.
 
@@ -46,7 +30,7 @@ class NailSeries:
     """
 
     def __init__(
-        self, work: WorkConfig, motions: NailMotions, nails: Sequence[tuple[str, NailDriving]], observer: TaskObserver
+        self, work: WorkConfig, motions: Motions, nails: Sequence[tuple[str, NailDriving]], observer: TaskObserver
     ) -> None:
         self._work, self._motions, self._nails, self._observer = work, motions, nails, observer
         self._ended: list[NailResult] = []

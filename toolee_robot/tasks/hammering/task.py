@@ -32,7 +32,7 @@ from toolee_robot.errors import (
 )
 from toolee_robot.hal import Station
 from toolee_robot.tasks.common.look import Perceiver
-from toolee_robot.tasks.common.motions import UP
+from toolee_robot.tasks.common.motions import UP, Motions
 from toolee_robot.tasks.common.observer import TaskObserver
 from toolee_robot.tasks.common.outcome import HammerResult, JobEnded, Outcome, Stage
 from toolee_robot.tasks.common.recovery import PUT_AWAY, TAKE_OUT, Stops
@@ -40,7 +40,7 @@ from toolee_robot.tasks.common.stages import Stages
 from toolee_robot.tasks.hammering.grasp import Grasp
 from toolee_robot.tasks.hammering.handover import Handover
 from toolee_robot.tasks.hammering.nail_driving import NailDriving
-from toolee_robot.tasks.hammering.nail_series import NailMotions, NailSeries
+from toolee_robot.tasks.hammering.nail_series import NailSeries
 from toolee_robot.tasks.hammering.tool_pose import Holding, ToolPose
 
 LIFT = 0.020
@@ -82,7 +82,7 @@ class HammeringTask:
         self._correction = correction
         self._observer = observer = observer or TaskObserver()
         self._robot = robot = RobotModel.of_station(config)
-        self._motions = motions = NailMotions(station, config, robot, observer, grasp.X_hand_ee)
+        self._motions = motions = Motions(station, config, robot, observer, grasp.X_hand_ee)
         self._stages = stages = Stages(observer)
         names = tuple(nails or config.work.names)
         self._handover = Handover(station, config, robot, motions, stages, observer, grasp, names)
