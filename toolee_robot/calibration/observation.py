@@ -16,6 +16,10 @@ MIN_CORNERS = 8
 """Fewest corners with which a view of the board counts."""
 FLAT = 1.0
 """Distance of a corner from a flat board's up to which it is one of it [px]."""
+WIDE_ENOUGH = 3
+"""Half window of the corner refinement from which on the image itself is wide enough for it [px]."""
+SMALLEST_WINDOW = 4
+"""Half of the smallest window of the corner refinement in the enlarged image [px]."""
 ENLARGED = 2.0
 """Factor by which an image is enlarged before the markers are looked for: theirs are few pixels in a depth camera."""
 
@@ -92,11 +96,16 @@ def find_board(image: NDArray[np.uint8], board: Board, flat: float = FLAT) -> Bo
     # cv2.resize aligns the images' outer edges: pixel centres x map to factor * (x + 0.5) - 0.5.
     pixels = (np.asarray(corners, np.float64).reshape(-1, 2) + 0.5) / ENLARGED - 0.5
     window = _refinement_window(pixels)
+    # Few pixels bias the corner by a tenth of one, and a larger window has markers in it: enlarge the image.
+    factor, smallest = (1.0, WIDE_ENOUGH) if window >= WIDE_ENOUGH else (ENLARGED, SMALLEST_WINDOW)
+    half = int(max(factor * window, smallest))
+    start = (factor * (pixels + 0.5) - 0.5).astype(np.float32).reshape(-1, 1, 2)
     fine = cv2.cornerSubPix(
-        grey, pixels.astype(np.float32).reshape(-1, 1, 2), (window, window), (-1, -1),
+        grey if factor == 1.0 else large, start, (half, half), (-1, -1),
         (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3),
     )  # fmt: skip
-    return _flat_part(np.asarray(ids, np.int64).reshape(-1), np.asarray(fine, np.float64).reshape(-1, 2), board, flat)
+    places = (np.asarray(fine, np.float64).reshape(-1, 2) + 0.5) / factor - 0.5
+    return _flat_part(np.asarray(ids, np.int64).reshape(-1), places, board, flat)
 
 
 def _flat_part(ids: NDArray[np.int64], pixels: Array, board: Board, flat: float) -> BoardView | None:
@@ -108,11 +117,11 @@ def _flat_part(ids: NDArray[np.int64], pixels: Array, board: Board, flat: float)
     return BoardView(ids[keep], pixels[keep]) if np.count_nonzero(keep) >= MIN_CORNERS else None
 
 
-def _refinement_window(pixels: Array) -> int:
+def _refinement_window(pixels: Array) -> float:
     """Half window of the corner refinement [px]: an eighth of a square, so that no marker is in it."""
     distances = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
     np.fill_diagonal(distances, np.inf)
-    return int(np.clip(np.median(distances.min(axis=1)) * 0.12, 2, 11))
+    return float(min(np.median(distances.min(axis=1)) * 0.12, 11.0))
 
 
 def camera_board(view: BoardView, board: Board, intrinsics: CameraIntrinsics) -> tuple[Array, float]:
