@@ -106,7 +106,7 @@ class SimWorld:
         self.nail = self.nails[config.work.names[0]]
         self.tool = ToolBody(self.client, tool, X_base_tool)
         self.grip: AssistedGrip | None = None
-        pb.setCollisionFilterPair(self.robot.body, self.furniture.table, -1, -1, 0, physicsClientId=self.client)
+        self.robot.ignore_collisions(self.furniture.table, link=-1)
         self._X_tool_ee = tool.ee(Category.HAMMER_HEAD).X_tool_ee if _is_hammer(tool) else np.eye(4)
 
     @property
@@ -197,18 +197,6 @@ class SimWorld:
         if -velocity[2] > STRIKE_SPEED and self.nail.impact_near(self.tool.body):
             self._window_end = self._quanta + WINDOW_QUANTA
         return self._quanta < self._window_end
-
-    def ignore_collisions(self, body_a: int, body_b: int) -> None:
-        """Disable collisions between two bodies.
-
-        Args:
-            body_a: pybullet's id of a body.
-            body_b: pybullet's id of the other body.
-        """
-        links_a, links_b = (range(-1, pb.getNumJoints(b, physicsClientId=self.client)) for b in (body_a, body_b))
-        for a in links_a:
-            for b in links_b:
-                pb.setCollisionFilterPair(body_a, body_b, a, b, 0, physicsClientId=self.client)
 
     def close(self) -> None:
         """Disconnect from pybullet; idempotent."""

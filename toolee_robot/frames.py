@@ -119,7 +119,7 @@ def inverse(X: Array) -> Array:
     R_t = np.swapaxes(X[..., :3, :3], -1, -2)
     Y = np.zeros_like(X)
     Y[..., :3, :3] = R_t
-    Y[..., :3, 3] = -np.einsum("...ij,...j->...i", R_t, X[..., :3, 3])
+    Y[..., :3, 3:] = -R_t @ X[..., :3, 3:]
     Y[..., 3, 3] = 1.0
     return Y
 

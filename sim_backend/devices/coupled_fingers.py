@@ -57,8 +57,3 @@ class CoupledFingers(SimHand):
         if self._world.grip is not None:
             self._world.grip.release()
         self._holding_forces = None
-
-    @property
-    def gripped(self) -> bool:
-        """Whether the assisted grip holds the tool."""
-        return self._world.grip is not None and self._world.grip.holding

@@ -62,7 +62,7 @@ class DrivenHand(SimHand):
         """
         self._check_open()
         self._tell_loss()
-        return replace(self._driver.state(max_age), assisted=self._gripped)
+        return replace(self._driver.state(max_age), assisted=self.gripped)
 
     def open(self, timeout: float = 8.0) -> None:
         """Release the tool and spread the fingers.
@@ -95,7 +95,7 @@ class DrivenHand(SimHand):
         if self._touch is None and self._driver.state(READ).holding:
             super().close(timeout)
         self._hold()
-        self._held = self._gripped
+        self._held = self.gripped
         if not self._held and self._touch is not None:
             self._touch.lost()
             self._world.advance(READ)  # until the driver feels it
@@ -105,12 +105,8 @@ class DrivenHand(SimHand):
         self._driver.stop()
         super().stop()
 
-    @property
-    def _gripped(self) -> bool:
-        return self._world.grip is not None and self._world.grip.holding
-
     def _tell_loss(self) -> None:
-        if self._held and not self._gripped and self._touch is not None:
+        if self._held and not self.gripped and self._touch is not None:
             self._held = False
             self._touch.lost()
 
@@ -120,9 +116,10 @@ class DrivenHand(SimHand):
             moving = pool.submit(motion)
             while not moving.done():
                 goal = self._driver.state(READ).joints.q
-                q = self._world.robot.hand_state()[0]
-                self._target = q + np.clip(goal - q, -LEAD, LEAD)
-                self._world.robot.command_hand(self._target)
+                if not self.gripped:
+                    q = self._world.robot.hand_state()[0]
+                    self._target = q + np.clip(goal - q, -LEAD, LEAD)
+                    self._world.robot.command_hand(self._target)
                 self._world.advance(TICK)
                 if self._touch is not None:
                     forces, _ = self._contact_forces()

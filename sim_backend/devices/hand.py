@@ -66,6 +66,11 @@ class SimHand:
         """Names of the hand's joints, wrist first."""
         return self._robot.hand_joints
 
+    @property
+    def gripped(self) -> bool:
+        """Whether the assisted grip holds the tool: the fingers then keep their places."""
+        return self._world.grip is not None and self._world.grip.holding
+
     def state(self, max_age: float = 0.1) -> HandState:
         """The current state.
 
@@ -104,8 +109,7 @@ class SimHand:
 
     def _read(self) -> HandState:
         q, qd = self._world.robot.hand_state()
-        grip = self._world.grip
-        assisted = grip is not None and grip.holding
+        assisted = self.gripped
         if assisted and self._holding_forces is not None:
             forces, holding = dict(self._holding_forces), True
         else:
@@ -143,6 +147,8 @@ class SimHand:
         """
         self._check_open()
         self._check_moves(timeout)
+        if self.gripped:
+            return
         goal = self._robot.hand_closed
         end = self._world.time + timeout
         for joints in self._model.closing_order:
@@ -215,9 +221,9 @@ class SimHand:
 
     def _hold(self) -> None:
         """Begin the assisted grip if thumb and fingers hold the tool by real contact."""
-        world = self._world
-        if world.grip is not None and world.grip.holding:
+        if self.gripped:
             return
+        world = self._world
         total = self._no_forces()
         links: set[str] = set()
         n = round(AVERAGE_TIME / TICK)
@@ -238,8 +244,9 @@ class SimHand:
         z = float(np.clip(along, world.tool.tool.handle.z_min + 0.02, world.tool.tool.handle.z_max - 0.02))
         p_hand_grip = X_hand_tool[:3, 3] + z * X_hand_tool[:3, 2]
         radius = float(np.mean(world.tool.tool.handle.radii_at(z)))
-        world.ignore_collisions(world.robot.body, world.tool.body)
+        world.robot.ignore_collisions(world.tool.body)
         # Loads now pass through the palm; the fingers only keep their positions.
+        world.robot.stiffen()
         self._target = world.robot.hand_state()[0]
         wrist = self._model.wrist_index
         self._target[wrist] = self._robot.hand_closed[wrist]

@@ -29,7 +29,7 @@ class SimMount:
         self._robot = world.robot.robot
         self._open_device = True
         # The clamp lies around the handle, which touches nothing else of the arm.
-        world.ignore_collisions(world.robot.body, world.tool.body)
+        world.robot.ignore_collisions(world.tool.body)
 
     def __enter__(self) -> Self:
         self._open_device = True

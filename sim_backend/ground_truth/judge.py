@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from toolee_robot.errors import TooleeError
-from toolee_robot.frames import Array, inverse, transform
+from toolee_robot.frames import Array, cross, inverse, transform
 from toolee_robot.sim_backend.ground_truth.verdict import (
     NailTruth,
     PoseError,
@@ -103,7 +103,8 @@ class Judge:
 
     def _watch_strike(self, now: float, X_base_ee: Array) -> None:
         nail = self._world.nail
-        if np.linalg.norm(X_base_ee[:3, 3] - nail.X_world_surface[:3, 3]) > FAR:  # the usual case, kept cheap
+        away = X_base_ee[:3, 3] - nail.X_world_surface[:3, 3]
+        if away @ away > FAR**2:  # the usual case, kept cheap
             self._armed, self._open = True, False
             return
         X_base_nail = nail.head_pose()
@@ -157,7 +158,7 @@ class Judge:
         self._protrusion_before = world.nail.protrusion
         p_com = pb.getBasePositionAndOrientation(world.tool_body, physicsClientId=world.client)[0]
         v, w = pb.getBaseVelocity(world.tool_body, physicsClientId=world.client)
-        return float((np.asarray(v) + np.cross(w, X_base_ee[:3, 3] - np.asarray(p_com))) @ X_base_nail[:3, 2])
+        return float((np.asarray(v) + cross(w, X_base_ee[:3, 3] - np.asarray(p_com))) @ X_base_nail[:3, 2])
 
     def _contact(self, X_base_ee: Array) -> tuple[float, StruckBy]:
         """Sum of the normal forces [N] of tool on nail in the last step, and what met the nail's head."""

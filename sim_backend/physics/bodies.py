@@ -32,7 +32,10 @@ def body_pose(client: int, body: int) -> Array:
     Returns:
         X_world_body, 4x4.
     """
-    p, q = pb.getBasePositionAndOrientation(body, physicsClientId=client)
+    return _matrix(*pb.getBasePositionAndOrientation(body, physicsClientId=client))
+
+
+def _matrix(p: tuple[float, ...], q: tuple[float, ...]) -> Array:
     X = np.eye(4)
     X[:3, :3] = rotation_matrix(q)
     X[:3, 3] = p
@@ -189,5 +192,5 @@ class ToolBody:
         p, q = pb.getBasePositionAndOrientation(self.body, physicsClientId=self._client)
         if (p, q) != self._place:
             self._place = (p, q)
-            self._pose = body_pose(self._client, self.body) @ self._X_inertial_tool
+            self._pose = _matrix(p, q) @ self._X_inertial_tool
         return self._pose.copy()

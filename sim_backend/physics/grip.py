@@ -154,18 +154,21 @@ class AssistedGrip:
 
         u = R_palm.T @ (point - np.array(state[4])) - self._p_rest
         gains = self.gains
-        elastic = _bounded(gains.stiffness * u, handle, limits.along, limits.across)
-        slip = u - elastic / gains.stiffness
-        self._p_rest += slip
+        spring = gains.stiffness * u
+        elastic = _bounded(spring, handle, limits.along, limits.across)
+        slips = elastic is not spring
+        if slips:
+            self._p_rest += u - elastic / gains.stiffness
         force = _bounded(-elastic - gains.damping * v, handle, limits.along, limits.across)
 
         phi = _rotation_vector(R @ self._R_rest.T)
         torque, turn = self._twist(phi, R_palm.T @ (w_tool - np.array(state[7])), handle, dt)
         if turn @ turn > 1e-20:
+            slips = True
             self._R_rest = _rotation(turn) @ self._R_rest
 
         self.force, self.torque = force, torque
-        if self.slip > RELEASE_SLIP or self.slip_angle > RELEASE_ANGLE or self._tilt > RELEASE_TILT:
+        if self._tilt > RELEASE_TILT or (slips and (self.slip > RELEASE_SLIP or self.slip_angle > RELEASE_ANGLE)):
             self.release()
             return
         self._apply(R_palm @ force, R_palm @ torque, point)
@@ -184,7 +187,7 @@ class AssistedGrip:
         """
         limits, gains = self.limits, self.gains
         about = float(phi @ handle)
-        spring = float(np.clip(gains.about_stiffness * about, -limits.about, limits.about))
+        spring = min(max(gains.about_stiffness * about, -limits.about), limits.about)
         turn = (about - spring / gains.about_stiffness) * handle
         tilt = phi - about * handle
         angle = float(np.sqrt(tilt @ tilt))
@@ -239,8 +242,10 @@ def _bounded(vector: Array, axis: Array, along: float, across: float) -> Array:
         The limited vector, (3,).
     """
     a = float(vector @ axis)
+    squared = float(vector @ vector) - a * a  # of the rest's length
+    if abs(a) <= along and squared <= across * across:
+        return vector
     rest = vector - a * axis
-    length = float(np.sqrt(rest @ rest))
-    if length > across:
-        rest = rest * (across / length)
+    if squared > across * across:
+        rest = rest * (across / float(np.sqrt(squared)))
     return min(max(a, -along), along) * axis + rest

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
+import tempfile
+from dataclasses import replace
+from pathlib import Path
 
-from toolee_robot.frames import Array
-from toolee_robot.robots import RobotDescription, WristJoint
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from toolee_robot.frames import Array, transform
+from toolee_robot.robots import RobotDescription, Shape, Tree, WristJoint, write_urdf
 from toolee_robot.sim_backend.physics.bullet import pb, rotation_matrix
 
 ARM_GAIN = 100.0  # [1/s] of the arm's position loop
@@ -18,6 +23,9 @@ class RobotBody:
 
     Commands are targets, which `before_step` converts to motor settings of the next step. Between two commands of the
     arm its target moves at the commanded velocity.
+
+    Fingers that nobody moves, at first and once they hold (`stiffen`), are rigid: their motors would take four fifths
+    of a step's time. A command for other positions makes them move again; pybullet then has another body.
 
     Args:
         client: pybullet's physics client.
@@ -40,19 +48,6 @@ class RobotBody:
     def __init__(self, client: int, robot: RobotDescription, q_arm: Array, q_hand: Array) -> None:
         self.robot = robot
         self._client = client
-        self.body = int(
-            pb.loadURDF(
-                str(robot.urdf_path), useFixedBase=True, flags=pb.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client
-            )
-        )
-        infos = [pb.getJointInfo(self.body, i, physicsClientId=client) for i in range(self._joint_count())]
-        joint_index = {info[1].decode(): i for i, info in enumerate(infos)}
-        self.link_index = {info[12].decode(): i for i, info in enumerate(infos)}
-        self._arm = [joint_index[name] for name in robot.arm_joints]
-        self._hand = [joint_index[name] for name in robot.hand_joints]
-        self.palm = self.link_index[robot.hand_frame]
-        self.sensor_link = self.link_index[robot.hand.tree.links[0].name]  # the joint of the hand's mount
-        self._arm_effort = robot.effort[:6].tolist()
         self.hand_effort = robot.effort[6:].copy()
         self._hand_gain = np.full(len(robot.hand_joints), FINGER_GAIN)
         self._springs: dict[int, WristJoint] = {}
@@ -61,17 +56,52 @@ class RobotBody:
                 self._springs[i] = joint
             self.hand_effort[i] = min(self.hand_effort[i], joint.torque)
             self._hand_gain[i] = WRIST_GAIN
+        self.q_arm_target, self.qd_arm_target = np.array(q_arm, dtype=float), np.zeros(6)
+        self.q_hand_target = np.array(q_hand, dtype=float)
+        self._since_command = 0.0
+        self._ignored: list[tuple[int, int | None]] = []
+        self._load(self.q_arm_target, np.zeros(6), self.q_hand_target, np.zeros_like(self.q_hand_target), rigid=True)
+
+    def _reload(self, *, rigid: bool) -> None:
+        """Replace the body by one that is in the same state."""
+        (q_arm, qd_arm), (q_hand, qd_hand) = self.arm_state(), self.hand_state()
+        pb.removeBody(self.body, physicsClientId=self._client)
+        self._load(q_arm, qd_arm, q_hand, qd_hand, rigid=rigid)
+        ignored, self._ignored = self._ignored, []
+        for body, link in ignored:
+            self.ignore_collisions(body, link)
+
+    def _load(self, q_arm: Array, qd_arm: Array, q_hand: Array, qd_hand: Array, *, rigid: bool) -> None:
+        """Make the body, with rigid fingers or with fingers that move."""
+        robot, client = self.robot, self._client
+        wrist = len(robot.hand.wrist)
+        self._rigid = rigid
+        fixed = dict(zip(robot.hand_joints[wrist:], q_hand[wrist:].tolist(), strict=True)) if rigid else {}
+        self._q_rigid = q_hand.copy()
+        moving = robot.hand_joints[:wrist] if rigid else robot.hand_joints
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "robot.urdf"
+            file.write_text(write_urdf(robot.urdf_path.stem, _with_fixed(robot.tree, fixed), _mesh))
+            flags = pb.URDF_USE_INERTIA_FROM_FILE
+            self.body = int(pb.loadURDF(str(file), useFixedBase=True, flags=flags, physicsClientId=client))
+        infos = [pb.getJointInfo(self.body, i, physicsClientId=client) for i in range(self._joint_count())]
+        joint_index = {info[1].decode(): i for i, info in enumerate(infos)}
+        self.link_index = {info[12].decode(): i for i, info in enumerate(infos)}
+        self._arm = [joint_index[name] for name in robot.arm_joints]
+        self._hand = [joint_index[name] for name in moving]  # those that move
+        self.palm = self.link_index[robot.hand_frame]
+        self.sensor_link = self.link_index[robot.hand.tree.links[0].name]  # the joint of the hand's mount
+        self._arm_effort = robot.effort[:6].tolist()
         for link in range(-1, len(infos)):
             pb.changeDynamics(
                 self.body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, restitution=0.0,
                 lateralFriction=0.8, maxJointVelocity=20.0, physicsClientId=client,
             )  # fmt: skip
-        for index, value in zip([*self._arm, *self._hand], [*q_arm, *q_hand], strict=True):
-            pb.resetJointState(self.body, index, float(value), physicsClientId=client)
+        n = len(moving)
+        states = zip([*self._arm, *self._hand], [*q_arm, *q_hand[:n]], [*qd_arm, *qd_hand[:n]], strict=True)
+        for index, q, qd in states:
+            pb.resetJointState(self.body, index, float(q), float(qd), physicsClientId=client)
         pb.enableJointForceTorqueSensor(self.body, self.sensor_link, True, physicsClientId=client)
-        self.q_arm_target, self.qd_arm_target = np.array(q_arm, dtype=float), np.zeros(6)
-        self.q_hand_target = np.array(q_hand, dtype=float)
-        self._since_command = 0.0
         self._hand_set_for = 0.0
 
     def _joint_count(self) -> int:
@@ -91,6 +121,27 @@ class RobotBody:
         """Command joint positions (n,) [rad] of the hand, which it holds with its limited torques."""
         self.q_hand_target = np.array(q, dtype=float)
         self._hand_set_for = 0.0
+        wrist = len(self.robot.hand.wrist)
+        if self._rigid and not np.allclose(self.q_hand_target[wrist:], self._q_rigid[wrist:], rtol=0.0, atol=1e-9):
+            self._reload(rigid=False)
+
+    def stiffen(self) -> None:
+        """Make the fingers rigid where they are, until they are commanded to be elsewhere."""
+        if not self._rigid:
+            self._reload(rigid=True)
+            wrist = len(self.robot.hand.wrist)
+            self.q_hand_target[wrist:] = self._q_rigid[wrist:]
+
+    def ignore_collisions(self, body: int, link: int | None = None) -> None:
+        """Disable collisions with a body of one link.
+
+        Args:
+            body: pybullet's id of the body.
+            link: The robot's link that does not collide with it; None for all.
+        """
+        self._ignored.append((body, link))
+        for i in range(-1, self._joint_count()) if link is None else (link,):
+            pb.setCollisionFilterPair(self.body, body, i, -1, 0, physicsClientId=self._client)
 
     def before_step(self, dt: float) -> None:
         """Set the motors for the next step of dt [s]."""
@@ -101,10 +152,11 @@ class RobotBody:
         for i, joint in self._springs.items():
             position = pb.getJointState(self.body, self._hand[i], physicsClientId=self._client)[0]
             self.hand_effort[i] = joint.torque + joint.stiffness * abs(position - joint.rest)
-        if self._springs or self._hand_set_for != dt:
+        if self._hand and (self._springs or self._hand_set_for != dt):
             self._hand_set_for = dt
-            zeros = np.zeros(len(self._hand))
-            self._set(self._hand, self.q_hand_target, zeros, self.hand_effort.tolist(), self._hand_gain * dt)
+            n = len(self._hand)
+            effort = self.hand_effort[:n].tolist()
+            self._set(self._hand, self.q_hand_target[:n], np.zeros(n), effort, self._hand_gain[:n] * dt)
 
     def _set(self, joints: list[int], q: Array, qd: Array, effort: list[float], gains: Array) -> None:
         pb.setJointMotorControlArray(
@@ -125,10 +177,12 @@ class RobotBody:
 
     def hand_state(self) -> tuple[Array, Array]:
         """Measured joint positions and velocities of the hand, (n,) [rad, rad/s]."""
-        return self._state(self._hand)
+        q, qd = self._state(self._hand)
+        n = len(self._hand)
+        return np.concatenate([q, self._q_rigid[n:]]), np.concatenate([qd, np.zeros(len(self._q_rigid) - n)])
 
     def _state(self, joints: list[int]) -> tuple[Array, Array]:
-        states = pb.getJointStates(self.body, joints, physicsClientId=self._client)
+        states = pb.getJointStates(self.body, joints, physicsClientId=self._client) if joints else ()
         return np.array([s[0] for s in states]), np.array([s[1] for s in states])
 
     def link_pose(self, link: int) -> Array:
@@ -158,3 +212,25 @@ class RobotBody:
         X[:3, :3] = rotation_matrix(state[5])
         X[:3, 3] = state[4]
         return X, np.array(state[0]), np.array(state[7]), np.array(state[6])
+
+
+def _with_fixed(tree: Tree, joints: dict[str, float]) -> Tree:
+    """A tree some of whose joints (name -> position [rad]) are fixed."""
+    return Tree(
+        tuple(
+            replace(link, X_parent_joint=link.X_parent_joint @ _turn(link.axis, joints[link.joint]), axis=None)
+            if link.axis is not None and link.joint in joints
+            else link
+            for link in tree.links
+        )
+    )
+
+
+def _turn(axis: Array, angle: float) -> Array:
+    return transform(Rotation.from_rotvec(angle * axis))
+
+
+def _mesh(shape: Shape) -> Path:
+    if shape.mesh is None:
+        raise ValueError("a mesh shape without a file")
+    return shape.mesh

@@ -29,7 +29,8 @@ from toolee_robot.robots.hands import (
     WristJoint,
     hand_model,
 )
-from toolee_robot.robots.tree import FLANGE_FRAME
+from toolee_robot.robots.tree import FLANGE_FRAME, Shape, Tree
+from toolee_robot.robots.urdf import write_urdf
 from toolee_robot.robots.wrap import wrap_fingers
 
 __all__ = [
@@ -44,10 +45,13 @@ __all__ = [
     "HandModel",
     "NominalGrasp",
     "RobotDescription",
+    "Shape",
+    "Tree",
     "WristJoint",
     "arm_link_poses",
     "arm_meshes",
     "hand_model",
     "load_robot",
     "wrap_fingers",
+    "write_urdf",
 ]
